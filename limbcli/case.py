@@ -24,7 +24,7 @@ from limbcli.case_parts import Fibres, Imaging, ModelOptions, Probe, Site, State
 from limbcli.case_states import read_states, site_schema
 from limbcli.config import at_home
 from limbcli.errors import CaseError
-from limbcli.faults import not_in_utf8
+from limbcli.os_errors import not_in_utf8
 from limbcli.problems import Problem, checked, errors_of
 
 __all__ = ["CASE_FILE", "Case", "Imaging", "ModelOptions", "Probe", "Site", "StatedNoise", "read_case"]

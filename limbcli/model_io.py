@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from limbcli import bodies
 from limbcli import model as nouns
+from limbcli.atomic_files import atomic_file
 from limbcli.errors import CaseError
-from limbcli.files import atomic_file
 from limbcli.model import LimbModel
 
 FORMAT = 1

@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 
+from limbcli.atomic_files import atomic_folder, sha256
 from limbcli.errors import CaseError, LimbError, tell_site
-from limbcli.faults import in_utf8
-from limbcli.files import atomic_folder, sha256
+from limbcli.os_errors import in_utf8
 from limbcli.version import __version__
 
 FORMAT = 1

@@ -14,10 +14,10 @@ from typing import ParamSpec, TypeAlias, TypeVar
 from limbcli.case import Case
 from limbcli.config import at_home, default_out
 from limbcli.errors import CaseError
-from limbcli.faults import NO_MEMORY, in_words
+from limbcli.os_errors import NO_MEMORY, in_words
+from limbcli.output_lock import one_writer
 from limbcli.progress import SILENT, Listener, Progress
 from limbcli.results import CALLED
-from limbcli.writing import one_writer
 
 PathLike: TypeAlias = str | os.PathLike[str]
 CaseLike: TypeAlias = Case | str | os.PathLike[str]

@@ -24,8 +24,8 @@ from limbcli.api.tables import Row, Tabular, plain_rows, read_columns
 from limbcli.case import Case
 from limbcli.config import default_out
 from limbcli.errors import CaseError, LimbcliError
+from limbcli.output_lock import one_writer
 from limbcli.results import StageResult, plain
-from limbcli.writing import one_writer
 
 if TYPE_CHECKING:
     from limbcli.progress import Progress

@@ -24,8 +24,8 @@ from limbcli.api.limits import one_of, within
 from limbcli.api.tables import Table, plain_rows, read_columns, structured
 from limbcli.config import default_out
 from limbcli.errors import CaseError
+from limbcli.output_lock import one_writer
 from limbcli.results import StageResult
-from limbcli.writing import one_writer
 
 if TYPE_CHECKING:
     from limbcli.model import LimbModel

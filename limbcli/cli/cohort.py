@@ -9,7 +9,7 @@ import typer
 
 from limbcli.cli.options import JsonOpt, NoWaitOpt, QuietOpt, TemplatesOpt, VerboseOpt
 from limbcli.cli.terminal import emit, terminal
-from limbcli.writing import one_writer
+from limbcli.output_lock import one_writer
 
 TableArg = Annotated[
     Path, typer.Argument(metavar="TABLE.csv", help="A row a person and site.", show_default=False)

@@ -20,7 +20,7 @@ from limbcli.cli.options import (
     VerboseOpt,
 )
 from limbcli.cli.terminal import emit, terminal
-from limbcli.writing import one_writer
+from limbcli.output_lock import one_writer
 
 
 def command(

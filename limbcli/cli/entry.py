@@ -36,8 +36,8 @@ def main() -> None:
 
 def _caught(error: Exception) -> int:
     """Tell what nobody foresaw; returns the exit code."""
-    from limbcli.cli.last_net import output_folder
-    from limbcli.unforeseen import unforeseen
+    from limbcli.cli.named_output import output_folder
+    from limbcli.unexpected_errors import unforeseen
 
     shown = unforeseen(error, output_folder(sys.argv[1:]))
     print(f"{type(shown).__name__}: {shown}", file=sys.stderr)

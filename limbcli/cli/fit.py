@@ -33,7 +33,7 @@ from limbcli.cli.options import (
     VerboseOpt,
 )
 from limbcli.cli.terminal import emit, terminal
-from limbcli.writing import one_writer
+from limbcli.output_lock import one_writer
 
 if TYPE_CHECKING:
     from limbcli.results import StageResult

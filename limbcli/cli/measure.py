@@ -8,7 +8,7 @@ import typer
 
 from limbcli.cli.options import CaseArg, JsonOpt, NoWaitOpt, OutOpt, QuietOpt, SiteOpt, VerboseOpt
 from limbcli.cli.terminal import emit, terminal
-from limbcli.writing import one_writer
+from limbcli.output_lock import one_writer
 
 WriteOpt = Annotated[
     bool, typer.Option("--write", help="Also write levels.csv where case.toml names it (if absent).")

@@ -9,7 +9,7 @@ import typer
 from limbcli.cli.options import CaseArg, JsonOpt, NoWaitOpt, OutOpt, QuietOpt, SiteOpt, VerboseOpt
 from limbcli.cli.terminal import emit, terminal
 from limbcli.mesh_bounds import FAR_SIZE_MM, MARGIN_MM, SIZE_MM
-from limbcli.writing import one_writer
+from limbcli.output_lock import one_writer
 
 SizeOpt = Annotated[
     float | None,

@@ -9,8 +9,8 @@ import typer
 
 from limbcli.cli.options import JsonOpt, NoWaitOpt, OutOpt, QuietOpt, TemplatesOpt, VerboseOpt
 from limbcli.cli.terminal import emit, emit_json, terminal
+from limbcli.output_lock import one_writer
 from limbcli.progress import Progress
-from limbcli.writing import one_writer
 
 OptionalCaseArg = Annotated[
     Path | None,

@@ -10,7 +10,7 @@ import typer
 from limbcli.cli.options import FebioOpt, JsonOpt, NoWaitOpt, OutOpt, QuietOpt, SiteOpt, SolverOpt, VerboseOpt
 from limbcli.cli.terminal import emit, terminal
 from limbcli.errors import CaseError
-from limbcli.writing import one_writer
+from limbcli.output_lock import one_writer
 
 CaseOrFileArg = Annotated[
     Path | None,

@@ -8,7 +8,7 @@ import typer
 
 from limbcli.cli.options import CaseArg, JsonOpt, NoWaitOpt, OutOpt, QuietOpt, VerboseOpt
 from limbcli.cli.terminal import emit, terminal
-from limbcli.writing import one_writer
+from limbcli.output_lock import one_writer
 
 SeedOpt = Annotated[
     list[str] | None,

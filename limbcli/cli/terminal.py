@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterable, Sequence
 from typing import Any, TextIO
 
-from limbcli.cli.time_left import TimeLeft, keep_alive
+from limbcli.cli.remaining_time import TimeLeft, keep_alive
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult
 

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from limbcli.model import Array
-from limbcli.monotone import Monotone, columns_through
+from limbcli.monotone_interpolation import Monotone, columns_through
 
 _FAR = 10.0  # of ln depth beyond a curve's ends
 _LARGER = 1e-6  # times: a force that is larger by less is the same, and its logarithm may be

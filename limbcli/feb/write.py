@@ -11,6 +11,7 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
+from limbcli.atomic_files import atomic_file
 from limbcli.config import templates_folder
 from limbcli.errors import CaseError
 from limbcli.feb.ids import Ids, element_maps, give_ids, node_maps, number, vector
@@ -26,10 +27,9 @@ from limbcli.feb.views import (
     step_views,
     surface_rows,
 )
-from limbcli.files import atomic_file
-from limbcli.filling import TemplateFolders, filled, refuse_unused
 from limbcli.model import LimbModel
 from limbcli.results import plain
+from limbcli.template_rendering import TemplateFolders, filled, refuse_unused
 
 _FOLDER = "feb"
 MAIN_TEMPLATE = f"{_FOLDER}/model.feb.j2"

@@ -13,8 +13,8 @@ from typing import cast
 import numpy as np
 from lxml import etree
 
+from limbcli.atomic_files import gunzip
 from limbcli.errors import CaseError
-from limbcli.files import gunzip
 from limbcli.model import Array, IntArray
 
 UNITS = "mm-N-s"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from limbcli import ahead
+from limbcli import background_processes
 from limbcli.bodies import Contact
 from limbcli.errors import SolveError
 from limbcli.fem.record_fields import check_record
@@ -97,9 +97,9 @@ def warm_up(progress: Progress) -> None:
 
     Where other processes are at it already, this waits for them.
     """
-    if not are_there() or ahead.at_work():
+    if not are_there() or background_processes.at_work():
         progress.event("compile", what="the reference solver's kernels: about a minute, once on this machine")
-    ahead.wait()
+    background_processes.wait()
 
 
 def are_there() -> bool:

@@ -22,7 +22,7 @@ from limbcli.fem.contacts.contact_reach import near_nodes
 from limbcli.fem.elements.assembly import Pattern, Threads, make_pattern
 from limbcli.fem.elements.element_loops import ElementLoops
 from limbcli.fem.elements.groups import make_groups
-from limbcli.fem.elements.halves import halve
+from limbcli.fem.elements.thread_partition import halve
 from limbcli.fem.motion.rigid_loads import RigidLoads
 from limbcli.fem.motion.state import Forces, State
 from limbcli.model import Array, IntArray, LimbModel, Support

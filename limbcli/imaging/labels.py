@@ -13,8 +13,8 @@ from nibabel.spatialimages import HeaderDataError
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from limbcli.atomic_files import atomic_file
 from limbcli.errors import CaseError
-from limbcli.files import atomic_file
 from limbcli.imaging.markers import MarkerCapsule, number_markers
 from limbcli.imaging.nifti import must_tell_place, one_geometry
 from limbcli.imaging.segmentation import BONE, FAT, MARKER, SOFT_TISSUE, Segmentation

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from limbcli.atomic_files import gunzip
 from limbcli.errors import CaseError
-from limbcli.files import gunzip
 from limbcli.imaging.volume import MOST_VOXELS, RAS_FROM_LPS, Volume
 from limbcli.model import Array
 

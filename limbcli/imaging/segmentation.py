@@ -64,7 +64,7 @@ class Masks:
 
 
 @dataclass(frozen=True, eq=False)
-class Wishes:
+class SegmentationWishes:
     """What a user can say about a segmentation.
 
     threshold : signal between air and skin (image units, HU on CT); None finds it
@@ -80,7 +80,11 @@ class Wishes:
 
 
 def segment_limb(
-    image: Volume, *, modality: str = "MR", wishes: Wishes | None = None, progress: Progress = SILENT
+    image: Volume,
+    *,
+    modality: str = "MR",
+    wishes: SegmentationWishes | None = None,
+    progress: Progress = SILENT,
 ) -> Segmentation:
     """Skin, bones, fat and markers of a limb.
 
@@ -98,7 +102,7 @@ def segment_limb(
     CaseError
         If no limb stands out from the background, two do, or fat is not bright.
     """
-    wishes = wishes or Wishes()
+    wishes = wishes or SegmentationWishes()
     turned, order, flipped = image.along_limb()
     notes: tuple[str, ...] = ()
     if modality != "CT":
@@ -132,7 +136,7 @@ def segment_limb(
     )
 
 
-def _on_mri(work: Volume, wishes: Wishes, progress: Progress) -> Masks:
+def _on_mri(work: Volume, wishes: SegmentationWishes, progress: Progress) -> Masks:
     def tell(done: int) -> None:
         progress.event("task", name="segmenting", done=done, total=_PARTS)
 
@@ -153,7 +157,7 @@ def _on_mri(work: Volume, wishes: Wishes, progress: Progress) -> Masks:
     return Masks(limb, bones, fat_of(intensities, limb, bone, work), found.mask, found.markers)
 
 
-def _on_ct(work: Volume, wishes: Wishes, progress: Progress) -> Masks:
+def _on_ct(work: Volume, wishes: SegmentationWishes, progress: Progress) -> Masks:
     limb = limb_on_ct(work, threshold=wishes.threshold)
     progress.event("task", name="segmenting", done=2, total=_PARTS)
     bones = bones_on_ct(work, limb)

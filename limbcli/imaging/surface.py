@@ -17,8 +17,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from skimage import measure
 
+from limbcli.atomic_files import atomic_file, read_triangles
 from limbcli.errors import CaseError, MeshError
-from limbcli.files import atomic_file, read_triangles
 from limbcli.imaging.signed_distance import box_around, signed_distance
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array, IntArray

@@ -8,7 +8,7 @@ import numpy as np
 
 from limbcli.errors import FitError
 from limbcli.model import Array
-from limbcli.monotone import Monotone
+from limbcli.monotone_interpolation import Monotone
 
 
 @dataclass(frozen=True, eq=False)

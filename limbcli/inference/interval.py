@@ -16,11 +16,11 @@ import numpy as np
 
 from limbcli.inference.adaptive import Intervals, adaptive_profiles
 from limbcli.inference.emulator import Emulator
+from limbcli.inference.geometry_uncertainty import at_depths, whitened
 from limbcli.inference.identifiability import force_variance
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.prediction import Prediction, Predictor, SolvedPoints, sampled, slopes_at
 from limbcli.inference.residual import Objective, force_residual, with_prior
-from limbcli.inference.shape_doubt import at_depths, whitened
 from limbcli.inference.two_step_fit import ForceDepth, search_parameters
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress

@@ -16,7 +16,7 @@ import numpy as np
 
 from limbcli.errors import ToolError
 from limbcli.model import Array, IntArray
-from limbcli.monotone import Monotone
+from limbcli.monotone_interpolation import Monotone
 
 FILE = Path(__file__).with_name("layered_family.csv")
 FORCE, CONVEXITY, MUSCLE_PART, SKIN_PART = range(4)

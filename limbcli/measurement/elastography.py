@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from limbcli import units
+from limbcli.atomic_files import atomic_file
 from limbcli.errors import MeasurementError
-from limbcli.files import atomic_file
 from limbcli.measurement.tables import RawTable, problem, read_table
 from limbcli.model import Array
 from limbcli.problems import Problem, checked, raise_errors

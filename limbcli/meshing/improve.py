@@ -26,13 +26,13 @@ _ON = 0.02  # mm: a boundary node this near to its surface is on it
 
 
 @dataclass(frozen=True, eq=False)
-class Ties:
+class NodeConstraints:
     """What each node stays on: two columns of SKIN, BONE, CUT + k or FREE; FIXED holds it."""
 
     codes: IntArray  # (n_points, 2)
 
     @staticmethod
-    def of_faces(n_points: int, faces: IntArray, labels: IntArray) -> Ties:
+    def of_faces(n_points: int, faces: IntArray, labels: IntArray) -> NodeConstraints:
         """From labelled boundary faces (m, 3): a node on three surfaces or more is fixed."""
         many = int(labels.max()) + 1 if len(labels) else 1
         pairs = np.stack(np.divmod(np.unique(faces.ravel() * many + np.repeat(labels, 3)), many), axis=1)
@@ -43,21 +43,21 @@ class Ties:
         codes[one, 0] = pairs[first[one], 1]
         codes[two, 1] = pairs[first[two] + 1, 1]
         codes[count > 2, 0] = FIXED
-        return Ties(codes)
+        return NodeConstraints(codes)
 
 
-def put_back(points: Array, ties: Ties, domain: TissueDomain, *, rounds: int = 3) -> Array:
+def put_back(points: Array, constraints: NodeConstraints, domain: TissueDomain, *, rounds: int = 3) -> Array:
     """Boundary points moved onto the surfaces they belong to."""
     x = np.array(points, float)
     arrays = _arrays(domain)
-    _put_all_back(x, ties.codes, *arrays, rounds)  # type: ignore[call-arg]
+    _put_all_back(x, constraints.codes, *arrays, rounds)  # type: ignore[call-arg]
     return x
 
 
 def smooth(
     points: Array,
     cells: IntArray,
-    ties: Ties,
+    constraints: NodeConstraints,
     domain: TissueDomain,
     *,
     goal_deg: float = 25.0,
@@ -70,7 +70,7 @@ def smooth(
     start = np.searchsorted(corners.ravel()[order], np.arange(len(points) + 1))
     x = np.array(points, float)
     goal = float(np.sin(np.radians(goal_deg)))
-    _smooth(x, corners, star, start, ties.codes, *_arrays(domain), goal, passes)  # type: ignore[call-arg]
+    _smooth(x, corners, star, start, constraints.codes, *_arrays(domain), goal, passes)  # type: ignore[call-arg]
     return x
 
 
@@ -284,4 +284,4 @@ def _smooth(
             break
 
 
-__all__ = ["BONE", "CUT", "FIXED", "FREE", "SKIN", "Ties", "put_back", "smooth", "worst_sines"]
+__all__ = ["BONE", "CUT", "FIXED", "FREE", "SKIN", "NodeConstraints", "put_back", "smooth", "worst_sines"]

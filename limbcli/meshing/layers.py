@@ -16,7 +16,7 @@ from scipy import ndimage
 from limbcli.errors import CaseError, MeshError
 from limbcli.meshing.distance import Field, distance_again
 from limbcli.meshing.domain import CUT, SKIN, TissueDomain
-from limbcli.meshing.improve import Ties, smooth, worst_sines
+from limbcli.meshing.improve import NodeConstraints, smooth, worst_sines
 from limbcli.meshing.quality import volumes
 from limbcli.meshing.site_mesher import VolumeMesh, boundary_faces
 from limbcli.model import Array, IntArray
@@ -134,11 +134,11 @@ def _untangled(
     MeshError
         If some stay inverted.
     """
-    ties = Ties.of_faces(len(points), shell, labels)
+    constraints = NodeConstraints.of_faces(len(points), shell, labels)
     for goal_deg, passes in _UNTANGLING:
         if np.degrees(np.arcsin(np.clip(worst_sines(points, cells), -1, 1))).min() >= _LEAST_ANGLE_DEG:
             break
-        points = smooth(points, cells, ties, domain, goal_deg=goal_deg, passes=passes)
+        points = smooth(points, cells, constraints, domain, goal_deg=goal_deg, passes=passes)
     inverted = volumes(points, cells) <= 1e-9
     if inverted.any():
         x, y, z = points[cells[inverted]].mean(axis=(0, 1))

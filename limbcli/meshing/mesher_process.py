@@ -21,7 +21,7 @@ import numpy as np
 
 from limbcli.errors import MeshError, ToolError
 from limbcli.model import Array, IntArray
-from limbcli.scratch import end_with_parent, scratch_folder
+from limbcli.temporary_folders import end_with_parent, scratch_folder
 
 _NO_ROOM = 75  # exit status of the process where the disk is full: no mesher's own
 _FIX = "ask for another size (--size-mm), or mend the surfaces"

@@ -19,7 +19,7 @@ from limbcli.errors import MeshError
 from limbcli.meshing.distance import Field
 from limbcli.meshing.domain import BONE, CUT, TissueDomain
 from limbcli.meshing.facets import collapse_short, edges_of, flip, keep_unfolded, relax, split_long
-from limbcli.meshing.improve import FIXED, Ties, put_back
+from limbcli.meshing.improve import FIXED, NodeConstraints, put_back
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array, IntArray
@@ -163,7 +163,7 @@ def _folded(surface: Triangles) -> NDArray[np.bool_]:
 def unfold(boundary: Boundary, domain: TissueDomain, *, rounds: int = 8) -> Boundary:
     """Faces folded over their own surface spread out: their nodes go amid their neighbours."""
     surface, labels = boundary.surface, boundary.labels
-    ties = Ties.of_faces(len(surface.points), surface.faces, labels)
+    constraints = NodeConstraints.of_faces(len(surface.points), surface.faces, labels)
     edges = np.unique(np.sort(surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
     for _ in range(rounds):
         boundary = Boundary(surface, labels)
@@ -171,10 +171,12 @@ def unfold(boundary: Boundary, domain: TissueDomain, *, rounds: int = 8) -> Boun
         folded = np.einsum("ij,ij->i", unit, outward_normals(boundary, domain)) < 0.1
         free = np.zeros(len(surface.points), bool)
         free[surface.faces[folded]] = True
-        free &= (ties.codes[:, 0] > 0) & (ties.codes[:, 1] == 0)
+        free &= (constraints.codes[:, 0] > 0) & (constraints.codes[:, 1] == 0)
         if not free.any():
             break
-        surface = Triangles(put_back(_relaxed(surface.points, edges, free), ties, domain), surface.faces)
+        surface = Triangles(
+            put_back(_relaxed(surface.points, edges, free), constraints, domain), surface.faces
+        )
     return Boundary(surface, labels)
 
 
@@ -242,9 +244,9 @@ def remesh(fine: Triangles, domain: TissueDomain, field: SizeField, *, rounds: i
         for _ in range(3):
             faces, n = flip(points, faces, labels)
         for _ in range(2):
-            ranks, ties = _ranks(points, faces, labels)
-            points = keep_unfolded(points, put_back(points, ties, domain), faces)
-            moved = put_back(relax(points, faces, labels, ranks, field.at(points)), ties, domain)
+            ranks, constraints = _ranks(points, faces, labels)
+            points = keep_unfolded(points, put_back(points, constraints, domain), faces)
+            moved = put_back(relax(points, faces, labels, ranks, field.at(points)), constraints, domain)
             points = keep_unfolded(points, moved, faces)
     for _ in range(4):  # what moving the nodes along the features pushed together
         labels = _without_ears(points, faces, labels, domain)
@@ -277,14 +279,14 @@ def _without_ears(points: Array, faces: IntArray, labels: IntArray, domain: Tiss
     return out
 
 
-def _ranks(points: Array, faces: IntArray, labels: IntArray) -> tuple[IntArray, Ties]:
+def _ranks(points: Array, faces: IntArray, labels: IntArray) -> tuple[IntArray, NodeConstraints]:
     """How many labels meet at each node (at most 3 counted; forks of features too), and what ties it."""
-    ties = Ties.of_faces(len(points), faces, labels)
-    ranks = np.where(ties.codes[:, 0] == FIXED, 3, np.where(ties.codes[:, 1] > 0, 2, 1))
+    constraints = NodeConstraints.of_faces(len(points), faces, labels)
+    ranks = np.where(constraints.codes[:, 0] == FIXED, 3, np.where(constraints.codes[:, 1] > 0, 2, 1))
     edges, sides = edges_of(faces)
     feature = edges[labels[sides[:, 0]] != labels[sides[:, 1]]]
     at = np.bincount(feature.ravel(), minlength=len(points))
-    return np.where((ranks == 2) & (at != 2), 3, ranks), ties
+    return np.where((ranks == 2) & (at != 2), 3, ranks), constraints
 
 
 def face_labels(surface: Triangles, domain: TissueDomain, *, tolerance: float = 0.02) -> IntArray:

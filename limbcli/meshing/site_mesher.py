@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from limbcli.errors import MeshError, ToolError
 from limbcli.meshing.domain import TissueDomain, boundary
-from limbcli.meshing.improve import Ties, put_back, smooth, worst_sines
+from limbcli.meshing.improve import NodeConstraints, put_back, smooth, worst_sines
 from limbcli.meshing.mesher_process import in_process
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.quality import dihedral_angles_deg
@@ -163,9 +163,9 @@ def _face_keys(faces: IntArray, base: int) -> IntArray:
 
 def _improved(raw: Tetrahedra, faces: IntArray, labels: IntArray, domain: TissueDomain) -> VolumeMesh:
     """Nodes moved for better angles; in a second round only where the worst are left."""
-    ties = Ties.of_faces(len(raw.points), faces, labels)
-    points = smooth(raw.points, raw.cells, ties, domain)
-    points = smooth(points, raw.cells, ties, domain, goal_deg=14.0, passes=30)
+    constraints = NodeConstraints.of_faces(len(raw.points), faces, labels)
+    points = smooth(raw.points, raw.cells, constraints, domain)
+    points = smooth(points, raw.cells, constraints, domain, goal_deg=14.0, passes=30)
     return VolumeMesh(points, raw.cells, faces, labels, raw.maker, ())
 
 
@@ -185,8 +185,8 @@ def _with_ftetwild(domain: TissueDomain, probe: ProbeShape, sizes: Sizes, tale: 
     raw = checked(nodes, cells, surface.volume, "fTetWild", tolerance=0.02)
     faces = boundary_faces(raw.cells)
     labels = face_labels(Triangles(raw.points, faces), domain, tolerance=3 * _ENVELOPE)
-    ties = Ties.of_faces(len(raw.points), faces, labels)
-    points = settled(raw.points, put_back(raw.points, ties, domain), raw.cells)
+    constraints = NodeConstraints.of_faces(len(raw.points), faces, labels)
+    points = settled(raw.points, put_back(raw.points, constraints, domain), raw.cells)
     return _improved(Tetrahedra(points, raw.cells, raw.maker), faces, labels, domain)
 
 

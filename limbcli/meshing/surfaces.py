@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from limbcli.atomic_files import read_triangles
 from limbcli.errors import MeshError
-from limbcli.files import read_triangles
 from limbcli.model import Array, IntArray
 
 SUFFIXES = (".ply", ".stl", ".obj", ".off", ".vtk", ".vtu")

@@ -14,10 +14,10 @@ from markupsafe import Markup, escape
 
 from limbcli.config import templates_folder
 from limbcli.drawing import data_file, save_figure
-from limbcli.faults import in_utf8
-from limbcli.filling import TemplateFolders, filled, refuse_unused
+from limbcli.os_errors import in_utf8
 from limbcli.reporting.figures.style import style
 from limbcli.reporting.reportlet import Picture, Reportlet
+from limbcli.template_rendering import TemplateFolders, filled, refuse_unused
 
 _LARGE_BYTES = 200_000
 _MOST_PIXELS = 2400  # across; enough for a printed page

@@ -13,20 +13,20 @@ from functools import cache
 from pathlib import Path
 from typing import TextIO
 
+from limbcli.atomic_files import sha256
 from limbcli.errors import CaseError, SolveError, ToolError
 from limbcli.feb.log import LogReader, check_complete, quote, read_log
+from limbcli.feb.log_identity import check_belongs, marked
 from limbcli.feb.outline import Outline, check_output, read_outline
-from limbcli.feb.proof import check_belongs, marked
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
-from limbcli.files import sha256
 from limbcli.model import LimbModel
 from limbcli.progress import Progress
-from limbcli.scratch import ends_with_this_process
 from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Simulation
 from limbcli.solvers.febio_watch import HEARTBEAT_S, LogWatcher, default_limit_s
 from limbcli.solvers.law_check import can_be_checked, check_first_step
 from limbcli.solvers.tables import read_finished
+from limbcli.temporary_folders import ends_with_this_process
 
 BINARIES = ("febio4", "febio")
 VARIABLE = "LIMBCLI_FEBIO"

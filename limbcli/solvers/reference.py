@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 from limbcli.config import at_most
 from limbcli.errors import SolveError
+from limbcli.feb.log_identity import marked
 from limbcli.feb.outline import read_outline
-from limbcli.feb.proof import marked
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
 from limbcli.model import IntArray, LimbModel

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from limbcli.files import atomic_file
+from limbcli.atomic_files import atomic_file
 from limbcli.version import __version__
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from limbcli.solvers.base import Simulation, Table
 from limbcli.solvers.reference import NAME, prepare
 from limbcli.solvers.session_models import check_same_set_up
 from limbcli.solvers.session_parameters import Parameter, law_parameter, nudged, parameter_values
-from limbcli.solvers.session_watch import Rows, Watch, is_asked, key_of
+from limbcli.solvers.session_watch import Rows, StateObserver, is_asked, key_of
 from limbcli.version import __version__
 
 if TYPE_CHECKING:
@@ -181,7 +181,7 @@ class ReferenceSession:
         started = time.monotonic()
         asked = self._records(model, records or bool(field_gradients))
         parameters = {(each[0], each[1]): law_parameter(each, moved.get(each), model) for each in wrt}
-        watch = Watch(asked, parameters, self.body, of_fields=field_gradients)
+        watch = StateObserver(asked, parameters, self.body, of_fields=field_gradients)
         snapshots = self._analysis.run(
             watch, guesses=partial(self._guess, led), required=required, hoped=hoped, last=last,
             patient=patient,

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Rows = list[tuple[IntArray, Array]]
 
 
-class Watch:
+class StateObserver:
     """Called with every converged state of an analysis.
 
     rows : (ids, values) of each record, time by time

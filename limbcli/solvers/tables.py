@@ -9,8 +9,8 @@ import numpy as np
 
 from limbcli.errors import SolveError
 from limbcli.feb.log import check_complete, read_log
+from limbcli.feb.log_identity import check_belongs
 from limbcli.feb.outline import Outline, read_outline
-from limbcli.feb.proof import check_belongs
 from limbcli.feb.records import Records, read_records
 from limbcli.model import Array, LogRecord
 from limbcli.solvers.base import LOG_FILE, Simulation, Table

@@ -13,19 +13,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from limbcli.atomic_files import sha256
 from limbcli.case import Case
+from limbcli.error_commands import pasted
 from limbcli.errors import CaseError, LimbError
-from limbcli.files import sha256
-from limbcli.pasting import pasted
 from limbcli.progress import SILENT, Progress
 from limbcli.results import ERROR_FILE, StageResult, read_result, stage_folder
 from limbcli.stages.batching.fits_on_demand import FitOnDemand, extras, made_by_hand, shown_only
 from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailure, keep_error
 from limbcli.stages.batching.steps import FIT_STATES, SITE_STAGES, parts_of, site_steps
 from limbcli.stages.machine.kernels import compile_ahead
-from limbcli.stages.provenance.asked import in_words
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.provenance.freshness import Memory, code_hash, key_of
+from limbcli.stages.provenance.requested_options import in_words
 
 DIAGNOSE = "diagnose"
 
@@ -73,7 +73,7 @@ def opened(folder: Path, out: Path) -> Case | CaseOutcome:
 
 
 @dataclass(frozen=True)
-class Begun:
+class StartedCase:
     """key : of what the sites' stages rest on; done : whether they can be run
     places : sites that are to be diagnosed together, by name
     """
@@ -99,7 +99,7 @@ class CaseRun:
         self._of_sites: dict[str, Memory] = {}
         self.chain = Chain(case, out)
 
-    def first(self) -> Begun:
+    def first(self) -> StartedCase:
         """What all sites share."""
         from limbcli.stages.segment import edited_labels, segment
 
@@ -115,7 +115,7 @@ class CaseRun:
             for site in self.case.sites:
                 states = (FIT_STATES,) if site.states else ()
                 self._skip((*SITE_STAGES, *states), site.name, because="segment")
-        return Begun(key, done, self._places() if done and self.options.diagnose else ())
+        return StartedCase(key, done, self._places() if done and self.options.diagnose else ())
 
     def _seen(self) -> tuple[object, ...]:
         """What the geometry is made of besides [imaging], where no image shows the bone."""

@@ -7,14 +7,14 @@ from contextlib import nullcontext
 from pathlib import Path
 
 from limbcli.config import default_out
+from limbcli.error_commands import pasted
 from limbcli.errors import CaseError, FitError, LimbError
-from limbcli.pasting import pasted
+from limbcli.output_lock import one_writer
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.batch import batch
 from limbcli.stages.batch_task import in_words
 from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailure
 from limbcli.stages.expect import EXPECTED_FILE, Comparison, compare
-from limbcli.writing import one_writer
 
 
 def output_folders(cases: Iterable[Path], out: Path | None) -> list[tuple[Path, Path]]:

@@ -17,7 +17,17 @@ from typing import TYPE_CHECKING, Any
 from limbcli.errors import LimbError, ToolError
 from limbcli.progress import Progress
 from limbcli.results import CALLED
-from limbcli.stages.batch_task import DIAGNOSIS, FIRST, FIRST_STAGE, LAST, SITE, BatchTask, Call, Done, work
+from limbcli.stages.batch_task import (
+    DIAGNOSIS,
+    FIRST,
+    FIRST_STAGE,
+    LAST,
+    SITE,
+    BatchTask,
+    Call,
+    PartOutcome,
+    work,
+)
 from limbcli.stages.batching.cluster import WorkerRefused, WorkerStanding, connected, lost_workers, threads_of
 from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailure
 
@@ -30,12 +40,12 @@ _SAME = "call the same batch again: what is done is not done again"
 
 
 @dataclass
-class Way:
+class CaseProgress:
     """One case on its way: what its parts left so far."""
 
     place: int
     outcome: CaseOutcome
-    first: Done | None = None
+    first: PartOutcome | None = None
     keys: dict[str, str] = field(default_factory=dict)  # by site, where it has ended
     places: list[tuple[str, ...]] = field(default_factory=list)  # that are still to be diagnosed
     n_open: int = 0  # parts that are in work
@@ -85,8 +95,8 @@ def asked(command: Sequence[str], cases: Sequence[Path]) -> tuple[str, ...]:
 class _Together:
     def __init__(self, client: Client, call: Call, cases: Sequence[tuple[Path, Path]], progress: Progress):
         self.client, self.call, self.progress = client, call, progress
-        self.ways = [Way(k, CaseOutcome(case, out)) for k, (case, out) in enumerate(cases)]
-        self.parts: dict[Any, tuple[Way, BatchTask]] = {}
+        self.ways = [CaseProgress(k, CaseOutcome(case, out)) for k, (case, out) in enumerate(cases)]
+        self.parts: dict[Any, tuple[CaseProgress, BatchTask]] = {}
         self.stages: dict[str, str] = {}  # part: the stage it was at when it was last heard of
         self.refused: set[str] = set()  # addresses of workers
         self.n_parts, self.n_done, self.n_cases_done = len(self.ways), 0, 0
@@ -118,7 +128,7 @@ class _Together:
 
     # ------------------------------------------------------------ parts
 
-    def _submit(self, way: Way, part: BatchTask) -> Future:
+    def _submit(self, way: CaseProgress, part: BatchTask) -> Future:
         """Parts of earlier cases go first, so that cases end one after the other."""
         way.n_open += 1
         part = copy.deepcopy(part)  # the case's outcome goes on changing here
@@ -167,7 +177,7 @@ class _Together:
             return self._diagnoses(way) or (self._last(way) if way.n_open == 0 else [])
         return self._ended(way)
 
-    def _after_first(self, way: Way, done: Done) -> list[Future]:
+    def _after_first(self, way: CaseProgress, done: PartOutcome) -> list[Future]:
         way.first = done
         segmented = any(each.stage == FIRST_STAGE[FIRST] for each in done.outcome.failures)
         if done.is_all or not (done.sites or segmented):
@@ -180,7 +190,7 @@ class _Together:
         case, out = way.outcome.case, way.outcome.out
         return [self._submit(way, BatchTask(case, out, SITE, (site,), done.begun)) for site in sites]
 
-    def _diagnoses(self, way: Way) -> list[Future]:
+    def _diagnoses(self, way: CaseProgress) -> list[Future]:
         """Of the places whose sites have all ended."""
         ready = [place for place in way.places if way.keys.keys() >= set(place)]
         way.places = [place for place in way.places if place not in ready]
@@ -192,13 +202,13 @@ class _Together:
             for place, own in zip(ready, keys, strict=True)
         ]
 
-    def _last(self, way: Way) -> list[Future]:
+    def _last(self, way: CaseProgress) -> list[Future]:
         assert way.first is not None
         keys = tuple(way.keys[site] for site in way.first.sites if site in way.keys)
         outcome, begun = way.outcome, way.first.begun
         return [self._submit(way, BatchTask(outcome.case, outcome.out, LAST, (), begun, keys, outcome))]
 
-    def _ended(self, way: Way) -> list[Future]:
+    def _ended(self, way: CaseProgress) -> list[Future]:
         self.n_cases_done += 1
         failures = way.outcome.failures
         how = "; ".join(f"{each.place} failed: {each.error.what}" for each in failures) or "done"
@@ -216,7 +226,7 @@ class _Together:
             self.refused.add(address)
             self._say("note", text=f"{error.what} ({error.where}); others do it. {error.fix}")
 
-    def _without_answer(self, way: Way, part: BatchTask, error: Exception) -> Done:
+    def _without_answer(self, way: CaseProgress, part: BatchTask, error: Exception) -> PartOutcome:
         """The part as failed, where Dask gave it up.
 
         Raises
@@ -240,7 +250,7 @@ class _Together:
             reported = ToolError(text, where=part.name, fix=f"look at the workers' logs; {_SAME}")
         stage = self.stages.get(part.name, FIRST_STAGE[part.kind])
         outcome = CaseOutcome(part.case, part.out, failures=[StepFailure(stage, part.site, reported)])
-        return Done(outcome, is_all=part.kind == LAST)
+        return PartOutcome(outcome, is_all=part.kind == LAST)
 
     def _no_scheduler(self, error: Exception) -> ToolError:
         return ToolError(

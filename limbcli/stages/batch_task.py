@@ -12,7 +12,7 @@ from typing import Any
 from limbcli.errors import LimbError
 from limbcli.progress import Progress
 from limbcli.results import CALLED
-from limbcli.stages.batch import DIAGNOSE, Begun, CaseRun, opened
+from limbcli.stages.batch import DIAGNOSE, CaseRun, StartedCase, opened
 from limbcli.stages.batching.cluster import WorkerStanding, as_called, refuse_other
 from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailure
 from limbcli.stages.batching.steps import SITE_STAGES
@@ -20,7 +20,7 @@ from limbcli.stages.batching.steps import SITE_STAGES
 FIRST, SITE, DIAGNOSIS, LAST = "first", "site", "diagnosis", "last"
 FIRST_STAGE = {FIRST: "segment", SITE: SITE_STAGES[0], DIAGNOSIS: DIAGNOSE, LAST: "report"}
 WAITING = "waiting"  # how a note begins that another's lock is waited for
-NOT_BEGUN = Begun("", done=False)
+NOT_BEGUN = StartedCase("", done=False)
 Tell = Callable[[str, dict[str, Any]], None]
 
 
@@ -54,7 +54,7 @@ class BatchTask:
     out: Path
     kind: str
     sites: tuple[str, ...] = ()
-    begun: Begun = NOT_BEGUN
+    begun: StartedCase = NOT_BEGUN
     keys: tuple[str, ...] = ()
     outcome: CaseOutcome | None = None
 
@@ -69,19 +69,19 @@ class BatchTask:
 
 
 @dataclass(frozen=True)
-class Done:
+class PartOutcome:
     """sites : of the case, after its first part; key : of what a site's part left
     is_all : nothing follows
     """
 
     outcome: CaseOutcome
-    begun: Begun = NOT_BEGUN
+    begun: StartedCase = NOT_BEGUN
     sites: tuple[str, ...] = ()
     key: str = ""
     is_all: bool = False
 
 
-def work(part: BatchTask, call: Call) -> Done:
+def work(part: BatchTask, call: Call) -> PartOutcome:
     """One part, on a worker; whatever goes wrong with it is in its outcome.
 
     Raises
@@ -122,7 +122,7 @@ class _EventLog:
             self._send({"part": self._part, "stage": self._stage, "text": text})
 
 
-def done(part: BatchTask, call: Call, tell: Tell) -> Done:
+def done(part: BatchTask, call: Call, tell: Tell) -> PartOutcome:
     """The same in this process; `tell` hears of its progress."""
     heard = _Heard("check" if part.kind == FIRST else FIRST_STAGE[part.kind])
     progress = Progress(heard, tell)
@@ -131,13 +131,13 @@ def done(part: BatchTask, call: Call, tell: Tell) -> Done:
         return _KINDS[part.kind](part, call, progress)
     except Exception as error:  # one part's fault never stops the others
         outcome.failures.append(StepFailure(heard.stage, part.site, in_words(error, part.out)))
-    return Done(outcome, is_all=not part.case.is_dir())
+    return PartOutcome(outcome, is_all=not part.case.is_dir())
 
 
 def in_words(error: Exception, out: Path) -> LimbError:
     """The error that a person reads; what nobody foresaw leaves a file in the output folder."""
-    from limbcli.faults import in_words as in_words_of_system
-    from limbcli.unforeseen import unforeseen
+    from limbcli.os_errors import in_words as in_words_of_system
+    from limbcli.unexpected_errors import unforeseen
 
     if isinstance(error, LimbError):
         return error
@@ -156,45 +156,45 @@ class _Heard:
             self.stage = str(facts["name"])
 
 
-def _first(part: BatchTask, call: Call, progress: Progress) -> Done:
-    from limbcli.writing import one_writer
+def _first(part: BatchTask, call: Call, progress: Progress) -> PartOutcome:
+    from limbcli.output_lock import one_writer
 
     turn = one_writer(part.out, wait=call.wait, progress=progress)
     with turn if part.case.is_dir() else nullcontext():
         case = opened(part.case, part.out)
         if isinstance(case, CaseOutcome):
-            return Done(case, is_all=True)
+            return PartOutcome(case, is_all=True)
         run = CaseRun(case, part.out, call.options, progress)
         begun = run.first()
-    return Done(run.outcome, begun, tuple(site.name for site in case.sites))
+    return PartOutcome(run.outcome, begun, tuple(site.name for site in case.sites))
 
 
-def _site(part: BatchTask, call: Call, progress: Progress) -> Done:
+def _site(part: BatchTask, call: Call, progress: Progress) -> PartOutcome:
     from limbcli.case import Case
-    from limbcli.writing import site_writer
+    from limbcli.output_lock import site_writer
 
     assert part.site is not None
     with site_writer(part.out, part.site, wait=call.wait, progress=progress):
         run = CaseRun(Case.open(part.case), part.out, call.options, progress)
         key = run.site(part.site, part.begun.key)
-    return Done(run.outcome, part.begun, key=key)
+    return PartOutcome(run.outcome, part.begun, key=key)
 
 
-def _diagnosis(part: BatchTask, call: Call, progress: Progress) -> Done:
+def _diagnosis(part: BatchTask, call: Call, progress: Progress) -> PartOutcome:
     from limbcli.case import Case
-    from limbcli.writing import site_writer
+    from limbcli.output_lock import site_writer
 
     own = _so_far(part)
     with ExitStack() as turns:
         for site in sorted(part.sites):  # in one order, so that nobody waits for each other
             turns.enter_context(site_writer(part.out, site, wait=call.wait, progress=progress))
         CaseRun(Case.open(part.case), part.out, call.options, progress, own).diagnosis(part.sites, part.keys)
-    return Done(_only_new(part, own), part.begun)
+    return PartOutcome(_only_new(part, own), part.begun)
 
 
-def _last(part: BatchTask, call: Call, progress: Progress) -> Done:
+def _last(part: BatchTask, call: Call, progress: Progress) -> PartOutcome:
     from limbcli.case import Case
-    from limbcli.writing import one_writer
+    from limbcli.output_lock import one_writer
 
     own = _so_far(part)
     with one_writer(part.out, wait=call.wait, progress=progress):
@@ -202,7 +202,7 @@ def _last(part: BatchTask, call: Call, progress: Progress) -> Done:
         for each in list(own.failures):
             run.keep(each)
         run.last(part.begun.key, part.keys)
-    return Done(_only_new(part, own), part.begun, is_all=True)
+    return PartOutcome(_only_new(part, own), part.begun, is_all=True)
 
 
 def _so_far(part: BatchTask) -> CaseOutcome:

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from limbcli.atomic_files import sha256
 from limbcli.case import Case, Site
 from limbcli.errors import MeasurementError
 from limbcli.feb.settings import Schedule, apart, least_level, schedule
 from limbcli.feb.write import write_feb
-from limbcli.files import sha256
 from limbcli.measurement.elastography import shear_modulus_from_wave_speed
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.regression import speed_against_force
@@ -27,9 +27,9 @@ from limbcli.model_io import load_model
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.solvers.base import MODEL_FILE
-from limbcli.stages.provenance.asked import asked_of, asked_of_options
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.provenance.chain_inputs import note_case
+from limbcli.stages.provenance.requested_options import asked_of, asked_of_options
 from limbcli.stages.site_model.indentation_model import (
     C_KPA,
     PROBE,

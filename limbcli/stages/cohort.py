@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from limbcli.atomic_files import atomic_set, sha256
 from limbcli.errors import CaseError, MeasurementError
-from limbcli.files import atomic_set, sha256
 from limbcli.inference.layered_family import LayeredFamily, layered_family
 from limbcli.inference.layered_solves import FORCE
 from limbcli.measurement.cohort_checks import checked_cohort

@@ -27,13 +27,13 @@ from limbcli.effects import EFFECTS, Effect, effect
 from limbcli.errors import CaseError, LimbError, tell_site
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, open_stage, plain, read_result
+from limbcli.stages.diagnosis.bones.bone_comparison import doubted, may_be_elsewhere, told_together, weighed
 from limbcli.stages.diagnosis.bones.evidence import Stand, compared
-from limbcli.stages.diagnosis.bones.weighing import doubted, may_be_elsewhere, told_together, weighed
 from limbcli.stages.diagnosis.drainage.drained import DrainageSolver
 from limbcli.stages.diagnosis.forward_model.measurement_menu import known
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
-from limbcli.stages.diagnosis.mesh_doubt.interventions import Intervention, too_doubtful
-from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import F_KAPPA
+from limbcli.stages.diagnosis.mesh_error.mesh_correction import F_KAPPA
+from limbcli.stages.diagnosis.mesh_error.numerical_checks import Intervention, too_doubtful
 from limbcli.stages.diagnosis.place import Place, PlaceMaker
 from limbcli.stages.diagnosis.prepare import STAGE, Prepared, WorkingMesh, depth_misfit, prepare, turned_by_90
 from limbcli.stages.diagnosis.report import (
@@ -281,8 +281,8 @@ class _Diagnosed:
             note_earlier(self.case, self.out, mine.site, writer)
             note_fibres(writer, self.case, mine.site)
             writer.warnings.extend(mine.notes.warnings)
-            if mine.book.in_part:
-                writer.warnings.append(_in_part(mine.book.in_part))
+            if mine.simulations.in_part:
+                writer.warnings.append(_in_part(mine.simulations.in_part))
             for name, why in mine.curves.changes.not_simulated.items():
                 writer.warnings.append(f"{name} was judged at the deformation without it: {why}")
             if forward_model.not_simulated:
@@ -299,7 +299,7 @@ class _Diagnosed:
             path.write_text(json.dumps(plain(content), indent=1), encoding="utf-8")
             writer.data.update(mine.notes.data)
             writer.data.update(content)
-            writer.data["n_solves"] = mine.book.n_solves
+            writer.data["n_solves"] = mine.simulations.n_solves
             writer.summary.extend(content["sentences"][:10])
             writer.summary.extend(repeated["sentences"] if repeated else ())
             gap_picture(found, [each.curves.site for each in all_], writer.file("gap", "gap.png"))
@@ -324,7 +324,7 @@ class _Diagnosed:
         ]  # fmt: skip
         content["f_kappa_held_at"] = F_KAPPA
         content["not_simulated"] = sorted(forward_model.not_simulated)
-        content["solved_in_part_mm"] = mine.book.in_part
+        content["solved_in_part_mm"] = mine.simulations.in_part
         content["drainage"] = mine.notes.data.get("drainage")
         lines = sentences(found)
         moved = [

@@ -20,9 +20,9 @@ from limbcli.errors import CaseError, SolveError
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
 from limbcli.inference.adaptive import Intervals
+from limbcli.inference.geometry_uncertainty import no_narrower
 from limbcli.inference.interval import Stiffness, force_intervals
 from limbcli.inference.prediction import SolvedPoints
-from limbcli.inference.shape_doubt import no_narrower
 from limbcli.inference.two_step_fit import START_F_KAPPA, FittedStep, ForceDepth, two_step
 from limbcli.measurement.indentation import Levels, doubts_about_levels
 from limbcli.model import Array, ElementMap, LimbModel

@@ -34,14 +34,14 @@ from limbcli.solvers.material_lines import MaterialLines
 from limbcli.stages.fit import FitOptions, built_model, check_numbers, initial_stiffness
 from limbcli.stages.fitting.contact_check import leave_contact_check
 from limbcli.stages.fitting.cycles import leave_cycle, through_cycle
-from limbcli.stages.fitting.fibre_doubt import leave_direction_doubt, told_deviation
 from limbcli.stages.fitting.fibre_orientations import leave_orientations
 from limbcli.stages.fitting.fibre_rest_speed import rest_speed
+from limbcli.stages.fitting.fibre_uncertainty import leave_direction_doubt, told_deviation
 from limbcli.stages.fitting.force_curves import LawCurve
 from limbcli.stages.fitting.joint_result import law_row, leave_comparison, leave_joint
 from limbcli.stages.fitting.laws import LAWS, FitLaw, first_shapes, law_named
 from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
-from limbcli.stages.provenance.asked import in_words
+from limbcli.stages.provenance.requested_options import in_words
 from limbcli.stages.site_model.layer_readings import LayerReadings, layer_readings
 from limbcli.stages.site_model.site_layers import held_layers
 from limbcli.stages.site_model.site_levels import levels_of

@@ -30,8 +30,8 @@ from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.stages.fitting.state_curve import StateCurve
 from limbcli.stages.fitting.state_plan import StretchPlan, stretch_plan
 from limbcli.stages.fitting.states_result import leave_states
-from limbcli.stages.provenance.asked import asked_of_options
 from limbcli.stages.provenance.chain_inputs import note_case
+from limbcli.stages.provenance.requested_options import asked_of_options
 from limbcli.stages.site_model.site_layers import held_layers
 from limbcli.stages.site_model.site_states import MeasuredState, states_of
 

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from limbcli.atomic_files import atomic_file, atomic_folder
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError, MeasurementError
-from limbcli.files import atomic_file, atomic_folder
 from limbcli.measurement.bmode import BoneLine, follow_bone
 from limbcli.measurement.indentation import (
     Levels,

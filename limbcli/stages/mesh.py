@@ -27,8 +27,8 @@ from limbcli.model_io import save_model
 from limbcli.problems import raise_errors
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
-from limbcli.stages.provenance.asked import asked_of
 from limbcli.stages.provenance.chain import Chain
+from limbcli.stages.provenance.requested_options import asked_of
 from limbcli.stages.site_model.fibres import leave_fibres, note_fibres, with_fibres
 from limbcli.stages.site_model.mesh_checks import geometry_warnings, layer_warnings, measured_skin_bone
 from limbcli.stages.site_model.mesh_inputs import MeshInputs

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import jinja2
 
+from limbcli.atomic_files import atomic_folder
 from limbcli.case import CASE_FILE
 from limbcli.case_schema import FILL_IN, plain_name
 from limbcli.config import templates_folder
+from limbcli.error_commands import typed
 from limbcli.errors import CaseError
-from limbcli.faults import file_system_errors
-from limbcli.files import atomic_folder
-from limbcli.pasting import typed
+from limbcli.os_errors import file_system_errors
 from limbcli.results import StageResult, provenance
 
 MRI, LEVELS, README = "mri", "levels.csv", "README.md"

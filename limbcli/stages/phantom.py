@@ -19,11 +19,11 @@ from typing import Any
 
 import numpy as np
 
+from limbcli.atomic_files import atomic_folder
 from limbcli.case import Case
 from limbcli.case_schema import plain_name
+from limbcli.error_commands import typed
 from limbcli.errors import CaseError
-from limbcli.files import atomic_folder
-from limbcli.pasting import typed
 from limbcli.phantom import truth
 from limbcli.phantom.case_folder import LEVELS_HEADER, NoiseLaw, case_table, geometry_truth, site_table, toml
 from limbcli.phantom.dicom_series import write_series
@@ -32,12 +32,12 @@ from limbcli.phantom.mri import SimulatedVolume, acquire, tissue_fractions
 from limbcli.phantom.subject import PLACES, PhantomSite, Subject, make_subject
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance
-from limbcli.scratch import scratch_folder
 from limbcli.stages.expect import EXPECTED_FILE
 from limbcli.stages.machine.kernels import compile_ahead
 from limbcli.stages.simulated_subjects.synth_options import SynthOptions
 from limbcli.stages.simulated_subjects.synth_truth import SyntheticSite, summary_of, truth_table
 from limbcli.stages.synth import measure_sites
+from limbcli.temporary_folders import scratch_folder
 
 TRUTH = "truth"
 LABELS = "labels.nii.gz"

@@ -7,12 +7,12 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
+from limbcli.atomic_files import atomic_folder, sha256
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError, LimbError, SolveError
 from limbcli.feb.outline import Outline, read_outline
 from limbcli.feb.read import read_feb
 from limbcli.feb.xml import model_text
-from limbcli.files import atomic_folder, sha256
 from limbcli.measurement.indentation import Levels
 from limbcli.progress import PROGRESS_FILE, SILENT, Progress, recorded
 from limbcli.results import StageResult, StageWriter, open_stage, plain, stage_folder
@@ -20,8 +20,8 @@ from limbcli.solvers import choose
 from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Solver
 from limbcli.solvers.reference import NAME as REFERENCE
 from limbcli.solvers.restart import RESTART_FILE
-from limbcli.stages.provenance.asked import asked_of_options
 from limbcli.stages.provenance.chain import Chain
+from limbcli.stages.provenance.requested_options import asked_of_options
 from limbcli.stages.running.files import leave_simulation
 from limbcli.stages.running.vtu import write_series
 from limbcli.stages.site_model.site_levels import levels_of

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from limbcli.atomic_files import sha256
 from limbcli.case import Case
 from limbcli.errors import CaseError
-from limbcli.files import sha256
 from limbcli.imaging.bones import name_bones
 from limbcli.imaging.image_files import read_image
 from limbcli.imaging.label_files import read_label_file
@@ -26,14 +26,14 @@ from limbcli.imaging.limbs import Side
 from limbcli.imaging.marker_skin import without_bumps
 from limbcli.imaging.picture import contact_sheet
 from limbcli.imaging.quality import assess
-from limbcli.imaging.segmentation import Segmentation, Wishes, segment_limb
+from limbcli.imaging.segmentation import Segmentation, SegmentationWishes, segment_limb
 from limbcli.imaging.surface import SMOOTH, ClosedSurface, surface_of
 from limbcli.imaging.volume import Volume
 from limbcli.problems import raise_errors
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
-from limbcli.stages.provenance.asked import asked_of
 from limbcli.stages.provenance.chain_inputs import note_case
+from limbcli.stages.provenance.requested_options import asked_of
 from limbcli.stages.segmenting.assumed import from_assumed
 from limbcli.stages.segmenting.places import tell_places
 from limbcli.stages.segmenting.surfaces import check_limb, from_surfaces, write_surfaces
@@ -55,14 +55,14 @@ class _Options:
     def asked(self) -> dict[str, Any]:
         return asked_of({**vars(self), "seeds": self.seeds or None}, {"smooth": SMOOTH})
 
-    def wishes(self, limb: Side) -> Wishes:
+    def wishes(self, limb: Side) -> SegmentationWishes:
         """What the segmentation is told; limb : the case's, which holds where nothing else was asked."""
 
         def points(kind: str) -> np.ndarray | None:
             found = [place for name, place in self.seeds if name == kind]
             return np.array(found) if found else None
 
-        return Wishes(self.threshold, points("bone"), points("soft"), self.limb or limb)
+        return SegmentationWishes(self.threshold, points("bone"), points("soft"), self.limb or limb)
 
 
 def segment(

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from limbcli.atomic_files import atomic_file, atomic_folder
 from limbcli.case import CASE_FILE, Case, Site, StatedNoise
 from limbcli.errors import CaseError
-from limbcli.files import atomic_file, atomic_folder
 from limbcli.model import LimbModel
 from limbcli.model_io import load_model
 from limbcli.phantom.case_folder import NoiseLaw, toml
@@ -28,7 +28,6 @@ from limbcli.phantom.noise import Readings, measure
 from limbcli.phantom.protocol import TrueLevels
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance, read_result, stage_folder
-from limbcli.scratch import scratch_folder
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.simulated_subjects.hidden_effects import check_beside_layers, in_order
 from limbcli.stages.simulated_subjects.indent import indent
@@ -45,6 +44,7 @@ from limbcli.stages.simulated_subjects.synth_options import Alter, SynthOptions
 from limbcli.stages.simulated_subjects.synth_truth import SyntheticSite, summary_of, truth_table
 from limbcli.stages.site_model.indentation_model import with_penalty
 from limbcli.stages.site_model.site_layers import MRI, held_layers
+from limbcli.temporary_folders import scratch_folder
 
 # Residual over the forces at play: far below what noise hides, or as good as it gets.
 _TOLERANCE, _FINE_TOLERANCE = 1e-4, 1e-6

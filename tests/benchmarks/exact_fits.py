@@ -47,7 +47,7 @@ def fitted(truth: dict, folder: Path) -> tuple[float, float, float, int]:
 
     prepared = prepared_site(truth["id"], folder)
     try:
-        prepared.curves.site = without_noise(prepared.curves.site, prepared.book.windows, truth)
+        prepared.curves.site = without_noise(prepared.curves.site, prepared.simulations.windows, truth)
         model = SiteForwardModel([prepared.curves])
         model.settle_noise()
         found = model.fit((), {})

@@ -40,7 +40,7 @@ from limbcli.model import LimbModel, Material
 from limbcli.model_io import load_model, save_model
 from limbcli.progress import SILENT
 from limbcli.solvers.reference import prepare
-from limbcli.stages.diagnosis.curves.lighter_models import fewer_steps, softer_jumps
+from limbcli.stages.diagnosis.curves.model_simplification import fewer_steps, softer_jumps
 from limbcli.stages.diagnosis.prepare import size_for
 from limbcli.stages.site_model.indentation_model import (
     TISSUE,

@@ -27,10 +27,10 @@ from limbcli.case import Case
 from limbcli.effects import EFFECTS
 from limbcli.model import Array, IntArray
 from limbcli.progress import SILENT
-from limbcli.stages.diagnosis.curves.curve_book import FIRST_M
+from limbcli.stages.diagnosis.curves.site_simulations import FIRST_M
 from limbcli.stages.diagnosis.data import noise
 from limbcli.stages.diagnosis.data.windows import Windows
-from limbcli.stages.diagnosis.mesh_doubt import model_errors
+from limbcli.stages.diagnosis.mesh_error import model_errors
 from limbcli.stages.diagnosis.prepare import Prepared, WorkingMesh, prepare
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment
@@ -82,7 +82,7 @@ def measured(site: str, truth: dict, folder: Path) -> tuple[str, Off]:
         curves = prepared.curves.curves(truth["c_kpa"] / 1e3, truth["m"], (), {}, [])
     finally:
         prepared.close()
-    windows = prepared.book.windows
+    windows = prepared.simulations.windows
     depth, force, theirs = record_of(site, windows)
     known = np.nan_to_num(curves.log_speed[:, 1:])
     rise = np.gradient(known, curves.depth, axis=0) * curves.depth[:, None]

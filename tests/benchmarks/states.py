@@ -25,9 +25,9 @@ import numpy as np
 from limbcli.case import Case
 from limbcli.errors import LimbError
 from limbcli.feb.settings import schedule
+from limbcli.inference.curve_minimum import lowest_on_grid
 from limbcli.inference.derived import derived_interval
 from limbcli.inference.interpolation import pchip_inverse, pchip_sample
-from limbcli.inference.lowest import lowest_on_grid
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.site_depth import SiteMeasurement
 from limbcli.inference.states import StateMeasurement, StatesTask, states_fit

@@ -145,7 +145,7 @@ def default_signals() -> None:
 def test_interruption_keeps_nothing_half_written_and_says_so(tmp_path: Path, sent: signal.Signals):
     code = (
         "import sys, time; from pathlib import Path; from limbcli.cli import check, entry;"
-        "from limbcli.files import atomic_folder\n"
+        "from limbcli.atomic_files import atomic_folder\n"
         "def slow(case, **_):\n"
         "    with atomic_folder(case / 'stage') as work:\n"
         "        (work / 'half').write_text('x'); print('ready', flush=True); time.sleep(60)\n"

@@ -10,8 +10,8 @@ import pytest
 
 from limbcli.cli.app import COMMANDS, command_options, main
 from limbcli.cli.fixes import case_of, for_command_line, out_of
+from limbcli.error_commands import WITHOUT_OUT, pasted, pasted_text
 from limbcli.errors import CaseError, SolveError
-from limbcli.pasting import WITHOUT_OUT, pasted, pasted_text
 from limbcli.reporting.outcome import read_outcomes
 from limbcli.stages.provenance.commands import CommandStep
 from tests.test_case_text import two_sites

@@ -80,7 +80,7 @@ FINE = Grid()
 COARSE = Grid((8, 6, 6), 10, (7, 5, 5), 8)
 
 
-def book(cells, n_depths: int, deepest: float, axes: np.ndarray, **more):
+def simulations(cells, n_depths: int, deepest: float, axes: np.ndarray, **more):
     model = reduced.block_model(*cells)
     model = replace(model, info={**model.info, "patient_from_model": axes.ravel().tolist()})
     return reduced.ReducedBook(model, np.linspace(0, deepest, n_depths), **more)
@@ -117,7 +117,7 @@ class Case:
         self.levels = self._measured(ACROSS)
 
     def _true(self, axes: np.ndarray) -> dict:
-        true = book(self.grid.true_cells, self.grid.true_depths, 12.0, axes, spread=1.03)
+        true = simulations(self.grid.true_cells, self.grid.true_depths, 12.0, axes, spread=1.03)
         return {"c": self.c_kpa / 1e3, "m": self.m, "book": true}
 
     def error(self, values: Mapping[str, float]) -> float:
@@ -134,7 +134,7 @@ class Case:
 
     def curves(self, levels, axes: np.ndarray = ACROSS, name: str = "p1", extras=()) -> SiteCurves:
         """The fitted side: another block, and allowance for what that changes."""
-        fitted = book(self.grid.cells, self.grid.depths, 12.0, axes)
+        fitted = simulations(self.grid.cells, self.grid.depths, 12.0, axes)
         n = len(levels)
         none = np.zeros((n, len(fitted.windows.depths)))
         errors = [

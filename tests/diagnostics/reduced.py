@@ -16,7 +16,7 @@ import numpy as np
 from limbcli.case import StatedNoise
 from limbcli.effects.base import applied
 from limbcli.effects.curves import Curves
-from limbcli.effects.frozen import SolvedDeformation, frozen_force, frozen_speed
+from limbcli.effects.frozen_deformation import SolvedDeformation, frozen_force, frozen_speed
 from limbcli.effects.reading import Protocol as ReadProtocol
 from limbcli.effects.reading import Reading, read
 from limbcli.errors import SolveError
@@ -24,7 +24,7 @@ from limbcli.materials.ogden import ogden_type
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Block, Domain, LimbModel, Mesh, Surface
 from limbcli.solvers.integration_points import IntegrationPoints
-from limbcli.stages.diagnosis.curves.ingredients import fields
+from limbcli.stages.diagnosis.curves.simulated_effects import fields
 from limbcli.stages.diagnosis.data.windows import Windows
 
 HEIGHT = 25.0
@@ -147,13 +147,15 @@ NOISE = StatedNoise(force=0.1, depth=0.15, swe_level_fraction=0.03, swe_pixel_fr
 
 def truth(
     ingredients=(), reading: Reading | None = None, *, c: float = 0.0065, m: float = 4.0,
-    book: ReducedBook | None = None, n_levels: int = 14, hold: float = 20.0,
+    simulations: ReducedBook | None = None, n_levels: int = 14, hold: float = 20.0,
 ):  # fmt: skip
     """The true curves, how they are read, and the protocol: a finer block, another spread."""
-    book = book or ReducedBook(block_model(11, 8, 7), np.linspace(0, 10, 9), spread=1.03)
-    curves = book.curves(m, ingredients)
+    simulations = simulations or ReducedBook(block_model(11, 8, 7), np.linspace(0, 10, 9), spread=1.03)
+    curves = simulations.curves(m, ingredients)
     curves = replace(
-        curves, force=curves.force * c / book.c, log_speed=curves.log_speed + 0.5 * np.log(c / book.c)
+        curves,
+        force=curves.force * c / simulations.c,
+        log_speed=curves.log_speed + 0.5 * np.log(c / simulations.c),
     )
     shown = np.linspace(0, 8.5, n_levels)
     protocol = ReadProtocol(np.zeros(n_levels), shown, np.full(n_levels, hold))
@@ -162,7 +164,7 @@ def truth(
 
 def measured(
     rng: np.random.Generator, ingredients=(), reading: Reading | None = None, *, c: float = 0.0065,
-    m: float = 4.0, noise: StatedNoise = NOISE, book: ReducedBook | None = None, n_levels: int = 14,
+    m: float = 4.0, noise: StatedNoise = NOISE, simulations: ReducedBook | None = None, n_levels: int = 14,
     understated: float = 1.0,
     hold: float = 20.0, onset: float = 0.0,
 ) -> Levels:  # fmt: skip
@@ -171,12 +173,12 @@ def measured(
     onset : share of the levels before which the ingredients are not there
     """
     curves, true_reading, protocol = truth(
-        ingredients, reading, c=c, m=m, book=book, n_levels=n_levels, hold=hold
+        ingredients, reading, c=c, m=m, simulations=simulations, n_levels=n_levels, hold=hold
     )
     shown, so = protocol.depth, read(curves, protocol, true_reading)
     if onset:
-        plain = read(truth((), reading, c=c, m=m, book=book, n_levels=n_levels, hold=hold)[0], protocol,
-                     true_reading)  # fmt: skip
+        of_tissue = truth((), reading, c=c, m=m, simulations=simulations, n_levels=n_levels, hold=hold)[0]
+        plain = read(of_tissue, protocol, true_reading)
         early = np.arange(n_levels) < onset * n_levels
         so = replace(
             so, force=np.where(early, plain.force, so.force),

@@ -11,8 +11,8 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from limbcli.meshing.surfaces import tetrahedron
+from limbcli.stages.diagnosis.bones.bone_hypotheses import OtherBones, _from_face, _in_reach
 from limbcli.stages.diagnosis.bones.evidence import Evidence, compared, fits_badly
-from limbcli.stages.diagnosis.bones.questions import OtherBones, _from_face, _in_reach
 from limbcli.stages.diagnosis.data.rows import Row
 from limbcli.stages.diagnosis.place import Place
 

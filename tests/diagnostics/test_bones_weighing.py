@@ -11,9 +11,9 @@ from limbcli.diagnostics.conclusions.verdict import Diagnosis, Shrink
 from limbcli.diagnostics.model.estimates import Reported
 from limbcli.diagnostics.model.forward_model import Explanation, Fitted
 from limbcli.diagnostics.statistical_tests.multiple_testing import Family
+from limbcli.stages.diagnosis.bones.bone_comparison import doubted, may_be_elsewhere, told_together, weighed
+from limbcli.stages.diagnosis.bones.bone_hypotheses import OtherBones
 from limbcli.stages.diagnosis.bones.evidence import Evidence
-from limbcli.stages.diagnosis.bones.questions import OtherBones
-from limbcli.stages.diagnosis.bones.weighing import doubted, may_be_elsewhere, told_together, weighed
 
 BASE = Fitted((), np.zeros(1), np.zeros((1, 1)), ("m",), {"m": 1.5})
 

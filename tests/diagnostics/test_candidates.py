@@ -46,15 +46,15 @@ def with_a_ball(rng, x: float, depth: float) -> SiteForwardModel:
     true = reduced.ReducedBook(
         reduced.block_model(9, 6, 7), np.linspace(0, 8, 7), spread=1.03, windows=REGION
     )
-    levels = reduced.measured(rng, ball, book=true, n_levels=5)
-    curves, reading, protocol = reduced.truth(ball, None, book=true, n_levels=5)
+    levels = reduced.measured(rng, ball, simulations=true, n_levels=5)
+    curves, reading, protocol = reduced.truth(ball, None, simulations=true, n_levels=5)
     lateral, below = (each.ravel() for each in np.meshgrid(np.arange(-19.5, 20.0), np.arange(2.5, 25.0)))
     parts = np.exp(read(curves, protocol, reading).log_speed[:, 1:])[:, REGION.part_of(lateral, below)]
     noise = 1 + 0.03 * rng.standard_normal((5, 1)) + 0.1 * rng.standard_normal(parts.shape)
     maps = [SweMap(lateral, below, each) for each in parts * noise]
-    book = reduced.ReducedBook(reduced.block_model(8, 5, 6), np.linspace(0, 8, 6), windows=REGION)
+    simulations = reduced.ReducedBook(reduced.block_model(8, 5, 6), np.linspace(0, 8, 6), windows=REGION)
     site = site_data("p1", levels, reduced.NOISE, windows=REGION, maps=maps)
-    return SiteForwardModel([SiteCurves(site, book, {"inclusion": effect("inclusion")})])
+    return SiteForwardModel([SiteCurves(site, simulations, {"inclusion": effect("inclusion")})])
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from limbcli.diagnostics.model.noise import ErrorDraws
 from limbcli.diagnostics.statistical_tests.multiple_testing import score_family
 from limbcli.diagnostics.statistical_tests.score import Trial
 from limbcli.effects import EFFECTS
-from limbcli.stages.diagnosis.forward_model.slots import Slot
+from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
 from limbcli.stages.diagnosis.sizes import reported_sizes
 from tests.diagnostics import toy
 

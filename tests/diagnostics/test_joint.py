@@ -25,19 +25,19 @@ ACROSS = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 ALONG = np.array([[0.0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 
 
-def book(axes: np.ndarray, cells=(6, 5, 5), n=6, deepest=9.0, **more):
+def simulations(axes: np.ndarray, cells=(6, 5, 5), n=6, deepest=9.0, **more):
     model = reduced.block_model(*cells)
     model = replace(model, info={**model.info, "patient_from_model": axes.ravel().tolist()})
     return reduced.ReducedBook(model, np.linspace(0, deepest, n), **more)
 
 
 def measurement(rng, axes, ingredients=(), reading=None):
-    truth = book(axes, (7, 6, 6), 8, 10.0, spread=1.03)
-    return reduced.measured(rng, ingredients, reading, book=truth)
+    truth = simulations(axes, (7, 6, 6), 8, 10.0, spread=1.03)
+    return reduced.measured(rng, ingredients, reading, simulations=truth)
 
 
 def curves(name, levels, axes):
-    b = book(axes)
+    b = simulations(axes)
     site = site_data(name, levels, reduced.NOISE, windows=b.windows)
     return SiteCurves(site, b, {each: effect(each) for each in CANDIDATES})
 
@@ -64,7 +64,7 @@ def test_noise_is_each_sites_own_but_for_the_scanners_gain(rng):
 @pytest.mark.parametrize("sources", [("repeats", "assumed"), ("assumed", "repeats")])
 def test_noise_is_assumed_where_that_of_one_site_is(rng, sources):
     """Whichever stands first in the case."""
-    levels, windows = measurement(rng, ACROSS), book(ACROSS).windows
+    levels, windows = measurement(rng, ACROSS), simulations(ACROSS).windows
     sites = [
         site_data(source, levels, replace(reduced.NOISE, source=source), windows=windows)
         for source in sources

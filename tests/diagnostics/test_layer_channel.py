@@ -15,8 +15,8 @@ from limbcli.effects.curves import Curves, continued
 from limbcli.effects.places import Places
 from limbcli.effects.reading import Protocol, read
 from limbcli.measurement.indentation import Levels
-from limbcli.stages.diagnosis.curves.curve_book import CurveBook
 from limbcli.stages.diagnosis.curves.curve_plan import Solving
+from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.data.layers import BorderLines, line_shift
 from limbcli.stages.diagnosis.data.site_data import site_data
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
@@ -57,9 +57,9 @@ class SpringBook(reduced.ReducedBook):
 
 def measured(rng, ingredients=()):
     """Levels and their layers: a finer block, another spread, another taper, noise."""
-    book = SpringBook(reduced.block_model(7, 6, 6), np.linspace(0, 10, 8), spread=1.03, taper=0.35)
-    levels = reduced.measured(rng, ingredients, book=book, noise=NOISE)
-    curves, reading, protocol = reduced.truth(ingredients, book=book)
+    simulations = SpringBook(reduced.block_model(7, 6, 6), np.linspace(0, 10, 8), spread=1.03, taper=0.35)
+    levels = reduced.measured(rng, ingredients, simulations=simulations, noise=NOISE)
+    curves, reading, protocol = reduced.truth(ingredients, simulations=simulations)
     thickness = read(curves, protocol, reading).layers
     return levels, LayerReadings(
         ("skin", "fat"), thickness + NOISE.layer * rng.standard_normal(thickness.shape), NOISE.layer, False
@@ -67,9 +67,9 @@ def measured(rng, ingredients=()):
 
 
 def bench(levels, layers, names=CANDIDATES) -> SiteForwardModel:
-    book = SpringBook(reduced.block_model(6, 5, 5), np.linspace(0, 9, 6))
-    site = site_data("p1", levels, NOISE, windows=book.windows, layers=layers)
-    return SiteForwardModel([SiteCurves(site, book, {name: effect(name) for name in names})])
+    simulations = SpringBook(reduced.block_model(6, 5, 5), np.linspace(0, 9, 6))
+    site = site_data("p1", levels, NOISE, windows=simulations.windows, layers=layers)
+    return SiteForwardModel([SiteCurves(site, simulations, {name: effect(name) for name in names})])
 
 
 def test_layers_stand_in_the_data_with_their_noise(rng):
@@ -143,15 +143,17 @@ def test_the_stand_in_of_the_lines_is_near_a_simulation(layered_block):
     """Springs in series against the solver: fat of a third of the stiffness."""
     layers = LayerReadings(("skin", "fat"), np.array([[1.0, 5.0]]), 0.1, False)
     fat = ((effect("adipose-layer"), {"fat_thickness_mm": 6.0, "log_fat_softness": 1.1}),)
-    book = CurveBook(layered_block, [1.0, 2.0], c=0.006, solving=ALONE, borders=BorderLines(layers))
-    plain, soft = book.curves(3.0), book.curves(3.0, fat)
-    book.close()
-    moved = line_shift(book.model, plain, fat)
+    simulations = SiteSimulations(
+        layered_block, [1.0, 2.0], c=0.006, solving=ALONE, borders=BorderLines(layers)
+    )
+    plain, soft = simulations.curves(3.0), simulations.curves(3.0, fat)
+    simulations.close()
+    moved = line_shift(simulations.model, plain, fat)
     assert np.all(moved[0] == 0.0)
     # A small face spreads its load: springs in series make too much of it (1.6 times here).
     ratio = moved[1:, 1] / (soft.log_line - plain.log_line)[1:, 1]
     assert np.all((ratio > 0.5) & (ratio < 2.0))
-    assert not line_shift(book.model, plain, ((effect("force-zero"), {"force_zero_n": 1.0}),)).any()
+    assert not line_shift(simulations.model, plain, ((effect("force-zero"), {"force_zero_n": 1.0}),)).any()
 
 
 @pytest.mark.slow
@@ -160,7 +162,7 @@ def test_fat_in_a_finer_mesh_is_recovered_by_its_layers(layered_block, rng):
     layers = LayerReadings(("skin", "fat"), np.array([[1.0, 5.0]]), 0.05, False)
     fat = ((effect("adipose-layer"), {"fat_thickness_mm": 6.0, "log_fat_softness": 1.1}),)
     depths = [0.5, 1.0, 2.0, 3.2]
-    fine = CurveBook(skinned((6, 4, 6)), depths, c=0.0065, solving=ALONE, borders=BorderLines(layers))
+    fine = SiteSimulations(skinned((6, 4, 6)), depths, c=0.0065, solving=ALONE, borders=BorderLines(layers))
     truth = fine.curves(4.0, fat)
     fine.close()
     n, nan = 7, np.full(7, np.nan)
@@ -171,9 +173,9 @@ def test_fat_in_a_finer_mesh_is_recovered_by_its_layers(layered_block, rng):
         so.force + off[0], protocol.depth + off[1], nan, nan, nan, ("load",) * n, nan, nan, nan, Path("x")
     )
     seen = replace(layers, thickness=so.layers + noise.layer * rng.standard_normal((n, 2)))
-    book = CurveBook(layered_block, depths, c=0.006, solving=ALONE, borders=BorderLines(seen))
-    site = site_data("p1", levels, noise, windows=book.windows, layers=seen)
-    the_bench = SiteForwardModel([SiteCurves(site, book, {"adipose-layer": effect("adipose-layer")})])
+    simulations = SiteSimulations(layered_block, depths, c=0.006, solving=ALONE, borders=BorderLines(seen))
+    site = site_data("p1", levels, noise, windows=simulations.windows, layers=seen)
+    the_bench = SiteForwardModel([SiteCurves(site, simulations, {"adipose-layer": effect("adipose-layer")})])
     base = the_bench.fit((), {})
     found = the_bench.verified(the_bench.fit(("adipose-layer",), {}))
     points, true = the_bench.points(found), {"log_fat_softness": 1.1, "fat_thickness_mm": 6.0}
@@ -181,7 +183,7 @@ def test_fat_in_a_finer_mesh_is_recovered_by_its_layers(layered_block, rng):
     the_bench.sites[0].repair(4.0, found.explanation, true, points)
     x = np.array([*np.log([0.0065, 4.0]), *(true[slot.name] for slot in the_bench.slots(found.explanation))])
     at_truth = the_bench._off(x, found.explanation, points)
-    book.close()
+    simulations.close()
     assert ended @ ended < at_truth @ at_truth
     left = [the_bench.whiten(the_bench.data.y - each.prediction) for each in (base, found)]
     assert left[0] @ left[0] > left[1] @ left[1] + 15.0
@@ -219,8 +221,8 @@ def skinned(counts):
 def test_a_book_of_curves_follows_the_borders_and_keeps_them(layered_block, tmp_path):
     layers = LayerReadings(("skin", "fat"), np.array([[1.0, 5.0]]), 0.1, False)
     fat = ((effect("adipose-layer"), {"fat_thickness_mm": 6.0, "log_fat_softness": 1.5}),)
-    books = [
-        CurveBook(
+    all_simulations = [
+        SiteSimulations(
             layered_block,
             [1.0, 2.0],
             c=0.006,
@@ -230,16 +232,16 @@ def test_a_book_of_curves_follows_the_borders_and_keeps_them(layered_block, tmp_
         )
         for _ in range(2)
     ]
-    plain, soft = books[0].curves(3.0), books[0].curves(3.0, fat)
-    books[0].close()
+    plain, soft = all_simulations[0].curves(3.0), all_simulations[0].curves(3.0, fat)
+    all_simulations[0].close()
     np.testing.assert_allclose(np.exp(plain.log_line[0]), [1.0, 6.0])
     thinned = 6.0 - np.exp(plain.log_line[:, 1])
     assert np.all(np.diff(thinned) > 0.1)
     assert thinned[-1] < 2.0
     assert np.all(np.exp(soft.log_line[1:, 1]) < np.exp(plain.log_line[1:, 1]) - 0.02)
-    np.testing.assert_array_equal(books[1].curves(3.0, fat).log_line, soft.log_line)
-    assert books[1].n_solves == 0
-    without = CurveBook(layered_block, [1.0, 2.0], c=0.006, solving=ALONE, keep=tmp_path)
+    np.testing.assert_array_equal(all_simulations[1].curves(3.0, fat).log_line, soft.log_line)
+    assert all_simulations[1].n_solves == 0
+    without = SiteSimulations(layered_block, [1.0, 2.0], c=0.006, solving=ALONE, keep=tmp_path)
     assert without.curves(3.0).log_line is None
     assert without.n_solves == 1
     without.close()

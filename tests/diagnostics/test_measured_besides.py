@@ -84,7 +84,7 @@ def test_maps_that_are_proposed_are_known_no_better_than_a_model_shows_them():
     site = Case("nothing", {}, 7, COARSE).curves(reduced.measured(np.random.default_rng(7)))
     maps = next(item for item in items() if item.name == "speed maps")
     error = maps.model_error(site)
-    n_parts = site.book.windows.n_parts
+    n_parts = site.simulations.windows.n_parts
     of_level = np.sqrt(np.diag(error)).reshape(-1, n_parts)
     assert len(of_level) == len(site.site.protocol)
     assert of_level[0] == pytest.approx(0.001, rel=0.1)

@@ -28,17 +28,17 @@ CANDIDATES = ("force-zero", "depth-zero", "anisotropy", "skin-layer", "swe-time-
 
 
 def bench(levels, names=CANDIDATES, errors=(), **more) -> SiteForwardModel:
-    book = reduced.ReducedBook(reduced.block_model(6, 5, 5), np.linspace(0, 9, 6), **more)
-    site = site_data("p1", levels, reduced.NOISE, windows=book.windows, model_error=errors)
-    return SiteForwardModel([SiteCurves(site, book, {name: effect(name) for name in names})])
+    simulations = reduced.ReducedBook(reduced.block_model(6, 5, 5), np.linspace(0, 9, 6), **more)
+    site = site_data("p1", levels, reduced.NOISE, windows=simulations.windows, model_error=errors)
+    return SiteForwardModel([SiteCurves(site, simulations, {name: effect(name) for name in names})])
 
 
-def true_book():
+def true_simulations():
     return reduced.ReducedBook(reduced.block_model(7, 6, 6), np.linspace(0, 10, 8), spread=1.03)
 
 
 def levels(rng, ingredients=(), reading=None, **more):
-    return reduced.measured(rng, ingredients, reading, book=true_book(), **more)
+    return reduced.measured(rng, ingredients, reading, simulations=true_simulations(), **more)
 
 
 def run(measured, **more):
@@ -83,7 +83,7 @@ def test_three_levels_with_speeds_can_be_tested(rng):
 
 @pytest.mark.parametrize("touches", [0.0, 1.0])
 def test_depths_off_by_a_constant_are_found_whether_level_0_is_among_them_or_at_first_touch(rng, touches):
-    curves, _, protocol = reduced.truth(book=true_book())
+    curves, _, protocol = reduced.truth(simulations=true_simulations())
     deeper = protocol.depth + 2.0 * ((np.arange(14) > 0) | (touches == 0.0))
     true = read(curves, replace(protocol, depth=deeper), Reading())
     given = replace(
@@ -164,8 +164,10 @@ def test_what_a_simulation_mends_goes_with_the_effects_size(rng):
 
     plain, before = one.curves(0.0065, 4.0, (), {}, ()).force[1:], force(3.0)
     one.repair(4.0, skin, {"log_skin_ratio": 3.0}, point)
-    book = one.book.curves(4.0, ((effect("skin-layer"), {"log_skin_ratio": 3.0, "skin_thickness_mm": 1.5}),))
-    assert force(3.0) / book.force[1:] == pytest.approx(0.0065 / one.book.c, rel=1e-9)
+    simulations = one.simulations.curves(
+        4.0, ((effect("skin-layer"), {"log_skin_ratio": 3.0, "skin_thickness_mm": 1.5}),)
+    )
+    assert force(3.0) / simulations.force[1:] == pytest.approx(0.0065 / one.simulations.c, rel=1e-9)
     mended = np.abs(np.log(force(3.0) / before)).max()
     assert mended > 0.01
     assert np.abs(np.log(force(0.0) / plain)).max() < 0.05 * mended
@@ -182,8 +184,8 @@ def test_every_model_that_was_simulated_is_kept_as_it_is(rng):
         one.repair(m, skin, {"log_skin_ratio": log_ratio}, point)
     for m, log_ratio in solved:
         theta = {"log_skin_ratio": log_ratio}
-        true = one.book.curves(m, ((effect("skin-layer"), {**theta, **point[0]}),))
-        found = one.curves(one.book.c, m, skin, theta, point)
+        true = one.simulations.curves(m, ((effect("skin-layer"), {**theta, **point[0]}),))
+        found = one.curves(one.simulations.c, m, skin, theta, point)
         assert found.force[1:] == pytest.approx(true.force[1:], rel=1e-6)
         assert found.log_speed == pytest.approx(true.log_speed, abs=1e-6, nan_ok=True)
 
@@ -235,7 +237,7 @@ def test_a_fit_with_one_effect_is_no_worse_than_without_it(rng, monkeypatch):
     the_bench = bench(levels(rng), names=("skin-layer",))
     without = the_bench.fit((), {})
     one, skin, point = the_bench.sites[0], ("skin-layer",), ({"skin_thickness_mm": 1.5},)
-    solved = one.book.curves
+    solved = one.simulations.curves
 
     def stiffer(m, ingredients=()):
         found = solved(m, ingredients)
@@ -243,7 +245,7 @@ def test_a_fit_with_one_effect_is_no_worse_than_without_it(rng, monkeypatch):
 
     (begun,) = the_bench._ends_of_parts(skin, point)
     assert np.exp(begun[:2]) == pytest.approx([without.values["c_kpa"] / 1e3, without.values["m"]])
-    monkeypatch.setattr(one.book, "curves", stiffer)
+    monkeypatch.setattr(one.simulations, "curves", stiffer)
     one.repair(4.0, skin, {"log_skin_ratio": 4.9}, point)
     deviance, fitted = the_bench.best_fit(skin, point, {"log_skin_ratio": 4.9})
     off = the_bench.whiten(the_bench.data.y - without.prediction)
@@ -319,7 +321,8 @@ def test_false_alarms_on_the_reduced_model(rng):
 def of_the_block(measured) -> ModelError:
     """By how much the fitted block differs from the true one: an effect of 3 % in the force is no noise."""
     true, fitted = (
-        book.curves(4.0) for book in (true_book(), reduced.ReducedBook(reduced.block_model(6, 5, 5)))
+        simulations.curves(4.0)
+        for simulations in (true_simulations(), reduced.ReducedBook(reduced.block_model(6, 5, 5)))
     )
     depth = np.maximum(measured.depth, 0.1)
     force = [np.log(np.interp(depth, each.depth, each.force)) for each in (true, fitted)]
@@ -414,8 +417,8 @@ def test_curves_between_solved_exponents_are_those_of_a_simulation(rng):
     for m in (2.0, 5.0, 10.0):
         one.solve_node(m)
     for m in (1.0, 1.5, 3.0, 4.0, 7.0, 9.0):
-        c = one.book.c
-        true, between = one.book.curves(m), one.curves(c, m, (), {}, ())
+        c = one.simulations.c
+        true, between = one.simulations.curves(m), one.curves(c, m, (), {}, ())
         assert between.force[1:] == pytest.approx(true.force[1:], rel=5e-3)
         seen = np.isfinite(true.log_speed)
         assert between.log_speed[seen] == pytest.approx(true.log_speed[seen], abs=8e-3)
@@ -439,7 +442,9 @@ def test_an_effect_that_spreads_the_load_is_solved_once_at_its_start(rng, monkey
     one, skin = bench(levels(rng), names=("skin-layer",)).sites[0], effect("skin-layer")
     one.solve_node(2.0)
     theta = {"log_skin_ratio": 1.5}
-    true = logs(one.book.curves(2.0, ((skin, {**skin.grid[0], **theta}),))) - logs(one.book.curves(2.0))
+    true = logs(one.simulations.curves(2.0, ((skin, {**skin.grid[0], **theta}),))) - logs(
+        one.simulations.curves(2.0)
+    )
     found = one.changes.of(skin, skin.grid[0]).at(theta)
     assert np.abs(true[1:, 0]).max() > 0.05
     seen = np.isfinite(true[1:])
@@ -449,14 +454,14 @@ def test_an_effect_that_spreads_the_load_is_solved_once_at_its_start(rng, monkey
 def test_what_an_effect_spreads_is_told_where_it_was_not_simulated(rng, monkeypatch):
     one, skin = bench(levels(rng), names=("skin-layer",)).sites[0], effect("skin-layer")
     one.solve_node(2.0)
-    whole = one.book.curves
+    whole = one.simulations.curves
 
     def curves(m, ingredients=()):
         if ingredients:
             raise SolveError("it takes too long", where="here", fix="none")
         return whole(m)
 
-    monkeypatch.setattr(one.book, "curves", curves)
+    monkeypatch.setattr(one.simulations, "curves", curves)
     change = one.changes.of(skin, skin.grid[0]).at({"log_skin_ratio": 1.5})
     assert np.abs(change[1:, 0]).max() > 0.05  # of the kept deformation
     assert one.changes.not_simulated == {"skin-layer": "it takes too long"}
@@ -468,10 +473,10 @@ def test_where_the_work_is_spent_a_fit_is_told_to_be_by_sensitivities_only(rng):
     made = bench(measured, ("contraction", "force-zero"))
     made.fit((), {})
     fitted = made.fit(("contraction",), {})
-    made.book.spent = True
+    made.simulations.spent = True
     assert made.verified(fitted) is fitted
     assert made.not_simulated == {("contraction",)}
-    made.book.spent = False
+    made.simulations.spent = False
     assert made.verified(fitted) is not fitted
     without = made.fit(("force-zero",), {})
     assert made.verified(without) is without
@@ -486,10 +491,10 @@ class WithoutBone(reduced.ReducedBook):
 
 
 def test_where_no_bone_is_under_the_probe_what_needs_one_is_not_evaluated():
-    book = WithoutBone(reduced.block_model(6, 5, 5), np.linspace(0, 9, 6))
-    site = site_data("p1", levels(np.random.default_rng(1)), reduced.NOISE, windows=book.windows)
+    simulations = WithoutBone(reduced.block_model(6, 5, 5), np.linspace(0, 9, 6))
+    site = site_data("p1", levels(np.random.default_rng(1)), reduced.NOISE, windows=simulations.windows)
     names = ("force-zero", "swe-guided-wave")
-    bench = SiteForwardModel([SiteCurves(site, book, {name: effect(name) for name in names})])
+    bench = SiteForwardModel([SiteCurves(site, simulations, {name: effect(name) for name in names})])
     found = diagnose(bench, n_draws=500)
     assert found.verdict == "adequate"
     assert "bone" in found.not_evaluated["swe-guided-wave"]
@@ -497,8 +502,8 @@ def test_where_no_bone_is_under_the_probe_what_needs_one_is_not_evaluated():
 
 def test_a_prediction_that_is_not_a_number_is_no_answer():
     skin_bone = np.r_[24.0, np.full(len(levels(np.random.default_rng(1)).depth) - 1, np.nan)]
-    book = WithoutBone(reduced.block_model(6, 5, 5), np.linspace(0, 9, 6))
+    simulations = WithoutBone(reduced.block_model(6, 5, 5), np.linspace(0, 9, 6))
     data = replace(levels(np.random.default_rng(1)), skin_bone=skin_bone)
-    site = site_data("p1", data, reduced.NOISE, windows=book.windows)
+    site = site_data("p1", data, reduced.NOISE, windows=simulations.windows)
     with pytest.raises(SolveError, match="not a number"):
-        diagnose(SiteForwardModel([SiteCurves(site, book, {})]), n_draws=500)
+        diagnose(SiteForwardModel([SiteCurves(site, simulations, {})]), n_draws=500)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from limbcli import DiagnosisResult, FitResult
-from limbcli.files import sha256
+from limbcli.atomic_files import sha256
 
 WALKTHROUGH = Path(__file__).resolve().parents[2] / "docs" / "walkthrough.py"
 

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from limbcli.effects import frozen
-from limbcli.effects.frozen import (
+from limbcli.effects import frozen_deformation
+from limbcli.effects.frozen_deformation import (
     ScannerView,
     SolvedDeformation,
     StrainConcentration,
@@ -55,7 +55,9 @@ def deformed(*stretches: np.ndarray) -> SolvedDeformation:
 def speeds_of_stretch(monkeypatch):
     """ln speed is the stretch along the beam."""
     monkeypatch.setattr(
-        frozen, "block_speeds", lambda model, name, F, cells, density_kg_per_m3: np.exp(F[:, 2, 2])
+        frozen_deformation,
+        "block_speeds",
+        lambda model, name, F, cells, density_kg_per_m3: np.exp(F[:, 2, 2]),
     )
 
 

@@ -8,7 +8,7 @@ from scipy.linalg import lu_factor
 
 from limbcli.fem.linear_solvers.multifrontal.blas import addresses
 from limbcli.fem.linear_solvers.multifrontal.lu import PANEL, Lu
-from limbcli.fem.linear_solvers.multifrontal.sharing import Crew
+from limbcli.fem.linear_solvers.multifrontal.sharing import ThreadTeam
 
 SIZES = [1, PANEL - 1, PANEL, PANEL + 1, 2 * PANEL + 37, 3 * PANEL]
 
@@ -22,7 +22,7 @@ def matrix(n: int, kind: type = np.float64) -> np.ndarray:
 
 
 def factored(A: np.ndarray, threads: int = 2) -> Lu:
-    crew = Crew(threads)
+    crew = ThreadTeam(threads)
     found = Lu(len(A), A.dtype, addresses(A.dtype == np.float32), crew)
     found.matrix[:] = A
     found.factor()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from limbcli import units
-from limbcli.effects.frozen import SolvedDeformation, frozen_force
+from limbcli.effects.frozen_deformation import SolvedDeformation, frozen_force
 from limbcli.materials import LAWS, compile_material
 from limbcli.materials.energy import program_energy
 from limbcli.materials.laws import WRAPPERS

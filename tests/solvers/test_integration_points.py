@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.effects.frozen import SolvedDeformation
+from limbcli.effects.frozen_deformation import SolvedDeformation
 from limbcli.shear_waves.speed import block_speeds
 from limbcli.solvers.integration_points import IntegrationPoints
 from limbcli.stages.diagnosis.curves.node_table import NodeTable

@@ -15,7 +15,7 @@ from limbcli.model_io import save_model
 from limbcli.progress import SILENT
 from limbcli.results import open_stage
 from limbcli.solvers.febio import FebioSolver
-from limbcli.stages.diagnosis.curves.curve_book import CurveBook
+from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.site_model.indentation_model import TRAVEL, indentation_model
 from tests.stages import block_case as block
 
@@ -78,11 +78,11 @@ class Staircase:
 def speeds(meshed: LimbModel, stairs: Staircase) -> Array:
     """m/s (n_levels + 1,) of the skeleton at the levels, at rest first."""
     deep = stairs.depths[-1]
-    book = CurveBook(meshed, [0.25 * deep, 0.5 * deep, 0.75 * deep, deep], c=stairs.c)
+    simulations = SiteSimulations(meshed, [0.25 * deep, 0.5 * deep, 0.75 * deep, deep], c=stairs.c)
     try:
-        curves = book.curves(stairs.m)
+        curves = simulations.curves(stairs.m)
     finally:
-        book.close()
+        simulations.close()
     at = np.r_[0.0, stairs.depths]
     return np.exp(np.interp(at, curves.depth, curves.log_speed[:, 0]))
 

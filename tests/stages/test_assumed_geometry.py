@@ -18,7 +18,7 @@ from limbcli.phantom.protocol import LoadingProtocol
 from limbcli.results import read_result
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.check import check
-from limbcli.stages.diagnosis.mesh_doubt.geometry_gain import USUAL, assumed_gain
+from limbcli.stages.diagnosis.mesh_error.geometry_gain import USUAL, assumed_gain
 from limbcli.stages.fit import FitOptions, fit
 from limbcli.stages.mesh import mesh
 from limbcli.stages.provenance.chain import Chain

@@ -16,7 +16,7 @@ from limbcli.stages import diagnose, fit_elements, fit_joint
 from limbcli.stages.batch import BatchOptions, batch
 from limbcli.stages.build_feb import TissueOptions
 from limbcli.stages.fit import FitOptions
-from limbcli.stages.provenance.asked import asked_of_options
+from limbcli.stages.provenance.requested_options import asked_of_options
 from limbcli.stages.run import RunOptions
 from tests.test_case_text import two_sites
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from limbcli.atomic_files import sha256
 from limbcli.case import Case
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.feb.read import read_feb
 from limbcli.feb.settings import apart, schedule
-from limbcli.files import sha256
 from limbcli.measurement.indentation import read_levels
 from limbcli.model import LimbModel
 from limbcli.model_io import load_model

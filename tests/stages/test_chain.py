@@ -14,10 +14,10 @@ import nibabel as nib
 import numpy as np
 import pytest
 
+from limbcli.atomic_files import sha256
 from limbcli.case import Case
 from limbcli.cli.app import main
 from limbcli.errors import CaseError, ToolError
-from limbcli.files import sha256
 from limbcli.results import open_stage, read_result
 from limbcli.stages import build_feb as build_feb_module
 from limbcli.stages import diagnose as diagnose_module

@@ -11,7 +11,7 @@ from limbcli.errors import SolveError
 from limbcli.feb.settings import schedule
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.session import ReferenceSession
-from limbcli.stages.diagnosis.curves.lighter_models import softer_jumps
+from limbcli.stages.diagnosis.curves.model_simplification import softer_jumps
 from limbcli.stages.fitting.contact_check import leave_contact_check
 from limbcli.stages.fitting.force_curves import FIBRE_BAND, LawCurve
 from limbcli.stages.fitting.laws import LAWS

@@ -16,7 +16,7 @@ from limbcli.feb.read import read_feb
 from limbcli.model_io import save_model
 from limbcli.results import open_stage
 from limbcli.stages.diagnose import DiagnoseOptions, chosen_effects, diagnose, load_effect
-from limbcli.stages.diagnosis.curves.curve_book import CurveBook
+from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from tests.stages import block_case as block
 
 EFFECTS = ("force-zero", "depth-zero", "contraction", "poroelasticity", "support-motion")
@@ -44,15 +44,15 @@ def test_a_users_effect_is_one_file(tmp_path):
 
 def test_an_effect_that_was_written_anew_is_solved_anew():
     """Kept simulations are told by what an effect makes of the model, not by its name and size alone."""
-    book = CurveBook(block.block_model(counts=(4, 2, 2)), [1.0, 2.0], c=0.006)
+    simulations = SiteSimulations(block.block_model(counts=(4, 2, 2)), [1.0, 2.0], c=0.006)
     known, theta = effect("thickness"), {"thickness_change": 0.1}
     mended = replace(known, apply=lambda model, theta: known.apply(model, {"thickness_change": 0.2}))
-    key = book._key(3.0, ((known, theta),))
-    assert book._key(3.0, ((replace(known), dict(theta)),)) == key
-    book._changed.clear()
-    assert book._key(3.0, ((known, theta),)) == key
-    book._changed.clear()
-    assert book._key(3.0, ((mended, theta),)) != key
+    key = simulations._key(3.0, ((known, theta),))
+    assert simulations._key(3.0, ((replace(known), dict(theta)),)) == key
+    simulations._changed.clear()
+    assert simulations._key(3.0, ((known, theta),)) == key
+    simulations._changed.clear()
+    assert simulations._key(3.0, ((mended, theta),)) != key
 
 
 @pytest.mark.slow
@@ -66,9 +66,9 @@ def test_a_force_offset_on_the_block(tmp_path, rng):
     toml = toml.replace('levels = "levels.csv"', 'levels = "levels.csv"\nfibre_direction = [0.0, 1.0, 0.0]')
     (folder / "case.toml").write_text(toml)
     depths = np.linspace(0, 4.0, 11)
-    book = CurveBook(model, [0.7, 1.4, 2.1, 2.8, 3.5, 4.2], c=0.006)
-    curves = book.curves(3.0)
-    book.close()
+    simulations = SiteSimulations(model, [0.7, 1.4, 2.1, 2.8, 3.5, 4.2], c=0.006)
+    curves = simulations.curves(3.0)
+    simulations.close()
     truth = read(curves, Protocol(np.zeros(11), depths, np.zeros(11)), Reading(force_zero=1.2))
     speed = np.exp(truth.log_speed[:, 0]) * (1 + 0.05 * rng.standard_normal(11))
     force = truth.force + 0.05 * rng.standard_normal(11)

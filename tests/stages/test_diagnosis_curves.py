@@ -14,10 +14,10 @@ from limbcli.effects.curves import Curves, depth_at, force_at
 from limbcli.errors import SolveError
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.diagnosis.curves import keys
-from limbcli.stages.diagnosis.curves.curve_book import CurveBook
 from limbcli.stages.diagnosis.curves.curve_plan import Reach, Solving
 from limbcli.stages.diagnosis.curves.penetration import Penetration
-from limbcli.stages.diagnosis.curves.work import Work
+from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
+from limbcli.stages.diagnosis.curves.work_budget import Work
 from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.stages.diagnosis.forward_model.changes import Changes
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
@@ -51,10 +51,10 @@ class Stops:
 
 
 def whole(block, m, ingredients=()):
-    book = CurveBook(block, DEPTHS, c=0.006, solving=Solving(1e-6, threads=1))
-    curves = book.curves(m, ingredients)
-    book.close()
-    assert book.in_part == {}
+    simulations = SiteSimulations(block, DEPTHS, c=0.006, solving=Solving(1e-6, threads=1))
+    curves = simulations.curves(m, ingredients)
+    simulations.close()
+    assert simulations.in_part == {}
     return curves
 
 
@@ -64,50 +64,54 @@ def whole(block, m, ingredients=()):
 )
 def test_curves_that_stop_short_go_on_beside_others(block, tmp_path, m, ingredients, words, within):
     stops = Stops(9)
-    book = CurveBook(
+    simulations = SiteSimulations(
         block, DEPTHS, c=0.006, solving=Solving(1e-6, threads=1), progress=Progress(stops), keep=tmp_path
     )
-    book.curves(8.0)
+    simulations.curves(8.0)
     stops.after = 3
-    found, expected = book.curves(m, ingredients), whole(block, m, ingredients)
-    book.close()
-    assert book.in_part == {f"{words}, m {m:g}": 3.0}
+    found, expected = simulations.curves(m, ingredients), whole(block, m, ingredients)
+    simulations.close()
+    assert simulations.in_part == {f"{words}, m {m:g}": 3.0}
     np.testing.assert_allclose(found.depth, expected.depth)
     np.testing.assert_allclose(found.force[:-1], expected.force[:-1], rtol=1e-4)
     assert found.force[-1] == pytest.approx(expected.force[-1], rel=within)
-    again = CurveBook(block, DEPTHS, c=0.006, keep=tmp_path)
+    again = SiteSimulations(block, DEPTHS, c=0.006, keep=tmp_path)
     assert again.curves(m, ingredients).force == pytest.approx(found.force)
     assert again.n_solves == 0
-    assert again.in_part == book.in_part
+    assert again.in_part == simulations.in_part
 
 
 def test_what_curves_go_on_beside_is_no_work_of_theirs(block, tmp_path, monkeypatch):
     """Nor when it is taken up again, where they are kept and it is not asked for."""
-    solve, stops = CurveBook._solve, Stops(9)
+    solve, stops = SiteSimulations._solve, Stops(9)
 
     def stopped(self, key, m, ingredients):
         stops.after = 3 if ingredients else 9
         return solve(self, key, m, ingredients)
 
-    monkeypatch.setattr(CurveBook, "_solve", stopped)
+    monkeypatch.setattr(SiteSimulations, "_solve", stopped)
     solving = Solving(1e-6, threads=1)
-    book = CurveBook(block, DEPTHS, c=0.006, solving=solving, progress=Progress(stops), keep=tmp_path)
-    again = CurveBook(block, DEPTHS, c=0.006, keep=tmp_path)
-    for each in (book, again):
+    simulations = SiteSimulations(
+        block, DEPTHS, c=0.006, solving=solving, progress=Progress(stops), keep=tmp_path
+    )
+    again = SiteSimulations(block, DEPTHS, c=0.006, keep=tmp_path)
+    for each in (simulations, again):
         each.curves(8.0)
         each.curves(5.0, THICKER)
-    book.close()
-    assert book.in_part == {"thickness, m 5": 3.0}
-    assert (book.n_solves, again.n_solves) == (3, 0)
-    assert (again.work.total, again.work.usual) == (book.work.total, book.work.usual)
+    simulations.close()
+    assert simulations.in_part == {"thickness, m 5": 3.0}
+    assert (simulations.n_solves, again.n_solves) == (3, 0)
+    assert (again.work.total, again.work.usual) == (simulations.work.total, simulations.work.usual)
 
 
 def test_what_stops_far_short_has_no_curves(block):
-    book = CurveBook(block, DEPTHS, c=0.006, solving=ALONE, progress=Progress(Stops(2)))
+    simulations = SiteSimulations(block, DEPTHS, c=0.006, solving=ALONE, progress=Progress(Stops(2)))
     with pytest.raises(SolveError, match="as far as it goes"):
-        book.curves(5.0)
-    book.close()
-    fits = CurveBook(block, DEPTHS, c=0.006, solving=ALONE, progress=Progress(Stops(2)), reach=Reach(2.0))
+        simulations.curves(5.0)
+    simulations.close()
+    fits = SiteSimulations(
+        block, DEPTHS, c=0.006, solving=ALONE, progress=Progress(Stops(2)), reach=Reach(2.0)
+    )
     assert len(fits.curves(5.0).depth) == len(DEPTHS) + 1  # the deeper levels are tried, not needed
     assert fits.in_part == {}
     fits.close()
@@ -115,14 +119,16 @@ def test_what_stops_far_short_has_no_curves(block):
 
 def test_levels_on_another_mesh_lead_with_less_work_to_the_same(block, tmp_path):
     fine, few = block_case.block_model(counts=(6, 3, 3)), (4.0,)
-    book, again = (CurveBook(block, DEPTHS, c=0.006, keep=tmp_path, solving=ALONE) for _ in range(2))
-    alone = CurveBook(fine, few, c=0.006, solving=Solving(1e-6, threads=1))
+    simulations, again = (
+        SiteSimulations(block, DEPTHS, c=0.006, keep=tmp_path, solving=ALONE) for _ in range(2)
+    )
+    alone = SiteSimulations(fine, few, c=0.006, solving=Solving(1e-6, threads=1))
     led, resumed = (
-        CurveBook(fine, few, c=0.006, solving=Solving(1e-6, threads=1), reach=Reach(begin=each.levels))
-        for each in (book, again)
+        SiteSimulations(fine, few, c=0.006, solving=Solving(1e-6, threads=1), reach=Reach(begin=each.levels))
+        for each in (simulations, again)
     )
     expected, found, taken_up = (each.curves(4.0).force for each in (alone, led, resumed))
-    for each in (book, again, alone, led, resumed):
+    for each in (simulations, again, alone, led, resumed):
         each.close()
     np.testing.assert_allclose(found, expected, rtol=1e-5)
     assert led.work.total < 0.8 * alone.work.total
@@ -131,17 +137,19 @@ def test_levels_on_another_mesh_lead_with_less_work_to_the_same(block, tmp_path)
 
 
 def test_a_diagnosis_taken_up_again_allows_candidates_as_much_work_as_before(block, tmp_path):
-    book, again = (CurveBook(block, [1.0, 2.0], c=0.006, keep=tmp_path, solving=ALONE) for _ in range(2))
-    first, second = book.curves(3.0), again.curves(3.0)
-    assert (book.n_solves, again.n_solves) == (1, 0)
+    simulations, again = (
+        SiteSimulations(block, [1.0, 2.0], c=0.006, keep=tmp_path, solving=ALONE) for _ in range(2)
+    )
+    first, second = simulations.curves(3.0), again.curves(3.0)
+    assert (simulations.n_solves, again.n_solves) == (1, 0)
     assert second.force == pytest.approx(first.force)
-    assert again.work.usual == book.work.usual
-    assert book.work.usual[0] > 0
-    assert again.work.total == book.work.total > 0
+    assert again.work.usual == simulations.work.usual
+    assert simulations.work.usual[0] > 0
+    assert again.work.total == simulations.work.total > 0
     kept = again.kinematics(3.0).gradient
     assert again.n_solves == 0
-    assert kept == pytest.approx(book.kinematics(3.0).gradient, abs=1e-6)
-    book.close()
+    assert kept == pytest.approx(simulations.kinematics(3.0).gradient, abs=1e-6)
+    simulations.close()
 
 
 def test_a_diagnosis_taken_up_again_gives_the_very_same_numbers(block, tmp_path):
@@ -151,11 +159,11 @@ def test_a_diagnosis_taken_up_again_gives_the_very_same_numbers(block, tmp_path)
     def solved(folder, n_before: int):
         """Curves and kept deformation by one book, or by two with a stop in between."""
         for some in (asked[:n_before], asked):
-            book = CurveBook(block, DEPTHS, c=0.006, solving=ALONE, keep=folder)
-            curves = [book.curves(m, ingredients) for m, ingredients in some]
-            gradient = book.kinematics(4.0).gradient if some is asked else None
-            book.close()
-        return curves, gradient, book.work.total
+            simulations = SiteSimulations(block, DEPTHS, c=0.006, solving=ALONE, keep=folder)
+            curves = [simulations.curves(m, ingredients) for m, ingredients in some]
+            gradient = simulations.kinematics(4.0).gradient if some is asked else None
+            simulations.close()
+        return curves, gradient, simulations.work.total
 
     whole_curves, whole_gradient, whole_work = solved(tmp_path / "whole", 0)
     for n_before in (1, 3, 5):
@@ -173,12 +181,12 @@ def test_an_explanation_that_is_solved_again_is_led_by_its_levels_before(block, 
     order."""
 
     def work_and_force(*several):
-        book = CurveBook(block, DEPTHS, c=0.006, solving=Solving(1e-6, threads=1))
+        simulations = SiteSimulations(block, DEPTHS, c=0.006, solving=Solving(1e-6, threads=1))
         for m in (8.0, 4.0):
-            book.curves(m)
-        force = [book.curves(5.0, ingredients).force for ingredients in several][-1]
-        book.close()
-        return book.work.done, force
+            simulations.curves(m)
+        force = [simulations.curves(5.0, ingredients).force for ingredients in several][-1]
+        simulations.close()
+        return simulations.work.done, force
 
     alone, expected = work_and_force(again)
     led, force = work_and_force(before, again)
@@ -188,13 +196,15 @@ def test_an_explanation_that_is_solved_again_is_led_by_its_levels_before(block, 
 
 @pytest.mark.parametrize("spoil", [Path.unlink, lambda path: path.write_bytes(b"PK\x03\x04 cut off")])
 def test_a_kept_deformation_whose_file_is_gone_is_solved_again(block, tmp_path, spoil):
-    book, again = (CurveBook(block, [1.0, 2.0], c=0.006, keep=tmp_path, solving=ALONE) for _ in range(2))
-    book.curves(3.0)
+    simulations, again = (
+        SiteSimulations(block, [1.0, 2.0], c=0.006, keep=tmp_path, solving=ALONE) for _ in range(2)
+    )
+    simulations.curves(3.0)
     for path in tmp_path.glob("*-nodes.npz"):
         spoil(path)
-    assert again.kinematics(3.0).gradient == pytest.approx(book.kinematics(3.0).gradient, abs=1e-6)
+    assert again.kinematics(3.0).gradient == pytest.approx(simulations.kinematics(3.0).gradient, abs=1e-6)
     assert again.n_solves == 1
-    book.close()
+    simulations.close()
     again.close()
 
 
@@ -203,7 +213,7 @@ def test_curves_that_were_read_or_solved_otherwise_are_solved_again(
     block, tmp_path, monkeypatch, name, other
 ):
     def n_kept() -> int:
-        CurveBook(block, [1.0, 2.0], c=0.006, keep=tmp_path, solving=ALONE).curves(8.0)
+        SiteSimulations(block, [1.0, 2.0], c=0.006, keep=tmp_path, solving=ALONE).curves(8.0)
         return len(list(tmp_path.glob("*-levels.npz")))
 
     assert [n_kept(), n_kept()] == [1, 1]
@@ -215,9 +225,11 @@ def test_curves_are_of_the_tissues_density(block, tmp_path):
     """Speeds are kept, and go with the root of the modulus over the density."""
 
     def speeds(density: float):
-        book = CurveBook(block, [1.0, 2.0], c=0.006, density_kg_per_m3=density, keep=tmp_path, solving=ALONE)
-        found = book.curves(4.0).log_speed
-        book.close()
+        simulations = SiteSimulations(
+            block, [1.0, 2.0], c=0.006, density_kg_per_m3=density, keep=tmp_path, solving=ALONE
+        )
+        found = simulations.curves(4.0).log_speed
+        simulations.close()
         return found
 
     at_1000, at_1300 = speeds(1000.0), speeds(1300.0)
@@ -229,12 +241,14 @@ def test_curves_are_of_the_tissues_density(block, tmp_path):
 def test_a_turned_probes_curves_go_on_at_the_depths_that_were_asked_for(block):
     """The turned face is lifted, so that depth counts from its first touch; that is in them already."""
     stops = Stops(9)
-    book = CurveBook(block, DEPTHS, c=0.006, solving=Solving(1e-6, threads=1), progress=Progress(stops))
-    book.curves(8.0)
+    simulations = SiteSimulations(
+        block, DEPTHS, c=0.006, solving=Solving(1e-6, threads=1), progress=Progress(stops)
+    )
+    simulations.curves(8.0)
     stops.after = 3
-    found, expected = book.curves(8.0, TILTED), whole(block, 8.0, TILTED)
-    book.close()
-    assert book.in_part == {"tilt, m 8": 3.0}
+    found, expected = simulations.curves(8.0, TILTED), whole(block, 8.0, TILTED)
+    simulations.close()
+    assert simulations.in_part == {"tilt, m 8": 3.0}
     np.testing.assert_allclose(found.depth, [0.0, *DEPTHS])
     assert found.force[-1] == pytest.approx(expected.force[-1], rel=0.15)
 
@@ -246,9 +260,11 @@ def test_an_effect_of_any_name_may_change_contact(block, name, theta):
     """It is what an effect makes of a model that tells how it is solved, not what it is called."""
     known = effect(name)
     mine = replace(known, name="my-" + name, kind="tissue")
-    book = CurveBook(block, [1.0, 2.0], c=0.006, solving=Solving(1e-5, threads=1))
-    plain, expected, found = (book.curves(4.0, each) for each in ((), ((known, theta),), ((mine, theta),)))
-    book.close()
+    simulations = SiteSimulations(block, [1.0, 2.0], c=0.006, solving=Solving(1e-5, threads=1))
+    plain, expected, found = (
+        simulations.curves(4.0, each) for each in ((), ((known, theta),), ((mine, theta),))
+    )
+    simulations.close()
     assert found.force == pytest.approx(expected.force, rel=1e-3)
     assert abs(np.log(found.force[-1] / plain.force[-1])) > 0.05
 
@@ -313,15 +329,15 @@ def test_a_candidate_of_a_large_model_is_stopped_sooner(n_cells, iterations):
 )
 def test_a_size_that_was_fitted_is_told_from_a_sensitivitys(block, monkeypatch, name, theta, fitted):
     """By how much work the solve may take."""
-    book, seen = CurveBook(block, DEPTHS, c=0.006, solving=ALONE), {}
+    simulations, seen = SiteSimulations(block, DEPTHS, c=0.006, solving=ALONE), {}
 
     def begin(**facts):
         seen.update(facts)
         raise SolveError("not in this test", where="here", fix="none")
 
-    monkeypatch.setattr(book.work, "begin", begin)
+    monkeypatch.setattr(simulations.work, "begin", begin)
     with pytest.raises(SolveError):
-        book.curves(5.0, ((effect(name), {**effect(name).null, **theta}),))
+        simulations.curves(5.0, ((effect(name), {**effect(name).null, **theta}),))
     assert seen["fitted"] is fitted
 
 
@@ -359,7 +375,7 @@ def test_a_law_that_fails_is_left_out_unless_all_do(reach, solved):
     site = SiteCurves(None, Book(), {})
     site.solve_nodes((2.0, 10.0, 5.0))
     assert sorted(site.nodes) == solved
-    assert site.book.asked[:3] == [10.0, 5.0, 2.0]
+    assert site.simulations.asked[:3] == [10.0, 5.0, 2.0]
     assert not site.solve_node(7.0)
     with pytest.raises(SolveError, match="not at 7"):
         SiteCurves(None, Book(), {}).solve_nodes((7.0,))
@@ -381,15 +397,15 @@ class ThicknessBook:
 
 
 def test_an_effect_that_moves_the_mesh_changes_parts_that_are_side_by_side_alike():
-    book, thickness = ThicknessBook(), effect("thickness")
-    change = Changes(book, progress=SILENT).of(thickness, {}).at({"thickness_change": -0.1})
+    simulations, thickness = ThicknessBook(), effect("thickness")
+    change = Changes(simulations, progress=SILENT).of(thickness, {}).at({"thickness_change": -0.1})
     assert change[:, 1:] == pytest.approx(np.full((3, 61), 0.1))
-    site = SiteCurves(None, book, {"thickness": thickness})
+    site = SiteCurves(None, simulations, {"thickness": thickness})
     site.solve_nodes((4.0, 8.0))
     site.changes.m = 4.0
     theta = {"thickness_change": -0.1}
     site.repair(4.0, ("thickness",), theta, [{}])
-    assert site.curves(book.c, 4.0, ("thickness",), theta, [{}]).log_speed == pytest.approx(
+    assert site.curves(simulations.c, 4.0, ("thickness",), theta, [{}]).log_speed == pytest.approx(
         np.full((3, 61), 0.8), abs=1e-9
     )
 
@@ -430,14 +446,14 @@ def test_a_tilt_without_an_answer_on_its_other_side_goes_by_the_one():
 
 
 def test_a_trial_far_beyond_what_an_effect_can_be_still_gives_numbers():
-    book, thickness = ThicknessBook(), effect("thickness")
+    simulations, thickness = ThicknessBook(), effect("thickness")
     site = SiteCurves(
-        None, book, {"thickness": thickness}, penetration=Penetration(np.r_[0.0, 1.0], np.r_[0.0, 0.1])
+        None, simulations, {"thickness": thickness}, penetration=Penetration(np.r_[0.0, 1.0], np.r_[0.0, 0.1])
     )
     site.solve_nodes((4.0, 8.0))
     site.changes.m = 4.0
     for change in (-1e4, 1e4):
-        found = site.curves(book.c, 4.0, ("thickness",), {"thickness_change": change}, [{}])
+        found = site.curves(simulations.c, 4.0, ("thickness",), {"thickness_change": change}, [{}])
         assert np.isfinite(found.log_speed).all()
         assert np.isfinite(force_at(found, np.array([0.5, 5.0]))).all()
 

@@ -12,8 +12,8 @@ from limbcli.effects import effect
 from limbcli.effects.tissue import TISSUE
 from limbcli.model import ElementMap
 from limbcli.progress import SILENT
-from limbcli.stages.diagnosis.curves.curve_book import CurveBook
 from limbcli.stages.diagnosis.curves.curve_plan import Solving
+from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.stages.diagnosis.prepare import WorkingMesh, _Preparation
 from tests.imaging.test_fibre_map import write as write_map
@@ -50,9 +50,9 @@ def test_the_working_model_has_the_direction_of_the_map_in_every_cell(made):
     )
     case = case_with(folder, imaging='fibres = "v1.nii.gz"\n')
     preparation = _Preparation(case, case.sites[0], out, WorkingMesh(size=6.0), SILENT)
-    book = preparation.book()
-    book.close()
-    model, block = book.model, book.model.mesh.block("tissue")
+    simulations = preparation.simulations()
+    simulations.close()
+    model, block = simulations.model, simulations.model.mesh.block("tissue")
     middles = in_patient(model, model.mesh.points[block.cells].mean(axis=1))
     origin = np.array(model.info["patient_from_model"]).reshape(4, 4)[:3, 3]
     x = (middles + origin)[:, 0]
@@ -81,10 +81,12 @@ def solved():
     found = {}
     for name, values in axes.items():
         model = replace(block, fibres=ElementMap("fibres", "tissue", values))
-        book = CurveBook(model, (0.5, 1.0, 2.0), c=0.006, windows=WINDOWS, solving=Solving(1e-5, threads=1))
+        simulations = SiteSimulations(
+            model, (0.5, 1.0, 2.0), c=0.006, windows=WINDOWS, solving=Solving(1e-5, threads=1)
+        )
         for each, theta in FIBRES:
-            found[each, name] = book.curves(4.0, ((effect(each), theta),))
-        book.close()
+            found[each, name] = simulations.curves(4.0, ((effect(each), theta),))
+        simulations.close()
     return found
 
 

@@ -7,9 +7,9 @@ import pytest
 
 from limbcli.effects import effect
 from limbcli.effects.curves import Curves, log_force_at
-from limbcli.stages.diagnosis.curves.curve_book import CurveBook
 from limbcli.stages.diagnosis.curves.curve_plan import Solving
 from limbcli.stages.diagnosis.curves.penetration import Penetration, penetration
+from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from tests.stages import block_case
 
 DEPTHS = (0.5, 1.0, 2.0, 3.0, 4.0)
@@ -18,17 +18,17 @@ HARDER = ((effect("contact"), {"penalty_factor": 16.0}),)
 
 
 @pytest.fixture(scope="module")
-def book():
+def simulations():
     block = block_case.block_model(counts=(4, 2, 2))
-    made = CurveBook(block, DEPTHS, c=0.006, f_kappa=2.0, solving=Solving(1e-6, threads=1))
+    made = SiteSimulations(block, DEPTHS, c=0.006, f_kappa=2.0, solving=Solving(1e-6, threads=1))
     yield made
     made.close()
 
 
 @pytest.mark.parametrize("m", [2.0, 10.0])
-def test_what_is_left_of_the_gap_is_taken_away(book, m):
-    usual, hard = book.curves(m), book.curves(m, HARDER)
-    found = penetration(book.curves(5.0), book.curves(5.0, SOFTER))
+def test_what_is_left_of_the_gap_is_taken_away(simulations, m):
+    usual, hard = simulations.curves(m), simulations.curves(m, HARDER)
+    found = penetration(simulations.curves(5.0), simulations.curves(5.0, SOFTER))
     assert found is not None
     mended = found.without(usual, usual.force)
     at = np.array(DEPTHS[1:-1])
@@ -63,9 +63,9 @@ def test_depths_stay_in_order_however_steep_the_force():
     assert np.all(np.diff(shifted.depth) > 0)
 
 
-def test_what_a_softer_contact_takes_is_what_it_was_seen_to_take(book):
+def test_what_a_softer_contact_takes_is_what_it_was_seen_to_take(simulations):
     """The same pair of simulations, forward: from the hard contact's curve to the softer one's."""
-    usual, softer = book.curves(5.0), book.curves(5.0, SOFTER)
+    usual, softer = simulations.curves(5.0), simulations.curves(5.0, SOFTER)
     found = penetration(usual, softer)
     assert found is not None
     hard = found.without(usual, usual.force)

@@ -32,7 +32,7 @@ def test_a_contact_that_takes_of_the_force_is_told_by_its_own_mesh(monkeypatch, 
         curves=SimpleNamespace(penetration=Sinks()),
         site=SimpleNamespace(name="p1"),
         size=5.0,
-        book=SimpleNamespace(model=SimpleNamespace(contacts=[SimpleNamespace(penalty=80.0)])),
+        simulations=SimpleNamespace(model=SimpleNamespace(contacts=[SimpleNamespace(penalty=80.0)])),
     )
     reported = written._contact_takes(mine, CURVES, CURVES.force, 12.0, 20.0, out=Path("out"))
     if takes is None:

@@ -15,7 +15,7 @@ from limbcli.measurement.elastography import SweMap, write_map
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.check import check
 from limbcli.stages.fit import FitOptions, fit
-from limbcli.stages.provenance.asked import in_words
+from limbcli.stages.provenance.requested_options import in_words
 from limbcli.stages.report import report
 from limbcli.stages.report_pages.material import gather
 from limbcli.stages.site_model.site_levels import levels_of, maps_of

@@ -21,7 +21,7 @@ from limbcli.shear_waves.any_law import acoustic_tensor
 from limbcli.shear_waves.from_simulation import AT_REST, level_maps
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.build_feb import build_feb
-from limbcli.stages.diagnosis.curves.lighter_models import softer_jumps
+from limbcli.stages.diagnosis.curves.model_simplification import softer_jumps
 from limbcli.stages.fit import FitOptions, check_choice
 from limbcli.stages.fit_joint import JointOptions, fit_joint
 from limbcli.stages.fitting.fibre_orientations import not_told, share_along

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from limbcli import ahead
+from limbcli import background_processes
 from limbcli.config import THREADS
 from limbcli.stages.machine.kernels import PARTS, compile_ahead
 
@@ -24,7 +24,7 @@ def begun(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
     for name in (THREADS, "OMP_NUM_THREADS"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(ahead, "start", lambda module, part: found.append(part))
+    monkeypatch.setattr(background_processes, "start", lambda module, part: found.append(part))
     return found
 
 
@@ -59,16 +59,17 @@ def test_every_part_runs_to_its_end(part: str):
 
 
 def test_waiting_ends_when_they_do_and_a_failure_is_no_matter():
-    ahead.start("limbcli.stages.machine.kernels", "no such part")
-    ahead.wait()
-    assert not ahead.at_work()
+    background_processes.start("limbcli.stages.machine.kernels", "no such part")
+    background_processes.wait()
+    assert not background_processes.at_work()
 
 
 def test_one_that_was_killed_leaves_nobody_at_work():
     """A parent that is killed at once, with its child asleep."""
     code = (
-        "import os, signal; from limbcli import ahead; ahead.start('timeit', '-n1', '-r1', "
-        "'import time; time.sleep(60)'); print(ahead.at_work()[0].pid, flush=True); os.kill(os.getpid(), 9)"
+        "import os, signal; from limbcli import background_processes as started; "
+        "started.start('timeit', '-n1', '-r1', 'import time; time.sleep(60)'); "
+        "print(started.at_work()[0].pid, flush=True); os.kill(os.getpid(), 9)"
     )
     output = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False).stdout
     if not sys.platform.startswith("linux"):
@@ -85,7 +86,7 @@ def test_one_that_was_killed_leaves_nobody_at_work():
 def test_as_a_program_it_compiles_in_processes_that_find_it(monkeypatch):
     """`python -m` names a module otherwise than an import does."""
     begun: list[tuple[str, ...]] = []
-    monkeypatch.setattr(ahead, "start", lambda *words: begun.append(words))
+    monkeypatch.setattr(background_processes, "start", lambda *words: begun.append(words))
     monkeypatch.setattr("limbcli.solvers.reference.kernels_are_there", lambda: False)
     monkeypatch.setattr(sys, "argv", ["kernels"])
     runpy.run_module("limbcli.stages.machine.kernels", run_name="__main__")

@@ -11,7 +11,7 @@ import meshio
 import numpy as np
 import pytest
 
-from limbcli.files import sha256
+from limbcli.atomic_files import sha256
 from limbcli.results import read_result
 from tests.stages.test_mesh import CASE, prism
 

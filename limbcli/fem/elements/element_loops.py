@@ -10,7 +10,7 @@ import numpy as np
 from limbcli.fem.elements import kernels, simd_kernels
 from limbcli.fem.elements.assembly import Pattern, Threads, total
 from limbcli.fem.elements.groups import Group, Operands
-from limbcli.fem.elements.halves import Halves
+from limbcli.fem.elements.thread_partition import Halves
 from limbcli.fem.motion.state import State
 from limbcli.model import Array
 

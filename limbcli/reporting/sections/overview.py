@@ -25,7 +25,7 @@ class Fact:
 
 
 @dataclass(frozen=True)
-class Pill:
+class StageBadge:
     """One stage's state."""
 
     stage: str
@@ -40,7 +40,7 @@ class SiteGlance:
     mood: Mood
     sentence: str
     facts: tuple[Fact, ...]
-    pills: tuple[Pill, ...]
+    pills: tuple[StageBadge, ...]
     command: str = ""
     weak: tuple[str, ...] = ()
     poor: str = ""
@@ -49,7 +49,7 @@ class SiteGlance:
 
 
 @dataclass(frozen=True)
-class Warned:
+class SourcedWarning:
     source: str
     text: str
 
@@ -60,7 +60,7 @@ class Overview:
     sentence: str
     sites: tuple[SiteGlance, ...]
     failures: tuple[Outcome, ...]
-    warnings: tuple[Warned, ...]
+    warnings: tuple[SourcedWarning, ...]
 
 
 _PILL_WORDS: dict[str, tuple[Mood, str]] = {
@@ -73,12 +73,12 @@ _PILL_WORDS: dict[str, tuple[Mood, str]] = {
 def overview(page: ReportData) -> Overview:
     """Cards, states and warnings for the head of the page."""
     sites = tuple(_site(page, site) for site in page.sites)
-    warnings = [Warned("report", text) for text in page.notices]
-    warnings += [Warned(label, text) for label, text in page.outcomes.warnings()]
-    warnings += [Warned("parameters", text) for text in parameter_warnings(page)]
+    warnings = [SourcedWarning("report", text) for text in page.notices]
+    warnings += [SourcedWarning(label, text) for label, text in page.outcomes.warnings()]
+    warnings += [SourcedWarning("parameters", text) for text in parameter_warnings(page)]
     reported = {each.text for each in warnings}
     of_levels = [(site.name, text) for site in page.sites for text in site.warnings]
-    warnings += [Warned(f"levels {name}", text) for name, text in of_levels if text not in reported]
+    warnings += [SourcedWarning(f"levels {name}", text) for name, text in of_levels if text not in reported]
     failures = page.outcomes.failed
     sentence = _sentence(sites, failures, len(warnings))
     if page.case.imaging.assumed:
@@ -159,8 +159,10 @@ def _site(page: ReportData, site: SiteMaterial) -> SiteGlance:
     )
 
 
-def _pill(outcome: Outcome) -> Pill:
-    return Pill(outcome.stage, *(("missing", "held up") if outcome.held_by else _PILL_WORDS[outcome.status]))
+def _pill(outcome: Outcome) -> StageBadge:
+    return StageBadge(
+        outcome.stage, *(("missing", "held up") if outcome.held_by else _PILL_WORDS[outcome.status])
+    )
 
 
 def _facts(view: FitView) -> tuple[Fact, ...]:

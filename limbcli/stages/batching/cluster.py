@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Any
 from limbcli.config import THREADS
 from limbcli.errors import ToolError
 from limbcli.progress import Progress
-from limbcli.scratch import scratch_folder
 from limbcli.stages.provenance.freshness import code_hash
+from limbcli.temporary_folders import scratch_folder
 from limbcli.version import __version__
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from limbcli.progress import Progress
 from limbcli.results import stage_folder
 from limbcli.solvers import identity
 from limbcli.stages.batching.outcome import BatchOptions
-from limbcli.stages.provenance.asked import Asked, options_of
+from limbcli.stages.provenance.requested_options import Asked, options_of
 
 SITE_STAGES = ("mesh", "build-feb", "run", "fit")
 FIT_STATES = "fit-states"  # after these, of a site that has states

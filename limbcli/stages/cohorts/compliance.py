@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.inference.cohort_model import CohortModel, readings, row_modes_of
-from limbcli.inference.layered_family import LayeredFamily
-from limbcli.inference.left_out import (
+from limbcli.inference.cross_validation import (
     FOLDS,
     lines_left_out,
     mean_interval,
@@ -16,6 +15,7 @@ from limbcli.inference.left_out import (
     predict_left_out,
     springs_left_out,
 )
+from limbcli.inference.layered_family import LayeredFamily
 from limbcli.measurement.cohort_table import CohortTable
 from limbcli.model import Array
 

@@ -11,9 +11,9 @@ from limbcli.diagnostics import thresholds
 from limbcli.errors import LimbError
 from limbcli.progress import Progress
 from limbcli.results import read_result, stage_folder
+from limbcli.stages.diagnosis.bones.bone_hypotheses import OtherBones, questions
 from limbcli.stages.diagnosis.bones.evidence import Evidence, compared, fits_badly
 from limbcli.stages.diagnosis.bones.limb_with import limb_with
-from limbcli.stages.diagnosis.bones.questions import OtherBones, questions
 from limbcli.stages.diagnosis.data.noise import IN_MAPS
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.stages.diagnosis.prepare import STAGE, Prepared

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from limbcli.atomic_files import atomic_file, sha256
 from limbcli.case import Case, Site
 from limbcli.effects.base import Effect
 from limbcli.errors import CaseError, LimbError, MeasurementError, SolveError
-from limbcli.files import atomic_file, sha256
 from limbcli.measurement.elastography import shear_modulus_from_wave_speed
 from limbcli.measurement.indentation import read_trace
 from limbcli.meshing.frame import LARGEST_SLOPE_DEG
@@ -29,8 +29,8 @@ from limbcli.model import LimbModel
 from limbcli.model_io import load_model, save_model
 from limbcli.progress import Progress
 from limbcli.results import plain, read_result
-from limbcli.stages.diagnosis.curves.curve_book import FIRST_M, CurveBook
 from limbcli.stages.diagnosis.curves.curve_plan import Reach
+from limbcli.stages.diagnosis.curves.site_simulations import FIRST_M, SiteSimulations
 from limbcli.stages.diagnosis.data.held_forces import HeldForces, held_forces
 from limbcli.stages.diagnosis.data.layers import BorderLines
 from limbcli.stages.diagnosis.data.noise import deepest, readings
@@ -40,9 +40,14 @@ from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.stages.diagnosis.drainage.drained import NAME as POROELASTICITY
 from limbcli.stages.diagnosis.drainage.drained import DrainageSolver, Drained, drained
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
-from limbcli.stages.diagnosis.mesh_doubt.interventions import USUAL_C, Intervention, Numerics, depth_scatter
-from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import F_KAPPA, Tie, own_layers
-from limbcli.stages.diagnosis.mesh_doubt.model_errors import ModelErrors
+from limbcli.stages.diagnosis.mesh_error.mesh_correction import F_KAPPA, MeshCorrection, own_layers
+from limbcli.stages.diagnosis.mesh_error.model_errors import ModelErrors
+from limbcli.stages.diagnosis.mesh_error.numerical_checks import (
+    USUAL_C,
+    Intervention,
+    NumericalChecks,
+    depth_scatter,
+)
 from limbcli.stages.mesh import read_limb, site_position
 from limbcli.stages.site_model.fibres import with_fibres
 from limbcli.stages.site_model.layer_readings import LayerReadings, layer_readings
@@ -90,13 +95,13 @@ class Prepared:
 
     site: Site
     size: float
-    book: CurveBook
+    simulations: SiteSimulations
     curves: SiteCurves
     interventions: list[Intervention]
     notes: Notes
 
     def close(self) -> None:
-        self.book.close()
+        self.simulations.close()
 
 
 def prepare(
@@ -132,11 +137,11 @@ def depth_misfit(case: Case, site: Site, *, out: Path, mesh: WorkingMesh, progre
         If the site cannot be meshed.
     """
     preparation = _Preparation(case, site, out, mesh, progress)
-    book = preparation.book()
+    simulations = preparation.simulations()
     try:
-        scatter = depth_scatter(book, preparation.levels)
+        scatter = depth_scatter(simulations, preparation.levels)
     finally:
-        book.close()
+        simulations.close()
     return float(np.sqrt(min(scatter.values()))) if scatter else float("nan")
 
 
@@ -151,11 +156,11 @@ def turned_by_90(
         If the place cannot be meshed or simulated that way.
     """
     site, known = prepared.site, prepared.curves
-    other = replace(site, name=f"{site.name}-turned", long_axis=_across(site, prepared.book.model))
+    other = replace(site, name=f"{site.name}-turned", long_axis=_across(site, prepared.simulations.model))
     progress.event("note", text=f"{site.name} with the probe turned by 90 degrees")
-    book = _Preparation(case, other, out, replace(mesh, size=prepared.size), progress).book()
+    simulations = _Preparation(case, other, out, replace(mesh, size=prepared.size), progress).simulations()
     curves = SiteCurves(
-        known.site, book, known.effects, penetration=known.penetration, refused=known.refused,
+        known.site, simulations, known.effects, penetration=known.penetration, refused=known.refused,
         progress=progress,
     )  # fmt: skip
     nearest = sorted(known.nodes, key=lambda m: abs(np.log(m / known.changes.m)))
@@ -163,7 +168,7 @@ def turned_by_90(
         curves.solve_nodes(nearest[:2])
         curves.changes.m = min(curves.nodes, key=lambda m: abs(np.log(m / known.changes.m)))
     finally:
-        book.close()
+        simulations.close()
     return curves
 
 
@@ -214,35 +219,35 @@ class _Preparation:
         self, effects: Mapping[str, Effect], extras: Sequence[ExtraMeasurement],
         draining: DrainageSolver | None,
     ) -> Prepared:  # fmt: skip
-        book = self.book()
+        simulations = self.simulations()
         try:
             for m in FIRST_M:
                 with contextlib.suppress(SolveError):  # told where the curves are used
-                    book.curves(m)
-            numerics = Numerics(
-                self.case, self.site, self.levels, book, out=self.out, size=self.size,
+                    simulations.curves(m)
+            numerics = NumericalChecks(
+                self.case, self.site, self.levels, simulations, out=self.out, size=self.size,
                 notes=self.notes, progress=self.progress,
             )  # fmt: skip
-            tie = numerics.tie(solves=self.mesh.interventions)
+            correction = numerics.correction(solves=self.mesh.interventions)
             interventions = numerics.interventions() if self.mesh.interventions else []
-            data = self._data(numerics, tie, interventions, extras)
+            data = self._data(numerics, correction, interventions, extras)
             refused: dict[str, LimbError] = {}
             if POROELASTICITY in effects and draining is not None:
-                found = self._drained(draining, data, book)
+                found = self._drained(draining, data, simulations)
                 if found.effect is not None:
                     effects = {**effects, POROELASTICITY: found.effect}
                 if found.refused is not None:
                     refused[POROELASTICITY] = found.refused
         except LimbError:
-            book.close()
+            simulations.close()
             raise
         curves = SiteCurves(
-            data, book, effects, tie=tie, penetration=numerics.penetration, refused=refused,
-            progress=self.progress,
+            data, simulations, effects, correction=correction, penetration=numerics.penetration,
+            refused=refused, progress=self.progress,
         )  # fmt: skip
-        return Prepared(self.site, self.size, book, curves, interventions, self.notes)
+        return Prepared(self.site, self.size, simulations, curves, interventions, self.notes)
 
-    def book(self) -> CurveBook:
+    def simulations(self) -> SiteSimulations:
         """Curves down to the deepest reading and beyond, as far as the solver gets.
 
         At a usual stiffness and at round depths: what was solved then serves other measurements of the place.
@@ -254,7 +259,7 @@ class _Preparation:
         meshed, fibres = with_fibres(self.case, self.site, self._working_mesh())
         self.notes.data["fibres"] = fibres.source
         self._mark_layers(meshed)
-        return CurveBook(
+        return SiteSimulations(
             meshed, [*depths.tolist(), needed + further], c=USUAL_C, f_kappa=F_KAPPA,
             windows=self.windows, keep=self.work, density_kg_per_m3=self.site.density_kg_per_m3,
             progress=self.progress, borders=self.borders, reach=Reach(needed, self._enough_force()),
@@ -329,8 +334,8 @@ class _Preparation:
 
     def _data(
         self,
-        numerics: Numerics,
-        tie: Tie,
+        numerics: NumericalChecks,
+        correction: MeshCorrection,
         interventions: Sequence[Intervention],
         extras: Sequence[ExtraMeasurement],
     ) -> SiteData:
@@ -351,16 +356,22 @@ class _Preparation:
             levels = replace(levels, skin_bone=np.full(len(levels), np.nan))
         return site_data(
             self.site.name, levels, self.site.noise, windows=self.windows, maps=self.maps,
-            model_error=errors.all(tie, interventions), held=held, extras=extras,
-            usable=errors.parts_seen(), thickness=errors.thickness, map_share=tie.map_share,
+            model_error=errors.all(correction, interventions), held=held, extras=extras,
+            usable=errors.parts_seen(), thickness=errors.thickness, map_share=correction.map_share,
             map_slopes=errors.map_slopes(), layers=self.layers,
             bone_as_shown=bool(self.case.imaging.assumed),
         )  # fmt: skip
 
-    def _drained(self, draining: DrainageSolver, data: SiteData, book: CurveBook) -> Drained:
+    def _drained(self, draining: DrainageSolver, data: SiteData, simulations: SiteSimulations) -> Drained:
         why = str(self.notes.data.get("holds_not_used", ""))
         found = drained(
-            draining, data.held, why, book, deepest=book.needed, keep=self.work, progress=self.progress
+            draining,
+            data.held,
+            why,
+            simulations,
+            deepest=simulations.needed,
+            keep=self.work,
+            progress=self.progress,
         )
         self.notes.warnings.extend(found.warnings)
         if found.facts:

@@ -17,8 +17,8 @@ from limbcli.drawing import save_figure
 from limbcli.effects.base import Parameter
 from limbcli.stages.diagnosis.data.joint import slices
 from limbcli.stages.diagnosis.data.site_data import SiteData
+from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
-from limbcli.stages.diagnosis.forward_model.slots import Slot
 from limbcli.stages.diagnosis.sizes import reported_sizes, value_ends
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from limbcli.diagnostics.conclusions.effect_sizes import RefittedSizes
 from limbcli.effects import poroelasticity
-from limbcli.stages.diagnosis.forward_model.slots import Slot
+from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
 
 Interval = tuple[float | None, float | None]
 Sizes = dict[str, dict[str, Interval]]

@@ -17,7 +17,7 @@ from limbcli.model import Array
 from limbcli.model_io import load_model
 from limbcli.results import StageWriter, read_result
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
-from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import F_KAPPA, contact_penalty, own_layers
+from limbcli.stages.diagnosis.mesh_error.mesh_correction import F_KAPPA, contact_penalty, own_layers
 from limbcli.stages.diagnosis.prepare import Prepared
 from limbcli.stages.site_model.indentation_model import indentation_model, starting_depth, with_penalty
 from limbcli.units import mpa_from_kpa
@@ -65,7 +65,9 @@ def write_diagnosed(
                 f"{100 * point[each.onset]:.0f} % of the levels"
             )
     write_feb(applied(model, added), writer.file("feb", "diagnosed.feb"), templates)
-    warning = _contact_takes(mine, curves, curves.force * mine.book.c / c, depths[-1], penalty, out=out)
+    warning = _contact_takes(
+        mine, curves, curves.force * mine.simulations.c / c, depths[-1], penalty, out=out
+    )
     writer.warnings.extend([warning] if warning else [])
 
 
@@ -82,7 +84,7 @@ def _contact_takes(
     # A penalty is taken for a facet of its size.
     meshed = read_result(out, "mesh", site=mine.site.name).data
     edge = float(meshed.get("size_under_probe_mm", mine.size))
-    asked = penalty * mine.size / edge / mine.book.model.contacts[0].penalty
+    asked = penalty * mine.size / edge / mine.simulations.model.contacts[0].penalty
     taken = known.taken(curves, force, deep, penalty=asked)
     if taken <= _SOFT:
         return None

@@ -23,17 +23,17 @@ from limbcli.inference.prediction import Differences, Prediction
 from limbcli.materials.ogden import ogden_type
 from limbcli.model import Array, ElementMap, LimbModel
 from limbcli.progress import SILENT, Progress
-from limbcli.scratch import scratch_folder
 from limbcli.shear_waves.from_simulation import mean_speeds
 from limbcli.solvers.base import Simulation, Solver
 from limbcli.solvers.febio import FebioSolver
 from limbcli.solvers.material_lines import FILE as LINES
 from limbcli.solvers.material_lines import MaterialLines
 from limbcli.solvers.session import ReferenceSession, SessionResult
-from limbcli.stages.diagnosis.curves.lighter_models import softer_jumps
+from limbcli.stages.diagnosis.curves.model_simplification import softer_jumps
 from limbcli.stages.fitting.contact_check import forces_with_penalty
 from limbcli.stages.fitting.laws import FitLaw
 from limbcli.stages.site_model.indentation_model import TISSUE
+from limbcli.temporary_folders import scratch_folder
 
 _SAME_TIME = 1e-6
 _C_STEP = 1.1  # of c, by which a solver without derivatives is asked; its forces are good to 1e-3

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.inference.adaptive import Intervals
-from limbcli.inference.shape_doubt import at_depths, ends, shifts, total_share
+from limbcli.inference.geometry_uncertainty import at_depths, ends, shifts, total_share
 from limbcli.inference.two_step_fit import sensitivities
 from limbcli.results import StageWriter
 from limbcli.stages.fitting.geometry import GeometryDoubt

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from limbcli.inference.adaptive import Intervals
+from limbcli.inference.curve_minimum import LowestPoint, lowest_of_points, lowest_on_grid
 from limbcli.inference.derived import DerivedInterval, derived_interval
-from limbcli.inference.lowest import LowestPoint, lowest_of_points, lowest_on_grid
 from limbcli.inference.states import StatesProblem
 from limbcli.model import Array
 from limbcli.stages.fitting.state_curve import StateCurve

@@ -9,7 +9,7 @@ from typing import Any
 
 from limbcli.errors import CaseError
 from limbcli.measurement.levels import LAST
-from limbcli.stages.provenance.asked import asked_of_options, in_words
+from limbcli.stages.provenance.requested_options import asked_of_options, in_words
 from limbcli.stages.site_model.indentation_model import C_KPA
 
 OBJECTIVES = ("force", "joint", "states")

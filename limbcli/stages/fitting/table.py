@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.inference.adaptive import Intervals
+from limbcli.inference.geometry_uncertainty import at_depths, shifts
 from limbcli.inference.identifiability import (
     Verdict,
     correlation,
@@ -21,7 +22,6 @@ from limbcli.inference.interpolation import pchip_sample
 from limbcli.inference.interval import Stiffness
 from limbcli.inference.misfit import Misfit, misfit
 from limbcli.inference.prediction import SolvedPoints, slopes_at
-from limbcli.inference.shape_doubt import at_depths, shifts
 from limbcli.inference.two_step_fit import FittedStep, ForceDepth, sensitivities
 from limbcli.model import Array
 from limbcli.reporting.headline import headline

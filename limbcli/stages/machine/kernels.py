@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from limbcli import ahead
+from limbcli import background_processes
 from limbcli.config import at_most
 from limbcli.errors import LimbError
 
@@ -33,9 +33,9 @@ def compile_ahead(*, solver: str = "reference", febio: Path | None = None) -> No
     except LimbError:  # the stage that needs it says so
         return
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if at_most(cores) > 1 and not ahead.at_work() and not kernels_are_there():
+    if at_most(cores) > 1 and not background_processes.at_work() and not kernels_are_there():
         for part in PARTS:
-            ahead.start(_MODULE, part)
+            background_processes.start(_MODULE, part)
 
 
 def equations() -> None:
@@ -80,8 +80,8 @@ def compile_all() -> None:
     if kernels_are_there():
         return
     for part in PARTS:
-        ahead.start(_MODULE, part)
-    ahead.wait()
+        background_processes.start(_MODULE, part)
+    background_processes.wait()
 
 
 if __name__ == "__main__":

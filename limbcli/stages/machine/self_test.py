@@ -33,8 +33,8 @@ from limbcli.model import (
     Surface,
 )
 from limbcli.progress import SILENT, Progress
-from limbcli.scratch import scratch_folder
 from limbcli.solvers.base import Solver
+from limbcli.temporary_folders import scratch_folder
 
 SIDE, HEIGHT, DEPTH = 8.0, 6.0, 2.0  # mm
 C, F_KAPPA, M = 0.008, 5.0, 4.0  # MPa, 1, 1

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from limbcli.atomic_files import sha256
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError
-from limbcli.files import sha256
 from limbcli.results import StageResult, StageWriter, plain, read_result, stage_folder
 from limbcli.stages.provenance.chain_inputs import SITES, case_value, in_words, input_path, note_case
 from limbcli.stages.provenance.commands import CommandStep, commands
@@ -23,7 +23,7 @@ from limbcli.version import __version__
 
 
 @dataclass(frozen=True)
-class Broken:
+class BrokenLink:
     """A link that does not hold: what changed, where, and the stages to run again, the first one first.
 
     before : what to do instead, or before, in words that lead up to the commands
@@ -66,7 +66,7 @@ class Chain:
             If there is none, or a link of the chain does not hold; with the commands that mend it.
         """
         found = self._read(stage, site)
-        broken = found if isinstance(found, Broken) else self.broken(found, about=about)
+        broken = found if isinstance(found, BrokenLink) else self.broken(found, about=about)
         if broken is not None:
             raise broken.error(self.case, self.out)
         assert isinstance(found, StageResult)
@@ -79,7 +79,7 @@ class Chain:
         there = (stage_folder(self.out, stage, site) / f"{stage}.json").is_file()
         return self.result(stage, site=site, about=about) if there else None
 
-    def broken(self, found: StageResult, *, about: Collection[str] | None = None) -> Broken | None:
+    def broken(self, found: StageResult, *, about: Collection[str] | None = None) -> BrokenLink | None:
         """The first link behind a result that does not hold, from the images on; None if all hold.
 
         about : as in `result`; None: every site of the case
@@ -93,24 +93,24 @@ class Chain:
         if found.subject != self.case.subject:
             what = f"the result of `{found.label}` is of {found.subject}, the case of {self.case.subject}"
             before = f"name another --out; to replace the results of {found.subject} for good: "
-            return Broken(what, str(found.folder), (own,), before)
+            return BrokenLink(what, str(found.folder), (own,), before)
         if made["version"] != __version__:
             by = f"limbcli {made['version']}" if made["version"] else "an earlier limbcli"
             what = f"the result of `{found.label}` was made by {by}, this is {__version__}"
-            return Broken(what, str(found.folder), (own,))
+            return BrokenLink(what, str(found.folder), (own,))
         changed = next(self._changes(found, made, about), None)
-        return None if changed is None else Broken(*changed, (own,))
+        return None if changed is None else BrokenLink(*changed, (own,))
 
-    def _broken_at(self, label: str, link: Mapping[str, Any]) -> Broken | None:
+    def _broken_at(self, label: str, link: Mapping[str, Any]) -> BrokenLink | None:
         upstream = self._read(*_named(label))
         about = [key.split("/")[1] for key in link["data"] if "/" in key]
-        return upstream if isinstance(upstream, Broken) else self.broken(upstream, about=about)
+        return upstream if isinstance(upstream, BrokenLink) else self.broken(upstream, about=about)
 
-    def _read(self, stage: str, site: str | None) -> StageResult | Broken:
+    def _read(self, stage: str, site: str | None) -> StageResult | BrokenLink:
         try:
             return read_result(self.out, stage, site=site)
         except CaseError as error:
-            return Broken(error.what, error.where, (CommandStep(stage, site),))
+            return BrokenLink(error.what, error.where, (CommandStep(stage, site),))
 
     def _changes(
         self, found: StageResult, made: Mapping[str, Any], about: Collection[str] | None

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from limbcli.pasting import typed
+from limbcli.error_commands import typed
 from limbcli.results import StageResult
-from limbcli.stages.provenance.asked import in_words
+from limbcli.stages.provenance.requested_options import in_words
 
 _WORDS = {
     "fit-joint": ("fit", "--objective", "joint"),

@@ -14,9 +14,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from limbcli.atomic_files import atomic_file, sha256
 from limbcli.config import PACKAGE, templates_folder
 from limbcli.errors import CaseError
-from limbcli.files import atomic_file, sha256
 from limbcli.results import read_result, stage_folder
 
 MEMORY, MEMORY_OF_SITE = ".batch.json", ".batch-"

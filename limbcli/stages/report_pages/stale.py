@@ -6,14 +6,14 @@ from pathlib import Path
 
 from limbcli.case import Case
 from limbcli.reporting.outcome import Outcomes
-from limbcli.stages.provenance.chain import Broken, Chain
+from limbcli.stages.provenance.chain import BrokenLink, Chain
 from limbcli.stages.provenance.commands import commands
 
 
 def stale_results(case: Case, out: Path, outcomes: Outcomes) -> list[str]:
     """What changed since, the results that it puts in doubt, and the commands that mend them."""
     chain = Chain(case, out)
-    causes: dict[str, list[tuple[str, Broken]]] = {}
+    causes: dict[str, list[tuple[str, BrokenLink]]] = {}
     for outcome in outcomes.done:
         assert outcome.result is not None
         broken = chain.broken(outcome.result)
@@ -22,7 +22,7 @@ def stale_results(case: Case, out: Path, outcomes: Outcomes) -> list[str]:
     return [_sentence(case, out, what, found) for what, found in causes.items()]
 
 
-def _sentence(case: Case, out: Path, what: str, found: list[tuple[str, Broken]]) -> str:
+def _sentence(case: Case, out: Path, what: str, found: list[tuple[str, BrokenLink]]) -> str:
     labels = ", ".join(f"“{label}”" for label, _ in found)
     steps = [step for _, broken in found for step in broken.steps]
     return (

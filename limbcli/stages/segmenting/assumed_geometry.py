@@ -35,7 +35,7 @@ BONE = "bone_1"
 
 
 @dataclass(frozen=True, eq=False)
-class Looked:
+class ThicknessComparison:
     """One site's skin-bone distance (mm): measured, and where that comes from, and in the model made."""
 
     measured: float
@@ -58,7 +58,7 @@ class AssumedLimb:
 
     surfaces: Mapping[str, ClosedSurface]
     bones: Mapping[str, Rod]
-    sites: Mapping[str, Looked]
+    sites: Mapping[str, ThicknessComparison]
     notes: tuple[str, ...] = ()
     shape: Shape | None = None
     warnings: tuple[str, ...] = field(default=())
@@ -157,7 +157,7 @@ def _of_numbers(shape: Shape, case: Case) -> AssumedLimb:
         normal = np.array([point[0], point[1], 0.0]) / max(float(np.hypot(point[0], point[1])), 1e-9)
         on_skin = np.array([*(shape.radius * normal[:2]), point[2]])
         made = bone.depth_under(on_skin, -normal)
-        sites[site.name] = Looked(
+        sites[site.name] = ThicknessComparison(
             shape.skin_bone, "[imaging] shape", made, BONE, _triple(on_skin), _triple(normal)
         )
     aside = [
@@ -191,7 +191,9 @@ def _of_a_scan(case: Case) -> AssumedLimb:
         for name in names:
             each, (depth, source) = seen[name], _known(case.site(name))
             made = rod.depth_under(each.point, -each.normal)
-            sites[name] = Looked(depth, source, made, bone, _triple(each.point), _triple(each.normal))
+            sites[name] = ThicknessComparison(
+                depth, source, made, bone, _triple(each.point), _triple(each.normal)
+            )
             warnings += _disagreement(name, depth, made, names)
     return AssumedLimb(whole, bones, sites, tuple(notes), None, tuple(warnings))
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from limbcli.meshing.sections import section
 from limbcli.meshing.surfaces import Triangles
-from limbcli.stages.segmenting.assumed_geometry import AssumedLimb, Looked
+from limbcli.stages.segmenting.assumed_geometry import AssumedLimb, ThicknessComparison
 
 _SKIN, _BONE, _BEAM, _FAT = "#b08000", "#c03028", "#0050d0", "#3a9a5b"
 _WRAP = 110  # letters of the title in a line
@@ -34,7 +34,7 @@ def draw_assumed(path: Path, limb: AssumedLimb, *, title: str) -> None:
     figure.savefig(path, dpi=90, format="png")
 
 
-def _draw_section(axes: Axes, limb: AssumedLimb, name: str, site: Looked | None) -> None:
+def _draw_section(axes: Axes, limb: AssumedLimb, name: str, site: ThicknessComparison | None) -> None:
     rod = limb.bones[site.bone] if site is not None else next(iter(limb.bones.values()))
     origin = np.array(site.point) if site is not None else rod.centre + rod.radius * rod.towards
     up = np.array(site.normal) if site is not None else rod.towards

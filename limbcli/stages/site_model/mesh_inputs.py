@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from limbcli.case import Case, Site
 from limbcli.results import StageResult, StageWriter
-from limbcli.stages.provenance.asked import Asked
 from limbcli.stages.provenance.chain_inputs import note_case
+from limbcli.stages.provenance.requested_options import Asked
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from numba import njit
 from scipy.linalg import lapack
 
 from limbcli.fem.linear_solvers.multifrontal.blas import gemm_nn, getrf, solve_unit_lower
-from limbcli.fem.linear_solvers.multifrontal.sharing import Crew
+from limbcli.fem.linear_solvers.multifrontal.sharing import ThreadTeam
 from limbcli.model import Array, IntArray
 
 PANEL = 256  # columns: 128 and 192 take as long
@@ -27,7 +27,7 @@ _PIECES = 3  # that what lies beyond the next panel is done in
 class Lu:
     """n : equations; kind : of number; blas : of that kind, see `blas.addresses`; crew : who does the work"""
 
-    def __init__(self, n: int, kind: Any, blas: IntArray, crew: Crew):
+    def __init__(self, n: int, kind: Any, blas: IntArray, crew: ThreadTeam):
         self.n, self.blas, self.crew = n, blas, crew
         self._flat = np.empty(n * n, dtype=kind)
         self._pivots = np.zeros(n, dtype=np.int32)

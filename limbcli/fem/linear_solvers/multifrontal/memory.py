@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from limbcli.fem.linear_solvers.multifrontal.sharing import Shares
+from limbcli.fem.linear_solvers.multifrontal.sharing import WorkShares
 from limbcli.model import IntArray
 
 
@@ -44,7 +44,7 @@ class Pieces:
         self.free = joined
 
 
-def place_updates(parent: IntArray, sizes: IntArray, shares: Shares) -> tuple[IntArray, int]:
+def place_updates(parent: IntArray, sizes: IntArray, shares: WorkShares) -> tuple[IntArray, int]:
     """Where each front's update matrix goes, and the size of all: subtrees apart, then the top."""
     children: list[list[int]] = [[] for _ in parent]
     for s, up in enumerate(parent):

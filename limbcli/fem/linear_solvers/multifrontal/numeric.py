@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from limbcli.fem.linear_solvers.multifrontal.compact_factor import keep
 from limbcli.fem.linear_solvers.multifrontal.dense import NOT_FINITE, factor_panel, form_update
-from limbcli.fem.linear_solvers.multifrontal.kept import keep
 from limbcli.fem.linear_solvers.multifrontal.vectors import add
 
 BLOCK = 192  # columns of a block where one thread is at work

@@ -10,11 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from limbcli.fem.linear_solvers.multifrontal.compact_factor import sizes as kept_sizes
 from limbcli.fem.linear_solvers.multifrontal.dense import ALIGNED
-from limbcli.fem.linear_solvers.multifrontal.kept import sizes as kept_sizes
 from limbcli.fem.linear_solvers.multifrontal.memory import place_updates
 from limbcli.fem.linear_solvers.multifrontal.ordering import Graph, positions
-from limbcli.fem.linear_solvers.multifrontal.sharing import Shares, share_for_two, share_top_alone
+from limbcli.fem.linear_solvers.multifrontal.sharing import WorkShares, share_for_two, share_top_alone
 from limbcli.fem.linear_solvers.multifrontal.symbolic import Fronts, cost
 from limbcli.model import IntArray
 
@@ -66,8 +66,8 @@ class Layout(NamedTuple):
     largest_front: int
     largest_panel: int
     flops: float
-    factoring: Shares
-    solving: Shares
+    factoring: WorkShares
+    solving: WorkShares
 
 
 def make_plan(graph: Graph, fronts: Fronts, indptr: IntArray, indices: IntArray) -> Layout:

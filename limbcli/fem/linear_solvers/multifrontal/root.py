@@ -13,12 +13,12 @@ import scipy.sparse as sparse
 from numba import njit
 
 from limbcli.fem.linear_solvers.multifrontal import solve
+from limbcli.fem.linear_solvers.multifrontal.compact_factor import PAD, make_kept, sizes
 from limbcli.fem.linear_solvers.multifrontal.dense import ALIGNED
-from limbcli.fem.linear_solvers.multifrontal.kept import PAD, make_kept, sizes
+from limbcli.fem.linear_solvers.multifrontal.factor_memory import Store
 from limbcli.fem.linear_solvers.multifrontal.lu import Lu
-from limbcli.fem.linear_solvers.multifrontal.store import Store
+from limbcli.fem.linear_solvers.multifrontal.shared_fronts import Top
 from limbcli.fem.linear_solvers.multifrontal.tiles import TILE
-from limbcli.fem.linear_solvers.multifrontal.top import Top
 from limbcli.fem.linear_solvers.singular import singular
 from limbcli.model import Array, IntArray
 

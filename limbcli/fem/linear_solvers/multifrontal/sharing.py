@@ -16,7 +16,7 @@ _UNEVEN = 0.05  # what one thread may have more to do than the mean
 _MANY = 48  # subtrees
 
 
-class Shares(NamedTuple):
+class WorkShares(NamedTuple):
     """subtrees : (first, stop) ranges of fronts, costliest first; owner : thread of each; top : the rest"""
 
     subtrees: list[tuple[int, int]]
@@ -24,7 +24,7 @@ class Shares(NamedTuple):
     top: IntArray
 
 
-def share_for_two(parent: IntArray, cost: Array, *, largest: float) -> Shares:
+def share_for_two(parent: IntArray, cost: Array, *, largest: float) -> WorkShares:
     """Cut the tree (in postorder) as little as gives both threads the same cost below the cut.
 
     For two threads, even where there is only one: so the sums are the same. The last front is
@@ -40,7 +40,7 @@ def share_for_two(parent: IntArray, cost: Array, *, largest: float) -> Shares:
     return _shares(parent, pieces)
 
 
-def share_top_alone(parent: IntArray, cost: Array) -> Shares:
+def share_top_alone(parent: IntArray, cost: Array) -> WorkShares:
     """The cut with the least time where one thread does all above it by itself."""
     best = min(_cuts(parent, cost), key=lambda cut: cut[1] + max(cut[2]))
     return _shares(parent, best[0])
@@ -72,7 +72,7 @@ def _cuts(parent: IntArray, cost: Array) -> Iterator[tuple[Pieces, float, list[f
             heapq.heappush(heap, (-total[c], c))
 
 
-def _shares(parent: IntArray, pieces: Pieces) -> Shares:
+def _shares(parent: IntArray, pieces: Pieces) -> WorkShares:
     size = np.ones(len(parent), dtype=np.int64)
     for s, up in enumerate(parent):
         if up >= 0:
@@ -82,7 +82,7 @@ def _shares(parent: IntArray, pieces: Pieces) -> Shares:
     for first, stop in ranges:
         above[first:stop] = False
     _, owner = _loads([-c for c, _ in pieces])
-    return Shares(ranges, owner, np.flatnonzero(above))
+    return WorkShares(ranges, owner, np.flatnonzero(above))
 
 
 def _loads(costs: Sequence[float]) -> tuple[list[float], list[int]]:
@@ -95,7 +95,7 @@ def _loads(costs: Sequence[float]) -> tuple[list[float], list[int]]:
     return load, owner
 
 
-class Crew:
+class ThreadTeam:
     """Threads that take tasks from a list until it is empty; the caller is one of them."""
 
     def __init__(self, threads: int):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from numba import njit
 
-from limbcli.fem.linear_solvers.multifrontal.kept import PAD, down, up
+from limbcli.fem.linear_solvers.multifrontal.compact_factor import PAD, down, up
 from limbcli.fem.linear_solvers.multifrontal.tiles import TILE
 
 

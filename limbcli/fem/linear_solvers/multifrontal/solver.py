@@ -11,14 +11,14 @@ import scipy.sparse as sparse
 from threadpoolctl import ThreadpoolController
 
 from limbcli.fem.linear_solvers.multifrontal import numeric
+from limbcli.fem.linear_solvers.multifrontal.factor_memory import Store
 from limbcli.fem.linear_solvers.multifrontal.ordering import compress, order
 from limbcli.fem.linear_solvers.multifrontal.plan import Layout, make_plan
 from limbcli.fem.linear_solvers.multifrontal.root import Root
-from limbcli.fem.linear_solvers.multifrontal.sharing import Crew
-from limbcli.fem.linear_solvers.multifrontal.store import Store
+from limbcli.fem.linear_solvers.multifrontal.shared_fronts import Top
+from limbcli.fem.linear_solvers.multifrontal.sharing import ThreadTeam
 from limbcli.fem.linear_solvers.multifrontal.substitution import Substitution
 from limbcli.fem.linear_solvers.multifrontal.symbolic import analyse
-from limbcli.fem.linear_solvers.multifrontal.top import Top
 from limbcli.fem.linear_solvers.singular import singular
 from limbcli.model import Array, IntArray
 
@@ -51,7 +51,7 @@ class Multifrontal:
         self._indptr, self._indices = (np.ascontiguousarray(a, dtype=np.int64) for a in (indptr, indices))
         self.layout = _layout(self._indptr, self._indices, last, metis)
         self._store = Store(self.layout, self.n, len(indices), single)
-        self._crew = Crew(min(threads, 2))
+        self._crew = ThreadTeam(min(threads, 2))
         self._blas_threads = ThreadpoolController().select(user_api="blas")
         self._top = Top(self._store, self._crew)
         self._root = Root(self._store, self._top, self.layout.order, kept=last is not None)

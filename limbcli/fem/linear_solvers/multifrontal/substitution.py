@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 
 from limbcli.fem.linear_solvers.multifrontal import solve
-from limbcli.fem.linear_solvers.multifrontal.kept import PAD
+from limbcli.fem.linear_solvers.multifrontal.compact_factor import PAD
+from limbcli.fem.linear_solvers.multifrontal.factor_memory import Store
 from limbcli.fem.linear_solvers.multifrontal.plan import Layout
-from limbcli.fem.linear_solvers.multifrontal.sharing import Crew
-from limbcli.fem.linear_solvers.multifrontal.store import Store
+from limbcli.fem.linear_solvers.multifrontal.sharing import ThreadTeam
 from limbcli.fem.linear_solvers.multifrontal.tiles import TILE
 
 
 class Substitution:
     """Each of two threads adds what its subtrees pass on to a vector of its own."""
 
-    def __init__(self, layout: Layout, store: Store, crew: Crew):
+    def __init__(self, layout: Layout, store: Store, crew: ThreadTeam):
         self.store, self.crew, self.layout = store, crew, layout
         shares = layout.solving
         self._mine = [

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from limbcli.fem.linear_solvers.multifrontal.ordering import Graph, positions
-from limbcli.fem.linear_solvers.multifrontal.runs import longer_runs
+from limbcli.fem.linear_solvers.multifrontal.pivot_order import longer_runs
 from limbcli.model import IntArray
 
 

@@ -13,7 +13,7 @@ from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.conclusions.verdict import Diagnosis
 from limbcli.diagnostics.model.forward_model import Fitted
 from limbcli.model import Array, IntArray
-from limbcli.stages.diagnosis.bones.questions import OtherBones
+from limbcli.stages.diagnosis.bones.bone_hypotheses import OtherBones
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
 
 Stand = Literal["taken", "open", "not taken"]

@@ -14,7 +14,7 @@ from limbcli.imaging.surface import ClosedSurface, write_surface
 from limbcli.meshing.surfaces import read_surface
 from limbcli.progress import Progress
 from limbcli.results import StageResult, open_stage, plain, read_result, stage_folder
-from limbcli.stages.diagnosis.bones.questions import OtherBones
+from limbcli.stages.diagnosis.bones.bone_hypotheses import OtherBones
 from limbcli.stages.mesh import mesh_options, mesh_site, read_limb, site_position
 from limbcli.stages.site_model.mesh_inputs import MeshInputs
 

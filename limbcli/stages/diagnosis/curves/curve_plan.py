@@ -1,4 +1,4 @@
-"""How far a book's curves are to go, and how each of its simulations is solved."""
+"""How far a site's curves are to go, and how each of its simulations is solved."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Reach:
     """How far curves are to go.
 
     needed : mm, the depth to be reached; at m 4 the deeper levels are tried, briefly. None: all depths
-    enough_force : N (at the book's c), beyond which no reading lies: the first level that bears it is
+    enough_force : N (at the simulations' c), beyond which no reading lies: the first level that bears it is
         the last
     beside : m -> curves of the same depths on another mesh, which lead where this one's solver stops
     begin : levels on another mesh at an m, that solves begin from

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.effects.curves import Curves
-from limbcli.effects.frozen import SolvedDeformation, frozen_speed, strain_concentrations
+from limbcli.effects.frozen_deformation import SolvedDeformation, frozen_speed, strain_concentrations
 from limbcli.effects.places import Stiffness
 from limbcli.effects.tissue import thickness
 from limbcli.model import Array, IntArray, LimbModel, LogRecord

@@ -29,7 +29,7 @@ _LEAST_STEP = 0.05  # of a step between two depths, after the shift
 @dataclass(frozen=True, eq=False)
 class Penetration:
     """Depth (n,) in mm by which the probe has sunk in at forces (n,) in N, from (0, 0) on; beyond the last
-    force in proportion to it. Forces are those at the book's reference stiffness."""
+    force in proportion to it. Forces are those at the simulations' reference stiffness."""
 
     force: Array
     depth: Array

@@ -10,8 +10,8 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from limbcli.atomic_files import atomic_file
 from limbcli.effects.curves import Curves
-from limbcli.files import atomic_file
 from limbcli.model import Array
 from limbcli.solvers.restart import solved_arrays, solved_of
 

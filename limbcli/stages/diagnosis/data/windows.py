@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from scipy.ndimage import median_filter
 
-from limbcli.effects.frozen import ScannerView
+from limbcli.effects.frozen_deformation import ScannerView
 from limbcli.effects.places import Places
 from limbcli.measurement.elastography import SweMap
 from limbcli.model import Array, IntArray, LimbModel

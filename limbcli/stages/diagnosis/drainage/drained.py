@@ -12,23 +12,23 @@ from typing import Any
 
 import numpy as np
 
+from limbcli.atomic_files import atomic_file
 from limbcli.diagnostics import thresholds
 from limbcli.effects import poroelasticity
 from limbcli.effects.base import Effect
 from limbcli.effects.drainage import Drainage, HeldIndentation
 from limbcli.errors import FitError, LimbError, SolveError
-from limbcli.files import atomic_file
 from limbcli.model import LimbModel
 from limbcli.progress import Progress
-from limbcli.scratch import scratch_folder
 from limbcli.solvers import choose
 from limbcli.solvers.base import Solver
 from limbcli.solvers.febio import FebioSolver
-from limbcli.stages.diagnosis.curves.curve_book import USUAL_M, CurveBook
 from limbcli.stages.diagnosis.curves.keys import changed_to
+from limbcli.stages.diagnosis.curves.site_simulations import USUAL_M, SiteSimulations
 from limbcli.stages.diagnosis.data.held_forces import HeldForces
 from limbcli.stages.diagnosis.drainage.held_model import RAMP_STEPS, held_model, hold_of
 from limbcli.stages.fitting.force_curves import available_cores, shares
+from limbcli.temporary_folders import scratch_folder
 
 NAME = poroelasticity.EFFECT.name
 SHARES_OF_DEPTH = (1.0, 0.5, 0.25)
@@ -68,10 +68,10 @@ class Drained:
 
 
 def drained(
-    solver: DrainageSolver, held: HeldForces | None, why_not_held: str, book: CurveBook,
+    solver: DrainageSolver, held: HeldForces | None, why_not_held: str, simulations: SiteSimulations,
     *, deepest: float, keep: Path, progress: Progress,
 ) -> Drained:  # fmt: skip
-    """What drains at a site, by simulations of the book's mesh at shares of the depth `deepest` (mm).
+    """What drains at a site, by simulations of the working mesh at shares of the depth `deepest` (mm).
 
     keep : folder of simulations already made
     """
@@ -79,13 +79,13 @@ def drained(
         return Drained(refused=_no_holds(why_not_held))
     if not solver.always:
         try:
-            fallen = held.fallen(book.curves(USUAL_M))
+            fallen = held.fallen(simulations.curves(USUAL_M))
         except LimbError as error:
             return Drained(refused=error)
         if fallen < thresholds.FALLEN_SD:
             return Drained(refused=_nothing_falls(fallen))
     depths = [round(share * deepest, 2) for share in SHARES_OF_DEPTH]
-    runs = _Runs(solver.solver, book.model, book.c, USUAL_M, keep, progress)
+    runs = _Runs(solver.solver, simulations.model, simulations.c, USUAL_M, keep, progress)
     facts: dict[str, Any] = {}
     try:
         found = runs.all(depths)

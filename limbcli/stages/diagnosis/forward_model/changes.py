@@ -18,8 +18,8 @@ from limbcli.effects.curves import Curves
 from limbcli.errors import SolveError
 from limbcli.model import Array, LimbModel
 from limbcli.progress import Progress
-from limbcli.stages.diagnosis.curves.curve_book import FIRST_M
-from limbcli.stages.diagnosis.curves.ingredients import Ingredients, touches_loads
+from limbcli.stages.diagnosis.curves.simulated_effects import Ingredients, touches_loads
+from limbcli.stages.diagnosis.curves.site_simulations import FIRST_M
 from limbcli.stages.diagnosis.data.layers import line_shift
 from limbcli.stages.diagnosis.data.windows import Windows
 
@@ -29,7 +29,7 @@ _STEPS_TWO = (-2.0, -1.0, 1.0, 2.0)
 _ROUNDED = 0.2  # of a start: a degree of tilt
 
 
-class Book(Typed):
+class CurveSource(Typed):
     """What curves come out of: solved ones, and first-order changes of them."""
 
     c: float
@@ -89,8 +89,8 @@ class FieldChange:
     proportion to the effect's first parameter; None where none was made
     """
 
-    def __init__(self, book: Book, effect: Effect, point: Theta, m: float):
-        self.book, self.effect, self.point, self.m = book, effect, point, m
+    def __init__(self, simulations: CurveSource, effect: Effect, point: Theta, m: float):
+        self.simulations, self.effect, self.point, self.m = simulations, effect, point, m
         self.missed: Array | None = None
         self._last: list[tuple[tuple[float, ...], Array]] = []
 
@@ -106,7 +106,7 @@ class FieldChange:
 
     def _at(self, theta: Theta) -> Array:
         size = self.effect.sizes[0]
-        moved = shifted(self.book, self.m, ((self.effect, {**self.point, **theta}),))
+        moved = shifted(self.simulations, self.m, ((self.effect, {**self.point, **theta}),))
         moved = np.nan_to_num(filled(moved))
         if self.missed is not None:
             moved = moved + (theta[size.name] - size.null) / (size.start - size.null) * self.missed
@@ -120,14 +120,14 @@ def _within(spline: CubicSpline, x: float) -> Array:
 
 
 class Changes:
-    """Of one book of curves.
+    """Of one site's simulations.
 
     m : the exponent whose kept deformation is used
     not_simulated : effects that spread the load -> why their simulation, which tells that, has no answer
     """
 
-    def __init__(self, book: Book, *, progress: Progress):
-        self.book, self.progress = book, progress
+    def __init__(self, simulations: CurveSource, *, progress: Progress):
+        self.simulations, self.progress = simulations, progress
         self.m = 2.0
         self.not_simulated: dict[str, str] = {}
         self._known: dict[tuple[str, str], Change | FieldChange] = {}
@@ -151,12 +151,12 @@ class Changes:
             raise only_febio(effect)
         self.progress.event("note", text=f"sensitivity to {effect.name} {point_name(point)}".rstrip())
         if effect.stiffness is not None:
-            field = FieldChange(self.book, effect, point, self.m)
+            field = FieldChange(self.simulations, effect, point, self.m)
             # What the layers do goes through the deformation.
-            if effect.spreads or self.book.curves(self.m).log_line is not None:
+            if effect.spreads or self.simulations.curves(self.m).log_line is not None:
                 field.missed = self._missed(effect, point, effect.sizes[0])
             return field
-        of_solves = effect.new_mesh or touches_loads(effect, self.book.model)
+        of_solves = effect.new_mesh or touches_loads(effect, self.simulations.model)
         if of_solves:
             return Change({p: self._by_solving(effect, point, p) for p in effect.parameters})
         return Change({p: self._by_shifting(effect, point, p) for p in effect.parameters})
@@ -178,15 +178,15 @@ class Changes:
         theta = {**effect.null, **point, p.name: value}
         # a change hardly depends on m, and at one of these it serves other measurements too
         m = min(FIRST_M, key=lambda each: abs(np.log(each / self.m)))
-        moved = logs(self.book.curves(m, ((effect, theta),)))
-        change = np.nan_to_num(moved - logs(self.book.curves(m)))
+        moved = logs(self.simulations.curves(m, ((effect, theta),)))
+        change = np.nan_to_num(moved - logs(self.simulations.curves(m)))
         if effect.new_mesh:
-            change = without_spikes(self.book, change)
+            change = without_spikes(self.simulations, change)
         return change
 
     def _by_shifting(self, effect: Effect, point: Theta, p: Parameter) -> CubicSpline:
         step = p.start - p.null
-        known = np.isfinite(logs(self.book.curves(self.m)))
+        known = np.isfinite(logs(self.simulations.curves(self.m)))
         places, values, problem = [0.0], [np.zeros(known.shape)], None
         for times in _STEPS_ONE if p.sign else _STEPS_TWO:
             value = p.null + times * step
@@ -194,7 +194,7 @@ class Changes:
                 continue
             theta = {**effect.null, **point, p.name: value}
             try:
-                moved = shifted(self.book, self.m, ((effect, theta),))
+                moved = shifted(self.simulations, self.m, ((effect, theta),))
             except SolveError as error:  # too large a step; smaller ones tell the change
                 problem = error
                 continue
@@ -219,13 +219,13 @@ class Changes:
         """What the kept deformation does not tell of a change: from one solve at the start value."""
         m, theta = self.m, {**effect.null, **point, p.name: p.start}
         try:
-            if self.book.spent:
+            if self.simulations.spent:
                 raise _spent(effect)
-            true = logs(self.book.curves(m, ((effect, theta),))) - logs(self.book.curves(m))
-            missed = true - shifted(self.book, m, ((effect, theta),))
+            true = logs(self.simulations.curves(m, ((effect, theta),))) - logs(self.simulations.curves(m))
+            missed = true - shifted(self.simulations, m, ((effect, theta),))
         except SolveError as error:
             self.not_simulated[effect.name] = error.what
-            return np.zeros_like(logs(self.book.curves(m)))
+            return np.zeros_like(logs(self.simulations.curves(m)))
         missed[0, 0] = 0.0
         return np.nan_to_num(missed)
 
@@ -244,12 +244,12 @@ def only_febio(effect: Effect) -> SolveError:
     )  # fmt: skip
 
 
-def shifted(book: Book, m: float, ingredients: Ingredients) -> Array:
+def shifted(simulations: CurveSource, m: float, ingredients: Ingredients) -> Array:
     """What effects add to `logs`, to first order: (n, 1 + n_parts + n_lines)."""
-    moved, curves = np.column_stack(book.shift(m, ingredients)), book.curves(m)
+    moved, curves = np.column_stack(simulations.shift(m, ingredients)), simulations.curves(m)
     if curves.log_line is None:
         return moved
-    return np.column_stack([moved, line_shift(book.model, curves, ingredients)])
+    return np.column_stack([moved, line_shift(simulations.model, curves, ingredients)])
 
 
 def logs(curves: Curves) -> Array:
@@ -259,11 +259,11 @@ def logs(curves: Curves) -> Array:
     return np.column_stack([log_force, curves.columns])
 
 
-def without_spikes(book: Book, change: Array) -> Array:
+def without_spikes(simulations: CurveSource, change: Array) -> Array:
     """Of `logs`, as another mesh changes it, what neighbouring parts have in common."""
-    speeds = slice(1, 2 + book.windows.n_parts)
+    speeds = slice(1, 2 + simulations.windows.n_parts)
     out = change.copy()
-    out[:, speeds] = book.windows.without_spikes(np.nan_to_num(change[:, speeds]))
+    out[:, speeds] = simulations.windows.without_spikes(np.nan_to_num(change[:, speeds]))
     return out
 
 

@@ -19,8 +19,8 @@ from limbcli.diagnostics.model.linear import LinearFit, Whitener
 from limbcli.effects.base import Theta
 from limbcli.errors import FitError, SolveError
 from limbcli.model import Array
+from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot, on_bounds, stuck
 from limbcli.stages.diagnosis.forward_model.predictions import Predictions
-from limbcli.stages.diagnosis.forward_model.slots import Slot, on_bounds, stuck
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves, label
 from limbcli.units import kpa_from_mpa
 
@@ -222,7 +222,7 @@ class Fits(Predictions):
 
     def _tissue_starts(self) -> list[tuple[float, float]]:
         """c, m to start from: where the fit without effects ended, and a usual tissue."""
-        usual = [(self.book.c, 2.0), (self.book.c, 6.0)]
+        usual = [(self.simulations.c, 2.0), (self.simulations.c, 6.0)]
         if self.base_end is None:
             return usual
         m = self.base_end[1]

@@ -142,7 +142,7 @@ def _contrast(log_speed: Array) -> Array:
 
 def _error_of_contrast(site: SiteCurves) -> Array:
     """Covariance of `_contrast` by the model's error in maps."""
-    protocol, middles = site.site.protocol, site.book.windows.middles
+    protocol, middles = site.site.protocol, site.simulations.windows.middles
     thickness = site.thickness if site.has_bone else USUAL_THICKNESS
     strain = np.abs(SmoothDepth.through(protocol).at(protocol.force)) / thickness
     level, part = (each.ravel() for each in np.indices((len(protocol), len(middles))))

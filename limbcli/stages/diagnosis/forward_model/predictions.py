@@ -18,8 +18,8 @@ from limbcli.errors import SolveError
 from limbcli.model import Array
 from limbcli.stages.diagnosis.data.joint import joined
 from limbcli.stages.diagnosis.data.site_data import SiteData
-from limbcli.stages.diagnosis.forward_model.changes import Book
-from limbcli.stages.diagnosis.forward_model.slots import Slot
+from limbcli.stages.diagnosis.forward_model.changes import CurveSource
+from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 
 M_BOUNDS = (1.0, 20.0)
@@ -61,8 +61,8 @@ class Predictions:
         return self.sites[0].site
 
     @property
-    def book(self) -> Book:
-        return self.sites[0].book
+    def simulations(self) -> CurveSource:
+        return self.sites[0].simulations
 
     def slots(self, explanation: Explanation) -> list[Slot]:
         """The parameters of an explanation, in order."""
@@ -161,7 +161,7 @@ class Predictions:
 
     def bounds(self, explanation: Explanation) -> tuple[Array, Array]:
         parameters = [slot.parameter for slot in self.slots(explanation)]
-        c = self.book.c
+        c = self.simulations.c
         low = np.array([np.log(c / 20), np.log(M_BOUNDS[0]), *(p.low for p in parameters)])
         high = np.array([np.log(c * 20), np.log(M_BOUNDS[1]), *(p.high for p in parameters)])
         return low, high

@@ -19,13 +19,13 @@ from limbcli.diagnostics.model.noise_scale import likeliest_share
 from limbcli.effects.base import Effect, Theta, point_name
 from limbcli.errors import FitError, LimbError, SolveError
 from limbcli.model import Array
-from limbcli.stages.diagnosis.curves.curve_book import FIRST_M
+from limbcli.stages.diagnosis.curves.site_simulations import FIRST_M
 from limbcli.stages.diagnosis.data.noise import BESIDE, IN_MAPS, LEAST_BESIDE, LEAST_IN_MAPS
 from limbcli.stages.diagnosis.forward_model.changes import only_febio
+from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
 from limbcli.stages.diagnosis.forward_model.fits import Fits
 from limbcli.stages.diagnosis.forward_model.measurement_menu import menu
 from limbcli.stages.diagnosis.forward_model.predictions import M_BOUNDS, held_points
-from limbcli.stages.diagnosis.forward_model.slots import Slot
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.units import kpa_from_mpa
 
@@ -131,7 +131,7 @@ class SiteForwardModel(Fits):
         solves = any(self.effects[name].solves for name in explanation)
         if not self.verify or not solves or fitted.at_bound:
             return fitted
-        if any(each.book.spent for each in self.sites):
+        if any(each.simulations.spent for each in self.sites):
             self.not_simulated.add(explanation)
             return fitted
         points, solved = self.points(fitted), []

@@ -24,8 +24,8 @@ from limbcli.progress import SILENT, Progress
 from limbcli.stages.diagnosis.curves.exponents import bend
 from limbcli.stages.diagnosis.curves.penetration import Penetration
 from limbcli.stages.diagnosis.data.site_data import SiteData
-from limbcli.stages.diagnosis.forward_model.changes import Book, Changes, logs, without_spikes
-from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie
+from limbcli.stages.diagnosis.forward_model.changes import Changes, CurveSource, logs, without_spikes
+from limbcli.stages.diagnosis.mesh_error.mesh_correction import MeshCorrection
 
 _OF_LEVELS = ("force", "swe", "map", "travel", "layer")
 _NONE: Mapping[str, LimbError] = {}
@@ -87,21 +87,27 @@ class Repairs:
 
 
 class SiteCurves:
-    """One site's data beside one book of curves.
+    """One site's data beside its simulations.
 
-    tie : from the working mesh to the site's own; penetration : of the probe into the book's models
+    correction : from the working mesh to the site's own; penetration : of the probe into the simulated models
     refused : effects that have no answer here, and why
     """
 
     def __init__(
-        self, site: SiteData, book: Book, effects: Mapping[str, Effect], *, tie: Tie | None = None,
-        penetration: Penetration | None = None, refused: Mapping[str, LimbError] = _NONE,
-        progress: Progress = SILENT,
+        self, site: SiteData, simulations: CurveSource, effects: Mapping[str, Effect], *,
+        correction: MeshCorrection | None = None, penetration: Penetration | None = None,
+        refused: Mapping[str, LimbError] = _NONE, progress: Progress = SILENT,
     ):  # fmt: skip
         self.refused = refused
-        self.site, self.book, self.effects, self.tie, self.progress = site, book, effects, tie, progress
+        self.site, self.simulations, self.effects, self.correction, self.progress = (
+            site,
+            simulations,
+            effects,
+            correction,
+            progress,
+        )
         self.penetration = penetration
-        self.changes = Changes(book, progress=progress)
+        self.changes = Changes(simulations, progress=progress)
         self.nodes: dict[float, Curves] = {}
         self._last_base: tuple[tuple[float, int], tuple[Array, Array, Curves]] | None = None
         self._repairs: dict[tuple[Explanation, str], Repairs] = {}
@@ -117,7 +123,7 @@ class SiteCurves:
         problem = None
         for m in sorted(values, reverse=True):
             try:
-                self.nodes[m] = self.book.curves(m)
+                self.nodes[m] = self.simulations.curves(m)
             except SolveError as error:
                 problem = error
         if not self.nodes and problem is not None:
@@ -126,7 +132,7 @@ class SiteCurves:
     def solve_node(self, m: float) -> bool:
         """Solve at one m more; whether that went well."""
         try:
-            self.nodes[m] = self.book.curves(m)
+            self.nodes[m] = self.simulations.curves(m)
         except SolveError:
             return False
         return True
@@ -177,8 +183,8 @@ class SiteCurves:
         log_speed = others["log_speed"]
         assert log_speed is not None
         force = np.concatenate([[0.0], np.exp(log_force[1:])])
-        times = c / self.book.c
-        taller = 1.0 if self.tie is None else self.tie.thickness_ratio
+        times = c / self.simulations.c
+        taller = 1.0 if self.correction is None else self.correction.thickness_ratio
         thickness = plain.thickness * taller * (1.0 + theta.get("thickness_change", 0.0))
         log_speed = log_speed + 0.5 * np.log(times)
         found = Curves(depth, force * times, log_speed, plain.window_depth, thickness, others["log_line"])
@@ -204,15 +210,15 @@ class SiteCurves:
             for e, q in zip(effects, points, strict=True)
             if e.solves
         )
-        true = logs(self.book.curves(m, solving))
-        true = true + self._tied(m, true.shape[1])
+        true = logs(self.simulations.curves(m, solving))
+        true = true + self._corrected(m, true.shape[1])
         key = (explanation, label(points))
         known = self._repairs.get(key, Repairs())
         self._repairs[key] = replace(known, solved=())
-        missed = true - logs(self.curves(self.book.c, m, explanation, theta, points))
+        missed = true - logs(self.curves(self.simulations.c, m, explanation, theta, points))
         missed[0, 0] = 0.0
         if any(effect.new_mesh for effect, _ in solving):
-            missed = without_spikes(self.book, missed)
+            missed = without_spikes(self.simulations, missed)
         made = Repair(np.nan_to_num(missed), self._sizes(explanation, theta), float(np.log(m)))
         self._repairs[key] = replace(known, solved=(*known.solved, made))
 
@@ -250,11 +256,11 @@ class SiteCurves:
             for name in explanation if self.effects[name].solves for p in self.effects[name].sizes
         }  # fmt: skip
 
-    def _tied(self, m: float, width: int) -> Array | float:
+    def _corrected(self, m: float, width: int) -> Array | float:
         """Of so many columns; lines are not tied."""
-        if self.tie is None:
+        if self.correction is None:
             return 0.0
-        known = self.tie.at(m)
+        known = self.correction.at(m)
         return np.pad(known, ((0, 0), (0, width - known.shape[1])))
 
     def _base(self, m: float) -> tuple[Array, Array, Curves]:
@@ -275,7 +281,7 @@ class SiteCurves:
             (w * logs(self.nodes[node]) for w, node in zip(weights, nodes, strict=True)),
             np.zeros_like(logs(first)),
         )
-        return first.depth, total + self._tied(m, total.shape[1]), first
+        return first.depth, total + self._corrected(m, total.shape[1]), first
 
 
 def _weights(known: Array, at: float) -> Array:

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from limbcli.fem.linear_solvers.multifrontal import blas
+from limbcli.fem.linear_solvers.multifrontal.compact_factor import make_kept
 from limbcli.fem.linear_solvers.multifrontal.dense import ALIGNED, STRIP, TILE
-from limbcli.fem.linear_solvers.multifrontal.kept import make_kept
 from limbcli.fem.linear_solvers.multifrontal.plan import Layout
 
 BLOCK = 192  # columns of a block where two threads are at work on one front

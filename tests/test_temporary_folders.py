@@ -13,19 +13,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from limbcli import scratch
+from limbcli import temporary_folders
+from limbcli.atomic_files import atomic_folder
 from limbcli.errors import ToolError
-from limbcli.files import atomic_folder
 from limbcli.meshing import mesher_process
-from limbcli.scratch import PREFIX, scratch_folder
+from limbcli.temporary_folders import PREFIX, scratch_folder
 
 MAKER = """
 import subprocess, sys, time
-from limbcli.scratch import scratch_folder
+from limbcli.temporary_folders import scratch_folder
 with scratch_folder() as folder:
     (folder / "a.txt").write_text("half")
-    child = "import sys, time; from limbcli.scratch import end_with_parent as end; end(int(sys.argv[1])); "
-    child += "print('ready', flush=True); time.sleep(60)"
+    child = "import sys, time; from limbcli.temporary_folders import end_with_parent as end; "
+    child += "end(int(sys.argv[1])); print('ready', flush=True); time.sleep(60)"
     import os
     started = subprocess.Popen([sys.executable, "-c", child, str(os.getpid())], stdout=subprocess.PIPE)
     started.stdout.readline()
@@ -77,7 +77,7 @@ def test_of_two_disks_the_full_one_is_named(
 ):
     """What numpy cannot write says nothing of where; the results lie on another disk than temporary files."""
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    monkeypatch.setattr(scratch, "_is_full", lambda _: is_full)
+    monkeypatch.setattr(temporary_folders, "_is_full", lambda _: is_full)
     with pytest.raises(ToolError, match="full") as caught, atomic_folder(tmp_path / "out/mesh"):  # noqa: SIM117
         with scratch_folder():
             raise OSError(errno.ENOSPC, "No space left on device")

@@ -22,9 +22,9 @@ from limbcli.errors import CaseError, LimbError, SolveError
 from limbcli.feb.settings import USUAL_PENALTY
 from limbcli.model import Array, LimbModel
 from limbcli.results import read_result
-from limbcli.stages.diagnosis.curves.curve_book import CurveBook
 from limbcli.stages.diagnosis.curves.curve_plan import Reach
 from limbcli.stages.diagnosis.curves.exponents import bend
+from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.units import mpa_from_kpa
 
 F_KAPPA, START_M = 100.0, 2.0
@@ -35,7 +35,7 @@ _SHARES = (0.3, 0.6)  # of the depth needed: where the own mesh is solved
 
 
 @dataclass(frozen=True, eq=False)
-class Tie:
+class MeshCorrection:
     """What is added to the working mesh's curves at `m` (n_m,), rising: ln force (n_m, n), ln speeds
     (n_m, n, n_parts); thickness ratio.
 
@@ -76,7 +76,7 @@ def _beyond(at: float, end: float, inner: float) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class OwnRun:
+class SiteMeshRun:
     """The site's own run at the start values: its element; depths (mm) and forces (N, at the reference c) of
     the levels that are deeper than those before."""
 
@@ -86,9 +86,9 @@ class OwnRun:
 
 
 def own_curves(
-    meshed: LimbModel, book: CurveBook, several: Sequence[float], *, size_ratio: float
+    meshed: LimbModel, simulations: SiteSimulations, several: Sequence[float], *, size_ratio: float
 ) -> dict[float, Curves]:
-    """The law with each of these m on the site's own mesh, at a few of the book's depths; kept as the book's
+    """The law with each of these m on the site's own mesh, at a few of the simulated depths; kept as those
     are. What fails after the first is left out.
 
     size_ratio : edges of the own mesh over the working mesh's. A penalty is taken for a facet of its size, so
@@ -99,15 +99,19 @@ def own_curves(
     SolveError
         If the solver gets not far enough with the first, or takes many times the work of the working mesh.
     """
-    deep = np.array(book.depths)
-    depths = sorted({book.depths[int(np.abs(deep - share * book.needed).argmin())] for share in _SHARES})
-    own = CurveBook(
-        meshed, depths, c=book.c, f_kappa=book.f_kappa, density_kg_per_m3=book.density,
-        windows=book.windows, keep=book.kept.folder, progress=book.progress,
-        reach=Reach(enough_force=book.enough_force, beside=book.curves, begin=book.levels),
-        solving=replace(book.solving, penalty=size_ratio * book.model.contacts[0].penalty),
+    deep = np.array(simulations.depths)
+    depths = sorted(
+        {simulations.depths[int(np.abs(deep - share * simulations.needed).argmin())] for share in _SHARES}
+    )
+    own = SiteSimulations(
+        meshed, depths, c=simulations.c, f_kappa=simulations.f_kappa, density_kg_per_m3=simulations.density,
+        windows=simulations.windows, keep=simulations.kept.folder, progress=simulations.progress,
+        reach=Reach(
+            enough_force=simulations.enough_force, beside=simulations.curves, begin=simulations.levels
+        ),
+        solving=replace(simulations.solving, penalty=size_ratio * simulations.model.contacts[0].penalty),
     )  # fmt: skip
-    own.work.at_most = _TIMES_USUAL * max(book.work.mean, _LEAST_WORK)
+    own.work.at_most = _TIMES_USUAL * max(simulations.work.mean, _LEAST_WORK)
     try:
         found = {several[0]: own.curves(several[0])}
         for m in several[1:]:
@@ -116,7 +120,9 @@ def own_curves(
         return found
     finally:
         own.close()
-        book.in_part |= {f"{words}, on the site's own mesh": depth for words, depth in own.in_part.items()}
+        simulations.in_part |= {
+            f"{words}, on the site's own mesh": depth for words, depth in own.in_part.items()
+        }
 
 
 def own_layers(site: Site, out: Path) -> str:
@@ -132,7 +138,7 @@ def own_layers(site: Site, out: Path) -> str:
     return " and ".join(name.removesuffix("_mm") for name in layers)
 
 
-def own_run(site: Site, out: Path, *, c: float) -> OwnRun:
+def own_run(site: Site, out: Path, *, c: float) -> SiteMeshRun:
     """The site's finished run, its forces scaled to the stiffness c (MPa).
 
     Raises
@@ -161,7 +167,7 @@ def own_run(site: Site, out: Path, *, c: float) -> OwnRun:
             fix="run `limbcli run` again",
         )  # fmt: skip
     scale = c / mpa_from_kpa(float(built.data["c_kpa"]))
-    return OwnRun(str(built.data.get("element")), depth[rising], force[rising] * scale)
+    return SiteMeshRun(str(built.data.get("element")), depth[rising], force[rising] * scale)
 
 
 def contact_penalty(site: Site, out: Path) -> float:

@@ -12,17 +12,17 @@ from pathlib import Path
 
 import pytest
 
-from limbcli import writing
+from limbcli import output_lock
 from limbcli.cli.app import main
 from limbcli.errors import CaseError
+from limbcli.output_lock import LOCK, one_writer, site_writer
 from limbcli.progress import Progress
-from limbcli.writing import LOCK, one_writer, site_writer
 from tests.stages.chain_case import write_case
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from limbcli.writing import one_writer
+from limbcli.output_lock import one_writer
 sys.argv = ["limbcli", "mesh", "limb"]
 with one_writer(Path({folder!r})):
     print("held", flush=True)
@@ -99,7 +99,7 @@ def test_two_are_never_in_at_once(tmp_path: Path):
 
 def test_a_lock_on_a_file_that_was_removed_meanwhile_does_not_count(tmp_path: Path, monkeypatch):
     """Its holder left between our opening the file and our locking it."""
-    lock, calls = writing._try, []
+    lock, calls = output_lock._try, []
 
     def late(stream, **how):
         if not calls:
@@ -107,7 +107,7 @@ def test_a_lock_on_a_file_that_was_removed_meanwhile_does_not_count(tmp_path: Pa
         calls.append(stream)
         return lock(stream, **how)
 
-    monkeypatch.setattr(writing, "_try", late)
+    monkeypatch.setattr(output_lock, "_try", late)
     with one_writer(tmp_path):
         assert (tmp_path / LOCK).is_file()
     assert len(calls) == 2

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from limbcli.errors import LimbError, SolveError
 from limbcli.model import Array
 from limbcli.results import read_result
-from limbcli.stages.diagnosis.curves.curve_book import FIRST_M
+from limbcli.stages.diagnosis.curves.site_simulations import FIRST_M
 from limbcli.stages.diagnosis.data.noise import IN_MEAN, ModelError
 from limbcli.stages.diagnosis.data.site_data import USUAL_THICKNESS
-from limbcli.stages.diagnosis.mesh_doubt.geometry_gain import assumed_gain
-from limbcli.stages.diagnosis.mesh_doubt.interventions import Intervention, Numerics
-from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie
-from limbcli.stages.diagnosis.mesh_doubt.mesh_ties import at_depths
+from limbcli.stages.diagnosis.mesh_error.geometry_gain import assumed_gain
+from limbcli.stages.diagnosis.mesh_error.mesh_comparison import at_depths
+from limbcli.stages.diagnosis.mesh_error.mesh_correction import MeshCorrection
+from limbcli.stages.diagnosis.mesh_error.numerical_checks import Intervention, NumericalChecks
 
 _ALIKE = 0.8  # correlation of the mesh's error between neighbouring levels
 # Half a voxel's edge of first touch: a probe 53 mm long that stands 1 degree otherwise touches 0.5 mm sooner.
@@ -29,11 +29,11 @@ _MAP_STRAIN = 0.05  # the same of a map's pattern alone: how fast it grows diffe
 
 
 class ModelErrors:
-    """Of one site on one book of curves, at the tissue's likely m."""
+    """Of one site and its simulations, at the tissue's likely m."""
 
-    def __init__(self, numerics: Numerics):
-        self.case, self.site, self.levels, self.book = (
-            numerics.case, numerics.site, numerics.levels, numerics.book
+    def __init__(self, numerics: NumericalChecks):
+        self.case, self.site, self.levels, self.simulations = (
+            numerics.case, numerics.site, numerics.levels, numerics.simulations
         )  # fmt: skip
         self.out, self.notes, self.depth = numerics.out, numerics.notes, numerics.depth
         self.likely_m = numerics.likely_m
@@ -42,7 +42,7 @@ class ModelErrors:
         """How fast a map's pattern grows with depth."""
         if self.site.swe_maps is None:
             return []
-        curves = self.book.curves(self.likely_m)
+        curves = self.simulations.curves(self.likely_m)
         rise = np.nan_to_num(np.gradient(curves.log_speed, curves.depth, axis=0))
         moved = (
             _MAP_STRAIN
@@ -53,20 +53,20 @@ class ModelErrors:
 
     def map_slopes(self) -> Array:
         """1/mm (n_levels used, n_parts): how the model's ln speeds change with depth at the levels."""
-        curves = self.book.curves(self.likely_m)
+        curves = self.simulations.curves(self.likely_m)
         rise = np.nan_to_num(np.gradient(curves.log_speed[:, 1:], curves.depth, axis=0))
         keep = np.isfinite(self.levels.force) & np.isfinite(self.levels.depth)
         return at_depths(self.depth[keep], curves, rise)
 
     def parts_seen(self) -> NDArray[np.bool_]:
         """Parts of the region (n_parts,) that the models without effects show at every depth."""
-        seen = np.ones(len(self.book.windows.depths) - 1, dtype=bool)
+        seen = np.ones(len(self.simulations.windows.depths) - 1, dtype=bool)
         for m in FIRST_M:
             with contextlib.suppress(SolveError):
-                seen &= np.isfinite(self.book.curves(m).log_speed[:, 1:]).all(axis=0)
+                seen &= np.isfinite(self.simulations.curves(m).log_speed[:, 1:]).all(axis=0)
         return seen
 
-    def all(self, tie: Tie, interventions: Sequence[Intervention]) -> list[ModelError]:
+    def all(self, correction: MeshCorrection, interventions: Sequence[Intervention]) -> list[ModelError]:
         """What of all this the data have to allow for."""
         errors = [
             ModelError(f"model: {each.name}", each.left * each.log_force, each.left * each.log_speed)
@@ -74,41 +74,43 @@ class ModelErrors:
         ]  # fmt: skip
         errors += self._geometry()
         no_force = np.zeros(len(self.levels))
-        no_speed = np.zeros((len(self.levels), len(self.book.windows.depths)))
+        no_speed = np.zeros((len(self.levels), len(self.simulations.windows.depths)))
         return [
             *errors,
-            ModelError("model: mesh", tie.mesh_error, no_speed, correlation=_ALIKE),
-            *self._mean_speed(tie, no_force),
+            ModelError("model: mesh", correction.mesh_error, no_speed, correlation=_ALIKE),
+            *self._mean_speed(correction, no_force),
         ]
 
-    def _mean_speed(self, tie: Tie, no_force: Array) -> list[ModelError]:
+    def _mean_speed(self, correction: MeshCorrection, no_force: Array) -> list[ModelError]:
         """Of the means, where there are no maps: the mesh, and how wide the region is that they are of."""
         if self.site.swe_maps is not None:
             return []
-        curves = self.book.curves(self.likely_m)
-        width = np.interp(self.depth, curves.depth, self.book.windows.width_doubt(curves.log_speed))
+        curves = self.simulations.curves(self.likely_m)
+        width = np.interp(self.depth, curves.depth, self.simulations.windows.width_doubt(curves.log_speed))
         strain = IN_MEAN * np.nan_to_num(self.depth) / self.thickness
         return [
             ModelError(
-                "model: mesh, in the mean speed", no_force, self._in_mean(np.hypot(tie.speed_error, strain))
+                "model: mesh, in the mean speed",
+                no_force,
+                self._in_mean(np.hypot(correction.speed_error, strain)),
             ),
             ModelError("model: width of the window", no_force, self._in_mean(width)),
         ]
 
     def _in_mean(self, deviation: Array) -> Array:
-        table = np.zeros((len(self.levels), len(self.book.windows.depths)))
+        table = np.zeros((len(self.levels), len(self.simulations.windows.depths)))
         table[:, 0] = np.nan_to_num(deviation)
         return table
 
     @property
     def thickness(self) -> float:
         """mm of tissue under the probe, as far as it is known."""
-        return self.book.curves(self.likely_m).thickness if self.has_bone else USUAL_THICKNESS
+        return self.simulations.curves(self.likely_m).thickness if self.has_bone else USUAL_THICKNESS
 
     @property
     def has_bone(self) -> bool:
         """Whether the beam meets bone in the model."""
-        return self.book.curves(self.likely_m).thickness > 0
+        return self.simulations.curves(self.likely_m).thickness > 0
 
     def _geometry(self) -> list[ModelError]:
         """What the surfaces' own error does: to the depth at first touch, to the thickness and with it to all
@@ -123,7 +125,7 @@ class ModelErrors:
         gain = float(np.hypot(gain, assumed))
         strain = float(np.hypot(touch / self.thickness, _STRAIN))
         n = len(self.levels)
-        none = np.zeros((n, len(self.book.windows.depths)))
+        none = np.zeros((n, len(self.simulations.windows.depths)))
         return [
             ModelError("model: depth at first touch", np.zeros(n), none, depth=touch),
             ModelError("model: strain by the thickness", np.zeros(n), none, strain=strain),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from limbcli.effects import effect
-from limbcli.stages.diagnosis.forward_model.slots import Slot, on_bounds, stuck
+from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot, on_bounds, stuck
 
 CASES = [
     ("nonlinearity", {"weight_q": 0.0, "second_pair_share": 0.0}, ""),  # a law with one of its two terms

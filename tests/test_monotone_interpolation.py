@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator
 
-from limbcli.monotone import Monotone, columns_through
+from limbcli.monotone_interpolation import Monotone, columns_through
 
 
 @pytest.mark.parametrize("shape", [(7,), (7, 3), (2,), (3, 2)])

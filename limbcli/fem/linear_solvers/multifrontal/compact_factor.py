@@ -21,7 +21,7 @@ PAD = 3 * TILE  # space beyond the rows of a front
 _MOST = 32767.0
 
 
-class Kept(NamedTuple):
+class CompactFactor(NamedTuple):
     """parts : below the diagonal; scales : of each pivot column; inverses, transposed : of the triangles"""
 
     parts: NDArray[Any]
@@ -34,11 +34,11 @@ class Kept(NamedTuple):
         return sum(each.nbytes for each in self)
 
 
-def make_kept(n: int, n_tiles: int, size: int, kind: Any) -> Kept:
+def make_kept(n: int, n_tiles: int, size: int, kind: Any) -> CompactFactor:
     """Workspace for a factor of n pivots; `kind` is that of its panels."""
     part = np.int16 if kind is np.float32 else kind
     tiles = np.empty((2, n_tiles * TILE * TILE), dtype=kind)
-    return Kept(np.empty(size, dtype=part), np.zeros(n + TILE, dtype=kind), tiles[0], tiles[1])
+    return CompactFactor(np.empty(size, dtype=part), np.zeros(n + TILE, dtype=kind), tiles[0], tiles[1])
 
 
 def sizes(p: IntArray, m: IntArray) -> tuple[IntArray, IntArray]:

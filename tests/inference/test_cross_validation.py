@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from limbcli.inference.left_out import (
+from limbcli.inference.cross_validation import (
     FOLDS,
     mean_interval,
     percent_off,

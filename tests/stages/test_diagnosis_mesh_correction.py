@@ -15,10 +15,10 @@ from limbcli.progress import SILENT
 from limbcli.results import open_stage
 from limbcli.stages.build_feb import TissueOptions, build_feb
 from limbcli.stages.diagnosis import written_model as written
-from limbcli.stages.diagnosis.curves.curve_book import CurveBook
 from limbcli.stages.diagnosis.curves.curve_plan import Solving
-from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import Tie, own_curves, own_run
-from limbcli.stages.diagnosis.mesh_doubt.mesh_ties import Tying
+from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
+from limbcli.stages.diagnosis.mesh_error.mesh_comparison import MeshComparison
+from limbcli.stages.diagnosis.mesh_error.mesh_correction import MeshCorrection, own_curves, own_run
 from limbcli.stages.diagnosis.prepare import Notes
 from limbcli.stages.run import run
 from limbcli.stages.site_model.site_layers import LayerLaw, with_layer_laws
@@ -38,9 +38,9 @@ def ran(tmp_path_factory):
     return case, root / "out"
 
 
-def _book(folder: Path, **counts) -> CurveBook:
+def _simulations(folder: Path, **counts) -> SiteSimulations:
     model = block.block_model("tet4", **counts)
-    return CurveBook(model, [0.45, *DEPTHS], c=C, keep=folder, solving=Solving(1e-6, threads=1))
+    return SiteSimulations(model, [0.45, *DEPTHS], c=C, keep=folder, solving=Solving(1e-6, threads=1))
 
 
 def test_run_is_scaled_to_the_reference_stiffness(ran):
@@ -66,10 +66,10 @@ def test_run_with_other_start_values_ties_nothing(ran, tmp_path):
 
 
 def test_the_same_mesh_solved_again_is_the_same(tmp_path):
-    book = _book(tmp_path)
-    again = own_curves(block.block_model("tet4"), book, [5.0], size_ratio=1.0)[5.0]
-    working = book.curves(5.0)
-    book.close()
+    simulations = _simulations(tmp_path)
+    again = own_curves(block.block_model("tet4"), simulations, [5.0], size_ratio=1.0)[5.0]
+    working = simulations.curves(5.0)
+    simulations.close()
     at = np.searchsorted(working.depth, again.depth - 1e-6)
     assert len(at) == 3
     assert again.force == pytest.approx(working.force[at], rel=1e-3)
@@ -77,25 +77,25 @@ def test_the_same_mesh_solved_again_is_the_same(tmp_path):
 
 def test_a_penalty_in_proportion_to_the_edges_gives_meshes_the_same_contact(tmp_path):
     """The working mesh of twice the edges: with the same penalty its probe would sink in twice as far."""
-    book = _book(tmp_path, counts=(6, 4, 2))
+    simulations = _simulations(tmp_path, counts=(6, 4, 2))
     fine = block.block_model("tet4", counts=(12, 8, 4))
-    asked = book.model.contacts[0].penalty
+    asked = simulations.model.contacts[0].penalty
     models = []
     for ratio in (0.5, 1.0):
-        own = own_curves(fine, book, [2.0], size_ratio=ratio)[2.0]
-        working = book.curves(2.0)
+        own = own_curves(fine, simulations, [2.0], size_ratio=ratio)[2.0]
+        working = simulations.curves(2.0)
         models.append(own.force[-1] / np.interp(own.depth[-1], working.depth, working.force))
-    book.close()
+    simulations.close()
     assert asked == 80.0
     assert models[1] > 1.02 * models[0]
 
 
 def test_a_solve_on_the_own_mesh_that_takes_too_much_is_stopped(tmp_path, monkeypatch):
-    monkeypatch.setattr("limbcli.stages.diagnosis.mesh_doubt.mesh_ratio._LEAST_WORK", 1.0)
-    book = _book(tmp_path)
+    monkeypatch.setattr("limbcli.stages.diagnosis.mesh_error.mesh_correction._LEAST_WORK", 1.0)
+    simulations = _simulations(tmp_path)
     with pytest.raises(SolveError, match="several times the work"):
-        own_curves(block.block_model("tet4"), book, [5.0], size_ratio=1.0)[5.0]
-    book.close()
+        own_curves(block.block_model("tet4"), simulations, [5.0], size_ratio=1.0)[5.0]
+    simulations.close()
 
 
 def test_a_layer_beside_the_tissue_is_no_error_of_a_mesh(ran, tmp_path):
@@ -107,14 +107,14 @@ def test_a_layer_beside_the_tissue_is_no_error_of_a_mesh(ran, tmp_path):
         writer.data.update(element="tet10", size_under_probe_mm=5.0, layers={"fat_mm": 5.3})
         soft = with_layer_laws(layered_block(), {"fat": LayerLaw()})
         save_model(soft, writer.file("model", "model.npz"))
-    notes, book = Notes(), _book(tmp_path)
-    tying = Tying(
-        site, DEPTHS, book, out=layered, size=5.0, several=[4.0], notes=notes, progress=SILENT
+    notes, simulations = Notes(), _simulations(tmp_path)
+    comparison = MeshComparison(
+        site, DEPTHS, simulations, out=layered, size=5.0, several=[4.0], notes=notes, progress=SILENT
     )  # fmt: skip
-    tie = tying.tie(freed={})
-    book.close()
-    assert not tie.log_force.any()
-    assert tie.mesh_error.max() < 0.2
+    correction = comparison.correction(freed={})
+    simulations.close()
+    assert not correction.log_force.any()
+    assert correction.mesh_error.max() < 0.2
     assert "has layers (fat) beside the tissue" in notes.warnings[0]
     with pytest.raises(CaseError, match="has fat beside the tissue"):
         own_run(site, layered, c=C)
@@ -123,39 +123,41 @@ def test_a_layer_beside_the_tissue_is_no_error_of_a_mesh(ran, tmp_path):
     assert "no .feb was written: the site's mesh has fat" in told.warnings[0]
 
 
-def _tie(several: list[float], force: list[float], speed: list[float]) -> Tie:
+def _correction(several: list[float], force: list[float], speed: list[float]) -> MeshCorrection:
     """Of two depths and one part; the same at both depths."""
-    return Tie(
+    return MeshCorrection(
         np.array(several), np.repeat(np.array(force)[:, None], 2, axis=1),
         np.repeat(np.array(speed)[:, None, None], 2, axis=1), 1.0, np.zeros(1), np.zeros(1),
     )  # fmt: skip
 
 
 def test_tie_is_what_was_found_at_its_m_and_even_in_between():
-    tie = _tie([4.0, 8.0], [-0.02, -0.06], [0.01, 0.05])
-    assert tie.at(4.0) == pytest.approx(np.array([[-0.02, 0.01]] * 2), abs=1e-15)
-    assert tie.at(8.0) == pytest.approx(np.array([[-0.06, 0.05]] * 2), abs=1e-15)
+    correction = _correction([4.0, 8.0], [-0.02, -0.06], [0.01, 0.05])
+    assert correction.at(4.0) == pytest.approx(np.array([[-0.02, 0.01]] * 2), abs=1e-15)
+    assert correction.at(8.0) == pytest.approx(np.array([[-0.06, 0.05]] * 2), abs=1e-15)
     middle = (0.25 * (np.hypot(8.0, 4.0) + np.hypot(8.0, 8.0)) ** 2 - 8.0**2) ** 0.5  # half-way in `bend`
-    assert tie.at(float(middle)) == pytest.approx(np.array([[-0.04, 0.03]] * 2), abs=1e-12)
+    assert correction.at(float(middle)) == pytest.approx(np.array([[-0.04, 0.03]] * 2), abs=1e-12)
 
 
 @pytest.mark.parametrize(("m", "further", "end"), [(2.5, 1.5, 4.0), (15.0, 18.0, 8.0)])
 def test_tie_is_hardly_extended_beyond_its_m_and_has_no_corner_there(m, further, end):
-    tie = _tie([4.0, 8.0], [-0.02, -0.06], [0.01, 0.05])
-    assert np.array_equal(tie.at(m), tie.at(further))
-    assert np.abs(tie.at(m) - tie.at(end)).max() <= 0.1 * 0.04 + 1e-12
-    slopes = [(tie.at(end + h) - tie.at(end + h - 1e-4)) / 1e-4 for h in (0.0, 1e-4)]
+    correction = _correction([4.0, 8.0], [-0.02, -0.06], [0.01, 0.05])
+    assert np.array_equal(correction.at(m), correction.at(further))
+    assert np.abs(correction.at(m) - correction.at(end)).max() <= 0.1 * 0.04 + 1e-12
+    slopes = [(correction.at(end + h) - correction.at(end + h - 1e-4)) / 1e-4 for h in (0.0, 1e-4)]
     assert slopes[0] == pytest.approx(slopes[1], rel=1e-2)
-    assert np.array_equal(_tie([4.0], [-0.02], [0.01]).at(m), _tie([4.0], [-0.02], [0.01]).at(4.0))
+    assert np.array_equal(
+        _correction([4.0], [-0.02], [0.01]).at(m), _correction([4.0], [-0.02], [0.01]).at(4.0)
+    )
 
 
 def test_several_m_on_the_own_mesh_are_each_its_own(tmp_path):
-    book = _book(tmp_path)
-    found = own_curves(block.block_model("tet4"), book, [5.0, 3.0], size_ratio=1.0)
+    simulations = _simulations(tmp_path)
+    found = own_curves(block.block_model("tet4"), simulations, [5.0, 3.0], size_ratio=1.0)
     for m, own in found.items():
-        working = book.curves(m)
+        working = simulations.curves(m)
         at = np.searchsorted(working.depth, own.depth - 1e-6)
         assert own.force == pytest.approx(working.force[at], rel=1e-3)
-    book.close()
+    simulations.close()
     assert list(found) == [5.0, 3.0]
     assert found[5.0].force[-1] > found[3.0].force[-1]

@@ -25,11 +25,11 @@ from limbcli.errors import LimbError, SolveError
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, LimbModel
 from limbcli.progress import Progress
-from limbcli.stages.diagnosis.curves.curve_book import FIRST_M, CurveBook
 from limbcli.stages.diagnosis.curves.penetration import LEFT_ERROR, Penetration, penetration
+from limbcli.stages.diagnosis.curves.site_simulations import FIRST_M, SiteSimulations
 from limbcli.stages.diagnosis.data.noise import FEWEST_SMOOTH, SmoothDepth, readings
-from limbcli.stages.diagnosis.mesh_doubt.mesh_ratio import START_M, OwnRun, Tie, own_run
-from limbcli.stages.diagnosis.mesh_doubt.mesh_ties import Tells, Tying, at_depths
+from limbcli.stages.diagnosis.mesh_error.mesh_comparison import MeshComparison, ResultNotes, at_depths
+from limbcli.stages.diagnosis.mesh_error.mesh_correction import START_M, MeshCorrection, SiteMeshRun, own_run
 
 USUAL_C = 0.006  # MPa; force and modulus are proportional to it, so that any would do
 _THICKNESS_LEFT = 0.8  # of what 5 % more tissue change: surfaces and posture leave 4 %
@@ -72,34 +72,34 @@ class Intervention:
     facts: dict[str, Any] = field(default_factory=dict)
 
 
-class Numerics:
-    """The numerical checks of one site on one book of curves."""
+class NumericalChecks:
+    """The numerical checks of one site on its simulations."""
 
     def __init__(
-        self, case: Case, site: Site, levels: Levels, book: CurveBook, *, out: Path, size: float,
-        notes: Tells, progress: Progress,
+        self, case: Case, site: Site, levels: Levels, simulations: SiteSimulations, *, out: Path, size: float,
+        notes: ResultNotes, progress: Progress,
     ):  # fmt: skip
-        self.case, self.site, self.levels, self.book = case, site, levels, book
+        self.case, self.site, self.levels, self.simulations = case, site, levels, simulations
         self.out, self.size, self.notes, self.progress = out, size, notes, progress
         self.depth = smooth_depth(levels)
         self.penetration: Penetration | None = (
             None  # of the contact that the curves have; known after interventions
         )
 
-    def tie(self, *, solves: bool = True) -> Tie:
+    def correction(self, *, solves: bool = True) -> MeshCorrection:
         """To the site's own mesh, and a limb that is not cut; `solves`: by simulations."""
-        several, freed = self._tied_at(), {}
+        several, freed = self._compared_at(), {}
         if solves:
             crop = effect("crop")
             for m in several:
                 with contextlib.suppress(SolveError):  # told where it is tried as an intervention
-                    freed[m] = self.book.curves(m, ((crop, crop.start),))
-        return Tying(
-            self.site, self.depth, self.book, out=self.out, size=self.size, several=several,
+                    freed[m] = self.simulations.curves(m, ((crop, crop.start),))
+        return MeshComparison(
+            self.site, self.depth, self.simulations, out=self.out, size=self.size, several=several,
             notes=self.notes, progress=self.progress,
-        ).tie(solves=solves, freed=freed)  # fmt: skip
+        ).correction(solves=solves, freed=freed)  # fmt: skip
 
-    def _tied_at(self) -> list[float]:
+    def _compared_at(self) -> list[float]:
         """The likely m first; with maps, whose difference between meshes grows with m, another one too."""
         likely = self.likely_m
         if self.site.swe_maps is None:
@@ -108,7 +108,7 @@ class Numerics:
 
     def _is_solved(self, m: float) -> bool:
         try:
-            self.book.curves(m)
+            self.simulations.curves(m)
         except SolveError:
             return False
         return True
@@ -116,8 +116,8 @@ class Numerics:
     def _at_levels(self, curves: Curves, table: Array) -> Array:
         return at_depths(self.depth, curves, table)
 
-    def _own_run(self) -> OwnRun:
-        return own_run(self.site, self.out, c=self.book.c)
+    def _own_run(self) -> SiteMeshRun:
+        return own_run(self.site, self.out, c=self.simulations.c)
 
     # ------------------------------------------------------------ interventions
 
@@ -136,12 +136,12 @@ class Numerics:
     def likely_m(self) -> float:
         """The m whose depths at the measured forces, for any c, are nearest to the measured ones, of those
         solved first."""
-        scatter = depth_scatter(self.book, self.levels)
+        scatter = depth_scatter(self.simulations, self.levels)
         return min(scatter, key=lambda m: scatter[m]) if scatter else START_M
 
     def _intervene(self, numerical: Effect, m: float) -> Intervention:
-        plain_curves = self.book.curves(m)
-        changed = self.book.curves(m, ((numerical, numerical.start),))
+        plain_curves = self.simulations.curves(m)
+        changed = self.simulations.curves(m, ((numerical, numerical.start),))
         judged = self._judged(numerical.name, plain_curves, changed, numerical.sentence)
         if numerical.name == "contact":
             self.penetration = penetration(plain_curves, changed)
@@ -164,7 +164,7 @@ class Numerics:
             return []
         if own.element != "tet4":
             return []
-        working = self.book.curves(START_M)
+        working = self.simulations.curves(START_M)
         nothing = np.zeros((len(own.depth) + 1, 0))
         theirs = Curves(np.r_[0.0, own.depth], np.r_[0.0, own.force], nothing, np.zeros(0))
         linear = replace(working, force=np.r_[0.0, np.exp(log_force_at(theirs, working.depth[1:]))])
@@ -206,7 +206,7 @@ def too_doubtful(interventions: Sequence[Intervention]) -> str | None:
     )
 
 
-def depth_scatter(book: CurveBook, levels: Levels) -> dict[float, float]:
+def depth_scatter(simulations: SiteSimulations, levels: Levels) -> dict[float, float]:
     """By m, of those solved first: mean square (mm2) of measured depths less those at the measured forces,
     for the best c. Empty where fewer than two levels have force and depth, or nothing is solved."""
     force, depth = levels.force, levels.depth
@@ -216,7 +216,7 @@ def depth_scatter(book: CurveBook, levels: Levels) -> dict[float, float]:
         return found
     for m in FIRST_M:
         try:
-            curves = book.curves(m)
+            curves = simulations.curves(m)
         except SolveError:
             continue
         off = [depth[rising] - depth_at(curves, force[rising] / times) for times in _STIFFNESSES]

@@ -19,7 +19,7 @@ import numpy as np
 
 from limbcli.effects.base import applied
 from limbcli.effects.curves import Curves, continued
-from limbcli.effects.frozen import SolvedDeformation, frozen_force, frozen_speed
+from limbcli.effects.frozen_deformation import SolvedDeformation, frozen_force, frozen_speed
 from limbcli.errors import SolveError
 from limbcli.feb.settings import schedule
 from limbcli.model import Array, LimbModel
@@ -27,18 +27,18 @@ from limbcli.progress import SILENT, Progress
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.diagnosis.curves.curve_plan import LevelsAt, Reach, Solving
 from limbcli.stages.diagnosis.curves.exponents import bend
-from limbcli.stages.diagnosis.curves.ingredients import (
+from limbcli.stages.diagnosis.curves.keys import READING_OF_FIELDS, changed_to, fingerprint
+from limbcli.stages.diagnosis.curves.model_simplification import fewer_steps, softer_jumps
+from limbcli.stages.diagnosis.curves.node_table import FILE, NodeTable
+from limbcli.stages.diagnosis.curves.simulated_effects import (
     Ingredients,
     fields,
     has_fitted_size,
     is_numerical,
     is_of_law_alone,
 )
-from limbcli.stages.diagnosis.curves.keys import READING_OF_FIELDS, changed_to, fingerprint
-from limbcli.stages.diagnosis.curves.lighter_models import fewer_steps, softer_jumps
-from limbcli.stages.diagnosis.curves.node_table import FILE, NodeTable
 from limbcli.stages.diagnosis.curves.store import CurveStore
-from limbcli.stages.diagnosis.curves.work import Work
+from limbcli.stages.diagnosis.curves.work_budget import Work
 from limbcli.stages.diagnosis.data.layers import BorderLines
 from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.stages.fitting.force_curves import with_tissue
@@ -73,7 +73,7 @@ class _Plain:
     log_speed: Array
 
 
-class CurveBook:
+class SiteSimulations:
     """Curves of one site on one working mesh.
 
     Parameters

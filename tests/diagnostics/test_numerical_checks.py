@@ -9,11 +9,11 @@ import pytest
 
 from limbcli.effects.curves import Curves, continued, log_force_at
 from limbcli.measurement.indentation import Levels
-from limbcli.stages.diagnosis.curves.curve_book import FIRST_M
+from limbcli.stages.diagnosis.curves.site_simulations import FIRST_M
 from limbcli.stages.diagnosis.forward_model.changes import filled
-from limbcli.stages.diagnosis.mesh_doubt.interventions import (
+from limbcli.stages.diagnosis.mesh_error.numerical_checks import (
     Intervention,
-    Numerics,
+    NumericalChecks,
     measured_slope,
     too_doubtful,
 )
@@ -85,7 +85,9 @@ def test_numerical_checks_are_made_at_the_m_that_the_measured_force_follows():
         nan, one = np.full(n, np.nan), np.ones(n)
         force = 3.0 * depth ** (1.02 + 0.1 * m) * (1 + 0.02 * np.cos(9 * depth))
         levels = Levels(force, depth, nan, nan, nan, ("load",) * n, one, nan, nan, Path("x"))
-        numerics = Numerics(None, None, levels, Book(), out=Path(), size=5.0, notes=None, progress=None)
+        numerics = NumericalChecks(
+            None, None, levels, Book(), out=Path(), size=5.0, notes=None, progress=None
+        )
         assert numerics.likely_m == m
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TypeVar
 
 from limbcli.errors import LimbError
-from limbcli.faults import PARTIAL
-from limbcli.scratch import PREFIX
+from limbcli.os_errors import PARTIAL
+from limbcli.temporary_folders import PREFIX
 
 AnyError = TypeVar("AnyError", bound=LimbError)
 WITHOUT_OUT = ("check", "new", "doctor", "phantom")  # commands that have no --out

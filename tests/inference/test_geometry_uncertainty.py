@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from limbcli.inference.geometry_uncertainty import at_depths, shifts, whitened
 from limbcli.inference.residual import Residual
-from limbcli.inference.shape_doubt import at_depths, shifts, whitened
 
 
 def test_whitening_gives_the_likelihood_of_the_full_covariance(rng):

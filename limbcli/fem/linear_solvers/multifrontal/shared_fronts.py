@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from limbcli.fem.linear_solvers.multifrontal.compact_factor import CompactFactor, keep
 from limbcli.fem.linear_solvers.multifrontal.dense import (
     ALIGNED,
     NOT_FINITE,
@@ -15,16 +16,15 @@ from limbcli.fem.linear_solvers.multifrontal.dense import (
     reduce_block,
     solve_block,
 )
-from limbcli.fem.linear_solvers.multifrontal.kept import Kept, keep
+from limbcli.fem.linear_solvers.multifrontal.factor_memory import BLOCK, Store
 from limbcli.fem.linear_solvers.multifrontal.numeric import gather_panel, gather_update
-from limbcli.fem.linear_solvers.multifrontal.sharing import Crew
-from limbcli.fem.linear_solvers.multifrontal.store import BLOCK, Store
+from limbcli.fem.linear_solvers.multifrontal.sharing import ThreadTeam
 
 
 class Top:
     """Factors single fronts. All is cut in two, whatever the number of threads, so that the sums agree."""
 
-    def __init__(self, store: Store, crew: Crew):
+    def __init__(self, store: Store, crew: ThreadTeam):
         self.crew, self.store = crew, store
         self.blas, self.sign, self.tiny, self.work = store.blas, store.sign, store.tiny, store.work
         self.inverse = store.inverses[0]
@@ -89,7 +89,7 @@ class Top:
         edges = even_area(r, r)
         self.crew.run([partial(columns, a, b, w) for (a, b), w in zip(edges, self.work, strict=False)])
 
-    def keep(self, s: int, panel: Any, kept: Kept, *, alone: bool = False) -> None:
+    def keep(self, s: int, panel: Any, kept: CompactFactor, *, alone: bool = False) -> None:
         """The panel of front s, once factored, taken over; alone : as the only one of `kept`."""
         plan = self.store.plan
         first = int(plan.pivot_at[s])

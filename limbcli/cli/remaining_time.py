@@ -47,7 +47,7 @@ def seconds(value: float) -> str:
     return f"{-(-value // 360) / 10:.1f} h"
 
 
-class Quiet(Protocol):
+class SilenceMonitor(Protocol):
     """What a heartbeat asks: how long nothing was reported, and to tell that the work goes on."""
 
     def silent_s(self) -> float: ...
@@ -55,7 +55,7 @@ class Quiet(Protocol):
     def alive(self) -> None: ...
 
 
-def keep_alive(listener: Quiet, *, silence_s: float = SILENCE_S) -> None:
+def keep_alive(listener: SilenceMonitor, *, silence_s: float = SILENCE_S) -> None:
     """Have a listener told whenever it was silent for so long; ends with the listener."""
     reference = weakref.ref(listener)
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from limbcli import files
+from limbcli import atomic_files
+from limbcli.atomic_files import atomic_file, atomic_folder, atomic_set, clear_partial, sha256
 from limbcli.errors import MeshError
-from limbcli.files import atomic_file, atomic_folder, atomic_set, clear_partial, sha256
 from limbcli.results import open_stage, read_result
 
 
@@ -81,7 +81,7 @@ def test_a_set_is_replaced_once_all_of_it_is_written(tmp_path: Path):
 
 def test_what_tells_of_a_set_is_replaced_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     order = []
-    monkeypatch.setattr(files, "_put_in_place", lambda _, target: order.append(target.name))
+    monkeypatch.setattr(atomic_files, "_put_in_place", lambda _, target: order.append(target.name))
     written_set(tmp_path, "first")
     assert order == ["c.csv", "pictures", "b.json"]
 
@@ -109,7 +109,7 @@ def test_leftovers_of_a_killed_run_are_cleared_and_a_living_one_is_not(tmp_path:
 def test_what_another_computer_has_in_work_is_left_alone_for_a_day(tmp_path: Path):
     process = subprocess.Popen(["true"])
     process.wait()
-    names = {each: f".partial-{process.pid}@{each}-x" for each in ("elsewhere", files._computer())}
+    names = {each: f".partial-{process.pid}@{each}-x" for each in ("elsewhere", atomic_files._computer())}
     for name in names.values():
         (tmp_path / name).mkdir()
         (tmp_path / name / "a.txt").write_text("half")

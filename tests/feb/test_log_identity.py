@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from limbcli.errors import SolveError
+from limbcli.feb.log_identity import check_belongs, marked, read_echo
 from limbcli.feb.outline import read_outline
-from limbcli.feb.proof import check_belongs, marked, read_echo
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "feb"
 ECHO = """
