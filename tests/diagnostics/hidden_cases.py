@@ -118,7 +118,7 @@ class Case:
 
     def _true(self, axes: np.ndarray) -> dict:
         true = simulations(self.grid.true_cells, self.grid.true_depths, 12.0, axes, spread=1.03)
-        return {"c": self.c_kpa / 1e3, "m": self.m, "book": true}
+        return {"c": self.c_kpa / 1e3, "m": self.m, "simulations": true}
 
     def error(self, values: Mapping[str, float]) -> float:
         """|ln c error| + |ln m error|."""

@@ -78,7 +78,7 @@ def kinematics(
 
 @dataclass
 class ReducedBook:
-    """A book of curves out of the reduced model."""
+    """Simulations of a site by the reduced model."""
 
     model: LimbModel = field(default_factory=block_model)
     depth: np.ndarray = field(default_factory=lambda: np.linspace(0, 9, 7))

@@ -218,7 +218,7 @@ def skinned(counts):
     return replace(model, mesh=replace(model.mesh, surfaces=surfaces))
 
 
-def test_a_book_of_curves_follows_the_borders_and_keeps_them(layered_block, tmp_path):
+def test_simulated_curves_follow_the_borders_and_keeps_them(layered_block, tmp_path):
     layers = LayerReadings(("skin", "fat"), np.array([[1.0, 5.0]]), 0.1, False)
     fat = ((effect("adipose-layer"), {"fat_thickness_mm": 6.0, "log_fat_softness": 1.5}),)
     all_simulations = [

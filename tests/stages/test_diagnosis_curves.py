@@ -157,7 +157,7 @@ def test_a_diagnosis_taken_up_again_gives_the_very_same_numbers(block, tmp_path)
     asked = [(8.0, ()), (4.0, ()), (4.0, THICKER), (5.0, ()), (5.0, SOFTER[0.30]), (5.1, SOFTER[0.33])]
 
     def solved(folder, n_before: int):
-        """Curves and kept deformation by one book, or by two with a stop in between."""
+        """Curves and kept deformation by one set of simulations, or by two with a stop in between."""
         for some in (asked[:n_before], asked):
             simulations = SiteSimulations(block, DEPTHS, c=0.006, solving=ALONE, keep=folder)
             curves = [simulations.curves(m, ingredients) for m, ingredients in some]

@@ -15,7 +15,7 @@ CURVES = Curves(np.array([0.0, 6.0, 12.0]), np.array([0.0, 2.0, 8.0]), np.zeros(
 
 
 class Sinks:
-    """A probe that sinks in by as much as its penalty, of this book's, is short of 0.6."""
+    """A probe that sinks in by as much as its penalty, of this mesh's, is short of 0.6."""
 
     def taken(self, curves: Curves, force: np.ndarray, deep: float, *, penalty: float) -> float:
         assert deep == 12.0
@@ -24,7 +24,7 @@ class Sinks:
 
 @pytest.mark.parametrize(("edge", "takes"), [(2.5, "10 %"), (5.0, "35 %"), (2.1, None)])
 def test_a_contact_that_takes_of_the_force_is_told_by_its_own_mesh(monkeypatch, edge, takes):
-    """The site's penalty is 20 on edges of `edge`, the book's 80 on edges of 5 mm."""
+    """The site's penalty is 20 on edges of `edge`, the working mesh's 80 on edges of 5 mm."""
     monkeypatch.setattr(
         written, "read_result", lambda *a, **k: SimpleNamespace(data={"size_under_probe_mm": edge})
     )
