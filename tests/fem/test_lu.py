@@ -22,11 +22,11 @@ def matrix(n: int, kind: type = np.float64) -> np.ndarray:
 
 
 def factored(A: np.ndarray, threads: int = 2) -> Lu:
-    crew = ThreadTeam(threads)
-    found = Lu(len(A), A.dtype, addresses(A.dtype == np.float32), crew)
+    team = ThreadTeam(threads)
+    found = Lu(len(A), A.dtype, addresses(A.dtype == np.float32), team)
     found.matrix[:] = A
     found.factor()
-    crew.close()
+    team.close()
     return found
 
 

@@ -25,10 +25,10 @@ _PIECES = 3  # that what lies beyond the next panel is done in
 
 
 class Lu:
-    """n : equations; kind : of number; blas : of that kind, see `blas.addresses`; crew : who does the work"""
+    """n : equations; kind : of number; blas : of that kind, see `blas.addresses`; team : who does the work"""
 
-    def __init__(self, n: int, kind: Any, blas: IntArray, crew: ThreadTeam):
-        self.n, self.blas, self.crew = n, blas, crew
+    def __init__(self, n: int, kind: Any, blas: IntArray, team: ThreadTeam):
+        self.n, self.blas, self.team = n, blas, team
         self._flat = np.empty(n * n, dtype=kind)
         self._pivots = np.zeros(n, dtype=np.int32)
         self._getrs = lapack.get_lapack_funcs(("getrs",), dtype=kind)[0]
@@ -54,9 +54,9 @@ class Lu:
 
             cuts = np.linspace(j2, n, _PIECES + 1).astype(int).tolist()
             pieces = [partial(_behind, *where, j0, j1, a, b) for a, b in pairwise(cuts) if b > a]
-            self.crew.run([ahead, *pieces])
+            self.team.run([ahead, *pieces])
         panels = list(pairwise(edges))
-        self.crew.run([partial(_exchange_left, *where[1:], panels[half::2]) for half in range(2)])
+        self.team.run([partial(_exchange_left, *where[1:], panels[half::2]) for half in range(2)])
 
     def solve(self, rhs: Array, *, transposed: bool = False) -> Array:
         """x (n,) of A x = rhs, or of A^T x = rhs."""

@@ -38,7 +38,7 @@ class Root:
         n_tiles, size = (int(each[0]) for each in sizes(np.array([self.n]), np.array([self.n])))
         self._kept = make_kept(self.n, n_tiles, size, store.kind)
         self._made_up, self.is_factored = 0, True
-        self._lu = Lu(self.n if kept else 0, store.kind, store.blas, top.crew)
+        self._lu = Lu(self.n if kept else 0, store.kind, store.blas, top.team)
         self._is_unsymmetric = False
         self._room = np.zeros(self.n + PAD, dtype=store.kind), np.zeros(TILE, dtype=store.kind)
 
@@ -87,7 +87,7 @@ class Root:
         scaling = self.store.scaling[self.equations]
         full = self._lu.matrix.T
         middle = self.n - int(self.n / np.sqrt(2.0))  # half of the triangle's area on either side
-        self.top.crew.run(
+        self.top.team.run(
             [
                 partial(_mirrored, self._unfactored, self.ld, a, b, full)
                 for a, b in ((0, middle), (middle, self.n))

@@ -24,8 +24,8 @@ from limbcli.fem.linear_solvers.multifrontal.sharing import ThreadTeam
 class Top:
     """Factors single fronts. All is cut in two, whatever the number of threads, so that the sums agree."""
 
-    def __init__(self, store: Store, crew: ThreadTeam):
-        self.crew, self.store = crew, store
+    def __init__(self, store: Store, team: ThreadTeam):
+        self.team, self.store = team, store
         self.blas, self.sign, self.tiny, self.work = store.blas, store.sign, store.tiny, store.work
         self.inverse = store.inverses[0]
 
@@ -35,7 +35,7 @@ class Top:
         p = int(plan.pivot_at[s + 1] - plan.pivot_at[s])
         r = int(plan.rows_at[s + 1] - plan.rows_at[s])
         edges = even_area(p, p + r)
-        self.crew.run(
+        self.team.run(
             [partial(gather_panel, plan, s, a, b, store.values, panel, store.updates) for a, b in edges]
         )
 
@@ -59,12 +59,12 @@ class Top:
                 reduce_block(blas, panel, 0, ld, j0, j1, cut, m, sign, first, work[1])
                 return 0
 
-            found = self.crew.run([head, tail])[0] if j0 else head()
+            found = self.team.run([head, tail])[0] if j0 else head()
             if found < 0:
                 return NOT_FINITE
             made_up += found
             cut = min(_aligned((j1 + m) // 2), m)
-            self.crew.run(
+            self.team.run(
                 [
                     partial(solve_block, blas, panel, 0, ld, j0, j1, a, b, sign, first, inverse, w)
                     for a, b, w in ((j1, cut, work[0]), (cut, m, work[1]))
@@ -87,7 +87,7 @@ class Top:
             gather_update(plan, s, a, b, updates)
 
         edges = even_area(r, r)
-        self.crew.run([partial(columns, a, b, w) for (a, b), w in zip(edges, self.work, strict=False)])
+        self.team.run([partial(columns, a, b, w) for (a, b), w in zip(edges, self.work, strict=False)])
 
     def keep(self, s: int, panel: Any, kept: CompactFactor, *, alone: bool = False) -> None:
         """The panel of front s, once factored, taken over; alone : as the only one of `kept`."""
@@ -97,7 +97,7 @@ class Top:
         m = p + int(plan.rows_at[s + 1] - plan.rows_at[s])
         where = (0, 0, 0) if alone else (int(plan.tile_at[s]), int(plan.part_at[s]), first)
         run = partial(keep, kept, *where, panel, 0, int(plan.ld[s]), p, m)
-        self.crew.run([partial(run, half) for half in range(2)])
+        self.team.run([partial(run, half) for half in range(2)])
 
 
 def even_area(p: int, m: int) -> list[tuple[int, int]]:

@@ -51,11 +51,11 @@ class Multifrontal:
         self._indptr, self._indices = (np.ascontiguousarray(a, dtype=np.int64) for a in (indptr, indices))
         self.layout = _layout(self._indptr, self._indices, last, metis)
         self._store = Store(self.layout, self.n, len(indices), single)
-        self._crew = ThreadTeam(min(threads, 2))
+        self._team = ThreadTeam(min(threads, 2))
         self._blas_threads = ThreadpoolController().select(user_api="blas")
-        self._top = Top(self._store, self._crew)
+        self._top = Top(self._store, self._team)
         self._root = Root(self._store, self._top, self.layout.order, kept=last is not None)
-        self._substitution = Substitution(self.layout, self._store, self._crew)
+        self._substitution = Substitution(self.layout, self._store, self._team)
         self._made_up = 0
         self.n_factorisations = self.n_solves = 0
         self.seconds = time.perf_counter() - started
@@ -79,11 +79,11 @@ class Multifrontal:
         middle = int(np.searchsorted(self._indptr, len(self._indices) // 2))
         halves = [(a, b) for a, b in ((0, middle), (middle, self.n)) if b > a]
         scaling = np.empty(self.n)
-        self._crew.run([partial(numeric.scales, *matrix, a, b, scaling) for a, b in halves])
+        self._team.run([partial(numeric.scales, *matrix, a, b, scaling) for a, b in halves])
         if not scaling.all():
             numeric.scales_of_others(*matrix, scaling)
         store.scaling = scaling
-        self._crew.run([partial(numeric.scale, *matrix, scaling, a, b, store.values) for a, b in halves])
+        self._team.run([partial(numeric.scale, *matrix, scaling, a, b, store.values) for a, b in halves])
 
     def _factor_subtrees(self) -> int:
         store = self._store
@@ -98,7 +98,7 @@ class Multifrontal:
             workspaces.append(workspace)
             return int(made_up)
 
-        found = self._crew.run([partial(run, a, b) for a, b in self.layout.factoring.subtrees])
+        found = self._team.run([partial(run, a, b) for a, b in self.layout.factoring.subtrees])
         if min(found, default=0) < 0:
             raise singular("an entry is not finite")
         return sum(found)
@@ -189,7 +189,7 @@ class Multifrontal:
         return len(self._store.kept.parts) + len(self._root.panel)
 
     def close(self) -> None:
-        self._crew.close()
+        self._team.close()
 
 
 def _layout(indptr: IntArray, indices: IntArray, last: IntArray | None, metis: bool) -> Layout:

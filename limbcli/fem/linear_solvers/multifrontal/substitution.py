@@ -18,8 +18,8 @@ from limbcli.fem.linear_solvers.multifrontal.tiles import TILE
 class Substitution:
     """Each of two threads adds what its subtrees pass on to a vector of its own."""
 
-    def __init__(self, layout: Layout, store: Store, crew: ThreadTeam):
-        self.store, self.crew, self.layout = store, crew, layout
+    def __init__(self, layout: Layout, store: Store, team: ThreadTeam):
+        self.store, self.team, self.layout = store, team, layout
         shares = layout.solving
         self._mine = [
             [each for each, k in zip(shares.subtrees, shares.owner, strict=True) if k == thread]
@@ -51,14 +51,14 @@ class Substitution:
         other[self._of_second] = w[self._of_second]
         w[self._of_second] = 0
         tasks = [partial(self._forward, self._mine[k], each, k) for k, each in enumerate((w, other))]
-        self.crew.run(tasks)
+        self.team.run(tasks)
         w += other
         self._forward(self._top, w, 0)
 
     def backward(self, w: Any) -> None:
         """All fronts but the root's, whose part of w is known."""
         self._backward(self._top[::-1], w, 0)
-        self.crew.run([partial(self._backward, self._mine[k], w, k) for k in range(2)])
+        self.team.run([partial(self._backward, self._mine[k], w, k) for k in range(2)])
 
     def _forward(self, ranges: list[tuple[int, int]], w: Any, thread: int) -> None:
         store, workspace = self.store, self._workspaces[thread]
