@@ -14,7 +14,6 @@ import pytest
 
 from limbcli.case import Case, Imaging, ModelOptions, Probe, Site, StatedNoise
 from limbcli.errors import CaseError
-from limbcli.imaging.dicom import read_series
 from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
 from limbcli.phantom.dicom_series import write_series
 from limbcli.phantom.mri import acquire, tissue_fractions
@@ -71,16 +70,20 @@ def test_a_series_leaves_labels_surfaces_markers_and_a_sheet(segmented):
     assert result.path("contact_sheet").read_bytes().startswith(b"\x89PNG")
 
 
-def test_of_two_limbs_in_view_the_cases_own_is_taken(series, tmp_path):
-    image = read_series(series).volume
-    both = np.concatenate([image.values[::-1], image.values], axis=0)
-    to_ras = np.diag([-1.0, -1.0, 1.0, 1.0])
-    nib.save(nib.Nifti1Image(both, to_ras @ image.affine), tmp_path / "both.nii.gz")
-    case = replace(case_with(tmp_path, mri=tmp_path / "both.nii.gz"), limb="right")
-    result = segment(case, out=tmp_path / "out")
-    assert any("the patient's right one was taken" in each for each in result.warnings)
-    middle = image.to_patient(np.array([[len(image.values) - 0.5, *np.array(image.shape[1:]) / 2]]))[0]
-    assert read_surface(result.path("skin")).points[:, 0].mean() < middle[0]  # LPS: +x is the left
+@pytest.mark.parametrize(("asked", "side"), [(None, "right"), ("left", "left")])
+def test_of_two_limbs_in_view_the_cases_own_is_wanted_unless_another_is_asked_for(
+    series, tmp_path, monkeypatch, asked, side
+):
+    wanted = []
+
+    def told(volume, *, modality, wishes, progress):
+        wanted.append(wishes.side)
+        raise CaseError("enough", where="here", fix="none")
+
+    monkeypatch.setattr("limbcli.stages.segment.segment_limb", told)
+    with pytest.raises(CaseError, match="enough"):
+        segment(replace(case_with(tmp_path, mri=series), limb="right"), out=tmp_path / "out", limb=asked)
+    assert wanted == [side]
 
 
 def test_every_surface_is_closed_and_turned_outward(segmented):
