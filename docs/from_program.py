@@ -8,8 +8,8 @@ from pathlib import Path
 import typer
 from typer.cli import get_docs_for_click
 
-from limbcli import case_schema as schema
-from limbcli.case_imaging import SHAPE
+from limbcli.case import schema as schema
+from limbcli.case.imaging import SHAPE
 from limbcli.cli.app import COMMANDS, app
 from limbcli.effects import EFFECTS
 from limbcli.materials.laws import LAWS, WRAPPERS

@@ -64,10 +64,10 @@ if TYPE_CHECKING:
     from limbcli.errors import MeshError as MeshError
     from limbcli.errors import SolveError as SolveError
     from limbcli.errors import ToolError as ToolError
+    from limbcli.errors.problems import Problem as Problem
     from limbcli.feb.read import read_feb as read_feb
     from limbcli.feb.write import write_feb as write_feb
     from limbcli.model import LimbModel as LimbModel
-    from limbcli.problems import Problem as Problem
     from limbcli.progress import Progress as Progress
     from limbcli.solvers.base import Simulation as Simulation
     from limbcli.solvers.session import MustPoints as MustPoints
@@ -89,10 +89,10 @@ _PUBLIC = {
     "errors": (
         "CaseError", "FitError", "LimbcliError", "MeasurementError", "MeshError", "SolveError", "ToolError",
     ),
+    "errors.problems": ("Problem",),
     "feb.read": ("read_feb",),
     "feb.write": ("write_feb",),
     "model": ("LimbModel",),
-    "problems": ("Problem",),
     "progress": ("Progress",),
     "solvers.base": ("Simulation",),
     "solvers.session": ("MustPoints", "ReferenceSession", "SessionResult"),

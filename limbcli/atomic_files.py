@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from limbcli.os_errors import PARTIAL, file_system_errors
+from limbcli.errors.file_system import PARTIAL, file_system_errors
 
 _OLD = "-old-"
 _TOKEN_BYTES = 6  # of a new name: no two are alike

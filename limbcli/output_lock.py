@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TextIO
 
 from limbcli.errors import CaseError
-from limbcli.os_errors import file_system_errors, in_utf8, in_words, not_in_utf8
+from limbcli.errors.file_system import file_system_errors, in_utf8, in_words, not_in_utf8
 from limbcli.progress import SILENT, Progress
 
 LOCK = ".writing"

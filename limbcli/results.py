@@ -22,7 +22,7 @@ import numpy as np
 
 from limbcli.atomic_files import atomic_folder, sha256
 from limbcli.errors import CaseError, LimbError, tell_site
-from limbcli.os_errors import in_utf8
+from limbcli.errors.file_system import in_utf8
 from limbcli.version import __version__
 
 FORMAT = 1

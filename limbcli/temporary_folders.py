@@ -14,7 +14,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from limbcli.os_errors import SCRATCH
+from limbcli.errors.file_system import SCRATCH
 
 PREFIX = SCRATCH
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT)

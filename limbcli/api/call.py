@@ -14,7 +14,7 @@ from typing import ParamSpec, TypeAlias, TypeVar
 from limbcli.case import Case
 from limbcli.config import at_home, default_out
 from limbcli.errors import CaseError
-from limbcli.os_errors import NO_MEMORY, in_words
+from limbcli.errors.file_system import NO_MEMORY, in_words
 from limbcli.output_lock import one_writer
 from limbcli.progress import SILENT, Listener, Progress
 from limbcli.results import CALLED

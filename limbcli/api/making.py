@@ -126,7 +126,7 @@ def synth(
         "synth", contact_penalty=contact_penalty, unloaded_stretch_along=unloaded_stretch_along,
         unloaded_stretch_around=unloaded_stretch_around,
     )  # fmt: skip
-    from limbcli.case_parts import Stretch
+    from limbcli.case.parts import Stretch
     from limbcli.stages import synth as stage
     from limbcli.stages.simulated_subjects.hidden_effects import hide
     from limbcli.stages.simulated_subjects.known_stretches import known_stretches

@@ -21,7 +21,7 @@ from limbcli.api.call import (
 )
 from limbcli.api.tables import Tabular, plain_rows, read_columns
 from limbcli.case import Case
-from limbcli.problems import Problem
+from limbcli.errors.problems import Problem
 from limbcli.results import StageResult
 
 

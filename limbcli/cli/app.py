@@ -20,7 +20,7 @@ from limbcli.cli.fixes import for_command_line
 from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
 from limbcli.config import at_home
 from limbcli.errors import CaseError, LimbError
-from limbcli.os_errors import NO_MEMORY, in_words
+from limbcli.errors.file_system import NO_MEMORY, in_words
 from limbcli.version import __version__
 
 app = typer.Typer(

@@ -10,7 +10,7 @@ from limbcli.cli.terminal import emit_json, terminal
 
 def command(case: CaseArg, json: JsonOpt = False, quiet: QuietOpt = False, verbose: VerboseOpt = 0) -> None:
     """Validate a case folder: files, units, ranges, missing pieces; lists every problem."""
-    from limbcli.error_commands import pasted_text
+    from limbcli.errors.commands import pasted_text
     from limbcli.stages.check import check
 
     result = check(case, progress=terminal(quiet=quiet, verbose=verbose))

@@ -37,7 +37,7 @@ def main() -> None:
 def _caught(error: Exception) -> int:
     """Tell what nobody foresaw; returns the exit code."""
     from limbcli.cli.named_output import output_folder
-    from limbcli.unexpected_errors import unforeseen
+    from limbcli.errors.unexpected import unforeseen
 
     shown = unforeseen(error, output_folder(sys.argv[1:]))
     print(f"{type(shown).__name__}: {shown}", file=sys.stderr)

@@ -69,7 +69,7 @@ def command(
     from limbcli.case import Case
     from limbcli.config import default_out
     from limbcli.errors import CaseError
-    from limbcli.problems import raise_errors
+    from limbcli.errors.problems import raise_errors
     from limbcli.stages.segment import segment
     from limbcli.stages.segmenting.places import site_errors
 

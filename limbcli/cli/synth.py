@@ -74,7 +74,7 @@ def command(
 ) -> None:
     """Measurements with known parameters on the geometry of an existing case, as a new case."""
     from limbcli.case import Case
-    from limbcli.case_parts import Stretch
+    from limbcli.case.parts import Stretch
     from limbcli.config import default_out
     from limbcli.stages.simulated_subjects.known_stretches import known_stretches, parse_stretches
     from limbcli.stages.synth import synth

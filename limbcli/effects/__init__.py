@@ -35,7 +35,7 @@ from limbcli.effects import (
 )
 from limbcli.effects.base import Effect, Parameter
 from limbcli.errors import CaseError
-from limbcli.problems import suggestion
+from limbcli.errors.problems import suggestion
 
 EFFECTS: tuple[Effect, ...] = (
     locking.EFFECT,

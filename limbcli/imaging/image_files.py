@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from limbcli.case_schema import VOLUME_ENDINGS
+from limbcli.case.schema import VOLUME_ENDINGS
 from limbcli.errors import CaseError
 from limbcli.imaging.dicom import PIXEL_MM, STEP_MM, Series, read_series
 from limbcli.imaging.nifti import read_nifti

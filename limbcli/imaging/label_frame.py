@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from limbcli.errors.problems import Problem
 from limbcli.imaging.limbs import upright
 from limbcli.imaging.segmentation import BONE, FAT, SOFT_TISSUE
 from limbcli.imaging.signed_distance import filled_by_slice
 from limbcli.imaging.skin_segmentation import background_threshold
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
-from limbcli.problems import Problem
 
 _SAME = 0.5  # of a voxel: corners this near are the same grid
 _AGREE = (0.9, 0.75)  # Dice overlap of limb and bright image, slice by slice: unusual, impossible

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from limbcli.errors.problems import Problem
 from limbcli.measurement.cohort_table import (
     FACE,
     LAYERS,
@@ -25,7 +26,6 @@ from limbcli.measurement.cohort_table import (
 from limbcli.measurement.edge_noise import EdgeNoise, layer_noise
 from limbcli.measurement.tables import RawTable, problem
 from limbcli.model import Array
-from limbcli.problems import Problem
 
 Rows = NDArray[np.bool_]
 

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from limbcli.errors.problems import Problem, suggestion
 from limbcli.measurement.tables import RawTable, csv_rows, problem, read_table
 from limbcli.model import Array
-from limbcli.problems import Problem, suggestion
 
 LAYERS = ("skin", "fat", "muscle")
 # Other names under which the texts may stand.

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.errors import MeasurementError
+from limbcli.errors.problems import Problem, checked
 from limbcli.measurement.layer_checks import LayerNoise, check_layers
 from limbcli.measurement.level_checks import (
     check_columns,
@@ -27,7 +28,6 @@ from limbcli.measurement.level_checks import (
 from limbcli.measurement.levels import LAYERS, Levels
 from limbcli.measurement.tables import RawTable, read_table
 from limbcli.measurement.trace import TRACE_OPTIONAL, TRACE_REQUIRED, Trace, check_trace, read_trace
-from limbcli.problems import Problem, checked
 
 __all__ = [
     "OPTIONAL",

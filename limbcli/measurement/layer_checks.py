@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
+from limbcli.errors.problems import Problem
 from limbcli.measurement.levels import LAYERS, Levels
 from limbcli.measurement.tables import problem
 from limbcli.model import Array
-from limbcli.problems import Problem
 
 USUAL_DEVIATION = 0.2  # mm, of a thickness marked on a B-mode image; edges are marked within 0.1 to 0.2 mm
 _BEYOND_CHANCE = 4.0  # deviations: in fifty readings one in a thousand data sets is refused by chance

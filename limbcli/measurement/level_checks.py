@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
+from limbcli.errors.problems import Problem
 from limbcli.measurement.layer_checks import LayerNoise
 from limbcli.measurement.levels import FEWEST_LOADING, Levels
 from limbcli.measurement.tables import RawTable, problem
 from limbcli.model import Array
-from limbcli.problems import Problem
 from limbcli.units import mpa_from_pa
 
 # What a probe pressed on a calf by hand can give. Indentation of residual limbs: stiffness

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.errors import MeasurementError
+from limbcli.errors.problems import checked, suggestion
 from limbcli.measurement.tables import csv_rows
 from limbcli.measurement.trace import Trace
 from limbcli.model import Array
-from limbcli.problems import checked, suggestion
 from limbcli.units import FORCE_UNITS_IN_N, LENGTH_UNITS_IN_MM
 
 LVM_END_OF_HEADER = "***End_of_Header***"

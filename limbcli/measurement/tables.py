@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from limbcli.errors.problems import Problem, suggestion
 from limbcli.model import Array
-from limbcli.problems import Problem, suggestion
 
 _SHOWN_PER_FILE = 8
 # What a column's name ends in, the longer before what it ends in itself.

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.errors import MeasurementError
+from limbcli.errors.problems import Problem, checked
 from limbcli.measurement.level_checks import MAX_FORCE
 from limbcli.measurement.tables import problem, read_table
 from limbcli.model import Array
-from limbcli.problems import Problem, checked
 
 TRACE_REQUIRED = ("time_s", "force_n")
 TRACE_OPTIONAL = ("depth_mm", "probe_travel_mm", "accel_x_g", "accel_y_g", "accel_z_g")

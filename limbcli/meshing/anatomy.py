@@ -11,11 +11,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from limbcli.errors.problems import Problem
 from limbcli.meshing.distance import Heights
 from limbcli.meshing.mending import Plane, mend, principal_axis
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
-from limbcli.problems import Problem
 
 SKIN = "skin"
 _SKIN_CM3 = (100.0, 2.5e4)  # a child's stump, cut short; a whole thigh and leg

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from limbcli.errors.problems import Problem
 from limbcli.meshing.frame import nearest_skin_point
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
-from limbcli.problems import Problem
 
 MOVED_MM = 3.0  # a site further from the skin than this was moved, and that is said
 MOST_MOVED_MM = 5.0  # further than this it is not the place that was measured

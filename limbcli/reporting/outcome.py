@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from limbcli.error_commands import typed
 from limbcli.errors import CaseError
+from limbcli.errors.commands import typed
 from limbcli.results import ERROR_FILE, StageResult, read_result, stage_folder
 
 SUBJECT_STAGES = ("segment",)

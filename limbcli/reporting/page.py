@@ -14,7 +14,7 @@ from markupsafe import Markup, escape
 
 from limbcli.config import templates_folder
 from limbcli.drawing import data_file, save_figure
-from limbcli.os_errors import in_utf8
+from limbcli.errors.file_system import in_utf8
 from limbcli.reporting.figures.style import style
 from limbcli.reporting.reportlet import Picture, Reportlet
 from limbcli.template_rendering import TemplateFolders, filled, refuse_unused

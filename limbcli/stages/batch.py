@@ -15,8 +15,8 @@ from typing import Any
 
 from limbcli.atomic_files import sha256
 from limbcli.case import Case
-from limbcli.error_commands import pasted
 from limbcli.errors import CaseError, LimbError
+from limbcli.errors.commands import pasted
 from limbcli.progress import SILENT, Progress
 from limbcli.results import ERROR_FILE, StageResult, read_result, stage_folder
 from limbcli.stages.batching.fits_on_demand import FitOnDemand, extras, made_by_hand, shown_only

@@ -7,8 +7,8 @@ from contextlib import nullcontext
 from pathlib import Path
 
 from limbcli.config import default_out
-from limbcli.error_commands import pasted
 from limbcli.errors import CaseError, FitError, LimbError
+from limbcli.errors.commands import pasted
 from limbcli.output_lock import one_writer
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.batch import batch

@@ -136,8 +136,8 @@ def done(part: BatchTask, call: Call, tell: Tell) -> PartOutcome:
 
 def in_words(error: Exception, out: Path) -> LimbError:
     """The error that a person reads; what nobody foresaw leaves a file in the output folder."""
-    from limbcli.os_errors import in_words as in_words_of_system
-    from limbcli.unexpected_errors import unforeseen
+    from limbcli.errors.file_system import in_words as in_words_of_system
+    from limbcli.errors.unexpected import unforeseen
 
     if isinstance(error, LimbError):
         return error

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from limbcli.case import CASE_FILE, Site, read_case
-from limbcli.case_files import CaseFiles
+from limbcli.case.files import CaseFiles
 from limbcli.errors import CaseError, LimbError, MeasurementError
+from limbcli.errors.problems import Problem, errors_of
 from limbcli.measurement.levels import FEWEST_LOADING
-from limbcli.problems import Problem, errors_of
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.check_geometry import geometry_problems
 from limbcli.stages.check_instruments import instrument_problems

@@ -8,7 +8,7 @@ import numpy as np
 
 from limbcli.case import Case
 from limbcli.errors import LimbError
-from limbcli.problems import Problem
+from limbcli.errors.problems import Problem
 
 _ROUGH = 15.0  # mm: a marker's height and a voxel may lie between the rough skin and the place
 _EDGE = 4.0  # mm: triangles of a label map's surfaces, coarse, only to be looked at
@@ -45,9 +45,9 @@ def _surfaces(case: Case) -> list[Problem]:
 
 def _assumed(case: Case) -> list[Problem]:
     """That the geometry was not imaged; numbers and measurements that do not go together."""
+    from limbcli.errors.problems import errors_of
     from limbcli.meshing.anatomy import SKIN, limb_problems
     from limbcli.meshing.places import place_problems
-    from limbcli.problems import errors_of
     from limbcli.stages.segmenting.assumed import FIX
     from limbcli.stages.segmenting.assumed_geometry import assumed_limb, assumed_problems
     from limbcli.stages.segmenting.surfaces import triangles_of

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from limbcli.case import Case, Site
 from limbcli.errors import LimbError
-from limbcli.problems import Problem
+from limbcli.errors.problems import Problem
 
 if TYPE_CHECKING:
     from limbcli.measurement.holds import Hold

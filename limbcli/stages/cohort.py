@@ -15,11 +15,11 @@ import numpy as np
 
 from limbcli.atomic_files import atomic_set, sha256
 from limbcli.errors import CaseError, MeasurementError
+from limbcli.errors.problems import Problem, checked, raise_errors
 from limbcli.inference.layered_family import LayeredFamily, layered_family
 from limbcli.inference.layered_solves import FORCE
 from limbcli.measurement.cohort_checks import checked_cohort
 from limbcli.measurement.cohort_table import CohortTable
-from limbcli.problems import Problem, checked, raise_errors
 from limbcli.progress import SILENT, Progress
 from limbcli.results import UNLIKE_OURS, StageResult, plain, provenance
 from limbcli.stages.cohorts.compliance import compliance_left_out

@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import Any
 
 from limbcli.errors import CaseError, LimbError
-from limbcli.problems import suggestion
+from limbcli.errors.problems import suggestion
 from limbcli.results import read_result
 
 EXPECTED_FILE = "expected.toml"

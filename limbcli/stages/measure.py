@@ -18,6 +18,7 @@ import numpy as np
 from limbcli.atomic_files import atomic_file, atomic_folder
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError, MeasurementError
+from limbcli.errors.problems import raise_errors
 from limbcli.measurement.bmode import BoneLine, follow_bone
 from limbcli.measurement.indentation import (
     Levels,
@@ -26,7 +27,6 @@ from limbcli.measurement.indentation import (
     read_levels,
 )
 from limbcli.measurement.levels import LAYERS
-from limbcli.problems import raise_errors
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.stages.measuring.fibres import leave_pennation

@@ -11,6 +11,7 @@ import numpy as np
 
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError
+from limbcli.errors.problems import raise_errors
 from limbcli.mesh_bounds import FAR_SIZE_MM, MARGIN_MM, SIZE_MM
 from limbcli.meshing.export import write_vtu
 from limbcli.meshing.frame import LARGEST_SLOPE_DEG, skin_point_at
@@ -24,7 +25,6 @@ from limbcli.meshing.site_mesher import MIN_ANGLE_DEG, MIN_ANGLE_UNDER_PROBE_DEG
 from limbcli.meshing.site_model import MeshOptions, SiteModel, site_model
 from limbcli.meshing.surfaces import read_surface
 from limbcli.model_io import save_model
-from limbcli.problems import raise_errors
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.stages.provenance.chain import Chain

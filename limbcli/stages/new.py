@@ -10,11 +10,11 @@ import jinja2
 
 from limbcli.atomic_files import atomic_folder
 from limbcli.case import CASE_FILE
-from limbcli.case_schema import FILL_IN, plain_name
+from limbcli.case.schema import FILL_IN, plain_name
 from limbcli.config import templates_folder
-from limbcli.error_commands import typed
 from limbcli.errors import CaseError
-from limbcli.os_errors import file_system_errors
+from limbcli.errors.commands import typed
+from limbcli.errors.file_system import file_system_errors
 from limbcli.results import StageResult, provenance
 
 MRI, LEVELS, README = "mri", "levels.csv", "README.md"

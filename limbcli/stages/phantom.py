@@ -21,9 +21,9 @@ import numpy as np
 
 from limbcli.atomic_files import atomic_folder
 from limbcli.case import Case
-from limbcli.case_schema import plain_name
-from limbcli.error_commands import typed
+from limbcli.case.schema import plain_name
 from limbcli.errors import CaseError
+from limbcli.errors.commands import typed
 from limbcli.phantom import truth
 from limbcli.phantom.case_folder import LEVELS_HEADER, NoiseLaw, case_table, geometry_truth, site_table, toml
 from limbcli.phantom.dicom_series import write_series

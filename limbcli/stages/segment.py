@@ -16,6 +16,7 @@ import numpy as np
 from limbcli.atomic_files import sha256
 from limbcli.case import Case
 from limbcli.errors import CaseError
+from limbcli.errors.problems import raise_errors
 from limbcli.imaging.bones import name_bones
 from limbcli.imaging.image_files import read_image
 from limbcli.imaging.label_files import read_label_file
@@ -29,7 +30,6 @@ from limbcli.imaging.quality import assess
 from limbcli.imaging.segmentation import Segmentation, SegmentationWishes, segment_limb
 from limbcli.imaging.surface import SMOOTH, ClosedSurface, surface_of
 from limbcli.imaging.volume import Volume
-from limbcli.problems import raise_errors
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
 from limbcli.stages.provenance.chain_inputs import note_case

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import limbcli
+from tests.case.test_case_text import two_sites
 from tests.cli import quick_stages
 from tests.cohort_rows import people, written
-from tests.test_case_text import two_sites
 
 
 @pytest.fixture

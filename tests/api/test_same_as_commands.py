@@ -14,7 +14,7 @@ import limbcli
 from limbcli.api.limits import LIMITS
 from limbcli.cli.app import COMMANDS, app
 from limbcli.stages.mesh import mesh_options
-from tests.test_case_text import two_sites
+from tests.case.test_case_text import two_sites
 
 FUNCTIONS = {
     "segment": "segment", "mesh": "mesh", "build-feb": "build_feb", "run": "run", "fit": "fit",

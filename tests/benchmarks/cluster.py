@@ -28,7 +28,7 @@ from limbcli.progress import SILENT
 from limbcli.stages.batch_cluster import together
 from limbcli.stages.batching.outcome import BatchOptions
 from tests.benchmarks.small_case import write_case
-from tests.test_case_text import two_sites
+from tests.case.test_case_text import two_sites
 
 OPTIONS = BatchOptions(solver="reference")
 QUICK = str(Path(__file__).parents[1] / "cli" / "quick_stages.py")

@@ -24,9 +24,9 @@ import numpy as np
 
 from limbcli.case import Case
 from limbcli.errors import LimbError, MeasurementError
+from limbcli.errors.problems import checked
 from limbcli.measurement.cohort_checks import checked_cohort
 from limbcli.measurement.cohort_table import CohortTable
-from limbcli.problems import checked
 from limbcli.stages.cohorts.estimate import CohortNoise, noise_of
 from limbcli.stages.diagnose import DiagnoseOptions, diagnose
 from limbcli.stages.segment import segment

@@ -32,7 +32,7 @@ from limbcli.progress import Progress
 from limbcli.stages import batch_cluster
 from limbcli.stages.batching import cluster
 from tests.benchmarks.left_behind import contents, strays
-from tests.test_case_text import two_sites
+from tests.case.test_case_text import two_sites
 
 pytestmark = pytest.mark.slow
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from limbcli.cli.app import main
-from tests.test_case_text import ONE_SITE
+from tests.case.test_case_text import ONE_SITE
 
 
 @pytest.fixture

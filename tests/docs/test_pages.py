@@ -15,8 +15,7 @@ import pytest
 import typer
 
 import limbcli
-from limbcli import case_schema
-from limbcli.case import read_case
+from limbcli.case import read_case, schema
 from limbcli.cli.app import COMMANDS, app
 from limbcli.effects import EFFECTS
 from limbcli.fem.elements import element
@@ -126,10 +125,8 @@ def test_the_pages_of_the_program_hold_every_command_key_and_effect(tmp_path: Pa
         options = [text for each in group.commands[name].params for text in each.opts]  # type: ignore
         assert all(text in page for text in options if text.startswith("--"))
     assert all(f"`{each.name}`" in (tmp_path / "effects.md").read_text() for each in EFFECTS)
-    tables = [
-        each for each in vars(case_schema).values() if isinstance(each, dict) and each is not case_schema.TOP
-    ]
-    keys = [name for each in tables for name, key in each.items() if isinstance(key, case_schema.Key)]
+    tables = [each for each in vars(schema).values() if isinstance(each, dict) and each is not schema.TOP]
+    keys = [name for each in tables for name, key in each.items() if isinstance(key, schema.Key)]
     assert len(keys) > 50
     assert all(f"`{name}`" in (tmp_path / "case-keys.md").read_text() for name in keys)
 

@@ -16,6 +16,7 @@ import pydicom.data
 from PIL import Image
 
 from limbcli.case import read_case
+from limbcli.errors.problems import errors_of
 from limbcli.feb.log import check_complete, read_log
 from limbcli.feb.outline import read_outline
 from limbcli.feb.read import read_feb
@@ -30,7 +31,6 @@ from limbcli.measurement.recording import read_recording
 from limbcli.measurement.ultrasound_image import read_image
 from limbcli.meshing import surfaces
 from limbcli.model_io import load_model, save_model
-from limbcli.problems import errors_of
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "feb"
 DICOM = Path(pydicom.data.__file__).parent / "test_files"

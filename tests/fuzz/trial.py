@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.errors import LimbError
-from limbcli.problems import errors_of
+from limbcli.errors.problems import errors_of
 from tests.fuzz.mutations import mutated
 from tests.fuzz.targets import Target
 

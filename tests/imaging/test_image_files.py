@@ -198,7 +198,7 @@ def test_ct_is_known_by_its_air(image, tmp_path):
 
 
 def test_a_case_may_name_a_volume_file(image, tmp_path):
-    from tests.test_case_text import two_sites
+    from tests.case.test_case_text import two_sites
 
     folder = two_sites(tmp_path / "case")
     nifti(image, folder / "t1.nii.gz")

@@ -18,7 +18,7 @@ from limbcli.stages.build_feb import TissueOptions
 from limbcli.stages.fit import FitOptions
 from limbcli.stages.provenance.requested_options import asked_of_options
 from limbcli.stages.run import RunOptions
-from tests.test_case_text import two_sites
+from tests.case.test_case_text import two_sites
 
 STAGES = ("mesh", "build-feb", "run", "fit")
 OPTIONS = {"FitOptions": FitOptions, "TissueOptions": TissueOptions, "RunOptions": RunOptions}

@@ -17,7 +17,7 @@ from limbcli.errors import CaseError
 from limbcli.stages.check import check
 from limbcli.stages.segment import segment
 from limbcli.stages.site_model.mesh_checks import bone_warnings, measured_skin_bone
-from tests.test_case_text import ONE_SITE, SITE
+from tests.case.test_case_text import ONE_SITE, SITE
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -167,7 +167,7 @@ def test_readings_that_two_sites_share_are_told(folder: Path):
 
 
 def test_exit_code_is_that_of_the_measurement_where_only_that_is_wrong(folder: Path):
-    from limbcli.problems import Problem
+    from limbcli.errors.problems import Problem
     from limbcli.stages.check import CaseCheck
 
     wrong = Problem("a", "b", "c", family="measurement")

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from limbcli.case_parts import Imaging, Shape
+from limbcli.case.parts import Imaging, Shape
 from limbcli.errors import MeshError
 from limbcli.meshing.rods import Rod
 from limbcli.model import Mesh

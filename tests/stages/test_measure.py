@@ -16,11 +16,11 @@ from limbcli.measurement.indentation import read_levels
 from limbcli.results import open_stage
 from limbcli.stages.measure import measure
 from limbcli.stages.measuring.images import images_of
+from tests.case.test_case_text import HEAD, SITE
 from tests.measurement.test_bmode import frame, speckle
 from tests.measurement.test_holds import record
 from tests.measurement.test_swe_image import BAR, BOX, ramp, render
 from tests.measurement.test_ultrasound_image import loop, screen, stored
-from tests.test_case_text import HEAD, SITE
 
 FORCES = (0.0, 2.0, 4.0, 6.0)
 BONE_ROWS = (300.0, 290.0, 279.0, 270.0)

@@ -14,11 +14,11 @@ import pytest
 from limbcli.case import Case
 from limbcli.cli.app import main
 from limbcli.errors import CaseError
+from limbcli.errors.problems import errors_of
 from limbcli.meshing.anatomy import limb_problems
 from limbcli.meshing.checks import LayersKept, SiteChecks
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model_io import load_model
-from limbcli.problems import errors_of
 from limbcli.results import StageResult, read_result
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from limbcli.case import Case, read_case
-from limbcli.case_schema import FILL_IN
+from limbcli.case.schema import FILL_IN
 from limbcli.errors import CaseError
 from limbcli.measurement.indentation import read_levels
 from limbcli.stages import new as module

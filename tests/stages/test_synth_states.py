@@ -11,7 +11,7 @@ import pytest
 
 import limbcli
 from limbcli.case import Case
-from limbcli.case_parts import Stretch
+from limbcli.case.parts import Stretch
 from limbcli.errors import CaseError
 from limbcli.measurement.indentation import read_levels
 from limbcli.model_io import load_model, save_model

@@ -1,6 +1,6 @@
 """What is assumed of a limb that nobody imaged, varied by one deviation each, and the model in that shape.
 
-bone's radius    times 0.7 and 1.4: the tibia of OpenLimb's limbs has 9 to 20 mm (`case_schema`)
+bone's radius    times 0.7 and 1.4: the tibia of OpenLimb's limbs has 9 to 20 mm (`case.schema`)
 bone's depth     by the noise of a depth reading that the case states, else 0.3 mm; where one straight bone
                  lies under several sites, also by what it misses this site's reading by
 bone's slope     7.4 degrees along the limb against the skin

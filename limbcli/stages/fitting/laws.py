@@ -14,12 +14,12 @@ from functools import partial
 import numpy as np
 
 from limbcli.errors import CaseError
+from limbcli.errors.problems import suggestion
 from limbcli.inference.joint import C_SPAN, C_STEP_FACTOR
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS, FitParameter
 from limbcli.inference.two_step_fit import M_STEP_FACTOR
 from limbcli.materials.ogden import ogden_type
 from limbcli.model import Array, Material, Value
-from limbcli.problems import suggestion
 
 _STEP = 1e-6
 FIBRE_F_KAPPA = 100.0  # held fixed: quadratic elements do not tell it (forces change by 1 to 3 % above 50)

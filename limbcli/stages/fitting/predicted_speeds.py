@@ -15,11 +15,11 @@ import numpy as np
 from limbcli.case import Site
 from limbcli.drawing import save_figure
 from limbcli.errors import LimbError
+from limbcli.errors.problems import errors_of
 from limbcli.feb.settings import least_level
 from limbcli.measurement.elastography import SweMap, check_map, check_mean, check_width, map_file, write_map
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, IntArray, LimbModel
-from limbcli.problems import errors_of
 from limbcli.reporting.figures.speed_maps import LevelMaps, speed_maps
 from limbcli.reporting.figures.wave_speed import PredictedSpeeds, SpeedReadings, wave_speed
 from limbcli.results import StageWriter

@@ -11,12 +11,12 @@ from scipy.spatial import cKDTree
 from limbcli.case import Site
 from limbcli.drawing import save_figure
 from limbcli.errors import CaseError, MeasurementError, MeshError
+from limbcli.errors.problems import raise_errors
 from limbcli.inference.interval import Stiffness
 from limbcli.measurement.elastography import SweMap, check_mean, check_width, map_file, read_map
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.stiffness_map import FADE, SMOOTHING, stiffness_at
 from limbcli.model import Array, Block, ElementMap, LimbModel
-from limbcli.problems import raise_errors
 from limbcli.reporting.figures.stiffness import StiffnessSection, stiffness_figure
 from limbcli.results import StageWriter
 from limbcli.stages.site_model.indentation_model import PROBE, TISSUE

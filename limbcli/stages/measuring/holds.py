@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from limbcli.errors.problems import Problem
 from limbcli.measurement.hold_cycles import cycles_of_holds
 from limbcli.measurement.holds import Hold, find_holds, missing_levels, without_probe_weight
 from limbcli.measurement.indentation import check_values
 from limbcli.measurement.recording import RecordingFormat, read_recording
 from limbcli.measurement.trace import Trace
-from limbcli.problems import Problem
 from limbcli.results import StageWriter
 
 _FEW_LOST = 0.01  # of the samples

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from limbcli.error_commands import typed
+from limbcli.errors.commands import typed
 from limbcli.results import StageResult
 from limbcli.stages.provenance.requested_options import in_words
 

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from limbcli.case import Case, Site
-from limbcli.case_parts import Shape
+from limbcli.case.parts import Shape
 from limbcli.errors import CaseError
+from limbcli.errors.problems import Problem, errors_of, raise_errors
 from limbcli.imaging.surface import ClosedSurface
 from limbcli.meshing.frame import proximal_direction, site_frame
 from limbcli.meshing.mending import Limb, mend, skin_and_bones
@@ -23,7 +24,6 @@ from limbcli.meshing.places import place_problems
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.rods import BoneHit, Rod, limb_axis, rods_for, tube
 from limbcli.meshing.surfaces import Triangles
-from limbcli.problems import Problem, errors_of, raise_errors
 from limbcli.stages.segmenting.surfaces import read_body
 from limbcli.stages.site_model.mesh_checks import measured_skin_bone
 

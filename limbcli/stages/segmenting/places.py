@@ -9,11 +9,11 @@ import numpy as np
 
 from limbcli.case import Case
 from limbcli.errors import MeshError
+from limbcli.errors.problems import Problem
 from limbcli.imaging.surface import ClosedSurface
 from limbcli.meshing.mending import mend
 from limbcli.meshing.places import place_faults, problem_of, triple
 from limbcli.meshing.surfaces import Triangles
-from limbcli.problems import Problem
 from limbcli.results import StageWriter
 from limbcli.stages.provenance.chain_inputs import SITES, note_case
 from limbcli.stages.segmenting.places_picture import draw_places

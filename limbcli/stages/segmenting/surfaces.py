@@ -9,6 +9,7 @@ import numpy as np
 
 from limbcli.case import Case
 from limbcli.errors import CaseError
+from limbcli.errors.problems import raise_errors
 from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
 from limbcli.meshing.anatomy import SKIN, bones_outside, limb_problems
 from limbcli.meshing.bone_places import put_back
@@ -16,7 +17,6 @@ from limbcli.meshing.facets import divided
 from limbcli.meshing.mending import enclosed, open_rims, skin_and_bones, turned_inward
 from limbcli.meshing.places import triple
 from limbcli.meshing.surfaces import Triangles
-from limbcli.problems import raise_errors
 from limbcli.results import StageWriter
 from limbcli.stages.segmenting.bone_names import names_of_bodies, names_of_files, numbered
 from limbcli.stages.segmenting.places import tell_places

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from limbcli.case import Case, Site
-from limbcli.case_parts import Stretch, StretchState
+from limbcli.case.parts import Stretch, StretchState
 from limbcli.errors import CaseError
-from limbcli.problems import suggestion
+from limbcli.errors.problems import suggestion
 from limbcli.stages.fitting.state_plan import HIGH, LOW
 from limbcli.stages.site_model.prestretch import WAYS
 

@@ -18,13 +18,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from limbcli import case_schema as schema
 from limbcli.case import Site
+from limbcli.case import schema as schema
 from limbcli.errors import CaseError
+from limbcli.errors.problems import raise_errors
 from limbcli.materials.ogden import ogden_type
 from limbcli.meshing.layers import Layer, layers_of
 from limbcli.model import LimbModel, Material
-from limbcli.problems import raise_errors
 from limbcli.results import StageResult
 from limbcli.units import kpa_from_mpa, mpa_from_kpa
 

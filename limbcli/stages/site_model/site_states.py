@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from limbcli.case import Case, Site
-from limbcli.case_parts import StretchState
+from limbcli.case.parts import StretchState
 from limbcli.errors import LimbError, MeasurementError
+from limbcli.errors.problems import Problem, checked
 from limbcli.measurement.indentation import Levels
-from limbcli.problems import Problem, checked
 from limbcli.stages.site_model.site_levels import levels_of
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from limbcli.problems import Problem
+from limbcli.errors.problems import Problem
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import traceback
 from pathlib import Path
 
 from limbcli.errors import UnforeseenError
-from limbcli.os_errors import in_utf8
+from limbcli.errors.file_system import in_utf8
 from limbcli.version import __version__
 
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
+from limbcli.errors.problems import Problem, suggestion
 from limbcli.mesh_bounds import MARGIN_MM
-from limbcli.problems import Problem, suggestion
 from limbcli.units import FORCE_UNITS_IN_N, LENGTH_UNITS_IN_MM
 
 FILL_IN = "FILL IN"  # what `limbcli new` writes where a value is to be given

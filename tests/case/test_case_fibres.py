@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from limbcli.case import Case
-from limbcli.case_parts import Pennation
+from limbcli.case.parts import Pennation
 from limbcli.errors import CaseError
-from tests.test_case_text import HEAD, LEVELS, SITE
+from tests.case.test_case_text import HEAD, LEVELS, SITE
 
 AXIAL = '[[site.pennation]]\norientation = "axial"\npennation_deg = 12.0\n'
 ACROSS = '[[site.pennation]]\norientation = "transverse"\npennation_deg = -4.0\ndeviation_deg = 2.0\n'

@@ -10,7 +10,7 @@ from limbcli.case import Case, read_case
 from limbcli.errors import CaseError
 from limbcli.stages.check import check
 from limbcli.stages.measure import measure
-from tests.test_case_text import HEAD, LEVELS, SITE
+from tests.case.test_case_text import HEAD, LEVELS, SITE
 
 ALLOWED = "[files]\nallow_outside = true\n"
 SECRET = "secret of another 4711"

@@ -15,17 +15,17 @@ from math import nan
 from pathlib import Path
 from typing import Any
 
-from limbcli import case_schema as schema
-from limbcli.case_fibres import fibre_problems, read_fibres
-from limbcli.case_files import CaseFiles
-from limbcli.case_imaging import place_of, read_imaging
-from limbcli.case_instruments import read_instruments, read_layers
-from limbcli.case_parts import Fibres, Imaging, ModelOptions, Probe, Site, StatedNoise
-from limbcli.case_states import read_states, site_schema
+from limbcli.case import schema as schema
+from limbcli.case.fibres import fibre_problems, read_fibres
+from limbcli.case.files import CaseFiles
+from limbcli.case.imaging import place_of, read_imaging
+from limbcli.case.instruments import read_instruments, read_layers
+from limbcli.case.parts import Fibres, Imaging, ModelOptions, Probe, Site, StatedNoise
+from limbcli.case.states import read_states, site_schema
 from limbcli.config import at_home
 from limbcli.errors import CaseError
-from limbcli.os_errors import not_in_utf8
-from limbcli.problems import Problem, checked, errors_of
+from limbcli.errors.file_system import not_in_utf8
+from limbcli.errors.problems import Problem, checked, errors_of
 
 __all__ = ["CASE_FILE", "Case", "Imaging", "ModelOptions", "Probe", "Site", "StatedNoise", "read_case"]
 

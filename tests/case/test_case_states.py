@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from limbcli.case import Case
-from limbcli.case_parts import Stretch
+from limbcli.case.parts import Stretch
 from limbcli.errors import CaseError
-from tests.test_case_text import HEAD, LEVELS
+from tests.case.test_case_text import HEAD, LEVELS
 
 SITE = '[[site]]\nname = "p1"\nposition_mm = [12.0, 48.5, -60.0]\nlong_axis = "axial"\n'
 STATES = {"relaxed": 1.0, "bent": 0.9, "stretched": 1.1}

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from limbcli import case_schema as schema
-from limbcli.case_files import CaseFiles
-from limbcli.case_parts import Stretch, StretchState
-from limbcli.problems import Problem
+from limbcli.case import schema as schema
+from limbcli.case.files import CaseFiles
+from limbcli.case.parts import Stretch, StretchState
+from limbcli.errors.problems import Problem
 
 _NOT_BESIDE = ("trace", "swe_maps", "load_cell", "b_mode", "swe_images")
 _UNLOADED = ("unloaded_stretch_along", "unloaded_stretch_around")

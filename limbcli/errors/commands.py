@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from limbcli.errors import LimbError
-from limbcli.os_errors import PARTIAL
+from limbcli.errors.file_system import PARTIAL
 from limbcli.temporary_folders import PREFIX
 
 AnyError = TypeVar("AnyError", bound=LimbError)

@@ -8,7 +8,7 @@ import pytest
 
 from limbcli.case import Case, read_case
 from limbcli.errors import CaseError
-from tests.test_case_text import HEAD, SITE
+from tests.case.test_case_text import HEAD, SITE
 
 GOOD = HEAD + SITE.format(name="p1", levels="p1/levels.csv")
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from limbcli import case_schema as schema
-from limbcli.case_parts import Fibres, Imaging, Pennation, Site
-from limbcli.problems import Problem, suggestion
+from limbcli.case import schema as schema
+from limbcli.case.parts import Fibres, Imaging, Pennation, Site
+from limbcli.errors.problems import Problem, suggestion
 
 _NAMED = ("axial", "transverse")
 

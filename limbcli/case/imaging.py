@@ -7,11 +7,11 @@ from math import nan, pi
 from pathlib import Path
 from typing import Any
 
-from limbcli import case_schema as schema
-from limbcli.case_files import CaseFiles
-from limbcli.case_parts import SKIN_SCALE, Imaging, Shape
-from limbcli.case_schema import BONE_RADIUS_MM, Key, number
-from limbcli.problems import Problem
+from limbcli.case import schema as schema
+from limbcli.case.files import CaseFiles
+from limbcli.case.parts import SKIN_SCALE, Imaging, Shape
+from limbcli.case.schema import BONE_RADIUS_MM, Key, number
+from limbcli.errors.problems import Problem
 
 SHAPE = {
     "circumference_mm": Key("mm", number(80.0, 1000.0, "mm"), required=True),

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from limbcli import case_schema as schema
-from limbcli.case_files import CaseFiles
-from limbcli.problems import Problem
+from limbcli.case import schema as schema
+from limbcli.case.files import CaseFiles
+from limbcli.errors.problems import Problem
 
 
 def read_instruments(
