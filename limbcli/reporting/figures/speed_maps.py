@@ -49,6 +49,7 @@ def speed_maps(levels: Sequence[LevelMaps]) -> Figure:
         for column, each in zip(panels.T, shown, strict=True):
             column[0].set_title(f"{max(each.force, 0.0):.1f} N")
             for axes, row in zip(column, rows, strict=True):
+                axes.set_label(f"{row}, level {each.level} ({each.force:.1f} N)")
                 content = {
                     "measured": each.measured, "predicted": each.predicted, "difference": _difference(each),
                 }[row]  # fmt: skip
