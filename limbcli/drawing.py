@@ -20,8 +20,21 @@ if TYPE_CHECKING:
 COLUMNS = ("panel", "x_axis", "y_axis", "kind", "series", "number", "x", "y", "value")
 _MOST_PIXELS = 40_000  # of one picture; a larger one is an image, not data
 _COLOUR_BAR = "<colorbar>"
+_SIDES = (("right", "left"), ("anterior", "posterior"), ("foot", "head"))  # along -, + of patient LPS
+_ALSO = 0.5  # of a direction's length: a second side is told, too, beyond 30 degrees
 
 Row = tuple[object, ...]
+
+
+def side_of(direction: Array) -> str:
+    """The side of the patient that a direction (3,) in LPS points to.
+
+    >>> side_of(np.array([-1.0, 0.1, 0.0])), side_of(np.array([0.0, -0.7, 0.7]))
+    ('right', 'anterior and head')
+    """
+    share = np.asarray(direction, dtype=float) / np.linalg.norm(direction)
+    told = [k for k in np.argsort(-np.abs(share), kind="stable") if abs(share[k]) > _ALSO]
+    return " and ".join(_SIDES[k][int(share[k] > 0)] for k in told)
 
 
 def save_figure(figure: Figure, path: Path, *, dpi: float | None = None) -> None:
