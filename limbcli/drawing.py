@@ -101,7 +101,8 @@ def figure_data(figure: Figure) -> Iterator[Row]:
 
 def _title(axes: Axes) -> str:
     """Wherever above the panel it stands."""
-    return next((text for at in ("left", "center", "right") if (text := axes.get_title(at))), "")
+    every = (_plain_words(axes.get_title(at)) for at in ("left", "center", "right"))
+    return next((each for each in every if each), "")
 
 
 def _axis_words(axes: Axes, figure: Figure) -> tuple[str, str]:
@@ -113,7 +114,7 @@ def _axis_words(axes: Axes, figure: Figure) -> tuple[str, str]:
 
 
 def _shared(alike: list[Axes], label: str) -> str:
-    return next((" ".join(text.split()) for each in alike if (text := getattr(each, label)())), "")
+    return next((_plain_words(text) for each in alike if (text := getattr(each, label)())), "")
 
 
 def _lines(axes: Axes) -> Iterator[Row]:
@@ -231,7 +232,16 @@ def _name(artist: Any, k: int) -> str:
     label = str(artist.get_label())
     if not label or label.startswith("_"):
         return f"{k + 1}"
-    return label.replace(r"\$", "$").strip()
+    return _plain_words(label)
+
+
+def _plain_words(text: str) -> str:
+    """A label without the signs of mathematics, on one line.
+
+    >>> _plain_words(r"$f_\\kappa$ [–]"), _plain_words("cost 1\\\\$,\\nin all")
+    ('f_κ [–]', 'cost 1$, in all')
+    """
+    return " ".join(text.replace(r"$f_\kappa$", "f_κ").replace(r"\$", "$").split())
 
 
 def _cell(value: object) -> object:
