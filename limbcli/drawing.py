@@ -46,7 +46,7 @@ def save_figure(figure: Figure, path: Path, *, dpi: float | None = None) -> None
 def save_picture(figure: Figure, path: Path, *, dpi: float | None = None) -> None:
     """Write `path` (a PNG), and beside it the same as SVG: what is to be looked at, and is no graph.
 
-    It is laid out once and drawn twice; `Figure.savefig` goes through it once more for each file.
+    It is laid out before it is drawn twice; `Figure.savefig` goes through it once more for each file.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -60,9 +60,13 @@ def save_picture(figure: Figure, path: Path, *, dpi: float | None = None) -> Non
 
 
 def _lay_out(figure: Figure) -> None:
-    """Places for its axes; as they are laid out, they stay."""
+    """Places for its axes; as they are laid out, they stay.
+
+    Twice, because axes of another size have other ticks, and their labels another width.
+    """
     engine = figure.get_layout_engine()
     if engine is not None:
+        engine.execute(figure)
         engine.execute(figure)
         figure.set_layout_engine("none")
 

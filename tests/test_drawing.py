@@ -6,10 +6,12 @@ import csv
 from pathlib import Path
 
 import numpy as np
+import pytest
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from limbcli.drawing import COLUMNS, data_file, figure_data, save_figure
+from limbcli.reporting.figures.style import new_figure, style
 
 
 def read(path: Path) -> list[dict[str, str]]:
@@ -100,3 +102,17 @@ def test_a_field_from_corner_to_corner_keeps_its_values():
     axes = figure.subplots()
     axes.tripcolor([0.0, 1.0, 0.0], [0.0, 0.0, 2.0], np.array([5.0, 6.0, 7.0]), shading="gouraud")
     assert [row[6:] for row in figure_data(figure)] == [(0, 0, 5), (1, 0, 6), (0, 2, 7)]
+
+
+@pytest.mark.parametrize("height", [3.5, 3.75, 4.0])
+def test_labels_of_a_saved_picture_are_on_it(tmp_path, height):
+    """A legend below takes the axes' height, with it ticks, and another width of their labels."""
+    with style():
+        figure = new_figure(7.4, height)
+        left, right = figure.subplots(1, 2, sharey=True)
+        for axes in (left, right):
+            axes.plot([0, 10], [0, 3.9], label="one\ntwo\nthree\nfour")
+            axes.set(ylim=(0, 4.2), ylabel="shear-wave speed [m/s]")
+            axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2))
+        save_figure(figure, tmp_path / "a.png")
+    assert left.yaxis.label.get_window_extent().x0 >= 0
