@@ -39,7 +39,7 @@ def test_section_shows_verdict_candidates_and_blind_spots(tmp_path):
         sizes_picture(found, sizes_of(bench, bench.site), writer.file("sizes", "sizes.png"))
     shown = diagnosis(page_of(tmp_path), SimpleNamespace(name="p1"))
     assert shown.mood == "fine"
-    assert shown.notes[0].startswith("ADEQUATE")
+    assert shown.answer.startswith("ADEQUATE")
     names = {row[0].text for row in shown.tables[0].rows}
     assert {"force-zero", "poroelasticity"} <= names
     assert shown.more[1].rows
