@@ -31,11 +31,12 @@ def diagnosis(page: ReportData, site: SiteMaterial) -> Reportlet | None:
 
 def _told(key: str, site: SiteMaterial, result: StageResult) -> Reportlet:
     data = result.data
+    mood = _MOODS.get(str(data["verdict"]), "warning")
     first, *others = [str(each) for each in data["sentences"]] or [""]
     return Reportlet(
         key,
         TITLE,
-        _MOODS.get(str(data["verdict"]), "warning"),
+        mood,
         site.name,
         pictures=_pictures(result, site.name),
         tables=(_candidates(data),),
