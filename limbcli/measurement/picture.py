@@ -18,6 +18,7 @@ from limbcli.measurement.trace import Trace
 from limbcli.measurement.ultrasound_image import UltrasoundImage
 
 _COLUMNS = 5
+_BOXES = "pixels read from the overlays (line: median; box: the middle half)"
 
 
 def draw_holds(trace: Trace, holds: Sequence[Hold], path: Path) -> None:
@@ -94,5 +95,5 @@ def draw_speeds(maps: Sequence[SweMap], path: Path) -> None:
     figure = Figure(figsize=(7, 3.6), layout="constrained")
     axes = figure.subplots()
     axes.boxplot([each.speed_m_per_s for each in maps], positions=np.arange(len(maps)), showfliers=False)
-    axes.set(xlabel="force level [–]", ylabel="shear-wave speed [m/s]", title="pixels read from the overlays (line: median; box: the middle half)")
+    axes.set(xlabel="force level [–]", ylabel="shear-wave speed [m/s]", title=_BOXES)
     save_figure(figure, path, dpi=130)

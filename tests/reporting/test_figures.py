@@ -96,6 +96,16 @@ def test_speed_maps_show_measured_predicted_and_the_difference_of_a_handful_of_l
     np.testing.assert_allclose(gaps, 0.3, rtol=1e-9)
 
 
+def test_pixels_of_a_speed_map_fill_it_and_maps_without_a_common_pixel_are_drawn():
+    lateral, depth = (each.ravel() for each in np.meshgrid(np.arange(0.0, 8, 2), np.arange(2.0, 5, 0.5)))
+    own = SweMap(lateral, depth, 2.0 + 0.1 * depth)
+    other = SweMap(lateral + 0.3, depth, own.speed_m_per_s)
+    panels = [a for a in speed_maps([LevelMaps(0, 0.0, own, other)]).axes if a.get_label() != "<colorbar>"]
+    corners = panels[1].collections[0].get_paths()[0].vertices
+    np.testing.assert_allclose(np.ptp(corners, axis=0), [2.0, 0.5])
+    assert [each.get_text() for each in panels[2].texts] == ["no pixel\nof both"]
+
+
 def test_without_measured_maps_only_the_predicted_ones_are_drawn():
     panels = [a for a in speed_maps(maps(2, measured=False)).axes if a.get_label() != "<colorbar>"]
     assert len(panels) == 2
