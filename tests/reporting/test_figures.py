@@ -270,3 +270,13 @@ def test_a_long_name_stands_at_its_own_site_of_a_cohort():
         box = label.get_window_extent()
         assert box.x0 < x < box.x1 + 0.03 * figure.bbox.width
         assert abs(box.x1 - x) < 0.5 * axes.bbox.width / len(names)
+
+
+@pytest.mark.parametrize("rows", [1, 3])
+def test_words_beside_flat_speed_maps_do_not_touch(rows):
+    lateral, depth = (each.ravel() for each in np.meshgrid(np.arange(-25.0, 26, 5), np.linspace(2, 6, rows)))
+    own = SweMap(lateral, depth, 2.0 + 0.1 * depth)
+    figure = drawn(speed_maps([LevelMaps(k, 2.0 * k, own, own) for k in range(3)]))
+    words = [axes.yaxis.label.get_window_extent() for axes in figure.axes if "depth" in axes.get_ylabel()]
+    assert len(words) == 3
+    assert not any(one.overlaps(other) for one, other in pairwise(words))

@@ -17,6 +17,7 @@ from limbcli.reporting.figures.style import QUIET, bare, new_figure, style
 
 SPEED_MAP, DIFFERENCE_MAP = "viridis", "RdBu_r"
 MOST_LEVELS = 5
+_LEAST_INCHES = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,10 +72,10 @@ def speed_maps(levels: Sequence[LevelMaps]) -> Figure:
 
 
 def _height(shown: Sequence[LevelMaps]) -> float:
-    """Of one panel (inches), as the maps' sides demand."""
+    """Of one panel (inches), as the maps' sides demand, with room for the words beside a flat one."""
     wide = max(float(np.ptp(each.lateral)) for each in _all(shown))
     deep = max(float(np.ptp(each.depth)) for each in _all(shown))
-    return min(5.4 / len(shown) * deep / max(wide, 1.0), 2.4)
+    return float(np.clip(5.4 / len(shown) * deep / max(wide, 1.0), _LEAST_INCHES, 2.4))
 
 
 def _all(levels: Sequence[LevelMaps]) -> list[SweMap]:
