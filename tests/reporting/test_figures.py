@@ -19,6 +19,7 @@ from limbcli.reporting.figures.cohort import compliance, distributions
 from limbcli.reporting.figures.convergence import FitWalk, Residuals, fit_walk, newton_residuals
 from limbcli.reporting.figures.cycles import Loop, cycles
 from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth
+from limbcli.reporting.figures.layers import LayerPicture, layers_figure
 from limbcli.reporting.figures.profiles import ProfileCurve, profile_figure
 from limbcli.reporting.figures.speed_maps import LevelMaps, chosen_levels, speed_maps
 from limbcli.reporting.figures.states import StateReading, StatesPanel, states_figure
@@ -280,3 +281,14 @@ def test_words_beside_flat_speed_maps_do_not_touch(rows):
     words = [axes.yaxis.label.get_window_extent() for axes in figure.axes if "depth" in axes.get_ylabel()]
     assert len(words) == 3
     assert not any(one.overlaps(other) for one, other in pairwise(words))
+
+
+def test_layers_of_a_single_level_are_seen():
+    one = np.array([[1.5, 6.0]])
+    left, right = layers_figure(LayerPicture(np.array([4.0]), ("skin", "fat"), one, one, 0.2)).axes
+    bands = [each for each in left.collections if each.get_label().endswith("predicted")]
+    for band, ends in zip(bands, ((0.0, 1.5), (1.5, 7.5)), strict=True):
+        corners = band.get_paths()[0].vertices
+        assert np.ptp(corners[:, 0]) == 1.0
+        assert (corners[:, 1].min(), corners[:, 1].max()) == ends
+    assert len({line.get_marker() for line in right.lines[:2]}) == 2
