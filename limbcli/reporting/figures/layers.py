@@ -33,7 +33,7 @@ def layers_figure(shown: LayerPicture) -> Figure:
         left, right = figure.subplots(1, 2, width_ratios=(3, 2))
         order = np.argsort(shown.force, kind="stable")
         force = shown.force[order]
-        wide = force if len(force) > 1 else force + [-_HALF_BAND, _HALF_BAND]
+        wide = force if len(force) > 1 else force + np.array([-_HALF_BAND, _HALF_BAND])
         below = np.cumsum(shown.predicted[order], axis=1)
         seen = np.cumsum(shown.measured[order], axis=1)
         top = np.zeros(len(force))
@@ -47,7 +47,15 @@ def layers_figure(shown: LayerPicture) -> Figure:
                 color=INK, label="borders, measured (±1 SD)" if j == 0 else None,
             )  # fmt: skip
             gap = shown.measured[order, j] - shown.predicted[order, j]
-            right.plot(force, gap, f"{MARKERS[j]}-", ms=5, color=colour, mec=INK, label=name)
+            right.plot(
+                force,
+                gap,
+                f"{MARKERS[j]}-",
+                ms=5,
+                color=colour,
+                mec=INK,
+                label=name if np.isfinite(gap).any() else None,
+            )
         left.invert_yaxis()
         left.grid(False)
         left.set(xlabel="probe force [N]", ylabel="below the probe [mm]", title="layers, level by level")
