@@ -31,13 +31,16 @@ def slanted_limb() -> Triangles:
 
 
 def drawn(
-    monkeypatch: pytest.MonkeyPatch, title: str, sites: dict[str, np.ndarray]
+    monkeypatch: pytest.MonkeyPatch,
+    title: str,
+    sites: dict[str, np.ndarray],
+    markers: dict[str, np.ndarray] | None = None,
 ) -> tuple[Figure, list[GridPoint]]:
     kept: list[Figure] = []
     monkeypatch.setattr(places_picture, "save_picture", lambda figure, *_, **__: kept.append(figure))
     limb = mend(slanted_limb(), [])
     grid = grid_points(limb)
-    places_picture.draw_places(Path("a.png"), limb, grid, {}, sites, title=title)
+    places_picture.draw_places(Path("a.png"), limb, grid, markers or {}, sites, title=title)
     FigureCanvasAgg(kept[0]).draw()
     return kept[0], grid
 
@@ -60,3 +63,13 @@ def test_title_stays_on_the_picture_and_the_legend_names_what_is_there(monkeypat
     assert box.x1 <= figure.bbox.x1
     words = [each.get_text() for each in figure.legends[0].get_texts()]
     assert words == ["point of the grid", "site of the case"]
+
+
+def test_a_site_on_a_marker_does_not_hide_its_name(monkeypatch):
+    place = np.array([0.0, 75 - 20.0, 150.0])
+    figure, _ = drawn(monkeypatch, "p", {"p1": place}, {"1": place})
+    boxes = [
+        each.get_window_extent() for each in figure.axes[0].texts if each.get_text() in ("p1", "marker 1")
+    ]
+    assert len(boxes) == 2
+    assert not boxes[0].overlaps(boxes[1])

@@ -130,12 +130,14 @@ def _draw_points(
                 textcoords="offset points", fontsize=8, ha="center",
             )  # fmt: skip
             label.set_in_layout(False)  # it stands within its view, and looking at each takes time
-    for points, mark, colour, word in ((markers, "D", _MARKER, "marker "), (sites, "X", _SITE, "")):
+    for points, mark, colour, word, above in (
+        (markers, "D", _MARKER, "marker ", -10), (sites, "X", _SITE, "", 4)
+    ):  # fmt: skip
         for name, point in points.items():
             if visible(point):
                 axes.plot(point[across[0]], point[2], mark, color=colour, markersize=9)
                 axes.annotate(
-                    f"{word}{name}", (point[across[0]], point[2]), xytext=(6, -10), fontweight="bold",
+                    f"{word}{name}", (point[across[0]], point[2]), xytext=(6, above), fontweight="bold",
                     textcoords="offset points", color=colour, fontsize=10, zorder=5,
                     bbox={"boxstyle": "square,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.8},
                 )  # fmt: skip
