@@ -41,7 +41,7 @@ def contact_sheet(
     window = box_around(np.any(labels.values > 0, axis=2), np.ceil(6.0 / grey.spacing[:2]))
     height = (window[1].stop - window[1].start) * grey.spacing[1]
     width = (window[0].stop - window[0].start) * grey.spacing[0]
-    figure = Figure(figsize=(3.2 * _COLUMNS, 3.2 * height / width * rows + 0.9), layout="constrained")
+    figure = Figure(figsize=(2.0 * _COLUMNS, 2.0 * height / width * rows + 1.1), layout="constrained")
     FigureCanvasAgg(figure)
     top = float(np.percentile(grey.values[labels.values > 0], 99.5))
     markers = labels.values == MARKER
@@ -62,12 +62,12 @@ def contact_sheet(
             axes.set_xlabel("mm along i", fontsize=7)
         if is_first:
             axes.set_ylabel("mm along j", fontsize=7)
-    figure.suptitle(textwrap.fill(title, _TITLE_WIDTH), fontsize=12)
+    figure.suptitle(textwrap.fill(title, _TITLE_WIDTH), fontsize=10)
     lines = [Line2D([], [], color=colour, label=label) for label, colour in _outlined(found, names, markers)]
     figure.legend(
         handles=lines, loc="outside lower center", ncols=len(lines), facecolor="0.3", labelcolor="white"
     )
-    save_picture(figure, path, dpi=80)
+    save_picture(figure, path, dpi=130)
 
 
 def _outlined(found: Segmentation, names: Sequence[str], markers: NDArray[np.bool_]) -> list[tuple[str, str]]:
@@ -85,7 +85,7 @@ def _tell_sides(axes: Axes, grey: Volume) -> None:
     for direction, x, y in places:
         letters = "".join(word[0].upper() for word in side_of(direction).split(" and "))
         axes.text(
-            x, y, letters, transform=axes.transAxes, color="white", fontsize=9, fontweight="bold",
+            x, y, letters, transform=axes.transAxes, color="white", fontsize=8, fontweight="bold",
             ha={0.98: "right", 0.02: "left"}.get(x, "center"),
             va={0.98: "top", 0.02: "bottom"}.get(y, "center"),
             path_effects=[withStroke(linewidth=1.5, foreground="black")],

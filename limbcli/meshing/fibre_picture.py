@@ -29,7 +29,7 @@ def fibre_picture(
     block, axes (n_cells, 3) : the tissue and the unit direction in each of its cells
     sides : of the patient, that x and y point to
     """
-    figure = Figure(figsize=(13, 5.4), layout="constrained")
+    figure = Figure(figsize=(10, 4.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     middles = mesh.points[block.cells].mean(axis=1)
     for panel, axis in ((left, 1), (right, 0)):
@@ -37,7 +37,7 @@ def fibre_picture(
         _draw_axes(panel, middles, axes, axis)
         panel.set_title(f"fibres near the plane {'xy'[axis]} = 0 (a dot: across it)")
     figure.suptitle(textwrap.fill(title, _TITLE_WIDTH))
-    save_picture(figure, path, dpi=110)
+    save_picture(figure, path, dpi=143)
 
 
 def _draw_axes(panel: Any, middles: Array, axes: Array, axis: int) -> None:

@@ -34,7 +34,7 @@ def mesh_picture(
 
     sides : of the patient, that x and y point to
     """
-    figure = Figure(figsize=(13, 9.5), layout="constrained")
+    figure = Figure(figsize=(10, 8), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(2, 2)
     draw_cut(axes[0, 0], mesh, probe, axis=1, start_depth=start_depth, sides=sides)
@@ -42,7 +42,7 @@ def mesh_picture(
     _from_above(axes[1, 0], mesh, probe, sides)
     _histogram(axes[1, 1], mesh, figures)
     figure.suptitle(textwrap.fill(title, _TITLE_WIDTH))
-    save_picture(figure, path, dpi=110)
+    save_picture(figure, path, dpi=143)
 
 
 def draw_cut(
@@ -64,7 +64,7 @@ def draw_cut(
     axes.set_aspect("equal")
     axes.set_xlabel(_axis_words(across, sides))
     axes.set_ylabel("z, outward [mm]")
-    axes.set_title(f"cut through the site at {'xy'[axis]} = 0; empty inside: bone")
+    axes.set_title(f"cut through the site at {'xy'[axis]} = 0; empty inside: bone", fontsize=10)
 
 
 def section(points: Array, cells: IntArray, axis: int, at: float = 1e-6) -> list[Array]:
@@ -105,7 +105,7 @@ def _from_above(axes: Any, mesh: Mesh, probe: ProbeShape, sides: tuple[str, str]
     axes.set_aspect("equal")
     axes.set_xlabel(_axis_words(0, sides))
     axes.set_ylabel(_axis_words(1, sides))
-    axes.set_title("skin from outside; shaded: within the probe's reach; blue: its outline")
+    axes.set_title("skin from outside; shaded: within the probe's reach;\nblue: its outline", fontsize=10)
 
 
 def _outline(probe: ProbeShape) -> Array:
@@ -130,6 +130,7 @@ def _histogram(axes: Any, mesh: Mesh, figures: MeshQuality) -> None:
     axes.set_ylim(top=1.2 * axes.get_ylim()[1])  # room for the legend above the bars
     axes.legend(frameon=False, loc="upper right")
     axes.set_title(
-        f"{figures.n_cells} tetrahedra; smallest angle {figures.min_angle_deg:.1f}°, "
-        f"under the probe {figures.min_angle_under_probe_deg:.1f}°"
+        f"{figures.n_cells} tetrahedra; smallest angle {figures.min_angle_deg:.1f}°,\n"
+        f"under the probe {figures.min_angle_under_probe_deg:.1f}°",
+        fontsize=10,
     )
