@@ -110,11 +110,23 @@ def _title(axes: Axes) -> str:
 
 
 def _axis_words(axes: Axes, figure: Figure) -> tuple[str, str]:
-    """Its labels, or where it shares an axis, those of a panel beside it or of the whole figure."""
+    """Its labels, or where it shares an axis, those of a panel below or beside it, or of the whole figure."""
+    own = axes.get_subplotspec()
+    below = [
+        each for each in axes.get_shared_x_axes().get_siblings(axes) if _are_in_line(own, each, "colspan")
+    ]
+    beside = [
+        each for each in axes.get_shared_y_axes().get_siblings(axes) if _are_in_line(own, each, "rowspan")
+    ]
     return (
-        _shared([axes, *axes.get_shared_x_axes().get_siblings(axes)], "get_xlabel") or figure.get_supxlabel(),
-        _shared([axes, *axes.get_shared_y_axes().get_siblings(axes)], "get_ylabel") or figure.get_supylabel(),
+        _shared([axes, *below], "get_xlabel") or _plain_words(figure.get_supxlabel()),
+        _shared([axes, *beside], "get_ylabel") or _plain_words(figure.get_supylabel()),
     )
+
+
+def _are_in_line(own: Any, other: Axes, span: str) -> bool:
+    place = other.get_subplotspec()
+    return own is not None and place is not None and getattr(own, span) == getattr(place, span)
 
 
 def _shared(alike: list[Axes], label: str) -> str:

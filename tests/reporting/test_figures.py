@@ -292,3 +292,14 @@ def test_layers_of_a_single_level_are_seen():
         assert np.ptp(corners[:, 0]) == 1.0
         assert (corners[:, 1].min(), corners[:, 1].max()) == ends
     assert len({line.get_marker() for line in right.lines[:2]}) == 2
+
+
+def test_table_of_speed_maps_tells_row_level_and_axes():
+    panels = {row[:3] for row in figure_data(speed_maps(maps(2, measured=True)))}
+    across = "lateral [mm], 0 under the probe's centre; depth 0 at its face"
+    rows = (("measured", "measured"), ("predicted", "predicted"), ("difference", "predicted − measured"))
+    assert panels == {
+        (f"{row}, level {k} ({2 * k:.1f} N)", across, f"{words} depth [mm]")
+        for row, words in rows
+        for k in (0, 1)
+    }
