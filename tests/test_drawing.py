@@ -6,10 +6,12 @@ import csv
 from pathlib import Path
 
 import numpy as np
+import pytest
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from limbcli.drawing import COLUMNS, data_file, figure_data, save_figure
+from limbcli.reporting.figures.style import new_figure, style
 
 
 def read(path: Path) -> list[dict[str, str]]:
@@ -63,3 +65,54 @@ def test_what_is_no_number_is_left_empty(tmp_path):
     assert len(list(figure_data(figure))) == 2
     save_figure(figure, tmp_path / "a.png")
     assert [row["y"] for row in read(tmp_path / "a-data.csv")] == ["", "2"]
+
+
+def test_intervals_shaded_ranges_and_names_come_back():
+    figure = Figure()
+    left, right = figure.subplots(1, 2, sharey=True)
+    left.set_title("force", loc="left")
+    left.set(xlabel="depth [mm]", ylabel="force [N]")
+    left.errorbar([1.0, 2.0], [3.0, 4.0], xerr=0.5, yerr=0.25, capsize=2, label="measured")
+    left.fill_between([0.0, 1.0], [0.0, 0.0], [1.0, 2.0], label="fat, predicted")
+    left.axvline(1.5, label="the fit")
+    right.axvspan(0.5, 2.5, label="95 %")
+    right.barh([0.0, 1.0], [2.0, 3.0], left=[-1.0, 0.0])
+    right.set_yticks([0, 1], ["tilt", "friction"])
+    rows = list(figure_data(figure))
+    assert {row[:3] for row in rows} >= {("force", "depth [mm]", "force [N]"), (2, "", "force [N]")}
+    kinds = {kind: [row[4:8] for row in rows if row[3] == kind] for kind in {row[3] for row in rows}}
+    assert [row for row in kinds["line"] if row[0] == "measured"] == [
+        ("measured", 0, 1.0, 3.0), ("measured", 1, 2.0, 4.0),
+    ]  # fmt: skip
+    ends = {row[2:] for row in kinds["segment"] if row[0] == "measured"}
+    assert ends == {(0.5, 3), (1.5, 3), (1.5, 4), (2.5, 4), (1, 2.75), (1, 3.25), (2, 3.75), (2, 4.25)}
+    assert {("fat, predicted", 0.0, 0.0), ("fat, predicted", 1.0, 2.0)} <= {
+        (name, x, y) for name, _, x, y in kinds["band"]
+    }
+    assert [(x, np.isnan(y)) for name, _, x, y in kinds["line"] if name == "the fit"] == [(1.5, True)] * 2
+    spans = {name: [] for name, *_ in kinds["span"]}
+    for name, _, x, _ in kinds["span"]:
+        spans[name].append(x)
+    assert spans == {"95 %": [0.5, 2.5], "tilt": [-1.0, 1.0], "friction": [0.0, 3.0]}
+    assert {row[0] for row in kinds["line"]} == {"measured", "the fit"}, "caps are no data"
+
+
+def test_a_field_from_corner_to_corner_keeps_its_values():
+    figure = Figure()
+    axes = figure.subplots()
+    axes.tripcolor([0.0, 1.0, 0.0], [0.0, 0.0, 2.0], np.array([5.0, 6.0, 7.0]), shading="gouraud")
+    assert [row[6:] for row in figure_data(figure)] == [(0, 0, 5), (1, 0, 6), (0, 2, 7)]
+
+
+@pytest.mark.parametrize("height", [3.5, 3.75, 4.0])
+def test_labels_of_a_saved_picture_are_on_it(tmp_path, height):
+    """A legend below takes the axes' height, with it ticks, and another width of their labels."""
+    with style():
+        figure = new_figure(7.4, height)
+        left, right = figure.subplots(1, 2, sharey=True)
+        for axes in (left, right):
+            axes.plot([0, 10], [0, 3.9], label="one\ntwo\nthree\nfour")
+            axes.set(ylim=(0, 4.2), ylabel="shear-wave speed [m/s]")
+            axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2))
+        save_figure(figure, tmp_path / "a.png")
+    assert left.yaxis.label.get_window_extent().x0 >= 0

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import textwrap
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from limbcli.drawing import save_picture
+from limbcli.drawing import save_picture, side_of
 from limbcli.imaging.segmentation import MARKER, Segmentation
 from limbcli.imaging.signed_distance import box_around
 from limbcli.imaging.volume import Volume
@@ -19,12 +23,16 @@ from limbcli.model import Array
 _COLUMNS, _ROWS = 5, 4
 _SKIN, _BONES, _MARKER = "#ffd400", ("#ff3b30", "#28c8ff", "#7cfc00", "#ff8cff"), "#ff00ff"
 _FAT = "#58d68d"
+_TITLE_WIDTH = 130  # characters on a line
 
 
-def contact_sheet(path: Path, image: Volume, found: Segmentation, *, title: str) -> None:
+def contact_sheet(
+    path: Path, image: Volume, found: Segmentation, names: Sequence[str], *, title: str
+) -> None:
     """Twenty slices from distal to proximal with skin, bones and markers outlined.
 
     image : the grey values (or the labels themselves where there is no image), any orientation
+    names : of the bones
     """
     grey, _, _ = image.along_limb()
     labels, _, _ = found.labels.along_limb()
@@ -33,7 +41,7 @@ def contact_sheet(path: Path, image: Volume, found: Segmentation, *, title: str)
     window = box_around(np.any(labels.values > 0, axis=2), np.ceil(6.0 / grey.spacing[:2]))
     height = (window[1].stop - window[1].start) * grey.spacing[1]
     width = (window[0].stop - window[0].start) * grey.spacing[0]
-    figure = Figure(figsize=(3.2 * _COLUMNS, 3.2 * height / width * rows + 0.9), layout="constrained")
+    figure = Figure(figsize=(2.0 * _COLUMNS, 2.0 * height / width * rows + 1.1), layout="constrained")
     FigureCanvasAgg(figure)
     top = float(np.percentile(grey.values[labels.values > 0], 99.5))
     markers = labels.values == MARKER
@@ -45,6 +53,7 @@ def contact_sheet(path: Path, image: Volume, found: Segmentation, *, title: str)
         _outlines(axes, found, markers, grey, int(k))
         axes.set_xlim(extent[0], extent[1])
         axes.set_ylim(extent[2], extent[3])
+        _tell_sides(axes, grey)
         height_mm = grey.to_patient(np.array([[*(n / 2 for n in grey.shape[:2]), k]]))[0, 2]
         axes.set_title(f"slice {k + 1} of {grey.shape[2]}, z = {height_mm:.0f} mm", fontsize=8)
         is_lowest, is_first = number > len(chosen) - _COLUMNS, number % _COLUMNS == 1
@@ -53,8 +62,34 @@ def contact_sheet(path: Path, image: Volume, found: Segmentation, *, title: str)
             axes.set_xlabel("mm along i", fontsize=7)
         if is_first:
             axes.set_ylabel("mm along j", fontsize=7)
-    figure.suptitle(title, fontsize=12)
-    save_picture(figure, path, dpi=80)
+    figure.suptitle(textwrap.fill(title, _TITLE_WIDTH), fontsize=10)
+    lines = [Line2D([], [], color=colour, label=label) for label, colour in _outlined(found, names, markers)]
+    figure.legend(
+        handles=lines, loc="outside lower center", ncols=len(lines), facecolor="0.3", labelcolor="white"
+    )
+    save_picture(figure, path, dpi=130)
+
+
+def _outlined(found: Segmentation, names: Sequence[str], markers: NDArray[np.bool_]) -> list[tuple[str, str]]:
+    """What has an outline, and its colour."""
+    told = [("skin", _SKIN)]
+    told += [(name, _BONES[k % len(_BONES)]) for k, name in enumerate(names)]
+    told += [("fat", _FAT)] if found.fat is not None else []
+    return told + ([("marker", _MARKER)] if markers.any() else [])
+
+
+def _tell_sides(axes: Axes, grey: Volume) -> None:
+    """First letters of the sides of the patient that the panel's edges lie towards: L for left and so on."""
+    across, down = grey.affine[:3, 0], grey.affine[:3, 1]
+    places = ((across, 0.98, 0.5), (-across, 0.02, 0.5), (down, 0.5, 0.02), (-down, 0.5, 0.98))
+    for direction, x, y in places:
+        letters = "".join(word[0].upper() for word in side_of(direction).split(" and "))
+        axes.text(
+            x, y, letters, transform=axes.transAxes, color="white", fontsize=8, fontweight="bold",
+            ha={0.98: "right", 0.02: "left"}.get(x, "center"),
+            va={0.98: "top", 0.02: "bottom"}.get(y, "center"),
+            path_effects=[withStroke(linewidth=1.5, foreground="black")],
+        )  # fmt: skip
 
 
 def _ends(labels: NDArray) -> tuple[int, int]:

@@ -18,6 +18,7 @@ from limbcli.measurement.trace import Trace
 from limbcli.measurement.ultrasound_image import UltrasoundImage
 
 _COLUMNS = 5
+_BOXES = "pixels read from the overlays (line: median; box: the middle half)"
 
 
 def draw_holds(trace: Trace, holds: Sequence[Hold], path: Path) -> None:
@@ -30,7 +31,7 @@ def draw_holds(trace: Trace, holds: Sequence[Hold], path: Path) -> None:
         axes.axvspan(hold.start_s, hold.end_s, color=colour, alpha=0.15)
         axes.plot([hold.start_s, hold.end_s], [hold.force, hold.force], color=colour, lw=1.5)
         axes.annotate(str(k), (hold.start_s, hold.force), xytext=(2, 4), textcoords="offset points", size=8)
-    axes.set(xlabel="time / s", ylabel="force / N", title="holds found (orange: creep still going on)")
+    axes.set(xlabel="time [s]", ylabel="force [N]", title="holds found (orange: creep still going on)")
     low, high = np.nanpercentile(trace.force, (0.1, 99.9))  # spikes do not squeeze the holds
     axes.set_ylim(low - 0.1 * (high - low) - 0.1, high + 0.1 * (high - low) + 0.1)
     save_figure(figure, path, dpi=130)
@@ -42,14 +43,15 @@ def draw_bone_lines(
 ) -> None:  # fmt: skip
     """Every level's image with the bone line that was read, and the lower borders of layers by their name."""
     rows = -(-len(images) // _COLUMNS)
-    figure = Figure(figsize=(2.4 * _COLUMNS, 2.6 * rows), layout="constrained")
-    for k, axes in enumerate(figure.subplots(rows, _COLUMNS, squeeze=False).ravel()):
-        axes.set_axis_off()
+    columns = min(len(images), _COLUMNS)
+    figure = Figure(figsize=(2.4 * columns + 0.4, 2.7 * rows), layout="constrained")
+    for k, axes in enumerate(figure.subplots(rows, columns, squeeze=False).ravel()):
         if k >= len(images):
+            axes.set_axis_off()
             continue
         region, line = images[k].main_region(), lines[k]
-        width = (region.right - region.left) * region.mm_per_pixel_x
-        height = (region.bottom - region.top) * region.mm_per_pixel_y
+        width = (region.right - region.left + 1) * region.mm_per_pixel_x
+        height = (region.bottom - region.top + 1) * region.mm_per_pixel_y
         grey = images[k].grey[region.top : region.bottom + 1, region.left : region.right + 1]
         axes.imshow(grey, cmap="gray", extent=(-width / 2, width / 2, height, 0), aspect="equal")
         axes.plot([-5, 5], [line.distance, line.distance], color="tab:orange", lw=1.2)
@@ -57,7 +59,11 @@ def draw_bone_lines(
             at = found[k].distance
             axes.plot([-5, 5], [at, at], color="tab:cyan", lw=1.0)
             axes.text(5.3, at, name, color="tab:cyan", size=6, va="center", clip_on=True)
-        axes.set_title(f"{k}: {line.distance:.2f} mm (SD {line.sd:.2f})", size=8)
+        axes.set_title(f"level {k}: {line.distance:.2f} mm (SD {line.sd:.2f})", size=8)
+        axes.set_xticks([])
+        axes.tick_params(labelsize=7)
+        if k % columns == 0:
+            axes.set_ylabel("depth [mm]", size=8)
     save_picture(figure, path, dpi=130)
 
 
@@ -77,7 +83,7 @@ def draw_pennation(image: UltrasoundImage, reading: PennationReading, path: Path
         color="tab:orange", lw=1.4,
     )  # fmt: skip
     axes.set(
-        xlabel="lateral / mm", ylabel="depth / mm",
+        xlabel="lateral [mm]", ylabel="depth [mm]",
         title=f"fibres at {reading.angle_deg:.1f} deg (deviation {reading.deviation_deg:.1f}, "
         f"spread {reading.spread_deg:.1f})",
     )  # fmt: skip
@@ -89,5 +95,5 @@ def draw_speeds(maps: Sequence[SweMap], path: Path) -> None:
     figure = Figure(figsize=(7, 3.6), layout="constrained")
     axes = figure.subplots()
     axes.boxplot([each.speed_m_per_s for each in maps], positions=np.arange(len(maps)), showfliers=False)
-    axes.set(xlabel="force level", ylabel="shear-wave speed / (m/s)", title="pixels read from the overlays")
+    axes.set(xlabel="force level [–]", ylabel="shear-wave speed [m/s]", title=_BOXES)
     save_figure(figure, path, dpi=130)

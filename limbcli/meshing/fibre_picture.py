@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -15,25 +16,28 @@ from limbcli.meshing.probe import ProbeShape
 from limbcli.model import Array, Block, Mesh
 
 _HALF_LENGTH, _SPACING, _SLICE = 2.2, 5.0, 4.0  # mm
+_TITLE_WIDTH = 130  # characters on a line
 _COLOUR = "#8c1d18"
 
 
 def fibre_picture(
-    mesh: Mesh, block: Block, axes: Array, probe: ProbeShape, path: Path, *, title: str
-) -> None:
+    mesh: Mesh, block: Block, axes: Array, probe: ProbeShape, path: Path, *, title: str,
+    sides: tuple[str, str],
+) -> None:  # fmt: skip
     """Write PNG and SVG: fibres as short lines, dots where they stand across the cut.
 
     block, axes (n_cells, 3) : the tissue and the unit direction in each of its cells
+    sides : of the patient, that x and y point to
     """
-    figure = Figure(figsize=(13, 5.4), layout="constrained")
+    figure = Figure(figsize=(10, 4.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     middles = mesh.points[block.cells].mean(axis=1)
     for panel, axis in ((left, 1), (right, 0)):
-        draw_cut(panel, mesh, probe, axis=axis, start_depth=0.0)
+        draw_cut(panel, mesh, probe, axis=axis, start_depth=0.0, sides=sides)
         _draw_axes(panel, middles, axes, axis)
         panel.set_title(f"fibres near the plane {'xy'[axis]} = 0 (a dot: across it)")
-    figure.suptitle(title)
-    save_picture(figure, path, dpi=110)
+    figure.suptitle(textwrap.fill(title, _TITLE_WIDTH))
+    save_picture(figure, path, dpi=143)
 
 
 def _draw_axes(panel: Any, middles: Array, axes: Array, axis: int) -> None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from limbcli.drawing import side_of
 from limbcli.errors import CaseError, MeshError
 from limbcli.meshing.mending import Limb, principal_axis
 from limbcli.meshing.probe import ProbeShape
@@ -42,6 +43,11 @@ class SiteFrame:
     @property
     def to_patient(self) -> Array:
         return np.asarray(np.linalg.inv(self.to_model), np.float64)
+
+    @property
+    def sides(self) -> tuple[str, str]:
+        """The sides of the patient that x and y of the site's frame point to."""
+        return side_of(self.to_model[0, :3]), side_of(self.to_model[1, :3])
 
 
 def proximal_direction(limb: Limb) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -15,25 +16,38 @@ from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.quality import MeshQuality, dihedral_angles_deg
 from limbcli.model import Array, IntArray, Mesh
 
+_TITLE_WIDTH = 130  # characters on a line
 _COLOURS = {"tissue": "#f2d3c4", "fat": "#fbeeb5", "skin": "#d99a7c"}
 
 
 def mesh_picture(
-    mesh: Mesh, probe: ProbeShape, figures: MeshQuality, path: Path, *, title: str, start_depth: float
+    mesh: Mesh,
+    probe: ProbeShape,
+    figures: MeshQuality,
+    path: Path,
+    *,
+    title: str,
+    start_depth: float,
+    sides: tuple[str, str],
 ) -> None:
-    """Write PNG and SVG. Look for small cells under the probe and bones in their places; bad are spikes."""
-    figure = Figure(figsize=(13, 9.5), layout="constrained")
+    """Write PNG and SVG. Look for small cells under the probe and bones in their places; bad are spikes.
+
+    sides : of the patient, that x and y point to
+    """
+    figure = Figure(figsize=(10, 8), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(2, 2)
-    draw_cut(axes[0, 0], mesh, probe, axis=1, start_depth=start_depth)
-    draw_cut(axes[0, 1], mesh, probe, axis=0, start_depth=start_depth)
-    _from_above(axes[1, 0], mesh, probe)
+    draw_cut(axes[0, 0], mesh, probe, axis=1, start_depth=start_depth, sides=sides)
+    draw_cut(axes[0, 1], mesh, probe, axis=0, start_depth=start_depth, sides=sides)
+    _from_above(axes[1, 0], mesh, probe, sides)
     _histogram(axes[1, 1], mesh, figures)
-    figure.suptitle(title)
-    save_picture(figure, path, dpi=110)
+    figure.suptitle(textwrap.fill(title, _TITLE_WIDTH))
+    save_picture(figure, path, dpi=143)
 
 
-def draw_cut(axes: Any, mesh: Mesh, probe: ProbeShape, *, axis: int, start_depth: float) -> None:
+def draw_cut(
+    axes: Any, mesh: Mesh, probe: ProbeShape, *, axis: int, start_depth: float, sides: tuple[str, str]
+) -> None:
     """Tetrahedra cut by the plane through the site whose normal is x (0) or y (1)."""
     across = 1 - axis
     for block in mesh.solid_blocks:
@@ -48,9 +62,9 @@ def draw_cut(axes: Any, mesh: Mesh, probe: ProbeShape, *, axis: int, start_depth
     axes.fill(*outline.T, facecolor="#9db4c8", edgecolor="#1f4e79", linewidth=1.2, alpha=0.8)
     axes.autoscale_view()
     axes.set_aspect("equal")
-    axes.set_xlabel(("x (along the probe)", "y (across the probe)")[across] + ", mm")
-    axes.set_ylabel("z (outward), mm")
-    axes.set_title(f"cut through the site at {'xy'[axis]} = 0; empty inside: bone")
+    axes.set_xlabel(_axis_words(across, sides))
+    axes.set_ylabel("z, outward [mm]")
+    axes.set_title(f"cut through the site at {'xy'[axis]} = 0; empty inside: bone", fontsize=10)
 
 
 def section(points: Array, cells: IntArray, axis: int, at: float = 1e-6) -> list[Array]:
@@ -68,7 +82,15 @@ def section(points: Array, cells: IntArray, axis: int, at: float = 1e-6) -> list
     return out
 
 
-def _from_above(axes: Any, mesh: Mesh, probe: ProbeShape) -> None:
+def _axis_words(axis: int, sides: tuple[str, str]) -> str:
+    """
+    >>> _axis_words(1, ("left", "head"))
+    'y, across the probe; + is head [mm]'
+    """
+    return f"{('x, along', 'y, across')[axis]} the probe; + is {sides[axis]} [mm]"
+
+
+def _from_above(axes: Any, mesh: Mesh, probe: ProbeShape, sides: tuple[str, str]) -> None:
     """Skin facets that face up; those the probe can reach in colour."""
     for name, colour in (("skin", "#eeeeee"), ("contact", "#f6c9b0")):
         faces = next(iter(mesh.surfaces[name].facets.values()))[:, :3]
@@ -81,9 +103,9 @@ def _from_above(axes: Any, mesh: Mesh, probe: ProbeShape) -> None:
     axes.add_collection(LineCollection([_outline(probe)], colors="#1f4e79", linewidths=1.8))
     axes.autoscale_view()
     axes.set_aspect("equal")
-    axes.set_xlabel("x (along the probe), mm")
-    axes.set_ylabel("y (across the probe), mm")
-    axes.set_title("skin from outside; shaded: within the probe's reach; blue: its outline")
+    axes.set_xlabel(_axis_words(0, sides))
+    axes.set_ylabel(_axis_words(1, sides))
+    axes.set_title("skin from outside; shaded: within the probe's reach;\nblue: its outline", fontsize=10)
 
 
 def _outline(probe: ProbeShape) -> Array:
@@ -103,10 +125,12 @@ def _histogram(axes: Any, mesh: Mesh, figures: MeshQuality) -> None:
     axes.hist(np.concatenate(lowest), bins=np.arange(0, 72, 2), color="#7f9db9", edgecolor="white")
     axes.axvline(4, color="#a33", linewidth=1, linestyle="--", label="4°: least asked for")
     axes.axvline(8, color="#d90", linewidth=1, linestyle="--", label="8°: least under the probe")
-    axes.set_xlabel("smallest dihedral angle of a tetrahedron, degrees")
+    axes.set_xlabel("smallest dihedral angle of a tetrahedron [°]")
     axes.set_ylabel("tetrahedra")
-    axes.legend(frameon=False)
+    axes.set_ylim(top=1.2 * axes.get_ylim()[1])  # room for the legend above the bars
+    axes.legend(frameon=False, loc="upper right")
     axes.set_title(
-        f"{figures.n_cells} tetrahedra; smallest angle {figures.min_angle_deg:.1f}°, "
-        f"under the probe {figures.min_angle_under_probe_deg:.1f}°"
+        f"{figures.n_cells} tetrahedra; smallest angle {figures.min_angle_deg:.1f}°,\n"
+        f"under the probe {figures.min_angle_under_probe_deg:.1f}°",
+        fontsize=10,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,8 @@ from matplotlib.figure import Figure
 
 from limbcli.drawing import save_figure
 from limbcli.meshing.mesh_extrapolation import Extrapolation
+
+_TITLE_WIDTH = 110  # characters on a line
 
 
 def study_picture(
@@ -29,25 +32,33 @@ def study_picture(
     figure = Figure(figsize=(11, 4.4), layout="constrained")
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
-    _curve(left, sizes, used[0], "edge length under the probe, mm", depth)
+    _curve(left, sizes, used[0], "edge length under the probe [mm]", depth, (extrapolation.limit,))
     left.axhline(extrapolation.limit, color="#777777", linestyle="--", linewidth=1)
     how = "assumed" if extrapolation.order_is_assumed else "seen"
     left.set_title(
         f"dashed: extrapolated to 0 ({extrapolation.limit:.3g} N, order {extrapolation.order:.1f} {how})"
     )
     left.set_xlim(left=0)
-    _curve(right, margins, used[1], "tissue kept beyond the probe face, mm", depth)
-    right.set_title("flat towards the right: the cut is far enough")
-    figure.suptitle(title)
+    _curve(right, margins, used[1], "tissue kept beyond the probe face [mm]", depth)
+    right.set_title("where it is flat, the cut is far enough")
+    figure.suptitle(textwrap.fill(title, _TITLE_WIDTH))
     save_figure(figure, path, dpi=120)
 
 
-def _curve(axes: Any, pairs: list[tuple[float, float]], used: float, label: str, depth: float) -> None:
+def _curve(
+    axes: Any,
+    pairs: list[tuple[float, float]],
+    used: float,
+    label: str,
+    depth: float,
+    others: tuple[float, ...] = (0.0,),
+) -> None:
+    """others : forces (N) that are to be seen, too"""
     x, force = zip(*sorted(pairs), strict=True)
     axes.plot(x, force, "o-", color="#1f4e79")
     mine = [(a, f) for a, f in pairs if a == used]
     axes.plot(*zip(*mine, strict=True), "o", color="#c8502d", markersize=9, label="the model")
     axes.set_xlabel(label)
-    axes.set_ylabel(f"force at {depth:.2f} mm, N")
-    axes.set_ylim(0, 1.12 * max(force))
+    axes.set_ylabel(f"force at {depth:.2f} mm [N]")
+    axes.set_ylim(0, 1.12 * max(*force, *others))
     axes.legend(frameon=False)

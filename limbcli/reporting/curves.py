@@ -14,7 +14,7 @@ from limbcli.results import StageResult
 
 CURVES_FILE, RUN_CURVE_FILE = "curves.csv", "force-depth.csv"
 _LABELS = {
-    "start": r"start ($f_\kappa$ = 100, m = 2)",
+    "start": "start (f_κ = 100, m = 2)",
     "mooney-rivlin": "Mooney-Rivlin type (m = 2)",
     "ogden": "Ogden type",
 }

@@ -67,17 +67,25 @@ _UNIT_ENDINGS = {
 }  # fmt: skip
 
 
+_SHARES = ("share_below_", "share_above_")
+_EXTENTS = ("matrix", "spacing", "shape")  # lists that are so much by so much; others are coordinates
+
+
 def named(key: str) -> tuple[str, str]:
     """A result's key as words and unit.
 
     >>> named("edge_mean_mm"), named("n_nodes"), named("wave_speed_m_per_s")
     (('edge mean', 'mm'), ('number of nodes', ''), ('wave speed', 'm/s'))
+    >>> named("share_below_10_deg")  # the unit is the limit's; a share has none
+    ('share below 10 °', '')
     """
     words, unit = key, ""
     for ending, name in _UNIT_ENDINGS.items():
         if key.endswith(ending):
             words, unit = key[: -len(ending)], name
             break
+    if words.startswith(_SHARES):
+        words, unit = f"{words} {unit}".rstrip(), ""
     if words.startswith("n_"):
         words = "number of " + words[2:]
     return words.replace("_", " "), unit
@@ -90,6 +98,8 @@ def plain_rows(data: Mapping[str, Any], *, prefix: str = "", unit: str = "") -> 
     ...     print(name.text, "=", value.text)
     volume, skin = 1627...cm³
     number of slices = 56
+    >>> [value.text for _, value in plain_rows({"spacing_mm": [1.0, 4.0], "normal": [-0.5, 0.9]})]
+    ['1.00 × 4.00 mm', '-0.500, 0.900']
     """
     rows: list[tuple[Cell, ...]] = []
     for key, value in data.items():
@@ -97,13 +107,16 @@ def plain_rows(data: Mapping[str, Any], *, prefix: str = "", unit: str = "") -> 
         label, of = f"{prefix}{words}", own or unit
         if isinstance(value, Mapping):
             rows += plain_rows(value, prefix=f"{label}, ", unit=of)
-        elif (shown := _shown(value, of)) is not None:
+        elif (shown := _shown(value, of, by=" × " if words.endswith(_EXTENTS) else ", ")) is not None:
             rows.append((Cell(label, lead=True), shown))
     return rows
 
 
-def _shown(value: object, unit: str) -> Cell | None:
-    """One value as a cell, or None for what does not belong in one (long lists, nested tables)."""
+def _shown(value: object, unit: str, *, by: str) -> Cell | None:
+    """One value as a cell, or None for what does not belong in one (long lists, nested tables).
+
+    by : what stands between the numbers of a list
+    """
     if value is None:
         return Cell(DASH, reason="undefined for this result")
     if isinstance(value, bool):
@@ -117,5 +130,5 @@ def _shown(value: object, unit: str) -> Cell | None:
     short = isinstance(value, list) and 0 < len(value) <= _MOST_IN_A_ROW
     if short and all(number(each) is not None for each in value):  # type: ignore[attr-defined]
         texts = [str(each) if isinstance(each, int) else significant(each) for each in value]  # type: ignore[attr-defined]
-        return Cell(" × ".join(texts) + (f" {unit}" if unit else ""))
+        return Cell(by.join(texts) + (f" {unit}" if unit else ""))
     return None

@@ -90,6 +90,7 @@ def _placed(rows: Sequence[Sequence[Cell]]) -> list[list[tuple[Cell, int]]]:
 class Reportlet:
     """One question and its answer.
 
+    answer : in a sentence, where there is one; it stands first
     look_for, bad : the caption: what to look for, and what bad looks like
     notes : findings in plain words; warned : those that must not be overlooked
     """
@@ -107,6 +108,7 @@ class Reportlet:
     failure: Failure | None = None
     command: str = ""
     more: tuple[PageTable, ...] = field(default=())
+    answer: str = ""
 
     @property
     def is_answered(self) -> bool:

@@ -194,7 +194,7 @@ def _row(each: ElementFit) -> dict[str, Any]:
 def _draw(writer: StageWriter, found: list[ElementFit], depth: Array, force: Array) -> None:
     """elements.png: forces at the same parameters and after each fit; the last force over f_kappa."""
     with style():
-        figure = new_figure(7.6, 3.2)
+        figure = new_figure(7.6, 4.4)
         left, right = figure.subplots(1, 2)
         left.plot(depth, force, "o", ms=4, color=INK, label="measured")
         for each, colour in zip(found, (BLUE, VERMILION), strict=True):
@@ -204,7 +204,7 @@ def _draw(writer: StageWriter, found: list[ElementFit], depth: Array, force: Arr
                 np.r_[0.0, each.start_force],
                 ":",
                 color=colour,
-                label=rf"{each.element}, $f_\kappa$ 100, m 2",
+                label=rf"{each.element}, $f_\kappa$ = 100, m = 2",
             )
             left.plot(depths, np.r_[0.0, each.fitted_force], color=colour, label=f"{each.element}, fitted")
             if each.element == "tet10":
@@ -216,6 +216,6 @@ def _draw(writer: StageWriter, found: list[ElementFit], depth: Array, force: Arr
         right.set(xlabel=r"$f_\kappa$ [–]", ylabel=r"last force over that at $f_\kappa$ 10 [–]", xscale="log")
         right.set_xticks(SWEEP, [f"{each:g}" for each in SWEEP])
         right.minorticks_off()
-        left.legend(fontsize=8)
-        right.legend(fontsize=8)
+        for axes in (left, right):
+            axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.2))
         save_figure(figure, writer.file("picture", "elements.png"))

@@ -194,6 +194,7 @@ def mesh_site(
             writer.file("picture", "mesh.png"),
             title=f"{case.subject}, site {site.name}: {options.element} model",
             start_depth=options.start_depth,
+            sides=found.frame.sides,
         )
         _report(writer, found, options, limb, segmented, site)
         leave_fibres(fibres, model, probe, site, writer)

@@ -269,9 +269,7 @@ def _write(
     _tell_layers(case, found, surfaces["skin"], writer)
     verdict = _tell_quality(found, names, writer)
     sheet = writer.file("contact_sheet", "contact-sheet.png")
-    fat = ", fat (green)" if found.fat is not None else ""
-    title = f"{case.subject}: skin (yellow), bones ({', '.join(names)}){fat}; quality: {verdict}"
-    contact_sheet(sheet, image, found, title=title)
+    contact_sheet(sheet, image, found, names, title=f"{case.subject}, distal to proximal; quality: {verdict}")
 
 
 def _tell_markers(found: Segmentation, lowered: list[float], writer: StageWriter) -> None:

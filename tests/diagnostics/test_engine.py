@@ -40,6 +40,9 @@ def test_a_clear_effect_is_named_and_sized(rng, name, size):
     assert found.chosen == (name,)
     assert abs(found.final.values[name] - size) < 0.3 * size
     assert found.shrink[-1].chi2_per_nu < 2.0 < found.shrink[0].chi2_per_nu
+    before, after = (stage.held_out["all"] for stage in found.shrink)
+    told = f"held-out error {before:.2f} to {after:.2f} deviations"
+    assert any(told in each for each in sentences(found)), "a sentence says what the table of the page says"
 
 
 def test_twins_are_never_told_apart(rng):

@@ -9,7 +9,7 @@ import pytest
 
 from limbcli.diagnostics.model.forward_model import Data, Fitted
 from limbcli.diagnostics.model.noise import Noise, NoisePart
-from limbcli.diagnostics.statistical_tests.heldout import fell, held_out_error
+from limbcli.diagnostics.statistical_tests.heldout import fell, held_out_error, over_shared
 
 N = 30  # data in each of two blocks, of deviation 1
 
@@ -62,3 +62,14 @@ def test_blocks_count_by_their_data():
     masks = {"force": np.arange(100) < 10, "map": np.arange(100) >= 10}
     assert not fell(before, after)
     assert fell(before, after, masks)
+
+
+def test_errors_of_two_models_are_over_the_same_data():
+    """Of three blocks of three data the second model cannot predict the last."""
+    blocks = {name: np.arange(9) // 3 == k for k, name in enumerate("abc")}
+    first = {"a": 2.0, "b": 4.0, "c": 9.0, "all": 5.8}
+    before, after = over_shared([first, {"a": 1.0, "b": 1.0, "all": 1.0}], blocks)
+    assert before["all"] == np.sqrt((3 * 4.0 + 3 * 16.0) / 6)
+    assert after["all"] == 1.0
+    assert before["c"] == 9.0
+    assert over_shared([{"a": 1.0, "all": 1.0}, {}], blocks) == [{"a": 1.0, "all": 1.0}, {}]

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from limbcli.diagnostics.conclusions.sentences import sentences
 from limbcli.diagnostics.engine import diagnose
@@ -13,6 +14,7 @@ from limbcli.effects import effect
 from limbcli.reporting.outcome import read_outcomes
 from limbcli.reporting.sections.diagnosis import diagnosis
 from limbcli.results import open_stage
+from limbcli.stages.diagnosis import report as pictures
 from limbcli.stages.diagnosis.report import (
     _in_plausible_sizes,
     candidates_picture,
@@ -39,7 +41,7 @@ def test_section_shows_verdict_candidates_and_blind_spots(tmp_path):
         sizes_picture(found, sizes_of(bench, bench.site), writer.file("sizes", "sizes.png"))
     shown = diagnosis(page_of(tmp_path), SimpleNamespace(name="p1"))
     assert shown.mood == "fine"
-    assert shown.notes[0].startswith("ADEQUATE")
+    assert shown.answer.startswith("ADEQUATE")
     names = {row[0].text for row in shown.tables[0].rows}
     assert {"force-zero", "poroelasticity"} <= names
     assert shown.more[1].rows
@@ -61,3 +63,32 @@ def test_sizes_are_drawn_within_what_is_looked_for(effect_name, parameter, ends,
 
 def test_nothing_is_shown_where_nothing_was_diagnosed(tmp_path):
     assert diagnosis(page_of(tmp_path), SimpleNamespace(name="p1")) is None
+
+
+CHANNELS = ("force", "swe", "map", "travel", "layer", "hold")
+
+
+def test_words_of_a_gap_of_many_channels_and_sites_can_be_read_in_print(tmp_path, monkeypatch):
+    """Two sites with six channels on a page 17 cm wide; no letter smaller than 6 points, none cut off."""
+    kept, n = [], 3 * len(CHANNELS)
+    monkeypatch.setattr(pictures, "slices", lambda s: [slice(n * k, n * (k + 1)) for k in range(len(s))])
+    monkeypatch.setattr(pictures, "save_figure", lambda figure, *_, **__: kept.append(figure))
+    rows = [SimpleNamespace(channel=each, level=k) for each in CHANNELS for k in range(3)]
+    data = SimpleNamespace(y=np.ones(n), deviation=np.ones(n))
+    sites = [
+        SimpleNamespace(name=f"medial proximal am Köpfchen {k}", rows=rows, data=data,
+                        protocol=SimpleNamespace(depth=np.arange(3.0)))
+        for k in range(2)
+    ]  # fmt: skip
+    found = SimpleNamespace(base=SimpleNamespace(prediction=np.zeros(2 * n)), shrink=(), refits=())
+    gap_picture(found, sites, tmp_path / "gap.png")
+    (figure,) = kept
+    FigureCanvasAgg(figure).draw()
+    shrunk = min(1.0, 6.7 / figure.get_figwidth())
+    words = [text for axes in figure.axes for text in (axes.title, axes.xaxis.label, axes.yaxis.label)]
+    words = [each for each in words if each.get_text()]
+    assert len([each for each in words if "Köpfchen" in each.get_text() or "medial" in each.get_text()]) == 12
+    for each in words:
+        assert shrunk * each.get_fontsize() >= 6.0
+        box = each.get_window_extent()
+        assert 0 <= box.x0 < box.x1 <= figure.bbox.x1

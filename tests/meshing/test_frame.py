@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from limbcli.errors import CaseError
-from limbcli.meshing.frame import probe_axis, proximal_direction, site_frame, skin_point_at
+from limbcli.meshing.frame import SiteFrame, probe_axis, proximal_direction, site_frame, skin_point_at
 from limbcli.meshing.mending import Limb
 from limbcli.meshing.probe import ProbeShape
 
@@ -100,3 +100,11 @@ def test_site_by_angle_and_height(leg, angle, direction):
 def test_no_skin_at_that_height(leg):
     with pytest.raises(CaseError, match="no skin"):
         skin_point_at(leg, 0.0, 1000.0)
+
+
+def test_the_frames_axes_point_to_sides_of_the_patient():
+    """A probe held across a limb at its back: x to the right, y to the head, outward is posterior."""
+    to_model = np.eye(4)
+    to_model[:3, :3] = [[-1, 0, 0], [0, 0, 1], [0, 1, 0]]
+    rows = to_model[:3, :3]
+    assert SiteFrame(to_model, np.zeros(3), rows[2], rows[0], rows[1], 0.0).sides == ("right", "head")

@@ -84,3 +84,20 @@ def test_nodes_that_were_not_recorded_leave_a_gap():
     section_figure(gap)
     (drawn,) = skin_figure(gap).axes[0].collections
     assert len(drawn.get_paths()) < 6
+
+
+def test_section_names_the_side_it_points_to_and_what_is_grey():
+    gaps = np.array([0.75, np.nan, 0.75, 0.75, 0.75, 0.75])
+    figure = section_figure(state(stretch=gaps, sides=("left", "head")))
+    assert "(+ is left)" in figure.axes[0].get_xlabel()
+    assert [each.get_text() for each in figure.legends[0].get_texts()][-1] == "not recorded"
+    whole = section_figure(state()).legends[0].get_texts()
+    assert "not recorded" not in [each.get_text() for each in whole]
+
+
+def test_skin_shows_bone_in_the_cut_and_which_way_the_patient_lies():
+    figure = skin_figure(state(bone={"quad4": np.array([[0, 1, 5, 4]])}, sides=("left", "head")))
+    assert [each.get_text() for each in figure.legends[0].get_texts()] == ["cut open", "bone"]
+    arrows = {each.get_text(): np.array(each.xy) for each in figure.axes[0].texts if each.get_text()}
+    assert arrows["left"][0] > arrows["20 mm"][0] - 40
+    assert arrows["head"][1] > arrows["left"][1], "y goes up in this view, x down"

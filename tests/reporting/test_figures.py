@@ -15,13 +15,19 @@ from limbcli.drawing import figure_data
 from limbcli.interval_limits import THRESHOLD_95
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.regression import Line, speed_against_force
-from limbcli.reporting.figures.cohort import compliance
+from limbcli.reporting.figures.cohort import compliance, distributions
 from limbcli.reporting.figures.convergence import FitWalk, Residuals, fit_walk, newton_residuals
+from limbcli.reporting.figures.cycles import Loop, cycles
 from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth
+from limbcli.reporting.figures.layers import LayerPicture, layers_figure
 from limbcli.reporting.figures.profiles import ProfileCurve, profile_figure
 from limbcli.reporting.figures.speed_maps import LevelMaps, chosen_levels, speed_maps
+from limbcli.reporting.figures.states import StateReading, StatesPanel, states_figure
 from limbcli.reporting.figures.stiffness import StiffnessSection, stiffness_figure
+from limbcli.reporting.figures.study import StudyRow, study_figure
+from limbcli.reporting.figures.style import plain_log
 from limbcli.reporting.figures.wave_speed import PredictedSpeeds, SpeedReadings, line_words, wave_speed
+from limbcli.reporting.fit_view import EstimateView
 
 DEPTH = np.linspace(0, 10, 11)
 MEASURED = MeasuredCurve(DEPTH, 1.5 * DEPTH, 0.3, 0.1)
@@ -91,6 +97,16 @@ def test_speed_maps_show_measured_predicted_and_the_difference_of_a_handful_of_l
     np.testing.assert_allclose(gaps, 0.3, rtol=1e-9)
 
 
+def test_pixels_of_a_speed_map_fill_it_and_maps_without_a_common_pixel_are_drawn():
+    lateral, depth = (each.ravel() for each in np.meshgrid(np.arange(0.0, 8, 2), np.arange(2.0, 5, 0.5)))
+    own = SweMap(lateral, depth, 2.0 + 0.1 * depth)
+    other = SweMap(lateral + 0.3, depth, own.speed_m_per_s)
+    panels = [a for a in speed_maps([LevelMaps(0, 0.0, own, other)]).axes if a.get_label() != "<colorbar>"]
+    corners = panels[1].collections[0].get_paths()[0].vertices
+    np.testing.assert_allclose(np.ptp(corners, axis=0), [2.0, 0.5])
+    assert [each.get_text() for each in panels[2].texts] == ["no pixel\nof both"]
+
+
 def test_without_measured_maps_only_the_predicted_ones_are_drawn():
     panels = [a for a in speed_maps(maps(2, measured=False)).axes if a.get_label() != "<colorbar>"]
     assert len(panels) == 2
@@ -144,3 +160,146 @@ def test_sites_of_a_cohort_are_labelled_as_they_are_named():
     shown = [each.get_text() for each in figure.axes[0].get_legend().get_texts()]
     assert [each.strip().replace(r"\$", "$") for each in shown[1:]] == sorted(sites)
     assert set(sites) <= {row[4] for row in figure_data(figure)}
+
+
+def drawn(figure: Figure) -> Figure:
+    FigureCanvasAgg(figure).draw()
+    return figure
+
+
+def test_no_legend_lies_over_what_is_drawn():
+    """A start curve far off, unloading, a search that falls steeply, cycles, states that are alike."""
+    back = np.r_[np.zeros(9, bool), True, True]
+    measured = MeasuredCurve(DEPTH, 1.5 * DEPTH, 0.3, 0.1, unloading=back)
+    cost = np.array([40.0, 20.0, 12.0, 8.0, 4.5])
+    walks = [FitWalk(key, key, cost, {"m": cost}) for key in ("mooney-rivlin", "ogden")]
+    loops = [Loop(k, (DEPTH, DEPTH**0.5), (DEPTH[::-1], DEPTH[::-1])) for k in range(1, 13)]
+    readings = [StateReading(f"state {k}", 1.0 + 1e-3 * k, 0.9, 1.2, 2.0, 0.1) for k in range(4)]
+    panel = StatesPanel("along", "case", readings, 0.9 + DEPTH / 30, 2.0 + DEPTH, 1.0, None)
+    for figure in (
+        force_depth(measured, [curve("start", 9.0), curve("ogden", 1.5)]),
+        fit_walk(walks), cycles(loops), states_figure([panel]), profile_figure([valley("m")]),
+        wave_speed(SPEEDS, against_force=Line(0.05, 2.0, None, None, 3), against_depth=None),
+    ):  # fmt: skip
+        drawn(figure)
+        legends = [*figure.legends, *(each for axes in figure.axes if (each := axes.get_legend()))]
+        assert legends
+        for box in (each.get_window_extent() for each in legends):
+            assert not any(box.overlaps(axes.bbox) for axes in figure.axes)
+            assert 0 <= box.x0 < box.x1 <= figure.bbox.x1 + 1
+
+
+def valley(name: str) -> ProfileCurve:
+    values = np.geomspace(1.0, 20.0, 20)
+    return ProfileCurve(name, values, np.log(values / 4.0) ** 2, 4.0)
+
+
+def test_a_misfit_of_nothing_does_not_squeeze_the_others():
+    walk = FitWalk("ogden", "Ogden type", np.array([10.0, 1e-3, 0.0]), {"m": np.array([2.0, 3.0, 3.0])})
+    assert fit_walk([walk]).axes[0].get_ylim()[0] > 1e-10
+
+
+def test_forces_below_zero_stay_on_the_picture():
+    below = MeasuredCurve(DEPTH, -DEPTH, 0.3, 0.1)
+    low, high = force_depth(below, [curve("ogden", -1.0)]).axes[0].get_ylim()
+    assert low < -10.1
+    assert high > 0.0
+
+
+def test_differences_to_unloading_are_no_part_of_the_fits_line():
+    back = np.r_[np.zeros(9, bool), True, True]
+    measured = MeasuredCurve(DEPTH, 1.5 * DEPTH, 0.3, 0.1, unloading=back)
+    lower = force_depth(measured, [curve("ogden", 1.4)]).axes[1]
+    up, down = lower.lines[:2]
+    assert (len(up.get_xdata()), len(down.get_xdata())) == (9, 2)
+    assert down.get_linestyle() == "None"
+    assert down.get_markerfacecolor() == "white"
+
+
+def test_bars_are_named_only_where_there_are_some():
+    bare = SpeedReadings(DEPTH, DEPTH, 2.0 + DEPTH, np.full(11, np.nan))
+    for readings, words in ((SPEEDS, "measured: mean ± SD over pixels"), (bare, "measured: mean")):
+        legend = wave_speed(readings).axes[0].get_legend()
+        assert [each.get_text() for each in legend.get_texts()] == [words]
+
+
+def test_cycles_and_sites_of_a_cohort_can_be_told_apart():
+    loops = [Loop(k, (DEPTH, DEPTH), (DEPTH[:0], DEPTH[:0])) for k in range(1, 13)]
+    rows = [
+        {"location": f"s{k:02d}", "measured_mm_per_mpa": 10.0 + k, "predicted_mm_per_mpa": 11.0}
+        for k in range(20)
+    ]
+    for axes, first in ((cycles(loops).axes[0], 0), (compliance(rows).axes[0], 1)):
+        looks = [(each.get_color(), each.get_marker()) for each in axes.lines[first:]]
+        assert len(looks) == len(set(looks)) >= 12
+
+
+def test_long_names_leave_room_for_the_parameters_of_a_study():
+    names = [f"Patient-mit-sehr-langem-Namen-{k} (Ordner {k}) medial proximal" for k in range(12)]
+    known = EstimateView("c", 5.0, "kPa", 4.0, 7.0, "", "fixed")
+    figure = drawn(study_figure([StudyRow(name, {"c": known}) for name in names]))
+    assert all(axes.bbox.width > 0.2 * figure.bbox.width for axes in figure.axes)
+    labels = [each.get_window_extent() for each in figure.axes[0].get_yticklabels()]
+    assert all(not one.overlaps(other) for one, other in pairwise(labels))
+    assert [each.get_text() for axes in figure.axes for each in axes.texts] == ["not told", "not told"]
+
+
+@pytest.mark.parametrize("ends", [(4.0, 7.0), (3.0, 40.0), (0.02, 2000.0)])
+def test_numbers_on_logarithmic_axes_are_plain(ends):
+    figure = Figure()
+    axes = figure.subplots()
+    axes.loglog(ends, ends)
+    plain_log(axes.xaxis)
+    drawn(figure)
+    shown = [each.get_text() for each in axes.get_xticklabels()]
+    assert len(shown) >= 2
+    assert not any("times" in each or "^" in each for each in shown)
+    assert not [each for each in axes.get_xticklabels(minor=True) if each.get_text()]
+
+
+def test_a_long_name_stands_at_its_own_site_of_a_cohort():
+    names = [f"site {k}" for k in range(7)]
+    names[2] = "Unterschenkel dorsal, handbreit unter dem Köpfchen"
+    own = {"beyond_family": "", "geometric_mean": 4.0, "spread_factor": 1.3, "low": 3.0, "high": 5.0}
+    keys = ("c_muscle_kpa", "c_fat_kpa", "m")
+    values = {f"{key}{end}": 4.0 for key in keys for end in ("", "_low", "_high")}
+    rows = [{"location": name, **values} for name in names]
+    figure = drawn(distributions(rows, {name: {"population": dict.fromkeys(keys, own)} for name in names}))
+    axes = figure.axes[-1]
+    for k, label in enumerate(axes.get_xticklabels()):
+        x = axes.transData.transform((k, 1.0))[0]
+        box = label.get_window_extent()
+        assert box.x0 < x < box.x1 + 0.03 * figure.bbox.width
+        assert abs(box.x1 - x) < 0.5 * axes.bbox.width / len(names)
+
+
+@pytest.mark.parametrize("rows", [1, 3])
+def test_words_beside_flat_speed_maps_do_not_touch(rows):
+    lateral, depth = (each.ravel() for each in np.meshgrid(np.arange(-25.0, 26, 5), np.linspace(2, 6, rows)))
+    own = SweMap(lateral, depth, 2.0 + 0.1 * depth)
+    figure = drawn(speed_maps([LevelMaps(k, 2.0 * k, own, own) for k in range(3)]))
+    words = [axes.yaxis.label.get_window_extent() for axes in figure.axes if "depth" in axes.get_ylabel()]
+    assert len(words) == 3
+    assert not any(one.overlaps(other) for one, other in pairwise(words))
+
+
+def test_layers_of_a_single_level_are_seen():
+    one = np.array([[1.5, 6.0]])
+    left, right = layers_figure(LayerPicture(np.array([4.0]), ("skin", "fat"), one, one, 0.2)).axes
+    bands = [each for each in left.collections if each.get_label().endswith("predicted")]
+    for band, ends in zip(bands, ((0.0, 1.5), (1.5, 7.5)), strict=True):
+        corners = band.get_paths()[0].vertices
+        assert np.ptp(corners[:, 0]) == 1.0
+        assert (corners[:, 1].min(), corners[:, 1].max()) == ends
+    assert len({line.get_marker() for line in right.lines[:2]}) == 2
+
+
+def test_table_of_speed_maps_tells_row_level_and_axes():
+    panels = {row[:3] for row in figure_data(speed_maps(maps(2, measured=True)))}
+    across = "lateral [mm], 0 under the probe's centre; depth 0 at its face"
+    rows = (("measured", "measured"), ("predicted", "predicted"), ("difference", "predicted − measured"))
+    assert panels == {
+        (f"{row}, level {k} ({2 * k:.1f} N)", across, f"{words} depth [mm]")
+        for row, words in rows
+        for k in (0, 1)
+    }

@@ -109,6 +109,7 @@ def test_numbers_go_the_same_way_as_images(chain):
     assert beam_length(segmented.folder, np.array([0, -RADIUS, 0])) == pytest.approx(15.0, abs=1e-4)
     assert segmented.data["layers"]["p1"] == {"skin_mm": 1.5, "fat_mm": 4.5}
     assert {"contact_sheet", "site_grid", "bone_1"} <= set(segmented.files)
+    assert segmented.path("contact_sheet").with_suffix(".svg").is_file()
     meshed = read_result(out, "mesh", site="p1").data
     assert meshed["checks"]["skin_bone_mm"] == pytest.approx(15.0, abs=0.1)
     assert Chain(case, out).result("run", site="p1").data

@@ -18,7 +18,7 @@ from limbcli.diagnostics.selection.baseline_fit import BaselineFit
 from limbcli.diagnostics.selection.confidence_set import Refit
 from limbcli.diagnostics.selection.gap_closure import Closing
 from limbcli.diagnostics.selection.refits import Refits
-from limbcli.diagnostics.statistical_tests.heldout import held_out_error
+from limbcli.diagnostics.statistical_tests.heldout import held_out_error, over_shared
 from limbcli.diagnostics.statistical_tests.localisation_tests import predicted_without
 from limbcli.diagnostics.statistical_tests.multiple_testing import Family
 from limbcli.diagnostics.statistical_tests.score import Trial
@@ -54,7 +54,9 @@ class Account:
         ]  # fmt: skip
         if others:
             last = replace(last, estimates=last.estimates.whichever(others))
-        return (*stages, last)
+        stages.append(last)
+        held_out = over_shared([each.held_out for each in stages], baseline.data.blocks)
+        return tuple(replace(each, held_out=held) for each, held in zip(stages, held_out, strict=True))
 
     def _stage(self, fitted: Fitted, state: LinearFit, percentile: float | None) -> Shrink:
         data = self.baseline.data

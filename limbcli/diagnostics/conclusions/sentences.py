@@ -154,10 +154,8 @@ def _shrunk(found: Diagnosis) -> str:
         return ""
     first, last = found.shrink[0], found.shrink[-1]
     held = ""
-    both = [name for name in first.held_out if name in last.held_out and name != "all"]
-    if both:
-        before = (sum(first.held_out[name] ** 2 for name in both) / len(both)) ** 0.5
-        after = (sum(last.held_out[name] ** 2 for name in both) / len(both)) ** 0.5
+    if len(first.held_out.keys() & last.held_out.keys()) > 1:  # a block that both predict, and "all"
+        before, after = first.held_out["all"], last.held_out["all"]
         held = f"; held-out error {before:.2f} to {after:.2f} deviations"
     placebo = (
         ""

@@ -22,8 +22,8 @@ Word = Literal["adequate", "named", "ambiguous", "unexplained", "untestable"]
 class Shrink:
     """One stage of the model, from the base to the last addition.
 
-    chi2_per_nu; rms : by channel, of residual / deviation; held_out : by block and "all";
-    placebo_percentile : of what the last addition explains
+    chi2_per_nu; rms : by channel, of residual / deviation; placebo_percentile : of what the last addition
+    explains; held_out : by block, and "all" over those blocks that every stage predicts
     told : its parameters with their intervals; chi2, rms and held_out are of the best fit
     """
 

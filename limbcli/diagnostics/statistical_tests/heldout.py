@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -64,6 +64,23 @@ def fell(
     counts = [1.0 if blocks is None else float(np.sum(blocks[name])) for name in both]
     gains = [before[name] ** 2 - after[name] ** 2 for name in both]
     return float(np.dot(counts, gains)) > 0.0
+
+
+def over_shared(errors: Sequence[Mapping[str, float]], blocks: Mapping[str, Mask]) -> list[dict[str, float]]:
+    """The same errors, with "all" over the blocks that every model predicts, so that they compare.
+
+    >>> blocks = {"a": np.ones(3, bool), "b": np.ones(1, bool)}
+    >>> over_shared([{"a": 2.0, "b": 4.0, "all": 2.6}, {"a": 1.0, "all": 1.0}], blocks)[0]["all"]
+    2.0
+    """
+    shared = [name for name in blocks if all(name in each for each in errors)]
+    if not shared:
+        return [dict(each) for each in errors]
+    counts = [float(np.sum(blocks[name])) for name in shared]
+    return [
+        {**each, "all": float(np.sqrt(np.average([each[name] ** 2 for name in shared], weights=counts)))}
+        for each in errors
+    ]
 
 
 def _usable(blocks: Mapping[str, Mask], J: Array) -> dict[str, Mask]:

@@ -3,24 +3,28 @@ predicted how."""
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from limbcli.model import Array
 from limbcli.reporting.figures.style import (
     BLUE,
     GREEN,
     INK,
+    MARKERS,
     ORANGE,
     PURPLE,
     QUIET,
     VERMILION,
     literal,
     new_figure,
+    plain_log,
     style,
 )
 
@@ -28,6 +32,7 @@ Row = Mapping[str, Any]
 _PARAMETERS = (("c_muscle_kpa", "c of muscle [kPa]"), ("c_fat_kpa", "c of fat [kPa]"), ("m", "m [–]"))
 _COLOURS = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, "#56b4e9", "#8a6d00", QUIET)
 _LABELS_UPRIGHT = 5
+_NAME_WIDTH = 20  # characters on a line
 _TICKS = (-50, -20, -10, -5, -2, 0, 2, 5, 10, 20, 50)
 
 
@@ -47,10 +52,25 @@ def distributions(rows: Sequence[Row], sites: Mapping[str, Any]) -> Figure:
                 axes.plot(x, values, ".", color=BLUE, ms=4, alpha=0.8)
                 _bar(axes, place + 0.34, sites[name]["population"][key])
             axes.set(yscale="log", ylabel=label)
+            plain_log(axes.yaxis)
             axes.grid(axis="x", visible=False)
-        shown = [literal(each) for each in names]
-        axes.set_xticks(range(len(names)), shown, rotation=0 if len(names) <= _LABELS_UPRIGHT else 30)
+        upright = len(names) <= _LABELS_UPRIGHT
+        shown = [literal(textwrap.fill(each, _NAME_WIDTH)) for each in names]
+        axes.set_xticks(
+            range(len(names)), shown, fontsize=9, rotation=0 if upright else 30,
+            ha="center" if upright else "right", rotation_mode="anchor",
+        )  # fmt: skip
+        figure.legend(handles=_marks(), loc="outside upper center", ncols=4, fontsize=8.5)
     return figure
+
+
+def _marks() -> list[Line2D]:
+    return [
+        Line2D([], [], color=BLUE, marker=".", lw=1.2, label="a person, 95 %"),
+        Line2D([], [], color=VERMILION, marker="_", ms=14, mew=2, lw=0, label="middle of the people"),
+        Line2D([], [], color=VERMILION, lw=2, label="its 95 % interval"),
+        Line2D([], [], color=VERMILION, lw=5, alpha=0.45, label="spread between people (×/÷ 1 SD)"),
+    ]
 
 
 def _bar(axes: Axes, x: float, own: Mapping[str, Any]) -> None:
@@ -95,6 +115,7 @@ def one_tissue(rows: Sequence[Row]) -> Figure:
             xlabel="fat at first contact [mm]",
             ylabel="fat shortens more than one tissue would\n[noise deviations]",
         )
+        plain_log(axes.xaxis)
         axes.set_yscale("symlog", linthresh=5)
         least, most = axes.get_ylim()
         ticks = [each for each in _TICKS if least <= each <= most]
@@ -107,7 +128,7 @@ def one_tissue(rows: Sequence[Row]) -> Figure:
 def compliance(entries: Sequence[Row]) -> Figure:
     """Compliance of people left out: predicted over measured, by site."""
     with style():
-        figure = new_figure(6.4, 5.2)
+        figure = new_figure(7.4, 5.2)
         axes = figure.subplots()
         sites = sorted({str(each["location"]) for each in entries})
         every = np.concatenate(
@@ -121,11 +142,12 @@ def compliance(entries: Sequence[Row]) -> Figure:
             axes.plot(
                 _column(own, "measured_mm_per_mpa"),
                 _column(own, "predicted_mm_per_mpa"),
-                ".",
-                ms=5,
+                MARKERS[(k + k // len(_COLOURS)) % len(MARKERS)],  # no two sites share colour and mark
+                ms=4,
+                ls="none",
                 alpha=0.7,
                 color=_COLOURS[k % len(_COLOURS)],
-                label=literal(site),
+                label=literal(textwrap.fill(site, _NAME_WIDTH)),
             )
         axes.set(
             xscale="log",
@@ -135,7 +157,10 @@ def compliance(entries: Sequence[Row]) -> Figure:
             xlabel="measured compliance [mm/MPa]",
             ylabel="predicted, person left out [mm/MPa]",
         )
-        axes.legend(ncols=2, fontsize=8, loc="upper left")
+        axes.set_aspect("equal")
+        for axis in (axes.xaxis, axes.yaxis):
+            plain_log(axis)
+        axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
 
 

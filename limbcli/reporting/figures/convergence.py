@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from limbcli.model import Array
-from limbcli.reporting.figures.style import BLUE, GREEN, VERMILION, new_figure, style
+from limbcli.reporting.figures.style import BLUE, GREEN, VERMILION, new_figure, plain_log, style
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +32,7 @@ class Residuals:
     level: Array
 
 
+_LEAST_N2 = 1e-8  # N²; smaller is drawn here: a tenth of a millinewton in all, below what any cell reads
 _COLOURS = {"mooney-rivlin": BLUE, "ogden": VERMILION}
 _SYMBOLS = {"f_kappa": r"$f_\kappa$ [–]", "m": "m [–]", "c_kpa": "c [kPa]", "kappa_kpa": "κ′ [kPa]"}
 
@@ -40,11 +41,12 @@ def fit_walk(walks: Sequence[FitWalk]) -> Figure:
     """One panel for the sum of squared force differences, one for each parameter that was searched."""
     names = list(dict.fromkeys(name for walk in walks for name in walk.parameters))
     with style():
-        figure = new_figure(7.4, 3.1)
+        figure = new_figure(7.4, 3.3)
         panels = np.atleast_1d(figure.subplots(1, 1 + len(names)))
         for walk in walks:
             colour = _COLOURS.get(walk.key, GREEN)
-            panels[0].semilogy(np.maximum(walk.cost_n2, 1e-300), "o-", ms=4, color=colour, label=walk.label)
+            cost = np.maximum(walk.cost_n2, _LEAST_N2)
+            panels[0].semilogy(cost, "o-", ms=4, color=colour, label=walk.label)
             for axes, name in zip(panels[1:], names, strict=True):
                 if name in walk.parameters:
                     axes.plot(walk.parameters[name], "o-", ms=4, color=colour, label=walk.label)
@@ -54,10 +56,14 @@ def fit_walk(walks: Sequence[FitWalk]) -> Figure:
             values = np.concatenate([w.parameters[name] for w in walks if name in w.parameters])
             if values.min() > 0 and values.max() > 5 * values.min():
                 axes.set_yscale("log")
+                plain_log(axes.yaxis)
+        plain_log(panels[0].yaxis)
+        last = max(1, *(len(walk.cost_n2) - 1 for walk in walks))
         for axes in panels:
-            axes.set_xlabel("iteration")
+            axes.set(xlabel="iteration", xlim=(-0.05 * last, 1.05 * last))
             _whole_numbers(axes)
-        panels[0].legend(loc="best")
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure
 
 
@@ -74,6 +80,7 @@ def newton_residuals(residuals: Residuals) -> Figure:
         axes.axhline(1.0, color=VERMILION, lw=1.2, label="target")
         axes.set(xlabel="solver iteration (one line a load step)", ylabel="residual over its target [–]")
         axes.legend(loc="upper right")
+        _whole_numbers(axes)
     return figure
 
 

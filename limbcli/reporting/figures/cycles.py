@@ -6,14 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from limbcli.model import Array
 from limbcli.reporting.figures.style import (
     BLUE,
     GREEN,
     INK,
+    MARKERS,
     ORANGE,
     PURPLE,
     QUIET,
@@ -23,6 +27,7 @@ from limbcli.reporting.figures.style import (
 )
 
 _COLOURS = (VERMILION, ORANGE, PURPLE, GREEN, BLUE)
+_SHADES = "plasma"  # of more cycles than these colours
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +48,7 @@ class Loop:
 def cycles(loops: Sequence[Loop]) -> Figure:
     """Left: force over depth, a colour a cycle; right: energy lost by cycle, where unloading was read."""
     with style():
-        figure = new_figure(7.4, 3.8)
+        figure = new_figure(7.4, 4.2)
         lossy = [each for each in loops if each.lost is not None]
         if not lossy:
             _draw_loops(figure.subplots(), loops)
@@ -56,22 +61,28 @@ def cycles(loops: Sequence[Loop]) -> Figure:
             yerr=[each.lost_deviation or 0.0 for each in lossy],
             fmt="o-", color=INK, ecolor=QUIET, capsize=3, lw=1.0,
         )  # fmt: skip
-        right.set(xlabel="cycle", ylabel="energy lost [N mm]", xticks=[each.number for each in lossy])
+        right.set(xlabel="cycle", ylabel="energy lost [N mm] (±1 SD)")
+        right.xaxis.set_major_locator(MaxNLocator(6, integer=True))
         right.set_ylim(bottom=min(0.0, right.get_ylim()[0]))
     return figure
 
 
 def _draw_loops(axes: Axes, loops: Sequence[Loop]) -> None:
     for k, loop in enumerate(loops):
-        colour = _COLOURS[k * (len(_COLOURS) - 1) // max(len(loops) - 1, 1)]
+        colour, mark = _colour(k, len(loops)), MARKERS[k % len(MARKERS)]
         depth, force = loop.loading
-        axes.plot(depth, force, "o-", ms=4, lw=1.3, color=colour, label=f"cycle {loop.number}")
+        axes.plot(depth, force, f"{mark}-", ms=4, lw=1.3, color=colour, label=f"cycle {loop.number}")
         back, last = loop.unloading, len(loop.loading[0]) - 1
         if not len(back[0]):
             continue
         depth, force = (np.r_[up[last:], down] for up, down in zip(loop.loading, back, strict=True))
-        axes.plot(depth, force, "o--", ms=4, lw=1.0, color=colour, mfc="white", zorder=1.5)
+        axes.plot(depth, force, f"{mark}--", ms=4, lw=1.0, color=colour, mfc="white", zorder=1.5)
     axes.set(xlabel="indentation depth [mm]", ylabel="probe force [N]")
-    axes.legend(
-        loc="upper left", title="dashed: unloading" if any(len(x.unloading[0]) for x in loops) else None
-    )
+    title = "dashed: unloading" if any(len(x.unloading[0]) for x in loops) else None
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=4, fontsize=8.5, title=title)
+
+
+def _colour(k: int, n: int) -> str:
+    if n <= len(_COLOURS):
+        return _COLOURS[k * (len(_COLOURS) - 1) // max(n - 1, 1)]
+    return to_hex(colormaps[_SHADES](0.9 * k / (n - 1)))  # its lightest end is hard to see on white

@@ -10,6 +10,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from matplotlib.tri import Triangulation
 
 from limbcli.model import Array, IntArray
@@ -24,6 +25,7 @@ from limbcli.reporting.figures.style import INK, QUIET, bare, new_figure, style
 
 DISPLACEMENT_MAP, STRAIN_MAP = "YlGnBu", "YlOrRd"
 UNKNOWN = "#dfe4e8"
+BONE = "#7a4b12"
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +37,7 @@ class DeformedState:
     skin, bone, probe, cut : facets by kind
     probe_shift : (3,) mm, how far the rigid probe has moved
     stretch : (n_cells,) smallest principal stretch, NaN where not recorded; or None
+    sides : of the patient, that x and y point to; None where that is not known
     """
 
     points: Array
@@ -48,6 +51,7 @@ class DeformedState:
     depth: float
     stretch: Array | None = None
     cut: dict[str, IntArray] = field(default_factory=dict)
+    sides: tuple[str, str] | None = None
 
 
 def section_figure(state: DeformedState) -> Figure:
@@ -64,9 +68,12 @@ def section_figure(state: DeformedState) -> Figure:
         for axes in panels:
             _outlines(axes, state)
             bare(axes)
-            axes.set(xlabel="x, along the probe's long side [mm]")
+            towards = "" if state.sides is None else f"\n(+ is {state.sides[0]})"
+            axes.set(xlabel=f"x, along the probe's long side [mm]{towards}")
         panels[0].set(ylabel="z, outward along the skin normal [mm]")
         handles, labels = panels[0].get_legend_handles_labels()
+        if with_stretch and state.stretch is not None and not np.isfinite(state.stretch).all():
+            handles, labels = [*handles, Patch(facecolor=UNKNOWN)], [*labels, "not recorded"]
         figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure
 
@@ -128,7 +135,7 @@ def _outlines(axes: Axes, state: DeformedState) -> None:
     for facets, values, colour, dashes, label in (
         (state.skin, state.points, QUIET, "--", "skin before"),
         (state.skin, state.points + state.displacement, INK, "-", "skin now"),
-        (state.bone, state.points, "#7a4b12", "-", "bone"),
+        (state.bone, state.points, BONE, "-", "bone"),
         (state.probe, state.points + state.probe_shift, "#d0342c", "-", "probe"),
     ):
         lines = [_segments(state.points, kind, each, values) for kind, each in facets.items()]

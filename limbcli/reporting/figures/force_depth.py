@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from limbcli.model import Array
 from limbcli.reporting.figures.style import BLUE, INK, QUIET, VERMILION, new_figure, style
@@ -55,7 +56,7 @@ def force_depth(measured: MeasuredCurve, curves: Sequence[SimulatedCurve]) -> Fi
             axes = figure.subplots()
             _draw_measured(axes, measured)
             axes.set(xlabel="indentation depth [mm]", ylabel="probe force [N]")
-            axes.legend(loc="upper left")
+            _tell(figure, axes)
             return figure
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2.6, 1.0])
         for curve in curves:
@@ -64,7 +65,7 @@ def force_depth(measured: MeasuredCurve, curves: Sequence[SimulatedCurve]) -> Fi
         _draw_measured(upper, measured)
         _limit(upper, measured)
         upper.set(ylabel="probe force [N]")
-        upper.legend(loc="upper left")
+        _tell(figure, upper)
         for curve in curves:
             _draw_difference(lower, measured, curve)
         if measured.force_sd:
@@ -75,10 +76,14 @@ def force_depth(measured: MeasuredCurve, curves: Sequence[SimulatedCurve]) -> Fi
     return figure
 
 
+def _tell(figure: Figure, axes: Axes) -> None:
+    """The legend above the panels, where no curve can run through it."""
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper left", ncols=2, fontsize=8.5)
+
+
 def _draw_measured(axes: Axes, measured: MeasuredCurve) -> None:
-    unloading = np.zeros(measured.depth.size, dtype=bool)
-    if measured.unloading is not None:
-        unloading = np.asarray(measured.unloading, dtype=bool)
+    unloading = _unloading(measured)
     for part, face, label in ((~unloading, INK, "measured"), (unloading, "white", "measured, unloading")):
         if part.any():
             axes.errorbar(
@@ -96,6 +101,12 @@ def _draw_measured(axes: Axes, measured: MeasuredCurve) -> None:
             )
 
 
+def _unloading(measured: MeasuredCurve) -> NDArray[np.bool_]:
+    if measured.unloading is None:
+        return np.zeros(measured.depth.size, dtype=bool)
+    return np.asarray(measured.unloading, dtype=bool)
+
+
 def _noise_words(measured: MeasuredCurve) -> str:
     if not measured.depth_sd or not measured.force_sd:
         return ""
@@ -104,8 +115,11 @@ def _noise_words(measured: MeasuredCurve) -> str:
 
 def _limit(axes: Axes, measured: MeasuredCurve) -> None:
     """A start curve far above the data must not flatten the data."""
-    top = float(np.nanmax(measured.force)) if measured.force.size else 1.0
-    axes.set_ylim(bottom=min(0.0, float(np.nanmin(measured.force))) - 0.04 * top, top=1.35 * max(top, 1e-6))
+    bar = measured.force_sd or 0.0
+    low = min(0.0, float(np.nanmin(measured.force)) - bar)
+    high = max(0.0, float(np.nanmax(measured.force)) + bar)
+    span = max(high - low, 1e-6)
+    axes.set_ylim(low - 0.04 * span, high + 0.08 * span)
 
 
 def _difference(measured: MeasuredCurve, curve: SimulatedCurve) -> Array:
@@ -121,7 +135,11 @@ def _draw_difference(axes: Axes, measured: MeasuredCurve, curve: SimulatedCurve)
     colour, dashes = LOOKS.get(curve.key, _OTHER)
     order = np.argsort(measured.depth, kind="stable")
     order = order[np.isfinite(difference[order])]
-    axes.plot(measured.depth[order], difference[order], "o", linestyle=dashes, ms=3.5, lw=1.0, color=colour)
+    back = _unloading(measured)[order]
+    up, down = order[~back], order[back]
+    axes.plot(measured.depth[up], difference[up], "o", linestyle=dashes, ms=3.5, lw=1.0, color=colour)
+    if len(down):  # what no fit was made to
+        axes.plot(measured.depth[down], difference[down], "o", ms=3.5, color=colour, mfc="white")
 
 
 def _limit_difference(axes: Axes, measured: MeasuredCurve, curves: Sequence[SimulatedCurve]) -> None:

@@ -8,8 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from limbcli.model import Array
-from limbcli.reporting.figures.style import INK, QUIET, new_figure, style
+from limbcli.reporting.figures.style import INK, MARKERS, QUIET, new_figure, style
 
+_HALF_BAND = 0.5  # N to either side of the only level, so that its layers are seen
 _BANDS = {"skin": "#e8b7a0", "fat": "#f3dfa2", "muscle": "#b8656a"}
 
 
@@ -32,19 +33,29 @@ def layers_figure(shown: LayerPicture) -> Figure:
         left, right = figure.subplots(1, 2, width_ratios=(3, 2))
         order = np.argsort(shown.force, kind="stable")
         force = shown.force[order]
+        wide = force if len(force) > 1 else force + np.array([-_HALF_BAND, _HALF_BAND])
         below = np.cumsum(shown.predicted[order], axis=1)
         seen = np.cumsum(shown.measured[order], axis=1)
         top = np.zeros(len(force))
         for j, name in enumerate(shown.names):
             colour = _BANDS.get(name, QUIET)
-            left.fill_between(force, top, below[:, j], color=colour, lw=0, label=f"{name}, predicted")
+            upper, lower = (np.broadcast_to(each, wide.shape) for each in (top, below[:, j]))
+            left.fill_between(wide, upper, lower, color=colour, lw=0, label=f"{name}, predicted")
             top = below[:, j]
             left.errorbar(
                 force, seen[:, j], yerr=shown.deviation * np.sqrt(j + 1.0), fmt="o", ms=4, capsize=2,
                 color=INK, label="borders, measured (±1 SD)" if j == 0 else None,
             )  # fmt: skip
             gap = shown.measured[order, j] - shown.predicted[order, j]
-            right.plot(force, gap, "o-", ms=5, color=colour, mec=INK, label=name)
+            right.plot(
+                force,
+                gap,
+                f"{MARKERS[j]}-",
+                ms=5,
+                color=colour,
+                mec=INK,
+                label=name if np.isfinite(gap).any() else None,
+            )
         left.invert_yaxis()
         left.grid(False)
         left.set(xlabel="probe force [N]", ylabel="below the probe [mm]", title="layers, level by level")

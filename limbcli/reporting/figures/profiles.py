@@ -7,13 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
 
 from limbcli.interval_limits import THRESHOLD_95
 from limbcli.model import Array
-from limbcli.reporting.figures.style import BLUE, INK, QUIET, VERMILION, new_figure, style
+from limbcli.reporting.figures.style import BLUE, INK, QUIET, VERMILION, new_figure, plain_log, style
 
-_MANY_DECADES = 200.0  # largest over smallest value: beyond it labels at 1, 2 and 5 would touch
+_ROOMY = 3  # panels, up to which each is wide enough for labels at 1, 2 and 5
 _SYMBOLS = {"f_kappa": r"$f_\kappa$", "m": "m", "c": "c"}
 
 
@@ -33,25 +32,29 @@ class ProfileCurve:
 def profile_figure(profiles: Sequence[ProfileCurve]) -> Figure:
     """A panel a parameter: a valley is an answer, a plain is none."""
     with style():
-        figure = new_figure(max(7.4, 1.85 * len(profiles)), 3.1)
+        figure = new_figure(max(7.4, 1.85 * len(profiles)), 3.3)
         panels = figure.subplots(1, max(len(profiles), 1), sharey=True, squeeze=False)[0]
         for axes, profile in zip(panels, profiles, strict=False):
             order = np.argsort(profile.values)
             values, deviance = profile.values[order], profile.deviance[order]
             axes.plot(values, deviance, color=BLUE, zorder=3)
-            axes.axvspan(*_not_excluded(values, deviance, profile.limit), color=QUIET, alpha=0.2, lw=0)
+            axes.axvspan(
+                *_not_excluded(values, deviance, profile.limit),
+                color=QUIET,
+                alpha=0.2,
+                lw=0,
+                label="95 % interval",
+            )
             axes.axhline(profile.limit, color=VERMILION, lw=1.0, ls="--", label="95 % limit")
             axes.axvline(profile.estimate, color=INK, lw=1.0, ls=":", label="the fit")
             if values.min() > 0 and values.max() > 5 * values.min():
                 axes.set_xscale("log")
-                wide = values.max() > _MANY_DECADES * values.min()
-                axes.xaxis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 2.0, 5.0)))
-                axes.xaxis.set_major_formatter("{x:g}")
-                axes.xaxis.set_minor_formatter(NullFormatter())
+                plain_log(axes.xaxis, few=len(profiles) > _ROOMY)
             symbol = _SYMBOLS.get(profile.name, profile.name)
             axes.set(xlabel=f"{symbol} [{profile.unit}]", title=symbol, ylim=(-0.3, 2 * profile.limit))
         panels[0].set_ylabel("fall of the likelihood (deviance) [–]")
-        panels[0].legend(loc="upper center")
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure
 
 

@@ -8,18 +8,21 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize, to_rgba
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 from limbcli.model import Array, IntArray
-from limbcli.reporting.figures.deformed import DISPLACEMENT_MAP, UNKNOWN, DeformedState
+from limbcli.reporting.figures.deformed import BONE, DISPLACEMENT_MAP, UNKNOWN, DeformedState
 from limbcli.reporting.figures.section import linear_triangles
 from limbcli.reporting.figures.style import INK, bare, new_figure, style
 
+_ARROW = 14.0  # mm
+
 
 def skin_figure(state: DeformedState) -> Figure:
-    """The deformed skin in a slanted view, coloured by how far it moved along z."""
+    """The deformed skin in a slanted view, coloured by how far it moved along z; bone in the cuts."""
     moved = state.points + state.displacement
-    skin, cut = _triangles(state.skin, moved), _triangles(state.cut, moved)
-    facets = np.concatenate([skin, cut])
+    skin, cut, bone = (_triangles(each, moved) for each in (state.skin, state.cut, state.bone))
+    facets = np.concatenate([skin, cut, bone])
     seen, depth_order, shade = _view(moved, facets)
     colour = -state.displacement[skin, 2].mean(axis=1)
     with style():
@@ -27,7 +30,8 @@ def skin_figure(state: DeformedState) -> Figure:
         axes = figure.subplots()
         norm = Normalize(min(0.0, float(colour.min())), max(float(colour.max()), 1e-6))
         palette = ScalarMappable(norm, DISPLACEMENT_MAP)
-        rgba = np.concatenate([palette.to_rgba(colour), np.tile(to_rgba(UNKNOWN), (len(cut), 1))])
+        plain = [np.tile(to_rgba(each), (len(at), 1)) for each, at in ((UNKNOWN, cut), (BONE, bone))]
+        rgba = np.concatenate([palette.to_rgba(colour), *plain])
         rgba[: len(skin), :3] *= shade[: len(skin), None]
         drawn = PolyCollection(
             seen[facets][depth_order], facecolors=rgba[depth_order], edgecolors="face", linewidths=0.2
@@ -38,16 +42,22 @@ def skin_figure(state: DeformedState) -> Figure:
         bare(axes)
         axes.set_axis_off()
         _scale_bar(axes, 20.0)
+        if state.sides is not None:
+            _tell_sides(axes, state.sides)
+        marks = [
+            Patch(facecolor=each, edgecolor="none", label=word)
+            for each, word, at in ((UNKNOWN, "cut open", cut), (BONE, "bone", bone))
+            if len(at)
+        ]
+        if marks:
+            figure.legend(handles=marks, loc="outside lower center", ncols=len(marks))
         figure.colorbar(palette, ax=axes, label="skin moved inwards [mm]", shrink=0.75)
     return figure
 
 
 def _view(points: Array, facets: IntArray) -> tuple[Array, IntArray, Array]:
     """Parallel projection from above and beside: picture coordinates, far-to-near order, brightness."""
-    turn, tilt = np.radians(-35.0), np.radians(48.0)
-    about_z = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
-    about_x = np.array([[1, 0, 0], [0, np.cos(tilt), np.sin(tilt)], [0, -np.sin(tilt), np.cos(tilt)]])
-    seen = np.nan_to_num(points) @ (about_x @ about_z).T
+    seen = np.nan_to_num(points) @ _turned().T
     # Viewer looks along -(third axis of the turned frame); picture is (right, up).
     picture = seen[:, :2]
     depth = seen[facets, 2].mean(axis=1)
@@ -57,6 +67,28 @@ def _view(points: Array, facets: IntArray) -> tuple[Array, IntArray, Array]:
     light = np.array([-0.35, 0.55, 0.76])
     shade = 0.55 + 0.45 * np.clip(normal @ light, 0.0, 1.0)
     return picture, np.argsort(depth), shade
+
+
+def _turned() -> Array:
+    """(3, 3) of the view: rows are right and up on the picture, and towards the viewer."""
+    turn, tilt = np.radians(-35.0), np.radians(48.0)
+    about_z = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    about_x = np.array([[1, 0, 0], [0, np.cos(tilt), np.sin(tilt)], [0, -np.sin(tilt), np.cos(tilt)]])
+    return np.asarray(about_x @ about_z)
+
+
+def _tell_sides(axes: Axes, sides: tuple[str, str]) -> None:
+    """Two arrows beside the limb, along x and y, with the sides of the patient that they point to."""
+    low, high = axes.get_xlim()[0], axes.get_ylim()[1]
+    for word, direction in zip(sides, _turned()[:2, :2].T, strict=True):
+        right, up = (_ARROW * float(each) for each in direction)
+        start = (low + _ARROW, high - 1.6 * _ARROW)
+        tip = (start[0] + right, start[1] + up)
+        axes.annotate("", tip, start, arrowprops={"arrowstyle": "->", "color": INK, "lw": 1.3})
+        axes.annotate(
+            word, tip, (6, 6 if up > 0 else -6), textcoords="offset points", fontsize=8.5,
+            va="bottom" if up > 0 else "top",
+        )  # fmt: skip
 
 
 def _scale_bar(axes: Axes, length: float) -> None:

@@ -12,10 +12,12 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from limbcli.measurement.elastography import SweMap
+from limbcli.model import Array
 from limbcli.reporting.figures.style import QUIET, bare, new_figure, style
 
 SPEED_MAP, DIFFERENCE_MAP = "viridis", "RdBu_r"
 MOST_LEVELS = 5
+_LEAST_INCHES = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,15 +51,19 @@ def speed_maps(levels: Sequence[LevelMaps]) -> Figure:
         for column, each in zip(panels.T, shown, strict=True):
             column[0].set_title(f"{max(each.force, 0.0):.1f} N")
             for axes, row in zip(column, rows, strict=True):
+                axes.set_label(f"{row}, level {each.level} ({each.force:.1f} N)")
                 content = {
                     "measured": each.measured, "predicted": each.predicted, "difference": _difference(each),
                 }[row]  # fmt: skip
                 norm = Normalize(-reach, reach) if row == "difference" else scale
-                _panel(axes, content, norm, DIFFERENCE_MAP if row == "difference" else SPEED_MAP)
+                nothing = "no map" if each.measured is None else "no pixel\nof both"
+                _panel(axes, content, norm, DIFFERENCE_MAP if row == "difference" else SPEED_MAP, nothing)
         for axes_row, row in zip(panels, rows, strict=True):
             words = "predicted − measured" if row == "difference" else row
             axes_row[0].set_ylabel(f"{words}\ndepth [mm]")
-            drawn = next(each.collections[0] for each in axes_row if each.collections)
+            drawn = next((each.collections[0] for each in axes_row if each.collections), None)
+            if drawn is None:
+                continue
             label = "difference [m/s]" if row == "difference" else "speed [m/s]"
             figure.colorbar(drawn, ax=list(axes_row), label=label, shrink=0.9)
         panels[0, 0].invert_yaxis()
@@ -66,10 +72,10 @@ def speed_maps(levels: Sequence[LevelMaps]) -> Figure:
 
 
 def _height(shown: Sequence[LevelMaps]) -> float:
-    """Of one panel (inches), as the maps' sides demand."""
+    """Of one panel (inches), as the maps' sides demand, with room for the words beside a flat one."""
     wide = max(float(np.ptp(each.lateral)) for each in _all(shown))
     deep = max(float(np.ptp(each.depth)) for each in _all(shown))
-    return min(5.4 / len(shown) * deep / max(wide, 1.0), 2.4)
+    return float(np.clip(5.4 / len(shown) * deep / max(wide, 1.0), _LEAST_INCHES, 2.4))
 
 
 def _all(levels: Sequence[LevelMaps]) -> list[SweMap]:
@@ -94,12 +100,12 @@ def _places(pixels: SweMap) -> list[tuple[float, float]]:
     return [(float(x), float(z)) for x, z in at]
 
 
-def _panel(axes: Axes, pixels: SweMap | None, norm: Normalize, colours: str) -> None:
+def _panel(axes: Axes, pixels: SweMap | None, norm: Normalize, colours: str, nothing: str) -> None:
     bare(axes)
     if pixels is None:
-        axes.text(0.5, 0.5, "no map", ha="center", va="center", color=QUIET, transform=axes.transAxes)
+        axes.text(0.5, 0.5, nothing, ha="center", va="center", color=QUIET, transform=axes.transAxes)
         return
-    half = 0.5 * _spacing(pixels)
+    half = 0.5 * _size(pixels)
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
     squares = np.column_stack([pixels.lateral, pixels.depth])[:, None, :] + corners
     drawn = PolyCollection(
@@ -110,8 +116,9 @@ def _panel(axes: Axes, pixels: SweMap | None, norm: Normalize, colours: str) -> 
     axes.autoscale_view()
 
 
-def _spacing(pixels: SweMap) -> float:
-    """Distance of neighbouring pixels, mm: the smallest step that occurs along either axis."""
+def _size(pixels: SweMap) -> Array:
+    """(2,) mm of a pixel across and down: the steps of its neighbours; of a single row or column, square."""
     steps = [np.diff(np.unique(np.round(each, 4))) for each in (pixels.lateral, pixels.depth)]
-    every = np.concatenate(steps)
-    return float(np.median(every)) if len(every) else 1.0
+    known = [float(np.median(each)) for each in steps if len(each)]
+    other = known[0] if known else 1.0
+    return np.array([float(np.median(each)) if len(each) else other for each in steps])

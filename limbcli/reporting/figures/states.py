@@ -9,7 +9,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from limbcli.model import Array
-from limbcli.reporting.figures.style import BLUE, GREEN, INK, QUIET, VERMILION, new_figure, style
+from limbcli.reporting.figures.style import (
+    BLUE,
+    GREEN,
+    INK,
+    MARKERS,
+    QUIET,
+    VERMILION,
+    literal,
+    new_figure,
+    style,
+)
 
 
 @dataclass(frozen=True)
@@ -45,23 +55,20 @@ class StatesPanel:
 def states_figure(panels: Sequence[StatesPanel]) -> Figure:
     """A panel a way; the interval of the lowest point is shaded, or its absence said."""
     with style():
-        figure = new_figure(7.2 if len(panels) == 1 else 9.6, 3.9)
+        rows = max(len(each.readings) for each in panels)
+        figure = new_figure(7.2 if len(panels) == 1 else 9.6, 4.0 + 0.2 * rows)
         for axes, panel in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
-            _draw(axes, panel)
+            _draw(axes, panel, 2 if len(panels) == 1 else 1)
     return figure
 
 
-def _draw(axes: Axes, panel: StatesPanel) -> None:
+def _draw(axes: Axes, panel: StatesPanel, columns: int) -> None:
     axes.plot(panel.stretch, panel.speed, color=BLUE, label="fitted law, evenly stretched", zorder=3)
     for k, each in enumerate(panel.readings):
         axes.errorbar(
             [each.stretch], [each.speed], xerr=[[each.stretch - each.low], [each.high - each.stretch]],
-            yerr=[each.deviation], fmt="o", ms=5, color=INK, ecolor=QUIET, capsize=3, zorder=4,
-            label="states at rest (±1 SD)" if k == 0 else None,
-        )  # fmt: skip
-        axes.annotate(
-            each.name, (each.stretch, each.speed), xytext=(7, -12), textcoords="offset points", color=INK,
-            fontsize=8.5,
+            yerr=[each.deviation], fmt=MARKERS[k % len(MARKERS)], ms=5.5, color=INK, ecolor=QUIET, capsize=3,
+            zorder=4, label=f"at rest (±1 SD): {literal(each.name).strip()}",
         )  # fmt: skip
     axes.axvline(panel.unloaded, color=GREEN, lw=1.2, ls=":", label="unloaded")
     if panel.lowest is not None:
@@ -69,12 +76,9 @@ def _draw(axes: Axes, panel: StatesPanel) -> None:
         axes.axvspan(low, high, color=VERMILION, alpha=0.15, lw=0)
         axes.axvline(at, color=VERMILION, lw=1.2, ls="--", label="least speed (95 % shaded)")
     else:
-        axes.text(
-            0.02, 0.95, "the state of least stiffness\nis not told by these data", ha="left", va="top",
-            color=VERMILION, transform=axes.transAxes, fontsize=9,
-        )  # fmt: skip
+        axes.set_title("the state of least stiffness is not told by these data", fontsize=9, color=VERMILION)
     counted = "as the case counts" if panel.counted == "case" else "of the unloaded length"
     axes.set(
         xlabel=f"stretch {panel.way} the limb, {counted} [–]", ylabel="shear-wave speed at rest [m/s]",
     )  # fmt: skip
-    axes.legend(loc="lower right")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), fontsize=8.5, ncols=columns)

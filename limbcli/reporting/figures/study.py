@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
-from limbcli.reporting.figures.style import INK, literal, new_figure, style
+from limbcli.reporting.figures.style import INK, literal, new_figure, plain_log, style
 from limbcli.reporting.fit_view import EstimateView
 
 _COLUMNS = (("c", "c [kPa]"), ("m", "m [–]"), ("κ′", "κ′ [kPa]"))
 _OPEN = "#8a8a8a"
+_NAME_WIDTH = 28  # characters on a line
 
 
 @dataclass(frozen=True)
@@ -26,18 +29,39 @@ def study_figure(rows: Sequence[StudyRow]) -> Figure:
     """A row a site, a panel a parameter: a dot with its interval where the data hold a value, else the side
     that is not excluded as an arrow."""
     with style():
-        figure = new_figure(8.6, 1.1 + 0.34 * max(len(rows), 2))
+        names = [textwrap.fill(row.label, _NAME_WIDTH) for row in rows]
+        lines = max((name.count("\n") + 1 for name in names), default=1)
+        figure = new_figure(9.2, 1.5 + (0.2 + 0.14 * lines) * max(len(rows), 2))
         panels = figure.subplots(1, len(_COLUMNS), sharey=True)
         for axes, (name, label) in zip(panels, _COLUMNS, strict=True):
             for k, row in enumerate(rows):
                 if name in row.estimates:
                     _draw(axes, k, row.estimates[name])
-            axes.set_xscale("log")
+            drawn = any(_is_drawn(row.estimates.get(name)) for row in rows)
+            if drawn:
+                axes.set_xscale("log")
+                plain_log(axes.xaxis, few=True)
+            else:
+                axes.set_xticks([])
+                axes.text(0.5, 0.5, "not told", ha="center", transform=axes.transAxes, color=_OPEN)
             axes.set(xlabel=label)
             axes.grid(True, axis="x", linewidth=0.4, alpha=0.5)
-        panels[0].set_yticks(range(len(rows)), [literal(row.label) for row in rows])
+        panels[0].set_yticks(range(len(rows)), [literal(name) for name in names], fontsize=8.5)
         panels[0].set_ylim(len(rows) - 0.5, -0.5)
+        figure.legend(handles=_marks(), loc="outside lower center", ncols=3, fontsize=8.5)
     return figure
+
+
+def _is_drawn(each: EstimateView | None) -> bool:
+    return each is not None and bool(each.low or each.high or (each.is_sound and each.value))
+
+
+def _marks() -> list[Line2D]:
+    return [
+        Line2D([], [], color=INK, marker="o", markersize=5, lw=1.4, label="value, 95 % interval"),
+        Line2D([], [], color=_OPEN, marker="|", markersize=7, lw=1.4, label="no value, within (95 %)"),
+        Line2D([], [], color=_OPEN, marker=9, markersize=8, lw=0, label="no value, beyond this end (95 %)"),
+    ]
 
 
 def _draw(axes: object, k: int, each: EstimateView) -> None:

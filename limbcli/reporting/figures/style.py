@@ -8,13 +8,19 @@ from typing import Any
 
 import matplotlib
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 INK = "#22303c"
 QUIET = "#8a97a3"
 GRID = "#e3e8ec"
 # Okabe and Ito's palette, the part of it that prints well.
 BLUE, ORANGE, GREEN, VERMILION, PURPLE = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7"
+
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")  # tell apart what is printed in grey
+_MANY_DECADES = 200.0  # largest over smallest value: beyond it labels at 1, 2 and 5 would touch
+_NARROW = 6.0  # the same ratio, below which labels at 1, 2 and 5 are too few
 
 _SETTINGS: dict[Any, Any] = {
     "font.family": "sans-serif",
@@ -66,6 +72,23 @@ def style() -> Iterator[None]:
 def new_figure(width: float = 7.2, height: float = 3.8) -> Figure:
     """An empty figure (inches) with a layout that keeps labels apart; draw it inside `style()`."""
     return Figure(figsize=(width, height), dpi=150, layout="constrained")
+
+
+def plain_log(axis: Axis, *, few: bool = False) -> None:
+    """Numbers as they are spoken at the ticks of a logarithmic axis, after all is drawn: 20, not 2 × 10¹.
+
+    few : for a short axis, on which labels at 1, 2 and 5 would touch over more than a decade
+    """
+    low, high = sorted(axis.get_view_interval())
+    ratio = high / low
+    if ratio < _NARROW:
+        axis.set_major_locator(MaxNLocator(3 if few else 5, steps=[1, 2, 5, 10]))
+        axis.set_minor_locator(NullLocator())
+    else:
+        wide = ratio > (_MANY_DECADES / 10 if few else _MANY_DECADES)
+        axis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 2.0, 5.0)))
+        axis.set_minor_formatter(NullFormatter())
+    axis.set_major_formatter("{x:g}")
 
 
 def bare(axes: Axes) -> None:

@@ -41,7 +41,7 @@ def wave_speed(
 ) -> Figure:
     """Left: speed over force, as in the papers; right: speed over depth, the better test of a model."""
     with style():
-        figure = new_figure(7.4, 3.5)
+        figure = new_figure(7.4, 4.0)
         left, right = figure.subplots(1, 2, sharey=True)
         for axes, name, line, unit in (
             (left, "force", against_force, "N"), (right, "depth", against_depth, "mm"),
@@ -51,8 +51,8 @@ def wave_speed(
                 tops.append(_measured(axes, readings, getattr(readings, name), line, unit))
             if predicted is not None:
                 tops.append(_predicted(axes, predicted, getattr(predicted, name)))
-            axes.set_ylim(bottom=0.0, top=1.45 * max(tops))
-            axes.legend(loc="upper left")
+            axes.set_ylim(bottom=0.0, top=1.1 * max(tops))
+            axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), fontsize=8.5)
         left.set(xlabel="probe force [N]", ylabel="shear-wave speed [m/s]", title="against force")
         right.set(xlabel="indentation depth [mm]", title="against depth")
     return figure
@@ -62,20 +62,26 @@ def _measured(axes: Axes, readings: SpeedReadings, x: Array, line: Line | None, 
     """Draw the readings; returns the top of the tallest bar."""
     there = np.isfinite(x) & np.isfinite(readings.mean_m_per_s)
     spread = np.where(np.isfinite(readings.sd_m_per_s), readings.sd_m_per_s, 0.0)
+    with_bars = bool(np.any(spread[there] > 0))
     axes.errorbar(
         x[there],
         readings.mean_m_per_s[there],
-        yerr=spread[there] if np.any(spread[there] > 0) else None,
+        yerr=spread[there] if with_bars else None,
         fmt="o",
         ms=5,
         capsize=3,
         color=INK,
         ecolor=QUIET,
-        label="measured: mean ± SD over pixels",
+        label="measured: mean ± SD over pixels" if with_bars else "measured: mean",
     )
     if line is not None:
         ends = np.array([x[there].min(), x[there].max()])
-        axes.plot(ends, line.intercept + line.slope * ends, color=BLUE, label=line_words(line, unit))
+        axes.plot(
+            ends,
+            line.intercept + line.slope * ends,
+            color=BLUE,
+            label=line_words(line, unit).replace(",  ", "\n"),
+        )
     return float(np.max((readings.mean_m_per_s + spread)[there]))
 
 
@@ -84,7 +90,7 @@ def _predicted(axes: Axes, predicted: PredictedSpeeds, x: Array) -> float:
     axes.plot(
         x[order], predicted.mean_m_per_s[order], "s-", ms=3.5, color=VERMILION, label="predicted by the fit"
     )
-    return float(predicted.mean_m_per_s.max())
+    return float(np.nanmax(predicted.mean_m_per_s))
 
 
 def line_words(line: Line, unit: str) -> str:

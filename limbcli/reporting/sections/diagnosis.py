@@ -31,10 +31,12 @@ def diagnosis(page: ReportData, site: SiteMaterial) -> Reportlet | None:
 
 def _told(key: str, site: SiteMaterial, result: StageResult) -> Reportlet:
     data = result.data
+    mood = _MOODS.get(str(data["verdict"]), "warning")
+    first, *others = [str(each) for each in data["sentences"]] or [""]
     return Reportlet(
         key,
         TITLE,
-        _MOODS.get(str(data["verdict"]), "warning"),
+        mood,
         site.name,
         pictures=_pictures(result, site.name),
         tables=(_candidates(data),),
@@ -43,8 +45,9 @@ def _told(key: str, site: SiteMaterial, result: StageResult) -> Reportlet:
         "that the model with the addition (blue) brings back into it",
         bad="one name where the verdict is ambiguous, a gap that stays, or a candidate right of the dashed "
         "line in the lower picture: these data are blind to it",
-        notes=tuple(str(each) for each in data["sentences"]),
+        notes=tuple(others),
         warned=result.warnings,
+        answer=first,
     )
 
 

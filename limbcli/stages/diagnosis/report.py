@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -111,6 +113,9 @@ def _refit(refit: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
+_GAP_COLUMNS = 3  # panels side by side, of which the words can be read on a printed page
+_GAP_NAME = 20  # characters of a site's name above a panel
+_MOST_SIZES = 10.0  # plausible sizes up to which the power to see an effect is drawn
 _WIDEST = 4.0  # plausible sizes
 _THINNEST = 0.02  # of them: a bar that can be seen
 _SHOWN = {"force": "force", "swe": "mean wave speed", "map": "wave-speed map", "travel": "probe travel",
@@ -118,18 +123,24 @@ _SHOWN = {"force": "force", "swe": "mean wave speed", "map": "wave-speed map", "
 
 
 def gap_picture(found: Diagnosis, sites: Sequence[SiteData], path: Path) -> None:
-    """Measured minus predicted, in deviations, before and after; a column a channel, a row a measurement."""
+    """Measured minus predicted, in deviations, before and after: a panel a channel, site by site."""
     channels = [c for c in _SHOWN if any(row.channel == c for site in sites for row in site.rows)]
-    size = (4.2 * len(channels), 3.6 * len(sites))
-    figure = Figure(figsize=size, layout="constrained")
-    axes = figure.subplots(len(sites), len(channels), squeeze=False)
-    for site, inside, line in zip(sites, slices(sites), axes, strict=True):
-        for ax, channel in zip(line, channels, strict=True):
+    columns = min(len(channels), _GAP_COLUMNS)
+    rows = -(-len(channels) // columns)
+    figure = Figure(figsize=(2.9 * columns, 2.7 * rows * len(sites) + 0.4), layout="constrained")
+    axes = figure.subplots(rows * len(sites), columns, squeeze=False)
+    for site, inside, lines in zip(sites, slices(sites), np.split(axes, len(sites)), strict=True):
+        for ax, channel in zip_longest(lines.flat, channels):
+            if channel is None:
+                ax.set_axis_off()
+                continue
             _gap(ax, found, site, inside, channel)
-        name = f"{site.name}: " if len(sites) > 1 else ""
-        line[0].set_ylabel(f"{name}measured - predicted\n(standard deviations)")
+            name = f"{textwrap.shorten(site.name, _GAP_NAME)}: " if len(sites) > 1 else ""
+            ax.set_title(f"{name}{_SHOWN[channel]}", fontsize=9)
+        for line in lines:
+            line[0].set_ylabel("measured − predicted\n[standard deviations]")
     handles, labels = next(ax for ax in axes.flat if ax.lines[1:]).get_legend_handles_labels()
-    axes[0, 0].legend(handles, labels, fontsize=8)
+    figure.legend(handles, labels, fontsize=9, loc="outside lower center", ncols=len(labels))
     save_figure(figure, path, dpi=150)
 
 
@@ -143,13 +154,12 @@ def _gap(ax: Any, found: Diagnosis, site: SiteData, inside: slice, channel: str)
     at = np.arange(int(mask.sum()), dtype=float)
     if channel != "hold":
         at = np.array([site.protocol.depth[row.level] for row in site.rows if row.channel == channel])
-    ax.axhspan(-2, 2, color="#eef1f4", zorder=0)
+    ax.axhspan(-2, 2, color="#eef1f4", zorder=0, label="within two deviations")
     ax.axhline(0, color="#22303c", lw=0.8)
     for fitted, label, color, marker in stages:
         z = (site.data.y - fitted.prediction[inside]) / site.data.deviation
         ax.plot(at, z[mask], marker, ms=4, color=color, label=label, alpha=0.85)
-    ax.set_xlabel("hold (early, late)" if channel == "hold" else "depth (mm)")
-    ax.set_title(_SHOWN[channel])
+    ax.set_xlabel("hold (early, late)" if channel == "hold" else "depth [mm]")
 
 
 def candidates_picture(found: Diagnosis, path: Path) -> None:
@@ -164,10 +174,13 @@ def candidates_picture(found: Diagnosis, path: Path) -> None:
     left.axvline(-np.log10(0.05), color="#22303c", lw=0.8, ls="--")
     left.set_xlabel("-log10 of adjusted p (dashed: 0.05)")
     spots = {spot.name: spot for spot in found.blind_spots}
-    sizes = [min(spots[n].detectable_times_typical, 10.0) if n in spots else np.nan for n in names]
+    sizes = [min(spots[n].detectable_times_typical, _MOST_SIZES) if n in spots else np.nan for n in names]
     right.barh(names, sizes, color="#56b4e9")
     right.axvline(1.0, color="#22303c", lw=0.8, ls="--")
-    right.set_xlabel("size seen with 80 % power\n(in plausible sizes; right of dashed: blind)")
+    right.set_xlim(0.0, _MOST_SIZES)
+    right.set_xlabel(
+        f"size seen with 80 % power\n(in plausible sizes; right of dashed: blind;\n{_MOST_SIZES:g}: or more)"
+    )
     save_figure(figure, path, dpi=150)
 
 

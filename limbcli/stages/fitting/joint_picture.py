@@ -46,7 +46,7 @@ def draw_joint(
             right.plot(data.speed_force[order], np.exp(seen.log_speed)[order], color=VERMILION)
             right.set(xlabel="probe force [N]", ylabel="shear-wave speed [m/s]")
             if not len(speed):
-                right.text(0.5, 0.5, "no speeds enter", ha="center", transform=right.transAxes)
+                _nothing(right, "no speeds enter")
             for each in more:
                 _layers(each, data, seen)
         save_figure(figure, writer.file("picture", file))
@@ -55,6 +55,10 @@ def draw_joint(
 
 def _layers(axes: Axes, data: SiteMeasurement, seen: SitePrediction) -> None:
     """Thickness of every layer that is counted, over force."""
+    axes.set(xlabel="probe force [N]", ylabel="thickness [mm]")
+    if not len(data.layers):
+        _nothing(axes, "no layers enter")
+        return
     for j, colour in zip(np.unique(data.layers.layer), (INK, BLUE, GREEN), strict=False):
         here = np.flatnonzero(data.layers.layer == j)
         order = here[np.argsort(data.layers.force[here])]
@@ -63,8 +67,13 @@ def _layers(axes: Axes, data: SiteMeasurement, seen: SitePrediction) -> None:
         read = data.layers.thickness[order]
         axes.errorbar(force, read, yerr=spread, fmt="o", ms=4, color=colour, label=name)
         axes.plot(force, seen.layers[order], color=colour)
-    axes.set(xlabel="probe force [N]", ylabel="thickness [mm]")
     axes.legend(loc="best")
+
+
+def _nothing(axes: Axes, words: str) -> None:
+    """A panel that says why it is empty, without scales of nothing."""
+    axes.set(xticks=[], yticks=[])
+    axes.text(0.5, 0.5, words, ha="center", transform=axes.transAxes)
 
 
 def _draw_profiles(found: Intervals, writer: StageWriter) -> None:

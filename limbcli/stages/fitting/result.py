@@ -101,7 +101,7 @@ def draw_fit(found: Identified, site: Site, writer: StageWriter) -> None:
     from limbcli.reporting.figures.profiles import ProfileCurve, profile_figure
 
     depths = np.linspace(0.0, found.knots[-1], _FINE)
-    labels = ("start (f_κ 100, m 2)", "Mooney-Rivlin type (m = 2)", "Ogden type")
+    labels = ("start (f_κ = 100, m = 2)", "Mooney-Rivlin type (m = 2)", "Ogden type")
     thetas = [found.start, *(step.theta for step in found.steps)]
     curves = [
         SimulatedCurve(key, label, depths, found.simulated(theta, depths))

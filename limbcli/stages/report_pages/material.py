@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.case import Case, Site
+from limbcli.drawing import side_of
 from limbcli.errors import LimbError, MeasurementError
 from limbcli.errors.problems import errors_of
 from limbcli.measurement.indentation import Levels, check_levels, doubts_about_levels
@@ -19,7 +20,7 @@ from limbcli.reporting.figures.force_depth import MeasuredCurve
 from limbcli.reporting.figures.wave_speed import SpeedReadings
 from limbcli.reporting.outcome import Outcome, Outcomes, read_outcomes
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.results import StageResult
+from limbcli.results import UNLIKE_OURS, StageResult
 from limbcli.stages.report_pages.cycles import cycle_material
 from limbcli.stages.report_pages.simulated_state import read_deformed, read_residuals
 from limbcli.stages.report_pages.stale import stale_results
@@ -100,18 +101,31 @@ def _deformed(material: SiteMaterial, outcomes: Outcomes) -> SiteMaterial:
         if material.residuals is None:
             material = replace(material, residuals=read_residuals(outcome.result))
         if material.deformed is None:
-            material = _with_state(material, outcome, outcome.result)
+            material = _with_state(material, outcome, outcome.result, outcomes)
     return material
 
 
-def _with_state(material: SiteMaterial, outcome: Outcome, result: StageResult) -> SiteMaterial:
+def _with_state(
+    material: SiteMaterial, outcome: Outcome, result: StageResult, outcomes: Outcomes
+) -> SiteMaterial:
     try:
         state = read_deformed(result)
     except (LimbError, OSError, ValueError, KeyError, StopIteration) as error:
         what = error.what if isinstance(error, LimbError) else f"{type(error).__name__} {error}"
         why = f"The deformed model of “{outcome.label}” cannot be drawn: {what}."
         return replace(material, why_not_deformed=why)
+    state = replace(state, sides=_sides(outcomes.of("mesh", material.name).usable)) if state else None
     return replace(material, deformed=state, deformed_source=f"the records of “{outcome.label}”")
+
+
+def _sides(meshed: StageResult | None) -> tuple[str, str] | None:
+    """The sides of the patient that x and y of the model point to, where the mesh's result says so."""
+    try:
+        told = meshed.data["frame"]["patient_from_model"] if meshed is not None else None
+        axes = np.asarray(told, dtype=float)[:3, :2]
+        return side_of(axes[:, 0]), side_of(axes[:, 1])
+    except UNLIKE_OURS:
+        return None
 
 
 _ORDER = ("segment", "mesh", "build-feb", "run", "fit")

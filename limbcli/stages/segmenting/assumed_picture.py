@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from limbcli.drawing import save_picture
 from limbcli.meshing.sections import section
 from limbcli.meshing.surfaces import Triangles
 from limbcli.stages.segmenting.assumed_geometry import AssumedLimb, ThicknessComparison
@@ -31,7 +32,7 @@ def draw_assumed(path: Path, limb: AssumedLimb, *, title: str) -> None:
             [f"{lines[-1]} {word}".strip()] if len(lines[-1]) < _WRAP * len(names) / 2 else [lines[-1], word]
         )
     figure.suptitle("\n".join(lines), fontsize=10)
-    figure.savefig(path, dpi=90, format="png")
+    save_picture(figure, path, dpi=90)
 
 
 def _draw_section(axes: Axes, limb: AssumedLimb, name: str, site: ThicknessComparison | None) -> None:
@@ -58,7 +59,7 @@ def _draw_section(axes: Axes, limb: AssumedLimb, name: str, site: ThicknessCompa
     if site is not None:
         axes.plot([0, 0], [0, -site.measured], color=_BEAM, linewidth=2.0, marker="_", label="measured")
         axes.set_title(f"site {name}: {site.measured:g} mm from skin to bone ({site.source})", fontsize=9)
-    axes.set(xlabel="mm across the limb", ylabel="mm below the skin at the site")
+    axes.set(xlabel="across the limb [mm]", ylabel="above the skin at the site [mm]")
     axes.set_aspect("equal")
     axes.grid(True, linewidth=0.4, alpha=0.5)
     axes.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -10,8 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from limbcli.drawing import save_picture
+from limbcli.meshing.frame import proximal_direction
 from limbcli.meshing.mending import Limb
 from limbcli.model import Array
 from limbcli.stages.segmenting.site_grid import GridPoint
@@ -25,6 +28,9 @@ _VIEWS = (
 )
 _LETTERS = ("x", "y", "z")
 _NEAR = 10.0  # mm skin to bone: thinner tissue is drawn in another colour
+_SLICE = 15.0  # mm along the limb to either side of a point, whose middle tells which side the point is on
+_TITLE_WIDTH = 140  # characters on a line
+_THIN, _THICK, _MARKER, _SITE = "#c25a00", "#1b3a1b", "#c000c0", "#0050d0"
 
 
 def draw_places(
@@ -49,11 +55,30 @@ def draw_places(
         if across[1] < 0:
             axes.invert_xaxis()
         axes.grid(True, linewidth=0.4, alpha=0.5)
-    figure.suptitle(
-        f"{title}: where a site can be. Grid points by name (coordinates: site-grid.csv); "
-        f"orange: less than {_NEAR:g} mm from skin to bone; magenta: markers; blue: sites of the case"
-    )
+    words = f"{title}: where a site can be (coordinates of the grid’s points: site-grid.csv)"
+    figure.suptitle(textwrap.fill(words, _TITLE_WIDTH))
+    _tell_marks(figure, grid, markers, sites)
     save_picture(figure, path, dpi=70)
+
+
+def _tell_marks(
+    figure: Figure, grid: Sequence[GridPoint], markers: Mapping[str, Array], sites: Mapping[str, Array]
+) -> None:
+    """A legend of what is there."""
+    thin = [each for each in grid if each.skin_bone < _NEAR]
+    marks = (
+        (len(thin) < len(grid), ".", _THICK, "point of the grid"),
+        (bool(thin), ".", _THIN, f"the same, less than {_NEAR:g} mm from skin to bone"),
+        (bool(markers), "D", _MARKER, "skin marker"),
+        (bool(sites), "X", _SITE, "site of the case"),
+    )
+    lines = [
+        Line2D([], [], marker=mark, color=colour, linestyle="none", label=label)
+        for there, mark, colour, label in marks
+        if there
+    ]
+    if lines:
+        figure.legend(handles=lines, loc="outside lower center", ncols=len(lines))
 
 
 def _draw_view(axes: Axes, limb: Limb, across: tuple[int, float], towards: tuple[int, float]) -> None:
@@ -83,16 +108,19 @@ def _draw_points(
     towards: tuple[int, float],
 ) -> None:
     """Those that the reader can see from this side: no other is shown through the limb."""
-    middle = limb.skin.points.mean(axis=0)
+    axis = proximal_direction(limb)
+    along = limb.skin.points @ axis
 
     def visible(point: Array) -> bool:
+        near = limb.skin.points[np.abs(along - point @ axis) < _SLICE]
+        middle = (near if len(near) else limb.skin.points).mean(axis=0)
         aside, front = point - middle, towards[1] * (point - middle)[towards[0]]
         return bool(front > 0.35 * np.hypot(aside[0], aside[1]))
 
     seen = [each for each in grid if visible(each.point)]
     for colour, shown in (
-        ("#c25a00", [each for each in seen if each.skin_bone < _NEAR]),
-        ("#1b3a1b", [each for each in seen if not each.skin_bone < _NEAR]),
+        (_THIN, [each for each in seen if each.skin_bone < _NEAR]),
+        (_THICK, [each for each in seen if not each.skin_bone < _NEAR]),
     ):
         places = np.array([each.point[[across[0], 2]] for each in shown]).reshape(-1, 2)
         axes.plot(*places.T, ".", color=colour, markersize=4)
@@ -102,11 +130,14 @@ def _draw_points(
                 textcoords="offset points", fontsize=8, ha="center",
             )  # fmt: skip
             label.set_in_layout(False)  # it stands within its view, and looking at each takes time
-    for points, mark, colour, word in ((markers, "D", "#c000c0", "marker "), (sites, "X", "#0050d0", "")):
+    for points, mark, colour, word, above in (
+        (markers, "D", _MARKER, "marker ", -10), (sites, "X", _SITE, "", 4)
+    ):  # fmt: skip
         for name, point in points.items():
             if visible(point):
                 axes.plot(point[across[0]], point[2], mark, color=colour, markersize=9)
                 axes.annotate(
-                    f"{word}{name}", (point[across[0]], point[2]), xytext=(6, -10), fontweight="bold",
-                    textcoords="offset points", color=colour, fontsize=10,
+                    f"{word}{name}", (point[across[0]], point[2]), xytext=(6, above), fontweight="bold",
+                    textcoords="offset points", color=colour, fontsize=10, zorder=5,
+                    bbox={"boxstyle": "square,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.8},
                 )  # fmt: skip

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.case import Case, Site
+from limbcli.drawing import side_of
 from limbcli.effects.tissue import TISSUE, limb_axis
 from limbcli.errors import CaseError
 from limbcli.imaging.fibre_map import REACH, read_fibre_map
@@ -143,7 +144,8 @@ def leave_fibres(
     """What mesh.json says of the fibres, doubts, and their picture."""
     near = np.array([limb_axis(model)]) if found.axes is None else found.axes
     axis, _ = mean_axis(near)
-    in_patient = patient_from_model(model)[:3, :3] @ axis
+    to_patient = patient_from_model(model)[:3, :3]
+    in_patient = to_patient @ axis
     out_of_skin = float(np.degrees(np.arcsin(min(1.0, abs(axis[2])))))
     to_image = float(np.degrees(np.arctan2(abs(axis[1]), abs(axis[0]))))
     writer.data["fibres"] = {
@@ -164,7 +166,8 @@ def leave_fibres(
     block = next(model.mesh.block(each.block) for each in model.domains if each.material == TISSUE)
     axes = np.tile(near[0], (len(block.cells), 1)) if found.axes is None else found.axes
     picture = writer.file("fibre_picture", "fibres.png")
-    fibre_picture(model.mesh, block, axes, probe, picture, title=found.source)
+    sides = side_of(to_patient[:, 0]), side_of(to_patient[:, 1])
+    fibre_picture(model.mesh, block, axes, probe, picture, title=found.source, sides=sides)
     share = (found.facts or {}).get("from_mean_share", 0.0)
     if share > 0.1:
         writer.warnings.append(

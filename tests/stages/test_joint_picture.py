@@ -1,0 +1,51 @@
+"""The picture of a joint fit: a panel with nothing to show says so."""
+
+from __future__ import annotations
+
+import warnings
+from types import SimpleNamespace
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from limbcli.inference.joint import SiteMeasurement, SitePrediction
+from limbcli.stages.fitting import joint_picture
+
+FORCE = np.linspace(0.5, 8.0, 5)
+LAYER_DATA = type(SiteMeasurement.__dataclass_fields__["layers"].default)
+
+
+def site(name: str, *, speeds: bool, layers: bool) -> SiteMeasurement:
+    n = 5 if speeds else 0
+    told = LAYER_DATA(FORCE, np.zeros(5, int), 6 - 0.1 * FORCE, 0.04 * np.eye(5), np.full(5, 6.0))
+    more = {"layers": told} if layers else {}
+    return SiteMeasurement(
+        name,
+        FORCE,
+        FORCE,
+        FORCE**0.5,
+        0.1,
+        0.3,
+        FORCE[:n],
+        np.log(2 + 0.05 * FORCE[:n]),
+        np.full(n, 0.05),
+        **more,
+    )
+
+
+def test_sites_without_speeds_or_layers_have_panels_that_say_so(monkeypatch):
+    sites = [site("a", speeds=True, layers=True), site("b", speeds=False, layers=False)]
+
+    def predict(k: int) -> SitePrediction:
+        layers = sites[k].layers.thickness
+        return SitePrediction(FORCE**0.5, FORCE, FORCE, sites[k].log_speed, FORCE, layers, layers)
+
+    kept: list[Figure] = []
+    monkeypatch.setattr(joint_picture, "save_figure", lambda figure, path: kept.append(figure))
+    writer = SimpleNamespace(file=lambda key, name: name)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        joint_picture.draw_joint(sites, predict, SimpleNamespace(profiles={}), writer)
+    words = [[each.get_text() for each in axes.texts] for axes in kept[0].axes]
+    assert words == [[], [], [], [], ["no speeds enter"], ["no layers enter"]]
+    assert not len(kept[0].axes[4].get_xticks())
