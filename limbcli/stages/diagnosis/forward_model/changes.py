@@ -1,6 +1,6 @@
 """What effects change in a site's curves, to first order or by a solve, over their parameters.
 
-An effect of the law changes the curves as the kept deformation says (`effects.frozen`); one of the mesh or
+An effect of the law changes the curves as the kept deformation says (`effects.frozen_deformation`); one of the mesh or
 the contact is solved at its start value.
 """
 
