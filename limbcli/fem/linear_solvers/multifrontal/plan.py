@@ -25,8 +25,8 @@ class Plan(NamedTuple):
     """Front s has pivots pivot_at[s]..pivot_at[s + 1] and below them the rows rows[rows_at[s]..].
 
     All are places in the order of elimination. Its panel (m, p) has leading dimension ld[s] and is kept
-    in tiles and parts from tile_at[s], part_at[s] (see `compact_factor`); its update matrix (m - p, m - p), lower
-    triangle, begins at update_at[s] with leading dimension ldu[s].
+    in tiles and parts from tile_at[s], part_at[s] (see `compact_factor`); its update matrix (m - p, m - p),
+    lower triangle, begins at update_at[s] with leading dimension ldu[s].
 
     into : for each row, its place in the parent's front; run_at, runs : where, within the rows of
         a front, these places stop being consecutive

@@ -29,7 +29,8 @@ class Multifrontal:
     Pivots keep their order; those that come out as next to nothing are perturbed and
     counted. The matrix is scaled to a diagonal of +-1.
 
-    single : made in single precision, kept as short integers (`compact_factor`): an approximate inverse, good to 1e-4
+    single : made in single precision, kept as short integers (`compact_factor`): an approximate inverse,
+        good to 1e-4
     last : equation numbers to be eliminated last, as the root front, whose part of the
         matrix can be changed afterwards (`update_root`)
     metis : nested dissection by METIS if it is there; otherwise minimum degree

@@ -1,7 +1,7 @@
 """What effects change in a site's curves, to first order or by a solve, over their parameters.
 
-An effect of the law changes the curves as the kept deformation says (`effects.frozen_deformation`); one of the mesh or
-the contact is solved at its start value.
+An effect of the law changes the curves as the kept deformation says (`effects.frozen_deformation`); one of
+the mesh or the contact is solved at its start value.
 """
 
 from __future__ import annotations
