@@ -57,8 +57,8 @@ def profiles(page: ReportData, site: SiteMaterial) -> Reportlet | None:
         site.name,
         pictures=(Picture(f"profiles-{site.name}", alt, source=path, vector=False),),
         look_for="a valley with steep sides around the fitted value: the data exclude values beyond the "
-        "shaded range (the curve weighs the levels by their noise, the published fit weighs them alike, so that "
-        "the lowest point may lie beside the fit)",
+        "shaded range (the curve weighs the levels by their noise, the published fit weighs them alike, so "
+        "that the lowest point may lie beside the fit)",
         bad="a curve that stays below the 95 % line to one side of its panel: in that direction the data "
         "exclude nothing, and the fitted value is where the search happened to stop",
     )
