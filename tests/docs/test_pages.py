@@ -62,8 +62,10 @@ def test_the_example_of_every_extension_page_runs(page: Path, monkeypatch: pytes
 
 def test_the_effect_of_the_page_is_a_file_that_diagnose_takes(tmp_path: Path):
     file = tmp_path / "slip.py"
-    file.write_text(blocks(EXAMPLES[2], "python")[0])
+    text = blocks(EXAMPLES[2], "python")[0]
+    file.write_text(text)
     assert load_effect(file).name == "slip"
+    assert "Source:" in text and "Tell-tale:" in text  # what the contract test asks of one that is kept
 
 
 @pytest.mark.parametrize("page", [REPOSITORY / "README.md", DOCS / "api.md"], ids=lambda page: page.stem)
