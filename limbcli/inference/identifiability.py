@@ -156,9 +156,9 @@ def _excluded(parameter: FitParameter, profile: Profile | None, unit: str = "") 
     unit = unit and f" {unit}"
     below, above = f"below {profile.low:.3g}{unit}", f"above {profile.high:.3g}{unit}"
     if profile.open_low and profile.open_high:
-        return f"they exclude no value between {parameter.low:g} and {parameter.high:g}{unit}"
+        return f"the data exclude no value between {parameter.low:g} and {parameter.high:g}{unit}"
     if profile.open_high:
-        return f"they exclude only values {below} (95 %)"
+        return f"the data exclude only values {below} (95 %)"
     if profile.open_low:
-        return f"they exclude only values {above} (95 %)"
-    return f"they exclude values {below} and {above} (95 %)"
+        return f"the data exclude only values {above} (95 %)"
+    return f"the data exclude values {below} and {above} (95 %)"

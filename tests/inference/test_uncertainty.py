@@ -84,13 +84,14 @@ def test_the_words_of_a_parameter_with_a_unit_are_in_that_unit():
     for low, high, is_open, said in (
         (7.0, 9.0, (False, False), "c is identified: 7 to 9 kPa (95 %)."),
         (4.0, 13.3, (False, False), "values below 4 kPa and above 13.3 kPa (95 %)."),
-        (5.0, 80.0, (False, True), "they exclude only values below 5 kPa (95 %)."),
-        (0.8, 80.0, (True, True), "they exclude no value between 0.8 and 80 kPa."),
+        (5.0, 80.0, (False, True), "the data exclude only values below 5 kPa (95 %)."),
+        (0.8, 80.0, (True, True), "the data exclude no value between 0.8 and 80 kPa."),
     ):
         assert verdict(c, 8.0, profile(low, high, *is_open), influence=True, unit="kPa").words.endswith(said)
     at_bound = verdict(c, 0.8, profile(0.8, 2.0, True, False), influence=True, unit="kPa")
     assert (
-        at_bound.words == "c ended on its lower bound 0.8 kPa; they exclude only values above 2 kPa (95 %)."
+        at_bound.words
+        == "c ended on its lower bound 0.8 kPa; the data exclude only values above 2 kPa (95 %)."
     )
 
 

@@ -17,4 +17,4 @@ def test_what_is_said_of_c_is_in_kpa():
     found = SimpleNamespace(fit=fit, scale=1.0, profiles={"c": profile}, best=np.array([0.0075]))
     table = parameter_table(problem, found)["c_kpa"]
     assert table["headline"] == "above 5.00 kPa"
-    assert "they exclude only values below 5 kPa" in table["words"]
+    assert "the data exclude only values below 5 kPa" in table["words"]

@@ -88,7 +88,7 @@ def add_mesh(out: Path, site: str) -> None:
 
 
 def step_data(*, m: float, m_free: bool, r2: float, rmse_n: float) -> dict:
-    words = "f_kappa is not identifiable from these data: they exclude only values below 52 (95 %)."
+    words = "f_kappa is not identifiable from these data: the data exclude only values below 52 (95 %)."
     parameters = {
         "c_kpa": {"value": 10.13, "low": 9.1, "high": 11.2, "flag": "fixed", "words": "c is held fixed"},
         "f_kappa": {"value": 80.0, "low": 52.0, "high": None, "flag": "weak", "words": words},
