@@ -21,6 +21,7 @@ from limbcli.cli.app import COMMANDS, app
 from limbcli.effects import EFFECTS
 from limbcli.fem.elements import element
 from limbcli.materials import laws
+from limbcli.measurement import indentation
 from limbcli.stages.diagnose import load_effect
 from tests.loading import module_at
 
@@ -45,6 +46,14 @@ def command_lines() -> list[tuple[str, str]]:
         for block in blocks(page, "console")
         for line in re.findall(r"^\w*\$ limbcli (.+?)(?:\s+#.*)?$", block, flags=re.MULTILINE)
     ]
+
+
+def case_keys() -> list[str]:
+    """Every key that may stand below a table of case.toml."""
+    tables = [
+        each for each in vars(case_schema).values() if isinstance(each, dict) and each is not case_schema.TOP
+    ]
+    return [name for each in tables for name, key in each.items() if isinstance(key, case_schema.Key)]
 
 
 @pytest.mark.parametrize("page", EXAMPLES, ids=lambda page: page.stem)
@@ -99,8 +108,12 @@ def test_every_command_that_is_spoken_of_exists():
 
 
 def test_the_case_of_the_page_is_valid_but_for_its_files(tmp_path: Path):
-    text, *other_geometries = blocks(DOCS / "case-format.md", "toml")
-    assert other_geometries
+    text, *others = blocks(DOCS / "case-format.md", "toml")
+    other_geometries = [each for each in others if each.startswith("[imaging]")]
+    assert len(other_geometries) == 2
+    for each in (each for each in others if each not in other_geometries):
+        (tmp_path / "case.toml").write_text(f"{text}\n{each}")
+        assert all("not there" in problem.what for problem in read_case(tmp_path)[1])
     for each in ("[imaging]" + text.split("[imaging]")[1].split("[probe]")[0], *other_geometries):
         (tmp_path / "case.toml").write_text(
             text.split("[imaging]")[0] + each + "[probe]" + text.split("[probe]")[1]
@@ -110,6 +123,22 @@ def test_the_case_of_the_page_is_valid_but_for_its_files(tmp_path: Path):
         assert all("not there" in problem for problem in problems), problems
     for each in blocks(REPOSITORY / "cases" / "README.md", "toml"):
         tomllib.loads(each)
+
+
+def test_every_key_and_column_of_a_case_is_explained_by_hand_too():
+    """The generated list has a key's type and default; what it means stands in the page's own text."""
+    page = (DOCS / "case-format.md").read_text(encoding="utf-8")
+    told = page + (DOCS / "states.md").read_text(encoding="utf-8") + (DOCS / "fibres.md").read_text("utf-8")
+    assert [name for name in case_keys() if not re.search(rf"\b{name}\b", told)] == []
+    columns = {*indentation.REQUIRED, *indentation.OPTIONAL, *indentation.TEXTS}
+    template = (REPOSITORY / "templates/case/levels.csv.j2").read_text(encoding="utf-8")
+    for text in (page, template):
+        assert [name for name in sorted(columns) if not re.search(rf"\b{name}\b", text)] == []
+
+
+def test_the_readme_counts_the_effects_that_a_diagnosis_may_name():
+    may_be_named = sum(each.kind != "numerical" for each in EFFECTS)
+    assert f"which of {may_be_named} effects" in (REPOSITORY / "README.md").read_text(encoding="utf-8")
 
 
 def test_every_case_is_told_of_in_the_list_of_cases():
@@ -129,10 +158,7 @@ def test_the_pages_of_the_program_hold_every_command_key_and_effect(tmp_path: Pa
         options = [text for each in group.commands[name].params for text in each.opts]  # type: ignore
         assert all(text in page for text in options if text.startswith("--"))
     assert all(f"`{each.name}`" in (tmp_path / "effects.md").read_text() for each in EFFECTS)
-    tables = [
-        each for each in vars(case_schema).values() if isinstance(each, dict) and each is not case_schema.TOP
-    ]
-    keys = [name for each in tables for name, key in each.items() if isinstance(key, case_schema.Key)]
+    keys = case_keys()
     assert len(keys) > 50
     assert all(f"`{name}`" in (tmp_path / "case-keys.md").read_text() for name in keys)
 
