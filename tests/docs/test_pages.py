@@ -182,3 +182,10 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path):
     result = subprocess.run([*command, DOCS, tmp_path / "html"], capture_output=True, text=True, timeout=500)
     assert result.returncode == 0, result.stderr
     assert "limbcli.segment" in (tmp_path / "html" / "api.html").read_text()
+
+
+def test_the_readme_of_every_folder_of_templates_lists_its_files():
+    for folder in ("feb", "report"):
+        text = (REPOSITORY / "templates" / folder / "README.md").read_text(encoding="utf-8")
+        files = {each.name for each in (REPOSITORY / "templates" / folder).iterdir()} - {"README.md"}
+        assert {each for each in files if each not in text} == set()
