@@ -93,6 +93,11 @@ def test_the_python_that_is_printed_calls_what_there_is(page: Path):
     assert any("from limbcli import" in block for block in blocks(page, "python"))
 
 
+def test_the_page_of_the_python_interface_holds_all_of_it():
+    page = (DOCS / "api.md").read_text(encoding="utf-8")
+    assert set(limbcli.__all__) - {"__version__"} <= set(re.findall(r":: limbcli\.(\w+)", page))
+
+
 @pytest.mark.parametrize(("page", "line"), command_lines())
 def test_every_command_line_is_understood(page: str, line: str):
     """Parsed as the program parses it, and not run: names, options and values must be possible."""
