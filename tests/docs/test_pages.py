@@ -93,6 +93,14 @@ def test_the_python_that_is_printed_calls_what_there_is(page: Path):
     assert any("from limbcli import" in block for block in blocks(page, "python"))
 
 
+def test_the_page_of_results_lists_every_file_that_a_stage_leaves():
+    page = (DOCS / "results.md").read_text(encoding="utf-8")
+    sources = [each.read_text("utf-8") for each in (REPOSITORY / "limbcli" / "stages").rglob("*.py")]
+    named = {name for each in sources for name in re.findall(r'\.file\("\w+", "([\w.-]+)"\)', each)}
+    assert len(named) > 25
+    assert sorted(name for name in named if f"`{name}" not in page) == []
+
+
 def test_the_page_of_the_python_interface_holds_all_of_it():
     page = (DOCS / "api.md").read_text(encoding="utf-8")
     assert set(limbcli.__all__) - {"__version__"} <= set(re.findall(r":: limbcli\.(\w+)", page))
