@@ -110,8 +110,8 @@ def _table(
 def _looked_up(data: Mapping[str, Any], key: str) -> tuple[object, bool]:
     """The value, or what to say where there is none of that name; whether there is one.
 
-    >>> _looked_up({"flags": {"m": "weak"}}, "flags.m"), _looked_up({"rmse_n": 1.0}, "rmse_m")
-    (('weak', True), ("not there (did you mean 'rmse_n'?)", False))
+    >>> _looked_up({"flags": {"m": "weak"}}, "flags.m"), _looked_up({"element": "tet4"}, "elements")
+    (('weak', True), ("not there (did you mean 'element'?)", False))
     """
     value: Any = data
     for part in key.split("."):
