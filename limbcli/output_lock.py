@@ -12,7 +12,6 @@ import errno
 import fcntl
 import os
 import platform
-import shlex
 import sys
 import time
 from collections.abc import Iterator
@@ -20,7 +19,8 @@ from pathlib import Path
 from typing import TextIO
 
 from limbcli.errors import CaseError
-from limbcli.errors.file_system import file_system_errors, in_utf8, in_words, not_in_utf8
+from limbcli.errors.commands import command_line
+from limbcli.errors.file_system import file_system_errors, in_words, not_in_utf8
 from limbcli.progress import SILENT, Progress
 
 LOCK = ".writing"
@@ -142,8 +142,7 @@ def _is_still(stream: TextIO, path: Path) -> bool:
 
 
 def _sign(stream: TextIO) -> None:
-    command = in_utf8(shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]))
     since = time.strftime("%H:%M:%S", time.localtime())
     stream.truncate(0)
-    stream.write(f"`{command}` (process {os.getpid()} on {platform.node()}, since {since})\n")
+    stream.write(f"`{command_line(sys.argv)}` (process {os.getpid()} on {platform.node()}, since {since})\n")
     stream.flush()

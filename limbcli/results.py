@@ -22,7 +22,7 @@ import numpy as np
 
 from limbcli.atomic_files import atomic_folder, sha256
 from limbcli.errors import CaseError, LimbError, tell_site
-from limbcli.errors.file_system import in_utf8
+from limbcli.errors.commands import command_line
 from limbcli.version import __version__
 
 FORMAT = 1
@@ -258,7 +258,7 @@ def provenance() -> dict[str, Any]:
             versions[name] = metadata.version(name)
     return {
         "limbcli": __version__,
-        "command": CALLED.get() or in_utf8(" ".join([Path(sys.argv[0]).name, *sys.argv[1:]])),
+        "command": CALLED.get() or command_line(sys.argv),
         "python": platform.python_version(),
         "platform": f"{platform.system()} {platform.machine()}",
         "packages": versions,

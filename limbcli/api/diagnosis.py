@@ -116,7 +116,7 @@ def diagnose(
     case, out, wait, progress : as of `segment`
     sites : name or names; None: all
     effects : names of those to try; none: all
-    effect_file : a Python file with an `EFFECT` of your own
+    effect_file : a Python file with an `EFFECT` of your own; it is tried whichever are named
     max_effects : effects added in turn, 1 to 3
     seed : of the bootstrap
     size_mm, far_size_mm : edges of the working mesh under the probe (None: 5, less where the tissue is

@@ -24,6 +24,7 @@ def read_instruments(
             values[name], keys, name=title, file=str(files.folder / "case.toml")
         )
         problems += found
+        problems += _at_odds(name, table, title, str(files.folder / "case.toml"))
         kind = "file" if "file" in keys else "folder"
         path, found = files.existing(table.get(kind), f"{title}: {kind}", is_folder=kind == "folder")
         problems += found
@@ -32,6 +33,22 @@ def read_instruments(
         usual, _ = schema.check_table({"file": values["trace"]}, schema.LOAD_CELL, name="", file="")
         tables["load_cell"] = {**usual, "path": files.folder / values["trace"]}
     return tables, problems
+
+
+def _at_odds(name: str, table: Mapping[str, Any], title: str, file: str) -> list[Problem]:
+    """What two values of one table make impossible together."""
+    found = []
+    if name == "load_cell" and table.get("probe_mass_kg") and table.get("tare_s") is None:
+        fix = "add `tare_s = [from, to]`, seconds in which the probe hung free; or leave probe_mass_kg out"
+        found.append(
+            Problem(f"[{title}] has probe_mass_kg, and no tare_s to count its weight from", file, fix)
+        )
+    low, high = table.get("low_m_per_s"), table.get("high_m_per_s")
+    if low is not None and high is not None and low >= high:
+        what = f"[{title}] low_m_per_s, {low:g}, is not below high_m_per_s, {high:g}"
+        fix = "give the speeds at the ends of the colour bar; high is its top, or its right end"
+        found.append(Problem(what, file, fix))
+    return found
 
 
 def read_layers(

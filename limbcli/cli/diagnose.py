@@ -31,7 +31,11 @@ def command(
     febio: FebioOpt = None,
     effects: Annotated[
         list[str] | None,
-        typer.Option("--effects", metavar="NAME", help="Only this effect (may be repeated); default: all."),
+        typer.Option(
+            "--effects",
+            metavar="NAME",
+            help="Only this effect (may be repeated), and that of --effect-file; default: all.",
+        ),
     ] = None,
     effect_file: Annotated[
         Path | None,

@@ -75,5 +75,5 @@ def _index(folder: Path, templates: Path | None, progress: Progress, *, as_json:
     if as_json:
         emit_json(result.to_json())
     else:
-        print(f"index: {result.page} ({result.n_subjects} subjects)")
+        print(f"index: {result.page} ({result.n_subjects} subject{'s' if result.n_subjects != 1 else ''})")
     return result.page

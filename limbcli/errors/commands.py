@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TypeVar
 
 from limbcli.errors import LimbError
-from limbcli.errors.file_system import PARTIAL
+from limbcli.errors.file_system import PARTIAL, in_utf8
 from limbcli.temporary_folders import PREFIX
 
 AnyError = TypeVar("AnyError", bound=LimbError)
@@ -28,6 +28,20 @@ def typed(path: Path | str) -> str:
     """
     text = str(path)
     return shlex.quote(f"./{text}" if text.startswith("-") else text)
+
+
+def command_line(words: Sequence[str]) -> str:
+    """The command that this process was started with, as it can be typed again.
+
+    >>> command_line(["/venv/bin/limbcli", "fit", "my case"])
+    "limbcli fit 'my case'"
+    >>> command_line(["/venv/lib/limbcli/__main__.py", "doctor"])
+    'python -m limbcli doctor'
+    """
+    program = Path(words[0])
+    is_module = program.name == "__main__.py"
+    first = f"python -m {shlex.quote(program.parent.name)}" if is_module else shlex.quote(program.name)
+    return in_utf8(" ".join([first, *map(shlex.quote, words[1:])]))
 
 
 def pasted(error: AnyError, case: Path | None, out: Path | None = None) -> AnyError:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import platform
-import shlex
 import sys
 import tempfile
 import time
@@ -11,6 +10,7 @@ import traceback
 from pathlib import Path
 
 from limbcli.errors import UnforeseenError
+from limbcli.errors.commands import command_line
 from limbcli.errors.file_system import in_utf8
 from limbcli.version import __version__
 
@@ -31,7 +31,7 @@ def unforeseen(error: BaseException, folder: Path | None) -> UnforeseenError:
 
 
 def _story(error: BaseException) -> str:
-    command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+    command = command_line(sys.argv)
     trace = "".join(traceback.format_exception(error))
     return (
         f"limbcli {__version__}, Python {platform.python_version()}, {platform.platform()}\n"

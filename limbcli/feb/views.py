@@ -113,7 +113,8 @@ def _material(material: Material, ids: Ids, tag: str = "material") -> MaterialVi
         raise CaseError(
             f"the law {material.law!r} cannot be written for FEBio",
             where="model",
-            fix=f"use one of {[each.law for each in law_tags()]}",
+            fix="give the law FEBio's names, febio=FebioNames(...), or use one of "
+            + ", ".join(each.law for each in law_tags()),
         )
     rows: list[Row] = [("density", (), number(material.density))] if law.has_density else []
     rows += _scalar_rows(material, law, ids)

@@ -30,8 +30,8 @@ _SPEED_LOW_M_PER_S, _SPEED_HIGH_M_PER_S = 0.3, 15.0
 _SPEED_UNUSUAL_M_PER_S = 4.0  # at 0 N
 _TOLERATED_FORCE_DROP = 1.0
 _SILENT_FORCE_DROP = 0.3
-# How far skin_bone_mm and depth_mm may contradict each other: mm, deviations of the depth, levels.
-_DISTANCE_OFF, _DISTANCE_SIGMAS, _SEVERAL = 2.0, 4.0, 2
+# How far skin_bone_mm and depth_mm may contradict each other: mm, deviations of the depth.
+_DISTANCE_OFF, _DISTANCE_SIGMAS = 2.0, 4.0
 # How far from 0 mm level 0 may stand: deviations of the depth; by how much a curve is softer at its start
 # than over all of it.
 _ZERO_SIGMAS, _SOFTER_AT_FIRST = 2.0, 4.0
@@ -218,12 +218,14 @@ def check_distance(
     deviation = (noise or LayerNoise()).depth
     allowed = max(_DISTANCE_OFF, _DISTANCE_SIGMAS * np.sqrt(2) * deviation)
     off = np.flatnonzero(np.abs(distance - levels.skin_bone - lost) > allowed)
-    if len(off) < _SEVERAL:
+    if not len(off):
         return []
-    k = int(off[0])
-    what = f"skin_bone_mm and depth_mm contradict each other at {len(off)} levels: here the distance has "
+    k, several = int(off[0]), f"{len(off)} levels: here" if len(off) > 1 else "one level:"
+    what = f"skin_bone_mm and depth_mm contradict each other at {several} the distance has "
     what += f"become {distance - levels.skin_bone[k]:.3g} mm shorter, the depth {lost[k]:.3g} mm larger"
     fix = "one of the columns is of another unit or level; are force_n and depth_mm swapped?"
+    if len(off) == 1:
+        fix = "check both readings of this level"
     return [problem(what, path, fix, line=table.lines[k], warning=True)]
 
 

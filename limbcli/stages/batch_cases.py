@@ -74,7 +74,7 @@ def expectations(
         found = compare(case, out)
     except LimbError as error:
         return [], [StepFailure(EXPECTED_FILE, None, error)]
-    fix = "look at the report; if the new value is right, write it there"
+    fix = "look at the report; if the new value is right, write it there; correct a name that is not there"
     unlike = [
         StepFailure(
             "", None,

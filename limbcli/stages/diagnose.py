@@ -7,7 +7,6 @@ Numerical effects first, by intervention on the mesh; then candidate effects on 
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -24,6 +23,7 @@ from limbcli.diagnostics.conclusions.verdict import Diagnosis
 from limbcli.diagnostics.engine import diagnose as diagnose_bench
 from limbcli.diagnostics.model.forward_model import Explanation
 from limbcli.effects import EFFECTS, Effect, effect
+from limbcli.effects.own_file import effect_of_file
 from limbcli.errors import CaseError, LimbError, tell_site
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, open_stage, plain, read_result
@@ -51,11 +51,12 @@ from limbcli.stages.site_model.fibres import note_fibres
 from limbcli.stages.site_model.site_levels import all_levels_of
 
 _SAME_PLACE = 2.0  # mm
+_NUMERICAL = "numerical"  # kind of what is no effect of tissue or readings
 
 
 @dataclass(frozen=True)
 class DiagnoseOptions:
-    """effects : names to try (empty: all);
+    """effects : names to try (empty: all); effect_file : an effect of one's own, tried in any case;
     size, far_size : mm, of the working mesh's edges (size None: by the tissue's thickness);
     separate : diagnose every site alone, also those that share a place;
     measured : numbers measured besides (see `forward_model.menu.known`), of the first site of each place;
@@ -137,13 +138,19 @@ def places(case: Case, sites: Sequence[Site], *, out: Path, separate: bool = Fal
 
 
 def chosen_effects(options: DiagnoseOptions) -> tuple[Effect, ...]:
-    """Those named, or all; with a user's own from a file."""
-    known = EFFECTS
-    if options.effect_file is not None:
-        known = (*known, load_effect(options.effect_file))
+    """Those named, or all; with a user's own from a file, which is tried in any case."""
+    own = () if options.effect_file is None else (load_effect(options.effect_file),)
     if not options.effects:
-        return known
-    return tuple(effect(name, known) for name in options.effects)
+        return (*EFFECTS, *own)
+    named = [effect(name, (*EFFECTS, *own)) for name in options.effects]
+    for each in named:
+        if each.kind == _NUMERICAL:
+            raise CaseError(
+                f"{each.name!r} cannot be named: what mesh, cut and contact do is always looked at first",
+                where="--effects",
+                fix="leave it out",
+            )
+    return (*named, *(each for each in own if each not in named))
 
 
 def load_effect(path: Path) -> Effect:
@@ -152,21 +159,9 @@ def load_effect(path: Path) -> Effect:
     Raises
     ------
     CaseError
-        If the file cannot be run or holds no effect.
+        If the file cannot be run, or holds no effect that can be tried.
     """
-    fix = "write a file like those in limbcli/effects, with `EFFECT = Effect(...)`"
-    spec = importlib.util.spec_from_file_location(path.stem, path) if path.is_file() else None
-    if spec is None or spec.loader is None:
-        raise CaseError(f"there is no effect file {path}", where="--effect-file", fix=fix)
-    module = importlib.util.module_from_spec(spec)
-    try:
-        spec.loader.exec_module(module)
-    except (ImportError, SyntaxError, NameError, TypeError, ValueError, AttributeError) as error:
-        raise CaseError(f"the effect file does not run ({error})", where=str(path), fix=fix) from error
-    found = getattr(module, "EFFECT", None)
-    if not isinstance(found, Effect):
-        raise CaseError("the effect file holds no EFFECT", where=str(path), fix=fix)
-    return found
+    return effect_of_file(path, tuple(each.name for each in EFFECTS))
 
 
 class _Diagnosed:
@@ -178,7 +173,7 @@ class _Diagnosed:
     ):  # fmt: skip
         self.case, self.sites, self.out, self.draining = case, sites, out, draining
         self.options, self.progress = options, progress
-        self.effects = {each.name: each for each in effects if each.kind != "numerical"}
+        self.effects = {each.name: each for each in effects if each.kind != _NUMERICAL}
 
     def all(self) -> list[StageResult]:
         place = PlaceMaker(

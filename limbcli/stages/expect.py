@@ -104,14 +104,22 @@ def _table(
         data: Mapping[str, Any] = read_result(out, stage, site=site).data
     except LimbError as error:
         return [Comparison(label, f"no result ({error.what})", "a result", False)]
-    return [_compare(f"{label}.{key}", _look_up(data, key), rule) for key, rule in rules.items()]
+    return [_compare(f"{label}.{key}", *_looked_up(data, key), rule) for key, rule in rules.items()]
 
 
-def _look_up(data: Mapping[str, Any], key: str) -> object:
+def _looked_up(data: Mapping[str, Any], key: str) -> tuple[object, bool]:
+    """The value, or what to say where there is none of that name; whether there is one.
+
+    >>> _looked_up({"flags": {"m": "weak"}}, "flags.m"), _looked_up({"element": "tet4"}, "elements")
+    (('weak', True), ("not there (did you mean 'element'?)", False))
+    """
     value: Any = data
     for part in key.split("."):
-        value = value.get(part) if isinstance(value, Mapping) else None
-    return value
+        if not isinstance(value, Mapping) or part not in value:
+            hint = f" ({suggestion(part, value)})" if isinstance(value, Mapping) else ""
+            return f"not there{hint}", False
+        value = value[part]
+    return value, True
 
 
 def _rule(name: str, rule: object, path: Path) -> Mapping[str, Any]:
@@ -139,9 +147,9 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
-def _compare(name: str, found: object, rule: Mapping[str, Any]) -> Comparison:
+def _compare(name: str, found: object, is_there: bool, rule: Mapping[str, Any]) -> Comparison:
     if "is" in rule:
-        return Comparison(name, found, repr(rule["is"]), found == rule["is"])
+        return Comparison(name, found, repr(rule["is"]), is_there and found == rule["is"])
     low, high = _range(rule)
     holds = _is_number(found) and low <= found <= high  # type: ignore[operator]
     return Comparison(name, found, f"{low:.5g} to {high:.5g}", holds)

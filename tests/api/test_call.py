@@ -24,6 +24,11 @@ def test_a_result_of_a_call_says_the_call(monkeypatch: pytest.MonkeyPatch):
     assert provenance()["command"].startswith("ipykernel_launcher.py"), "only while it is at work"
 
 
+def test_a_result_of_a_command_says_it_as_it_can_be_typed_again(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("sys.argv", ["/usr/lib/limbcli/__main__.py", "fit", "my limb", "--site", "p1"])
+    assert provenance()["command"] == "python -m limbcli fit 'my limb' --site p1"
+
+
 def test_a_call_that_fails_leaves_nothing_behind():
     @records_call
     def fail() -> None:

@@ -105,6 +105,20 @@ def test_position_and_marker_together_are_refused(folder: Path):
         Case.open(write(folder, GOOD + "marker = 1\n"))
 
 
+@pytest.mark.parametrize(
+    ("table", "told"),
+    [
+        ('[site.load_cell]\nfile = "p1/levels.csv"\nprobe_mass_kg = 0.3\n', "no tare_s"),
+        (
+            '[site.swe_images]\nfolder = "p1"\nlow_m_per_s = 10\nhigh_m_per_s = 5\n',
+            "low_m_per_s, 10, is not below high_m_per_s, 5",
+        ),
+    ],
+)
+def test_values_of_an_instrument_that_are_at_odds_are_refused(folder: Path, table: str, told: str):
+    assert any(told in each for each in whats(write(folder, GOOD + table)))
+
+
 def test_two_sites_of_one_name_are_refused(folder: Path):
     site = GOOD[GOOD.index("[[site]]") :]
     with pytest.raises(CaseError, match="two sites are named 'p1'"):

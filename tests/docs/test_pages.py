@@ -15,11 +15,12 @@ import pytest
 import typer
 
 import limbcli
-from limbcli.case import read_case, schema
+from limbcli.case import read_case
 from limbcli.cli.app import COMMANDS, app
 from limbcli.effects import EFFECTS
 from limbcli.fem.elements import element
 from limbcli.materials import laws
+from limbcli.measurement import indentation
 from limbcli.stages.diagnose import load_effect
 from tests.loading import module_at
 
@@ -46,6 +47,12 @@ def command_lines() -> list[tuple[str, str]]:
     ]
 
 
+def case_keys() -> list[str]:
+    """Every key that may stand below a table of case.toml."""
+    tables = [each for each in vars(schema).values() if isinstance(each, dict) and each is not schema.TOP]
+    return [name for each in tables for name, key in each.items() if isinstance(key, schema.Key)]
+
+
 @pytest.mark.parametrize("page", EXAMPLES, ids=lambda page: page.stem)
 def test_the_example_of_every_extension_page_runs(page: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(element, "shape", element.shape)  # what a page changes is put back
@@ -61,8 +68,11 @@ def test_the_example_of_every_extension_page_runs(page: Path, monkeypatch: pytes
 
 def test_the_effect_of_the_page_is_a_file_that_diagnose_takes(tmp_path: Path):
     file = tmp_path / "slip.py"
-    file.write_text(blocks(EXAMPLES[2], "python")[0])
+    text = blocks(EXAMPLES[2], "python")[0]
+    file.write_text(text)
     assert load_effect(file).name == "slip"
+    assert "Source:" in text  # what the contract test asks of one that is kept
+    assert "Tell-tale:" in text
 
 
 @pytest.mark.parametrize("page", [REPOSITORY / "README.md", DOCS / "api.md"], ids=lambda page: page.stem)
@@ -80,6 +90,19 @@ def test_the_python_that_is_printed_calls_what_there_is(page: Path):
     assert any("from limbcli import" in block for block in blocks(page, "python"))
 
 
+def test_the_page_of_results_lists_every_file_that_a_stage_leaves():
+    page = (DOCS / "results.md").read_text(encoding="utf-8")
+    sources = [each.read_text("utf-8") for each in (REPOSITORY / "limbcli" / "stages").rglob("*.py")]
+    named = {name for each in sources for name in re.findall(r'\.file\("\w+", "([\w.-]+)"\)', each)}
+    assert len(named) > 25
+    assert sorted(name for name in named if f"`{name}" not in page) == []
+
+
+def test_the_page_of_the_python_interface_holds_all_of_it():
+    page = (DOCS / "api.md").read_text(encoding="utf-8")
+    assert set(limbcli.__all__) - {"__version__"} <= set(re.findall(r":: limbcli\.(\w+)", page))
+
+
 @pytest.mark.parametrize(("page", "line"), command_lines())
 def test_every_command_line_is_understood(page: str, line: str):
     """Parsed as the program parses it, and not run: names, options and values must be possible."""
@@ -95,8 +118,12 @@ def test_every_command_that_is_spoken_of_exists():
 
 
 def test_the_case_of_the_page_is_valid_but_for_its_files(tmp_path: Path):
-    text, *other_geometries = blocks(DOCS / "case-format.md", "toml")
-    assert other_geometries
+    text, *others = blocks(DOCS / "case-format.md", "toml")
+    other_geometries = [each for each in others if each.startswith("[imaging]")]
+    assert len(other_geometries) == 2
+    for each in (each for each in others if each not in other_geometries):
+        (tmp_path / "case.toml").write_text(f"{text}\n{each}")
+        assert all("not there" in problem.what for problem in read_case(tmp_path)[1])
     for each in ("[imaging]" + text.split("[imaging]")[1].split("[probe]")[0], *other_geometries):
         (tmp_path / "case.toml").write_text(
             text.split("[imaging]")[0] + each + "[probe]" + text.split("[probe]")[1]
@@ -106,6 +133,22 @@ def test_the_case_of_the_page_is_valid_but_for_its_files(tmp_path: Path):
         assert all("not there" in problem for problem in problems), problems
     for each in blocks(REPOSITORY / "cases" / "README.md", "toml"):
         tomllib.loads(each)
+
+
+def test_every_key_and_column_of_a_case_is_explained_by_hand_too():
+    """The generated list has a key's type and default; what it means stands in the page's own text."""
+    page = (DOCS / "case-format.md").read_text(encoding="utf-8")
+    told = page + (DOCS / "states.md").read_text(encoding="utf-8") + (DOCS / "fibres.md").read_text("utf-8")
+    assert [name for name in case_keys() if not re.search(rf"\b{name}\b", told)] == []
+    columns = {*indentation.REQUIRED, *indentation.OPTIONAL, *indentation.TEXTS}
+    template = (REPOSITORY / "templates/case/levels.csv.j2").read_text(encoding="utf-8")
+    for text in (page, template):
+        assert [name for name in sorted(columns) if not re.search(rf"\b{name}\b", text)] == []
+
+
+def test_the_readme_counts_the_effects_that_a_diagnosis_may_name():
+    may_be_named = sum(each.kind != "numerical" for each in EFFECTS)
+    assert f"which of {may_be_named} effects" in (REPOSITORY / "README.md").read_text(encoding="utf-8")
 
 
 def test_every_case_is_told_of_in_the_list_of_cases():
@@ -125,8 +168,7 @@ def test_the_pages_of_the_program_hold_every_command_key_and_effect(tmp_path: Pa
         options = [text for each in group.commands[name].params for text in each.opts]  # type: ignore
         assert all(text in page for text in options if text.startswith("--"))
     assert all(f"`{each.name}`" in (tmp_path / "effects.md").read_text() for each in EFFECTS)
-    tables = [each for each in vars(schema).values() if isinstance(each, dict) and each is not schema.TOP]
-    keys = [name for each in tables for name, key in each.items() if isinstance(key, schema.Key)]
+    keys = case_keys()
     assert len(keys) > 50
     assert all(f"`{name}`" in (tmp_path / "case-keys.md").read_text() for name in keys)
 
@@ -150,3 +192,10 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path):
     result = subprocess.run([*command, DOCS, tmp_path / "html"], capture_output=True, text=True, timeout=500)
     assert result.returncode == 0, result.stderr
     assert "limbcli.segment" in (tmp_path / "html" / "api.html").read_text()
+
+
+def test_the_readme_of_every_folder_of_templates_lists_its_files():
+    for folder in ("feb", "report"):
+        text = (REPOSITORY / "templates" / folder / "README.md").read_text(encoding="utf-8")
+        files = {each.name for each in (REPOSITORY / "templates" / folder).iterdir()} - {"README.md"}
+        assert {each for each in files if each not in text} == set()

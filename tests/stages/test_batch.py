@@ -129,9 +129,9 @@ def test_a_febio_that_comes_goes_or_is_another_redoes_what_is_simulated(
     monkeypatch.delenv("LIMBCLI_FEBIO", raising=False)
     simulated = ["run p1", "fit p1", "run p2", "fit p2", "report"]
 
-    def again() -> list[str]:
+    def again(solver: str = "auto") -> list[str]:
         calls.clear()
-        batch(case, out=out)
+        batch(case, out=out, options=BatchOptions(solver=solver))
         return list(calls)
 
     def install(content: str) -> None:
@@ -139,10 +139,12 @@ def test_a_febio_that_comes_goes_or_is_another_redoes_what_is_simulated(
         binary.chmod(0o755)
 
     again()
+    assert again("reference") == []  # the very solver that was taken where there is no FEBio
     install('#!/bin/sh\ncat "$0".version # \n')
     (tmp_path / "bin" / "febio4.version").write_text("  version 4.5.0\n")
     assert again() == simulated
     assert again() == []
+    assert again("febio") == []
     install('#!/bin/sh\ncat "$0".version # another build\n')
     assert again() == simulated
     (tmp_path / "bin" / "febio4.version").write_text("  version 4.11.0\n")  # its libraries, say

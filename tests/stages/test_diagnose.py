@@ -42,6 +42,43 @@ def test_a_users_effect_is_one_file(tmp_path):
         chosen_effects(DiagnoseOptions(effects=("frction",)))
 
 
+@pytest.mark.parametrize(
+    ("there", "instead", "told"),
+    [
+        ("SLIP = ", "1 / 0\nSLIP = ", r"does not run \(ZeroDivisionError.*line 4"),
+        ('theta["slip_mm"]', 'theta["slip"]', r"observe .* fails \(KeyError: 'slip'\).*line 6"),
+        ("return replace", "replace", "returns NoneType, not a Reading"),
+        ('Effect("slip"', 'Effect("tilt"', "there is an effect 'tilt' already"),
+        ('"measurement"', '"numerical"', "its kind is 'numerical'"),
+        ("low=0.0", "low=0.1", "null of slip_mm is 0, outside of its bounds"),
+        (", observe=observe", "", "it changes nothing"),
+        ("observe=observe", "observe=observe, needs=('forces',)", "it needs 'forces'"),
+        ('theta["slip_mm"])', '0.3)', "its null value changes the reading"),
+    ],
+)  # fmt: skip
+def test_an_effect_file_that_cannot_be_tried_is_told_as_the_users(tmp_path, there, instead, told):
+    path = tmp_path / "slip.py"
+    path.write_text(OWN.replace(there, instead))
+    with pytest.raises(CaseError, match=f"(?s){told}"):
+        load_effect(path)
+
+
+def test_an_effect_file_may_hold_dataclasses(tmp_path):
+    path = tmp_path / "slip.py"
+    play = "from dataclasses import dataclass\n@dataclass\nclass Play:\n    mm: float | None = None\n"
+    path.write_text(f"from __future__ import annotations\n{OWN}{play}")
+    assert load_effect(path).name == "slip"
+
+
+def test_a_users_effect_is_tried_beside_those_named_and_numerical_ones_cannot_be_named(tmp_path):
+    path = tmp_path / "slip.py"
+    path.write_text(OWN)
+    chosen = chosen_effects(DiagnoseOptions(effect_file=path, effects=("force-zero",)))
+    assert [each.name for each in chosen] == ["force-zero", "slip"]
+    with pytest.raises(CaseError, match="'locking' cannot be named"):
+        chosen_effects(DiagnoseOptions(effects=("locking",)))
+
+
 def test_an_effect_that_was_written_anew_is_solved_anew():
     """Kept simulations are told by what an effect makes of the model, not by its name and size alone."""
     simulations = SiteSimulations(block.block_model(counts=(4, 2, 2)), [1.0, 2.0], c=0.006)

@@ -63,7 +63,7 @@ def site_steps(
         SiteStep("build-feb", (*measured, *([templates] if templates else []), *parts_of(tissue)), build),
         SiteStep(
             "run",
-            (options.solver, identity(options.solver, options.febio), *parts_of(ran)),
+            (identity(options.solver, options.febio), *parts_of(ran)),
             lambda: run(case, options=options_of(RunOptions, ran), **solver, **common),
         ),
         SiteStep(

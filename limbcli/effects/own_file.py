@@ -1,0 +1,144 @@
+"""An effect of the user's own, out of a Python file: looked at before it is tried.
+
+What the file's functions raise later is told as the file's, with its line.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from traceback import extract_tb
+from types import ModuleType
+from typing import Any
+
+from limbcli.effects.base import Effect, same_model, same_reading
+from limbcli.effects.reading import Reading
+from limbcli.errors import CaseError, LimbError
+from limbcli.model import LimbModel
+
+_MODULE = "limbcli_effect_of_the_user"  # its name while it runs; dataclasses look their module up by it
+_KINDS = ("measurement", "tissue", "swe")  # "numerical" is looked at first in any case, and not as an effect
+_CHANNELS = ("force", "swe", "map", "travel", "skin-bone", "hold", "bone")
+_FIX = (
+    "write a file like those in limbcli/effects, with `EFFECT = Effect(...)`; docs/add-an-effect.md has one"
+)
+
+
+def effect_of_file(path: Path, known: tuple[str, ...]) -> Effect:
+    """The `EFFECT` of a Python file.
+
+    known : names that are taken
+
+    Raises
+    ------
+    CaseError
+        If the file cannot be run, holds no effect, or one that cannot be tried: of another kind, without a
+        function that changes anything, or with bounds that do not hold the null and the start.
+    """
+    found = getattr(_run(path), "EFFECT", None)
+    if not isinstance(found, Effect):
+        raise CaseError("the effect file holds no EFFECT", where=str(path), fix=_FIX)
+    guarded = _guarded(found, path)
+    for wrong, fix in _wrong(guarded, known):
+        raise CaseError(f"the effect of the file cannot be tried: {wrong}", where=str(path), fix=fix)
+    return guarded
+
+
+def _run(path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(_MODULE, path) if path.is_file() else None
+    if spec is None or spec.loader is None:
+        what = "is no Python file (.py)" if path.is_file() else "is not there"
+        raise CaseError(f"the effect file {path} {what}", where="--effect-file", fix=_FIX)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[_MODULE] = module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:  # whatever a file of the user's own raises is told as the file's
+        at = error.lineno if isinstance(error, SyntaxError) else _line(error, path)
+        what = f"the effect file does not run ({_told(error)})"
+        raise CaseError(what, where=f"{path}, line {at}" if at else str(path), fix=_FIX) from error
+    return module
+
+
+def _wrong(effect: Effect, known: tuple[str, ...]) -> Iterator[tuple[str, str]]:
+    """(what, what to do) of everything that stands in the way."""
+    if not isinstance(effect.name, str) or not re.fullmatch(r"[\w-]+", effect.name):
+        yield f"its name is {effect.name!r}", "name it with letters, digits, '-' and '_' only"
+    if effect.name in known:
+        yield f"there is an effect {effect.name!r} already", "give it another name"
+    if effect.kind not in _KINDS:
+        yield f"its kind is {effect.kind!r}", f"give one of {', '.join(map(repr, _KINDS))}"
+    for channel in effect.needs:
+        if channel not in _CHANNELS:
+            yield f"it needs {channel!r}", f"needs may hold {', '.join(map(repr, _CHANNELS))}"
+    for p in effect.parameters:
+        for name, value in {"null": p.null, "start": p.start, "typical": p.typical}.items():
+            if not p.low <= value <= p.high:
+                what = f"{name} of {p.name} is {value:g}, outside of its bounds {p.low:g} to {p.high:g}"
+                yield what, "let low and high hold null, start and typical"
+        if p.start == p.null and not p.shape:
+            yield f"start of {p.name} is its null, {p.null:g}", "let a fit begin where the effect is there"
+    if not effect.parameters:
+        yield "it has no parameters", "give it one: Effect(..., parameters=(Parameter(...),))"
+    if effect.apply is same_model and effect.observe is same_reading and effect.stiffness is None:
+        yield "it changes nothing", "give it observe(reading, theta), or apply(model, theta) and solves=True"
+    elif effect.observe is same_reading and not effect.solves:
+        yield (
+            "its apply would never be called",
+            "say solves=True, as an effect of the model has to be simulated",
+        )
+    for point in effect.grid:
+        if effect.observe(Reading(), {**effect.null, **point}) != Reading():
+            yield (
+                "its null value changes the reading",
+                "let observe give the reading back where theta is null",
+            )
+        effect.observe(Reading(), {**effect.start, **point})
+
+
+def _guarded(effect: Effect, path: Path) -> Effect:
+    """The same, with functions whose errors name the file."""
+    changed: dict[str, Any] = {}
+    if effect.apply is not same_model:
+        changed["apply"] = _telling(effect.apply, "apply", LimbModel, path)
+    if effect.observe is not same_reading:
+        changed["observe"] = _telling(effect.observe, "observe", Reading, path)
+    if effect.waves is not None:
+        changed["waves"] = _telling(effect.waves, "waves", LimbModel, path)
+    if effect.stiffness is not None:
+        changed["stiffness"] = _telling(effect.stiffness, "stiffness", object, path)
+    return replace(effect, **changed)
+
+
+def _telling(function: Callable[..., Any], name: str, kind: type, path: Path) -> Callable[..., Any]:
+    def called(*given: Any) -> Any:
+        try:
+            found = function(*given)
+        except LimbError:
+            raise
+        except Exception as error:  # as above
+            at = _line(error, path)
+            where = f"{path}, line {at}" if at else str(path)
+            what = f"{name} of the effect file fails ({_told(error)})"
+            raise CaseError(what, where=where, fix="mend that line") from error
+        if not isinstance(found, kind):
+            what = f"{name} of the effect file returns {type(found).__name__}, not a {kind.__name__}"
+            raise CaseError(what, where=str(path), fix="return an altered copy of what it is given")
+        return found
+
+    return called
+
+
+def _told(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"
+
+
+def _line(error: Exception, path: Path) -> int | None:
+    """Of the file, where the error passed through it last; None where it did not."""
+    own = path.resolve()
+    lines = [each.lineno for each in extract_tb(error.__traceback__) if Path(each.filename).resolve() == own]
+    return lines[-1] if lines else None
