@@ -15,7 +15,7 @@ import pytest
 import typer
 
 import limbcli
-from limbcli.case import read_case
+from limbcli.case import read_case, schema
 from limbcli.cli.app import COMMANDS, app
 from limbcli.effects import EFFECTS
 from limbcli.fem.elements import element
