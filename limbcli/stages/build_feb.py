@@ -41,7 +41,7 @@ from limbcli.stages.site_model.indentation_model import (
     touching_points,
     with_penalty,
 )
-from limbcli.stages.site_model.mesh_checks import warnings_now
+from limbcli.stages.site_model.mesh_checks import check_within_tissue, warnings_now
 from limbcli.stages.site_model.site_layers import (
     LayerLaw,
     layer_laws,
@@ -110,6 +110,7 @@ def _build_site(
     levels = levels_of(site)
     c, c_source = tissue_stiffness(levels, site, c_kpa=options.c_kpa)
     meshed_model, depths = load_model(path), simulated_depths(levels).tolist()
+    check_within_tissue(depths[-1], meshed.data.get("checks", {}).get("skin_bone_mm"), site)
     plan = schedule(depths, start=starting_depth(meshed_model, depths[0]))
     laws = layer_laws(site, layers_in(meshed_model), options.layers)
     layered = with_layer_laws(meshed_model, laws)

@@ -189,6 +189,8 @@ def test_a_site_without_a_distance_is_named(tmp_path):
 def test_without_sites_or_probe_ultrasound_saw_nothing(tmp_path):
     case = scanned(tmp_path / "case")
     with pytest.raises(CaseError, match="no site yet under which ultrasound saw the bone"):
+        segment(replace(case, sites=(), raw={}), out=tmp_path / "out")
+    with pytest.raises(CaseError, match=r"no \[\[site\]\] .* can be used yet(.|\n)*limbcli check"):
         segment(replace(case, sites=()), out=tmp_path / "out")
     unknown = replace(case.probe, length=float("nan"))
     with pytest.raises(CaseError, match="the probe under which ultrasound saw the bone is unknown"):

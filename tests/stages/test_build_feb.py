@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -228,6 +229,19 @@ def test_depths_that_do_not_grow_are_refused() -> None:
     for depths in ([], [1.0, 1.0], [2.0, 1.0], [0.01, 1.0]):
         with pytest.raises(CaseError, match="do not grow"):
             schedule(depths)
+
+
+def test_a_depth_that_the_tissue_does_not_have_is_refused(case: Case, tmp_path: Path) -> None:
+    path = tmp_path / "out" / "mesh" / "p1" / "mesh.json"
+    found = json.loads(path.read_text())
+    for thick, is_refused in ((3.3, False), (3.25, True), (None, False)):
+        found["data"] |= {"checks": {"skin_bone_mm": thick}, "measured_skin_bone_mm": None}
+        path.write_text(json.dumps(found))
+        if is_refused:
+            with pytest.raises(MeasurementError, match=r"goes to 3.25 mm, .* has 3.25 mm"):
+                build_feb(case, out=tmp_path / "out")
+        else:
+            build_feb(case, out=tmp_path / "out")
 
 
 def test_c_without_a_level_0_is_named_for_what_it_is(case: Case, tmp_path: Path) -> None:

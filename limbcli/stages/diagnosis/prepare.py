@@ -51,7 +51,7 @@ from limbcli.stages.diagnosis.mesh_error.numerical_checks import (
 from limbcli.stages.mesh import read_limb, site_position
 from limbcli.stages.site_model.fibres import with_fibres
 from limbcli.stages.site_model.layer_readings import LayerReadings, layer_readings
-from limbcli.stages.site_model.mesh_checks import measured_skin_bone
+from limbcli.stages.site_model.mesh_checks import check_within_tissue, measured_skin_bone
 from limbcli.stages.site_model.site_levels import levels_of, maps_of
 from limbcli.stages.site_model.site_states import one_state
 from limbcli.version import __version__
@@ -207,6 +207,7 @@ class _Preparation:
         self.maps = maps_of(site, self.levels)
         self.windows = Windows.usual(case.probe.length) if self.maps is None else Windows.of_maps(self.maps)
         self.skin_bone = self._skin_bone()
+        check_within_tissue(float(np.max(self.levels.depth)), self.skin_bone, site)
         self.size = size_for(self.skin_bone) if mesh.size is None else mesh.size
         self.layers: LayerReadings | None = None
         self.borders: BorderLines | None = None

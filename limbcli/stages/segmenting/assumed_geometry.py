@@ -98,6 +98,9 @@ def assumed_problems(case: Case) -> list[Problem]:
         return []
     where = str(case.file)
     if not case.sites:
+        if case.raw.get("site"):
+            what = "no [[site]] under which ultrasound saw the bone can be used yet"
+            return [Problem(what, where, "`limbcli check CASE` lists what they lack; then segment")]
         fix = "add a [[site]] with position_mm, long_axis and the distance to the bone; then segment"
         return [Problem("there is no site yet under which ultrasound saw the bone", where, fix)]
     found = []

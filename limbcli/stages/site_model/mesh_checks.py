@@ -36,6 +36,25 @@ def skin_bone_of_levels(site: Site) -> float | None:
     return value if np.isfinite(value) and value > 0 else None
 
 
+def check_within_tissue(deepest: float, modelled: float | None, site: Site) -> None:
+    """A probe that goes as deep as the bone lies (mm; None: no bone) would be simulated within it.
+
+    Raises
+    ------
+    MeasurementError
+        If it does.
+    """
+    if modelled is not None and deepest >= modelled:
+        raise MeasurementError(
+            f"the depth goes to {deepest:.4g} mm, and from skin to bone the model has {modelled:.4g} mm",
+            where=f"site {site.name}, {site.levels}",
+            fix="depth_mm is what skin to bone has lost, in mm: correct it, or the place of the site or the "
+            "bone, and mesh again",
+            deepest_mm=deepest,
+            skin_bone_mm=modelled,
+        )
+
+
 def bone_warnings(modelled: float | None, measured: float | None) -> list[str]:
     """Whether the bone lies as deep (mm) in the model as on the B-mode image; None: there is none."""
     if measured is None:
