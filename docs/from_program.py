@@ -88,12 +88,18 @@ def effects() -> str:
     """Every effect that a diagnosis may name."""
     rows = (
         (
-            f"`{each.name}`", each.kind, each.sentence, ", ".join(f"`{p.name}`" for p in each.parameters),
+            f"`{each.name}`", each.kind, each.sentence,
+            ", ".join(f"`{p.name}` {p.typical:g} ({p.low:g} to {p.high:g})" for p in each.parameters),
             ", ".join(each.needs), each.source,
         )
         for each in EFFECTS
     )  # fmt: skip
-    return _table(("effect", "kind", "what it says", "parameters", "needs", "source"), rows) + "\n"
+    return (
+        _table(
+            ("effect", "kind", "what it says", "parameters: typical size (bounds)", "needs", "source"), rows
+        )
+        + "\n"
+    )
 
 
 def laws() -> str:

@@ -105,7 +105,7 @@ def synth(
     sites : name or names; None: all
     seed : of the measurement noise; force : replace `out_case` if synth made it
     c_kpa, f_kappa, m : the known tissue, kappa' = f_kappa c
-    effects : effects to hide in the data, each "name" or "name=size"
+    effects : effects to hide in the data, each "name" or "name=size", the value of its first parameter
     noise : factor on the noise that the case states; 0: none
     step_n, max_force_n : force step and largest force; max_strain : largest depth over skin-bone distance
     element, size_mm, far_size_mm, margin_mm : mesh simulated on (None: the case's)

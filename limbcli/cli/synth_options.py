@@ -32,7 +32,8 @@ EffectOpt = Annotated[
     typer.Option(
         "--effect",
         metavar="ID[=SIZE]",
-        help="Hide this effect in the data (may be repeated).",
+        help="Hide this effect in the data (may be repeated). SIZE is the value of its first parameter, as "
+        "the list of effects has it, such as skin-layer=2.3; default: its typical one.",
         show_default=False,
     ),
 ]

@@ -66,8 +66,10 @@ EFFECTS: tuple[Effect, ...] = (
 __all__ = ["EFFECTS", "Effect", "Parameter", "effect"]
 
 
-def effect(name: str, effects: tuple[Effect, ...] = EFFECTS) -> Effect:
+def effect(name: str, effects: tuple[Effect, ...] = EFFECTS, *, option: str = "--effects") -> Effect:
     """An effect by its name.
+
+    option : by which it was asked for
 
     Raises
     ------
@@ -82,6 +84,6 @@ def effect(name: str, effects: tuple[Effect, ...] = EFFECTS) -> Effect:
             return each
     raise CaseError(
         f"there is no effect {name!r}",
-        where="--effects",
+        where=option,
         fix=suggestion(name, [each.name for each in effects]),
     )

@@ -148,5 +148,6 @@ def test_skin_and_fat_are_not_hidden_in_tissue_below_layers_of_its_mesh():
     ],
 )
 def test_what_cannot_be_hidden_is_said(text, message):
-    with pytest.raises(CaseError, match=message):
+    with pytest.raises(CaseError, match=message) as caught:
         hide(text)
+    assert caught.value.where == "--effect"

@@ -53,7 +53,7 @@ def hide(text: str) -> Hidden:
         If the effect is unknown, cannot be hidden, or the size is no number within its bounds.
     """
     name, _, size = text.partition("=")
-    found = effect(name)
+    found = effect(name, option="--effect")
     first = found.parameters[0]
     theta = found.typical
     if size:
