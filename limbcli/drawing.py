@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,21 +21,9 @@ if TYPE_CHECKING:
 COLUMNS = ("panel", "x_axis", "y_axis", "kind", "series", "number", "x", "y", "value")
 _MOST_PIXELS = 40_000  # of one picture; a larger one is an image, not data
 _COLOUR_BAR = "<colorbar>"
-_SIDES = (("right", "left"), ("anterior", "posterior"), ("foot", "head"))  # along -, + of patient LPS
-_ALSO = 0.5  # of a direction's length: a second side is told, too, beyond 30 degrees
+_LETTER = 0.55  # of its size: how wide a letter is in the mean
 
 Row = tuple[object, ...]
-
-
-def side_of(direction: Array) -> str:
-    """The side of the patient that a direction (3,) in LPS points to.
-
-    >>> side_of(np.array([-1.0, 0.1, 0.0])), side_of(np.array([0.0, -0.7, 0.7]))
-    ('right', 'anterior and head')
-    """
-    share = np.asarray(direction, dtype=float) / np.linalg.norm(direction)
-    told = [k for k in np.argsort(-np.abs(share), kind="stable") if abs(share[k]) > _ALSO]
-    return " and ".join(_SIDES[k][int(share[k] > 0)] for k in told)
 
 
 def save_figure(figure: Figure, path: Path, *, dpi: float | None = None) -> None:
@@ -57,6 +46,15 @@ def save_picture(figure: Figure, path: Path, *, dpi: float | None = None) -> Non
     FigureCanvasAgg(figure).print_png(path, metadata={"Software": None})
     figure.dpi = own_dpi
     FigureCanvasSVG(figure).print_svg(path.with_suffix(".svg"), metadata={"Date": None, "Creator": "limbcli"})
+
+
+def put_title(figure: Figure, text: str, *, size: float = 12.0) -> None:
+    """A title above the whole figure, on as many lines as its width asks for.
+
+    size : of the letters, points; a letter is taken for `_LETTER` of it wide
+    """
+    width_points = 72.0 * float(figure.get_size_inches()[0])
+    figure.suptitle(textwrap.fill(text, int(width_points / (_LETTER * size))), fontsize=size)
 
 
 def _lay_out(figure: Figure) -> None:

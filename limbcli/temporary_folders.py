@@ -16,7 +16,6 @@ from pathlib import Path
 
 from limbcli.errors.file_system import SCRATCH
 
-PREFIX = SCRATCH
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
 _ROOM_BYTES = 1_000_000  # of which less is left on a disk that is full
 _PR_SET_PDEATHSIG = 1  # prctl(2)
@@ -55,7 +54,7 @@ def _is_full(folder: Path) -> bool:
 def _made() -> tuple[Path, int]:
     """A folder and the handle that holds its lock; made again if another took it for abandoned meanwhile."""
     while True:
-        folder = Path(tempfile.mkdtemp(prefix=PREFIX))
+        folder = Path(tempfile.mkdtemp(prefix=SCRATCH))
         try:
             held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         except FileNotFoundError:
@@ -69,7 +68,7 @@ def _made() -> tuple[Path, int]:
 
 def _drop_abandoned(parent: Path) -> None:
     """Remove our scratch folders whose lock nobody holds."""
-    for path in parent.glob(f"{PREFIX}*"):
+    for path in parent.glob(f"{SCRATCH}*"):
         with contextlib.suppress(OSError):  # another user's, held, or gone meanwhile
             handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
             try:

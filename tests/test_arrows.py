@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -10,8 +11,8 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "limbcli"
 GROUND = {"atomic_files", "background_processes", "bodies", "case", "config", "drawing", "errors",
           "interval_limits", "kernel_folder", "mesh_bounds", "model", "model_io",
-          "monotone_interpolation", "output_lock", "progress", "results", "template_rendering",
-          "temporary_folders", "units", "version"}  # fmt: skip
+          "monotone_interpolation", "output_lock", "patient_frame", "progress", "results",
+          "template_rendering", "temporary_folders", "units", "version"}  # fmt: skip
 SIBLINGS = {"imaging", "measurement", "meshing", "inference", "diagnostics"}
 ALLOWED: dict[str, set[str]] = {
     **{room: set() for room in SIBLINGS},
@@ -71,6 +72,18 @@ def test_imports_point_right_or_down(path: Path):
 def test_only_stages_cli_and_reporting_know_the_case(path: Path):
     if room_of(path) not in KNOW_CASE:
         assert not [name for _, name in imports_of(path) if name in ("case", "case.parts")]
+
+
+def test_no_two_rooms_import_each_other_in_a_circle():
+    """Not by way of others either, and not inside functions."""
+    below: dict[str, set[str]] = {}
+    for path in SOURCES:
+        room = room_of(path)
+        if not room.startswith("__"):
+            below.setdefault(room, set()).update(name.split(".")[0] for _, name in imports_of(path))
+    for room, others in below.items():
+        others.discard(room)
+    assert len(list(TopologicalSorter(below).static_order())) >= len(below)  # a circle raises CycleError
 
 
 def test_ground_floor_imports_nothing_above():

@@ -16,8 +16,9 @@ import pytest
 from limbcli import temporary_folders
 from limbcli.atomic_files import atomic_folder
 from limbcli.errors import ToolError
+from limbcli.errors.file_system import SCRATCH
 from limbcli.meshing import mesher_process
-from limbcli.temporary_folders import PREFIX, scratch_folder
+from limbcli.temporary_folders import scratch_folder
 
 MAKER = """
 import subprocess, sys, time
@@ -58,7 +59,7 @@ def is_running(number: int) -> bool:
 def test_what_a_killed_maker_leaves_goes_and_what_a_living_one_holds_stays(maker, tmp_path: Path):
     process, child = maker
     with scratch_folder() as other:
-        assert len(list(tmp_path.glob(f"{PREFIX}*"))) == 2
+        assert len(list(tmp_path.glob(f"{SCRATCH}*"))) == 2
         assert is_running(child)
     process.kill()
     process.wait()
@@ -66,9 +67,9 @@ def test_what_a_killed_maker_leaves_goes_and_what_a_living_one_holds_stays(maker
     while is_running(child) and time.monotonic() < end:
         time.sleep(0.02)
     assert not is_running(child)
-    assert len(list(tmp_path.glob(f"{PREFIX}*"))) == 1
+    assert len(list(tmp_path.glob(f"{SCRATCH}*"))) == 1
     with scratch_folder() as other:
-        assert list(tmp_path.glob(f"{PREFIX}*")) == [other]
+        assert list(tmp_path.glob(f"{SCRATCH}*")) == [other]
 
 
 @pytest.mark.parametrize(("is_full", "place"), [(True, ""), (False, "out/mesh")])
@@ -104,4 +105,4 @@ def test_a_mesher_without_room_is_not_taken_for_one_that_refuses(
     monkeypatch.setattr(mesher_process, "_run", lambda *_: stop.value.code)
     with pytest.raises(OSError, match="No space") as caught:
         mesher_process.in_process("any", nodes, cells, {}, time_limit_s=1.0)
-    assert PREFIX in str(caught.value.filename)
+    assert SCRATCH in str(caught.value.filename)

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import nan
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from limbcli.case import schema as schema
 from limbcli.case.fibres import fibre_problems, read_fibres
@@ -38,7 +38,7 @@ class Case:
 
     folder: Path
     subject: str
-    limb: str
+    limb: Literal["left", "right"]
     imaging: Imaging
     probe: Probe
     model: ModelOptions

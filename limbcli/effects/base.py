@@ -13,6 +13,7 @@ from limbcli.model import Array, LimbModel
 
 Theta = Mapping[str, float]
 Kind = Literal["numerical", "measurement", "tissue", "swe"]
+NUMERICAL: Kind = "numerical"  # what mesh, cut and contact do: looked at first in any case
 
 
 @dataclass(frozen=True)

@@ -13,15 +13,15 @@ from dataclasses import replace
 from pathlib import Path
 from traceback import extract_tb
 from types import ModuleType
-from typing import Any
+from typing import Any, get_args
 
-from limbcli.effects.base import Effect, same_model, same_reading
+from limbcli.effects.base import NUMERICAL, Effect, Kind, same_model, same_reading
 from limbcli.effects.reading import Reading
 from limbcli.errors import CaseError, LimbError
 from limbcli.model import LimbModel
 
 _MODULE = "limbcli_effect_of_the_user"  # its name while it runs; dataclasses look their module up by it
-_KINDS = ("measurement", "tissue", "swe")  # "numerical" is looked at first in any case, and not as an effect
+_KINDS = tuple(each for each in get_args(Kind) if each != NUMERICAL)
 _CHANNELS = ("force", "swe", "map", "travel", "skin-bone", "hold", "bone")
 _FIX = (
     "write a file like those in limbcli/effects, with `EFFECT = Effect(...)`; docs/add-an-effect.md has one"

@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import TypeVar
 
 from limbcli.errors import LimbError
-from limbcli.errors.file_system import PARTIAL, in_utf8
-from limbcli.temporary_folders import PREFIX
+from limbcli.errors.file_system import PARTIAL, SCRATCH, in_utf8
 
 AnyError = TypeVar("AnyError", bound=LimbError)
 WITHOUT_OUT = ("check", "new", "doctor", "phantom")  # commands that have no --out
 _COMMAND = re.compile(r"limbcli ([a-z-]+) CASE\b(?!\.)(?P<rest>[^`;,\n]*)")
 _PASSING = re.compile(
-    rf"[^\s:,;'\"()`]*(?:{re.escape(PARTIAL)}|{re.escape(PREFIX)})[^\s:,;'\"()`/]*(/[^\s:,;'\"()`]*)?"
+    rf"[^\s:,;'\"()`]*(?:{re.escape(PARTIAL)}|{re.escape(SCRATCH)})[^\s:,;'\"()`/]*(/[^\s:,;'\"()`]*)?"
 )
 
 

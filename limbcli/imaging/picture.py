@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,16 +13,16 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from limbcli.drawing import save_picture, side_of
+from limbcli.drawing import put_title, save_picture
 from limbcli.imaging.segmentation import MARKER, Segmentation
 from limbcli.imaging.signed_distance import box_around
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
+from limbcli.patient_frame import side_of
 
 _COLUMNS, _ROWS = 5, 4
 _SKIN, _BONES, _MARKER = "#ffd400", ("#ff3b30", "#28c8ff", "#7cfc00", "#ff8cff"), "#ff00ff"
 _FAT = "#58d68d"
-_TITLE_WIDTH = 130  # characters on a line
 
 
 def contact_sheet(
@@ -62,7 +61,7 @@ def contact_sheet(
             axes.set_xlabel("mm along i", fontsize=7)
         if is_first:
             axes.set_ylabel("mm along j", fontsize=7)
-    figure.suptitle(textwrap.fill(title, _TITLE_WIDTH), fontsize=10)
+    put_title(figure, title, size=10)
     lines = [Line2D([], [], color=colour, label=label) for label, colour in _outlined(found, names, markers)]
     figure.legend(
         handles=lines, loc="outside lower center", ncols=len(lines), facecolor="0.3", labelcolor="white"

@@ -64,7 +64,7 @@ class Masks:
 
 
 @dataclass(frozen=True, eq=False)
-class SegmentationWishes:
+class SegmentationHints:
     """What a user can say about a segmentation.
 
     threshold : signal between air and skin (image units, HU on CT); None finds it
@@ -83,14 +83,14 @@ def segment_limb(
     image: Volume,
     *,
     modality: str = "MR",
-    wishes: SegmentationWishes | None = None,
+    hints: SegmentationHints | None = None,
     progress: Progress = SILENT,
 ) -> Segmentation:
     """Skin, bones, fat and markers of a limb.
 
     Parameters
     ----------
-    image : T1-weighted image, or CT in HU, of one limb (or two: then `wishes.side`), any orientation
+    image : T1-weighted image, or CT in HU, of one limb (or two: then `hints.side`), any orientation
     modality : "CT" for Hounsfield units; anything else is taken for T1
 
     Returns
@@ -102,7 +102,7 @@ def segment_limb(
     CaseError
         If no limb stands out from the background, two do, or fat is not bright.
     """
-    wishes = wishes or SegmentationWishes()
+    hints = hints or SegmentationHints()
     turned, order, flipped = image.along_limb()
     notes: tuple[str, ...] = ()
     if modality != "CT":
@@ -113,12 +113,12 @@ def segment_limb(
             f"a pixel of the limb's cross section is up to {coarsest:.1f} mm wide: look closely at thin bones"
         )
         notes = (*notes, text)
-    chosen = one_limb(turned, wishes.side, threshold=wishes.threshold)
+    chosen = one_limb(turned, hints.side, threshold=hints.threshold)
     if chosen is not turned:
-        notes = (*notes, f"two limbs are in view: the patient's {wishes.side} one was taken")
+        notes = (*notes, f"two limbs are in view: the patient's {hints.side} one was taken")
     work, factors = supersampled(chosen)
-    masks = (_on_ct if modality == "CT" else _on_mri)(work, wishes, progress)
-    bones = _without_soft(masks.bones, work, wishes.soft_seeds)
+    masks = (_on_ct if modality == "CT" else _on_mri)(work, hints, progress)
+    bones = _without_soft(masks.bones, work, hints.soft_seeds)
     labels = np.where(masks.limb, SOFT_TISSUE, 0).astype(np.uint8)
     if masks.fat is not None:
         labels[masks.fat & masks.limb] = FAT
@@ -136,20 +136,20 @@ def segment_limb(
     )
 
 
-def _on_mri(work: Volume, wishes: SegmentationWishes, progress: Progress) -> Masks:
+def _on_mri(work: Volume, hints: SegmentationHints, progress: Progress) -> Masks:
     def tell(done: int) -> None:
         progress.event("task", name="segmenting", done=done, total=_PARTS)
 
-    rough = rough_outline(work, threshold=wishes.threshold)
+    rough = rough_outline(work, threshold=hints.threshold)
     require_bright_fat(work, rough)
     tell(1)
     intensities = normalise(work, rough)
     tell(2)
     found = find_markers(work, intensities, rough)
     tell(3)
-    limb = skin_outline(work, intensities, rough, without=found.around, threshold=wishes.threshold)
+    limb = skin_outline(work, intensities, rough, without=found.around, threshold=hints.threshold)
     tell(4)
-    points = None if wishes.bone_seeds is None else work.to_voxel(wishes.bone_seeds)
+    points = None if hints.bone_seeds is None else work.to_voxel(hints.bone_seeds)
     marrow = find_marrow(intensities, limb, work.spacing, seeds=points)
     tell(5)
     bones = [with_cortex(each, intensities, limb, work.spacing) & limb for each in marrow]
@@ -157,8 +157,8 @@ def _on_mri(work: Volume, wishes: SegmentationWishes, progress: Progress) -> Mas
     return Masks(limb, bones, fat_of(intensities, limb, bone, work), found.mask, found.markers)
 
 
-def _on_ct(work: Volume, wishes: SegmentationWishes, progress: Progress) -> Masks:
-    limb = limb_on_ct(work, threshold=wishes.threshold)
+def _on_ct(work: Volume, hints: SegmentationHints, progress: Progress) -> Masks:
+    limb = limb_on_ct(work, threshold=hints.threshold)
     progress.event("task", name="segmenting", done=2, total=_PARTS)
     bones = bones_on_ct(work, limb)
     nothing = np.zeros_like(limb)

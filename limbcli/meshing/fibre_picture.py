@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +9,12 @@ import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from limbcli.drawing import save_picture
+from limbcli.drawing import put_title, save_picture
 from limbcli.meshing.picture import draw_cut
 from limbcli.meshing.probe import ProbeShape
 from limbcli.model import Array, Block, Mesh
 
 _HALF_LENGTH, _SPACING, _SLICE = 2.2, 5.0, 4.0  # mm
-_TITLE_WIDTH = 130  # characters on a line
 _COLOUR = "#8c1d18"
 
 
@@ -36,7 +34,7 @@ def fibre_picture(
         draw_cut(panel, mesh, probe, axis=axis, start_depth=0.0, sides=sides)
         _draw_axes(panel, middles, axes, axis)
         panel.set_title(f"fibres near the plane {'xy'[axis]} = 0 (a dot: across it)")
-    figure.suptitle(textwrap.fill(title, _TITLE_WIDTH))
+    put_title(figure, title)
     save_picture(figure, path, dpi=143)
 
 

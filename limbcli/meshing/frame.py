@@ -10,18 +10,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limbcli.drawing import side_of
 from limbcli.errors import CaseError, MeshError
 from limbcli.meshing.mending import Limb, principal_axis
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
+from limbcli.patient_frame import side_of, toward_head
 
 FAR_FROM_SKIN = 30.0  # mm from the skin: such a site is a mistake
 # Degrees by which a long axis that was given may leave the skin and yet be the probe's: what hands do (the
 # prior of a tilt). One that leaves it further tells the direction in the skin alone.
 LARGEST_SLOPE_DEG = 10.0
-_HEAD = np.array([0.0, 0.0, 1.0])  # +z of the patient frame (LPS) points to the head
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,11 +53,6 @@ def proximal_direction(limb: Limb) -> Array:
     """Unit vector along the limb towards the head: the longest body's axis, turned to +z of LPS."""
     candidates = [principal_axis(each) for each in (limb.skin, *limb.bones)]
     return toward_head(max(candidates, key=lambda each: each[1])[0])
-
-
-def toward_head(axis: Array) -> Array:
-    """The axis, turned over where it points away from the head (LPS: +z)."""
-    return axis if axis @ _HEAD >= 0 else -axis
 
 
 def site_frame(

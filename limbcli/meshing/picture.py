@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +10,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 
-from limbcli.drawing import save_picture
+from limbcli.drawing import put_title, save_picture
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.quality import MeshQuality, dihedral_angles_deg
 from limbcli.model import Array, IntArray, Mesh
 
-_TITLE_WIDTH = 130  # characters on a line
 _COLOURS = {"tissue": "#f2d3c4", "fat": "#fbeeb5", "skin": "#d99a7c"}
 
 
@@ -41,7 +39,7 @@ def mesh_picture(
     draw_cut(axes[0, 1], mesh, probe, axis=0, start_depth=start_depth, sides=sides)
     _from_above(axes[1, 0], mesh, probe, sides)
     _histogram(axes[1, 1], mesh, figures)
-    figure.suptitle(textwrap.fill(title, _TITLE_WIDTH))
+    put_title(figure, title)
     save_picture(figure, path, dpi=143)
 
 

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import textwrap
 from pathlib import Path
 from typing import Any
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from limbcli.drawing import save_figure
+from limbcli.drawing import put_title, save_figure
 from limbcli.meshing.mesh_extrapolation import Extrapolation
-
-_TITLE_WIDTH = 110  # characters on a line
 
 
 def study_picture(
@@ -41,7 +38,7 @@ def study_picture(
     left.set_xlim(left=0)
     _curve(right, margins, used[1], "tissue kept beyond the probe face [mm]", depth)
     right.set_title("where it is flat, the cut is far enough")
-    figure.suptitle(textwrap.fill(title, _TITLE_WIDTH))
+    put_title(figure, title)
     save_figure(figure, path, dpi=120)
 
 

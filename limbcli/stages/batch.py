@@ -106,11 +106,11 @@ class CaseRun:
         raw, images = self.case.raw, self.case.imaging
         paths = [p for p in (images.mri, images.labels, images.skin, *images.bones) if p]
         edited = [path for path in [edited_labels(self.out)] if path]
-        wishes = self._asked("segment", None, without=("seeds", "threshold", "limb") if edited else ())
+        hints = self._asked("segment", None, without=("seeds", "threshold", "limb") if edited else ())
         key = key_of(
-            code_hash(), raw.get("imaging"), raw["subject"], *paths, *edited, *parts_of(wishes), *self._seen()
+            code_hash(), raw.get("imaging"), raw["subject"], *paths, *edited, *parts_of(hints), *self._seen()
         )
-        done = self._stage("segment", None, key, lambda: segment(self.case, **self._common(), **wishes))
+        done = self._stage("segment", None, key, lambda: segment(self.case, **self._common(), **hints))
         if not done:
             for site in self.case.sites:
                 states = (FIT_STATES,) if site.states else ()

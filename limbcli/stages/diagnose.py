@@ -1,7 +1,7 @@
 """diagnose: where model and measurement disagree, what is missing, and what the data cannot tell.
 
 Numerical effects first, by intervention on the mesh; then candidate effects on a working mesh
-(coarse, quadratic), tied to the site's own mesh where that was run. Measurements of the same place
+(coarse, quadratic), corrected to the site's own mesh where that was run. Measurements of the same place
 (another orientation, a repeat) are diagnosed together: the tissue is the same.
 """
 
@@ -23,6 +23,7 @@ from limbcli.diagnostics.conclusions.verdict import Diagnosis
 from limbcli.diagnostics.engine import diagnose as diagnose_bench
 from limbcli.diagnostics.model.forward_model import Explanation
 from limbcli.effects import EFFECTS, Effect, effect
+from limbcli.effects.base import NUMERICAL
 from limbcli.effects.own_file import effect_of_file
 from limbcli.errors import CaseError, LimbError, tell_site
 from limbcli.progress import SILENT, Progress
@@ -51,7 +52,6 @@ from limbcli.stages.site_model.fibres import note_fibres
 from limbcli.stages.site_model.site_levels import all_levels_of
 
 _SAME_PLACE = 2.0  # mm
-_NUMERICAL = "numerical"  # kind of what is no effect of tissue or readings
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ def chosen_effects(options: DiagnoseOptions) -> tuple[Effect, ...]:
         return (*EFFECTS, *own)
     named = [effect(name, (*EFFECTS, *own)) for name in options.effects]
     for each in named:
-        if each.kind == _NUMERICAL:
+        if each.kind == NUMERICAL:
             raise CaseError(
                 f"{each.name!r} cannot be named: what mesh, cut and contact do is always looked at first",
                 where="--effects",
@@ -173,7 +173,7 @@ class _Diagnosed:
     ):  # fmt: skip
         self.case, self.sites, self.out, self.draining = case, sites, out, draining
         self.options, self.progress = options, progress
-        self.effects = {each.name: each for each in effects if each.kind != _NUMERICAL}
+        self.effects = {each.name: each for each in effects if each.kind != NUMERICAL}
 
     def all(self) -> list[StageResult]:
         place = PlaceMaker(

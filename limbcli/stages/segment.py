@@ -27,7 +27,7 @@ from limbcli.imaging.limbs import Side
 from limbcli.imaging.marker_skin import without_bumps
 from limbcli.imaging.picture import contact_sheet
 from limbcli.imaging.quality import assess
-from limbcli.imaging.segmentation import Segmentation, SegmentationWishes, segment_limb
+from limbcli.imaging.segmentation import Segmentation, SegmentationHints, segment_limb
 from limbcli.imaging.surface import SMOOTH, ClosedSurface, surface_of
 from limbcli.imaging.volume import Volume
 from limbcli.progress import SILENT, Progress
@@ -55,14 +55,14 @@ class _Options:
     def asked(self) -> dict[str, Any]:
         return asked_of({**vars(self), "seeds": self.seeds or None}, {"smooth": SMOOTH})
 
-    def wishes(self, limb: Side) -> SegmentationWishes:
+    def hints(self, limb: Side) -> SegmentationHints:
         """What the segmentation is told; limb : the case's, which holds where nothing else was asked."""
 
         def points(kind: str) -> np.ndarray | None:
             found = [place for name, place in self.seeds if name == kind]
             return np.array(found) if found else None
 
-        return SegmentationWishes(self.threshold, points("bone"), points("soft"), self.limb or limb)
+        return SegmentationHints(self.threshold, points("bone"), points("soft"), self.limb or limb)
 
 
 def segment(
@@ -175,8 +175,8 @@ def _from_series(case: Case, path: Path, options: _Options, writer: StageWriter,
     writer.used("mri", path, role="imaging/mri")
     series = read_image(path, progress=progress)
     modality = str(series.facts.get("modality", "MR"))
-    wishes = options.wishes("left" if case.limb == "left" else "right")
-    found = segment_limb(series.volume, modality=modality, wishes=wishes, progress=progress)
+    hints = options.hints(case.limb)
+    found = segment_limb(series.volume, modality=modality, hints=hints, progress=progress)
     writer.data["source"] = "mri"
     writer.data["image"] = dict(series.facts)
     writer.warnings.extend((*series.notes, *found.notes))

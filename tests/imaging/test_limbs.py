@@ -7,7 +7,7 @@ import pytest
 from limb_images import Limb, dice
 
 from limbcli.errors import CaseError
-from limbcli.imaging.segmentation import FAT, SegmentationWishes, segment_limb
+from limbcli.imaging.segmentation import FAT, SegmentationHints, segment_limb
 from limbcli.imaging.volume import Volume
 
 pytestmark = pytest.mark.slow
@@ -40,7 +40,7 @@ def test_two_limbs_need_a_word_which(pair):
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_the_wanted_limb_of_two_is_segmented(pair, side):
     image, truth = pair
-    found = segment_limb(image, wishes=SegmentationWishes(side=side))
+    found = segment_limb(image, hints=SegmentationHints(side=side))
     assert any(f"the patient's {side} one" in note for note in found.notes)
     labels = found.labels.values
     half = labels[104:] if side == "left" else labels[:104][::-1]
@@ -108,13 +108,13 @@ def test_a_seed_adds_a_bone_that_was_missed():
     """Cortex open on one side: the ring is not dark enough to be found unasked."""
     image, truth = Limb(bones=((-4.0, -14.0, 11.0, 3.0), (16.0, 2.0, 6.5, 0.0))).image(shape=SHAPE, samples=1)
     assert len(segment_limb(image).bones) == 1
-    found = segment_limb(image, wishes=SegmentationWishes(bone_seeds=np.array([[16.0, 2.0, 0.0]])))
+    found = segment_limb(image, hints=SegmentationHints(bone_seeds=np.array([[16.0, 2.0, 0.0]])))
     assert len(found.bones) == 2
     assert dice(found.labels.values == 2, truth == 2) > 0.9
 
 
 def test_a_soft_seed_takes_a_bone_away(plain):
-    found = segment_limb(plain[0], wishes=SegmentationWishes(soft_seeds=np.array([[16.0, 2.0, 0.0]])))
+    found = segment_limb(plain[0], hints=SegmentationHints(soft_seeds=np.array([[16.0, 2.0, 0.0]])))
     assert len(found.bones) == 1
     assert found.bones[0].values.sum() > 2000
 
@@ -122,7 +122,7 @@ def test_a_soft_seed_takes_a_bone_away(plain):
 def test_a_threshold_moves_the_skin(plain):
     image, _ = plain
     low, high = (
-        int((segment_limb(image, wishes=SegmentationWishes(threshold=level)).labels.values > 0).sum())
+        int((segment_limb(image, hints=SegmentationHints(threshold=level)).labels.values > 0).sum())
         for level in (70, 500)
     )
     assert high < 0.97 * low

@@ -76,8 +76,8 @@ def test_of_two_limbs_in_view_the_cases_own_is_wanted_unless_another_is_asked_fo
 ):
     wanted = []
 
-    def told(volume, *, modality, wishes, progress):
-        wanted.append(wishes.side)
+    def told(volume, *, modality, hints, progress):
+        wanted.append(hints.side)
         raise CaseError("enough", where="here", fix="none")
 
     monkeypatch.setattr("limbcli.stages.segment.segment_limb", told)

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.case import Case, Site
-from limbcli.drawing import side_of
 from limbcli.errors import LimbError, MeasurementError
 from limbcli.errors.problems import errors_of
 from limbcli.measurement.indentation import Levels, check_levels, doubts_about_levels
 from limbcli.measurement.regression import Line, speed_against_depth, speed_against_force
+from limbcli.patient_frame import side_of
 from limbcli.progress import SILENT, Progress
 from limbcli.reporting.figures.force_depth import MeasuredCurve
 from limbcli.reporting.figures.wave_speed import SpeedReadings

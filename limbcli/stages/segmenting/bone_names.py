@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.imaging.bones import names_by_size_and_place
-from limbcli.meshing.frame import toward_head
 from limbcli.meshing.mending import enclosed, principal_axis
 from limbcli.meshing.surfaces import Triangles
+from limbcli.patient_frame import toward_head
 
 _KNOWN = ("tibia", "fibula", "femur", "patella")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from limbcli.drawing import save_picture
+from limbcli.drawing import put_title, save_picture
 from limbcli.meshing.frame import proximal_direction
 from limbcli.meshing.mending import Limb
 from limbcli.model import Array
@@ -29,7 +28,6 @@ _VIEWS = (
 _LETTERS = ("x", "y", "z")
 _NEAR = 10.0  # mm skin to bone: thinner tissue is drawn in another colour
 _SLICE = 15.0  # mm along the limb to either side of a point, whose middle tells which side the point is on
-_TITLE_WIDTH = 140  # characters on a line
 _THIN, _THICK, _MARKER, _SITE = "#c25a00", "#1b3a1b", "#c000c0", "#0050d0"
 
 
@@ -56,7 +54,7 @@ def draw_places(
             axes.invert_xaxis()
         axes.grid(True, linewidth=0.4, alpha=0.5)
     words = f"{title}: where a site can be (coordinates of the grid’s points: site-grid.csv)"
-    figure.suptitle(textwrap.fill(words, _TITLE_WIDTH))
+    put_title(figure, words)
     _tell_marks(figure, grid, markers, sites)
     save_picture(figure, path, dpi=70)
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from limbcli.case import Case, Site
-from limbcli.drawing import side_of
 from limbcli.effects.tissue import TISSUE, limb_axis
 from limbcli.errors import CaseError
 from limbcli.imaging.fibre_map import REACH, read_fibre_map
@@ -18,13 +17,13 @@ from limbcli.meshing.fibres import ImageAngle, direction_of_angles, mean_axis
 from limbcli.meshing.frame import probe_axis
 from limbcli.meshing.probe import ProbeShape
 from limbcli.model import FIBRES, Array, ElementMap, LimbModel
+from limbcli.patient_frame import HEAD, side_of
 from limbcli.results import StageWriter
 from limbcli.stages.provenance.chain_inputs import note_case
 
 _LEAST_COVERED = 0.5  # of the tissue's elements near the probe
 _NEAR_PROBE = 30.0  # mm
 _OUT_OF_SKIN_DEG = 60.0
-_HEAD = (0.0, 0.0, 1.0)
 NOT_TOLD = "no fibre direction is told: along the limb, within the skin"
 
 
@@ -66,7 +65,7 @@ def _site_fibres(case: Case, site: Site, model: LimbModel) -> SiteFibres:
         axis = np.array(site.fibres.direction) / np.linalg.norm(site.fibres.direction)
         return _alike(rotation.T @ axis, n, "fibre_direction of the case", None)
     if site.fibres.pennation:
-        normal, proximal = rotation[:, 2], np.array(model.info.get("proximal", _HEAD), dtype=float)
+        normal, proximal = rotation[:, 2], np.array(model.info.get("proximal", HEAD), dtype=float)
         angles = [
             ImageAngle(
                 probe_axis(_long_axis(case, each.orientation), proximal, normal, where=where),

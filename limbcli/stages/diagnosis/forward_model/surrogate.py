@@ -257,7 +257,7 @@ class SiteCurves:
         }  # fmt: skip
 
     def _corrected(self, m: float, width: int) -> Array | float:
-        """Of so many columns; lines are not tied."""
+        """Of so many columns; lines are not corrected."""
         if self.correction is None:
             return 0.0
         known = self.correction.at(m)

@@ -1,4 +1,4 @@
-"""How the working mesh is tied to the site's own, and by what the site's own still errs."""
+"""How the working mesh is corrected to the site's own, and by what the site's own still errs."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from limbcli.stages.diagnosis.mesh_error.mesh_correction import MeshCorrection, 
 _SAFETY = 1.5
 _LEAST_ERROR, _USUAL_ERROR, _USUAL_EDGE = 0.01, 0.03, 2.5
 _FREED = 0.5  # of the way from a cut that is held to one that is free: the limb
-_UNTIED = 1.2  # times the error that maps have where the working mesh is tied
+_UNCORRECTED = 1.2  # times the error that maps have where the working mesh is corrected
 
 
 class ResultNotes(Protocol):
@@ -38,7 +38,7 @@ class ResultNotes(Protocol):
 class MeshComparison:
     """One site's working mesh, of edges `size` mm, beside its own.
 
-    depth : mm, of the levels (n_levels,); several : the values of m that it is tied at, the likely one first
+    depth : mm, of the levels (n_levels,); several : the m of the comparison, the likely one first
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class MeshComparison:
         usual = np.full(len(self.depth), _USUAL_ERROR * (self.size / _USUAL_EDGE) ** 2)
         return MeshCorrection(
             np.array(several), np.array([nothing[:, 0]] * len(several)), np.array([nothing] * len(several)),
-            1.0, usual, np.zeros(len(self.depth)), map_share=_UNTIED,
+            1.0, usual, np.zeros(len(self.depth)), map_share=_UNCORRECTED,
         )  # fmt: skip
 
     def _cut(self, m: float, freed: Curves) -> tuple[Array, Array]:
@@ -88,18 +88,18 @@ class MeshComparison:
             meshed = read_result(self.out, "mesh", site=self.site.name)
             if meshed.data.get("element") != "tet10":
                 self.notes.warnings.append(
-                    "the working mesh is not tied to the site's own, of linear elements"
+                    "the working mesh is not corrected to the site's own, of linear elements"
                 )
                 return None
             if layers := own_layers(self.site, self.out):
                 self.notes.warnings.append(
-                    f"the working mesh is not tied to the site's own, which has layers ({layers}) beside the "
-                    "tissue: the diagnosis takes all for one tissue, and a layer for an effect"
+                    f"the working mesh is not corrected to the site's own, which has layers ({layers}) beside"
+                    " the tissue: the diagnosis takes all for one tissue, and a layer for an effect"
                 )
                 return None
             model = load_model(meshed.folder / "model.npz")
         except LimbError as error:
-            self.notes.warnings.append(f"the working mesh is not tied to the site's own: {error.what}")
+            self.notes.warnings.append(f"the working mesh is not corrected to the site's own: {error.what}")
             return None
         h = float(meshed.data.get("size_under_probe_mm", _USUAL_EDGE))
         words = " and ".join(f"m {m:g}" for m in self.several)
@@ -107,7 +107,7 @@ class MeshComparison:
         try:
             found = own_curves(model, self.simulations, self.several, size_ratio=h / self.size)
         except SolveError as error:
-            self.notes.warnings.append(f"the working mesh is not tied to the site's own: {error.what}")
+            self.notes.warnings.append(f"the working mesh is not corrected to the site's own: {error.what}")
             return None
         apart = {m: self._apart(m, own) for m, own in found.items()}
         likely = self.several[0]

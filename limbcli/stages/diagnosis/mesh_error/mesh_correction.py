@@ -30,7 +30,7 @@ from limbcli.units import mpa_from_kpa
 F_KAPPA, START_M = 100.0, 2.0
 # Work of a solve on the site's own mesh, by that on the working mesh (and the least that counts).
 _TIMES_USUAL, _LEAST_WORK = 5.0, 1000.0
-_FOLLOWED = 0.2  # of the way from one m of a tie to the next: how far its slope goes on beyond the last
+_FOLLOWED = 0.2  # of the way from one m to the next: how far a correction's slope goes on beyond the last
 _SHARES = (0.3, 0.6)  # of the depth needed: where the own mesh is solved
 
 

@@ -1,6 +1,6 @@
 """What mesh, crop and contact alone do to a site's curves: tried on the model, before any tissue is blamed.
 
-The working mesh is tied to the site's own where that was run; what is left of the mesh's error,
+The working mesh is corrected to the site's own where that was run; what is left of the mesh's error,
 of the incompressibility that is held, of cut and contact enters the noise.
 """
 
