@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 COLUMNS = ("panel", "x_axis", "y_axis", "kind", "series", "number", "x", "y", "value")
 _MOST_PIXELS = 40_000  # of one picture; a larger one is an image, not data
 _COLOUR_BAR = "<colorbar>"
-_LETTER = 0.55  # of its size: how wide a letter is in the mean
+_LETTER = 0.6  # of its size: how wide a letter is, wide ones among them
 
 Row = tuple[object, ...]
 

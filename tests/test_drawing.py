@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
-from limbcli.drawing import COLUMNS, data_file, figure_data, save_figure
+from limbcli.drawing import COLUMNS, data_file, figure_data, put_title, save_figure
 from limbcli.reporting.figures.style import new_figure, style
 
 
@@ -116,3 +117,12 @@ def test_labels_of_a_saved_picture_are_on_it(tmp_path, height):
             axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2))
         save_figure(figure, tmp_path / "a.png")
     assert left.yaxis.label.get_window_extent().x0 >= 0
+
+
+@pytest.mark.parametrize(("width", "size"), [(6.0, 12.0), (10.0, 10.0), (17.0, 12.0)])
+def test_a_long_title_stays_on_the_picture(width, size):
+    figure = Figure(figsize=(width, 3.0))
+    put_title(figure, "Mean of 12 MEASUREMENTS at site proximal-b, quality: good; " * 6, size=size)
+    title = figure._suptitle.get_window_extent(FigureCanvasAgg(figure).get_renderer())
+    assert figure.bbox.x0 <= title.x0
+    assert title.x1 <= figure.bbox.x1
