@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,12 +17,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.collections import Collection
     from matplotlib.figure import Figure
+    from matplotlib.gridspec import GridSpec
     from matplotlib.path import Path as Outline
 
 COLUMNS = ("panel", "x_axis", "y_axis", "kind", "series", "number", "x", "y", "value")
 _MOST_PIXELS = 40_000  # of one picture; a larger one is an image, not data
 _COLOUR_BAR = "<colorbar>"
 _LETTER = 0.6  # of its size: how wide a letter is, wide ones among them
+_LINE = 1.3  # of a letter's size: from line to line
 
 Row = tuple[object, ...]
 
@@ -51,10 +54,58 @@ def save_picture(figure: Figure, path: Path, *, dpi: float | None = None) -> Non
 def put_title(figure: Figure, text: str, *, size: float = 12.0) -> None:
     """A title above the whole figure, on as many lines as its width asks for.
 
-    size : of the letters, points; a letter is taken for `_LETTER` of it wide
+    size : of the letters, points
     """
-    width_points = 72.0 * float(figure.get_size_inches()[0])
-    figure.suptitle(textwrap.fill(text, int(width_points / (_LETTER * size))), fontsize=size)
+    figure.suptitle("\n".join(title_lines(text, float(figure.get_size_inches()[0]), size)), fontsize=size)
+
+
+def title_lines(text: str, width_inches: float, size: float) -> list[str]:
+    """The lines of a title of letters of `size` points; a letter is taken for `_LETTER` of it wide."""
+    return textwrap.wrap(text, int(72.0 * width_inches / (_LETTER * size)))
+
+
+@dataclass(frozen=True)
+class Margins:
+    """What stands round panels of known size, inches: left of all, above each, below all, between two."""
+
+    left: float
+    above: float
+    below: float
+    gap: float = 0.08
+
+
+def panel_sheet(
+    widths: Sequence[float],
+    heights: Sequence[float],
+    margins: Margins,
+    title: str,
+    *,
+    title_size: float = 12.0,
+) -> tuple[Figure, GridSpec]:
+    """A titled figure with panels of these sizes (inches), in columns and rows.
+
+    Where sizes are known, no layout need be sought, which takes as long as drawing.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    across = sum(widths) + (len(widths) - 1) * margins.gap
+    down = sum(heights) + (len(heights) - 1) * (margins.gap + margins.above)
+    width = margins.left + across + margins.gap
+    lines = title_lines(title, width, title_size)
+    top = margins.gap + len(lines) * _LINE * title_size / 72.0 + margins.above
+    height = top + down + margins.below
+    figure = Figure(figsize=(width, height))
+    FigureCanvasAgg(figure)
+    figure.suptitle("\n".join(lines), fontsize=title_size, y=1.0 - margins.gap / height)
+    grid = figure.add_gridspec(
+        len(heights), len(widths), width_ratios=widths, height_ratios=heights,
+        left=margins.left / width, right=1.0 - margins.gap / width,
+        bottom=margins.below / height, top=1.0 - top / height,
+        wspace=margins.gap / float(np.mean(widths)),
+        hspace=(margins.gap + margins.above) / float(np.mean(heights)),
+    )  # fmt: skip
+    return figure, grid
 
 
 def _lay_out(figure: Figure) -> None:

@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
-from limbcli.drawing import COLUMNS, data_file, figure_data, put_title, save_figure
+from limbcli.drawing import COLUMNS, Margins, data_file, figure_data, panel_sheet, put_title, save_figure
 from limbcli.reporting.figures.style import new_figure, style
 
 
@@ -126,3 +126,16 @@ def test_a_long_title_stays_on_the_picture(width, size):
     title = figure._suptitle.get_window_extent(FigureCanvasAgg(figure).get_renderer())
     assert figure.bbox.x0 <= title.x0
     assert title.x1 <= figure.bbox.x1
+
+
+def test_panels_of_a_sheet_have_the_sizes_asked_for():
+    widths, heights = [1.0, 2.0, 1.5], [2.5, 0.5]
+    figure, grid = panel_sheet(widths, heights, Margins(left=0.4, above=0.3, below=0.8), "words " * 40)
+    FigureCanvasAgg(figure)
+    for i, height in enumerate(heights):
+        for j, width in enumerate(widths):
+            box = figure.add_subplot(grid[i, j]).get_window_extent()
+            assert np.allclose(np.array([box.width, box.height]) / figure.dpi, [width, height])
+    title = figure._suptitle.get_window_extent()
+    assert title.y0 > figure.axes[0].get_window_extent().y1
+    assert title.y1 < figure.bbox.y1

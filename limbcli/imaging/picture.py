@@ -7,13 +7,11 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from limbcli.drawing import put_title, save_picture
+from limbcli.drawing import Margins, panel_sheet, save_picture
 from limbcli.imaging.segmentation import MARKER, Segmentation
 from limbcli.imaging.signed_distance import box_around
 from limbcli.imaging.volume import Volume
@@ -23,6 +21,8 @@ from limbcli.patient_frame import side_of
 _COLUMNS, _ROWS = 5, 4
 _SKIN, _BONES, _MARKER = "#ffd400", ("#ff3b30", "#28c8ff", "#7cfc00", "#ff8cff"), "#ff00ff"
 _FAT = "#58d68d"
+_PANEL_INCHES = 1.85
+_MARGINS = Margins(left=0.5, above=0.17, below=0.75)
 
 
 def contact_sheet(
@@ -40,12 +40,12 @@ def contact_sheet(
     window = box_around(np.any(labels.values > 0, axis=2), np.ceil(6.0 / grey.spacing[:2]))
     height = (window[1].stop - window[1].start) * grey.spacing[1]
     width = (window[0].stop - window[0].start) * grey.spacing[0]
-    figure = Figure(figsize=(2.0 * _COLUMNS, 2.0 * height / width * rows + 1.1), layout="constrained")
-    FigureCanvasAgg(figure)
+    widths, heights = [_PANEL_INCHES] * _COLUMNS, [_PANEL_INCHES * height / width] * rows
+    figure, grid = panel_sheet(widths, heights, _MARGINS, title, title_size=10.0)
     top = float(np.percentile(grey.values[labels.values > 0], 99.5))
     markers = labels.values == MARKER
     for number, k in enumerate(chosen, 1):
-        axes = figure.add_subplot(rows, _COLUMNS, number)
+        axes = figure.add_subplot(grid[divmod(number - 1, _COLUMNS)])
         extent = _extent(window, grey.spacing)
         section = np.clip(grey.values[*window, k].T / max(top, 1e-9), 0, 1) ** 0.7
         axes.imshow(section, cmap="gray", vmin=0, vmax=1, extent=extent, interpolation="bilinear")
@@ -56,16 +56,13 @@ def contact_sheet(
         height_mm = grey.to_patient(np.array([[*(n / 2 for n in grey.shape[:2]), k]]))[0, 2]
         axes.set_title(f"slice {k + 1} of {grey.shape[2]}, z = {height_mm:.0f} mm", fontsize=8)
         is_lowest, is_first = number > len(chosen) - _COLUMNS, number % _COLUMNS == 1
-        axes.tick_params(labelsize=6, labelbottom=is_lowest, labelleft=is_first)
-        if is_lowest:
-            axes.set_xlabel("mm along i", fontsize=7)
-        if is_first:
-            axes.set_ylabel("mm along j", fontsize=7)
-    put_title(figure, title, size=10)
+        axes.tick_params(labelsize=6)
+        axes.set_xlabel("mm along i", fontsize=7)
+        axes.set_ylabel("mm along j", fontsize=7)
+        axes.xaxis.set_visible(is_lowest)
+        axes.yaxis.set_visible(is_first)
     lines = [Line2D([], [], color=colour, label=label) for label, colour in _outlined(found, names, markers)]
-    figure.legend(
-        handles=lines, loc="outside lower center", ncols=len(lines), facecolor="0.3", labelcolor="white"
-    )
+    figure.legend(handles=lines, loc="lower center", ncols=len(lines), facecolor="0.3", labelcolor="white")
     save_picture(figure, path, dpi=130)
 
 

@@ -7,7 +7,7 @@ gives numbers that look like any others. What cannot be is an error, what is unu
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,8 +31,21 @@ _ELONGATED, _UPRIGHT = 1.5, 0.5  # length against width; cosine to +z below whic
 _POINTS = 500  # of a bone that are looked at
 
 
+@dataclass(frozen=True)
+class LimbCheck:
+    """problems : what is wrong with skin and bones; outside : names of bones brought in another frame"""
+
+    problems: list[Problem]
+    outside: tuple[str, ...]
+
+
 def limb_problems(surfaces: Mapping[str, Triangles], *, limb: str, where: str) -> list[Problem]:
-    """What is wrong with the skin and the bones of one limb.
+    """`limb_check`'s problems."""
+    return limb_check(surfaces, limb=limb, where=where).problems
+
+
+def limb_check(surfaces: Mapping[str, Triangles], *, limb: str, where: str) -> LimbCheck:
+    """What is wrong with the skin and the bones of one limb, and the bones that lie elsewhere.
 
     surfaces : "skin" and the bones by name, mm, patient LPS; open or closed
     limb : "left" or "right"; the fibula tells it where two bones are so named
@@ -47,35 +60,16 @@ def limb_problems(surfaces: Mapping[str, Triangles], *, limb: str, where: str) -
     mended = mend(skin, [], where=where)
     found = _sizes(mended.skin.volume, bones, where)
     above_skin = Heights(mended.skin)
+    reaches = {name: _reach(bone, above_skin, mended.ends) for name, bone in bones.items()}
     whole = sum(abs(each.volume) for each in bones.values())
     for name, bone in bones.items():
-        outside = _outside(name, bone, above_skin, mended.ends, where)
+        outside = _outside(name, reaches[name], where)
         minor = abs(bone.volume) < _MINOR * whole
         found += [_left_out(each) if minor else each for each in outside]
     across = _across(mended.skin, bones, where)
-    return found + _twice(bones, where) + (across or _side(bones, limb, where))
-
-
-def bones_outside(surfaces: Mapping[str, Triangles], *, where: str) -> tuple[str, ...]:
-    """The bones of which so much lies outside the skin that they were brought in another frame.
-
-    surfaces : "skin" and the bones by name, mm, patient LPS
-
-    Raises
-    ------
-    MeshError
-        If the skin is no body at all.
-    """
-    mended = mend(surfaces[SKIN], [], where=where)
-    above_skin = Heights(mended.skin)
-    found = []
-    for name, bone in surfaces.items():
-        if name == SKIN:
-            continue
-        depth = above_skin.of(_some(bone.points))
-        if float((depth > _OUT_MM).mean()) > _OUT_SHARE[1]:
-            found.append(name)
-    return tuple(found)
+    found += _twice(bones, where) + (across or _side(bones, limb, where))
+    elsewhere = [name for name, each in reaches.items() if each.share_anywhere > _OUT_SHARE[1]]
+    return LimbCheck(found, tuple(elsewhere))
 
 
 def bone_named(bones: Mapping[str, Triangles], name: str) -> Triangles | None:
@@ -112,24 +106,41 @@ def _left_out(problem: Problem) -> Problem:
     return replace(problem, what=what, severity="warning")
 
 
-def _outside(
-    name: str, bone: Triangles, above_skin: Heights, ends: tuple[Plane, ...], where: str
-) -> list[Problem]:
-    """A bone outside the skin; what stands out beyond the limb's cut ends does not count."""
+@dataclass(frozen=True)
+class _Reach:
+    """How far a bone reaches out of the skin.
+
+    share : of its points between the limb's cut ends
+    furthest : mm from the skin between the ends, of a bone beyond an end its nearest point
+    share_anywhere : of all of its points; a bone that goes on beyond an end is out there
+    """
+
+    share: float
+    furthest: float
+    is_beyond: bool
+    share_anywhere: float
+
+
+def _reach(bone: Triangles, above_skin: Heights, ends: tuple[Plane, ...]) -> _Reach:
     points = _some(bone.points)
-    depth = above_skin.of(points)
-    abreast = np.all([each.height(points) <= 0 for each in ends], axis=0) if ends else np.ones(len(points))
-    counted = depth[abreast.astype(bool)]
+    height = above_skin.of(points)
+    anywhere = float((height > _OUT_MM).mean())
+    beyond = np.any([np.zeros(len(points), bool), *(each.height(points) > 0 for each in ends)], axis=0)
+    if beyond.all():
+        return _Reach(1.0, float(height.min()), True, anywhere)
+    between = height[~beyond]
+    return _Reach(float((between > _OUT_MM).mean()), float(between.max()), False, anywhere)
+
+
+def _outside(name: str, reach: _Reach, where: str) -> list[Problem]:
     fix = "give skin and bones in one frame (mm, patient LPS), of the same limb and the same image"
-    if not len(counted):
-        what = f"{name} lies beyond the end of the skin, {depth.min():.0f} mm from it at its nearest"
+    if reach.is_beyond:
+        what = f"{name} lies beyond the end of the skin, {reach.furthest:.0f} mm from it at its nearest"
         return [_problem(what, where, fix, error=True)]
-    out = counted > _OUT_MM
-    share, far = float(out.mean()), float(counted.max())
-    if share <= _OUT_SHARE[0]:
+    if reach.share <= _OUT_SHARE[0]:
         return []
-    what = f"{share:.0%} of {name} lies outside the skin, by up to {far:.0f} mm"
-    return [_problem(what, where, fix, error=share > _OUT_SHARE[1] or far > _OUT_FAR_MM)]
+    what = f"{reach.share:.0%} of {name} lies outside the skin, by up to {reach.furthest:.0f} mm"
+    return [_problem(what, where, fix, error=reach.share > _OUT_SHARE[1] or reach.furthest > _OUT_FAR_MM)]
 
 
 def _twice(bones: Mapping[str, Triangles], where: str) -> list[Problem]:

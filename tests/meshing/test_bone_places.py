@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from limbcli.meshing.anatomy import bones_outside
+from limbcli.meshing.anatomy import limb_check
 from limbcli.meshing.bone_places import put_back
 from limbcli.meshing.surfaces import Triangles
 
@@ -80,6 +80,6 @@ def test_nothing_is_proposed_where_it_does_not_fit(leg, make_tube):
 
 
 def test_only_what_lies_outside_is_called_misplaced(leg):
-    assert bones_outside(leg, where="leg") == ()
+    assert limb_check(leg, limb="right", where="leg").outside == ()
     _, wrong = moved(leg, (120.0, -40.0, 75.0))
-    assert bones_outside({**leg, **wrong}, where="leg") == LOST
+    assert limb_check({**leg, **wrong}, limb="right", where="leg").outside == LOST

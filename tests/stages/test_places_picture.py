@@ -73,3 +73,19 @@ def test_a_site_on_a_marker_does_not_hide_its_name(monkeypatch):
     ]
     assert len(boxes) == 2
     assert not boxes[0].overlaps(boxes[1])
+
+
+def test_all_views_have_one_scale_and_words_stay_in_them(monkeypatch):
+    aside = np.array([-14.0, -9.0, 290.0])  # at the right edge of the last view
+    figure, _ = drawn(monkeypatch, "p", {"a-site-with-a-long-name": aside})
+    scales = []
+    for axes in figure.axes:
+        box = axes.get_window_extent()
+        scales += [box.width / abs(np.diff(axes.get_xlim())[0]), box.height / np.diff(axes.get_ylim())[0]]
+        title = axes.title.get_window_extent()
+        assert box.x0 <= title.x0
+        assert title.x1 <= box.x1
+        for name in axes.texts:
+            assert figure.bbox.x0 <= name.get_window_extent().x0
+            assert name.get_window_extent().x1 <= figure.bbox.x1
+    assert np.ptp(scales) < 1e-9 * max(scales)

@@ -7,12 +7,11 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from limbcli.drawing import put_title, save_picture
+from limbcli.drawing import Margins, panel_sheet, save_picture
 from limbcli.meshing.frame import proximal_direction
 from limbcli.meshing.mending import Limb
 from limbcli.model import Array
@@ -28,6 +27,10 @@ _VIEWS = (
 _LETTERS = ("x", "y", "z")
 _NEAR = 10.0  # mm skin to bone: thinner tissue is drawn in another colour
 _SLICE = 15.0  # mm along the limb to either side of a point, whose middle tells which side the point is on
+_ROUND = 12.0  # mm beyond the limb
+_MOST_ACROSS, _MOST_DOWN = 16.0, 9.0  # inches of all views; one scale for all of them
+_LEAST_ACROSS = 2.2  # inches of one view: its title stands there
+_MARGINS = Margins(left=0.8, above=0.35, below=1.0, gap=0.15)
 _THIN, _THICK, _MARKER, _SITE = "#c25a00", "#1b3a1b", "#c000c0", "#0050d0"
 
 
@@ -41,20 +44,24 @@ def draw_places(
     title: str,
 ) -> None:
     """Names of grid points stand where they are; their coordinates are in the table beside the picture."""
-    figure = Figure(figsize=(17, 8.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    for number, (name, across, towards) in enumerate(_VIEWS, 1):
-        axes = figure.add_subplot(1, len(_VIEWS), number)
+    low, high = limb.skin.points.min(axis=0) - _ROUND, limb.skin.points.max(axis=0) + _ROUND
+    middle, sizes = 0.5 * (low + high), high - low
+    across_mm = [float(sizes[axis]) for _, (axis, _), _ in _VIEWS]
+    inches_per_mm = min(_MOST_ACROSS / sum(across_mm), _MOST_DOWN / float(sizes[2]))
+    across_mm = [max(each, _LEAST_ACROSS / inches_per_mm) for each in across_mm]
+    words = f"{title}: where a site can be (coordinates of the grid’s points: site-grid.csv)"
+    widths, heights = [each * inches_per_mm for each in across_mm], [float(sizes[2]) * inches_per_mm]
+    figure, places = panel_sheet(widths, heights, _MARGINS, words)
+    for number, (name, across, towards) in enumerate(_VIEWS):
+        axes = figure.add_subplot(places[number])
         _draw_view(axes, limb, across, towards)
         _draw_points(axes, grid, markers, sites, limb, across, towards)
         sign = "" if across[1] > 0 else ", turned"
         axes.set(title=name, xlabel=f"{_LETTERS[across[0]]} [mm], patient LPS{sign}", ylabel="z [mm]")
-        axes.set_aspect("equal")
-        if across[1] < 0:
-            axes.invert_xaxis()
+        half = 0.5 * across[1] * across_mm[number]  # turned where the axis runs to the left
+        axes.set(xlim=(middle[across[0]] - half, middle[across[0]] + half), ylim=(low[2], high[2]))
+        axes.label_outer()
         axes.grid(True, linewidth=0.4, alpha=0.5)
-    words = f"{title}: where a site can be (coordinates of the grid’s points: site-grid.csv)"
-    put_title(figure, words)
     _tell_marks(figure, grid, markers, sites)
     save_picture(figure, path, dpi=70)
 
@@ -76,7 +83,7 @@ def _tell_marks(
         if there
     ]
     if lines:
-        figure.legend(handles=lines, loc="outside lower center", ncols=len(lines))
+        figure.legend(handles=lines, loc="lower center", ncols=len(lines))
 
 
 def _draw_view(axes: Axes, limb: Limb, across: tuple[int, float], towards: tuple[int, float]) -> None:
@@ -91,9 +98,6 @@ def _draw_view(axes: Axes, limb: Limb, across: tuple[int, float], towards: tuple
     grey = 0.35 + 0.6 * facing[seen]
     colours = np.clip(np.stack([grey, 0.93 * grey, 0.88 * grey], axis=1), 0, 1)
     axes.add_collection(PolyCollection(list(corners), facecolors=colours, edgecolors="none", rasterized=True))
-    low, high = skin.points.min(axis=0) - 12, skin.points.max(axis=0) + 12
-    axes.set_xlim(low[across[0]], high[across[0]])
-    axes.set_ylim(low[2], high[2])
 
 
 def _draw_points(
@@ -108,6 +112,7 @@ def _draw_points(
     """Those that the reader can see from this side: no other is shown through the limb."""
     axis = proximal_direction(limb)
     along = limb.skin.points @ axis
+    centre = 0.5 * (limb.skin.points.min(axis=0) + limb.skin.points.max(axis=0))
 
     def visible(point: Array) -> bool:
         near = limb.skin.points[np.abs(along - point @ axis) < _SLICE]
@@ -134,8 +139,10 @@ def _draw_points(
         for name, point in points.items():
             if visible(point):
                 axes.plot(point[across[0]], point[2], mark, color=colour, markersize=9)
+                is_left = across[1] * (point - centre)[across[0]] < 0
                 axes.annotate(
-                    f"{word}{name}", (point[across[0]], point[2]), xytext=(6, above), fontweight="bold",
+                    f"{word}{name}", (point[across[0]], point[2]), xytext=(6 if is_left else -6, above),
+                    ha="left" if is_left else "right", fontweight="bold",
                     textcoords="offset points", color=colour, fontsize=10, zorder=5,
                     bbox={"boxstyle": "square,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.8},
                 )  # fmt: skip

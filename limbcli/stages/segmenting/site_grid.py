@@ -46,27 +46,32 @@ def grid_points(limb: Limb, *, step: float = _STEP_MM) -> list[GridPoint]:
     bone = cKDTree(np.concatenate([each.points for each in limb.bones])) if limb.bones else None
     found = []
     for row, height in enumerate(np.arange(low + step, high - 0.5 * step, step)):
+        section = _section(limb.skin, axis, float(height))
+        if section is None:
+            continue
+        middle, corners = section
         for column in range(_ANGLES):
             angle = 2 * np.pi * column / _ANGLES
-            point = _on_skin(limb.skin, axis, float(height), np.cos(angle) * anterior + np.sin(angle) * left)
-            if point is None:
+            direction = np.cos(angle) * anterior + np.sin(angle) * left
+            hits = ray_hits(middle, direction, corners)
+            if not len(hits):
                 continue
+            point = middle + hits.max() * direction
             far = float(bone.query(point)[0]) if bone is not None else float("nan")
             found.append(GridPoint(f"{_NAMES[row]}{column + 1}", 360.0 * column / _ANGLES, point, far))
     return found
 
 
-def _on_skin(skin: Triangles, axis: Array, height: float, direction: Array) -> Array | None:
-    """The outermost skin point in a direction from the middle of a cross section, or None."""
+def _section(skin: Triangles, axis: Array, height: float) -> tuple[Array, Array] | None:
+    """The middle (3,) of a cross section, and the corners (n, 3, 3) of the triangles that it cuts."""
     along = skin.points[skin.faces] @ axis
     crossing = (along.min(axis=1) <= height) & (along.max(axis=1) >= height)
     if not crossing.any():
         return None
-    corners = skin.corners[crossing]
-    middle = np.average(corners.mean(axis=1), axis=0, weights=skin.areas[crossing])
+    cut = skin.part(crossing)
+    middle = np.average(cut.centroids, axis=0, weights=cut.areas)
     middle += (height - middle @ axis) * axis
-    hits = ray_hits(middle, direction, corners)
-    return middle + hits.max() * direction if len(hits) else None
+    return middle, cut.corners
 
 
 def write_grid(path: Path, grid: Sequence[GridPoint]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.errors.problems import raise_errors
 from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
-from limbcli.meshing.anatomy import SKIN, bones_outside, limb_problems
+from limbcli.meshing.anatomy import SKIN, limb_check
 from limbcli.meshing.bone_places import put_back
 from limbcli.meshing.facets import divided
 from limbcli.meshing.mending import enclosed, open_rims, skin_and_bones, turned_inward
@@ -58,19 +58,17 @@ def check_limb(surfaces: Mapping[str, ClosedSurface], case: Case, writer: StageW
         With everything that cannot be: a bone outside the skin, sizes of another unit.
     """
     triangles = triangles_of(surfaces)
-    found = limb_problems(triangles, limb=case.limb, where=where)
-    raise_errors(found, CaseError)
-    writer.warnings.extend(f"{each.what}; {each.fix}" for each in found)
-    _tell_misplaced(triangles, case, writer, where=where)
+    found = limb_check(triangles, limb=case.limb, where=where)
+    raise_errors(found.problems, CaseError)
+    writer.warnings.extend(f"{each.what}; {each.fix}" for each in found.problems)
+    if found.outside:
+        _tell_misplaced(triangles, found.outside, case, writer)
 
 
 def _tell_misplaced(
-    surfaces: Mapping[str, Triangles], case: Case, writer: StageWriter, *, where: str
+    surfaces: Mapping[str, Triangles], wrong: Sequence[str], case: Case, writer: StageWriter
 ) -> None:
-    """Bones outside the skin: the one shift that would put them back. Nothing is moved."""
-    wrong = bones_outside(surfaces, where=where)
-    if not wrong:
-        return
+    """The one shift that would put these bones back into the skin. Nothing is moved."""
     right = {name: each for name, each in surfaces.items() if name not in wrong and name != SKIN}
     found = put_back(surfaces[SKIN], right, {name: surfaces[name] for name in wrong}, limb=case.limb)
     writer.data["misplaced"] = {"bones": list(wrong)}
