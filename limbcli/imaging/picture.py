@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
+from skimage.measure import find_contours
 
 from limbcli.drawing import Margins, panel_sheet, save_picture
 from limbcli.imaging.segmentation import MARKER, Segmentation
@@ -105,19 +107,21 @@ def _extent(window: tuple[slice, ...], spacing: Array) -> tuple[float, float, fl
 
 def _outlines(axes: Axes, found: Segmentation, markers: NDArray[np.bool_], grey: Volume, k: int) -> None:
     """Contours of the working masks, placed by the image's in-plane mm."""
-    if found.fat is not None:
-        _outline(axes, found.fat, grey, k, _FAT, width=0.4)
-    _outline(axes, found.skin, grey, k, _SKIN)
-    for number, bone in enumerate(found.bones):
-        _outline(axes, bone, grey, k, _BONES[number % len(_BONES)])
-    _outline(axes, grey.with_values(markers), grey, k, _MARKER)
+    masks = [] if found.fat is None else [(found.fat, _FAT, 0.4)]
+    masks += [(found.skin, _SKIN, 0.9)]
+    masks += [(bone, _BONES[number % len(_BONES)], 0.9) for number, bone in enumerate(found.bones)]
+    masks += [(grey.with_values(markers), _MARKER, 0.9)]
+    lines = [(each, colour, width) for mask, colour, width in masks for each in _contours(mask, grey, k)]
+    if lines:
+        drawn, colours, widths = zip(*lines, strict=True)
+        axes.add_collection(LineCollection(drawn, colors=colours, linewidths=widths), autolim=False)
 
 
-def _outline(axes: Axes, mask: Volume, grey: Volume, k: int, colour: str, *, width: float = 0.9) -> None:
+def _contours(mask: Volume, grey: Volume, k: int) -> list[Array]:
+    """Lines (n, 2) round a mask's part of slice k, mm along i and j of the image."""
     section = mask.values[:, :, k]
     if not section.any():
-        return
-    first = grey.to_voxel(mask.affine[:3, 3][None])[0]
+        return []
+    first = grey.to_voxel(mask.affine[:3, 3][None])[0, :2]
     ratio = mask.spacing[:2] / grey.spacing[:2]
-    x, y = ((first[n] + np.arange(section.shape[n]) * ratio[n]) * grey.spacing[n] for n in range(2))
-    axes.contour(x, y, section.T.astype(float), [0.5], colors=colour, linewidths=width)
+    return [(first + each * ratio) * grey.spacing[:2] for each in find_contours(section.astype(float), 0.5)]

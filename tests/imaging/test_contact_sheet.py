@@ -14,6 +14,12 @@ from limbcli.imaging.segmentation import MARKER, Segmentation
 from limbcli.imaging.volume import Volume
 
 
+def _finer(mask: np.ndarray, affine: np.ndarray) -> Volume:
+    """The same mask in voxels of half the width, as working masks are finer than an image."""
+    halved = np.array([[0.5, 0, 0, -0.25], [0, 0.5, 0, -0.25], [0, 0, 1, 0], [0, 0, 0, 1]])
+    return Volume(mask.repeat(2, axis=0).repeat(2, axis=1), affine @ halved)
+
+
 def sheet(monkeypatch: pytest.MonkeyPatch, across: float, *, marker: bool) -> Figure:
     kept: list[Figure] = []
     monkeypatch.setattr(picture, "save_picture", lambda figure, *_, **__: kept.append(figure))
@@ -25,7 +31,7 @@ def sheet(monkeypatch: pytest.MonkeyPatch, across: float, *, marker: bool) -> Fi
     labels = inside + bone.astype(np.uint8)
     if marker:
         labels[19, 15, 2] = MARKER
-    found = Segmentation(Volume(labels, affine), Volume(inside, affine), (Volume(bone, affine),))
+    found = Segmentation(Volume(labels, affine), _finer(inside, affine), (_finer(bone, affine),))
     contact_sheet(Path("a.png"), Volume(100.0 * inside, affine), found, ["tibia"], title="p " * 200)
     return kept[0]
 
@@ -42,3 +48,12 @@ def test_legend_names_the_outlines_that_are_there(monkeypatch):
     for marker, names in ((False, ["skin", "tibia"]), (True, ["skin", "tibia", "marker"])):
         figure = sheet(monkeypatch, 1.0, marker=marker)
         assert [each.get_text() for each in figure.legends[0].get_texts()] == names
+
+
+@pytest.mark.parametrize("across", [1.0, 0.5])
+def test_outlines_lie_round_their_masks(monkeypatch, across):
+    for axes in sheet(monkeypatch, across, marker=False).axes:
+        (outlines,) = axes.collections
+        skin, bone = (each.vertices for each in outlines.get_paths())
+        assert np.allclose([skin.min(axis=0), skin.max(axis=0)], [[3.5 * across, 3.5], [19.5 * across, 15.5]])
+        assert np.allclose([bone.min(axis=0), bone.max(axis=0)], [[7.5 * across, 7.5], [11.5 * across, 11.5]])

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
+from matplotlib.collections import TriMesh
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.tri import Triangulation
 
 from limbcli.drawing import Margins, panel_sheet, save_picture
 from limbcli.meshing.frame import proximal_direction
@@ -87,17 +88,18 @@ def _tell_marks(
 
 
 def _draw_view(axes: Axes, limb: Limb, across: tuple[int, float], towards: tuple[int, float]) -> None:
-    """The skin's facets that face the reader, shaded, far ones first."""
+    """The skin's facets that face the reader, shaded from corner to corner, far ones first."""
     skin = limb.skin
-    normals = skin.area_vectors / np.maximum(np.linalg.norm(skin.area_vectors, axis=1, keepdims=True), 1e-12)
-    facing = towards[1] * normals[:, towards[0]]
-    seen = np.flatnonzero(facing > 0)
+    at_corners = np.zeros_like(skin.points)
+    np.add.at(at_corners, skin.faces.ravel(), np.repeat(skin.area_vectors, 3, axis=0))
+    at_corners /= np.maximum(np.linalg.norm(at_corners, axis=1, keepdims=True), 1e-12)
+    seen = np.flatnonzero(towards[1] * skin.area_vectors[:, towards[0]] > 0)
     depth = towards[1] * skin.centroids[seen, towards[0]]
-    seen = seen[np.argsort(depth)]
-    corners = skin.corners[seen][:, :, [across[0], 2]]
-    grey = 0.35 + 0.6 * facing[seen]
-    colours = np.clip(np.stack([grey, 0.93 * grey, 0.88 * grey], axis=1), 0, 1)
-    axes.add_collection(PolyCollection(list(corners), facecolors=colours, edgecolors="none", rasterized=True))
+    faces = skin.faces[seen[np.argsort(depth)]]
+    grey = np.clip(0.35 + 0.6 * towards[1] * at_corners[:, towards[0]], 0.0, 1.0)
+    corners = Triangulation(skin.points[:, across[0]], skin.points[:, 2], faces)
+    colours = np.stack([grey, 0.93 * grey, 0.88 * grey], axis=1)
+    axes.add_collection(TriMesh(corners, facecolors=colours, rasterized=True), autolim=False)
 
 
 def _draw_points(
