@@ -43,12 +43,10 @@ class ClosedSurface:
     @property
     def is_closed(self) -> bool:
         """Every edge belongs to exactly two triangles that run through it in opposite directions."""
-        edges = np.concatenate(
-            [self.triangles[:, [0, 1]], self.triangles[:, [1, 2]], self.triangles[:, [2, 0]]]
-        )
-        forward = np.unique(edges, axis=0)
-        backward = np.unique(edges[:, ::-1], axis=0)
-        return len(forward) == len(edges) and np.array_equal(forward, backward)
+        start, end = self.triangles.astype(np.int64).ravel(), np.roll(self.triangles, -1, axis=1).ravel()
+        n = len(self.points)
+        forward = np.unique(start * n + end)  # a number for each direction of each edge
+        return len(forward) == len(start) and np.array_equal(forward, np.unique(end * n + start))
 
     @property
     def n_parts(self) -> int:

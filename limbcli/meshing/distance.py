@@ -151,28 +151,32 @@ def distance_again(field: Field) -> Field:
 def _near_distance(corners: Any, shape: Any, band: float) -> Any:
     nx, ny, nz = shape
     best = np.full((nx, ny, nz), band * band)
-    p = np.empty(3)
     for t in range(corners.shape[0]):
-        a, b, c = corners[t, 0], corners[t, 1], corners[t, 2]
-        lo = np.empty(3, np.int64)
-        hi = np.empty(3, np.int64)
-        for k in range(3):
-            lo[k] = max(0, int(np.ceil(min(a[k], b[k], c[k]) - band)))
-            hi[k] = min(shape[k] - 1, int(np.floor(max(a[k], b[k], c[k]) + band)))
-        n0 = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
-        n1 = (b[2] - a[2]) * (c[0] - a[0]) - (b[0] - a[0]) * (c[2] - a[2])
-        n2 = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        a0, a1, a2 = corners[t, 0]
+        b0, b1, b2 = corners[t, 1]
+        c0, c1, c2 = corners[t, 2]
+        i0, i1 = _reach(a0, b0, c0, band, nx)
+        j0, j1 = _reach(a1, b1, c1, band, ny)
+        k0, k1 = _reach(a2, b2, c2, band, nz)
+        u, v = (b0 - a0, b1 - a1, b2 - a2), (c0 - a0, c1 - a1, c2 - a2)
+        n0, n1, n2 = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
         size = max(np.sqrt(n0 * n0 + n1 * n1 + n2 * n2), 1e-12)
-        for i in range(lo[0], hi[0] + 1):
-            for j in range(lo[1], hi[1] + 1):
-                for k in range(lo[2], hi[2] + 1):
-                    height = (n0 * (i - a[0]) + n1 * (j - a[1]) + n2 * (k - a[2])) / size
+        a, b, c = (a0, a1, a2), (b0, b1, b2), (c0, c1, c2)
+        for i in range(i0, i1 + 1):
+            for j in range(j0, j1 + 1):
+                for k in range(k0, k1 + 1):
+                    height = (n0 * (i - a0) + n1 * (j - a1) + n2 * (k - a2)) / size
                     if height * height < best[i, j, k]:
-                        p[0], p[1], p[2] = i, j, k
-                        d = _squared_distance(p, a, b, c)
+                        d = _squared_distance((float(i), float(j), float(k)), a, b, c)
                         if d < best[i, j, k]:
                             best[i, j, k] = d
     return np.sqrt(best)
+
+
+@njit(cache=True)
+def _reach(a: float, b: float, c: float, band: float, n: int) -> Any:
+    """First and last sample along an axis within the band of three coordinates."""
+    return max(0, int(np.ceil(min(a, b, c) - band))), min(n - 1, int(np.floor(max(a, b, c) + band)))
 
 
 @njit(cache=True)
@@ -181,28 +185,30 @@ def _dot(u: Any, v: Any) -> float:
 
 
 @njit(cache=True)
+def _less(u: Any, v: Any) -> Any:
+    return u[0] - v[0], u[1] - v[1], u[2] - v[2]
+
+
+@njit(cache=True)
 def _to_segment(p: Any, a: Any, b: Any) -> float:
-    e0, e1, e2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    w0, w1, w2 = p[0] - a[0], p[1] - a[1], p[2] - a[2]
-    s = e0 * e0 + e1 * e1 + e2 * e2
-    t = (w0 * e0 + w1 * e1 + w2 * e2) / s if s > 0 else 0.0
+    e, w = _less(b, a), _less(p, a)
+    s = _dot(e, e)
+    t = _dot(w, e) / s if s > 0 else 0.0
     t = min(1.0, max(0.0, t))
-    return (w0 - t * e0) ** 2 + (w1 - t * e1) ** 2 + (w2 - t * e2) ** 2
+    return (w[0] - t * e[0]) ** 2 + (w[1] - t * e[1]) ** 2 + (w[2] - t * e[2]) ** 2
 
 
 @njit(cache=True)
 def _squared_distance(p: Any, a: Any, b: Any, c: Any) -> float:
-    """Squared distance of a point to a triangle."""
-    u = b - a
-    v = c - a
-    w = p - a
+    """Squared distance of a point to a triangle; points as three numbers, which take no memory to be had."""
+    u, v, w = _less(b, a), _less(c, a), _less(p, a)
     uu, uv, vv, wu, wv = _dot(u, u), _dot(u, v), _dot(v, v), _dot(w, u), _dot(w, v)
     d = uu * vv - uv * uv
     if d > 1e-14:
         s = (vv * wu - uv * wv) / d
         t = (uu * wv - uv * wu) / d
         if s >= 0 and t >= 0 and s + t <= 1:
-            r = w - s * u - t * v
+            r = w[0] - s * u[0] - t * v[0], w[1] - s * u[1] - t * v[1], w[2] - s * u[2] - t * v[2]
             return _dot(r, r)
     return min(_to_segment(p, a, b), _to_segment(p, b, c), _to_segment(p, c, a))
 

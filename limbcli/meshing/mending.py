@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.errors import MeshError
-from limbcli.meshing.surfaces import Triangles, bodies, boundary_loops
+from limbcli.meshing.surfaces import Triangles, bodies, boundary_loops, undirected
 from limbcli.model import Array
 
 _STRAY_EXTENT = 0.05  # of the largest body's diagonal: smaller open pieces are stray
@@ -174,8 +174,8 @@ def _coherent(body: Triangles, notes: list[str], name: str) -> Triangles:
     in an edge of four faces, and to part them would open the surface.
     """
     edges = body.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    _, which = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
-    balance = np.bincount(which.reshape(-1), weights=np.where(edges[:, 0] < edges[:, 1], 1.0, -1.0))
+    _, which = np.unique(undirected(edges), return_inverse=True)
+    balance = np.bincount(which, weights=np.where(edges[:, 0] < edges[:, 1], 1.0, -1.0))
     if (np.abs(balance) <= 1).all():
         return body
     import pymeshlab

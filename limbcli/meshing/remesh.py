@@ -21,7 +21,7 @@ from limbcli.meshing.domain import BONE, CUT, TissueDomain
 from limbcli.meshing.facets import collapse_short, edges_of, flip, keep_unfolded, relax, split_long
 from limbcli.meshing.improve import FIXED, NodeConstraints, put_back
 from limbcli.meshing.probe import ProbeShape
-from limbcli.meshing.surfaces import Triangles
+from limbcli.meshing.surfaces import Triangles, undirected
 from limbcli.model import Array, IntArray
 
 _MIN_SIZE = 1.5  # mm
@@ -305,8 +305,8 @@ def face_labels(surface: Triangles, domain: TissueDomain, *, tolerance: float = 
 
 
 def _check_closed(surface: Triangles) -> None:
-    edges = np.sort(surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    _, counts = np.unique(edges, axis=0, return_counts=True)
+    edges = surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    _, counts = np.unique(undirected(edges), return_counts=True)
     if (counts != 2).any():
         raise MeshError(
             f"the remeshed surface is open or branched at {int((counts != 2).sum())} edges",

@@ -134,13 +134,22 @@ def bodies(surface: Triangles) -> list[Triangles]:
     return sorted(pieces, key=lambda each: -float(np.prod(np.ptp(each.points, axis=0) + 1e-9)))
 
 
+def undirected(edges: IntArray) -> IntArray:
+    """One number an edge (n, 2), whichever way it runs: they sort as (smaller end, larger end) do.
+
+    >>> undirected(np.array([[0, 3], [3, 0], [1, 2]])).tolist()
+    [3, 3, 6]
+    """
+    low, high = np.sort(edges.astype(np.int64), axis=1).T
+    return np.asarray(low * (high.max(initial=0) + 1) + high)
+
+
 def boundary_loops(surface: Triangles) -> list[IntArray]:
     """Closed chains of point numbers along the edges that only one face has."""
     edges = surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    key = np.sort(edges, axis=1)
-    _, inverse, counts = np.unique(key, axis=0, return_inverse=True, return_counts=True)
+    _, inverse, counts = np.unique(undirected(edges), return_inverse=True, return_counts=True)
     following: dict[int, list[int]] = {}
-    for a, b in edges[counts[inverse.reshape(-1)] == 1]:
+    for a, b in edges[counts[inverse] == 1]:
         following.setdefault(int(a), []).append(int(b))
     loops = []
     while following:
