@@ -179,15 +179,15 @@ def test_too_few_levels_are_an_error(simulated):
 
 @pytest.mark.slow
 def test_truth_is_covered_at_the_stated_rate(simulated):
-    """95 % each: 3 misses of 6 have a chance of 0.2 %."""
+    """95 % each: 2 misses of 4 have a chance of 1.4 %. `tests/benchmarks/joint_coverage.py` draws more."""
     truth = {"c": C0, "f_kappa": 50.0, "m": 4.0}
     inside = dict.fromkeys(truth, 0)
-    for seed in range(6):
+    for seed in range(4):
         data = measurement(simulated, **truth, rng=np.random.default_rng(seed))
         _, found = joint_fit(task(simulated, [data]), STARTS, max_solves=6)
         for name, value in truth.items():
             inside[name] += found.profiles[name].low <= value <= found.profiles[name].high
-    assert min(inside.values()) >= 4, inside
+    assert min(inside.values()) >= 3, inside
 
 
 def test_problem_counts_its_freedom(simulated):

@@ -171,7 +171,7 @@ def test_limb_agrees_with_febio_at_every_level(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["deep-39mm", "deep-46mm"])
+@pytest.mark.parametrize("name", ["deep-46mm"])  # and "deep-39mm": 12 s more, with as good an end
 def test_deep_models_of_others_end_with_febios_forces(shared: Path, tmp_path: Path, name: str) -> None:
     """Another mesher's models, a third of the tissue deep, with skin up to the rim of a probe without walls.
 

@@ -18,9 +18,9 @@ from limbcli.stages.synth import synth
 from tests.benchmarks.small_case import write_case
 from tests.stages.test_mesh import prism
 
-QUICK = DiagnoseOptions(effects=("force-zero",), interventions=False, size=5.0)
+QUICK = DiagnoseOptions(effects=("force-zero",), interventions=False, size=6.0)
 MEASURED = SynthOptions(
-    tissue=KnownTissue(c_kpa=8.0, f_kappa=100.0, m=4.0), size=5.0, element="tet10",
+    tissue=KnownTissue(c_kpa=8.0, f_kappa=100.0, m=4.0), size=6.0, element="tet10",
     protocol=LoadingProtocol(max_force=8.0, hold=1.0),
 )  # fmt: skip
 
@@ -41,7 +41,7 @@ def test_a_bone_that_only_the_surfaces_have_is_left_out(tmp_path):
     """Measured on a limb with the large bone; brought with two."""
     limb = Case.open(write_case(tmp_path / "limb"))
     segment(limb, out=tmp_path / "truth")
-    mesh(limb, out=tmp_path / "truth", size=5.0, far_size=12.0, element="tet10")
+    mesh(limb, out=tmp_path / "truth", size=6.0, far_size=14.0, element="tet10")
     brought = synth(limb, out=tmp_path / "truth", out_case=tmp_path / "brought", options=MEASURED).folder
     add_bone(brought)
     case = Case.open(brought)
