@@ -37,6 +37,7 @@ _WHOLE = (1.0, 400.0)  # mm
 # mm, the median of a table: 752 rows of arms and legs (Neumann et al. 2018) have 1.4, and none less than 0.6
 _THINNEST_SKIN = 0.4
 _FORCE = (0.05, 500.0)  # N
+_LEAST_BELOW = 1e-3  # of the whole's shortening, by fat and muscle: less is rounding
 _SLOPE_OFF = 5.0  # times the pressure over the depth: beyond it the slope's unit is wrong
 
 
@@ -228,6 +229,17 @@ def _contradictions(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
         path,
         lambda k: f"the whole grows under load: total_strain is {columns['total_strain'][k]:g}",
         "shortening counts positive; mark both images again",
+    )
+    below = table.shortened[:, 1:].sum(axis=1)
+    found += _listed(
+        complete & (depth > 0) & (below < _LEAST_BELOW * depth),
+        lines,
+        path,
+        lambda k: (
+            f"fat and muscle together do not shorten under load: {table.shortened[k, 1]:.2f} and "
+            f"{table.shortened[k, 2]:.2f} mm, of {depth[k]:.2f} mm"
+        ),
+        "shortening counts positive; mark the borders of both images again",
     )
     girth = columns.get("circumference_mm", np.full(len(lines), np.nan))
     found += _listed(
