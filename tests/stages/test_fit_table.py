@@ -1,5 +1,6 @@
-"""Standard errors of fit.json, against the scatter of repeated fits on the cheap limb."""
+"""Standard errors of fit.json, against the scatter of repeated fits on the cheap limb; curves.csv."""
 
+import csv
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from limbcli.inference.interval import Stiffness
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.two_step_fit import ForceDepth, two_step
+from limbcli.stages.fitting.result import write_curves
 from limbcli.stages.fitting.table import Identified, total_covariance
 from tests.loading import module_at
 
@@ -28,3 +30,28 @@ def test_a_standard_error_is_the_scatter_of_fits_also_where_noise_is_larger_than
         found.append(np.log(steps[-1].theta[1]))
         stated.append(np.sqrt(total_covariance(whole, steps[-1])[2, 2]))
     assert np.median(stated) == pytest.approx(np.std(found, ddof=1), rel=0.5)
+
+
+def found_of(depth, force, **options):
+    """The cheap limb's fit to these levels."""
+    limb = module_at(Path(__file__).parents[1] / "inference" / "simulated.py")
+    knots = np.unique(depth[depth > 0.0])
+    memory = SolvedPoints(limb.curve(knots, C, "tet4"))
+    data = ForceDepth(force, depth, 0.1, 0.1)
+    steps = two_step(memory, knots, data, guided=False)
+    start = np.array([100.0, 2.0])
+    return Identified(memory, knots, data, Stiffness(C, 0.1), "", start, steps, None, 0.0, **options)
+
+
+def test_curves_hold_every_level_also_two_of_one_depth_and_one_before_touch(tmp_path):
+    depth = np.array([0.0, -0.1, 2.0, 4.0, 6.0, 6.0, 8.0])
+    force = np.array([0.0, 0.4, 3.9, 8.6, 14.6, 15.2, 23.1])
+    found = found_of(depth, force)
+    write_curves(found, tmp_path / "curves.csv")
+    with (tmp_path / "curves.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    levels = [(float(r["depth_mm"]), float(r["measured_n"]), r["ogden_n"]) for r in rows if r["measured_n"]]
+    assert [each[:2] for each in levels] == sorted(zip(depth, force, strict=True))
+    assert levels[0][2] == levels[1][2] == "0"
+    assert levels[-3][2] == levels[-2][2]
+    assert len(rows) > 100
