@@ -33,6 +33,7 @@ from limbcli.solvers.base import Simulation, Solver
 from limbcli.stages.build_feb import tissue_stiffness
 from limbcli.stages.fitting.contact_check import forces_with_penalty, leave_contact_check
 from limbcli.stages.fitting.cycles import leave_cycle, through_cycle
+from limbcli.stages.fitting.exports import leave_mat
 from limbcli.stages.fitting.force_curves import FileCurve, ReferenceCurve, with_tissue
 from limbcli.stages.fitting.geometry import geometry_doubt
 from limbcli.stages.fitting.geometry_result import leave_geometry
@@ -161,6 +162,7 @@ def _fit_site(
             leave_contact_check(penalty, curve(theta).values, knots, harder, writer, progress=progress)
         leave_speeds(fitted, simulation, levels, site, writer)
         leave_layers(fitted, simulation, levels, site, writer)
+        leave_mat(writer)
 
 
 def _intervals(

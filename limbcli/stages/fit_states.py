@@ -25,6 +25,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.stages.fit import FitOptions, built_model, check_numbers
 from limbcli.stages.fit_joint import JointOptions, Measured, check_noise, site_data
+from limbcli.stages.fitting.exports import leave_mat
 from limbcli.stages.fitting.laws import FitLaw, first_shapes, law_named
 from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.stages.fitting.state_curve import StateCurve
@@ -94,6 +95,7 @@ def fit_states(
             _fit_site(case, site, out, writer, law, states, options, progress)
             writer.data["asked"] = {**options.asked(), **asked_of_options(states)}
             writer.data["seconds"] = time.perf_counter() - clock
+            leave_mat(writer)
         assert writer.result is not None
         results.append(writer.result)
     return results

@@ -102,6 +102,7 @@ def test_results_are_left_for_other_programs(fitted):
     assert rows["mooney-rivlin", "f_kappa"]["flag"]
     mat = loadmat(result.path("mat"), simplify_cells=True)["fit"]
     assert mat["f_kappa"] == pytest.approx(result.data["f_kappa"])
+    assert set(mat) == set(result.data) > {"misfit", "contact_check", "swe"}
     assert mat["steps"]["mooney_rivlin"]["m"] == 2.0
     snippet = etree.fromstring(result.path("material").read_text().split("-->")[1].strip())
     assert snippet.get("type") == "Ogden unconstrained"

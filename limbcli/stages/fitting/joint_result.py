@@ -56,7 +56,7 @@ def leave_joint(
     )  # fmt: skip
     rows = parameter_rows("+".join(writer.data["sites"]), law.name, parameters)
     leave_levels(writer, problem.task.data, lambda k: problem.predict(k, found.best))
-    leave_exports(writer, rows, writer.data, fitted)
+    leave_exports(writer, rows, fitted)
     draw_joint(problem.task.data, lambda k: problem.predict(k, found.best), found, writer)
     for name, each in parameters.items():
         writer.summary.append(f"{name}: {each['headline']}; {each['words']}")

@@ -68,7 +68,7 @@ def leave_result(
     rows = [
         row for name, each in tables.items() for row in parameter_rows(site.name, name, each["parameters"])
     ]
-    leave_exports(writer, rows, writer.data, fitted)
+    leave_exports(writer, rows, fitted)
     draw_fit(found, site, writer)
     _summarise(found, last, writer)
 

@@ -54,7 +54,7 @@ def leave_states(
     fitted = model.with_material(TISSUE, law.along(fibre_direction(model)).material(c, shape))
     several = [each.data for each in problem.task.states]
     leave_levels(writer, several, lambda k: problem.predict(k, found.best))
-    leave_exports(writer, parameter_rows(site.name, law.name, parameters), writer.data, fitted)
+    leave_exports(writer, parameter_rows(site.name, law.name, parameters), fitted)
     draw_joint(
         several, lambda k: problem.predict(k, found.best), found, writer, file="fit-states.png", of="state"
     )
