@@ -10,7 +10,7 @@ from limbcli.inference.interval import Stiffness
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.two_step_fit import ForceDepth, two_step
 from limbcli.stages.fitting.result import write_curves
-from limbcli.stages.fitting.table import Identified, total_covariance
+from limbcli.stages.fitting.table import Identified, step_table, total_covariance
 from tests.loading import module_at
 
 C, KNOTS = 0.008, np.linspace(1.0, 11.0, 11)
@@ -55,3 +55,10 @@ def test_curves_hold_every_level_also_two_of_one_depth_and_one_before_touch(tmp_
     assert levels[0][2] == levels[1][2] == "0"
     assert levels[-3][2] == levels[-2][2]
     assert len(rows) > 100
+
+
+def test_one_depth_read_three_times_does_not_identify_two_parameters():
+    found = found_of(np.array([0.0, 6.0, 6.0, 6.0]), np.array([0.0, 14.7, 14.6, 14.8]))
+    told = step_table(found, 1)
+    assert set(told["flags"].values()) == {"fixed", "weak"}
+    assert np.isnan([told["standard_error"][name] for name in ("f_kappa", "m")]).all()
