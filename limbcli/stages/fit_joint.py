@@ -140,7 +140,7 @@ def fit_joint(
                         _check_contacts(writer, measured, curves, problem, found, progress)
         if joint.compare_laws:
             leave_comparison(writer, table)
-        writer.data["asked"] = {**options.asked(), "gain_deviation": joint.gain_deviation}
+        writer.data["asked"] = {**options.asked("joint"), "gain_deviation": joint.gain_deviation}
         writer.data["seconds"] = time.perf_counter() - clock
         leave_mat(writer)
     assert writer.result is not None

@@ -93,7 +93,7 @@ def fit_states(
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
             clock = time.perf_counter()
             _fit_site(case, site, out, writer, law, states, options, progress)
-            writer.data["asked"] = {**options.asked(), **asked_of_options(states)}
+            writer.data["asked"] = {**options.asked("states"), **asked_of_options(states)}
             writer.data["seconds"] = time.perf_counter() - clock
             leave_mat(writer)
         assert writer.result is not None
