@@ -1,14 +1,19 @@
 """Standard errors of fit.json, against the scatter of repeated fits on the cheap limb; curves.csv."""
 
 import csv
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from limbcli.inference.interval import Stiffness
 from limbcli.inference.prediction import SolvedPoints
+from limbcli.inference.profile import Profile
 from limbcli.inference.two_step_fit import ForceDepth, two_step
+from limbcli.reporting.figures import profiles
+from limbcli.stages.fitting import result as fit_result
 from limbcli.stages.fitting.result import write_curves
 from limbcli.stages.fitting.table import Identified, step_table, total_covariance
 from tests.loading import module_at
@@ -62,3 +67,18 @@ def test_one_depth_read_three_times_does_not_identify_two_parameters():
     told = step_table(found, 1)
     assert set(told["flags"].values()) == {"fixed", "weak"}
     assert np.isnan([told["standard_error"][name] for name in ("f_kappa", "m")]).all()
+
+
+def test_profiles_are_shaded_as_far_as_the_intervals_that_are_told(tmp_path, monkeypatch):
+    """Also where the fit, or a doubt of the geometry, lies beyond where the curve crosses its limit."""
+    values = np.array([1.0, 2.0, 3.0])
+    one = Profile("f_kappa", values, (values - 2.0) ** 2, values[:, None], 1.2, 9.0, False, False, values)
+    told = SimpleNamespace(threshold=0.25, profiles={"f_kappa": one, "m": replace(one, name="m")})
+    depth = np.array([0.0, 3.0, 6.0, 9.0])
+    found = replace(found_of(depth, np.array([0.0, 6.2, 14.6, 28.0])), intervals=(told, told))
+    drawn = []
+    monkeypatch.setattr(profiles, "profile_figure", drawn.append)
+    monkeypatch.setattr(fit_result, "save_figure", lambda *_: None)
+    site = SimpleNamespace(noise=SimpleNamespace(depth=0.1, force=0.1))
+    fit_result.draw_fit(found, site, SimpleNamespace(file=lambda *_: tmp_path))
+    assert [each.interval for each in drawn[0]] == [(1.2, 9.0)] * 2

@@ -113,7 +113,14 @@ def draw_fit(found: Identified, site: Site, writer: StageWriter) -> None:
     if not found.intervals:
         return
     profiles = [
-        ProfileCurve(name, each.values, each.deviance, float(value), limit=found.intervals[-1].threshold)
+        ProfileCurve(
+            name,
+            each.values,
+            each.deviance,
+            float(value),
+            limit=found.intervals[-1].threshold,
+            interval=(each.low, each.high),
+        )
         for (name, each), value in zip(
             found.intervals[-1].profiles.items(), found.steps[-1].theta, strict=True
         )
