@@ -174,7 +174,7 @@ class JointProblem:
                 speed = np.interp(at, data.knots, deviation[n : 2 * n]) * (data.speed_force > 0.0)
                 total += float(np.sum((speed / data.speed_deviation) ** 2))
             if len(data.layers):
-                borders = deviation[n + n * bool(len(data.log_speed)) :].max() * data.layers.rest
+                borders = deviation[-n * len(data.layers.rest) :].max() * data.layers.rest
                 total += float(np.sum(data.layers.whitened(borders[data.layers.layer]) ** 2))
         return float(np.sqrt(total))
 
