@@ -14,6 +14,7 @@ from limbcli.errors.problems import Problem
 from limbcli.measurement.cohort_table import (
     FACE,
     LAYERS,
+    OF_PERSON,
     PERSON,
     PRESSURE,
     REQUIRED,
@@ -62,7 +63,7 @@ def checked_cohort(path: Path) -> tuple[CohortTable | None, list[Problem]]:
     if any(each.severity == "error" for each in problems):
         return None, problems
     table = replace(_table(raw, path).rows(complete), n_incomplete=n_left)
-    problems += _repeated(table) + _alike(table) + _sexes(table)
+    problems += _repeated(table) + _alike(table) + _sexes(table) + _partly_told(table)
     problems += _grown(table, layer_noise(table.shortened))
     return (None if any(each.severity == "error" for each in problems) else table), problems
 
@@ -304,6 +305,20 @@ def _sexes(table: CohortTable) -> list[Problem]:
         return []
     what = f"sex holds {len(words)} words ({', '.join(map(repr, words[:_SHOWN]))}), so it is not used"
     return [problem(what, table.path, "write one word for each of two, alike in all rows", warning=True)]
+
+
+def _partly_told(table: CohortTable) -> list[Problem]:
+    """What is known of some people only, of which a prediction for all could make no column."""
+    empty = {name: np.isnan(table.others[name]) for name in OF_PERSON if name in table.others}
+    empty[SEX] = np.array([not each for each in table.sex])
+    return [
+        problem(
+            f"{name} is empty in {int(rows.sum())} of {len(rows)} rows, so it is not used"
+            f"{_at(table.lines[rows])}",
+            table.path, "fill the empty cells, or leave it so", warning=True,
+        )
+        for name, rows in empty.items() if rows.any() and not rows.all()
+    ]  # fmt: skip
 
 
 def _grown(table: CohortTable, noise: EdgeNoise) -> list[Problem]:

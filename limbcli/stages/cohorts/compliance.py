@@ -16,11 +16,10 @@ from limbcli.inference.cross_validation import (
     springs_left_out,
 )
 from limbcli.inference.layered_family import LayeredFamily
-from limbcli.measurement.cohort_table import CohortTable
+from limbcli.measurement.cohort_table import OF_PERSON, CohortTable
 from limbcli.model import Array
 from limbcli.stages.cohorts.estimate import noise_of
 
-_PERSON_COLUMNS = ("age_years", "bmi_kg_per_m2")
 _PAIRS = 8  # repeated measurements, from which on repeatability is reported
 _OFF_OF_GAUSSIAN = np.sqrt(2.0 / np.pi)  # mean absolute value of a standard deviation of 1
 
@@ -142,7 +141,7 @@ class _Slab:
 def _with_person(table: CohortTable, features: Array, physics: _Slab, seed: int) -> dict[str, Any] | None:
     """The same with what is known of the person; None where the table does not tell."""
     columns, names = [], []
-    for name in _PERSON_COLUMNS:
+    for name in OF_PERSON:
         values = table.others.get(name)
         if values is not None and np.isfinite(values).all():
             columns.append(values)
