@@ -62,6 +62,17 @@ def test_curves_hold_every_level_also_two_of_one_depth_and_one_before_touch(tmp_
     assert len(rows) > 100
 
 
+def test_the_numerical_error_is_that_of_each_step():
+    levels = np.array([0.0, 3.0, 6.0, 9.0]), np.array([0.0, 6.2, 14.6, 28.0])
+    found = found_of(*levels, gains=(0.9, 0.1))
+    first, last = (found.gain_of(each) for each in found.steps)
+    assert (first, last) == (0.9, 0.1)
+    errors = [
+        step_table(each, 0)["standard_error"]["f_kappa"] for each in (found, replace(found, gains=(0.1, 0.1)))
+    ]
+    assert errors[0] > 4 * errors[1]
+
+
 def test_one_depth_read_three_times_does_not_identify_two_parameters():
     found = found_of(np.array([0.0, 6.0, 6.0, 6.0]), np.array([0.0, 14.7, 14.6, 14.8]))
     told = step_table(found, 1)
