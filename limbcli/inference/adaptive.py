@@ -30,12 +30,14 @@ _SETTLES = 4  # times that weights follow the best fit, at most
 class EstimationProblem(Protocol):
     """What is to be estimated, on surrogates.
 
-    parameters : on the log scale, the whole vector theta; `profiled`: indices
+    parameters : on the log scale, the whole vector theta; `profiled`: indices; `simulated`: of those that a
+        simulation is made with
     n_freedom : data minus parameters
     """
 
     parameters: list[FitParameter]
     profiled: tuple[int, ...]
+    simulated: tuple[int, ...]
     n_freedom: int
 
     def objective(self) -> Objective:
@@ -177,16 +179,23 @@ class _Work:
             self._draw_in(theta, name, side)
 
     def _draw_in(self, theta: Array, name: str, side: int) -> None:
-        """No answer there: the profiles stop half-way between it and the nearest start."""
-        start = self.problem.starts()[0]
-        for k, parameter in enumerate(self.problem.parameters):
-            if k not in self.problem.profiled or (side != 0 and parameter.name != name):
-                continue
-            middle = float(np.sqrt(theta[k] * start[k]))
-            if theta[k] > start[k]:
-                self.problem.parameters[k] = replace(parameter, high=min(parameter.high, middle))
-            elif theta[k] < start[k]:
-                self.problem.parameters[k] = replace(parameter, low=max(parameter.low, middle))
+        """No answer there: search and profiles stop half-way between it and the starts, in what lies beyond.
+
+        It is the parameter whose profile asked, where that does, else all that a simulation is made with.
+        """
+        parameters, starts = self.problem.parameters, np.array(self.problem.starts())
+        least, most = starts.min(axis=0), starts.max(axis=0)
+        beyond = [k for k in self.problem.simulated if not least[k] <= theta[k] <= most[k]]
+        if not beyond:
+            beyond, least, most = list(self.problem.simulated), starts[0], starts[0]
+        own = [k for k in beyond if side != 0 and parameters[k].name == name]
+        for k in own or beyond:
+            if theta[k] > most[k]:
+                high = float(np.sqrt(theta[k] * most[k]))
+                parameters[k] = replace(parameters[k], high=min(parameters[k].high, high))
+            elif theta[k] < least[k]:
+                low = float(np.sqrt(theta[k] * least[k]))
+                parameters[k] = replace(parameters[k], low=max(parameters[k].low, low))
 
     def _is_new(self, theta: Array) -> bool:
         near = [float(np.max(np.abs(np.log(theta / other)))) for other in self.refused]

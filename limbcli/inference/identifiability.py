@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.profile import Profile
@@ -15,6 +16,8 @@ _NO_INFLUENCE = 1e-3  # of the force, for a doubling of the parameter
 _WEAK_RATIO = 3.0  # upper over lower end of the interval
 _TRADES_OFF = 0.95
 _TWO_SIDED = 1.96  # standard errors to either side of a 95 % interval
+_ALIKE = 1e-7  # of the largest singular value: below it a combination of parameters moves nothing
+_TAKES_PART = 1e-6  # of such a combination's length
 
 
 def force_variance(slope: Array, *, force_deviation: float, depth_deviation: float) -> Array:
@@ -27,6 +30,27 @@ def force_variance(slope: Array, *, force_deviation: float, depth_deviation: flo
     array([0.09, 0.25])
     """
     return force_deviation**2 + (slope * depth_deviation) ** 2
+
+
+def are_told(columns: Array) -> NDArray[np.bool_]:
+    """Which parameters (p,) the data tell apart from the others, by the derivatives (n, p) of a prediction.
+
+    Neither one without any influence nor one that makes up for others whole has a standard error.
+
+    >>> alike = np.array([[1.0, 2.0, 0.0], [2.0, 4.0, 1.0], [3.0, 6.0, 0.0]])
+    >>> are_told(alike).tolist(), are_told(alike[:, [0, 2]]).tolist()
+    ([False, False, True], [True, True])
+    """
+    lengths = np.linalg.norm(columns, axis=0)
+    told = np.asarray(lengths > 0.0)
+    seen = np.flatnonzero(told)
+    if not len(seen):
+        return told
+    _, sizes, ways = np.linalg.svd(columns[:, seen] / lengths[seen])
+    silent = np.ones(len(seen), dtype=bool)
+    silent[: len(sizes)] = sizes <= _ALIKE * sizes[0]
+    told[seen[(np.abs(ways[silent]) > _TAKES_PART).any(axis=0)]] = False
+    return told
 
 
 def log_covariance(
@@ -48,14 +72,12 @@ def log_covariance(
     nuisance : (n,) or (n, k) d prediction / d ln of the quantities held fixed (c)
     nuisance_deviation : standard deviation of their ln, or (k,)
 
-    Entries of a parameter without any influence are NaN.
+    Entries of a parameter that the data do not tell (`are_told`) are NaN.
     """
     p = sensitivity.shape[1]
     covariance = np.full((p, p), np.nan)
-    seen = np.flatnonzero(np.abs(sensitivity).max(axis=0) > 0.0)
-    if len(seen) == 0 or len(sensitivity) < len(seen):
-        return covariance
-    estimator = np.linalg.pinv(sensitivity[:, seen])
+    seen = np.flatnonzero(are_told(sensitivity))
+    estimator = np.linalg.pinv(sensitivity)[seen]
     block = (estimator * variance) @ estimator.T
     if nuisance is not None:
         carried = estimator @ (nuisance * nuisance_deviation).reshape(len(nuisance), -1)

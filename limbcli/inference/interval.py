@@ -108,7 +108,7 @@ class _ForceProblem:
         self.share = np.ones(len(self.depth))
         if stiffness.share is not None:
             self.share = at_depths(stiffness.share[None], knots, self.depth)[:, 0]
-        self.profiled = tuple(range(1, 1 + len(free)))
+        self.profiled = self.simulated = tuple(range(1, 1 + len(free)))
         self.n_freedom = max(len(self.force) - len(free), 1)
         self.emulator = Emulator(curve)
         self.spread: Array | None = None  # N (n, n_modes)

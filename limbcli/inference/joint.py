@@ -87,6 +87,7 @@ class JointProblem:
             *(FitParameter(f"gain {task.data[k].name}", 1.0, 0.2, 5.0, "log") for k in self.gained),
         ]
         self.profiled = tuple(range(1 + self.n_shape))
+        self.simulated = self.profiled if any(task.beside_layers) else self.profiled[1:]
         self.emulators = [Emulator(each) for each in task.curves]
         self._starts = list(starts)
         n_data = sum(len(each.force) + len(each.log_speed) + len(each.layers) for each in task.data)
@@ -174,7 +175,7 @@ class JointProblem:
                 speed = np.interp(at, data.knots, deviation[n : 2 * n]) * (data.speed_force > 0.0)
                 total += float(np.sum((speed / data.speed_deviation) ** 2))
             if len(data.layers):
-                borders = deviation[n + n * bool(len(data.log_speed)) :].max() * data.layers.rest
+                borders = deviation[-n * len(data.layers.rest) :].max() * data.layers.rest
                 total += float(np.sum(data.layers.whitened(borders[data.layers.layer]) ** 2))
         return float(np.sqrt(total))
 

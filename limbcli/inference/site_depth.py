@@ -115,8 +115,9 @@ def predict_site(
 ) -> SitePrediction:
     """What a site's simulation says of its measurement.
 
-    curve : shape -> forces at the knots (N), then, where the data hold speeds, speeds there (m/s), then,
-        where they hold layers, depths below the skin (mm) of all borders at the first knot, the second, ...;
+    curve : shape -> forces at the knots (N), then speeds there (m/s), which may lack if the data have none,
+        then, where they hold layers, depths below the skin (mm) of all borders at the first knot, at the
+        second, ...;
         for c_ratio 1 and gain 1
     log_speed_0 : ln of the speed in unloaded tissue at c_ratio 1: sqrt(c / (2 rho)), but for laws with fibres
     stiffness (n,) : dF/dd at the forces, N/mm
@@ -131,7 +132,7 @@ def predict_site(
     reached = invert(knots, force, wanted)
     stiffness, reached_by = _implicit(knots, force, force_by, reached, wanted)
     of_speeds, of_layers = slice(m, m + len(data.speed_force)), slice(m + len(data.speed_force), None)
-    last = n + n * bool(len(data.speed_force))
+    last = len(answer.values) - n * len(data.layers.rest)  # its speeds may have been left out of the data
     thickness, thickness_by = _layers(
         data.layers, knots, answer.values[last:], by_log[last:], reached[of_layers], reached_by[of_layers]
     )
@@ -142,8 +143,9 @@ def predict_site(
             depth, reached_by[:m], stiffness[:m], np.zeros(0), none, thickness, thickness_by
         )
     rest, rest_by = log_speed_0(shape) if callable(log_speed_0) else (log_speed_0, np.zeros(len(shape)))
-    speed = np.r_[rest, np.log(answer.values[n:last])]
-    speed_by = np.vstack([rest_by, by_log[n:last] / answer.values[n:last, None]])
+    of_curve = slice(n, 2 * n)
+    speed = np.r_[rest, np.log(answer.values[of_curve])]
+    speed_by = np.vstack([rest_by, by_log[of_curve] / answer.values[of_curve, None]])
     sample = pchip_sample(knots, speed, np.clip(at, 0.0, knots[-1]))
     slope = np.where((at > 0.0) & (at < knots[-1]), sample.slopes, 0.0)
     log_speed = sample.values + 0.5 * np.log(c_ratio)

@@ -83,6 +83,7 @@ class StatesProblem:
             *([FitParameter("gain", 1.0, 0.2, 5.0, "log")] if self.gained else []),
         ]
         self.profiled = tuple(range(1 + self.n_shape + self.n_stretches))
+        self.simulated = self.profiled if task.beside_layers else self.profiled[1:]
         self.emulator = Emulator(task.curve)
         self._starts = list(starts)
         n_data = sum(len(each.data.force) + len(each.data.log_speed) for each in task.states)

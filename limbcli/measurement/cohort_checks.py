@@ -14,6 +14,7 @@ from limbcli.errors.problems import Problem
 from limbcli.measurement.cohort_table import (
     FACE,
     LAYERS,
+    OF_PERSON,
     PERSON,
     PRESSURE,
     REQUIRED,
@@ -37,6 +38,7 @@ _WHOLE = (1.0, 400.0)  # mm
 # mm, the median of a table: 752 rows of arms and legs (Neumann et al. 2018) have 1.4, and none less than 0.6
 _THINNEST_SKIN = 0.4
 _FORCE = (0.05, 500.0)  # N
+_LEAST_BELOW = 1e-3  # of the whole's shortening, by fat and muscle: less is rounding
 _SLOPE_OFF = 5.0  # times the pressure over the depth: beyond it the slope's unit is wrong
 
 
@@ -61,7 +63,7 @@ def checked_cohort(path: Path) -> tuple[CohortTable | None, list[Problem]]:
     if any(each.severity == "error" for each in problems):
         return None, problems
     table = replace(_table(raw, path).rows(complete), n_incomplete=n_left)
-    problems += _repeated(table) + _alike(table) + _sexes(table)
+    problems += _repeated(table) + _alike(table) + _sexes(table) + _partly_told(table)
     problems += _grown(table, layer_noise(table.shortened))
     return (None if any(each.severity == "error" for each in problems) else table), problems
 
@@ -229,6 +231,17 @@ def _contradictions(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
         lambda k: f"the whole grows under load: total_strain is {columns['total_strain'][k]:g}",
         "shortening counts positive; mark both images again",
     )
+    below = table.shortened[:, 1:].sum(axis=1)
+    found += _listed(
+        complete & (depth > 0) & (below < _LEAST_BELOW * depth),
+        lines,
+        path,
+        lambda k: (
+            f"fat and muscle together do not shorten under load: {table.shortened[k, 1]:.2f} and "
+            f"{table.shortened[k, 2]:.2f} mm, of {depth[k]:.2f} mm"
+        ),
+        "shortening counts positive; mark the borders of both images again",
+    )
     girth = columns.get("circumference_mm", np.full(len(lines), np.nan))
     found += _listed(
         complete & (np.nan_to_num(girth, nan=np.inf) <= np.pi * whole),
@@ -292,6 +305,20 @@ def _sexes(table: CohortTable) -> list[Problem]:
         return []
     what = f"sex holds {len(words)} words ({', '.join(map(repr, words[:_SHOWN]))}), so it is not used"
     return [problem(what, table.path, "write one word for each of two, alike in all rows", warning=True)]
+
+
+def _partly_told(table: CohortTable) -> list[Problem]:
+    """What is known of some people only, of which a prediction for all could make no column."""
+    empty = {name: np.isnan(table.others[name]) for name in OF_PERSON if name in table.others}
+    empty[SEX] = np.array([not each for each in table.sex])
+    return [
+        problem(
+            f"{name} is empty in {int(rows.sum())} of {len(rows)} rows, so it is not used"
+            f"{_at(table.lines[rows])}",
+            table.path, "fill the empty cells, or leave it so", warning=True,
+        )
+        for name, rows in empty.items() if rows.any() and not rows.all()
+    ]  # fmt: skip
 
 
 def _grown(table: CohortTable, noise: EdgeNoise) -> list[Problem]:

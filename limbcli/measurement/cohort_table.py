@@ -23,6 +23,7 @@ LAYERS = ("skin", "fat", "muscle")
 PERSON, SITE, TRIAL, SEX = "subject", "location", "trial", "sex"
 _ALSO = {"person": PERSON, "site": SITE}
 FACE, PRESSURE = "face_mm2", "max_pressure_mpa"
+OF_PERSON = ("age_years", "bmi_kg_per_m2")  # used by a second prediction, where every row tells them
 
 REQUIRED: Mapping[str, str] = {
     "max_force_n": "largest normal force of the probe",

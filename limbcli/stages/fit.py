@@ -33,6 +33,7 @@ from limbcli.solvers.base import Simulation, Solver
 from limbcli.stages.build_feb import tissue_stiffness
 from limbcli.stages.fitting.contact_check import forces_with_penalty, leave_contact_check
 from limbcli.stages.fitting.cycles import leave_cycle, through_cycle
+from limbcli.stages.fitting.exports import leave_mat
 from limbcli.stages.fitting.force_curves import FileCurve, ReferenceCurve, with_tissue
 from limbcli.stages.fitting.geometry import geometry_doubt
 from limbcli.stages.fitting.geometry_result import leave_geometry
@@ -126,9 +127,9 @@ def _fit_site(
         theta = steps[-1].theta
         given = options.gain_deviation
         studied = None if given is not None else studied_error(case, site, out, writer)
-        gain = gain_deviation(model, given, studied=studied, f_kappa=float(theta[0]))
+        gains = [gain_deviation(model, given, studied=studied, f_kappa=float(x.theta[0])) for x in steps]
         share = _share_of_c(share_of_c, theta, writer) if held_layers(model) else None
-        stiffness = replace(stiffness, gain_deviation=gain, share=share)
+        known = [replace(stiffness, gain_deviation=each, share=share) for each in gains]
         fitted = with_tissue(model, c=c, f_kappa=float(theta[0]), m=float(theta[1]))
         doubt = geometry_doubt(case, site, out, fitted, curve(theta).values, writer, progress=progress)
         intervals, of_noise, why_none = None, None, "no interval was asked for"
@@ -141,12 +142,12 @@ def _fit_site(
         elif options.intervals:
             limit = options.max_interval_solves
             curve.expect(limit + _FIRST_SOLVES)
-            intervals = of_noise = _intervals(curve, knots, data, stiffness, steps, limit, progress)
+            intervals = of_noise = _intervals(curve, knots, data, known, steps, limit, progress)
             if doubt is not None:
-                wide = _intervals(curve, knots, data, stiffness, steps, limit, progress, doubt.modes)
+                wide = _intervals(curve, knots, data, known, steps, limit, progress, doubt.modes)
                 intervals = (no_narrower(wide[0], of_noise[0]), no_narrower(wide[1], of_noise[1]))
         identified = Identified(
-            curve, knots, data, stiffness, c_source, START, steps, intervals, cold, why_none, doubt
+            curve, knots, data, known[-1], c_source, START, steps, intervals, cold, why_none, doubt, gains
         )
         simulation = _leave_fitted_run(fitted, solver, writer, options, progress)
         leave_result(identified, fitted, simulation, writer, site, seconds=time.perf_counter() - clock)
@@ -161,19 +162,20 @@ def _fit_site(
             leave_contact_check(penalty, curve(theta).values, knots, harder, writer, progress=progress)
         leave_speeds(fitted, simulation, levels, site, writer)
         leave_layers(fitted, simulation, levels, site, writer)
+        leave_mat(writer)
 
 
 def _intervals(
-    curve: SolvedPoints, knots: Array, data: ForceDepth, stiffness: Stiffness, steps: Sequence[FittedStep],
-    limit: int, progress: Progress, modes: Array | None = None,
+    curve: SolvedPoints, knots: Array, data: ForceDepth, known: Sequence[Stiffness],
+    steps: Sequence[FittedStep], limit: int, progress: Progress, modes: Array | None = None,
 ) -> tuple[Intervals, Intervals]:  # fmt: skip
-    """Of both steps; `modes`: with the doubt of the geometry."""
+    """Of both steps, `known`: what is at each; `modes`: with the doubt of the geometry."""
     theta = steps[-1].theta
     full = force_intervals(
-        curve, knots, data, stiffness, theta, max_solves=limit, shape_modes=modes, progress=progress
+        curve, knots, data, known[-1], theta, max_solves=limit, shape_modes=modes, progress=progress
     )
     first = force_intervals(
-        curve, knots, data, stiffness, steps[0].theta, free=(0,), max_solves=_FIRST_SOLVES, shape_modes=modes
+        curve, knots, data, known[0], steps[0].theta, free=(0,), max_solves=_FIRST_SOLVES, shape_modes=modes
     )
     return first, full
 

@@ -33,6 +33,7 @@ from limbcli.stages.fit import (
 from limbcli.stages.fitting.cycles import leave_cycle, through_cycle
 from limbcli.stages.fitting.exports import write_table
 from limbcli.stages.fitting.force_curves import ReferenceCurve
+from limbcli.stages.fitting.options import COMPARISON
 from limbcli.stages.site_model.site_levels import levels_of
 from limbcli.units import kpa_from_mpa
 
@@ -81,6 +82,7 @@ def compare_elements(
     for site in case.selected(sites):
         progress.event("stage", name=STAGE, site=site.name)
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
+            writer.data["asked"] = options.asked(COMPARISON)
             _compare_site(case, site, out, writer, options, progress)
         assert writer.result is not None
         results.append(writer.result)
@@ -115,7 +117,6 @@ def _compare_site(
         found.append(
             ElementFit(element, curve.depths, start, np.array(sweep), steps, forces, linear, _unknowns(same))
         )
-    writer.data["asked"] = options.asked()
     _leave(writer, found, kpa_from_mpa(stiffness.c), source, data.depth, data.force)
 
 

@@ -34,6 +34,7 @@ from limbcli.solvers.material_lines import MaterialLines
 from limbcli.stages.fit import FitOptions, built_model, check_numbers, initial_stiffness
 from limbcli.stages.fitting.contact_check import leave_contact_check
 from limbcli.stages.fitting.cycles import leave_cycle, through_cycle
+from limbcli.stages.fitting.exports import leave_mat
 from limbcli.stages.fitting.fibre_orientations import leave_orientations
 from limbcli.stages.fitting.fibre_rest_speed import rest_speed
 from limbcli.stages.fitting.fibre_uncertainty import leave_direction_doubt, told_deviation
@@ -139,8 +140,9 @@ def fit_joint(
                         _check_contacts(writer, measured, curves, problem, found, progress)
         if joint.compare_laws:
             leave_comparison(writer, table)
-        writer.data["asked"] = {**options.asked(), "gain_deviation": joint.gain_deviation}
+        writer.data["asked"] = {**options.asked("joint"), "gain_deviation": joint.gain_deviation}
         writer.data["seconds"] = time.perf_counter() - clock
+        leave_mat(writer)
     assert writer.result is not None
     return writer.result
 

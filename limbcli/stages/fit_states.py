@@ -25,6 +25,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.stages.fit import FitOptions, built_model, check_numbers
 from limbcli.stages.fit_joint import JointOptions, Measured, check_noise, site_data
+from limbcli.stages.fitting.exports import leave_mat
 from limbcli.stages.fitting.laws import FitLaw, first_shapes, law_named
 from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.stages.fitting.state_curve import StateCurve
@@ -92,8 +93,9 @@ def fit_states(
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
             clock = time.perf_counter()
             _fit_site(case, site, out, writer, law, states, options, progress)
-            writer.data["asked"] = {**options.asked(), **asked_of_options(states)}
+            writer.data["asked"] = {**options.asked("states"), **asked_of_options(states)}
             writer.data["seconds"] = time.perf_counter() - clock
+            leave_mat(writer)
         assert writer.result is not None
         results.append(writer.result)
     return results

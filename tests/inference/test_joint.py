@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from limbcli.errors import FitError
+from limbcli.errors import FitError, SolveError
 from limbcli.inference.joint import (
+    C_SPAN,
     JointProblem,
     JointTask,
     SiteMeasurement,
@@ -282,3 +283,26 @@ def test_beside_layers_c_is_simulated_where_it_is_fitted():
     assert np.abs(np.log(solved / 1.25)).min() < 0.05
     far = problem.within_reach(np.array([9.0 * C0, 50.0, 4.0, 1.0]))
     assert far[0] == pytest.approx(2 * solved.max() * C0), "a step at a time"
+
+
+@pytest.mark.slow
+def test_nothing_is_found_beyond_what_could_be_simulated(simulated):
+    """The truth (m 8) is near where no simulation converges; c, which needs none, asks first."""
+    plain = curve(simulated)
+
+    def limited(theta, wrt=()):
+        if theta[1] > 8.2:
+            raise SolveError("no answer", where="the cheap limb", fix="none")
+        return plain(theta, wrt)
+
+    memory = SolvedPoints(limited)
+    for start in STARTS:
+        memory(start[1:], (0, 1))
+    data = measurement(simulated, c=C0, f_kappa=50.0, m=8.0)
+    task = JointTask([memory], [data], SHAPE, C0, [LOG_SPEED_0])
+    problem, found = joint_fit(task, STARTS, max_solves=3)
+    largest = max(theta[1] for theta, _ in memory.solved)
+    assert found.unsolved
+    assert found.best[2] == pytest.approx(largest, rel=1e-3)
+    assert found.profiles["m"].open_high
+    assert (problem.parameters[0].low, problem.parameters[0].high) == (C0 / C_SPAN, C0 * C_SPAN)

@@ -49,6 +49,22 @@ def with_layers(data, m, noise=None):
     return replace(data, layers=LayerData(force, layer, thickness, covariance, REST))
 
 
+def test_layers_are_the_same_beside_speeds_that_were_left_out(simulated):
+    """As a fold leaves out the only level that has one: the curve holds speeds all the same."""
+    data = with_layers(measurement(simulated, c=C0, f_kappa=50.0, m=4.0), 4.0)
+    none = np.zeros(0)
+    without = replace(data, speed_force=none, log_speed=none, speed_deviation=none)
+    memory = SolvedPoints(layered(simulated))
+    for start in STARTS:
+        memory(start[1:], (0, 1))
+    tasks = [JointTask([memory], [each], SHAPE, C0, [LOG_SPEED_0]) for each in (data, without)]
+    problems = [JointProblem(each, STARTS) for each in tasks]
+    seen = [each.predict(0, STARTS[0]) for each in problems]
+    np.testing.assert_array_equal(seen[1].layers, seen[0].layers)
+    np.testing.assert_array_equal(seen[1].layers_slope, seen[0].layers_slope)
+    assert problems[1].doubt(STARTS[0]) <= problems[0].doubt(STARTS[0])
+
+
 @pytest.mark.parametrize("speeds", [True, False])
 def test_derivatives_of_layers_are_those_of_differences(simulated, speeds):
     data = with_layers(measurement(simulated, c=C0, f_kappa=50.0, m=4.0), 4.0)

@@ -42,6 +42,15 @@ def test_a_parameter_without_influence_has_no_standard_error(rng):
     assert list(has_influence(design, np.ones(8))) == [True, False]
 
 
+def test_parameters_that_make_up_for_each_other_whole_have_no_standard_error(rng):
+    """Their scatter has no bounds; what else the data tell keeps its own."""
+    one, other = rng.standard_normal((2, 8))
+    covariance = log_covariance(np.column_stack([one, 3.0 * one, other]), np.ones(8))
+    assert np.isnan(covariance[:2]).all()
+    whole = log_covariance(np.column_stack([one, other]), np.ones(8))
+    assert covariance[2, 2] == pytest.approx(whole[1, 1])
+
+
 def test_every_verdict_has_its_case():
     cases = {
         "identified": verdict(F_KAPPA, 100.0, profile(80.0, 130.0), influence=True),

@@ -184,6 +184,30 @@ def test_centimetres_metres_and_percent_look_wrong(tmp_path):
     assert "a strain is" in reported(tmp_path, rows)
 
 
+@pytest.mark.parametrize("below", [(0.0, 0.0), (-0.2, 0.1), (-0.2, 0.2)])
+def test_fat_and_muscle_that_do_not_shorten_have_no_part_of_it(tmp_path, below):
+    """Without skin's shortening there is nothing that fat could have a part of."""
+    rows, thickness, shortened = good(), np.array([1.5, 8.0, 33.0]), np.array([0.5, *below])
+    slope = 0.01 / shortened.sum()
+    rows[3] = row("P03", "LL_P", 0.01 * FACE, thickness, shortened, slope)
+    found = reported(tmp_path, rows)
+    assert "line 5" in found
+    assert "fat and muscle together do not shorten under load" in found
+
+
+def test_what_is_known_of_some_people_only_is_told_not_to_be_used(tmp_path):
+    told = [{"age_years": 30 + k, "bmi_kg_per_m2": "", "sex": "fm"[k % 2]} for k in range(12)]
+    rows = [{**each, **own} for each, own in zip(good(), told, strict=True)]
+    changed(rows, age_years="")
+    changed(rows, k=5, sex="")
+    table, problems = checked_cohort(written(tmp_path / "t.csv", rows))
+    assert table is not None
+    assert [(each.severity, each.what) for each in problems] == [
+        ("warning", "age_years is empty in 1 of 12 rows, so it is not used (lines 5)"),
+        ("warning", "sex is empty in 1 of 12 rows, so it is not used (lines 7)"),
+    ]
+
+
 def test_duplicated_rows_and_numbered_trials(tmp_path):
     rows = [*good(), dict(good()[3])]
     assert "person P03, site LL_P stands in line 5 already" in reported(tmp_path, rows)

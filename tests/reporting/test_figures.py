@@ -141,8 +141,9 @@ def test_profile_is_shaded_to_where_it_crosses_the_limit():
         "f_kappa", values, np.where(values < 5.0, ((values - 5.0) / 2.0) ** 2, 0.0), 5.0
     )
     estimated = ProfileCurve("m", values, whole.deviance, 5.0, limit=2.25)
-    panels = profile_figure([whole, open_above, estimated]).axes
-    ends_of = [(5.0 - crossing, 5.0 + crossing), (5.0 - crossing, 9.0), (2.0, 8.0)]
+    told = ProfileCurve("m", values, whole.deviance, 9.5, interval=(1.5, 9.5))
+    panels = profile_figure([whole, open_above, estimated, told]).axes
+    ends_of = [(5.0 - crossing, 5.0 + crossing), (5.0 - crossing, 9.0), (2.0, 8.0), (1.5, 9.5)]
     for axes, ends in zip(panels, ends_of, strict=True):
         (shade,) = axes.patches
         low, high = shade.get_x(), shade.get_x() + shade.get_width()

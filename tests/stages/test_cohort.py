@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from limbcli.inference.layered_family import is_inside, layered_family
 from limbcli.inference.layered_solves import FILE, HIGH, LOW, read_solved
 from limbcli.measurement.cohort_checks import checked_cohort
 from limbcli.stages.cohort import _refuse_foreign, cohort, read_cohort
-from limbcli.stages.cohorts.compliance import _person_share
+from limbcli.stages.cohorts.compliance import _person_share, _Slab
 from limbcli.stages.cohorts.estimate import estimate_sites, noise_of
 from limbcli.stages.cohorts.family import Member, solve_member
 from limbcli.stages.cohorts.result import holm, natural, person_scores
@@ -35,6 +36,19 @@ def twelve(tmp_path_factory):
     table = written(folder / "people.csv", rows)
     result = cohort(table, out=folder / "out")
     return theta, folder / "out", result
+
+
+def test_nothing_of_a_left_out_person_enters_the_slab(tmp_path):
+    """Not by the noise of the marks either, which a layer that grows makes larger."""
+    rows, _ = people(24, mean=MEAN, spread=SPREAD, rng=np.random.default_rng(7), noise_mm=0.4)
+    told, _ = checked_cohort(written(tmp_path / "t.csv", rows))
+    train = np.arange(24) > 0
+    shortened = told.shortened.copy()
+    shortened[0, 0] = -1.0
+    other = replace(told, shortened=shortened, slope=told.slope * np.where(train, 1.0, 2.0))
+    assert not np.allclose(noise_of(other).layers.shortened, noise_of(told).layers.shortened)
+    answers = [_Slab(each, layered_family())(train) for each in (told, other)]
+    np.testing.assert_array_equal(*answers)
 
 
 def test_twelve_rows_end_in_a_page_a_table_and_a_json(twelve):

@@ -22,6 +22,7 @@ from limbcli.solvers.reference import ReferenceSolver
 from limbcli.stages.fit import START, FitOptions, fit, initial_stiffness
 from limbcli.stages.fit_joint import fit_joint
 from limbcli.stages.fitting.force_curves import FileCurve, ReferenceCurve, shares
+from limbcli.stages.fitting.numerical_error import gain_deviation
 from tests.stages import block_case as block
 
 TRUTH = {"c": 0.008, "f_kappa": 150.0, "m": 3.0}
@@ -85,6 +86,18 @@ def test_the_fitted_model_and_its_records_are_left(fitted):
     assert simulation.probe_depth()[-1] == pytest.approx(DEPTHS[-1])
 
 
+def test_either_step_counts_what_locking_makes_of_the_force_at_its_own_f_kappa(fitted):
+    """With m = 2 another f_kappa stiffens the mesh: its interval has to allow for that."""
+    steps = fitted[0].data["steps"]
+    model = read_feb(fitted[0].path("feb"))
+    for name in ("mooney-rivlin", "ogden"):
+        own = gain_deviation(model, None, f_kappa=steps[name]["f_kappa"])
+        assert steps[name]["numerical_error_fraction"] == pytest.approx(own)
+    first, last = (steps[name]["numerical_error_fraction"] for name in ("mooney-rivlin", "ogden"))
+    assert first > last
+    assert fitted[0].data["numerical_error_fraction"] == last
+
+
 def test_curves_hold_measured_and_simulated_forces(fitted, forces):
     with fitted[0].path("curves").open() as stream:
         rows = list(csv.DictReader(stream))
@@ -102,6 +115,7 @@ def test_results_are_left_for_other_programs(fitted):
     assert rows["mooney-rivlin", "f_kappa"]["flag"]
     mat = loadmat(result.path("mat"), simplify_cells=True)["fit"]
     assert mat["f_kappa"] == pytest.approx(result.data["f_kappa"])
+    assert set(mat) == set(result.data) > {"misfit", "contact_check", "swe"}
     assert mat["steps"]["mooney_rivlin"]["m"] == 2.0
     snippet = etree.fromstring(result.path("material").read_text().split("-->")[1].strip())
     assert snippet.get("type") == "Ogden unconstrained"

@@ -10,14 +10,18 @@ import pytest
 
 from limbcli.case import Case
 from limbcli.feb.settings import schedule
+from limbcli.measurement.levels import Levels
 from limbcli.reporting.figures.layers import LayerPicture, layers_figure
 from limbcli.reporting.sections.layers import layers
+from limbcli.results import open_stage
 from limbcli.solvers.material_lines import material_lines
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.fit import FitOptions, fit
 from limbcli.stages.fit_joint import JointOptions, fit_joint
+from limbcli.stages.fitting import layers as fitted_layers
 from limbcli.stages.fitting.force_curves import LawCurve
 from limbcli.stages.fitting.laws import LAWS
+from limbcli.stages.fitting.layers import PredictedLayers
 from limbcli.stages.site_model.indentation_model import indentation_model
 from tests.stages import block_case as block
 
@@ -79,6 +83,22 @@ def test_derivatives_of_lines_by_the_law_are_those_of_differences():
         assert scale > 1e-5
         np.testing.assert_allclose(exact.jacobian[4:, k], rise, atol=0.03 * scale)
     curve.close()
+
+
+def test_layers_of_a_later_cycle_have_the_numbers_of_its_rows_in_the_file(tmp_path, monkeypatch):
+    """As in swe.csv: a row of either is found in levels.csv by its number."""
+    nan, three, thickness = np.full(3, np.nan), np.arange(3.0), np.array([[1.5, 5.0], [1.4, 4.5], [1.3, 4.0]])
+    levels = Levels(
+        three, three, nan, nan, nan, ("load",) * 3, nan, nan, nan, tmp_path / "levels.csv",
+        {"skin": thickness[:, 0], "fat": thickness[:, 1]}, np.full(3, 2), np.array([5, 6, 7]), 8,
+    )  # fmt: skip
+    found = PredictedLayers(np.arange(3), thickness, 0.0)
+    monkeypatch.setattr(fitted_layers, "predict_layers", lambda *_: found)
+    site = SimpleNamespace(name="p1", noise=SimpleNamespace(layer=0.1))
+    with open_stage(tmp_path, "fit", subject="S1", site="p1") as writer:
+        fitted_layers.leave_layers(None, None, levels, site, writer)
+        with (writer.work / "layers.csv").open() as stream:
+            assert [row["level"] for row in csv.DictReader(stream)] == ["5", "6", "7"]
 
 
 @pytest.mark.slow

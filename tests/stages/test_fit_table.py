@@ -1,14 +1,21 @@
-"""Standard errors of fit.json, against the scatter of repeated fits on the cheap limb."""
+"""Standard errors of fit.json, against the scatter of repeated fits on the cheap limb; curves.csv."""
 
+import csv
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from limbcli.inference.interval import Stiffness
 from limbcli.inference.prediction import SolvedPoints
+from limbcli.inference.profile import Profile
 from limbcli.inference.two_step_fit import ForceDepth, two_step
-from limbcli.stages.fitting.table import Identified, total_covariance
+from limbcli.reporting.figures import profiles
+from limbcli.stages.fitting import result as fit_result
+from limbcli.stages.fitting.result import write_curves
+from limbcli.stages.fitting.table import Identified, step_table, total_covariance
 from tests.loading import module_at
 
 C, KNOTS = 0.008, np.linspace(1.0, 11.0, 11)
@@ -28,3 +35,61 @@ def test_a_standard_error_is_the_scatter_of_fits_also_where_noise_is_larger_than
         found.append(np.log(steps[-1].theta[1]))
         stated.append(np.sqrt(total_covariance(whole, steps[-1])[2, 2]))
     assert np.median(stated) == pytest.approx(np.std(found, ddof=1), rel=0.5)
+
+
+def found_of(depth, force, **options):
+    """The cheap limb's fit to these levels."""
+    limb = module_at(Path(__file__).parents[1] / "inference" / "simulated.py")
+    knots = np.unique(depth[depth > 0.0])
+    memory = SolvedPoints(limb.curve(knots, C, "tet4"))
+    data = ForceDepth(force, depth, 0.1, 0.1)
+    steps = two_step(memory, knots, data, guided=False)
+    start = np.array([100.0, 2.0])
+    return Identified(memory, knots, data, Stiffness(C, 0.1), "", start, steps, None, 0.0, **options)
+
+
+def test_curves_hold_every_level_also_two_of_one_depth_and_one_before_touch(tmp_path):
+    depth = np.array([0.0, -0.1, 2.0, 4.0, 6.0, 6.0, 8.0])
+    force = np.array([0.0, 0.4, 3.9, 8.6, 14.6, 15.2, 23.1])
+    found = found_of(depth, force)
+    write_curves(found, tmp_path / "curves.csv")
+    with (tmp_path / "curves.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    levels = [(float(r["depth_mm"]), float(r["measured_n"]), r["ogden_n"]) for r in rows if r["measured_n"]]
+    assert [each[:2] for each in levels] == sorted(zip(depth, force, strict=True))
+    assert levels[0][2] == levels[1][2] == "0"
+    assert levels[-3][2] == levels[-2][2]
+    assert len(rows) > 100
+
+
+def test_the_numerical_error_is_that_of_each_step():
+    levels = np.array([0.0, 3.0, 6.0, 9.0]), np.array([0.0, 6.2, 14.6, 28.0])
+    found = found_of(*levels, gains=(0.9, 0.1))
+    first, last = (found.gain_of(each) for each in found.steps)
+    assert (first, last) == (0.9, 0.1)
+    errors = [
+        step_table(each, 0)["standard_error"]["f_kappa"] for each in (found, replace(found, gains=(0.1, 0.1)))
+    ]
+    assert errors[0] > 4 * errors[1]
+
+
+def test_one_depth_read_three_times_does_not_identify_two_parameters():
+    found = found_of(np.array([0.0, 6.0, 6.0, 6.0]), np.array([0.0, 14.7, 14.6, 14.8]))
+    told = step_table(found, 1)
+    assert set(told["flags"].values()) == {"fixed", "weak"}
+    assert np.isnan([told["standard_error"][name] for name in ("f_kappa", "m")]).all()
+
+
+def test_profiles_are_shaded_as_far_as_the_intervals_that_are_told(tmp_path, monkeypatch):
+    """Also where the fit, or a doubt of the geometry, lies beyond where the curve crosses its limit."""
+    values = np.array([1.0, 2.0, 3.0])
+    one = Profile("f_kappa", values, (values - 2.0) ** 2, values[:, None], 1.2, 9.0, False, False, values)
+    told = SimpleNamespace(threshold=0.25, profiles={"f_kappa": one, "m": replace(one, name="m")})
+    depth = np.array([0.0, 3.0, 6.0, 9.0])
+    found = replace(found_of(depth, np.array([0.0, 6.2, 14.6, 28.0])), intervals=(told, told))
+    drawn = []
+    monkeypatch.setattr(profiles, "profile_figure", drawn.append)
+    monkeypatch.setattr(fit_result, "save_figure", lambda *_: None)
+    site = SimpleNamespace(noise=SimpleNamespace(depth=0.1, force=0.1))
+    fit_result.draw_fit(found, site, SimpleNamespace(file=lambda *_: tmp_path))
+    assert [each.interval for each in drawn[0]] == [(1.2, 9.0)] * 2

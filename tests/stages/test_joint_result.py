@@ -18,3 +18,21 @@ def test_what_is_said_of_c_is_in_kpa():
     table = parameter_table(problem, found)["c_kpa"]
     assert table["headline"] == "above 5.00 kPa"
     assert "the data exclude only values below 5 kPa" in table["words"]
+
+
+def test_parameters_that_the_data_do_not_tell_apart_have_no_standard_error():
+    none, c = np.zeros(0), np.array([1.0, 2.0, 0.5, 3.0])
+    alike = np.column_stack([100.0 * c, [1.0, 2.0, 3.0, 4.0], [2.0, 4.0, 6.0, 8.0]])
+    parameters = [FitParameter(name, 1.0, 0.1, 10.0, "log") for name in ("c", "f_kappa", "m")]
+    profiles = {
+        each.name: Profile(each.name, none, none, none, 0.1, 10.0, True, True, none) for each in parameters
+    }
+    problem = SimpleNamespace(profiled=(0, 1, 2), parameters=parameters)
+    best = np.array([0.0075, 1.0, 1.0])
+    found = SimpleNamespace(
+        fit=SimpleNamespace(jacobian=alike, theta=best), scale=1.0, profiles=profiles, best=best
+    )
+    table = parameter_table(problem, found)
+    assert np.isfinite(table["c_kpa"]["standard_error"])
+    assert np.isnan([table[name]["standard_error"] for name in ("f_kappa", "m")]).all()
+    assert table["m"]["flag"] == "weak"

@@ -19,7 +19,8 @@ _SYMBOLS = {"f_kappa": r"$f_\kappa$", "m": "m", "c": "c"}
 @dataclass(frozen=True, eq=False)
 class ProfileCurve:
     """values (n,) of a parameter; deviance (n,) fall of twice the log likelihood; the fit's value; `limit`
-    of the deviance at the ends of the 95 % interval."""
+    of the deviance at the ends of the 95 % interval; interval: its ends where they are not those of the curve
+    (one that holds a fit found otherwise, or a doubt that the curve has not), None: where it crosses."""
 
     name: str
     values: Array
@@ -27,6 +28,7 @@ class ProfileCurve:
     estimate: float
     unit: str = "–"
     limit: float = THRESHOLD_95
+    interval: tuple[float, float] | None = None
 
 
 def profile_figure(profiles: Sequence[ProfileCurve]) -> Figure:
@@ -39,7 +41,7 @@ def profile_figure(profiles: Sequence[ProfileCurve]) -> Figure:
             values, deviance = profile.values[order], profile.deviance[order]
             axes.plot(values, deviance, color=BLUE, zorder=3)
             axes.axvspan(
-                *_not_excluded(values, deviance, profile.limit),
+                *(profile.interval or _not_excluded(values, deviance, profile.limit)),
                 color=QUIET,
                 alpha=0.2,
                 lw=0,

@@ -16,10 +16,10 @@ from limbcli.inference.cross_validation import (
     springs_left_out,
 )
 from limbcli.inference.layered_family import LayeredFamily
-from limbcli.measurement.cohort_table import CohortTable
+from limbcli.measurement.cohort_table import OF_PERSON, CohortTable
 from limbcli.model import Array
+from limbcli.stages.cohorts.estimate import noise_of
 
-_PERSON_COLUMNS = ("age_years", "bmi_kg_per_m2")
 _PAIRS = 8  # repeated measurements, from which on repeatability is reported
 _OFF_OF_GAUSSIAN = np.sqrt(2.0 / np.pi)  # mean absolute value of a standard deviation of 1
 
@@ -27,7 +27,10 @@ _OFF_OF_GAUSSIAN = np.sqrt(2.0 / np.pi)  # mean absolute value of a standard dev
 def compliance_left_out(
     table: CohortTable, family: LayeredFamily, slope_deviation: float, layer_deviation: Array, *, seed: int
 ) -> tuple[dict[str, Any], list[str]]:
-    """The entry of cohort.json, and what to warn of."""
+    """The entry of cohort.json, and what to warn of.
+
+    slope_deviation, layer_deviation : of all rows, for what measuring again would differ by
+    """
     n_people = len(table.people)
     if n_people < FOLDS:
         why = f"{n_people} people are too few for {FOLDS} folds by person"
@@ -38,7 +41,7 @@ def compliance_left_out(
             "rows": [],
         }
         return empty, [f"{why}: the compliance of people left out is not predicted"]
-    physics = _Slab(table, family, slope_deviation, layer_deviation)
+    physics = _Slab(table, family)
     features = np.column_stack([np.log(table.thickness), np.log(table.whole), np.log(table.face)])
     people, sites, measured = table.person, table.site, table.compliance
     found = predict_left_out(people, sites, features, measured, physics, seed=seed)
@@ -96,33 +99,38 @@ def compliance_left_out(
 class _Slab:
     """ln compliance of the slab with the mean tissue of the training people, site by site.
 
-    Every row's tissue is found once under one and the same prior, so that no row knows of another; a fold's
-    mean tissue is then that of its training rows, and so is the strain that is typical of a site.
+    The tissue of a training row is found under one and the same prior, so that no row knows of another but by
+    the noise that they tell together; a fold's mean tissue is then that of its training rows, and so is the
+    strain that is typical of a site.
     """
 
-    def __init__(
-        self, table: CohortTable, family: LayeredFamily, slope_deviation: float, layer_deviation: Array
-    ):
+    def __init__(self, table: CohortTable, family: LayeredFamily):
         self._table, self._family = table, family
-        strain = table.depth / table.whole
-        model = CohortModel.of(family, table.thickness, table.face, strain)
-        seen = readings(table.force, table.face, table.whole, table.shortened, table.slope)
-        self._theta = row_modes_of(
+        self._strain = table.depth / table.whole
+
+    def _tissue(self, train: Array) -> Array:
+        """theta (n, 3) of the training rows, by the noise that they tell; NaN of the others."""
+        part = self._table.rows(train)
+        noise = noise_of(part)
+        model = CohortModel.of(self._family, part.thickness, part.face, part.depth / part.whole)
+        seen = readings(part.force, part.face, part.whole, part.shortened, part.slope)
+        theta = np.full((len(self._table), 3), np.nan)
+        theta[train] = row_modes_of(
             model,
             seen,
-            table.shortened,
-            family,
-            layer_deviation=layer_deviation,
-            slope_deviation=slope_deviation,
+            part.shortened,
+            self._family,
+            layer_deviation=noise.layers.shortened,
+            slope_deviation=noise.slope,
         )
-        self._strain = strain
+        return theta
 
     def __call__(self, train: Array) -> Array:
-        out = np.empty(len(self._table))
+        out, tissue = np.empty(len(self._table)), self._tissue(train)
         for site in self._table.sites:
             here = self._table.site == site
             known = here & train if (here & train).any() else train
-            theta = np.tile(self._theta[known].mean(axis=0), (int(here.sum()), 1))
+            theta = np.tile(tissue[known].mean(axis=0), (int(here.sum()), 1))
             strain = np.full(len(theta), np.median(self._strain[known]))
             part = self._table.rows(here)
             model = CohortModel.of(self._family, part.thickness, part.face, strain)
@@ -133,7 +141,7 @@ class _Slab:
 def _with_person(table: CohortTable, features: Array, physics: _Slab, seed: int) -> dict[str, Any] | None:
     """The same with what is known of the person; None where the table does not tell."""
     columns, names = [], []
-    for name in _PERSON_COLUMNS:
+    for name in OF_PERSON:
         values = table.others.get(name)
         if values is not None and np.isfinite(values).all():
             columns.append(values)

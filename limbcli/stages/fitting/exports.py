@@ -27,15 +27,12 @@ PARAMETER_COLUMNS = (
     "flag",
     "words",
 )
-_LONGEST = 63 - 32  # MATLAB's field names in nested structs
+_LONGEST = 63  # letters of a MATLAB field's name
 
 
-def leave_exports(
-    writer: StageWriter, rows: Sequence[Mapping[str, Any]], content: Mapping[str, Any], model: LimbModel
-) -> None:
-    """parameters.csv, fit.mat and material.feb."""
+def leave_exports(writer: StageWriter, rows: Sequence[Mapping[str, Any]], model: LimbModel) -> None:
+    """parameters.csv and material.feb."""
     write_parameters(writer.file("parameters", "parameters.csv"), rows)
-    write_mat(writer.file("mat", "fit.mat"), content)
     writer.file("material", "material.feb").write_text(material_snippet(model), encoding="utf-8")
 
 
@@ -66,14 +63,20 @@ def _cell(value: object) -> object:
     return f"{value:.8g}" if isinstance(value, float) else value
 
 
+def leave_mat(writer: StageWriter) -> None:
+    """fit.mat, of all that the result holds by now: the last thing that a fit leaves."""
+    write_mat(writer.file("mat", "fit.mat"), writer.data)
+
+
 def write_mat(path: Path, content: Mapping[str, Any]) -> None:
     """A MATLAB 5 file with one struct `fit`; names that MATLAB forbids are mended."""
-    savemat(path, {"fit": _for_matlab(content)}, do_compression=True)
+    savemat(path, {"fit": _for_matlab(content)}, do_compression=True, long_field_names=True)
 
 
 def _for_matlab(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {_matlab_name(str(key)): _for_matlab(each) for key, each in value.items()}
+        names = _matlab_names([str(key) for key in value])
+        return {name: _for_matlab(each) for name, each in zip(names, value.values(), strict=True)}
     if isinstance(value, np.ndarray):
         return value
     if isinstance(value, list | tuple):
@@ -85,13 +88,28 @@ def _for_matlab(value: Any) -> Any:
     return np.nan if value is None else value
 
 
+def _matlab_names(names: Sequence[str]) -> list[str]:
+    """A field for every name: those that would be one are numbered.
+
+    >>> _matlab_names(["bent-30", "bent.30", "bent_30_2"])
+    ['bent_30', 'bent_30_3', 'bent_30_2']
+    """
+    fields = [_matlab_name(each) for each in names]
+    for k, name in enumerate(fields):
+        number = 2
+        while fields[k] in fields[:k] or (number > 2 and fields[k] in fields[k + 1 :]):
+            fields[k] = f"{name[: _LONGEST - len(str(number)) - 1]}_{number}"
+            number += 1
+    return fields
+
+
 def _matlab_name(name: str) -> str:
     """
     >>> _matlab_name("mooney-rivlin"), _matlab_name("95 %")
     ('mooney_rivlin', 'x95__')
     """
-    clean = re.sub(r"\W", "_", name)[:_LONGEST]
-    return clean if clean[:1].isalpha() else f"x{clean}"
+    clean = re.sub(r"\W", "_", name)
+    return (clean if clean[:1].isalpha() else f"x{clean}")[:_LONGEST]
 
 
 def material_snippet(model: LimbModel) -> str:

@@ -89,6 +89,7 @@ def _draw_profiles(found: Intervals, writer: StageWriter) -> None:
                 unit * float(found.best[k]),
                 "kPa" if name == "c" else "–",
                 found.threshold,
+                (unit * each.low, unit * each.high),
             )
         )
     save_figure(profile_figure(profiles), writer.file("profiles", "profiles.png"))

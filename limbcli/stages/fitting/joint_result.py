@@ -11,11 +11,11 @@ from scipy.stats import chi2
 
 from limbcli.effects.tissue import fibre_direction
 from limbcli.inference.adaptive import EstimationProblem, Intervals
-from limbcli.inference.identifiability import Verdict, correlation, verdict
+from limbcli.inference.identifiability import Verdict, are_told, correlation, verdict
 from limbcli.inference.joint import JointProblem, SiteMeasurement, SitePrediction, held_out_error
 from limbcli.inference.parameter import FitParameter
 from limbcli.measurement.levels import LAYERS
-from limbcli.model import Array, LimbModel
+from limbcli.model import LimbModel
 from limbcli.reporting.headline import headline
 from limbcli.results import StageWriter
 from limbcli.stages.fitting.exports import leave_exports, parameter_rows, write_table
@@ -56,7 +56,7 @@ def leave_joint(
     )  # fmt: skip
     rows = parameter_rows("+".join(writer.data["sites"]), law.name, parameters)
     leave_levels(writer, problem.task.data, lambda k: problem.predict(k, found.best))
-    leave_exports(writer, rows, writer.data, fitted)
+    leave_exports(writer, rows, fitted)
     draw_joint(problem.task.data, lambda k: problem.predict(k, found.best), found, writer)
     for name, each in parameters.items():
         writer.summary.append(f"{name}: {each['headline']}; {each['words']}")
@@ -90,8 +90,11 @@ def parameter_table(problem: EstimationProblem, found: Intervals) -> dict[str, d
     """c in kPa and what is profiled after it: value, error, interval, flag and words."""
     n = len(problem.profiled)
     logs = found.fit.jacobian * found.fit.theta
-    covariance: Array = np.asarray(np.linalg.pinv(logs.T @ logs)[:n, :n] * found.scale)
-    rho = correlation(np.asarray(covariance))
+    rows = np.linalg.pinv(logs)[:n]
+    covariance = rows @ rows.T * found.scale
+    silent = ~are_told(logs)[:n]
+    covariance[silent], covariance[:, silent] = np.nan, np.nan
+    rho = np.nan_to_num(correlation(covariance))
     table: dict[str, dict[str, Any]] = {}
     for k, parameter in enumerate(problem.parameters[:n]):
         profile, value = found.profiles[parameter.name], float(found.best[k])

@@ -29,7 +29,7 @@ _FAR = 3.0  # mm sideways: beyond it a border on the beam is no longer where it 
 
 @dataclass(frozen=True, eq=False)
 class PredictedLayers:
-    """Loading levels (numbers of rows of levels.csv); thickness (n, n_layers) mm; drift mm, off the beam."""
+    """Loading levels, numbered among those fitted; thickness (n, n_layers) mm; drift mm, off the beam."""
 
     levels: IntArray
     thickness: Array
@@ -50,7 +50,7 @@ def leave_layers(
         return
     k = found.levels
     columns: dict[str, object] = {
-        "level": k.tolist(), "force_n": levels.force[k], "depth_mm": levels.depth[k],
+        "level": levels.rows[k].tolist(), "force_n": levels.force[k], "depth_mm": levels.depth[k],
     }  # fmt: skip
     for j, name in enumerate(layers.names):
         read = layers.thickness[k, j]

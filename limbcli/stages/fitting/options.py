@@ -20,7 +20,7 @@ COMPARISON = "--compare-element"
 _OF_FORCE = ("tolerance", "max_iterations", "intervals", "templates", "time_limit_s")
 _SAYS_NOTHING: Mapping[str, Sequence[str]] = {
     "joint": _OF_FORCE,
-    "states": ("c_kpa", "c_deviation", "contact_check", "cycle", *_OF_FORCE),
+    "states": ("c_kpa", "c_deviation", "contact_check", "cycle", "stiffness_map", *_OF_FORCE),
     COMPARISON: (
         "c_deviation", "intervals", "gain_deviation", "contact_check", "templates", "time_limit_s",
     ),
@@ -54,9 +54,14 @@ class FitOptions:
     templates: Path | None = None
     time_limit_s: float | None = None
 
-    def asked(self) -> dict[str, Any]:
-        """What another run of the same kind needs to be given."""
-        return asked_of_options(self)
+    def asked(self, kind: str = "force") -> dict[str, Any]:
+        """What another run of the same kind, an objective or `COMPARISON`, needs to be given.
+
+        >>> FitOptions(tolerance=0.01, contact_check=False).asked(COMPARISON)
+        {'tolerance': 0.01}
+        """
+        unheard = _SAYS_NOTHING.get(kind, ())
+        return {key: value for key, value in asked_of_options(self).items() if key not in unheard}
 
 
 def check_choice(

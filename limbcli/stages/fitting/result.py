@@ -68,7 +68,7 @@ def leave_result(
     rows = [
         row for name, each in tables.items() for row in parameter_rows(site.name, name, each["parameters"])
     ]
-    leave_exports(writer, rows, writer.data, fitted)
+    leave_exports(writer, rows, fitted)
     draw_fit(found, site, writer)
     _summarise(found, last, writer)
 
@@ -82,18 +82,19 @@ def _warn_unsolved(best: Intervals, writer: StageWriter) -> None:
 
 
 def write_curves(found: Identified, path: Path) -> None:
-    """curves.csv: measured force where measured, and the simulated curves at first guess and steps."""
-    depths = np.unique(np.r_[np.linspace(0.0, found.knots[-1], _FINE), np.maximum(found.data.depth, 0.0)])
+    """curves.csv: a row for every level, two where two have one depth; there and between them the simulated
+    curves of the first guess and of the steps."""
+    measured = found.data.depth
+    between = np.setdiff1d(np.linspace(0.0, found.knots[-1], _FINE), measured)
+    depths = np.r_[measured, between]
+    forces = [f"{each:.6g}" for each in found.data.force] + [""] * len(between)
     thetas = [found.start, *(step.theta for step in found.steps)]
-    curves = [found.simulated(theta, depths) for theta in thetas]
-    measured = {float(d): f for d, f in zip(np.maximum(found.data.depth, 0.0), found.data.force, strict=True)}
+    curves = [found.simulated(theta, np.maximum(depths, 0.0)) for theta in thetas]
     with path.open("w", newline="", encoding="utf-8") as stream:
         rows = csv.writer(stream)
         rows.writerow(["depth_mm", "measured_n", "start_n", f"{MOONEY_RIVLIN}_n", f"{OGDEN}_n"])
-        for k, depth in enumerate(depths):
-            force = measured.get(float(depth))
-            simulated = [f"{each[k]:.6g}" for each in curves]
-            rows.writerow([f"{depth:.6g}", "" if force is None else f"{force:.6g}", *simulated])
+        for k in np.argsort(depths, kind="stable"):
+            rows.writerow([f"{depths[k]:.6g}", forces[k], *(f"{each[k]:.6g}" for each in curves)])
 
 
 def draw_fit(found: Identified, site: Site, writer: StageWriter) -> None:
@@ -112,7 +113,14 @@ def draw_fit(found: Identified, site: Site, writer: StageWriter) -> None:
     if not found.intervals:
         return
     profiles = [
-        ProfileCurve(name, each.values, each.deviance, float(value), limit=found.intervals[-1].threshold)
+        ProfileCurve(
+            name,
+            each.values,
+            each.deviance,
+            float(value),
+            limit=found.intervals[-1].threshold,
+            interval=(each.low, each.high),
+        )
         for (name, each), value in zip(
             found.intervals[-1].profiles.items(), found.steps[-1].theta, strict=True
         )

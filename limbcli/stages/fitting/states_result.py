@@ -13,6 +13,7 @@ from limbcli.feb.write import write_feb
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.states import StatesProblem
 from limbcli.model import LimbModel
+from limbcli.reporting.headline import headline
 from limbcli.results import StageWriter
 from limbcli.stages.fitting.exports import leave_exports, parameter_rows
 from limbcli.stages.fitting.joint_picture import draw_joint
@@ -54,7 +55,7 @@ def leave_states(
     fitted = model.with_material(TISSUE, law.along(fibre_direction(model)).material(c, shape))
     several = [each.data for each in problem.task.states]
     leave_levels(writer, several, lambda k: problem.predict(k, found.best))
-    leave_exports(writer, parameter_rows(site.name, law.name, parameters), writer.data, fitted)
+    leave_exports(writer, parameter_rows(site.name, law.name, parameters), fitted)
     draw_joint(
         several, lambda k: problem.predict(k, found.best), found, writer, file="fit-states.png", of="state"
     )
@@ -74,6 +75,7 @@ def _with_stretches_judged(table: dict[str, dict[str, Any]], plan: StretchPlan) 
         low, high = each["low"], each["high"]
         if each["flag"] == "identified" and high / low > _WIDE:
             each["flag"] = "weak"
+            each["headline"] = headline(each["value"], low, high, each["flag"])
             each["words"] = f"{parameter.name} is only weakly identified: {low:.3g} to {high:.3g} (95 %)."
     return table
 

@@ -34,7 +34,10 @@ _LEAST_EXPECTED = 0.5  # of a sum of squares: as many parameters as levels leave
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """Everything the two steps found, before it is written down."""
+    """Everything the two steps found, before it is written down.
+
+    gains : numerical error of ln force at each step's parameters; none: that of `stiffness`
+    """
 
     curve: SolvedPoints
     knots: Array
@@ -47,6 +50,13 @@ class Identified:
     cold_seconds: float
     why_no_intervals: str = "no interval was asked for"
     geometry: GeometryDoubt | None = None
+    gains: Sequence[float] = ()
+
+    def gain_of(self, step: FittedStep) -> float:
+        """Numerical error of ln force there, one deviation."""
+        if not self.gains:
+            return self.stiffness.gain_deviation
+        return self.gains[next(k for k, each in enumerate(self.steps) if each is step)]
 
     def simulated(self, theta: Array, depths: Array) -> Array:
         values = self.curve(theta).values
@@ -75,6 +85,7 @@ def step_table(found: Identified, k: int) -> dict[str, Any]:
         **values,
         "r2": step.r2, "rmse_n": step.rmse, "cost_n2": step.fit.cost, "reason": step.fit.reason,
         "n_iterations": step.fit.n_iterations, "n_solves": step.n_solves, "seconds": step.seconds,
+        "numerical_error_fraction": found.gain_of(step),
         "standard_error": errors,
         "interval_95": intervals,
         "correlation": float(rho[1, 2]),
@@ -103,7 +114,7 @@ def total_covariance(found: Identified, step: FittedStep) -> Array:
     variance = _variance(found, step)
     free = inside(step)
     columns = answer.jacobian[:, free]
-    known, sigma_c = found.stiffness, found.stiffness.log_deviation
+    sigma_c = found.stiffness.log_deviation
     by_c = answer.values * c_share(found)
     covariance = np.full((3, 3), np.nan)
     covariance[0, 0] = sigma_c**2
@@ -112,7 +123,7 @@ def total_covariance(found: Identified, step: FittedStep) -> Array:
     if not variance.any():  # without stated noise there is no standard error
         return covariance
     held = np.column_stack([by_c, answer.values])  # ln c, and an error common to all forces
-    deviations = np.array([sigma_c, known.gain_deviation])
+    deviations = np.array([sigma_c, found.gain_of(step)])
     variance = variance * _noise_scale(found, step, columns, variance, held * deviations)
     block = log_covariance(columns, variance, nuisance=held, nuisance_deviation=deviations)
     if found.geometry is not None:

@@ -31,13 +31,15 @@ class CommandStep:
 
     @staticmethod
     def of(result: StageResult) -> CommandStep:
-        """As it was made; a joint fit with the same law and of the same sites."""
+        """As it was made; a joint fit with the same law, or laws, and of the same sites."""
         given = result.data.get("asked")
         asked = dict(given) if isinstance(given, Mapping) else {}
         if result.stage != "fit-joint":
             return CommandStep(result.stage, result.site, asked)
         law = {"law": result.data["law"]} if "law" in result.data else {}
-        return CommandStep(result.stage, None, {**law, **asked}, tuple(result.data.get("sites") or ()))
+        laws = {"compare_laws": True} if result.data.get("laws") else {}
+        sites = tuple(result.data.get("sites") or ())
+        return CommandStep(result.stage, None, {**law, **laws, **asked}, sites)
 
     def command(self, case: Path, out: Path) -> str:
         """
