@@ -142,6 +142,7 @@ CHANGES: dict[str, tuple[Callable[[Path], None], str, str]] = {
     "a bone is gone": (gone("out/segment/bone_1.ply"), "segment", "is gone"),
     "segment is gone": (gone("out/segment"), "segment", "no result of `segment`"),
     "another subject": (in_case('id = "S1"', 'id = "S2"'), "segment", "is of S1, the case of S2"),
+    "the other limb": (in_case('"left"', '"right"'), "segment", "subject.limb changed"),
     "an earlier version": (of_version("0.0.1"), "segment", "limbcli 0.0.1"),
     "no version": (of_version(None), "segment", "an earlier limbcli"),
     "probe": (in_case("edge_radius_mm = 2.0", "edge_radius_mm = 3.0"), "mesh", "probe changed"),

@@ -43,6 +43,8 @@ def case_value(case: Case, key: str) -> Any:
         return [each.name for each in case.sites]
     if section == "imaging":
         return plain(case.raw.get("imaging"))
+    if section == "subject":
+        return getattr(case, rest[0])
     if section == "site":
         site = _site(case, rest[0])
         return None if site is None else plain(_of_site(site, rest[1]))
