@@ -38,6 +38,7 @@ from limbcli.stages.simulated_subjects.known_stretches import (
 from limbcli.stages.simulated_subjects.synth_case import (
     borders_at_rest,
     case_table,
+    check_orientations,
     copy_imaging,
 )
 from limbcli.stages.simulated_subjects.synth_options import Alter, SynthOptions
@@ -73,6 +74,7 @@ def synth(
     _check_target(case, out_case, force=force)
     chosen = case.selected(sites)
     check_stretches(case, chosen, options.stretches)
+    check_orientations(chosen)
     measured = measure_sites(case, chosen, out=out, options=options, progress=progress)
     with atomic_folder(out_case) as work:
         copy_imaging(case, work)
