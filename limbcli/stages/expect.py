@@ -24,6 +24,7 @@ segment.json and fit-joint.json.
 from __future__ import annotations
 
 import math
+import shutil
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -54,6 +55,12 @@ class Comparison:
         mark = "ok  " if self.holds else "FAIL"
         found = f"{self.found:.5g}" if isinstance(self.found, float) else str(self.found)
         return f"{mark} {self.name}: {found} (expected {self.expected})"
+
+
+def keep_expected(folder: Path, work: Path) -> None:
+    """What a user expects of a case outlives its being made again, in `work`."""
+    if (folder / EXPECTED_FILE).is_file():
+        shutil.copyfile(folder / EXPECTED_FILE, work / EXPECTED_FILE)
 
 
 def compare(folder: Path, out: Path) -> list[Comparison]:
