@@ -21,7 +21,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import ERROR_FILE, StageResult, read_result, stage_folder
 from limbcli.stages.batching.fits_on_demand import FitOnDemand, extras, made_by_hand, shown_only
 from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailure, keep_error
-from limbcli.stages.batching.steps import FIT_STATES, SITE_STAGES, parts_of, site_steps
+from limbcli.stages.batching.steps import FIT_STATES, SITE_STAGES, parts_of, path_of, site_steps
 from limbcli.stages.machine.kernels import compile_ahead
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.provenance.freshness import Memory, code_hash, key_of
@@ -164,8 +164,15 @@ class CaseRun:
         made = [self._extra(each, keys) for each in extras(self.case, self.out, progress=self.progress)]
         shown = [sha256(path) for path in shown_only(self.case, self.out)]
         failed = [str(each.error) for each in self.outcome.failures]
-        everything = key_of(first, *keys, *made, *shown, self.case.raw, failed)
-        if self._stage("report", None, everything, lambda: report(self.case, **self._common())):
+        asked = self._asked("report", None, without=("templates",) if self.options.templates else ())
+        templates = self.options.templates or path_of(asked.get("templates"))
+        own = [templates] if templates else []
+        everything = key_of(first, *keys, *made, *shown, self.case.raw, failed, *own)
+
+        def work() -> object:
+            return report(self.case, templates=templates, **self._common())
+
+        if self._stage("report", None, everything, work):
             self.outcome.report = stage_folder(self.out, "report") / "report.html"
 
     def keep(self, failure: StepFailure) -> None:

@@ -356,6 +356,33 @@ def test_options_by_hand_outlive_a_failure_and_end_with_a_plain_call_or_on_deman
     assert TOLD["segment"][-1] == {}
 
 
+def test_the_page_is_made_with_the_templates_of_the_batch_or_of_its_last_call_by_hand(
+    tmp_path: Path, calls: list[str]
+):
+    case, out = two_sites(tmp_path / "case"), tmp_path / "out"
+    own, another = tmp_path / "own", tmp_path / "another"
+    for each in (own, another):
+        (each / "report").mkdir(parents=True)
+        (each / "report" / "style.css").write_text("body {}")
+    batch(case, out=out)
+    calls.clear()
+    batch(case, out=out, options=BatchOptions(templates=own))
+    assert calls == ["report"], "templates of pages say nothing to a model"
+    assert TOLD["report"][-1] == {"templates": own}
+    by_hand(case, out, "report", None, templates=str(another))
+    assert batch(case, out=out).kept == {"report": f"--templates {another}"}
+    assert TOLD["report"][-1] == {"templates": another}
+    (another / "report" / "style.css").write_text("p {}")
+    text = (case / "case.toml").read_text()
+    (case / "case.toml").write_text("format = 2")
+    assert [each.stage for each in batch(case, out=out).failures] == ["check"]
+    (case / "case.toml").write_text(text)
+    calls.clear()
+    batch(case, out=out)
+    assert calls == ["report"]
+    assert TOLD["report"][-1] == {"templates": another}
+
+
 def test_a_fit_by_hand_of_another_model_or_from_before_a_mesh_study_is_made_again(
     tmp_path: Path, calls: list[str]
 ):

@@ -42,7 +42,8 @@ def site_steps(
     solver: dict[str, Any] = {"solver": options.solver, "febio": options.febio}
     meshed = {**asked["mesh"], **({"element": options.element} if options.element else {})}
     tissue, ran, fitted = (asked[each] for each in SITE_STAGES[1:])
-    templates = options.templates or _path(tissue.get("templates"))
+    templates = options.templates or path_of(tissue.get("templates"))
+    of_model = [templates / "feb"] if templates and (templates / "feb").is_dir() else []
     fit_options = options_of(FitOptions, fitted)
     if options.templates:
         fit_options = replace(fit_options, templates=templates)
@@ -60,7 +61,7 @@ def site_steps(
             (raw["probe"], raw.get("model"), table, *_fibre_parts(case, name), *parts_of(meshed)),
             lambda: mesh(case, **meshed, **common),
         ),
-        SiteStep("build-feb", (*measured, *([templates] if templates else []), *parts_of(tissue)), build),
+        SiteStep("build-feb", (*measured, *of_model, *parts_of(tissue)), build),
         SiteStep(
             "run",
             (identity(options.solver, options.febio), *parts_of(ran)),
@@ -102,5 +103,6 @@ def parts_of(asked: Asked) -> tuple[object, ...]:
     return (sorted(asked.items()),) if asked else ()
 
 
-def _path(text: str | None) -> Path | None:
+def path_of(text: str | None) -> Path | None:
+    """Of an option that was kept as text."""
     return Path(text) if text else None

@@ -60,6 +60,12 @@ def note_case(
     writer.made_from["case"].update({key: case_value(case, key) for key in several})
 
 
+def note_templates(writer: StageWriter, templates: Path | None) -> None:
+    """Note the user's templates of a model file; those of pages beside them say nothing to it."""
+    if templates is not None and (templates / "feb").is_dir():
+        writer.used("templates", templates / "feb", role=str((templates / "feb").resolve()))
+
+
 def in_words(key: str) -> str:
     """
     >>> in_words("site/p1/place"), in_words("model/margin"), in_words("imaging/mri")
