@@ -256,6 +256,9 @@ class CaseRun:
     ) -> None:
         """Stages that cannot run say so, and results of an earlier run no longer count."""
         for stage in stages:
+            memory = self._memory(stage, site)
+            if not self.options.defaults:  # the result that tells what was asked by hand goes
+                memory.keep_asked(stage, site, memory.asked(stage, site))
             error = CaseError(
                 f"`{stage}` was not run, because `{because}` failed",
                 where=f"site {site}" if site else str(self.case.folder),

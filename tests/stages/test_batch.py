@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
@@ -381,6 +382,22 @@ def test_the_page_is_made_with_the_templates_of_the_batch_or_of_its_last_call_by
     batch(case, out=out)
     assert calls == ["report"]
     assert TOLD["report"][-1] == {"templates": another}
+
+
+def test_options_by_hand_outlive_a_failure_of_what_all_sites_share(
+    tmp_path: Path, calls: list[str], monkeypatch: pytest.MonkeyPatch
+):
+    case, out = two_sites(tmp_path / "case"), tmp_path / "out"
+    by_hand(case, out, "mesh", "p2", fat_layer=6.0)
+
+    def fails(*_: object, **__: object) -> None:
+        raise CaseError("no limb stands out", where="MRI series", fix="look at it")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sys.modules["limbcli.stages.segment"], "segment", fails)
+        assert [each.stage for each in batch(case, out=out).failures] == ["segment"]
+    batch(case, out=out)
+    assert TOLD["mesh p2"] == [{"fat_layer": 6.0}]
 
 
 def test_a_fit_by_hand_of_another_model_or_from_before_a_mesh_study_is_made_again(
