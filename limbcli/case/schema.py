@@ -16,6 +16,8 @@ from limbcli.mesh_bounds import MARGIN_MM
 from limbcli.units import FORCE_UNITS_IN_N, LENGTH_UNITS_IN_MM
 
 FILL_IN = "FILL IN"  # what `limbcli new` writes where a value is to be given
+# Bytes: file systems hold names of 255, and more words than the site's stand in the names of results.
+_LONGEST_NAME = 100
 Check = Callable[[Any], str | None]
 """Returns what is wrong with a value, or None."""
 
@@ -59,6 +61,8 @@ def plain_name(value: object) -> str | None:
         wrong = f"is {value!r}; use letters, digits, '-', '_' and '.' only"
     if wrong is None and str(value).startswith("."):
         wrong = f"is {value!r}; it must not begin with '.'"
+    if wrong is None and len(str(value).encode()) > _LONGEST_NAME:
+        wrong = f"is {len(str(value))} letters long ({str(value)[:12]}...); give a short name, such as p1"
     return wrong
 
 
