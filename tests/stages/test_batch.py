@@ -95,6 +95,19 @@ def test_changed_measurement_redoes_only_what_follows(tmp_path: Path, calls: lis
     assert calls == ["build-feb p2", "run p2", "fit p2", "report"]
 
 
+def test_what_a_mesh_is_not_made_from_redoes_none(tmp_path: Path, calls: list[str]):
+    case, out = two_sites(tmp_path / "case"), tmp_path / "out"
+    batch(case, out=out)
+    text = (case / "case.toml").read_text()
+    for more, first in (("[site.noise]\nforce_n = 0.2\n", "build-feb"), ("marker = 1\n", "mesh")):
+        calls.clear()
+        changed = text.rpartition("position_mm")[0] + 'long_axis = "axial"\nlevels = "p2.csv"\n'
+        (case / "case.toml").write_text(changed + more if first == "mesh" else text + more)
+        batch(case, out=out)
+        assert calls[0] == f"{first} p2"
+        assert not any(each.endswith("p1") for each in calls)
+
+
 def test_changed_fibres_redo_the_meshes_that_use_them(tmp_path: Path, calls: list[str]):
     """A map of the whole limb; site p2 tells its own direction, and does not look at it."""
     case, out = two_sites(tmp_path / "case"), tmp_path / "out"

@@ -15,6 +15,10 @@ from limbcli.stages.batching.outcome import BatchOptions
 from limbcli.stages.provenance.requested_options import Asked, options_of
 
 SITE_STAGES = ("mesh", "build-feb", "run", "fit")
+# Keys of a [[site]] that its mesh is made from; the others are looked at once there is a model.
+_OF_MESH = (
+    "name", "position_mm", "marker", "long_axis", "layers", "fibre_direction", "pennation", "skin_bone_mm",
+)  # fmt: skip
 FIT_STATES = "fit-states"  # after these, of a site that has states
 
 
@@ -48,6 +52,8 @@ def site_steps(
     if options.templates:
         fit_options = replace(fit_options, templates=templates)
     table = next(each for each in raw["site"] if each["name"] == name)
+    placed = {key: value for key, value in table.items() if key in _OF_MESH}
+    told = {key: value for key, value in table.items() if key not in _OF_MESH}
     measured = [path for path in (site.levels, site.trace, site.swe_maps) if path]
     study = stage_folder(out, "mesh-study", name) / "mesh-study.json"
 
@@ -58,10 +64,10 @@ def site_steps(
     steps = [
         SiteStep(
             "mesh",
-            (raw["probe"], raw.get("model"), table, *_fibre_parts(case, name), *parts_of(meshed)),
+            (raw["probe"], raw.get("model"), placed, *_fibre_parts(case, name), *parts_of(meshed)),
             lambda: mesh(case, **meshed, **common),
         ),
-        SiteStep("build-feb", (*measured, *of_model, *parts_of(tissue)), build),
+        SiteStep("build-feb", (told, *measured, *of_model, *parts_of(tissue)), build),
         SiteStep(
             "run",
             (identity(options.solver, options.febio), *parts_of(ran)),
