@@ -9,7 +9,7 @@ several, side by side if need be) and `last`.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -123,7 +123,8 @@ class CaseRun:
             return ()
         sites = self.case.sites
         levels = [each.levels for each in sites if each.levels.is_file()]
-        return (*((s.position, s.long_axis, s.skin_bone) for s in sites), self.case.probe, *levels)
+        probe = replace(self.case.probe, name="")
+        return (*((s.position, s.long_axis, s.skin_bone) for s in sites), probe, *levels)
 
     def _places(self) -> tuple[tuple[str, ...], ...]:
         from limbcli.stages.diagnose import places

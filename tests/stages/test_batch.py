@@ -99,6 +99,10 @@ def test_what_a_mesh_is_not_made_from_redoes_none(tmp_path: Path, calls: list[st
     case, out = two_sites(tmp_path / "case"), tmp_path / "out"
     batch(case, out=out)
     text = (case / "case.toml").read_text()
+    calls.clear()
+    (case / "case.toml").write_text(text.replace("GE 9L", "GE 9L-D"))
+    batch(case, out=out)
+    assert calls == ["report"]
     for more, first in (("[site.noise]\nforce_n = 0.2\n", "build-feb"), ("marker = 1\n", "mesh")):
         calls.clear()
         changed = text.rpartition("position_mm")[0] + 'long_axis = "axial"\nlevels = "p2.csv"\n'

@@ -159,6 +159,7 @@ CHANGES: dict[str, tuple[Callable[[Path], None], str, str]] = {
     "model by hand": (in_file("out/build-feb/p1/model.feb"), "build-feb", "model.feb"),
     "model is gone": (gone("out/build-feb/p1/model.feb"), "build-feb", "is gone"),
     "noise": (in_case("force_n = 0.1", "force_n = 0.2"), "", ""),
+    "the probe's name": (in_case('name = "small"', 'name = "flat"'), "", ""),
     "picture": (in_file("out/mesh/p1/mesh.png"), "", ""),
 }  # fmt: skip
 ORDER = ("segment", "mesh", "build-feb", "run")

@@ -52,6 +52,7 @@ def site_steps(
     if options.templates:
         fit_options = replace(fit_options, templates=templates)
     table = next(each for each in raw["site"] if each["name"] == name)
+    probe = {key: value for key, value in raw["probe"].items() if key != "name"}
     placed = {key: value for key, value in table.items() if key in _OF_MESH}
     told = {key: value for key, value in table.items() if key not in _OF_MESH}
     measured = [path for path in (site.levels, site.trace, site.swe_maps) if path]
@@ -64,7 +65,7 @@ def site_steps(
     steps = [
         SiteStep(
             "mesh",
-            (raw["probe"], raw.get("model"), placed, *_fibre_parts(case, name), *parts_of(meshed)),
+            (probe, raw.get("model"), placed, *_fibre_parts(case, name), *parts_of(meshed)),
             lambda: mesh(case, **meshed, **common),
         ),
         SiteStep("build-feb", (told, *measured, *of_model, *parts_of(tissue)), build),

@@ -6,7 +6,7 @@ A role names a file or folder ("site/p1/levels", "imaging/mri"), a key the value
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -50,6 +50,14 @@ def case_value(case: Case, key: str) -> Any:
         return None if site is None else plain(_of_site(site, rest[1]))
     found = plain(vars(getattr(case, section)))
     return found[rest[0]] if rest else found
+
+
+def is_unchanged(case: Case, key: str, before: Any) -> bool:
+    """Whether the value of a key is as it was noted; a probe by another name is the same probe."""
+    now = case_value(case, key)
+    if key == "probe" and isinstance(before, Mapping):
+        return {**before, "name": ""} == {**now, "name": ""}
+    return bool(now == before)
 
 
 def note_case(
