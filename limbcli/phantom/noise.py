@@ -25,7 +25,7 @@ class Readings:
     skin_bone is None where the beam meets no bone; trace: columns time s, force N, depth mm and
     three accelerations in g; travel: of the probe (mm), where it is recorded; layers: mm of skin and
     fat and, above bone, muscle (n_levels, 2 or 3), where they are read. travel_error: mm (n_levels,), that
-    a travel is read with; None: none.
+    a travel is read with; None: none. left_out : numbers of true levels that have no row
     """
 
     force: Array
@@ -37,6 +37,7 @@ class Readings:
     travel: Array | None = None
     layers: Array | None = None
     travel_error: Array | None = None
+    left_out: tuple[int, ...] = ()
 
 
 def measure(

@@ -234,7 +234,7 @@ def _result(
         },
         "sites": [each.name for each in subject.places],
         "tissue": vars(options.synth.tissue) if options.synth else None,
-        "n_levels": {each.site: len(each.true.force) for each in measured},
+        "n_levels": {each.site: len(each.readings.force) for each in measured},
         "size_bytes": size,
     }
     summary = [

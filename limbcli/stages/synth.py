@@ -268,7 +268,7 @@ def _result(case: Case, out_case: Path, measured: list[SyntheticSite]) -> StageR
         data={
             "truth": str(truth_file(out_case)),
             "sites": list(dict.fromkeys(each.site for each in measured)),
-            "n_levels": {each.label: len(each.true.force) for each in measured},
+            "n_levels": {each.label: len(each.readings.force) for each in measured},
         },
         summary=(*map(summary_of, measured), f"truth: {truth_file(out_case)}"),
         provenance=provenance(),

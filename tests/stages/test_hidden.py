@@ -15,6 +15,7 @@ from limbcli.phantom.noise import Readings
 from limbcli.phantom.protocol import LoadingProtocol, TrueLevels
 from limbcli.stages.simulated_subjects.hidden_effects import check_beside_layers, hide, in_order
 from limbcli.stages.simulated_subjects.synth_options import SynthOptions
+from limbcli.stages.simulated_subjects.synth_truth import SyntheticSite, summary_of, truth_table
 from limbcli.stages.synth import read_off
 from tests.diagnostics.reduced import block_model
 from tests.effects.test_together import ground
@@ -133,6 +134,15 @@ def test_readings_are_distorted_alike_in_whatever_order_it_is_asked_for(names):
     assert readings.travel is not None
     assert readings.layers is not None
     assert len(readings.travel) == len(readings.layers) == 2
+
+
+def test_the_truth_tells_which_of_its_levels_were_not_read():
+    plan = SynthOptions(noise=0.0, hidden=(hide("depth-zero=1.2"),))
+    readings = read_off(_true(), NoiseLaw().times(0.0), plan, 0)
+    site = SyntheticSite("p1", _true(), readings, NoiseLaw(), {"element": "tet4", "n_elements": 3})
+    (true,) = truth_table([site], plan)["site"]
+    assert np.delete(true["force_n"], true["levels_not_read"]) == pytest.approx(readings.force)
+    assert "p1: 2 levels" in summary_of(site)
 
 
 def test_stiffer_and_softer_places_are_hidden_beside_any_other_effect():

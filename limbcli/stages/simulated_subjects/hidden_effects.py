@@ -189,9 +189,11 @@ def _depth_zero(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
 
 
 def _rows(readings: Readings, keep: IntArray) -> Readings:
-    """Only these levels."""
+    """Only these levels, of readings that have them all."""
+    left = sorted(set(range(len(readings.force))) - set(keep.tolist()))
     return replace(
         readings,
+        left_out=tuple(left),
         force=readings.force[keep],
         depth=readings.depth[keep],
         maps=tuple(readings.maps[k] for k in keep),
