@@ -25,7 +25,7 @@ from limbcli.stages.batching.steps import FIT_STATES, SITE_STAGES, parts_of, pat
 from limbcli.stages.machine.kernels import compile_ahead
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.provenance.freshness import Memory, code_hash, key_of
-from limbcli.stages.provenance.requested_options import in_words
+from limbcli.stages.provenance.requested_options import in_words, options_of
 
 DIAGNOSE = "diagnose"
 
@@ -136,22 +136,27 @@ class CaseRun:
         """Of sites that share a place, by their keys; one made by hand stays as long as it holds."""
         from limbcli.stages.diagnose import DiagnoseOptions, diagnose
 
-        key = key_of(DIAGNOSE, *names, *keys)
+        own = ("templates",) if self.options.templates else ()
+        asked = self._asked(DIAGNOSE, names[0], without=own)
+        files = [path for path in map(path_of, map(asked.get, ("effect_file", "templates"))) if path]
+        key = key_of(DIAGNOSE, *names, *keys, *parts_of(asked), *files)
         for failure in self.outcome.failures:
             if failure.site in names and failure.stage not in (SITE_STAGES[-1], FIT_STATES):
                 for name in names:
                     self._skip((DIAGNOSE,), name, because=f"{failure.stage} {failure.site}")
                 return
         memories = [self._memory(DIAGNOSE, name) for name in names]
-        if all(
+        if not self.options.defaults and all(
             memory.made_since(DIAGNOSE, name) and self._holds(DIAGNOSE, name)
             for name, memory in zip(names, memories, strict=True)
         ):
             for name, memory in zip(names, memories, strict=True):
                 memory.remember(DIAGNOSE, name, key)
-        options = DiagnoseOptions(
-            templates=self.options.templates, solver=self.options.solver, febio=self.options.febio
-        )
+        options = options_of(DiagnoseOptions, asked)
+        options = replace(
+            options, effects=tuple(options.effects), templates=self.options.templates or options.templates,
+            solver=self.options.solver, febio=self.options.febio,
+        )  # fmt: skip
 
         def work() -> object:
             return diagnose(self.case, sites=list(names), options=options, **self._common())

@@ -401,6 +401,33 @@ def test_the_page_is_made_with_the_templates_of_the_batch_or_of_its_last_call_by
     assert TOLD["report"][-1] == {"templates": another}
 
 
+def test_a_diagnosis_is_made_again_as_it_was_asked_for_by_hand(
+    tmp_path: Path, calls: list[str], monkeypatch: pytest.MonkeyPatch
+):
+    case, out = two_sites(tmp_path / "case"), tmp_path / "out"
+    asked = diagnose.DiagnoseOptions(effects=("tilt",), measured={"tare_n": 0.4}, solver="febio").asked()
+    told: list[dict] = []
+
+    def diagnosed(of: Case, *, sites: list[str], options: diagnose.DiagnoseOptions, **_) -> None:
+        told.append(options.asked())
+        for site in sites:
+            by_hand(of.folder, out, "diagnose", site, **options.asked())
+
+    monkeypatch.setattr(diagnose, "places", lambda *_, **__: [[site] for site in Case.open(case).sites])
+    monkeypatch.setattr(diagnose, "diagnose", diagnosed)
+    batch(case, out=out)
+    for site in ("p1", "p2"):
+        by_hand(case, out, "diagnose", site, **asked)
+    kept = batch(case, out=out, options=BatchOptions(diagnose=True)).kept
+    assert kept["diagnose p1"] == "--effects tilt --measured tare_n=0.4"
+    assert told == [], "what was made by hand stays"
+    (case / "p2.csv").write_text("force_n,depth_mm\n0,0\n2,1\n5,2\n")
+    batch(case, out=out, options=BatchOptions(diagnose=True))
+    assert told == [asked]
+    batch(case, out=out, options=BatchOptions(diagnose=True, defaults=True))
+    assert told[1:] == [{}, {}]
+
+
 def test_options_by_hand_outlive_a_failure_of_what_all_sites_share(
     tmp_path: Path, calls: list[str], monkeypatch: pytest.MonkeyPatch
 ):
