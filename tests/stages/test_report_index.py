@@ -82,7 +82,7 @@ def test_what_failed_beside_a_fit_does_not_take_its_numbers(tmp_path):
     content["data"]["failures"] = [{"stage": "fit-joint", "site": None, "what": "it did not settle"}]
     for status, text in (
         ("done", "3.70\u00a0to\u00a04.50"),
-        ("failed", "fit-joint failed: it did not settle"),
+        ("failed", "fit-joint failed: it did"),
     ):
         content["data"]["stages"] = {"fit p1": status}
         path.write_text(json.dumps(content))
