@@ -152,11 +152,10 @@ class CaseRun:
         ):
             for name, memory in zip(names, memories, strict=True):
                 memory.remember(DIAGNOSE, name, key)
-        options = options_of(DiagnoseOptions, asked)
-        options = replace(
-            options, effects=tuple(options.effects), templates=self.options.templates or options.templates,
-            solver=self.options.solver, febio=self.options.febio,
-        )  # fmt: skip
+        of_batch = {"solver": self.options.solver, "febio": self.options.febio}
+        if self.options.templates:
+            of_batch["templates"] = self.options.templates
+        options = options_of(DiagnoseOptions, {**asked, **of_batch})
 
         def work() -> object:
             return diagnose(self.case, sites=list(names), options=options, **self._common())

@@ -53,6 +53,8 @@ def options_of(kind: type, asked: Asked) -> Any:
     """A dataclass of options with what was asked; keys that it does not know are left out."""
     names = {each.name for each in fields(kind)}
     known = {key: value for key, value in asked.items() if key in names}
+    if "effects" in known:
+        known["effects"] = tuple(known["effects"])
     paths = {key: Path(known[key]) for key in _PATHS if known.get(key) is not None}
     return kind(**{**known, **paths})
 
