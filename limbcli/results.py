@@ -215,7 +215,7 @@ def read_result(out: Path, stage: str, *, site: str | None = None) -> StageResul
     Raises
     ------
     CaseError
-        If the stage has not been run or its JSON cannot be read.
+        If the stage has not been run, its JSON cannot be read, or is that of another stage or site.
     """
     folder = stage_folder(out, stage, site)
     path = folder / f"{stage}.json"
@@ -230,7 +230,7 @@ def read_result(out: Path, stage: str, *, site: str | None = None) -> StageResul
         for name in ("files", "data", "provenance"):
             if not isinstance(content[name], dict):
                 raise ValueError(f"`{name}` is no table")
-        return StageResult(
+        found = StageResult(
             stage=content["stage"],
             subject=content["subject"],
             site=content["site"],
@@ -241,6 +241,9 @@ def read_result(out: Path, stage: str, *, site: str | None = None) -> StageResul
             warnings=tuple(content["warnings"]),
             provenance=content["provenance"],
         )
+        if (found.stage, found.site) != (stage, site):
+            raise ValueError(f"it is that of `{found.label}`")
+        return found
     except (ValueError, KeyError, TypeError) as error:
         raise CaseError(
             f"the result of `{stage}` cannot be read ({error})",

@@ -248,7 +248,7 @@ def batch(
             for pair, outcome in zip(pairs, outcomes, strict=True)
         )
         together_in = default_out(folders[0]).parent if out is None else folder_of(out)
-        return BatchResult(found, _index(together_in, heard) if len(pairs) > 1 else None)
+        return BatchResult(found, _index(together_in, options.templates, heard) if len(pairs) > 1 else None)
 
 
 def _folders(cases: CaseLike | Iterable[CaseLike]) -> list[Path]:
@@ -281,12 +281,12 @@ def _case_result(
     )  # fmt: skip
 
 
-def _index(folder: Path, heard: Progress) -> Path | None:
+def _index(folder: Path, templates: Path | None, heard: Progress) -> Path | None:
     """The page that lists all; None where no case left anything to list: their failures say why."""
     from limbcli.stages.report_pages.index import report_index
 
     try:
-        return report_index(folder, progress=heard).page
+        return report_index(folder, templates=templates, progress=heard).page
     except LimbcliError as error:
         heard.event("note", text=str(error.message))
         return None

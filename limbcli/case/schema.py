@@ -16,6 +16,9 @@ from limbcli.mesh_bounds import MARGIN_MM
 from limbcli.units import FORCE_UNITS_IN_N, LENGTH_UNITS_IN_MM
 
 FILL_IN = "FILL IN"  # what `limbcli new` writes where a value is to be given
+# Bytes: file systems hold names of 255, and more words than the site's stand in the names of results.
+_LONGEST_NAME = 100
+FAILED = "-failed"  # how the folder of a run that failed ends, after its site's name
 Check = Callable[[Any], str | None]
 """Returns what is wrong with a value, or None."""
 
@@ -59,6 +62,19 @@ def plain_name(value: object) -> str | None:
         wrong = f"is {value!r}; use letters, digits, '-', '_' and '.' only"
     if wrong is None and str(value).startswith("."):
         wrong = f"is {value!r}; it must not begin with '.'"
+    if wrong is None and len(str(value).encode()) > _LONGEST_NAME:
+        wrong = f"is {len(str(value))} letters long ({str(value)[:12]}...); give a short name, such as p1"
+    return wrong
+
+
+def site_name(value: object) -> str | None:
+    """
+    >>> site_name("p1"), site_name("p1-failed")
+    (None, "is 'p1-failed'; what failed at site 'p1' is left under that name")
+    """
+    wrong, (site, ending, rest) = plain_name(value), str(value).rpartition(FAILED)
+    if wrong is None and ending and not rest:
+        wrong = f"is {value!r}; what failed at site {site!r} is left under that name"
     return wrong
 
 
@@ -202,7 +218,7 @@ MODEL = {
     "element": Key("tet10 | tet4", one_of("tet10", "tet4"), default="tet10"),
 }
 SITE = {
-    "name": Key("text", plain_name, required=True),
+    "name": Key("text", site_name, required=True),
     "position_mm": Key("[x, y, z]", vector),
     "marker": Key("number", whole(1, 99)),
     "long_axis": Key("transverse | axial | [x, y, z]", axis, required=True),

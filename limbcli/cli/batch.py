@@ -101,7 +101,7 @@ def command(
     if json:
         emit_json([each.content for each in entries])
     if len(pairs) > 1:
-        _index(out or default_out(cases[0]).parent, progress, as_json=json)
+        _index(out or default_out(cases[0]).parent, options.templates, progress, as_json=json)
     failed = [each for each in entries if each.code]
     if failed:
         print(f"{len(failed)} of {len(entries)} cases failed:", file=sys.stderr)
@@ -110,13 +110,13 @@ def command(
         raise typer.Exit(max(each.code for each in failed))
 
 
-def _index(folder: Path, progress: Progress, *, as_json: bool) -> None:
+def _index(folder: Path, templates: Path | None, progress: Progress, *, as_json: bool) -> None:
     """The page that lists all; where no case left anything to list, that is said and is no failure more."""
     from limbcli.cli.app import report_error
     from limbcli.stages.report_pages.index import report_index
 
     try:
-        index = report_index(folder, progress=progress)
+        index = report_index(folder, templates=templates, progress=progress)
     except LimbError as error:
         report_error(error, as_json=False)
         return

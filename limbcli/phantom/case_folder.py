@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -60,10 +61,14 @@ def toml(table: Mapping[str, Any], *, name: str = "") -> str:
 
 
 def _plain(value: Any) -> str:
+    """
+    >>> print(_plain('a\\tb "q" é'), _plain(0.1 + 0.2), _plain([True, 2]))
+    "a\\tb \\"q\\" é" 0.3 [true, 2]
+    """
     if isinstance(value, bool | np.bool_):
         return "true" if value else "false"
     if isinstance(value, str | Path):
-        return '"' + str(value).replace("\\", "\\\\").replace('"', '\\"') + '"'
+        return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, int | np.integer):
         return str(int(value))
     if isinstance(value, float | np.floating):

@@ -13,6 +13,7 @@ from limbcli.phantom.case_folder import NoiseLaw
 from limbcli.phantom.protocol import LoadingProtocol, TrueLevels
 
 SAMPLE_NOISE_N, SAMPLE_NOISE_MM = 0.03, 0.02
+TRAVEL_NOISE_MM = 0.1  # of the guide that the probe runs on, where its travel is recorded
 LAYER_COLUMNS = ("skin_mm", "fat_mm", "muscle_mm")
 _PROBE_DOWN_G = (0.0, -0.05, -0.99)
 
@@ -23,7 +24,8 @@ class Readings:
 
     skin_bone is None where the beam meets no bone; trace: columns time s, force N, depth mm and
     three accelerations in g; travel: of the probe (mm), where it is recorded; layers: mm of skin and
-    fat and, above bone, muscle (n_levels, 2 or 3), where they are read.
+    fat and, above bone, muscle (n_levels, 2 or 3), where they are read. travel_error: mm (n_levels,), that
+    a travel is read with; None: none. left_out : numbers of true levels that have no row
     """
 
     force: Array
@@ -34,6 +36,8 @@ class Readings:
     trace: Array
     travel: Array | None = None
     layers: Array | None = None
+    travel_error: Array | None = None
+    left_out: tuple[int, ...] = ()
 
 
 def measure(
@@ -56,7 +60,10 @@ def measure(
         for each, factor in zip(true.maps, common, strict=True)
     )
     skin_bone = None if true.skin_bone is None else true.skin_bone - depth
-    trace = _trace(force, depth, protocol, rng, quiet=law.force_n == 0)
+    quiet = law.force_n == 0
+    trace = _trace(force, depth, protocol, rng, quiet=quiet)
+    layers = None if true.borders is None else _layers(true.borders, skin_bone, law.layer_mm, rng)
+    travel_error = np.where(first | quiet, 0.0, TRAVEL_NOISE_MM * rng.standard_normal(n))
     return Readings(
         force=force,
         depth=depth,
@@ -64,7 +71,8 @@ def measure(
         skin_bone=skin_bone,
         hold=protocol.hold,
         trace=trace,
-        layers=None if true.borders is None else _layers(true.borders, skin_bone, law.layer_mm, rng),
+        layers=layers,
+        travel_error=travel_error,
     )
 
 

@@ -67,6 +67,7 @@ _UNIT_ENDINGS = {
 }  # fmt: skip
 
 
+_OPTIONS = "asked"  # a result's key
 _SHARES = ("share_below_", "share_above_")
 _EXTENTS = ("matrix", "spacing", "shape")  # lists that are so much by so much; others are coordinates
 
@@ -94,15 +95,21 @@ def named(key: str) -> tuple[str, str]:
 def plain_rows(data: Mapping[str, Any], *, prefix: str = "", unit: str = "") -> list[tuple[Cell, ...]]:
     """The values of a result as (name, value with unit) rows; a table inside it is opened.
 
+    The options that it was asked for are left to its command, which says them with their units.
+
     >>> for name, value in plain_rows({"volume_cm3": {"skin": 1626.6}, "n_slices": 56}):
     ...     print(name.text, "=", value.text)
     volume, skin = 1627...cm³
     number of slices = 56
     >>> [value.text for _, value in plain_rows({"spacing_mm": [1.0, 4.0], "normal": [-0.5, 0.9]})]
     ['1.00 × 4.00 mm', '-0.500, 0.900']
+    >>> plain_rows({"asked": {"size": 6.0}})
+    []
     """
     rows: list[tuple[Cell, ...]] = []
     for key, value in data.items():
+        if key == _OPTIONS:
+            continue
         words, own = named(key)
         label, of = f"{prefix}{words}", own or unit
         if isinstance(value, Mapping):

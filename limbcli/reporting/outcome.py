@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+from limbcli.case.schema import FAILED
 from limbcli.errors import CaseError
 from limbcli.errors.commands import typed
 from limbcli.results import ERROR_FILE, StageResult, read_result, stage_folder
@@ -166,7 +167,7 @@ def _outcome(out: Path, stage: str, site: str | None, case_name: str, subject: s
 
 def _failed_run(folder: Path, stage: str) -> Failure | None:
     """Why the last run ended, where it left its own account beside the place of a result; or None."""
-    path = folder.with_name(folder.name + "-failed") / f"{stage}.json"
+    path = folder.with_name(folder.name + FAILED) / f"{stage}.json"
     try:
         content = json.loads(path.read_text(encoding="utf-8"))["data"]["failure"]
         error, what, where, fix = (

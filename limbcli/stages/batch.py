@@ -9,7 +9,7 @@ several, side by side if need be) and `last`.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +21,11 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import ERROR_FILE, StageResult, read_result, stage_folder
 from limbcli.stages.batching.fits_on_demand import FitOnDemand, extras, made_by_hand, shown_only
 from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailure, keep_error
-from limbcli.stages.batching.steps import FIT_STATES, SITE_STAGES, parts_of, site_steps
+from limbcli.stages.batching.steps import FIT_STATES, SITE_STAGES, parts_of, path_of, site_steps
 from limbcli.stages.machine.kernels import compile_ahead
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.provenance.freshness import Memory, code_hash, key_of
-from limbcli.stages.provenance.requested_options import in_words
+from limbcli.stages.provenance.requested_options import in_words, options_of
 
 DIAGNOSE = "diagnose"
 
@@ -123,7 +123,8 @@ class CaseRun:
             return ()
         sites = self.case.sites
         levels = [each.levels for each in sites if each.levels.is_file()]
-        return (*((s.position, s.long_axis, s.skin_bone) for s in sites), self.case.probe, *levels)
+        probe = replace(self.case.probe, name="")
+        return (*((s.position, s.long_axis, s.skin_bone) for s in sites), probe, *levels)
 
     def _places(self) -> tuple[tuple[str, ...], ...]:
         from limbcli.stages.diagnose import places
@@ -135,22 +136,26 @@ class CaseRun:
         """Of sites that share a place, by their keys; one made by hand stays as long as it holds."""
         from limbcli.stages.diagnose import DiagnoseOptions, diagnose
 
-        key = key_of(DIAGNOSE, *names, *keys)
+        own = ("templates",) if self.options.templates else ()
+        asked = self._asked(DIAGNOSE, names[0], without=own)
+        files = [path for path in map(path_of, map(asked.get, ("effect_file", "templates"))) if path]
+        key = key_of(DIAGNOSE, *names, *keys, *parts_of(asked), *files)
         for failure in self.outcome.failures:
             if failure.site in names and failure.stage not in (SITE_STAGES[-1], FIT_STATES):
                 for name in names:
                     self._skip((DIAGNOSE,), name, because=f"{failure.stage} {failure.site}")
                 return
         memories = [self._memory(DIAGNOSE, name) for name in names]
-        if all(
+        if not self.options.defaults and all(
             memory.made_since(DIAGNOSE, name) and self._holds(DIAGNOSE, name)
             for name, memory in zip(names, memories, strict=True)
         ):
             for name, memory in zip(names, memories, strict=True):
                 memory.remember(DIAGNOSE, name, key)
-        options = DiagnoseOptions(
-            templates=self.options.templates, solver=self.options.solver, febio=self.options.febio
-        )
+        of_batch = {"solver": self.options.solver, "febio": self.options.febio}
+        if self.options.templates:
+            of_batch["templates"] = self.options.templates
+        options = options_of(DiagnoseOptions, {**asked, **of_batch})
 
         def work() -> object:
             return diagnose(self.case, sites=list(names), options=options, **self._common())
@@ -164,8 +169,15 @@ class CaseRun:
         made = [self._extra(each, keys) for each in extras(self.case, self.out, progress=self.progress)]
         shown = [sha256(path) for path in shown_only(self.case, self.out)]
         failed = [str(each.error) for each in self.outcome.failures]
-        everything = key_of(first, *keys, *made, *shown, self.case.raw, failed)
-        if self._stage("report", None, everything, lambda: report(self.case, **self._common())):
+        asked = self._asked("report", None, without=("templates",) if self.options.templates else ())
+        templates = self.options.templates or path_of(asked.get("templates"))
+        own = [templates] if templates else []
+        everything = key_of(first, *keys, *made, *shown, self.case.raw, failed, *own)
+
+        def work() -> object:
+            return report(self.case, templates=templates, **self._common())
+
+        if self._stage("report", None, everything, work):
             self.outcome.report = stage_folder(self.out, "report") / "report.html"
 
     def keep(self, failure: StepFailure) -> None:
@@ -249,6 +261,9 @@ class CaseRun:
     ) -> None:
         """Stages that cannot run say so, and results of an earlier run no longer count."""
         for stage in stages:
+            memory = self._memory(stage, site)
+            if not self.options.defaults:  # the result that tells what was asked by hand goes
+                memory.keep_asked(stage, site, memory.asked(stage, site))
             error = CaseError(
                 f"`{stage}` was not run, because `{because}` failed",
                 where=f"site {site}" if site else str(self.case.folder),

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from contextlib import nullcontext
 from pathlib import Path
 
+from limbcli.case import Case
 from limbcli.config import default_out
 from limbcli.errors import CaseError, FitError, LimbError
 from limbcli.errors.commands import pasted
@@ -62,6 +63,14 @@ def one_case(
         return CaseOutcome(case, out, failures=[failure], begun=False)
 
 
+def _readable(folder: Path) -> Case | None:
+    """The case; None where it cannot be read, which the batch itself tells."""
+    try:
+        return Case.open(folder)
+    except CaseError:
+        return None
+
+
 def expectations(
     case: Path, out: Path, *, progress: Progress = SILENT
 ) -> tuple[list[Comparison], list[StepFailure]]:
@@ -71,7 +80,7 @@ def expectations(
         progress.event("note", text=f"{case}: no {EXPECTED_FILE}, nothing to compare with")
         return [], []
     try:
-        found = compare(case, out)
+        found = compare(case, out, case=_readable(case))
     except LimbError as error:
         return [], [StepFailure(EXPECTED_FILE, None, error)]
     fix = "look at the report; if the new value is right, write it there; correct a name that is not there"

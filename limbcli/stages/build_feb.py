@@ -28,7 +28,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.solvers.base import MODEL_FILE
 from limbcli.stages.provenance.chain import Chain
-from limbcli.stages.provenance.chain_inputs import note_case
+from limbcli.stages.provenance.chain_inputs import note_case, note_templates
 from limbcli.stages.provenance.requested_options import asked_of, asked_of_options
 from limbcli.stages.site_model.indentation_model import (
     C_KPA,
@@ -122,8 +122,7 @@ def _build_site(
     writer.used_result(meshed, files=["model"])
     writer.used("levels", site.levels, role=f"site/{site.name}/levels")
     note_case(writer, case, [], site=site, own=["density_kg_per_m3", "layers"])
-    if templates is not None:
-        writer.used("templates", templates, role=str(templates.resolve()))
+    note_templates(writer, templates)
     writer.warnings.extend(warnings_now(meshed, site))
     if options.c_kpa is None and (doubt := no_level_0(levels, site)):
         writer.warnings.append(doubt)

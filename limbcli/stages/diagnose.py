@@ -47,6 +47,7 @@ from limbcli.stages.diagnosis.report import (
 from limbcli.stages.diagnosis.written_model import write_diagnosed
 from limbcli.stages.mesh import site_position
 from limbcli.stages.provenance.chain import check_earlier, note_earlier
+from limbcli.stages.provenance.requested_options import asked_of_options
 from limbcli.stages.site_model.cycle_words import cycle_facts
 from limbcli.stages.site_model.fibres import note_fibres
 from limbcli.stages.site_model.site_levels import all_levels_of
@@ -76,6 +77,11 @@ class DiagnoseOptions:
     measured: Mapping[str, float] = field(default_factory=dict)
     solver: str = "auto"
     febio: Path | None = None
+
+    def asked(self) -> dict[str, Any]:
+        """What another run needs to be given; the solver is chosen anew."""
+        usual = type(self)()
+        return asked_of_options(replace(self, solver=usual.solver, febio=usual.febio))
 
     @property
     def mesh(self) -> WorkingMesh:
@@ -271,6 +277,7 @@ class _Diagnosed:
         forward_model, all_, mine = place.forward_model, place.prepared, place.prepared[k]
         found = doubted(found, place.bones)
         with open_stage(self.out, STAGE, subject=self.case.subject, site=mine.site.name) as writer:
+            writer.data["asked"] = self.options.asked()
             for name, path in mine.notes.inputs.items():
                 writer.used(name, path)
             note_earlier(self.case, self.out, mine.site, writer)

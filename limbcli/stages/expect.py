@@ -24,15 +24,18 @@ segment.json and fit-joint.json.
 from __future__ import annotations
 
 import math
+import shutil
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from limbcli.case import Case
 from limbcli.errors import CaseError, LimbError
 from limbcli.errors.problems import suggestion
-from limbcli.results import read_result
+from limbcli.results import StageResult, read_result
+from limbcli.stages.provenance.chain import Chain
 
 EXPECTED_FILE = "expected.toml"
 _BY_SITE = {"site": "fit", "elements": "fit-elements", "states": "fit-states", "mesh": "mesh"}  # their stages
@@ -56,8 +59,16 @@ class Comparison:
         return f"{mark} {self.name}: {found} (expected {self.expected})"
 
 
-def compare(folder: Path, out: Path) -> list[Comparison]:
+def keep_expected(folder: Path, work: Path) -> None:
+    """What a user expects of a case outlives its being made again, in `work`."""
+    if (folder / EXPECTED_FILE).is_file():
+        shutil.copyfile(folder / EXPECTED_FILE, work / EXPECTED_FILE)
+
+
+def compare(folder: Path, out: Path, *, case: Case | None = None) -> list[Comparison]:
     """Every expectation of a case against the results in `out`.
+
+    case : with it a result counts only while all that it was made from is as it was
 
     Raises
     ------
@@ -72,13 +83,14 @@ def compare(folder: Path, out: Path) -> list[Comparison]:
         raise CaseError(f"the case has no {EXPECTED_FILE}", where=str(folder), fix=fix) from None
     except (ValueError, OSError) as error:
         raise CaseError(f"{EXPECTED_FILE} cannot be read: {error}", where=str(path), fix="mend it") from error
+    chain = None if case is None else Chain(case, out)
     found: list[Comparison] = []
     for name, table in content.items():
         if name in _OF_THE_CASE:
-            found += _table(name, table, out, name, None, path)
+            found += _table(name, table, out, name, None, path, chain)
         elif name in _BY_SITE:
             for site, rules in _as_table(table, name, path).items():
-                found += _table(f"{name}.{site}", rules, out, _BY_SITE[name], site, path)
+                found += _table(f"{name}.{site}", rules, out, _BY_SITE[name], site, path, chain)
         else:
             known = {*_BY_SITE, *_OF_THE_CASE}
             raise CaseError(
@@ -95,16 +107,34 @@ def _as_table(content: object, name: str, path: Path) -> Mapping[str, Any]:
 
 
 def _table(
-    label: str, content: object, out: Path, stage: str, site: str | None, path: Path
+    label: str, content: object, out: Path, stage: str, site: str | None, path: Path, chain: Chain | None
 ) -> list[Comparison]:
     rules = {
         key: _rule(f"{label}.{key}", each, path) for key, each in _as_table(content, label, path).items()
     }
     try:
-        data: Mapping[str, Any] = read_result(out, stage, site=site).data
+        result = read_result(out, stage, site=site)
     except LimbError as error:
         return [Comparison(label, f"no result ({error.what})", "a result", False)]
-    return [_compare(f"{label}.{key}", *_looked_up(data, key), rule) for key, rule in rules.items()]
+    if doubt := _doubt(chain, result):
+        return [Comparison(label, f"no result of today's case ({doubt})", "a result", False)]
+    return [_compare(f"{label}.{key}", *_looked_up(result.data, key), rule) for key, rule in rules.items()]
+
+
+def _doubt(chain: Chain | None, result: StageResult) -> str:
+    """Why a result says nothing of the case as it is today; nothing where it does."""
+    if chain is None:
+        return ""
+    sites = {each.name: each for each in chain.case.sites}
+    if result.site is not None and result.site not in sites:
+        return f"the case has no site {result.site}"
+    if result.stage == "fit-states" and result.site is not None and not sites[result.site].states:
+        return f"site {result.site} has no states"
+    together = result.data.get("sites", ()) if result.stage == "fit-joint" else ()
+    if gone := [each for each in together if each not in sites]:
+        return f"the case has no site {gone[0]}"
+    broken = chain.broken(result)
+    return "" if broken is None else broken.what
 
 
 def _looked_up(data: Mapping[str, Any], key: str) -> tuple[object, bool]:
@@ -149,7 +179,8 @@ def _is_number(value: object) -> bool:
 
 def _compare(name: str, found: object, is_there: bool, rule: Mapping[str, Any]) -> Comparison:
     if "is" in rule:
-        return Comparison(name, found, repr(rule["is"]), is_there and found == rule["is"])
+        same = found == rule["is"] and isinstance(found, bool) == isinstance(rule["is"], bool)
+        return Comparison(name, found, repr(rule["is"]), is_there and same)
     low, high = _range(rule)
     holds = _is_number(found) and low <= found <= high  # type: ignore[operator]
     return Comparison(name, found, f"{low:.5g} to {high:.5g}", holds)

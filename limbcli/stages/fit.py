@@ -44,7 +44,7 @@ from limbcli.stages.fitting.predicted_speeds import leave_speeds
 from limbcli.stages.fitting.result import Identified, leave_result
 from limbcli.stages.fitting.stiffness_map import leave_map, tissue_map
 from limbcli.stages.provenance.chain import Chain
-from limbcli.stages.provenance.chain_inputs import note_case
+from limbcli.stages.provenance.chain_inputs import note_case, note_templates
 from limbcli.stages.site_model.site_layers import held_layers
 from limbcli.stages.site_model.site_levels import layer_noise, levels_of
 from limbcli.stages.site_model.site_states import one_state
@@ -100,9 +100,7 @@ def fit(
         progress.event("stage", name=STAGE, site=site.name)
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
             writer.data["asked"] = options.asked()
-            if options.templates is not None:
-                role = str(options.templates.resolve())
-                writer.used("templates", options.templates, role=role)
+            note_templates(writer, options.templates)
             _fit_site(case, site, out, writer, engine, options, progress)
         assert writer.result is not None
         results.append(writer.result)

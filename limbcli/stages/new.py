@@ -10,7 +10,7 @@ import jinja2
 
 from limbcli.atomic_files import atomic_folder
 from limbcli.case import CASE_FILE
-from limbcli.case.schema import FILL_IN, plain_name
+from limbcli.case.schema import FILL_IN, plain_name, site_name
 from limbcli.config import templates_folder
 from limbcli.errors import CaseError
 from limbcli.errors.commands import typed
@@ -67,7 +67,8 @@ def new(folder: Path, *, sites: Sequence[str] = ("p1",)) -> StageResult:
 
 def _checked(sites: Sequence[str]) -> tuple[str, ...]:
     for site in sites:
-        wrong = plain_name(site) or ("is the folder of the images" if site == MRI else None)
+        taken = {MRI: "is the folder of the images", README: f"is {README}", CASE_FILE: f"is {CASE_FILE}"}
+        wrong = site_name(site) or taken.get(site)
         if wrong or list(sites).count(site) > 1:
             what = f"the site's name {wrong}" if wrong else f"two sites are named {site!r}"
             raise CaseError(what, where="--site", fix="give every site a short name of its own, such as p1")

@@ -12,7 +12,6 @@ the format of `stages.expect`: a table [site.p1] with `m = {value = 6.0, toleran
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -32,7 +31,7 @@ from limbcli.phantom.mri import SimulatedVolume, acquire, tissue_fractions
 from limbcli.phantom.subject import PLACES, PhantomSite, Subject, make_subject
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance
-from limbcli.stages.expect import EXPECTED_FILE
+from limbcli.stages.expect import keep_expected
 from limbcli.stages.machine.kernels import compile_ahead
 from limbcli.stages.simulated_subjects.synth_options import SynthOptions
 from limbcli.stages.simulated_subjects.synth_truth import SyntheticSite, summary_of, truth_table
@@ -111,14 +110,8 @@ def phantom(
         if measured:
             _write_case(subject, work, options, measured[0].law, measured=True)
         _write_truth(subject, work, options, measured)
-        _keep(folder / EXPECTED_FILE, work)
+        keep_expected(folder, work)
     return _result(folder, subject, volume, measured, options)
-
-
-def _keep(path: Path, work: Path) -> None:
-    """What a user expects of the case outlives its being made again."""
-    if path.is_file():
-        shutil.copyfile(path, work / path.name)
 
 
 def _check_target(folder: Path, *, force: bool) -> None:
@@ -241,7 +234,7 @@ def _result(
         },
         "sites": [each.name for each in subject.places],
         "tissue": vars(options.synth.tissue) if options.synth else None,
-        "n_levels": {each.site: len(each.true.force) for each in measured},
+        "n_levels": {each.site: len(each.readings.force) for each in measured},
         "size_bytes": size,
     }
     summary = [

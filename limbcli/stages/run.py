@@ -9,6 +9,7 @@ from pathlib import Path
 
 from limbcli.atomic_files import atomic_folder, sha256
 from limbcli.case import Case, Site
+from limbcli.case.schema import FAILED
 from limbcli.errors import CaseError, LimbError, SolveError
 from limbcli.feb.outline import Outline, read_outline
 from limbcli.feb.read import read_feb
@@ -27,7 +28,6 @@ from limbcli.stages.running.vtu import write_series
 from limbcli.stages.site_model.site_levels import levels_of
 
 STAGE = "run"
-FAILED = "-failed"
 _OF_A_CASE = ("segment", "mesh", "build-feb", "fit")  # stages that leave nothing where only files were run
 
 

@@ -102,7 +102,7 @@ def segment(
         _check_edited(case, out, edited)
     with open_stage(out, "segment", subject=case.subject) as writer:
         writer.data["asked"] = options.asked()
-        note_case(writer, case, ["imaging"])
+        note_case(writer, case, ["imaging", "subject/limb"])
         if edited is not None:
             _from_edited(case, edited, options, writer, progress)
         elif case.imaging.assumed:

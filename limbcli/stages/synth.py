@@ -28,6 +28,7 @@ from limbcli.phantom.noise import Readings, measure
 from limbcli.phantom.protocol import TrueLevels
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance, read_result, stage_folder
+from limbcli.stages.expect import keep_expected
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.simulated_subjects.hidden_effects import check_beside_layers, in_order
 from limbcli.stages.simulated_subjects.indent import indent
@@ -38,6 +39,7 @@ from limbcli.stages.simulated_subjects.known_stretches import (
 from limbcli.stages.simulated_subjects.synth_case import (
     borders_at_rest,
     case_table,
+    check_orientations,
     copy_imaging,
 )
 from limbcli.stages.simulated_subjects.synth_options import Alter, SynthOptions
@@ -73,6 +75,7 @@ def synth(
     _check_target(case, out_case, force=force)
     chosen = case.selected(sites)
     check_stretches(case, chosen, options.stretches)
+    check_orientations(chosen)
     measured = measure_sites(case, chosen, out=out, options=options, progress=progress)
     with atomic_folder(out_case) as work:
         copy_imaging(case, work)
@@ -81,6 +84,7 @@ def synth(
             write(work / each.label, each.readings)
         table = case_table(case, {each.site: each.law for each in measured}, layers=options.layers)
         (work / CASE_FILE).write_text(toml(table), encoding="utf-8")
+        keep_expected(out_case, work)
     with atomic_file(truth_file(out_case)) as path:
         path.write_text(toml(truth_table(measured, options)), encoding="utf-8")
     return _result(case, out_case, measured)
@@ -115,7 +119,14 @@ def _check_target(case: Case, out_case: Path, *, force: bool) -> None:
 def measure_sites(
     case: Case, sites: tuple[Site, ...], *, out: Path, options: SynthOptions, progress: Progress = SILENT
 ) -> list[SyntheticSite]:
-    """Simulate every site on its mesh and read it off. `segment` and `mesh` run where they are missing."""
+    """Simulate every site on its mesh and read it off. `segment` and `mesh` run where they are missing.
+
+    Raises
+    ------
+    CaseError
+        If the mesh that is fitted is to be taken, and another element or other sizes are told.
+    """
+    _refuse_unheard(options)
     numbers = {each.name: k for k, each in enumerate(case.sites)}
     with scratch_folder() as scratch:
         _segmented(case, out, progress)
@@ -127,6 +138,18 @@ def measure_sites(
             for site in sites
             for each in _measure_site(case, site, folder, options, numbers[site.name], progress)
         ]
+
+
+def _refuse_unheard(options: SynthOptions) -> None:
+    """Sizes are those of a mesh of its own."""
+    usual, names = SynthOptions(), ("size", "far_size", "margin")
+    if options.same_mesh and any(getattr(options, each) != getattr(usual, each) for each in names):
+        raise CaseError(
+            "sizes are told of a mesh that is not made",
+            where="--same-mesh",
+            fix="leave --size-mm, --far-size-mm and --margin-mm out, or --same-mesh; `limbcli mesh` sets "
+            "those of the mesh that is fitted",
+        )
 
 
 def _segmented(case: Case, out: Path, progress: Progress) -> None:
@@ -141,7 +164,14 @@ def _meshed(case: Case, site: Site, folder: Path, options: SynthOptions, progres
     from limbcli.stages.mesh import mesh
 
     place = stage_folder(folder, "mesh", site.name)
-    if Chain(case, folder).present("mesh", site=site.name) is None:
+    there = Chain(case, folder).present("mesh", site=site.name)
+    if there is not None and options.element not in (None, there.data.get("element")):
+        raise CaseError(
+            f"the mesh that is fitted is of {there.data.get('element')}, not of {options.element}",
+            where=f"site {site.name}",
+            fix="leave --element out, or --same-mesh",
+        )
+    if there is None:
         sizes: dict[str, Any] = {}
         if not options.same_mesh:
             sizes = {"size": options.size, "far_size": options.far_size, "margin": options.margin}
@@ -238,7 +268,7 @@ def _result(case: Case, out_case: Path, measured: list[SyntheticSite]) -> StageR
         data={
             "truth": str(truth_file(out_case)),
             "sites": list(dict.fromkeys(each.site for each in measured)),
-            "n_levels": {each.label: len(each.true.force) for each in measured},
+            "n_levels": {each.label: len(each.readings.force) for each in measured},
         },
         summary=(*map(summary_of, measured), f"truth: {truth_file(out_case)}"),
         provenance=provenance(),

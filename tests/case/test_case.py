@@ -87,6 +87,8 @@ def test_unknown_key_suggests_the_nearest(folder: Path):
         ('long_axis = "transverse"', 'long_axis = "across"', "one of"),
         ('long_axis = "transverse"', "long_axis = [0, 0, 0]", "length zero"),
         ('name = "p1"', 'name = "../p1"', "letters"),
+        ('name = "p1"', 'name = "p1-failed"', "what failed at site 'p1'"),
+        ('name = "p1"', f'name = "{"p" * 101}"', "101 letters long"),
         ('id = "S1"', "id = 7", "not a text"),
         ("[probe]", "[prob]", "unknown key 'prob'"),
         ("[[site]]", "[site]", "no site"),

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
+import shutil
 
+import pytest
+
+from limbcli.errors import CaseError
 from limbcli.reporting.outcome import read_outcomes
-from limbcli.results import open_stage
+from limbcli.results import open_stage, read_result
 
 
 def test_each_stage_is_done_failed_or_missing(tmp_path):
@@ -74,3 +78,13 @@ def test_a_run_that_failed_tells_why_from_its_own_account(tmp_path):
     assert outcome.failure.what == "stopped"
     (tmp_path / "run" / "p1-failed" / "run.json").write_text("[]")
     assert read_outcomes(tmp_path, ("p1",)).of("run", "p1").status == "missing"
+
+
+def test_a_result_in_the_place_of_another_sites_is_not_taken_for_it(tmp_path):
+    with open_stage(tmp_path, "mesh", subject="S1", site="p1"):
+        pass
+    shutil.copytree(tmp_path / "mesh" / "p1", tmp_path / "mesh" / "p2")
+    with pytest.raises(CaseError, match="it is that of `mesh p1`"):
+        read_result(tmp_path, "mesh", site="p2")
+    outcomes = read_outcomes(tmp_path, ("p1", "p2"))
+    assert [outcomes.of("mesh", site).status for site in ("p1", "p2")] == ["done", "failed"]

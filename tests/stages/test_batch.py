@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
@@ -92,6 +93,23 @@ def test_changed_measurement_redoes_only_what_follows(tmp_path: Path, calls: lis
     (case / "p2.csv").write_text("force_n,depth_mm\n0,0\n2,1\n5,2\n")
     batch(case, out=tmp_path / "out")
     assert calls == ["build-feb p2", "run p2", "fit p2", "report"]
+
+
+def test_what_a_mesh_is_not_made_from_redoes_none(tmp_path: Path, calls: list[str]):
+    case, out = two_sites(tmp_path / "case"), tmp_path / "out"
+    batch(case, out=out)
+    text = (case / "case.toml").read_text()
+    calls.clear()
+    (case / "case.toml").write_text(text.replace("GE 9L", "GE 9L-D"))
+    batch(case, out=out)
+    assert calls == ["report"]
+    for more, first in (("[site.noise]\nforce_n = 0.2\n", "build-feb"), ("marker = 1\n", "mesh")):
+        calls.clear()
+        changed = text.rpartition("position_mm")[0] + 'long_axis = "axial"\nlevels = "p2.csv"\n'
+        (case / "case.toml").write_text(changed + more if first == "mesh" else text + more)
+        batch(case, out=out)
+        assert calls[0] == f"{first} p2"
+        assert not any(each.endswith("p1") for each in calls)
 
 
 def test_changed_fibres_redo_the_meshes_that_use_them(tmp_path: Path, calls: list[str]):
@@ -354,6 +372,76 @@ def test_options_by_hand_outlive_a_failure_and_end_with_a_plain_call_or_on_deman
     by_hand(case, out, "segment", None)
     assert batch(case, out=out).kept == {}
     assert TOLD["segment"][-1] == {}
+
+
+def test_the_page_is_made_with_the_templates_of_the_batch_or_of_its_last_call_by_hand(
+    tmp_path: Path, calls: list[str]
+):
+    case, out = two_sites(tmp_path / "case"), tmp_path / "out"
+    own, another = tmp_path / "own", tmp_path / "another"
+    for each in (own, another):
+        (each / "report").mkdir(parents=True)
+        (each / "report" / "style.css").write_text("body {}")
+    batch(case, out=out)
+    calls.clear()
+    batch(case, out=out, options=BatchOptions(templates=own))
+    assert calls == ["report"], "templates of pages say nothing to a model"
+    assert TOLD["report"][-1] == {"templates": own}
+    by_hand(case, out, "report", None, templates=str(another))
+    assert batch(case, out=out).kept == {"report": f"--templates {another}"}
+    assert TOLD["report"][-1] == {"templates": another}
+    (another / "report" / "style.css").write_text("p {}")
+    text = (case / "case.toml").read_text()
+    (case / "case.toml").write_text("format = 2")
+    assert [each.stage for each in batch(case, out=out).failures] == ["check"]
+    (case / "case.toml").write_text(text)
+    calls.clear()
+    batch(case, out=out)
+    assert calls == ["report"]
+    assert TOLD["report"][-1] == {"templates": another}
+
+
+def test_a_diagnosis_is_made_again_as_it_was_asked_for_by_hand(
+    tmp_path: Path, calls: list[str], monkeypatch: pytest.MonkeyPatch
+):
+    case, out = two_sites(tmp_path / "case"), tmp_path / "out"
+    asked = diagnose.DiagnoseOptions(effects=("tilt",), measured={"tare_n": 0.4}, solver="febio").asked()
+    told: list[dict] = []
+
+    def diagnosed(of: Case, *, sites: list[str], options: diagnose.DiagnoseOptions, **_) -> None:
+        told.append(options.asked())
+        for site in sites:
+            by_hand(of.folder, out, "diagnose", site, **options.asked())
+
+    monkeypatch.setattr(diagnose, "places", lambda *_, **__: [[site] for site in Case.open(case).sites])
+    monkeypatch.setattr(diagnose, "diagnose", diagnosed)
+    batch(case, out=out)
+    for site in ("p1", "p2"):
+        by_hand(case, out, "diagnose", site, **asked)
+    kept = batch(case, out=out, options=BatchOptions(diagnose=True)).kept
+    assert kept["diagnose p1"] == "--effects tilt --measured tare_n=0.4"
+    assert told == [], "what was made by hand stays"
+    (case / "p2.csv").write_text("force_n,depth_mm\n0,0\n2,1\n5,2\n")
+    batch(case, out=out, options=BatchOptions(diagnose=True))
+    assert told == [asked]
+    batch(case, out=out, options=BatchOptions(diagnose=True, defaults=True))
+    assert told[1:] == [{}, {}]
+
+
+def test_options_by_hand_outlive_a_failure_of_what_all_sites_share(
+    tmp_path: Path, calls: list[str], monkeypatch: pytest.MonkeyPatch
+):
+    case, out = two_sites(tmp_path / "case"), tmp_path / "out"
+    by_hand(case, out, "mesh", "p2", fat_layer=6.0)
+
+    def fails(*_: object, **__: object) -> None:
+        raise CaseError("no limb stands out", where="MRI series", fix="look at it")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sys.modules["limbcli.stages.segment"], "segment", fails)
+        assert [each.stage for each in batch(case, out=out).failures] == ["segment"]
+    batch(case, out=out)
+    assert TOLD["mesh p2"] == [{"fat_layer": 6.0}]
 
 
 def test_a_fit_by_hand_of_another_model_or_from_before_a_mesh_study_is_made_again(

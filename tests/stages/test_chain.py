@@ -142,6 +142,7 @@ CHANGES: dict[str, tuple[Callable[[Path], None], str, str]] = {
     "a bone is gone": (gone("out/segment/bone_1.ply"), "segment", "is gone"),
     "segment is gone": (gone("out/segment"), "segment", "no result of `segment`"),
     "another subject": (in_case('id = "S1"', 'id = "S2"'), "segment", "is of S1, the case of S2"),
+    "the other limb": (in_case('"left"', '"right"'), "segment", "subject.limb changed"),
     "an earlier version": (of_version("0.0.1"), "segment", "limbcli 0.0.1"),
     "no version": (of_version(None), "segment", "an earlier limbcli"),
     "probe": (in_case("edge_radius_mm = 2.0", "edge_radius_mm = 3.0"), "mesh", "probe changed"),
@@ -158,6 +159,7 @@ CHANGES: dict[str, tuple[Callable[[Path], None], str, str]] = {
     "model by hand": (in_file("out/build-feb/p1/model.feb"), "build-feb", "model.feb"),
     "model is gone": (gone("out/build-feb/p1/model.feb"), "build-feb", "is gone"),
     "noise": (in_case("force_n = 0.1", "force_n = 0.2"), "", ""),
+    "the probe's name": (in_case('name = "small"', 'name = "flat"'), "", ""),
     "picture": (in_file("out/mesh/p1/mesh.png"), "", ""),
 }  # fmt: skip
 ORDER = ("segment", "mesh", "build-feb", "run")

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import pytest
 
+from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.results import open_stage
 from limbcli.stages.batch_cases import expectations
 from limbcli.stages.expect import compare
+from tests.case.test_case_text import two_sites
 
 
 @pytest.fixture
@@ -98,3 +100,29 @@ def test_fibres_of_a_mesh_and_a_joint_fit_can_be_expected(tmp_path: Path):
         "[fit-joint]\nfibre_shear = { max = 1.2 }\n"
     )
     assert [each.holds for each in compare(tmp_path, tmp_path / "out")] == [True, False]
+
+
+def test_a_result_counts_only_for_the_case_that_it_was_made_of(tmp_path: Path):
+    case, out = two_sites(tmp_path / "case"), tmp_path / "out"
+    levels = Case.open(case).site("p1").levels
+    for site in ("p1", "p2", "p9"):
+        with open_stage(out, "fit", subject="S1", site=site) as writer:
+            writer.data.update({"m": 2.1, "poor": True})
+            writer.used("levels", levels, role="site/p1/levels")
+    (case / "expected.toml").write_text(
+        "".join(f"[site.{site}]\nm = {{ min = 2.0 }}\n" for site in ("p1", "p2", "p9"))
+    )
+    found, unlike = expectations(case, out)
+    assert [each.holds for each in found] == [True, True, False]
+    assert "the case has no site p9" in unlike[0].error.what
+    levels.write_text(levels.read_text() + "\n")
+    found, _ = expectations(case, out)
+    assert [each.holds for each in found] == [False, False, False]
+    assert "levels of site p1 changed" in str(found[0].found)
+
+
+def test_true_is_no_number(tmp_path: Path, out: Path):
+    with open_stage(out, "fit", subject="S1", site="p1") as writer:
+        writer.data.update({"poor": True, "n": 1})
+    (tmp_path / "expected.toml").write_text("[site.p1]\npoor = { is = 1 }\nn = { is = 1.0 }\n")
+    assert [each.holds for each in compare(tmp_path, out)] == [False, True]

@@ -10,9 +10,13 @@ import pytest
 
 from limbcli.errors import CaseError
 from limbcli.measurement.elastography import SweMap
+from limbcli.phantom.case_folder import NoiseLaw
 from limbcli.phantom.noise import Readings
 from limbcli.phantom.protocol import LoadingProtocol, TrueLevels
 from limbcli.stages.simulated_subjects.hidden_effects import check_beside_layers, hide, in_order
+from limbcli.stages.simulated_subjects.synth_options import SynthOptions
+from limbcli.stages.simulated_subjects.synth_truth import SyntheticSite, summary_of, truth_table
+from limbcli.stages.synth import read_off
 from tests.diagnostics.reduced import block_model
 from tests.effects.test_together import ground
 
@@ -55,9 +59,22 @@ def test_force_and_depth_effects():
 
 def test_a_support_that_gives_way_shows_in_the_travel_alone():
     found = shown("support-motion=0.1")
-    assert found.travel == pytest.approx([0.0, 3.2, 5.4], abs=0.4)
+    assert found.travel == pytest.approx([0.0, 3.2, 5.4])
     assert found.depth == pytest.approx(_readings().depth)
     assert found.force == pytest.approx(_readings().force)
+
+
+def test_the_travel_is_read_with_the_noise_of_its_seed_and_site_and_with_none_where_none_is_asked_for():
+    def travel(seed: int, number: int, noise: float) -> np.ndarray:
+        plan = SynthOptions(seed=seed, noise=noise, hidden=(hide("support-motion=0.1"),))
+        found = read_off(_true(), NoiseLaw().times(noise), plan, number).travel
+        assert found is not None
+        return found
+
+    several = [travel(seed, number, 1.0) for seed in (1, 2) for number in (0, 1)]
+    assert len(np.unique(np.round(several, 6), axis=0)) == 4
+    assert np.max(np.abs(np.array(several) - [0.0, 3.2, 5.4])) < 0.5
+    assert travel(1, 0, 0.0) == pytest.approx([0.0, 3.2, 5.4])
 
 
 def test_speed_effects():
@@ -117,6 +134,15 @@ def test_readings_are_distorted_alike_in_whatever_order_it_is_asked_for(names):
     assert readings.travel is not None
     assert readings.layers is not None
     assert len(readings.travel) == len(readings.layers) == 2
+
+
+def test_the_truth_tells_which_of_its_levels_were_not_read():
+    plan = SynthOptions(noise=0.0, hidden=(hide("depth-zero=1.2"),))
+    readings = read_off(_true(), NoiseLaw().times(0.0), plan, 0)
+    site = SyntheticSite("p1", _true(), readings, NoiseLaw(), {"element": "tet4", "n_elements": 3})
+    (true,) = truth_table([site], plan)["site"]
+    assert np.delete(true["force_n"], true["levels_not_read"]) == pytest.approx(readings.force)
+    assert "p1: 2 levels" in summary_of(site)
 
 
 def test_stiffer_and_softer_places_are_hidden_beside_any_other_effect():

@@ -114,9 +114,9 @@ def test_an_empty_folder_is_filled_in_its_place_or_left_empty(tmp_path: Path, mo
     assert list(other.iterdir()) == []
 
 
-@pytest.mark.parametrize("sites", [["a/b"], [""], ["p1", "p1"], ["mri"], ["../x"]])
+@pytest.mark.parametrize("sites", [["a/b"], [""], ["p1", "p1"], ["mri"], ["../x"], ["README.md"]])
 def test_site_names_that_cannot_be_are_refused(tmp_path: Path, sites: list[str]):
-    with pytest.raises(CaseError):
+    with pytest.raises(CaseError, match="site"):
         new(tmp_path / "S", sites=sites)
     assert not (tmp_path / "S").exists()
 

@@ -75,6 +75,22 @@ def test_study_page_gives_every_failure_its_reasons(tmp_path):
     assert "Side by side" not in html, "nothing was fitted"
 
 
+def test_what_failed_beside_a_fit_does_not_take_its_numbers(tmp_path):
+    add_subject(tmp_path, "A", failure="of another stage")
+    path = tmp_path / "A" / "report" / "report.json"
+    content = json.loads(path.read_text())
+    content["data"]["failures"] = [{"stage": "fit-joint", "site": None, "what": "it did not settle"}]
+    for status, text in (
+        ("done", "3.70\u00a0to\u00a04.50"),
+        ("failed", "fit-joint failed: it did"),
+    ):
+        content["data"]["stages"] = {"fit p1": status}
+        path.write_text(json.dumps(content))
+        (row,) = report_index(tmp_path).rows
+        assert row.mood == "failed"
+        assert any(text in f"{cell.text} {cell.reason}" for cell in row.cells)
+
+
 def test_a_poor_fit_is_called_so_in_the_table(tmp_path):
     add_subject(tmp_path, "A")
     path = tmp_path / "A" / "fit" / "p1" / "fit.json"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from limbcli.errors import CaseError
 from limbcli.measurement.elastography import read_maps
 from limbcli.measurement.indentation import read_levels
 from limbcli.phantom.protocol import LoadingProtocol
+from limbcli.stages import synth as synth_module
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.fit import FitOptions, fit
 from limbcli.stages.mesh import mesh
@@ -100,3 +102,25 @@ def test_only_what_synth_made_is_replaced(limb, exact, tmp_path):
     (tmp_path / "mine" / "levels.csv").write_text("force_n\n")
     with pytest.raises(CaseError, match="not made by synth"):
         synth(case, out=limb / "out", out_case=tmp_path / "mine", options=EXACT, force=True)
+
+
+@pytest.mark.slow
+def test_the_mesh_that_is_fitted_has_its_own_element_and_sizes(limb, tmp_path):
+    case = Case.open(limb / "limb")
+    for told, words in (
+        ({"size": 2.0}, "sizes are told"),
+        ({"element": "tet10"}, "is of tet4, not of tet10"),
+    ):
+        with pytest.raises(CaseError, match=words):
+            synth(case, out=limb / "out", out_case=tmp_path / "new", options=replace(EXACT, **told))
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.slow
+def test_what_is_expected_of_a_simulated_case_outlives_its_being_made_again(limb, tmp_path, monkeypatch):
+    monkeypatch.setattr(synth_module, "measure_sites", lambda *_, **__: [])
+    case, folder = Case.open(limb / "limb"), tmp_path / "new"
+    synth(case, out=limb / "out", out_case=folder, options=EXACT)
+    (folder / "expected.toml").write_text("[site.p1]\n")
+    synth(case, out=limb / "out", out_case=folder, options=EXACT, force=True)
+    assert (folder / "expected.toml").read_text() == "[site.p1]\n"

@@ -15,6 +15,10 @@ from limbcli.stages.batching.outcome import BatchOptions
 from limbcli.stages.provenance.requested_options import Asked, options_of
 
 SITE_STAGES = ("mesh", "build-feb", "run", "fit")
+# Keys of a [[site]] that its mesh is made from; the others are looked at once there is a model.
+_OF_MESH = (
+    "name", "position_mm", "marker", "long_axis", "layers", "fibre_direction", "pennation", "skin_bone_mm",
+)  # fmt: skip
 FIT_STATES = "fit-states"  # after these, of a site that has states
 
 
@@ -42,11 +46,15 @@ def site_steps(
     solver: dict[str, Any] = {"solver": options.solver, "febio": options.febio}
     meshed = {**asked["mesh"], **({"element": options.element} if options.element else {})}
     tissue, ran, fitted = (asked[each] for each in SITE_STAGES[1:])
-    templates = options.templates or _path(tissue.get("templates"))
+    templates = options.templates or path_of(tissue.get("templates"))
+    of_model = [templates / "feb"] if templates and (templates / "feb").is_dir() else []
     fit_options = options_of(FitOptions, fitted)
     if options.templates:
         fit_options = replace(fit_options, templates=templates)
     table = next(each for each in raw["site"] if each["name"] == name)
+    probe = {key: value for key, value in raw["probe"].items() if key != "name"}
+    placed = {key: value for key, value in table.items() if key in _OF_MESH}
+    told = {key: value for key, value in table.items() if key not in _OF_MESH}
     measured = [path for path in (site.levels, site.trace, site.swe_maps) if path]
     study = stage_folder(out, "mesh-study", name) / "mesh-study.json"
 
@@ -57,10 +65,10 @@ def site_steps(
     steps = [
         SiteStep(
             "mesh",
-            (raw["probe"], raw.get("model"), table, *_fibre_parts(case, name), *parts_of(meshed)),
+            (probe, raw.get("model"), placed, *_fibre_parts(case, name), *parts_of(meshed)),
             lambda: mesh(case, **meshed, **common),
         ),
-        SiteStep("build-feb", (*measured, *([templates] if templates else []), *parts_of(tissue)), build),
+        SiteStep("build-feb", (told, *measured, *of_model, *parts_of(tissue)), build),
         SiteStep(
             "run",
             (identity(options.solver, options.febio), *parts_of(ran)),
@@ -102,5 +110,6 @@ def parts_of(asked: Asked) -> tuple[object, ...]:
     return (sorted(asked.items()),) if asked else ()
 
 
-def _path(text: str | None) -> Path | None:
+def path_of(text: str | None) -> Path | None:
+    """Of an option that was kept as text."""
     return Path(text) if text else None

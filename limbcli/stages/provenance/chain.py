@@ -17,7 +17,7 @@ from limbcli.atomic_files import sha256
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError
 from limbcli.results import StageResult, StageWriter, plain, read_result, stage_folder
-from limbcli.stages.provenance.chain_inputs import SITES, case_value, in_words, input_path, note_case
+from limbcli.stages.provenance.chain_inputs import SITES, in_words, input_path, is_unchanged, note_case
 from limbcli.stages.provenance.commands import CommandStep, commands
 from limbcli.version import __version__
 
@@ -150,7 +150,7 @@ class Chain:
     def _is_as_it_was(self, key: str, value: Any, about: Collection[str] | None) -> bool:
         if key == SITES:
             return set(self._names() if about is None else about) <= set(value)
-        return bool(case_value(self.case, key) == value)
+        return is_unchanged(self.case, key, value)
 
     def _names(self) -> list[str]:
         return [each.name for each in self.case.sites]

@@ -6,7 +6,7 @@ A role names a file or folder ("site/p1/levels", "imaging/mri"), a key the value
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -43,11 +43,21 @@ def case_value(case: Case, key: str) -> Any:
         return [each.name for each in case.sites]
     if section == "imaging":
         return plain(case.raw.get("imaging"))
+    if section == "subject":
+        return getattr(case, rest[0])
     if section == "site":
         site = _site(case, rest[0])
         return None if site is None else plain(_of_site(site, rest[1]))
     found = plain(vars(getattr(case, section)))
     return found[rest[0]] if rest else found
+
+
+def is_unchanged(case: Case, key: str, before: Any) -> bool:
+    """Whether the value of a key is as it was noted; a probe by another name is the same probe."""
+    now = case_value(case, key)
+    if key == "probe" and isinstance(before, Mapping):
+        return {**before, "name": ""} == {**now, "name": ""}
+    return bool(now == before)
 
 
 def note_case(
@@ -56,6 +66,12 @@ def note_case(
     """Note these keys of the case, and those of one site's own, as what a result is made from."""
     several = [*keys, *(f"site/{site.name}/{each}" for each in own if site is not None)]
     writer.made_from["case"].update({key: case_value(case, key) for key in several})
+
+
+def note_templates(writer: StageWriter, templates: Path | None) -> None:
+    """Note the user's templates of a model file; those of pages beside them say nothing to it."""
+    if templates is not None and (templates / "feb").is_dir():
+        writer.used("templates", templates / "feb", role=str((templates / "feb").resolve()))
 
 
 def in_words(key: str) -> str:

@@ -96,7 +96,8 @@ class Memory:
                 found = read_result(self._out, stage, site=site)
                 is_ours = self._subject in ("", found.subject)
                 given = found.data.get("asked")
-                return dict(given) if is_ours and isinstance(given, dict) else {}
+                if isinstance(given, dict):  # the page of a case that could not be read does not say
+                    return dict(given) if is_ours else {}
         return dict(self._done[_ASKED].get(_name(stage, site), {}))
 
     def keep_asked(self, stage: str, site: str | None, asked: Mapping[str, Any]) -> None:

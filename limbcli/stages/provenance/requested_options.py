@@ -28,6 +28,9 @@ _SPOKEN = {
 }  # fmt: skip
 
 
+_PATHS = ("templates", "effect_file")
+
+
 def asked_of(given: Asked, usual: Asked | None = None) -> dict[str, Any]:
     """Plain values of what differs from the usual (not there: None).
 
@@ -50,9 +53,10 @@ def options_of(kind: type, asked: Asked) -> Any:
     """A dataclass of options with what was asked; keys that it does not know are left out."""
     names = {each.name for each in fields(kind)}
     known = {key: value for key, value in asked.items() if key in names}
-    if known.get("templates") is not None:
-        known["templates"] = Path(known["templates"])
-    return kind(**known)
+    if "effects" in known:
+        known["effects"] = tuple(known["effects"])
+    paths = {key: Path(known[key]) for key in _PATHS if known.get(key) is not None}
+    return kind(**{**known, **paths})
 
 
 def in_words(asked: Asked) -> str:
@@ -60,6 +64,8 @@ def in_words(asked: Asked) -> str:
 
     >>> in_words({"stiffness_map": True, "fat_layer": 6.0, "intervals": False, "place": [90.0, 120.0]})
     '--stiffness-map --fat-mm 6 --no-intervals --at 90 120'
+    >>> in_words({"effects": ["skin-layer", "tilt"], "measured": {"tare_n": 0.4}})
+    '--effects skin-layer --effects tilt --measured tare_n=0.4'
     """
     return " ".join(_spoken(key, value) for key, value in asked.items())
 
@@ -75,6 +81,10 @@ def _spoken(key: str, value: Any) -> str:
     if key == "layers":
         laws = ("{}:{}".format(k, ",".join(f"{a}={b}" for a, b in law.items())) for k, law in value.items())
         return " ".join(f"{name} {law}" for law in laws)
+    if key == "effects":
+        return " ".join(f"{name} {shlex.quote(each)}" for each in value)
+    if key == "measured":
+        return " ".join(f"{name} {each}={number:g}" for each, number in value.items())
     several = value if isinstance(value, list) else [value]
     return " ".join(
         [

@@ -15,7 +15,7 @@ from limbcli.errors import CaseError
 from limbcli.progress import SILENT, Progress
 from limbcli.reporting.figures.study import study_figure
 from limbcli.reporting.figures.style import style
-from limbcli.reporting.fit_view import read_fit_view
+from limbcli.reporting.fit_view import FitView, read_fit_view
 from limbcli.reporting.index import HEADINGS, IndexRow, relative, study_rows
 from limbcli.reporting.outcome import Failure, problems_of
 from limbcli.reporting.page import data_uri, render
@@ -121,8 +121,8 @@ def _row(out: Path, report: StageResult, site: str, link: str) -> IndexRow:
     name, assumed = out.resolve().name, str(report.data.get("geometry_assumed") or "")
     if failures:
         state = f"{failures[0]['stage']} failed: {failures[0]['what'].splitlines()[0]}"
-        shown = tuple(_failure(each) for each in failures)
-        return IndexRow(name, report.subject, site, "failed", state, n_warnings, link, None, shown, assumed)
+        shown, view = tuple(_failure(each) for each in failures), _fitted_all_the_same(out, report, site)
+        return IndexRow(name, report.subject, site, "failed", state, n_warnings, link, view, shown, assumed)
     try:
         fitted = read_result(out, "fit", site=site)
     except CaseError:
@@ -137,6 +137,17 @@ def _row(out: Path, report: StageResult, site: str, link: str) -> IndexRow:
         name, report.subject, site, "warning" if n_warnings else "fine", "fitted", n_warnings, link, view,
         assumed=assumed,
     )  # fmt: skip
+
+
+def _fitted_all_the_same(out: Path, report: StageResult, site: str) -> FitView | None:
+    """The fit that the page shows beside what failed, such as a joint fit or a diagnosis."""
+    if report.value("stages") is None or report.data["stages"].get(f"fit {site}") != "done":
+        return None
+    try:
+        fitted = read_result(out, "fit", site=site)
+    except CaseError:
+        return None
+    return read_fit_view(fitted) if fitted.subject == report.subject else None
 
 
 def _failure(content: Mapping[str, Any]) -> Failure:

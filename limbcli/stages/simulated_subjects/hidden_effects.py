@@ -189,15 +189,18 @@ def _depth_zero(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
 
 
 def _rows(readings: Readings, keep: IntArray) -> Readings:
-    """Only these levels."""
+    """Only these levels, of readings that have them all."""
+    left = sorted(set(range(len(readings.force))) - set(keep.tolist()))
     return replace(
         readings,
+        left_out=tuple(left),
         force=readings.force[keep],
         depth=readings.depth[keep],
         maps=tuple(readings.maps[k] for k in keep),
         skin_bone=None if readings.skin_bone is None else readings.skin_bone[keep],
         travel=None if readings.travel is None else readings.travel[keep],
         layers=None if readings.layers is None else readings.layers[keep],
+        travel_error=None if readings.travel_error is None else readings.travel_error[keep],
     )
 
 
@@ -263,13 +266,9 @@ def _depth_bias(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
 
 def _support(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
     """Bone on a spring: the probe travels further than it presses; its travel is recorded."""
-    noise = _TRAVEL_NOISE_MM * np.random.default_rng(len(true.force)).standard_normal(len(true.force))
     travel = true.depth + theta["support_compliance_mm_per_n"] * true.force
-    travel = travel - travel[0] + noise
-    return replace(readings, travel=np.where(np.arange(len(travel)) == 0, 0.0, travel))
-
-
-_TRAVEL_NOISE_MM = 0.1
+    error = 0.0 if readings.travel_error is None else readings.travel_error
+    return replace(readings, travel=travel - travel[0] + error)
 
 
 def _guided(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:

@@ -2,28 +2,49 @@
 
 from __future__ import annotations
 
+import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from limbcli.case import Case, Site
+from limbcli.case import CASE_FILE, Case, Site
+from limbcli.case.schema import INSTRUMENTS
 from limbcli.errors import CaseError
 from limbcli.model import Array
 from limbcli.phantom.case_folder import NoiseLaw
 from limbcli.results import StageResult
 
-_MADE_ANEW = ("levels", "trace", "swe_maps", "noise")
+_MADE_ANEW = ("levels", "trace", "swe_maps", "noise", *INSTRUMENTS)
 _FILES = ("mri", "labels", "skin", "fibres")  # of [imaging]
+
+
+def check_orientations(sites: Sequence[Site]) -> None:
+    """Refuse sites whose pennation is told in the image of a site that will not be in the new case.
+
+    Raises
+    ------
+    CaseError
+        Naming both.
+    """
+    names = {"axial", "transverse", *(site.name for site in sites)}
+    for site in sites:
+        for each in site.fibres.pennation:
+            if each.orientation not in names:
+                raise CaseError(
+                    f"site {site.name} tells its fibres in the image of {each.orientation}, "
+                    "which is not to be simulated",
+                    where="--site",
+                    fix=f"add --site {each.orientation}, or give site {site.name} a fibre_direction",
+                )
 
 
 def copy_imaging(case: Case, work: Path) -> None:
     """Images, labels and surfaces under the names that case.toml gives them."""
-    table = case.raw["imaging"]
-    for name in [*(table[key] for key in _FILES if key in table), *table.get("bones", [])]:
-        source, target = case.folder / name, work / _inside(name)
+    for name, place in _places(case).items():
+        source, target = case.folder / name, work / place
         target.parent.mkdir(parents=True, exist_ok=True)
         if source.is_dir():
             shutil.copytree(source, target)
@@ -31,14 +52,31 @@ def copy_imaging(case: Case, work: Path) -> None:
             shutil.copyfile(source, target)
 
 
-def _inside(name: str) -> Path:
-    """A path of case.toml as a path within the new folder.
+def _places(case: Case) -> dict[str, Path]:
+    """Where each image and surface lies within the new folder, by its name in case.toml.
 
-    >>> _inside("../other/mri").as_posix(), _inside("mri").as_posix()
-    ('mri', 'mri')
+    What lies outside the case keeps its own name; a second of that name has a folder of its own.
+    """
+    table = case.raw["imaging"]
+    names = dict.fromkeys([*(table[key] for key in _FILES if key in table), *table.get("bones", [])])
+    found = {name: Path(name) for name in names if _is_within(name)}
+    taken = {*found.values(), Path(CASE_FILE), *(Path(site.name) for site in case.sites)}
+    for name in names:
+        if name not in found:
+            own = Path(os.path.normpath(case.folder.absolute() / name)).name
+            free = (Path(own), *(Path(f"outside-{k}") / own for k in range(2, len(names) + 2)))
+            found[name] = next(each for each in free if each not in taken)
+            taken.add(found[name])
+    return found
+
+
+def _is_within(name: str) -> bool:
+    """
+    >>> _is_within("mri"), _is_within("../other/mri"), _is_within(".")
+    (True, False, False)
     """
     path = Path(name)
-    return Path(path.name) if path.is_absolute() or ".." in path.parts else path
+    return path != Path() and not path.is_absolute() and ".." not in path.parts
 
 
 def case_table(case: Case, laws: Mapping[str, NoiseLaw], *, layers: bool = False) -> dict[str, Any]:
@@ -47,12 +85,12 @@ def case_table(case: Case, laws: Mapping[str, NoiseLaw], *, layers: bool = False
     layers : whether layers were read
     """
     table = {key: value for key, value in case.raw.items() if key not in ("site", "files")}
-    imaging = dict(table["imaging"])
+    imaging, places = dict(table["imaging"]), _places(case)
     for key in _FILES:
         if key in imaging:
-            imaging[key] = _inside(imaging[key]).as_posix()
+            imaging[key] = places[imaging[key]].as_posix()
     if "bones" in imaging:
-        imaging["bones"] = [_inside(each).as_posix() for each in imaging["bones"]]
+        imaging["bones"] = [places[each].as_posix() for each in imaging["bones"]]
     sites = [
         _measured_site(raw, noise_table(laws[raw["name"]], layers=layers))
         for raw in case.raw["site"]

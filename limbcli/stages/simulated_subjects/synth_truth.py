@@ -71,7 +71,10 @@ def _true_site(measured: list[SyntheticSite], options: SynthOptions) -> dict[str
 
 
 def _true_readings(each: SyntheticSite) -> dict[str, Any]:
+    """At every level; those that have no row in levels.csv are numbered, from 0."""
+    left_out = {"levels_not_read": list(each.readings.left_out)} if each.readings.left_out else {}
     return {
+        **left_out,
         "skin_bone_mm": float("nan") if each.true.skin_bone is None else each.true.skin_bone,
         "force_n": _rounded(each.true.force),
         "depth_mm": _rounded(each.true.depth),
@@ -94,9 +97,9 @@ def _rounded(values: Any) -> list[float]:
 
 def summary_of(each: SyntheticSite) -> str:
     """One line for people."""
-    true = each.true
+    true, n_read = each.true, len(each.readings.force)
     speeds = [float(m.speed_m_per_s.mean()) for m in true.maps]
     return (
-        f"{each.label}: {len(true.force)} levels to {true.force[-1]:g} N at {true.depth[-1]:.1f} mm; "
+        f"{each.label}: {n_read} levels to {true.force[-1]:g} N at {true.depth[-1]:.1f} mm; "
         f"SWE {speeds[0]:.2f} to {speeds[-1]:.2f} m/s; {each.facts['n_elements']} {each.facts['element']}"
     )
