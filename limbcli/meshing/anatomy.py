@@ -57,7 +57,7 @@ def limb_check(surfaces: Mapping[str, Triangles], *, limb: str, where: str) -> L
     """
     skin = surfaces[SKIN]
     bones = {name: each for name, each in surfaces.items() if name != SKIN}
-    mended = mend(skin, [], where=where)
+    mended = mend(skin, [], where=where, beside=list(bones.values()))
     found = _sizes(mended.skin.volume, bones, where)
     above_skin = Heights(mended.skin)
     reaches = {name: _reach(bone, above_skin, mended.ends) for name, bone in bones.items()}

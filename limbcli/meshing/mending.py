@@ -7,6 +7,7 @@ self-intersections and clearances are settled on the distance grid (`domain`).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,12 +59,16 @@ class Limb:
         )
 
 
-def mend(skin: Triangles, bones: list[Triangles], *, where: str = "surfaces") -> Limb:
+def mend(
+    skin: Triangles, bones: list[Triangles], *, where: str = "surfaces", beside: Sequence[Triangles] = ()
+) -> Limb:
     """Closed, outward-oriented bodies out of what was brought.
 
     Bodies lying inside the skin's own file count as bones. Open ends are closed
     with a fan; where the limb was cut open, or ends flat as a scan does, a plane
     just inside the end takes the place of the closure.
+
+    beside : bodies that are no part of the limb made, but tell which way it runs
 
     Raises
     ------
@@ -94,7 +99,7 @@ def mend(skin: Triangles, bones: list[Triangles], *, where: str = "surfaces") ->
             volume_mm3=outer.volume,
         )
     inner = _bones_in_reach(outer, inner, notes, where)
-    ends = _open_ends(outer, loops, n_skin_loops) or _flat_ends(outer)
+    ends = _open_ends(outer, loops, n_skin_loops) or _flat_ends(outer, long_axis([outer, *inner, *beside]))
     for end in ends:
         notes.append(f"skin: {end.name} end taken as a cut, {_INSIDE:g} mm inside it")
     return Limb(outer, tuple(inner), tuple(ends), tuple(notes))
@@ -234,13 +239,13 @@ def _is_end(skin: Triangles, rim: Array, normal: Array) -> bool:
     return opening > _RIM_SHARE * section
 
 
-def _flat_ends(skin: Triangles) -> list[Plane]:
-    """Planes just inside flat ends, such as the first and last slice of a scan leave."""
+def _flat_ends(skin: Triangles, axis: Array) -> list[Plane]:
+    """Planes just inside flat ends, such as the first and last slice of a scan leave; axis: the limb's."""
     planes: list[Plane] = []
     area, centroids = skin.area_vectors, skin.centroids
     size = np.linalg.norm(area, axis=1)
     unit = area / np.maximum(size, 1e-12)[:, None]
-    for normal in _flat_directions(skin):
+    for normal in _flat_directions(skin, axis):
         facing = unit @ normal > _CAP_COSINE
         if not facing.any():
             continue
@@ -258,9 +263,8 @@ def _flat_ends(skin: Triangles) -> list[Plane]:
     return planes
 
 
-def _flat_directions(skin: Triangles) -> list[Array]:
+def _flat_directions(skin: Triangles, axis: Array) -> list[Array]:
     """The two ends' mean normals along the limb's long axis."""
-    axis = principal_axis(skin)[0]
     unit = skin.area_vectors / np.maximum(skin.areas, 1e-12)[:, None]
     out = []
     for sign in (1.0, -1.0):
@@ -286,6 +290,16 @@ def _heaviest_slab(height: Array, weight: Array) -> float:
     k = int(np.argmax(smooth))
     slab = np.abs(height - 0.5 * (edges[k] + edges[k + 1])) < _CAP_SLAB
     return float(np.average(height[slab], weights=weight[slab]))
+
+
+def long_axis(limb: Sequence[Triangles]) -> Array:
+    """Unit direction along a limb: that of its most elongated body.
+
+    The skin of a short limb is wider than long; its bones are not.
+
+    limb : the skin, and what is known of its bones
+    """
+    return max((principal_axis(each) for each in limb), key=lambda each: each[1])[0]
 
 
 def principal_axis(surface: Triangles) -> tuple[Array, float]:
