@@ -24,6 +24,7 @@ from limbcli.model import Array
 
 _KNOWN = (0, SOFT_TISSUE, BONE, MARKER, FAT)
 _LEAST_BONE = 150.0  # mm^3: smaller specks of bone are left out
+_STRAIGHT = 1e-4  # cosine: a qform, which knows right angles only, would tell another place beyond
 _LEAST_MARKER = 0.1  # of the largest marker's volume: smaller ones are specks
 
 
@@ -33,7 +34,9 @@ def write_labels(path: Path, labels: Volume) -> None:
     image = nib.Nifti1Image(np.ascontiguousarray(labels.values, dtype=np.uint8), affine)
     image.header.set_xyzt_units("mm")
     image.set_sform(affine, code=1)
-    image.set_qform(affine, code=1)
+    axes = labels.affine[:3, :3] / labels.spacing
+    is_straight = np.abs(axes.T @ axes - np.eye(3)).max() < _STRAIGHT
+    image.set_qform(affine if is_straight else None, code=int(is_straight))
     with atomic_file(
         path.with_name(path.name.removesuffix(".gz").removesuffix(".nii") + ".nii.gz")
     ) as partial:
