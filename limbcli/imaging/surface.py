@@ -215,7 +215,7 @@ def once(triangles: IntArray) -> IntArray:
 
 
 def joined(surface: ClosedSurface) -> ClosedSurface:
-    """Points that coincide become one; degenerate triangles, unused points and a triangle's repetitions go."""
+    """Points that coincide become one; degenerate and repeated triangles go, and unused points."""
     size = np.ptp(surface.points, axis=0).max()
     keys = np.round(surface.points / max(1e-6 * size, 1e-9)).astype(np.int64)
     _, first, numbers = np.unique(keys, axis=0, return_index=True, return_inverse=True)

@@ -20,7 +20,7 @@ from limbcli.errors.problems import raise_errors
 from limbcli.imaging.bones import name_bones
 from limbcli.imaging.image_files import read_image
 from limbcli.imaging.label_files import read_label_file
-from limbcli.imaging.label_frame import compare_frames
+from limbcli.imaging.label_frame import compare_frames, in_order_of
 from limbcli.imaging.labels import segmentation_from, write_labels
 from limbcli.imaging.layer_thickness import layers_at
 from limbcli.imaging.limbs import Side
@@ -197,7 +197,7 @@ def _from_labels(case: Case, path: Path, options: _Options, writer: StageWriter,
 
 
 def _image_of(case: Case, labels: Volume, path: Path, writer: StageWriter, progress: Progress) -> Volume:
-    """The series that a label map belongs to, where it has the same grid, else the label map itself.
+    """The series that a label map belongs to, in its order of axes, where the grid is the same; else the map.
 
     Raises
     ------
@@ -213,7 +213,7 @@ def _image_of(case: Case, labels: Volume, path: Path, writer: StageWriter, progr
     writer.warnings.extend(f"{each.what}; {each.fix}" for each in agreement.problems)
     if agreement.own_grid:
         writer.summary.append("the label map has a grid of its own; it is taken by its place in the patient")
-    return series if series.shape == labels.shape and not agreement.own_grid else labels
+    return labels if agreement.own_grid else in_order_of(labels, series)
 
 
 def _from_edited(case: Case, path: Path, options: _Options, writer: StageWriter, progress: Progress) -> None:
