@@ -76,7 +76,7 @@ def in_order_of(labels: Volume, image: Volume) -> Volume:
     ours = np.linalg.solve(labels.affine[:3, :3], image.affine[:3, :3])
     order = np.abs(ours).argmax(axis=1)
     values = np.transpose(image.values, order)
-    back = [axis for axis in range(3) if ours[axis, order[axis]] < 0]
+    back = tuple(axis for axis in range(3) if ours[axis, order[axis]] < 0)
     return labels.with_values(np.flip(values, back))
 
 

@@ -191,7 +191,7 @@ def _from_labels(case: Case, path: Path, options: _Options, writer: StageWriter,
     writer.summary.append(f"label map {path.name} used instead of the automatic segmentation")
     _ignored(options, writer)
     image = _image_of(case, labels, path, writer, progress)
-    found = segmentation_from(labels)
+    found = segmentation_from(labels, side=options.limb or case.limb)
     writer.warnings.extend(found.notes)
     _write(case, image, found, options, writer, progress)
 
@@ -226,14 +226,14 @@ def _from_edited(case: Case, path: Path, options: _Options, writer: StageWriter,
     writer.warnings.append(text)
     _ignored(options, writer)
     image = _image_of(case, labels, path, writer, progress)
-    found = segmentation_from(labels)
+    found = segmentation_from(labels, side=options.limb or case.limb)
     writer.warnings.extend(found.notes)
     _write(case, image, found, options, writer, progress)
 
 
 def _ignored(options: _Options, writer: StageWriter) -> None:
-    if options.seeds or options.threshold is not None or options.limb is not None:
-        writer.warnings.append("--seed, --threshold and --limb have no effect on a given label map")
+    if options.seeds or options.threshold is not None:
+        writer.warnings.append("--seed and --threshold have no effect on a given label map")
 
 
 def _write(
