@@ -32,7 +32,7 @@ from limbcli.imaging.surface import SMOOTH, ClosedSurface, surface_of
 from limbcli.imaging.volume import Volume
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
-from limbcli.stages.provenance.chain_inputs import note_case
+from limbcli.stages.provenance.chain_inputs import LIMB, note_case
 from limbcli.stages.provenance.requested_options import asked_of
 from limbcli.stages.segmenting.assumed import from_assumed
 from limbcli.stages.segmenting.places import tell_places
@@ -102,7 +102,7 @@ def segment(
         _check_edited(case, out, edited)
     with open_stage(out, "segment", subject=case.subject) as writer:
         writer.data["asked"] = options.asked()
-        note_case(writer, case, ["imaging"])
+        note_case(writer, case, ["imaging", LIMB])
         if edited is not None:
             _from_edited(case, edited, options, writer, progress)
         elif case.imaging.assumed:

@@ -137,6 +137,7 @@ CHANGES: dict[str, tuple[Callable[[Path], None], str, str]] = {
     "a slice of the series": (in_file("case/mri/IM2"), "segment", "imaging.mri changed"),
     "one slice more": (new_slice, "segment", "imaging.mri changed"),
     "place": (in_case("29.5, 0.0]", "29.5, 3.0]"), "segment", "place (position_mm, marker) of site p1"),
+    "which limb": (in_case('limb = "left"', 'limb = "right"'), "segment", "subject.limb changed"),
     "labels by hand": (in_file("out/segment/labels.nii.gz"), "segment", "labels.nii.gz"),
     "skin by hand": (in_file("out/segment/skin.ply"), "segment", "skin.ply"),
     "a bone is gone": (gone("out/segment/bone_1.ply"), "segment", "is gone"),

@@ -14,7 +14,7 @@ from typing import Any
 from limbcli.case import Case, Site
 from limbcli.results import StageWriter, plain
 
-SITES = "sites"
+SITES, LIMB = "sites", "subject/limb"
 _WORDS = {"place": "place (position_mm, marker)", "skin_bone": "skin_bone_mm"}
 
 
@@ -41,6 +41,8 @@ def case_value(case: Case, key: str) -> Any:
     section, *rest = key.split("/")
     if section == SITES:
         return [each.name for each in case.sites]
+    if key == LIMB:
+        return case.limb
     if section == "imaging":
         return plain(case.raw.get("imaging"))
     if section == "site":
