@@ -16,6 +16,7 @@ from limbcli.errors import MeshError
 from limbcli.meshing.surfaces import Triangles, bodies, boundary_loops
 from limbcli.model import Array
 
+ENDS = ("open", "flat")  # names of the planes where the limb itself was cut
 _STRAY_EXTENT = 0.05  # of the largest body's diagonal: smaller open pieces are stray
 _CAP_SHARE = 0.6  # of the cross-section 5 mm further in: flat area that makes an end a cap
 _CAP_COSINE = 0.97
@@ -222,7 +223,7 @@ def _open_ends(skin: Triangles, loops: list[Array], n_skin_loops: int) -> list[P
             continue
         near = [each for each in loops if abs((each.mean(0) - middle) @ normal) < 15.0]
         offset = min(float((each @ normal).min()) for each in near) - _INSIDE
-        planes.append(Plane(normal, offset, "open"))
+        planes.append(Plane(normal, offset, ENDS[0]))
     return planes
 
 
@@ -259,7 +260,7 @@ def _flat_ends(skin: Triangles, axis: Array) -> list[Plane]:
         )
         if at_end and size[flat].sum() > _CAP_SHARE * section:
             offset = float(np.quantile(height[flat], 0.02)) - _INSIDE
-            planes.append(Plane(normal, offset, "flat"))
+            planes.append(Plane(normal, offset, ENDS[1]))
     return planes
 
 
