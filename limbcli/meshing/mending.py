@@ -15,7 +15,9 @@ import numpy as np
 from limbcli.errors import MeshError
 from limbcli.meshing.surfaces import Triangles, bodies, boundary_loops
 from limbcli.model import Array
+from limbcli.patient_frame import HEAD
 
+_ELONGATED = 1.5  # length against width: a body below does not tell which way the limb runs
 ENDS = ("open", "flat")  # names of the planes where the limb itself was cut
 _STRAY_EXTENT = 0.05  # of the largest body's diagonal: smaller open pieces are stray
 _CAP_SHARE = 0.6  # of the cross-section 5 mm further in: flat area that makes an end a cap
@@ -296,16 +298,27 @@ def _heaviest_slab(height: Array, weight: Array) -> float:
 def long_axis(limb: Sequence[Triangles]) -> Array:
     """Unit direction along a limb: that of its most elongated body.
 
-    The skin of a short limb is wider than long; its bones are not.
+    The skin of a short limb is wider than long; its bones are not. Where no body is clearly elongated, the
+    principal axis of the skin that is nearest to the head's direction.
 
-    limb : the skin, and what is known of its bones
+    limb : the skin, and what is known of its bones; patient LPS
     """
-    return max((principal_axis(each) for each in limb), key=lambda each: each[1])[0]
+    axis, elongated = max((principal_axis(each) for each in limb), key=lambda each: each[1])
+    if elongated >= _ELONGATED:
+        return axis
+    axes = _principal(limb[0])[1]
+    return np.asarray(axes[:, np.argmax(np.abs(HEAD @ axes))])
 
 
 def principal_axis(surface: Triangles) -> tuple[Array, float]:
     """Unit direction of largest extent of a surface's area, and how elongated it is (>= 1)."""
+    values, vectors = _principal(surface)
+    return vectors[:, 2], float(np.sqrt(values[2] / max(values[1], 1e-12)))
+
+
+def _principal(surface: Triangles) -> tuple[Array, Array]:
+    """Second moments of a surface's area about its middle, ascending; their directions (3, 3) in columns."""
     weight = surface.areas
     centred = surface.centroids - np.average(surface.centroids, axis=0, weights=weight)
     values, vectors = np.linalg.eigh((centred * weight[:, None]).T @ centred)
-    return vectors[:, 2], float(np.sqrt(values[2] / max(values[1], 1e-12)))
+    return values, vectors
