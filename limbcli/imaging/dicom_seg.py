@@ -18,6 +18,8 @@ from limbcli.imaging.volume import MOST_VOXELS
 from limbcli.model import Array
 
 _SAME_SLICE, _UNEVEN = 0.1, 0.1  # of the distance between slices
+_BESIDE = 0.5  # pixels that a slice may lie beside the line from the first to the last
+_PARALLEL = 1e-3  # largest change of a direction cosine between frames
 _FIX = "export it again as DICOM SEG from 3D Slicer, or as NIfTI"
 
 
@@ -79,7 +81,12 @@ def _masks(dataset: Dataset, path: Path) -> NamedMasks:
     pixels = np.asarray(dataset.pixel_array)
     pixels = pixels[None] if pixels.ndim == 2 else pixels
     first = frames[0]
-    cosines = np.array(_group(first, shared, "PlaneOrientationSequence").ImageOrientationPatient, float)
+    turned = np.array(
+        [_group(each, shared, "PlaneOrientationSequence").ImageOrientationPatient for each in frames], float
+    )
+    cosines = turned[0]
+    if np.abs(turned - cosines).max() > _PARALLEL:
+        raise CaseError("the DICOM SEG's slices are not parallel", where=str(path), fix=_FIX)
     measures = _group(first, shared, "PixelMeasuresSequence")
     normal = np.cross(cosines[:3], cosines[3:])
     positions = np.array([each.PlanePositionSequence[0].ImagePositionPatient for each in frames], float)
@@ -108,9 +115,24 @@ def _masks(dataset: Dataset, path: Path) -> NamedMasks:
     affine = np.eye(4)
     affine[:3, 0] = cosines[:3] * float(measures.PixelSpacing[1])
     affine[:3, 1] = cosines[3:] * float(measures.PixelSpacing[0])
-    affine[:3, 2] = normal * step
+    affine[:3, 2] = _from_slice_to_slice(positions, index, normal * step)
     affine[:3, 3] = positions[np.argmin(heights)]
+    beside = positions - affine[:3, 3] - np.outer(index, affine[:3, 2])
+    if np.linalg.norm(beside, axis=1).max() > _BESIDE * float(min(measures.PixelSpacing)) + _UNEVEN * step:
+        what = "the DICOM SEG's slices do not lie on one line, one behind the other"
+        raise CaseError(what, where=str(path), fix=_FIX)
     return NamedMasks([(names[number], mask) for number, mask in masks.items()], affine)
+
+
+def _from_slice_to_slice(positions: Array, index: Array, upright: Array) -> Array:
+    """mm (3,) from one slice's first pixel to the next one's: a gantry's tilt lets the slices slide along.
+
+    positions : (n, 3) of the frames; index : (n,) of their slices; upright : (3,) where all are of one slice
+    """
+    away = index - index.mean()
+    if not away.any():
+        return upright
+    return np.asarray(away @ (positions - positions.mean(axis=0)) / (away @ away), dtype=np.float64)
 
 
 def _group(frame: Dataset, shared: Dataset, name: str) -> Dataset:

@@ -65,6 +65,21 @@ def compare_frames(labels: Volume, image: Volume, *, where: str) -> Agreement:
     return Agreement(True, overlap, (Problem(what, where, _FIX, severity=severity),))  # type: ignore[arg-type]
 
 
+def in_order_of(labels: Volume, image: Volume) -> Volume:
+    """The image with its axes in the label map's order and directions; both have the same voxels.
+
+    >>> values = np.arange(6).reshape(3, 2, 1)
+    >>> turned = Volume(values[::-1], np.array([[-1.0, 0, 0, 2], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]))
+    >>> np.array_equal(in_order_of(Volume(values, np.eye(4)), turned).values, values)
+    True
+    """
+    ours = np.linalg.solve(labels.affine[:3, :3], image.affine[:3, :3])
+    order = np.abs(ours).argmax(axis=1)
+    values = np.transpose(image.values, order)
+    back = tuple(axis for axis in range(3) if ours[axis, order[axis]] < 0)
+    return labels.with_values(np.flip(values, back))
+
+
 def _size(spacing: Array) -> str:
     return " x ".join(f"{each:.3g}" for each in spacing)
 

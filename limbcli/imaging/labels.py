@@ -15,6 +15,7 @@ from scipy import ndimage
 
 from limbcli.atomic_files import atomic_file
 from limbcli.errors import CaseError
+from limbcli.imaging.limbs import Side
 from limbcli.imaging.markers import MarkerCapsule, number_markers
 from limbcli.imaging.nifti import must_tell_place, one_geometry
 from limbcli.imaging.segmentation import BONE, FAT, MARKER, SOFT_TISSUE, Segmentation
@@ -22,8 +23,11 @@ from limbcli.imaging.signed_distance import filled_by_slice, largest
 from limbcli.imaging.volume import DAMAGED, MOST_VOXELS, RAS_FROM_LPS, Volume
 from limbcli.model import Array
 
+_LIMB = (SOFT_TISSUE, BONE, FAT)
+_SECOND_LIMB = 0.35  # of the largest part: a second one this large is a second limb
 _KNOWN = (0, SOFT_TISSUE, BONE, MARKER, FAT)
 _LEAST_BONE = 150.0  # mm^3: smaller specks of bone are left out
+_STRAIGHT = 1e-4  # cosine: a qform, which knows right angles only, would tell another place beyond
 _LEAST_MARKER = 0.1  # of the largest marker's volume: smaller ones are specks
 
 
@@ -33,7 +37,9 @@ def write_labels(path: Path, labels: Volume) -> None:
     image = nib.Nifti1Image(np.ascontiguousarray(labels.values, dtype=np.uint8), affine)
     image.header.set_xyzt_units("mm")
     image.set_sform(affine, code=1)
-    image.set_qform(affine, code=1)
+    axes = labels.affine[:3, :3] / labels.spacing
+    is_straight = np.abs(axes.T @ axes - np.eye(3)).max() < _STRAIGHT
+    image.set_qform(affine if is_straight else None, code=int(is_straight))
     with atomic_file(
         path.with_name(path.name.removesuffix(".gz").removesuffix(".nii") + ".nii.gz")
     ) as partial:
@@ -107,10 +113,14 @@ def checked_labels(labels: Volume, path: Path) -> Volume:
     return labels.with_values(labels.values.astype(np.uint8))
 
 
-def segmentation_from(labels: Volume) -> Segmentation:
-    """Skin, bones and markers of a label map (k need not run along the limb)."""
+def segmentation_from(labels: Volume, *, side: Side | None = None) -> Segmentation:
+    """Skin, bones and markers of a label map (k need not run along the limb).
+
+    side : which limb is meant, the patient's left or right, where the map holds two side by side
+    """
     turned, _, _ = labels.along_limb()
-    limb = np.isin(turned.values, (SOFT_TISSUE, BONE, FAT))
+    turned, told = _of_one_limb(turned, side)
+    limb = np.isin(turned.values, _LIMB)
     limb = filled_by_slice(largest(limb))
     bones, specks = _parts(turned.values == BONE, turned, least=_LEAST_BONE)
     markers, dots = _markers(turned, limb)
@@ -120,8 +130,28 @@ def segmentation_from(labels: Volume) -> Segmentation:
         bones=tuple(turned.with_values(each) for each in bones),
         fat=turned.with_values(turned.values == FAT) if (labels.values == FAT).any() else None,
         markers=markers,
-        notes=(*_left_out(specks, "bone", turned), *_left_out(dots, "marker", turned)),
+        notes=(*told, *_left_out(specks, "bone", turned), *_left_out(dots, "marker", turned)),
     )
+
+
+def _of_one_limb(turned: Volume, side: Side | None) -> tuple[Volume, tuple[str, ...]]:
+    """The labels without the other limb of two side by side, and what is said of it."""
+    parts, n_parts = ndimage.label(np.isin(turned.values, _LIMB))
+    sizes = np.bincount(parts.ravel(), minlength=n_parts + 1)[1:]
+    limbs = np.flatnonzero(sizes > _SECOND_LIMB * sizes.max(initial=0)) + 1
+    if side is None or len(limbs) != 2:
+        return turned, ()
+    heights = [np.flatnonzero((parts == each).any(axis=(0, 1))) for each in limbs]
+    if min(each[-1] for each in heights) < max(each[0] for each in heights):
+        return turned, ()  # one above the other: parts of one limb
+    to_the_left = turned.to_patient(np.array(ndimage.center_of_mass(parts > 0, parts, limbs)))[:, 0]
+    order = np.argsort(to_the_left)  # LPS: x grows towards the patient's left
+    other, wanted = limbs[order if side == "left" else order[::-1]]
+    far, near = (
+        ndimage.distance_transform_edt(parts != each, sampling=turned.spacing) for each in (other, wanted)
+    )
+    values = np.where((turned.values > 0) & (far < near), 0, turned.values)
+    return turned.with_values(values), (f"the label map holds two limbs: the patient's {side} one was taken",)
 
 
 def _left_out(places: Array, kind: str, volume: Volume) -> tuple[str, ...]:

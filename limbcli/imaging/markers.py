@@ -20,6 +20,7 @@ _PROUD = 2.0  # mm a marker must rise above the skin
 _SIZE = (30.0, 4000.0)  # mm^3
 _AWAY = 15.0  # mm: nothing further from the limb is a marker on it
 _SAME_HEIGHT = 5.0  # mm: markers within this are numbered by angle
+_IN_FRONT = 15.0  # degrees to the right of anterior that count as anterior: no hand puts a marker at 0
 _LONGEST = 35.0  # mm
 
 
@@ -45,7 +46,8 @@ def find_markers(volume: Volume, intensities: TissueIntensities, limb: NDArray[n
     """Bright, compact things that stand on the skin, numbered.
 
     From distal to proximal; those at the same height (within 5 mm) by their angle about the
-    limb's middle, from anterior over the patient's left and posterior to the right.
+    limb's middle, from anterior over the patient's left and posterior to the right. What lies a little to the
+    right of anterior is anterior still: a marker put in front keeps its number.
 
     Parameters
     ----------
@@ -95,7 +97,7 @@ def number_markers(
     heights = positions @ axis
     middle = np.array([_centre(body, volume, each) for each in positions])
     outward = positions - middle
-    angles = np.degrees(np.arctan2(outward[:, 0], -outward[:, 1])) % 360.0
+    angles = (np.degrees(np.arctan2(outward[:, 0], -outward[:, 1])) + _IN_FRONT) % 360.0
     order = np.argsort(heights)
     group, groups = 0, np.zeros(len(positions), int)
     for before, after in pairwise(order):

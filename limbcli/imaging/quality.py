@@ -25,6 +25,9 @@ _THIN = (2.0, 1.0)  # mm, half thickness of a bone at its thinnest section
 _HOLE = (20.0, 500.0)  # mm^3 of holes inside
 _IN_SLICE = ndimage.generate_binary_structure(2, 1)[:, :, None]
 _END = 0.4  # of the largest section: a smaller one at the first or last slice is a rounded end's
+_TWO_LIMBS = (0.1, 0.3)  # share of the sections that fall into two
+_APART, _COMPARABLE = 0.6, 0.35  # of a section's depth, at which it falls apart; of the larger part's area
+_COARSE = 2.0  # mm: a grid as coarse as this tells how a section falls apart
 _EVERY = 5.0  # mm along the limb over which a jump is measured
 
 
@@ -58,6 +61,11 @@ def assess(found: Segmentation, names: tuple[str, ...]) -> ImageQuality:
     judge("limb_holes_mm3", _holes(limb), _HOLE, "the limb has holes of {:.0f} mm3")
     turned = _ends_proximally(limb)
     judge("limb_ends_proximally", turned, (0, 2), "the limb ends towards the head: upside down?")
+    judge(
+        "limb_in_two_share", _in_two(limb), _TWO_LIMBS,
+        "{:.0%} of the limb's sections are two that touch: two limbs? Crop the image to one, or part them in "
+        "the label map",
+    )  # fmt: skip
     figures["n_bones"] = len(names)
     if len(names) == 1:
         remarks.append((1, "only one bone was found (right for a thigh; a lower leg has two)"))
@@ -113,6 +121,21 @@ def _ends_proximally(limb: Volume) -> int:
     """
     areas = _areas(limb.values)
     return int(areas[0] > 0.3 * areas.max() and areas[-1] == 0)
+
+
+def _in_two(limb: Volume) -> float:
+    """Share of the limb's sections, small ones aside, that fall into two comparable parts when thinned."""
+    steps = [max(1, int(_COARSE // each)) for each in limb.spacing[:2]]
+    areas = _areas(limb.values)
+    large = np.flatnonzero(areas > _END * areas.max())[:: max(1, round(_EVERY / limb.spacing[2]))]
+    found = []
+    for k in large.tolist():
+        section = np.pad(limb.values[:: steps[0], :: steps[1], k], 1)
+        depth = ndimage.distance_transform_edt(section, sampling=limb.spacing[:2] * steps)
+        parts, n_parts = ndimage.label(depth > _APART * depth.max())
+        sizes = np.sort(np.bincount(parts.ravel(), minlength=n_parts + 1)[1:])
+        found.append(n_parts > 1 and sizes[-2] > _COMPARABLE * sizes[-1])
+    return float(np.mean(found)) if found else 0.0
 
 
 def _cut_off(limb: NDArray[np.bool_]) -> float:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from limbcli.errors import CaseError
 from limbcli.imaging.cortex import with_cortex
 from limbcli.imaging.ct import bones_on_ct, fat_on_ct, limb_on_ct
 from limbcli.imaging.fat import fat_of
@@ -21,6 +22,7 @@ from limbcli.imaging.intensity import normalise
 from limbcli.imaging.limbs import Side, one_limb, require_bright_fat, upright
 from limbcli.imaging.markers import MarkerCapsule, find_markers
 from limbcli.imaging.marrow import find_marrow
+from limbcli.imaging.nearest_skin import is_inside, reach_of
 from limbcli.imaging.skin_segmentation import rough_outline, skin_outline
 from limbcli.imaging.volume import Volume, back
 from limbcli.model import Array
@@ -100,9 +102,11 @@ def segment_limb(
     Raises
     ------
     CaseError
-        If no limb stands out from the background, two do, or fat is not bright.
+        If no limb stands out from the background, two do, fat is not bright, or a seed lies outside of the
+        image or, one of a bone, of the limb.
     """
     hints = hints or SegmentationHints()
+    _require_within(image, hints)
     turned, order, flipped = image.along_limb()
     notes: tuple[str, ...] = ()
     if modality != "CT":
@@ -119,6 +123,7 @@ def segment_limb(
     work, factors = supersampled(chosen)
     masks = (_on_ct if modality == "CT" else _on_mri)(work, hints, progress)
     bones = _without_soft(masks.bones, work, hints.soft_seeds)
+    notes = (*notes, *_useless(hints, modality, masks.bones, bones))
     labels = np.where(masks.limb, SOFT_TISSUE, 0).astype(np.uint8)
     if masks.fat is not None:
         labels[masks.fat & masks.limb] = FAT
@@ -136,6 +141,37 @@ def segment_limb(
     )
 
 
+def _require_within(image: Volume, hints: SegmentationHints) -> None:
+    """Seeds lie in the image's voxels; one beyond them would be taken for another place."""
+    for kind, seeds in (("bone", hints.bone_seeds), ("soft", hints.soft_seeds)):
+        for each in () if seeds is None else np.atleast_2d(seeds):
+            if not is_inside(image, each):
+                low, high = reach_of(image)
+                what = f"lies outside of the image, which goes from {_words(low)} to {_words(high)} mm"
+                raise _seed_error(kind, each, what)
+
+
+def _require_in_limb(seeds: Array, limb: NDArray[np.bool_], work: Volume) -> None:
+    last = np.array(limb.shape) - 1
+    for each in np.atleast_2d(seeds):
+        voxel = np.clip(np.round(work.to_voxel(each[None])[0]), 0, last).astype(int)
+        if not limb[tuple(voxel)]:
+            raise _seed_error("bone", each, "lies outside of the limb")
+
+
+def _words(corner: Array) -> str:
+    return "(" + ", ".join(f"{each:.0f}" for each in corner) + ")"
+
+
+def _seed_error(kind: str, seed: Array, what: str) -> CaseError:
+    written = ",".join(f"{each:g}" for each in seed)
+    return CaseError(
+        f"the seed {kind}={written} {what}",
+        where="--seed",
+        fix="write the point in patient LPS, mm (a program that shows RAS has x and y with the other sign)",
+    )
+
+
 def _on_mri(work: Volume, hints: SegmentationHints, progress: Progress) -> Masks:
     def tell(done: int) -> None:
         progress.event("task", name="segmenting", done=done, total=_PARTS)
@@ -149,7 +185,10 @@ def _on_mri(work: Volume, hints: SegmentationHints, progress: Progress) -> Masks
     tell(3)
     limb = skin_outline(work, intensities, rough, without=found.around, threshold=hints.threshold)
     tell(4)
-    points = None if hints.bone_seeds is None else work.to_voxel(hints.bone_seeds)
+    points = None
+    if hints.bone_seeds is not None:
+        _require_in_limb(hints.bone_seeds, limb, work)
+        points = np.clip(work.to_voxel(hints.bone_seeds), 0, np.array(limb.shape) - 1)
     marrow = find_marrow(intensities, limb, work.spacing, seeds=points)
     tell(5)
     bones = [with_cortex(each, intensities, limb, work.spacing) & limb for each in marrow]
@@ -171,8 +210,21 @@ def _without_soft(
     """The bones that hold none of the points known to be soft."""
     if seeds is None:
         return bones
-    points = [tuple(each) for each in np.round(work.to_voxel(seeds)).astype(int)]
+    last = np.array(work.shape) - 1
+    points = [tuple(each) for each in np.clip(np.round(work.to_voxel(seeds)), 0, last).astype(int)]
     return [bone for bone in bones if not any(bone[point] for point in points)]
+
+
+def _useless(
+    hints: SegmentationHints, modality: str, before: list[NDArray[np.bool_]], after: list[NDArray[np.bool_]]
+) -> tuple[str, ...]:
+    """Seeds that changed nothing."""
+    found = []
+    if modality == "CT" and hints.bone_seeds is not None:
+        found.append("--seed bone has no effect on CT, where bone is what its HU say")
+    if hints.soft_seeds is not None and len(after) == len(before):
+        found.append("--seed soft lies in nothing that was taken for bone, and has no effect")
+    return tuple(found)
 
 
 def supersampled(volume: Volume) -> tuple[Volume, tuple[int, int]]:

@@ -201,12 +201,23 @@ def read_surface(path: Path) -> ClosedSurface:
     return surface
 
 
+def once(triangles: IntArray) -> IntArray:
+    """Triangles (n, 3) without the repetitions of one: the same corners in the same sense, first ones kept.
+
+    >>> once(np.array([[5, 7, 6], [6, 5, 7], [5, 6, 7]])).tolist()
+    [[5, 7, 6], [5, 6, 7]]
+    """
+    first = triangles.argmin(axis=1)[:, None]
+    turned = np.take_along_axis(triangles, (first + np.arange(3)) % 3, axis=1)
+    return triangles[np.sort(np.unique(turned, axis=0, return_index=True)[1])]
+
+
 def joined(surface: ClosedSurface) -> ClosedSurface:
-    """Points that coincide become one; degenerate and unused ones go."""
+    """Points that coincide become one; degenerate and repeated triangles go, and unused points."""
     size = np.ptp(surface.points, axis=0).max()
     keys = np.round(surface.points / max(1e-6 * size, 1e-9)).astype(np.int64)
     _, first, numbers = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     triangles = numbers.ravel()[surface.triangles]
     whole = (np.diff(np.sort(triangles, axis=1), axis=1) > 0).all(axis=1)
-    used, renumbered = np.unique(triangles[whole], return_inverse=True)
+    used, renumbered = np.unique(once(triangles[whole]), return_inverse=True)
     return ClosedSurface(surface.points[first[used]], renumbered.reshape(-1, 3).astype(np.int64))

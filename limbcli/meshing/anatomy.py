@@ -13,7 +13,7 @@ import numpy as np
 
 from limbcli.errors.problems import Problem
 from limbcli.meshing.distance import Heights
-from limbcli.meshing.mending import Plane, mend, principal_axis
+from limbcli.meshing.mending import Plane, enclosed, mend, principal_axis, skin_and_bones
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 
@@ -24,6 +24,7 @@ _BONE_SHARE = (0.5, 0.8)  # of the limb's volume: unusual, impossible
 _OUT_MM = 2.0  # a bone's point this far out is out; less is the surfaces' roughness
 _OUT_SHARE = (0.01, 0.2)  # of the bone's points: unusual, impossible
 _OUT_FAR_MM = 15.0
+_MIDDLE, _HOLLOW = 0.6, 0.5  # of a bone's greatest depth, deeper than which its middle is; of that, outside
 _MINOR = 0.25  # of all bones' volume: without such a one (a fibula, a patella) the limb can still be modelled
 _TWICE = 0.5  # of a bone's points inside another: the same bone twice
 _ASIDE_MM, _ASIDE = 5.0, 0.5  # mm, and sine: the fibula is clearly on one side of the tibia
@@ -57,9 +58,12 @@ def limb_check(surfaces: Mapping[str, Triangles], *, limb: str, where: str) -> L
     """
     skin = surfaces[SKIN]
     bones = {name: each for name, each in surfaces.items() if name != SKIN}
-    mended = mend(skin, [], where=where)
+    mended = mend(skin, [], where=where, beside=list(bones.values()))
     found = _sizes(mended.skin.volume, bones, where)
     above_skin = Heights(mended.skin)
+    found += _second_wall(skin, mended.skin.volume, where)
+    above = {name: Heights(bone) for name, bone in bones.items()}
+    found += _in_holes(bones, above, above_skin, mended.ends, where)
     reaches = {name: _reach(bone, above_skin, mended.ends) for name, bone in bones.items()}
     whole = sum(abs(each.volume) for each in bones.values())
     for name, bone in bones.items():
@@ -67,7 +71,7 @@ def limb_check(surfaces: Mapping[str, Triangles], *, limb: str, where: str) -> L
         minor = abs(bone.volume) < _MINOR * whole
         found += [_left_out(each) if minor else each for each in outside]
     across = _across(mended.skin, bones, where)
-    found += _twice(bones, where) + (across or _side(bones, limb, where))
+    found += _twice(bones, above, where) + (across or _side(bones, limb, where))
     elsewhere = [name for name, each in reaches.items() if each.share_anywhere > _OUT_SHARE[1]]
     return LimbCheck(found, tuple(elsewhere))
 
@@ -95,6 +99,40 @@ def _sizes(volume: float, bones: Mapping[str, Triangles], where: str) -> list[Pr
         what = f"the bones fill {share:.0%} of the skin's volume"
         fix = "check which file is the skin and which a bone, and that all are in mm"
         found.append(_problem(what, where, fix, error=share > _BONE_SHARE[1]))
+    return found
+
+
+def _second_wall(skin: Triangles, volume: float, where: str) -> list[Problem]:
+    """A body in the skin's own file that is no bone's: what is taken for bone there fills the limb."""
+    largest = max([0.0, *(enclosed(each) for each in skin_and_bones(skin)[1:])])
+    share = largest / max(volume, 1e-9)
+    if share <= _BONE_SHARE[0]:
+        return []
+    what = f"the skin's file holds a second body, which would be a bone, of {share:.0%} of the skin's volume"
+    fix = "bring the skin as one wall (its outer surface), not as a sheet with a thickness"
+    return [_problem(what, where, fix, error=True)]
+
+
+def _in_holes(
+    bones: Mapping[str, Triangles],
+    above: Mapping[str, Heights],
+    above_skin: Heights,
+    ends: tuple[Plane, ...],
+    where: str,
+) -> list[Problem]:
+    """Bones whose inside is outside the skin, though their surface is not: they lie in holes of it."""
+    found = []
+    for name, bone in bones.items():
+        deep = above[name].deepest(_MIDDLE)
+        deep = deep[~np.any([np.zeros(len(deep), bool), *(e.height(deep) > 0 for e in ends)], axis=0)]
+        out = float((above_skin.of(deep) > 0).mean()) if len(deep) else 0.0
+        surface = float((above_skin.of(_some(bone.points)) > _OUT_MM).mean())
+        if out > _HOLLOW and surface < _OUT_SHARE[1]:
+            what = f"{name} lies in a hole of the skin: the inside of the bone is outside of the limb"
+            fix = (
+                "bring the skin as the limb's outer surface, bones included; not the soft tissue around them"
+            )
+            found.append(_problem(what, where, fix, error=True))
     return found
 
 
@@ -143,15 +181,14 @@ def _outside(name: str, reach: _Reach, where: str) -> list[Problem]:
     return [_problem(what, where, fix, error=reach.share > _OUT_SHARE[1] or reach.furthest > _OUT_FAR_MM)]
 
 
-def _twice(bones: Mapping[str, Triangles], where: str) -> list[Problem]:
+def _twice(bones: Mapping[str, Triangles], above: Mapping[str, Heights], where: str) -> list[Problem]:
     """Two bones at one place."""
     found = []
     names = sorted(bones, key=lambda each: -abs(bones[each].volume))
     for k, name in enumerate(names[:-1]):
-        above = Heights(bones[name])
         for other in names[k + 1 :]:
             points = _some(bones[other].points)
-            share = float((above.of(points) < 0.5).mean())
+            share = float((above[name].of(points) < 0.5).mean())
             if share > _TWICE:
                 what = f"{other} lies within {name} ({share:.0%} of it): the same bone twice?"
                 fix = "name each bone once, each with a file of its own"

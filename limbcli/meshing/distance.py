@@ -115,6 +115,12 @@ class Heights:
         found[~near] = self._tree.query(points[~near])[0]
         return found
 
+    def deepest(self, share: float) -> Array:
+        """Samples (n, 3) inside that lie deeper than this share of the greatest depth; none of a flat one."""
+        values = self._distance.values
+        inside = (values < 0) & (values < share * values.min())
+        return self._distance.grid.points()[inside]
+
 
 def winding(corners: Array, shape: tuple[int, int, int]) -> Array:
     """How often a surface (corners in grid units) goes round each sample: the median of three ray directions.

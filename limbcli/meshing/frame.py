@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.errors import CaseError, MeshError
-from limbcli.meshing.mending import Limb, principal_axis
+from limbcli.meshing.mending import Limb, long_axis
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
@@ -51,8 +51,7 @@ class SiteFrame:
 
 def proximal_direction(limb: Limb) -> Array:
     """Unit vector along the limb towards the head: the longest body's axis, turned to +z of LPS."""
-    candidates = [principal_axis(each) for each in (limb.skin, *limb.bones)]
-    return toward_head(max(candidates, key=lambda each: each[1])[0])
+    return toward_head(long_axis([limb.skin, *limb.bones]))
 
 
 def site_frame(

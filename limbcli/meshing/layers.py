@@ -17,6 +17,7 @@ from limbcli.errors import CaseError, MeshError
 from limbcli.meshing.distance import Field, distance_again
 from limbcli.meshing.domain import CUT, SKIN, TissueDomain
 from limbcli.meshing.improve import NodeConstraints, smooth, worst_sines
+from limbcli.meshing.mending import ENDS
 from limbcli.meshing.quality import volumes
 from limbcli.meshing.site_mesher import VolumeMesh, boundary_faces
 from limbcli.model import Array, IntArray
@@ -24,6 +25,7 @@ from limbcli.model import Array, IntArray
 _SHARE = 0.6  # of the tissue over bone that layers may take at most
 _THICKEST = 40.0  # mm
 _LEAST_ANGLE_DEG = 4.0
+_BEFORE_END = 3.0  # mm below the layers of the lid, from where on the skin goes straight on
 _NEAR_CUT, _STEEP, _LEAST_KEPT = 12.0, 0.85, 0.2  # mm; sine of the angle to the cut; share of a layer
 _PROJECTIONS, _LONGEST, _GRAZING = 12, 4.0, 0.3  # steps to the skin, mm a step, least slope in a cut
 _UNTANGLING = (
@@ -57,6 +59,24 @@ def layers_of(*, skin: float = 0.0, fat: float = 0.0, size: float = 2.5) -> tupl
     cells = {"skin": max(1, round(skin / (1.5 * size))), "fat": max(2, round(fat / size))}
     wanted = (("skin", skin), ("fat", fat))
     return tuple(Layer(name, t, cells[name]) for name, t in wanted if t > 0)
+
+
+def open_ended(domain: TissueDomain, layers: tuple[Layer, ...]) -> TissueDomain:
+    """The domain with its skin going straight on where the limb was cut: a cut has no skin on it.
+
+    The closed skin has a lid just beyond such an end, and layers measured from the lid would cross the cut.
+    """
+    grid = domain.skin.grid
+    points = grid.points().reshape(-1, 3)
+    reach = sum(each.thickness for each in layers) + _BEFORE_END
+    moved = points
+    for plane in domain.planes:
+        if plane.name in ENDS:
+            beyond = np.maximum(plane.height(moved) + reach, 0.0)
+            moved = moved - beyond[:, None] * plane.normal
+    if moved is points:
+        return domain
+    return replace(domain, skin=domain.skin.with_values(domain.skin.at(moved).reshape(grid.shape)))
 
 
 def core_of(domain: TissueDomain, layers: tuple[Layer, ...]) -> TissueDomain:

@@ -7,6 +7,7 @@ self-intersections and clearances are settled on the distance grid (`domain`).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,10 @@ import numpy as np
 from limbcli.errors import MeshError
 from limbcli.meshing.surfaces import Triangles, bodies, boundary_loops, undirected
 from limbcli.model import Array
+from limbcli.patient_frame import HEAD
 
+_ELONGATED = 1.5  # length against width: a body below does not tell which way the limb runs
+ENDS = ("open", "flat")  # names of the planes where the limb itself was cut
 _STRAY_EXTENT = 0.05  # of the largest body's diagonal: smaller open pieces are stray
 _CAP_SHARE = 0.6  # of the cross-section 5 mm further in: flat area that makes an end a cap
 _CAP_COSINE = 0.97
@@ -58,12 +62,16 @@ class Limb:
         )
 
 
-def mend(skin: Triangles, bones: list[Triangles], *, where: str = "surfaces") -> Limb:
+def mend(
+    skin: Triangles, bones: list[Triangles], *, where: str = "surfaces", beside: Sequence[Triangles] = ()
+) -> Limb:
     """Closed, outward-oriented bodies out of what was brought.
 
     Bodies lying inside the skin's own file count as bones. Open ends are closed
     with a fan; where the limb was cut open, or ends flat as a scan does, a plane
     just inside the end takes the place of the closure.
+
+    beside : bodies that are no part of the limb made, but tell which way it runs
 
     Raises
     ------
@@ -94,7 +102,7 @@ def mend(skin: Triangles, bones: list[Triangles], *, where: str = "surfaces") ->
             volume_mm3=outer.volume,
         )
     inner = _bones_in_reach(outer, inner, notes, where)
-    ends = _open_ends(outer, loops, n_skin_loops) or _flat_ends(outer)
+    ends = _open_ends(outer, loops, n_skin_loops) or _flat_ends(outer, long_axis([outer, *inner, *beside]))
     for end in ends:
         notes.append(f"skin: {end.name} end taken as a cut, {_INSIDE:g} mm inside it")
     return Limb(outer, tuple(inner), tuple(ends), tuple(notes))
@@ -217,7 +225,7 @@ def _open_ends(skin: Triangles, loops: list[Array], n_skin_loops: int) -> list[P
             continue
         near = [each for each in loops if abs((each.mean(0) - middle) @ normal) < 15.0]
         offset = min(float((each @ normal).min()) for each in near) - _INSIDE
-        planes.append(Plane(normal, offset, "open"))
+        planes.append(Plane(normal, offset, ENDS[0]))
     return planes
 
 
@@ -234,13 +242,13 @@ def _is_end(skin: Triangles, rim: Array, normal: Array) -> bool:
     return opening > _RIM_SHARE * section
 
 
-def _flat_ends(skin: Triangles) -> list[Plane]:
-    """Planes just inside flat ends, such as the first and last slice of a scan leave."""
+def _flat_ends(skin: Triangles, axis: Array) -> list[Plane]:
+    """Planes just inside flat ends, such as the first and last slice of a scan leave; axis: the limb's."""
     planes: list[Plane] = []
     area, centroids = skin.area_vectors, skin.centroids
     size = np.linalg.norm(area, axis=1)
     unit = area / np.maximum(size, 1e-12)[:, None]
-    for normal in _flat_directions(skin):
+    for normal in _flat_directions(skin, axis):
         facing = unit @ normal > _CAP_COSINE
         if not facing.any():
             continue
@@ -254,13 +262,12 @@ def _flat_ends(skin: Triangles) -> list[Plane]:
         )
         if at_end and size[flat].sum() > _CAP_SHARE * section:
             offset = float(np.quantile(height[flat], 0.02)) - _INSIDE
-            planes.append(Plane(normal, offset, "flat"))
+            planes.append(Plane(normal, offset, ENDS[1]))
     return planes
 
 
-def _flat_directions(skin: Triangles) -> list[Array]:
+def _flat_directions(skin: Triangles, axis: Array) -> list[Array]:
     """The two ends' mean normals along the limb's long axis."""
-    axis = principal_axis(skin)[0]
     unit = skin.area_vectors / np.maximum(skin.areas, 1e-12)[:, None]
     out = []
     for sign in (1.0, -1.0):
@@ -288,9 +295,30 @@ def _heaviest_slab(height: Array, weight: Array) -> float:
     return float(np.average(height[slab], weights=weight[slab]))
 
 
+def long_axis(limb: Sequence[Triangles]) -> Array:
+    """Unit direction along a limb: that of its most elongated body.
+
+    The skin of a short limb is wider than long; its bones are not. Where no body is clearly elongated, the
+    principal axis of the skin that is nearest to the head's direction.
+
+    limb : the skin, and what is known of its bones; patient LPS
+    """
+    axis, elongated = max((principal_axis(each) for each in limb), key=lambda each: each[1])
+    if elongated >= _ELONGATED:
+        return axis
+    axes = _principal(limb[0])[1]
+    return np.asarray(axes[:, np.argmax(np.abs(HEAD @ axes))])
+
+
 def principal_axis(surface: Triangles) -> tuple[Array, float]:
     """Unit direction of largest extent of a surface's area, and how elongated it is (>= 1)."""
+    values, vectors = _principal(surface)
+    return vectors[:, 2], float(np.sqrt(values[2] / max(values[1], 1e-12)))
+
+
+def _principal(surface: Triangles) -> tuple[Array, Array]:
+    """Second moments of a surface's area about its middle, ascending; their directions (3, 3) in columns."""
     weight = surface.areas
     centred = surface.centroids - np.average(surface.centroids, axis=0, weights=weight)
     values, vectors = np.linalg.eigh((centred * weight[:, None]).T @ centred)
-    return vectors[:, 2], float(np.sqrt(values[2] / max(values[1], 1e-12)))
+    return values, vectors

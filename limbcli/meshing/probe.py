@@ -15,6 +15,9 @@ import numpy as np
 from limbcli.errors import CaseError
 from limbcli.model import Array, IntArray
 
+# Facets of a quarter circle, and the radius (mm) up to which these do: they leave it by 0.03 mm at most.
+_ARC, _ARC_RADIUS = 6, 3.0
+
 
 @dataclass(frozen=True)
 class ProbeShape:
@@ -88,17 +91,21 @@ class ProbeMesh:
     tips: IntArray
 
 
-def probe_mesh(shape: ProbeShape, *, size: float = 3.0, arc: int = 6) -> ProbeMesh:
+def probe_mesh(shape: ProbeShape, *, size: float = 3.0) -> ProbeMesh:
     """The probe's surface in quadrilaterals, with triangles at the poles of the four corners.
 
-    size : side of the facets on flats (mm); arc : facets per quarter circle
+    Facets are chords of the rounded edges: wide ones take more of them, so that they lie as near to it.
+
+    size : side of the facets on flats (mm)
     """
     builder = _Builder()
     a, b = shape.flat
     xs = np.linspace(-a, a, max(2, round(2 * a / size) + 1))
     ys = np.linspace(-b, b, max(2, round(2 * b / size) + 1))
     builder.patch(lambda u, v: (u, v, 0.0), xs, ys, down=True)
-    r, up = shape.edge_radius, np.linspace(0, np.pi / 2, arc + 1)
+    r = shape.edge_radius
+    arc = max(_ARC, int(np.ceil(_ARC * np.sqrt(r / _ARC_RADIUS))))
+    up = np.linspace(0, np.pi / 2, arc + 1)
     walls = np.linspace(r, shape.wall, max(2, round((shape.wall - r) / 5.0) + 1))
     rim = _rim(xs, ys, up)
     builder.rings(rim, r, up, walls)

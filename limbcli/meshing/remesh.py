@@ -24,7 +24,7 @@ from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.surfaces import Triangles, undirected
 from limbcli.model import Array, IntArray
 
-_MIN_SIZE = 1.5  # mm
+_MIN_SIZE = 1.5  # mm: no bend and no thin place asks for less; a user may
 _CROWDED = 0.1  # of the wanted length: a shorter edge is an accident
 _FOLDED = -0.9998  # cosine between the normals of two faces that lie on each other
 
@@ -60,7 +60,7 @@ class SizeField:
     probe: ProbeShape
     domain: TissueDomain
     bend: Field  # edge length that bends and thin places allow
-    least: float = _MIN_SIZE
+    least: float
 
     def at(self, points: Array) -> Array:
         """Edge length (n,) mm at points (n, 3)."""
@@ -84,7 +84,8 @@ def size_field(domain: TissueDomain, probe: ProbeShape, sizes: Sizes) -> SizeFie
         if field is not None:
             limit = np.minimum(limit, _bend_limit(field, sag, sizes.far, least=sizes.bends))
     limit[~_within_cuts(domain)] = sizes.far
-    return SizeField(sizes, probe, domain, Field(domain.skin.grid, _graded(limit, domain.skin.grid.spacing)))
+    bend = Field(domain.skin.grid, _graded(limit, domain.skin.grid.spacing))
+    return SizeField(sizes, probe, domain, bend, least=min(_MIN_SIZE, sizes.under_probe))
 
 
 def _within_cuts(domain: TissueDomain, *, inside: float = 1.0) -> NDArray[np.bool_]:
@@ -135,7 +136,9 @@ def finer_near(field: SizeField, places: Array, *, factor: float = 0.6, reach: f
     distance, _ = cKDTree(places).query(grid.points().reshape(-1, 3), distance_upper_bound=reach)
     near = np.isfinite(distance).reshape(grid.shape)
     values = np.where(near, factor * np.minimum(field.bend.values, field.sizes.far), field.bend.values)
-    return replace(field, bend=Field(grid, _graded(np.maximum(values, 0.5), grid.spacing)), least=0.7)
+    return replace(
+        field, bend=Field(grid, _graded(np.maximum(values, 0.5), grid.spacing)), least=min(0.7, field.least)
+    )
 
 
 def bad_places(boundary: Boundary) -> Array:

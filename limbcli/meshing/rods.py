@@ -13,7 +13,7 @@ import numpy as np
 
 from limbcli.errors import CaseError
 from limbcli.meshing.distance import Field, grid_over, signed_distance
-from limbcli.meshing.mending import Limb, principal_axis
+from limbcli.meshing.mending import Limb, long_axis
 from limbcli.meshing.sections import middle_of, section
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
@@ -102,7 +102,7 @@ class BoneHit:
 def limb_axis(limb: Limb, points: Array, proximal: Array) -> Array:
     """Unit vector along the limb near skin points (n, 3): through the middles of its sections there.
 
-    proximal : (3,) unit, roughly along it; where the limb is too short the skin's principal axis is taken
+    proximal : (3,) unit, roughly along it; where the limb is too short, its longest body tells
     """
     along = limb.skin.points @ proximal
     reach = points @ proximal
@@ -114,7 +114,7 @@ def limb_axis(limb: Limb, points: Array, proximal: Array) -> Array:
         if len(pieces) > 8:
             middles.append(middle_of(pieces))
     if len(middles) < _FEWEST:
-        axis = principal_axis(limb.skin)[0]
+        axis = long_axis([limb.skin, *limb.bones])
     else:
         found = np.array(middles)
         axis = np.linalg.svd(found - found.mean(axis=0))[2][0]

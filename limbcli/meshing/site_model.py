@@ -14,7 +14,7 @@ from limbcli.meshing.checks import LayersKept, SiteChecks, layers_kept, site_che
 from limbcli.meshing.crop import crop_planes
 from limbcli.meshing.domain import CUT, TissueDomain, make_domain
 from limbcli.meshing.frame import SiteFrame, site_frame
-from limbcli.meshing.layers import Layer, core_of, with_layers
+from limbcli.meshing.layers import Layer, core_of, open_ended, with_layers
 from limbcli.meshing.mending import Limb, Plane
 from limbcli.meshing.probe import ProbeMesh, ProbeShape, check_shape, probe_mesh
 from limbcli.meshing.quality import MeshQuality, quality
@@ -99,8 +99,9 @@ def site_model(
     _require_tissue_to_the_edge(planes, probe, name)
     domain = make_domain(local, planes, spacing=options.spacing)
     progress.event("task", name="mesh: volume", done=1, total=4)
-    core = core_of(domain, options.layers) if options.layers else None
-    volume, kinds = _fill(domain, core, probe, options)
+    filled = open_ended(domain, options.layers) if options.layers else domain
+    core = core_of(filled, options.layers) if options.layers else None
+    volume, kinds = _fill(filled, core, probe, options)
     progress.event("task", name="mesh: model", done=3, total=4)
     checks = site_checks(domain, probe, options.margin)
     rigid = probe_mesh(probe)

@@ -106,7 +106,7 @@ class CaseRun:
         raw, images = self.case.raw, self.case.imaging
         paths = [p for p in (images.mri, images.labels, images.skin, *images.bones) if p]
         edited = [path for path in [edited_labels(self.out)] if path]
-        hints = self._asked("segment", None, without=("seeds", "threshold", "limb") if edited else ())
+        hints = self._asked("segment", None, without=("seeds", "threshold") if edited else ())
         key = key_of(
             code_hash(), raw.get("imaging"), raw["subject"], *paths, *edited, *parts_of(hints), *self._seen()
         )

@@ -107,7 +107,7 @@ def _label_map(case: Case) -> list[Problem]:
     found: list[Problem] = []
     if case.imaging.mri is not None:
         found += compare_frames(labels, read_image(case.imaging.mri).volume, where=path).problems
-    parts = segmentation_from(labels)
+    parts = segmentation_from(labels, side=case.limb)
     bones = {f"bone_{name}": each for name, each in zip(name_bones(parts.bones), parts.bones, strict=True)}
     surfaces = triangles_of(
         {name: surface_of(each, edge=_EDGE) for name, each in {SKIN: parts.skin, **bones}.items()}

@@ -20,7 +20,7 @@ from limbcli.errors.problems import raise_errors
 from limbcli.imaging.bones import name_bones
 from limbcli.imaging.image_files import read_image
 from limbcli.imaging.label_files import read_label_file
-from limbcli.imaging.label_frame import compare_frames
+from limbcli.imaging.label_frame import compare_frames, in_order_of
 from limbcli.imaging.labels import segmentation_from, write_labels
 from limbcli.imaging.layer_thickness import layers_at
 from limbcli.imaging.limbs import Side
@@ -32,7 +32,7 @@ from limbcli.imaging.surface import SMOOTH, ClosedSurface, surface_of
 from limbcli.imaging.volume import Volume
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
-from limbcli.stages.provenance.chain_inputs import note_case
+from limbcli.stages.provenance.chain_inputs import LIMB, note_case
 from limbcli.stages.provenance.requested_options import asked_of
 from limbcli.stages.segmenting.assumed import from_assumed
 from limbcli.stages.segmenting.places import tell_places
@@ -102,7 +102,7 @@ def segment(
         _check_edited(case, out, edited)
     with open_stage(out, "segment", subject=case.subject) as writer:
         writer.data["asked"] = options.asked()
-        note_case(writer, case, ["imaging", "subject/limb"])
+        note_case(writer, case, ["imaging", LIMB])
         if edited is not None:
             _from_edited(case, edited, options, writer, progress)
         elif case.imaging.assumed:
@@ -191,13 +191,13 @@ def _from_labels(case: Case, path: Path, options: _Options, writer: StageWriter,
     writer.summary.append(f"label map {path.name} used instead of the automatic segmentation")
     _ignored(options, writer)
     image = _image_of(case, labels, path, writer, progress)
-    found = segmentation_from(labels)
+    found = segmentation_from(labels, side=options.limb or case.limb)
     writer.warnings.extend(found.notes)
     _write(case, image, found, options, writer, progress)
 
 
 def _image_of(case: Case, labels: Volume, path: Path, writer: StageWriter, progress: Progress) -> Volume:
-    """The series that a label map belongs to, where it has the same grid, else the label map itself.
+    """The series that a label map belongs to, in its order of axes, where the grid is the same; else the map.
 
     Raises
     ------
@@ -213,7 +213,7 @@ def _image_of(case: Case, labels: Volume, path: Path, writer: StageWriter, progr
     writer.warnings.extend(f"{each.what}; {each.fix}" for each in agreement.problems)
     if agreement.own_grid:
         writer.summary.append("the label map has a grid of its own; it is taken by its place in the patient")
-    return series if series.shape == labels.shape and not agreement.own_grid else labels
+    return labels if agreement.own_grid else in_order_of(labels, series)
 
 
 def _from_edited(case: Case, path: Path, options: _Options, writer: StageWriter, progress: Progress) -> None:
@@ -226,14 +226,14 @@ def _from_edited(case: Case, path: Path, options: _Options, writer: StageWriter,
     writer.warnings.append(text)
     _ignored(options, writer)
     image = _image_of(case, labels, path, writer, progress)
-    found = segmentation_from(labels)
+    found = segmentation_from(labels, side=options.limb or case.limb)
     writer.warnings.extend(found.notes)
     _write(case, image, found, options, writer, progress)
 
 
 def _ignored(options: _Options, writer: StageWriter) -> None:
-    if options.seeds or options.threshold is not None or options.limb is not None:
-        writer.warnings.append("--seed, --threshold and --limb have no effect on a given label map")
+    if options.seeds or options.threshold is not None:
+        writer.warnings.append("--seed and --threshold have no effect on a given label map")
 
 
 def _write(

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from limbcli.errors import CaseError
 from limbcli.imaging.label_files import by_name, read_label_file
+from limbcli.imaging.labels import write_labels
 from limbcli.imaging.nrrd import read_nrrd
 from limbcli.imaging.volume import RAS_FROM_LPS, Volume
 
@@ -173,6 +174,29 @@ def test_a_dicom_seg_is_brought_to_our_labels_by_its_names(truth, tmp_path):
     whole = np.flatnonzero((truth.values > 0).any(axis=(0, 1)))
     assert np.array_equal(found.values, truth.values[:, :, whole[0] : whole[-1] + 1])
     np.testing.assert_allclose(found.affine[:3, :3], truth.affine[:3, :3], atol=1e-5)
+
+
+def test_slices_that_slide_along_with_a_gantrys_tilt_keep_their_places(truth, tmp_path):
+    tilted = truth.affine.copy()
+    tilted[:3, 2] += 0.4 * tilted[:3, 1]
+    tilted = Volume(truth.values, tilted)
+    found = read_label_file(dicom_seg(tmp_path / "seg.dcm", tilted, {"Soft tissue": 1, "Bone": 2}))
+    bone, true = (each.to_patient(np.argwhere(each.values == 2).astype(float)) for each in (found, tilted))
+    np.testing.assert_allclose(bone, true, atol=1e-4)
+    write_labels(tmp_path / "labels.nii.gz", found)
+    np.testing.assert_allclose(read_label_file(tmp_path / "labels.nii.gz").affine, found.affine, atol=1e-4)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_slice_beside_the_line_of_the_others_is_refused(truth, tmp_path, axis):
+    path = dicom_seg(tmp_path / "seg.dcm", truth, {"Soft tissue": 1})
+    dataset = pydicom.dcmread(path)
+    group = dataset.PerFrameFunctionalGroupsSequence[4].PlanePositionSequence[0]
+    place = np.array(group.ImagePositionPatient, float) + 1.5 * truth.affine[:3, axis]
+    group.ImagePositionPatient = [f"{each:.10g}" for each in place]
+    dataset.save_as(path)
+    with pytest.raises(CaseError, match="do not lie on one line"):
+        read_label_file(path)
 
 
 def test_segments_a_hairs_breadth_apart_are_on_one_grid(truth, tmp_path):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from limbcli.errors import CaseError
-from limbcli.imaging.label_frame import compare_frames
+from limbcli.imaging.label_frame import compare_frames, in_order_of
 from limbcli.imaging.labels import read_labels
 from limbcli.imaging.volume import RAS_FROM_LPS, Volume
 
@@ -45,6 +45,11 @@ def test_the_image_s_own_grid_is_not_questioned_in_any_order_of_its_axes(image):
     turned.affine[:3, 3] += turned.affine[:3, 0] * (values.shape[2] - 1)
     turned.affine[:3, 0] *= -1
     assert not compare_frames(turned, image, where="a").own_grid
+    seen = in_order_of(turned, image)
+    index = np.array([[3, 20, 31], [17, 5, 40]])
+    there = np.round(image.to_voxel(turned.to_patient(index.astype(float)))).astype(int)
+    assert np.array_equal(seen.values[tuple(index.T)], image.values[tuple(there.T)])
+    assert seen.shape == turned.shape
 
 
 @pytest.mark.parametrize(

@@ -71,6 +71,21 @@ def test_skin_bones_and_markers_are_taken_from_labels(truth):
     np.testing.assert_allclose([each.position for each in found.markers], MARKERS, atol=1.5)
 
 
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_of_two_limbs_in_a_label_map_the_one_meant_is_taken(truth, side):
+    """Bones and markers of the other one are not this limb's."""
+    limb = truth.values[::2, ::2]
+    two = Volume(np.concatenate([limb, limb]), truth.affine @ np.diag([2.0, 2.0, 1.0, 1.0]))
+    found = segmentation_from(two, side=side)
+    empty = np.zeros_like(limb)
+    alone = np.concatenate([empty, limb] if side == "left" else [limb, empty])  # i grows towards the left
+    expected = segmentation_from(two.with_values(alone))
+    assert np.array_equal(found.skin.values, expected.skin.values)
+    assert len(found.bones) == 2
+    assert found.markers == expected.markers
+    assert any(side in each for each in found.notes)
+
+
 @pytest.mark.parametrize(("value", "message"), [(7, "value"), (0, "no voxel")])
 def test_unusable_labels_are_refused(truth, tmp_path, value, message):
     values = truth.values.copy()

@@ -41,6 +41,12 @@ def test_markers_at_one_height_are_numbered_by_angle_from_anterior_over_left(lim
     assert numbered(limb, right, above, back, left, below, front) == [below, front, left, back, right, above]
 
 
+@pytest.mark.parametrize("aside", [-3.0, -0.01, 0.0, 3.0])
+def test_a_marker_in_front_is_the_first_wherever_its_middle_was_found(limb, aside):
+    front, left, right = (aside, -25.0, 50.0), (25.0, 0.0, 50.0), (-25.0, 0.0, 50.0)
+    assert numbered(limb, left, right, front) == [front, left, right]
+
+
 def test_no_markers_give_no_numbers(limb):
     assert number_markers(np.zeros((0, 3)), np.zeros(0), limb, limb.values) == ()
 

@@ -117,6 +117,17 @@ def test_a_limb_upside_down_is_seen(good):
     assert any("upside down" in finding for finding in quality.findings)
 
 
+@pytest.mark.parametrize(("between", "share"), [(0.0, 0.0), (76.0, 1.0)])
+def test_two_limbs_that_touch_are_no_good_limb(good, between, share):
+    """Thighs in view side by side are one body in the image."""
+    x, y = np.mgrid[:90, :44] * 2.0 - [[[88.0]], [[43.0]]]
+    section = np.hypot((np.abs(x) - between / 2) / 42.0, y / 36.0) < 1.0
+    both = Volume(np.repeat(section[:, :, None], 10, axis=2), np.diag([2.0, 2.0, 5.0, 1.0]))
+    quality = assess(replace(good, skin=both, bones=()), ())
+    assert quality.figures["limb_in_two_share"] == share
+    assert any("two limbs" in each for each in quality.findings) == bool(share)
+
+
 def test_a_single_bone_is_remarked_on(good):
     quality = assess(replace(good, bones=good.bones[:1]), NAMES[:1])
     assert quality.verdict == "check"

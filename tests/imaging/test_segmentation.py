@@ -11,9 +11,10 @@ from limb_images import Limb, dice
 from scipy import ndimage
 from skimage.draw import polygon2mask
 
+from limbcli.errors import CaseError
 from limbcli.imaging.bones import name_bones
 from limbcli.imaging.dicom import read_series
-from limbcli.imaging.segmentation import segment_limb
+from limbcli.imaging.segmentation import SegmentationHints, segment_limb
 from limbcli.imaging.volume import Volume, back
 from limbcli.phantom.mri import acquire, tissue_fractions
 from limbcli.phantom.subject import make_subject
@@ -34,6 +35,27 @@ def test_a_simple_limb_is_found_with_bones_and_markers():
     assert bone >= 0.97
     assert name_bones(found.bones) == ("tibia", "fibula")
     np.testing.assert_allclose([each.position for each in found.markers], MARKERS, atol=1.5)
+
+
+@pytest.mark.parametrize(
+    ("hints", "message"),
+    [({"bone_seeds": (400.0, 0.0, 0.0)}, "bone=400,0,0 lies outside of the image"),
+     ({"soft_seeds": (-60.0, 0.0, 0.0)}, "soft=-60,0,0 lies outside of the image"),
+     ({"bone_seeds": (-49.0, -40.0, 0.0)}, "lies outside of the limb")],
+)  # fmt: skip
+def test_seeds_that_lie_nowhere_are_refused(coarse, hints, message):
+    with pytest.raises(CaseError, match=message):
+        segment_limb(coarse, hints=SegmentationHints(**{kind: np.array([at]) for kind, at in hints.items()}))
+
+
+def test_a_seed_that_changes_nothing_is_told(coarse):
+    found = segment_limb(coarse, hints=SegmentationHints(soft_seeds=np.array([[30.0, 0.0, 0.0]])))
+    assert any("has no effect" in each for each in found.notes)
+
+
+@pytest.fixture(scope="module")
+def coarse():
+    return Limb().image(shape=(52, 46, 8), spacing=(2.0, 2.0, 6.0), samples=1)[0]
 
 
 def test_bones_that_end_inside_the_limb_end_there_with_their_cap_of_cortex():

@@ -75,6 +75,14 @@ def test_a_triangle_soup_is_joined_into_a_closed_surface():
     assert joined(soup).is_closed
 
 
+def test_triangles_that_a_file_holds_twice_count_once():
+    once = surface_of(cylinder(), edge=5.0)
+    twice = np.vstack([once.triangles, np.roll(once.triangles[::2], 1, axis=1)])
+    found = joined(ClosedSurface(once.points, twice))
+    assert found.is_closed
+    assert found.volume == pytest.approx(once.volume)
+
+
 def test_an_open_surface_is_seen_as_open():
     surface = surface_of(cylinder(), edge=4.0)
     assert not ClosedSurface(surface.points, surface.triangles[1:]).is_closed

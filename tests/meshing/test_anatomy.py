@@ -7,9 +7,10 @@ import pytest
 
 from limbcli.errors import MeshError
 from limbcli.meshing.anatomy import limb_problems
+from limbcli.meshing.domain import manifold_of
 from limbcli.meshing.mending import mend
 from limbcli.meshing.places import place_problems
-from limbcli.meshing.surfaces import Triangles
+from limbcli.meshing.surfaces import Triangles, join
 
 pytestmark = pytest.mark.slow
 
@@ -61,6 +62,21 @@ def test_sizes_of_another_unit_and_swapped_files_are_errors(surfaces):
     assert ("error", "cm3") in [(s, w.split()[-1]) for s, w in found(ten)]
     swapped = {**surfaces, "skin": surfaces["bone_tibia"], "bone_tibia": surfaces["skin"]}
     assert any(severity == "error" and "bones fill" in what for severity, what in found(swapped))
+
+
+def test_soft_tissue_with_holes_for_its_bones_is_no_skin(surfaces):
+    """The holes are cut through to the ends, as a soft-tissue segment's are; the bones fill them."""
+    soft = manifold_of(surfaces["skin"], "skin") - manifold_of(surfaces["bone_tibia"], "tibia")
+    mesh = soft.to_mesh64()
+    hollow = Triangles(np.array(mesh.vert_properties[:, :3]), np.array(mesh.tri_verts, np.int64))
+    problems = found({**surfaces, "skin": hollow})
+    assert [what for severity, what in problems if severity == "error" and "in a hole of the skin" in what]
+
+
+def test_a_skin_with_two_walls_is_an_error(surfaces, make_tube):
+    inner = make_tube((0, 0, -98), (0, 0, 98), (33, 43)).flipped()
+    problems = found({**surfaces, "skin": join([surfaces["skin"], inner])})
+    assert any(severity == "error" and "second body" in what for severity, what in problems)
 
 
 def test_one_bone_given_twice_is_an_error(surfaces):

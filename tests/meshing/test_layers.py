@@ -10,7 +10,7 @@ from limbcli.meshing.checks import layers_kept
 from limbcli.meshing.crop import crop_planes
 from limbcli.meshing.domain import boundary, make_domain
 from limbcli.meshing.frame import site_frame
-from limbcli.meshing.layers import core_of, layers_of
+from limbcli.meshing.layers import core_of, layers_of, open_ended
 from limbcli.meshing.mending import mend
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.quality import volumes
@@ -77,6 +77,17 @@ def test_layers_reach_into_the_corners_of_four_cuts(made_axial):
     assert made_axial.quality.inverted_cells == 0
     total = sum(volumes(mesh.points, block.cells).sum() for block in mesh.solid_blocks)
     assert total == pytest.approx(boundary(made_axial.domain).volume, rel=0.02), "nothing overlaps"
+
+
+def test_layers_are_as_thick_at_the_limbs_cut_end_as_in_its_middle(make_tube):
+    """Images that end near the site: the lid that closes the skin there is no skin."""
+    limb = mend(make_tube((0, 0, -50), (0, 0, 50), (40, 40)), [])
+    layers = layers_of(skin=SKIN, fat=FAT)
+    domain = make_domain(limb, limb.ends, spacing=2.0)
+    below = core_of(open_ended(domain, layers), layers).skin
+    middle, end = ([[r, 0.0, z] for r in (0.0, 28.0, 40.0 - SKIN - FAT, 38.0)] for z in (0.0, 48.0))
+    assert below.at(np.array(end)) == pytest.approx(below.at(np.array(middle)), abs=0.1)
+    assert below.at(np.array(end))[2] == pytest.approx(0.0, abs=0.2)
 
 
 def test_impossible_thickness_is_refused():

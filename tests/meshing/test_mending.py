@@ -42,6 +42,14 @@ def test_flat_ends_of_a_scan_become_cuts_and_round_ends_do_not(leg, make_ball):
     assert mend(make_ball((0, 0, 0), 40.0), []).ends == ()
 
 
+@pytest.mark.parametrize("with_bone", [True, False])
+def test_the_flat_ends_of_a_limb_that_is_wider_than_long_are_not_its_sides(make_tube, with_bone):
+    bones = [make_tube((0, -10, -40), (0, -10, 40), (12, 12))] if with_bone else []
+    limb = mend(make_tube((0, 0, -40), (0, 0, 40), (80, 80), around=120), bones)
+    assert sorted(each.normal[2] for each in limb.ends) == pytest.approx([-1.0, 1.0])
+    assert [each.offset for each in limb.ends] == pytest.approx([38.5, 38.5])
+
+
 def test_bodies_in_one_file_are_told_apart(make_tube):
     skin = make_tube((0, 0, 0), (0, 0, 150), (40, 45))
     bones = [make_tube((x, 0, 10), (x, 0, 140), (8, 8)) for x in (-15, 15)]

@@ -12,10 +12,14 @@ from limbcli.meshing.surfaces import Triangles, boundary_loops
 SHAPE = ProbeShape(53.0, 14.0, 3.0)
 
 
+def facets_of(shape: ProbeShape) -> Triangles:
+    mesh = probe_mesh(shape)
+    return Triangles(mesh.points, np.vstack([mesh.quads[:, [0, 1, 2]], mesh.quads[:, [0, 2, 3]], mesh.tips]))
+
+
 @pytest.fixture(scope="module")
 def surface() -> Triangles:
-    mesh = probe_mesh(SHAPE)
-    return Triangles(mesh.points, np.vstack([mesh.quads[:, [0, 1, 2]], mesh.quads[:, [0, 2, 3]], mesh.tips]))
+    return facets_of(SHAPE)
 
 
 def test_open_only_at_the_top(surface):
@@ -41,10 +45,13 @@ def test_nodes_lie_on_the_rounded_face(surface):
     assert low[:, 2] == pytest.approx(SHAPE.rise(low[:, 0], low[:, 1]), abs=1e-6)
 
 
-def test_facets_leave_the_rounding_by_less_than_a_twentieth_of_a_millimetre(surface):
-    c = surface.centroids[surface.centroids[:, 2] < 2.9]
-    flat = np.clip(c, [-23.5, -4, 3], [23.5, 4, 3])
-    inside = 3.0 - np.linalg.norm(c - flat, axis=1)[np.linalg.norm(c[:, :2] - flat[:, :2], axis=1) > 1e-9]
+@pytest.mark.parametrize("shape", [SHAPE, ProbeShape(30.0, 14.0, 6.9), ProbeShape(41.0, 41.0, 20.0)])
+def test_facets_leave_the_rounding_by_less_than_a_twentieth_of_a_millimetre(shape):
+    surface, r = facets_of(shape), shape.edge_radius
+    c = surface.centroids[surface.centroids[:, 2] < r - 0.1]
+    low, high = [*(-each for each in shape.flat), r], [*shape.flat, r]
+    flat = np.clip(c, low, high)
+    inside = r - np.linalg.norm(c - flat, axis=1)[np.linalg.norm(c[:, :2] - flat[:, :2], axis=1) > 1e-9]
     assert inside.max() < 0.05
 
 

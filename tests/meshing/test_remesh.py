@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from limbcli.mesh_bounds import SIZE_MM
 from limbcli.meshing.crop import crop_planes
 from limbcli.meshing.domain import BONE, CUT, SKIN, boundary, make_domain
 from limbcli.meshing.facets import edges_of
@@ -33,6 +34,12 @@ def test_whole_numbers_ask_for_the_same_edges(made):
     whole = size_field(domain, PROBE, Sizes(3, 9))  # type: ignore[arg-type]
     assert (whole.bend.values % 1 > 0.01).any(), "edges between whole lengths are asked for"
     np.testing.assert_array_equal(whole.bend.values, field.bend.values)
+
+
+@pytest.mark.parametrize("size", [SIZE_MM[0], 1.2, 2.5])
+def test_a_small_edge_is_wanted_as_it_was_asked_for(made, size):
+    wanted = size_field(made[0], PROBE, Sizes(size, 9.0)).at(np.array([[0.0, 0.0, -1.0]]))
+    assert wanted == pytest.approx([size])
 
 
 def test_volume_is_kept(made):

@@ -14,7 +14,7 @@ from typing import Any
 from limbcli.case import Case, Site
 from limbcli.results import StageWriter, plain
 
-SITES = "sites"
+SITES, LIMB = "sites", "subject/limb"
 _WORDS = {"place": "place (position_mm, marker)", "skin_bone": "skin_bone_mm"}
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.imaging.bones import names_by_size_and_place
-from limbcli.meshing.mending import enclosed, principal_axis
+from limbcli.meshing.mending import enclosed, long_axis
 from limbcli.meshing.surfaces import Triangles
 from limbcli.patient_frame import toward_head
 
@@ -30,7 +30,7 @@ def names_of_bodies(skin: Triangles, bones: Sequence[Triangles]) -> list[str]:
 
     skin, bones : mm, patient LPS
     """
-    axis = toward_head(principal_axis(skin)[0])
+    axis = toward_head(long_axis([skin, *bones]))
     volumes = np.array([abs(enclosed(each)) for each in bones])
     order = np.argsort(-volumes, kind="stable")
     ordered = [bones[n] for n in order]
