@@ -23,7 +23,7 @@ class Estimate:
     parameter : its name, with its unit where it has one ("c_kpa", "f_kappa", "m")
     value : the estimate; read `flag` before it is quoted
     standard_error : None where there is none
-    low_95, high_95 : ends of the 95 % interval; None: open to that side
+    low_95, high_95 : ends of the 95 % interval; None: open to that side, or none was asked for (see `words`)
     flag : "identified", "fixed", or why not: "weak", "trades off with ...", "at bound", "no influence"
     words : the same as a sentence that may be quoted
     """
