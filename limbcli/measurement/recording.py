@@ -50,21 +50,25 @@ def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
     Raises
     ------
     MeasurementError
-        If a row cannot be read, a column is missing or stands twice, a cell is no number, or time
-        does not grow.
+        If a row cannot be read, a column is missing or stands twice, a cell is no number, time does not
+        grow, or a LabVIEW file has its force and another column at other times.
     """
     form = form or RecordingFormat()
     header, rows, separator = _table(path, form)
     decimal = form.decimal or _decimal(rows, separator)
-    values = {}
+    positions = {}
     for name in COLUMNS:
         position = _position(header, form.columns.get(name, name), name, path, asked=name in form.columns)
         if position is not None:
-            values[name] = _column(rows, position, decimal, name, path)
+            positions[name] = position
     for name in ("time_s", "force_n"):
-        if name not in values:
+        if name not in positions:
             fix = f'say which one it is: columns = {{ {name} = "..." }}; ' + suggestion(name, header)
             raise MeasurementError(f"the record has no column {name!r}", where=str(path), fix=fix)
+    if header[positions["time_s"]] == _LVM_TIME and header.count(_LVM_TIME) > 1:
+        positions["time_s"] = _time_of_force(header, rows, positions, path)
+        rows = [row for row in rows if _cell(row, positions["time_s"])]  # other channels may go on for longer
+    values = {name: _column(rows, k, decimal, name, path) for name, k in positions.items()}
     _check_time(values["time_s"], path)
     length = LENGTH_UNITS_IN_MM[form.length_unit]
     axes = [values.get(f"accel_{axis}_g") for axis in "xyz"]
@@ -97,7 +101,7 @@ def _table(path: Path, form: RecordingFormat) -> tuple[list[str], list[list[str]
 def _lvm_table(lines: list[str], path: Path, form: RecordingFormat) -> tuple[list[str], list[list[str]], str]:
     """A LabVIEW measurement file: a header, then segments with a header of their own each.
 
-    Where the segments carry no times (X_Columns No), X_Value is made from their X0 and Delta_X.
+    Where the segments carry no times (X_Columns No), each channel's X_Value is made from its X0 and Delta_X.
     """
     ends = [k for k, line in enumerate(lines) if line.startswith(LVM_END_OF_HEADER)]
     mark = form.separator or _lvm_separator(lines[: ends[0]])
@@ -141,20 +145,68 @@ def _data_rows(body: list[list[str]]) -> list[list[str]]:
 def _with_times(
     titles: list[str], rows: list[list[str]], own: Mapping[str, list[str]], path: Path
 ) -> tuple[list[str], list[list[str]]]:
-    try:
-        start, step = (float(own[key][0].replace(",", ".")) for key in ("X0", "Delta_X"))
-    except (KeyError, IndexError, ValueError) as error:
+    """The table with a column of times before each channel; one without X0 and Delta_X has those before it."""
+    starts, steps = (_numbers_of(own.get(key, [])) for key in ("X0", "Delta_X"))
+    known = list(zip(starts, steps, strict=False))
+    if not known:
         raise MeasurementError(
             "the file has no times: X_Columns is No, and X0 or Delta_X is missing",
             where=str(path),
             fix="save it with one X column",
-        ) from error
+        )
     comma = any("," in cell for row in rows[:50] for cell in row)
-    times = (f"{start + k * step:.9g}" for k in range(len(rows)))
-    timed = [
-        [time.replace(".", ",") if comma else time, *row[1:]] for time, row in zip(times, rows, strict=True)
-    ]
-    return [_LVM_TIME, *titles[1:]], timed
+    channels = [known[min(j, len(known) - 1)] for j in range(len(titles) - 1)]
+    timed = []
+    for k, row in enumerate(rows):
+        cells: list[str] = []
+        for j, (start, step) in enumerate(channels, 1):
+            value = _cell(row, j)
+            time = repr(start + k * step) if value else ""
+            cells += [time.replace(".", ",") if comma else time, value]
+        timed.append(cells)
+    return [each for title in titles[1:] for each in (_LVM_TIME, title)], timed
+
+
+def _numbers_of(cells: list[str]) -> list[float]:
+    """Those that stand before the first cell without a number."""
+    found = []
+    for cell in cells:
+        try:
+            found.append(float(cell.replace(",", ".")))
+        except ValueError:
+            break
+    return found
+
+
+def _time_of_force(header: list[str], rows: list[list[str]], positions: Mapping[str, int], path: Path) -> int:
+    """Of several X_Value columns, one before each channel, that of the force.
+
+    Raises
+    ------
+    MeasurementError
+        If another column that is read was sampled at other times.
+    """
+    times = {name: _time_before(header, k) for name, k in positions.items() if name != "time_s"}
+    own = times["force_n"]
+    for name, k in times.items():
+        pairs = ((_cell(row, own), _cell(row, k)) for row in rows)
+        if k != own and any(a != b for a, b in pairs if a and b):
+            raise MeasurementError(
+                f"force_n and {name} were sampled at other times (columns {own + 1} and {k + 1})",
+                where=str(path),
+                fix="export both at one rate (X_Columns One), or take the column out of the file",
+            )
+    return own
+
+
+def _time_before(header: list[str], position: int) -> int:
+    """The nearest X_Value before a column; the first one where none stands before it."""
+    before = [k for k, title in enumerate(header[:position]) if title == _LVM_TIME]
+    return before[-1] if before else header.index(_LVM_TIME)
+
+
+def _cell(row: list[str], position: int) -> str:
+    return row[position].strip() if position < len(row) else ""
 
 
 def _text(path: Path) -> str:
@@ -193,7 +245,7 @@ def _position(header: list[str], wanted: str, name: str, path: Path, *, asked: b
 def _column(rows: list[list[str]], position: int, decimal: str, name: str, path: Path) -> Array:
     values = np.full(len(rows), np.nan)
     for k, row in enumerate(rows):
-        cell = row[position].strip() if position < len(row) else ""
+        cell = _cell(row, position)
         if not cell:
             continue
         try:

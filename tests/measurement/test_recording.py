@@ -64,6 +64,22 @@ def test_labview_file_without_times_gets_them_from_its_step(tmp_path):
         read_recording(path, form)
 
 
+def test_labview_channels_sampled_apart_have_each_its_own_time(tmp_path):
+    path = tmp_path / "a.lvm"
+    form = RecordingFormat(columns={"time_s": "X_Value", "force_n": "Force"})
+    rows = "X_Value\tTilt\tX_Value\tForce\tComment\n0,0\t5\t0,0\t0,1\n0,001\t5\t0,1\t1,5\n0,002\t5\n"
+    path.write_text(LVM[: LVM.index("X_Value")] + rows)
+    np.testing.assert_allclose(read_recording(path, form).time, [0.0, 0.1])
+    with pytest.raises(MeasurementError, match="depth_mm were sampled at other times"):
+        read_recording(path, RecordingFormat(columns={**form.columns, "depth_mm": "Tilt"}))
+    path.write_text(
+        "LabVIEW Measurement\nSeparator\tTab\nX_Columns\tNo\n***End_of_Header***\nChannels\t2\n"
+        "X0\t0\t3712345678.5\nDelta_X\t0.001\t0.25\n***End_of_Header***\n"
+        "X_Value\tTilt\tForce\tComment\n\t1\t2\n\t1\t3\n\t1\n"
+    )
+    np.testing.assert_array_equal(read_recording(path, form).time, [3712345678.5, 3712345678.75])
+
+
 @pytest.mark.parametrize(
     ("unit", "factor"), [("N", 1.0), ("kgf", 9.80665), ("gf", 9.80665e-3), ("lbf", 4.4482216)]
 )
