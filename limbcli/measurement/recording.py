@@ -145,7 +145,7 @@ def _data_rows(body: list[list[str]]) -> list[list[str]]:
 def _with_times(
     titles: list[str], rows: list[list[str]], own: Mapping[str, list[str]], path: Path
 ) -> tuple[list[str], list[list[str]]]:
-    """The table with a column of times before each channel; one without X0 and Delta_X has those before it."""
+    """The table with a column of times before each channel; one without X0 and Delta_X has the last ones."""
     starts, steps = (_numbers_of(own.get(key, [])) for key in ("X0", "Delta_X"))
     known = list(zip(starts, steps, strict=False))
     if not known:
@@ -249,9 +249,14 @@ def _column(rows: list[list[str]], position: int, decimal: str, name: str, path:
         if not cell:
             continue
         try:
+            if decimal != "." and "." in cell:  # between thousands, perhaps: never one mark for the other
+                raise ValueError
             values[k] = float(cell.replace(decimal, "."))
         except ValueError:
             fix = 'remove the row, or say the decimal mark with decimal = ","'
+            if decimal != "." and "." in cell:
+                fix = f"the decimal mark is a {decimal!r} here: write numbers without marks between thousands, or "
+                fix += 'say decimal = "."'
             if ":" in cell:
                 fix = "write seconds: a time of day or a date is not read as time"
             where = f"{path}, row {k + 1} below the header"

@@ -113,6 +113,7 @@ def test_a_labview_file_repeats_the_time_before_every_channel(tmp_path):
         ("time_s,force_n\n0,1\n1,x\n", RecordingFormat(), "not a number"),
         ("time_s,force_n,force_n\n0,1,9\n1,2,9\n", RecordingFormat(), "2 columns of the record are called"),
         ("time_s,force_n\n", RecordingFormat(), "no rows"),
+        ("time_s;force_n\n0,0;900\n1,0;1.234\n", RecordingFormat(), "marks between thousands"),
         ('time_s,force_n\n0,1\n\n1,"2\n' + "2,3\n" * 40000, RecordingFormat(), "line 4"),
     ],
 )
