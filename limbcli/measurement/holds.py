@@ -89,7 +89,8 @@ def find_holds(trace: Trace, *, tolerance: float = 0.1, duration_s: float = 5.0)
             longest_s=float(longest),
         )
     depth = trace.depth[good] if trace.depth is not None else None
-    return [_describe(time, force, depth, a, b) for a, b in chosen]
+    resolution = _resolution(force)
+    return [_describe(time, force, depth, a, b, resolution) for a, b in chosen]
 
 
 def _smoothed(time: Array, force: Array, window_s: float) -> Array:
@@ -140,9 +141,9 @@ def _longest_first(time: Array, stretches: list[tuple[int, int]], duration_s: fl
     return sorted(chosen)
 
 
-def _describe(time: Array, force: Array, depth: Array | None, a: int, b: int) -> Hold:
+def _describe(time: Array, force: Array, depth: Array | None, a: int, b: int, resolution: float) -> Hold:
     t, f = time[a : b + 1], force[a : b + 1]
-    sane = _sane(f)
+    sane = _sane(f, resolution)
     gaps = int((np.diff(t) > _DROPOUT_FACTOR * float(np.median(np.diff(time)))).sum())
     t, f = t[sane], f[sane]
     late = t >= 0.5 * (t[0] + t[-1])
@@ -175,10 +176,24 @@ def _describe(time: Array, force: Array, depth: Array | None, a: int, b: int) ->
     )
 
 
-def _sane(force: Array) -> NDArray[np.bool_]:
-    """Samples that are no spikes: within eight robust deviations of the hold's median."""
+def _sane(force: Array, resolution: float) -> NDArray[np.bool_]:
+    """Samples that are no spikes: within eight robust deviations of the hold's median.
+
+    The deviation is at least the resolution: where most samples show one number it would be 0, and the next
+    number that the load cell can show would be a spike.
+    """
     off = np.abs(force - np.median(force))
-    return np.asarray(off <= _SPIKE * max(1.4826 * float(np.median(off)), 1e-6))
+    return np.asarray(off <= _SPIKE * max(1.4826 * float(np.median(off)), resolution))
+
+
+def _resolution(force: Array) -> float:
+    """N between the numbers that a record (n,) shows, mostly.
+
+    >>> round(_resolution(np.array([0.0, 0.1, 0.1, 0.2, 0.3, 40.0])), 6)
+    0.1
+    """
+    steps = np.diff(np.unique(force))
+    return max(float(np.median(steps)), 1e-6) if len(steps) else 1e-6
 
 
 def _standard_error(values: Array) -> float:

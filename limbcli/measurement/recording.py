@@ -255,8 +255,10 @@ def _column(rows: list[list[str]], position: int, decimal: str, name: str, path:
         except ValueError:
             fix = 'remove the row, or say the decimal mark with decimal = ","'
             if decimal != "." and "." in cell:
-                fix = f"the decimal mark is a {decimal!r} here: write numbers without marks between thousands, or "
-                fix += 'say decimal = "."'
+                fix = (
+                    f"the decimal mark is a {decimal!r} here: write numbers without marks between thousands, "
+                )
+                fix += 'or say decimal = "."'
             if ":" in cell:
                 fix = "write seconds: a time of day or a date is not read as time"
             where = f"{path}, row {k + 1} below the header"

@@ -66,6 +66,14 @@ def test_dropouts_and_spikes_do_not_break_a_hold(rng):
     assert [each.n_dropouts for each in holds] == [0, 1, 0, 0]
 
 
+def test_readings_one_step_of_the_load_cell_apart_are_no_spikes(rng):
+    trace = record(rng, levels=(0, 2.03, 4.06))
+    coarse = replace(trace, force=np.round(trace.force / 0.1) * 0.1)
+    holds = find_holds(coarse)
+    assert [each.n_spikes for each in holds] == [0, 0, 0]
+    np.testing.assert_allclose([each.force for each in holds], [0, 2.03, 4.06], atol=0.02)
+
+
 def test_record_without_holds_says_how_near_it_came(rng):
     time = np.arange(600) / RATE
     trace = Trace(time, 2.0 * time, None, None, None, Path("trace.csv"))
