@@ -23,6 +23,7 @@ SMOOTHING_S = 0.5
 _BATCHES = 10
 _DROPOUT_FACTOR = 3.0
 _CREEP_SIGNIFICANCE = 4.0
+_GRAVITY_OFF = 0.15  # g: cheap accelerometers are off by some hundredths, other units by far more
 _SPIKE = 8.0  # robust deviations from the hold's median
 
 
@@ -227,7 +228,7 @@ def without_probe_weight(
     Raises
     ------
     MeasurementError
-        If there is no accelerometer record or no sample within `tare_s`.
+        If there is no accelerometer record, it is not in g, or no sample lies within `tare_s`.
     """
     from dataclasses import replace
 
@@ -244,12 +245,26 @@ def without_probe_weight(
             fix = "add accel_x_g, accel_y_g and accel_z_g, or leave probe_mass_kg out"
             what = "the probe's weight cannot be taken off without its orientation"
             raise MeasurementError(what, where=str(trace.path), fix=fix)
+        _check_gravity(trace.acceleration_g[in_air], trace)
         sign = -1.0 if axis.startswith("-") else 1.0
         cosine = sign * trace.acceleration_g[:, "xyz".index(axis[-1])]
         smooth = _smoothed(trace.time, cosine, SMOOTHING_S)
         turned = smooth - float(np.nanmean(smooth[in_air]))
         force = force - probe_mass_kg * GRAVITY_M_PER_S2 * turned
     return replace(trace, force=force)
+
+
+def _check_gravity(acceleration_g: Array, trace: Trace) -> None:
+    """At rest an accelerometer reads 1 g (n_samples, 3), whichever way it is turned."""
+    size = np.linalg.norm(acceleration_g, axis=1)
+    size = size[np.isfinite(size)]
+    felt = float(np.median(size)) if len(size) else 0.0
+    if abs(felt - 1.0) > _GRAVITY_OFF:
+        what = f"the accelerometer reads {felt:.3g} g while the probe hangs free, not 1 g"
+        fix = (
+            "give accel_x_g, accel_y_g and accel_z_g in g (from m/s2: divide by 9.80665), their zeros taken "
+        )
+        raise MeasurementError(what, where=str(trace.path), fix=f"{fix}off, or leave probe_mass_kg out")
 
 
 def missing_levels(holds: list[Hold], *, step: float = 2.0) -> list[float]:

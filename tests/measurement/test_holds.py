@@ -100,6 +100,13 @@ def test_weight_of_a_turned_probe_is_taken_off(rng):
     assert abs(unmended.force[400:].mean() - 5.0) > 1.0
 
 
+def test_accelerations_that_are_not_in_g_take_off_no_weight(rng):
+    trace = record(rng)
+    still = np.tile([0.0, 0.0, 9.81], (len(trace.time), 1))
+    with pytest.raises(MeasurementError, match=r"9\.81 g while the probe hangs free.*\n.*\n.*m/s2"):
+        without_probe_weight(replace(trace, acceleration_g=still), probe_mass_kg=0.3, tare_s=(0.0, 4.0))
+
+
 def test_weight_without_accelerometer_and_tare_outside_the_record_are_refused(rng):
     trace = record(rng)
     with pytest.raises(MeasurementError, match="without its orientation"):
