@@ -248,6 +248,8 @@ def without_probe_weight(
         _check_gravity(trace.acceleration_g[in_air], trace)
         sign = -1.0 if axis.startswith("-") else 1.0
         cosine = sign * trace.acceleration_g[:, "xyz".index(axis[-1])]
+        known = np.isfinite(cosine)  # an accelerometer is often read less often than the force
+        cosine = np.interp(trace.time, trace.time[known], cosine[known])
         smooth = _smoothed(trace.time, cosine, SMOOTHING_S)
         turned = smooth - float(np.nanmean(smooth[in_air]))
         force = force - probe_mass_kg * GRAVITY_M_PER_S2 * turned

@@ -96,6 +96,9 @@ def test_weight_of_a_turned_probe_is_taken_off(rng):
     trace = Trace(time, read, None, None, gravity, Path("trace.csv"))
     mended = without_probe_weight(trace, probe_mass_kg=0.3, tare_s=(0.0, 4.0))
     np.testing.assert_allclose(mended.force[400:], 5.0, atol=0.01)
+    gravity[1::2] = np.nan  # read at half the rate
+    half = without_probe_weight(trace, probe_mass_kg=0.3, tare_s=(0.0, 4.0))
+    np.testing.assert_allclose(half.force[400:], 5.0, atol=0.01)
     unmended = without_probe_weight(trace, probe_mass_kg=0.0, tare_s=(0.0, 4.0))
     assert abs(unmended.force[400:].mean() - 5.0) > 1.0
 
