@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,11 @@ from PIL import Image
 from limbcli.case import Case
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.measurement.elastography import read_map
+from limbcli.measurement.holds import find_holds
 from limbcli.measurement.indentation import read_levels
 from limbcli.results import open_stage
 from limbcli.stages.measure import measure
+from limbcli.stages.measuring.holds import found_twice
 from limbcli.stages.measuring.images import images_of
 from tests.case.test_case_text import HEAD, SITE
 from tests.measurement.test_bmode import frame, speckle
@@ -180,6 +183,17 @@ def cell_only(folder: Path, place: Path, time: np.ndarray, force: np.ndarray) ->
 
 
 # ---------------------------------------------------------------- found, left out, taken over
+
+
+def test_a_level_whose_force_moved_is_told_where_it_is_found_as_two(rng):
+    trace = record(rng, levels=(0, 2, 4), hold=14.0)
+    moved = np.where(trace.time > 41.0, 0.3, 0.0)  # in the midst of the last hold
+    holds = find_holds(replace(trace, force=trace.force + moved))
+    told = found_twice(holds, 2.0)
+    assert len(holds) == 4
+    assert len(told) == 1
+    assert "holds 2 and 3" in told[0]
+    assert found_twice(find_holds(trace), 2.0) == []
 
 
 def test_a_trace_alone_is_a_load_cell_record(tmp_path: Path, rng):

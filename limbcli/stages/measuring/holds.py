@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from limbcli.results import StageWriter
 _FEW_LOST = 0.01  # of the samples
 _SMALL_FORCE = 4.0  # N, of a whole indentation
 _FEWEST_LEVELS = 3
+_ONE_LEVEL = 0.5  # of the protocol's step: levels are further apart
 _TURN = 0.5  # of the protocol's step: what the force goes back by where it turns
 
 Columns = dict[str, Sequence[Any]]
@@ -133,9 +135,26 @@ def _say_holds(
             f"the first hold is at {holds[0].force:.2f} N: depths count from there, not from first touch; "
             "hold at about 0 N first, for hold_s"
         )
+    writer.warnings.extend(found_twice(holds, step))
     _say_doubts(holds, trace, writer)
     for force in missing_levels(list(holds), step=step):
         writer.warnings.append(f"there is no hold at {force:g} N (steps of {step:g} N)")
+
+
+def found_twice(holds: Sequence[Hold], step: float) -> list[str]:
+    """Neighbouring holds of about one force, which a force that drifts in one hold makes of it.
+
+    step : N, of the protocol
+    """
+    found = []
+    for k, (one, other) in enumerate(pairwise(holds)):
+        if abs(other.force - one.force) < _ONE_LEVEL * step:
+            found.append(
+                f"holds {k} and {k + 1} ({one.force:.2f} and {other.force:.2f} N, before and after "
+                f"{other.start_s:.0f} s) are nearer than half a step of {step:g} N: one level that counts twice, "
+                "unless it was held twice; raise hold_s or hold_tolerance_n until they are one"
+            )
+    return found
 
 
 def _follows_unloading(phase: Sequence[str], k: int) -> bool:
