@@ -151,7 +151,7 @@ def found_twice(holds: Sequence[Hold], step: float) -> list[str]:
         if abs(other.force - one.force) < _ONE_LEVEL * step:
             found.append(
                 f"holds {k} and {k + 1} ({one.force:.2f} and {other.force:.2f} N, before and after "
-                f"{other.start_s:.0f} s) are nearer than half a step of {step:g} N: one level that counts twice, "
+                f"{other.start_s:.0f} s) are nearer than half a step of {step:g} N: one level, counted twice "
                 "unless it was held twice; raise hold_s or hold_tolerance_n until they are one"
             )
     return found
