@@ -164,6 +164,8 @@ def follow_line(
     """
     old, old_step = _strip(previous)
     new, step = _strip(image)
+    n = min(old.shape[1], new.shape[1])  # a pixel apart where pictures are not equally wide
+    old, new = _middle(old, n), _middle(new, n)
     if abs(step / old_step - 1.0) > 0.02:
         raise MeasurementError(
             f"the scale changes from {old_step:.4f} to {step:.4f} mm per pixel",
@@ -200,6 +202,11 @@ def _strip(image: UltrasoundImage) -> tuple[Array, float]:
         what = f"the calibrated region is {strip.shape[1]} by {strip.shape[0]} pixels only"
         raise MeasurementError(what, where=image.where, fix="export the frame in full resolution")
     return strip, region.mm_per_pixel_y
+
+
+def _middle(strip: Array, n_columns: int) -> Array:
+    first = (strip.shape[1] - n_columns) // 2
+    return strip[:, first : first + n_columns]
 
 
 def _bands(strip: Array) -> list[Array]:
