@@ -157,10 +157,17 @@ def _misfit(rgb: Array, colours: Array, opacity: float) -> Array:
 def _samples(
     image: UltrasoundImage, box: Box, pixel: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Array, Array]:
+    """Columns, rows, lateral and depth (mm), each (n,), of a grid that belongs to the picture: boxes that
+    stand a pixel apart, as they do from level to level, are read at the same places.
+    """
     region = image.region_of(box)
     step_x = max(1, round(pixel / region.mm_per_pixel_x))
     step_y = max(1, round(pixel / region.mm_per_pixel_y))
-    rows, columns = np.mgrid[box[1] : box[3] + 1 : step_y, box[0] : box[2] + 1 : step_x]
+    first_row, first_column = (
+        box[1] + (region.top - box[1]) % step_y,
+        box[0] + (region.left - box[0]) % step_x,
+    )
+    rows, columns = np.mgrid[first_row : box[3] + 1 : step_y, first_column : box[2] + 1 : step_x]
     lateral = (columns - (region.left + region.right) / 2.0) * region.mm_per_pixel_x
     depth = (rows - region.top) * region.mm_per_pixel_y
     return columns.ravel(), rows.ravel(), lateral.ravel(), depth.ravel()

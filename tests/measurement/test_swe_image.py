@@ -56,6 +56,15 @@ def test_speed_is_read_through_the_bar_at_any_opacity(rng, opacity):
     assert len(decoded.swe) > 0.9 * (len(decoded.swe) + decoded.n_ambiguous)
 
 
+def test_a_box_that_stands_a_pixel_aside_is_read_at_the_same_places(rng):
+    image = render(rng, ramp())
+    one = decode_overlay(image, overlay()).swe
+    aside = Overlay((BOX[0] + 1, BOX[1] + 2, BOX[2], BOX[3]), BAR, 0.5, 10.5)
+    other = decode_overlay(image, aside).swe
+    assert set(other.lateral) <= set(one.lateral)
+    assert set(other.depth) <= set(one.depth)
+
+
 def test_uncoloured_pixels_are_left_out_and_counted(rng):
     speed = ramp()
     speed[:, :120] = np.nan
