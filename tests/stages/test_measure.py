@@ -12,13 +12,14 @@ from PIL import Image
 
 from limbcli.case import Case
 from limbcli.errors import CaseError, MeasurementError
-from limbcli.measurement.elastography import read_map
+from limbcli.measurement.elastography import SweMap, read_map
 from limbcli.measurement.holds import find_holds
 from limbcli.measurement.indentation import read_levels
+from limbcli.measurement.swe_image import DecodedMap
 from limbcli.results import open_stage
 from limbcli.stages.measure import measure
 from limbcli.stages.measuring.holds import found_twice
-from limbcli.stages.measuring.images import images_of
+from limbcli.stages.measuring.images import TissueBetween, images_of, within_tissue
 from tests.case.test_case_text import HEAD, SITE
 from tests.measurement.test_bmode import frame, speckle
 from tests.measurement.test_holds import record
@@ -241,6 +242,19 @@ def test_skin_fat_and_bone_are_left_out_of_the_speeds(folder: Path, tmp_path: Pa
         depth = read_map(result.folder / "swe" / f"level_{level:02d}.csv").depth
         assert depth.min() >= 8.0
         assert depth.max() <= 0.1 * row - 1.5 + 0.2
+
+
+def test_pixels_at_the_end_of_the_bar_are_told_where_the_tissue_has_them_though_the_box_has_few(
+    tmp_path: Path,
+):
+    depth = np.repeat(np.arange(40.0), 5)
+    at_end = (depth >= 36.0) & (depth < 39.0)  # 7 % of the box, three quarters of the muscle
+    swe = SweMap(np.tile(np.arange(5.0), 40), depth, np.full(200, 2.0))
+    table = {"roi_lateral_mm": None, "roi_depth_mm": [36.0, 40.0]}
+    with open_stage(tmp_path, "measure", subject="S1") as writer:
+        part = within_tissue([DecodedMap(swe, at_end, 0, 0, 0)], table, TissueBetween(None, None), writer)
+        assert len(part[0]) == 5
+        assert any("level 0: 75 % of the pixels are at an end" in each for each in writer.warnings)
 
 
 @pytest.mark.slow
