@@ -299,6 +299,27 @@ def test_level_0_may_follow_the_air_without_a_gap(folder: Path, tmp_path: Path, 
     assert any("depths count from there" in text for text in late.warnings)
 
 
+def test_what_levels_csv_holds_beside_the_speeds_is_kept_and_its_bone_ends_the_tissue(
+    folder: Path, tmp_path: Path
+):
+    lines = (folder / "case.toml").read_text().splitlines()
+    there = [lines.index(f"[site.{name}]") for name in ("load_cell", "swe_images")]
+    case = tmp_path / "case"
+    shutil.copytree(folder, case)
+    (case / "case.toml").write_text("\n".join(lines[: there[0]] + lines[there[1] :]) + "\n")
+    header = "force_n,depth_mm,hold_s,probe_travel_mm,skin_bone_mm,skin_mm,fat_mm"
+    rows = ["0,0,20,0,20,1.5,6", "2,1,20,1.2,19,1.5,5.8", "4,2,20,2.4,,,", "6,3,20,3.6,17,1.4,5.5"]
+    (case / "p1.csv").write_text("\n".join([header, *rows]) + "\n")
+    result = measure(Case.open(case), out=tmp_path / "out")[0]
+    made, known = read_levels(result.path("levels")), read_levels(case / "p1.csv")
+    for name in ("force", "depth", "hold", "probe_travel", "skin_bone"):
+        np.testing.assert_array_equal(getattr(made, name), getattr(known, name))
+    np.testing.assert_array_equal(made.layer("fat"), known.layer("fat"))
+    deepest = [read_map(result.folder / "swe" / f"level_{k:02d}.csv").depth.max() for k in range(4)]
+    assert deepest == pytest.approx([18.5, 17.5, 23.5, 15.5])
+
+
+@pytest.mark.slow
 def test_half_a_table_is_not_written_into_the_case(folder: Path, tmp_path: Path):
     text = (folder / "case.toml").read_text()
     case = without(folder, tmp_path / "case", "-")

@@ -51,8 +51,13 @@ class TissueBetween:
 def tissue_between(
     case: Case, site: Site, out: Path, skin_bone: Sequence[float] | None, writer: StageWriter
 ) -> TissueBetween:
-    """From what `segment` found at the site and the B-mode images of the levels."""
-    bottom = tuple(each - _OFF_BONE for each in skin_bone) if skin_bone is not None else None
+    """From what `segment` found at the site and the distances to bone, of the B-mode images or levels.csv.
+
+    skin_bone : mm at every level, NaN where it was not read
+    """
+    bottom = None
+    if skin_bone is not None:
+        bottom = tuple(each - _OFF_BONE if np.isfinite(each) else np.inf for each in skin_bone)
     segmented = Chain(case, out).present("segment", about=[site.name])
     layers = None
     if segmented is not None:
