@@ -107,10 +107,13 @@ def _lvm_table(lines: list[str], path: Path, form: RecordingFormat) -> tuple[lis
     mark = form.separator or _lvm_separator(lines[: ends[0]])
     header: list[str] = []
     rows: list[list[str]] = []
+    own: dict[str, list[str]] = {}  # what the headers say up to here, the file's and the segment's
+    begin = 0
     for k, end in enumerate(ends):
         last = ends[k + 1] if k + 1 < len(ends) else len(lines)
         body = [line.split(mark) for line in lines[end + 1 : last]]
-        own = {cells[0]: cells[1:] for line in lines[:end] for cells in [line.split(mark)]}
+        own |= {cells[0]: cells[1:] for line in lines[begin:end] for cells in [line.split(mark)]}
+        begin = end + 1
         if not body or body[0][0].strip() == _SEGMENT:
             continue
         titles, segment = [cell.strip() for cell in body[0]], _data_rows(body[1:])
