@@ -260,6 +260,7 @@ SWE_IMAGES = {
     "bar_pixels": Key("[left, top, right, bottom]", numbers(4)),
     "low_m_per_s": Key("m/s", number(0.0, 20.0, "m/s"), default=0.0),
     "high_m_per_s": Key("m/s", number(0.5, 30.0, "m/s"), required=True),
+    "bar_scale": Key("speed | modulus", one_of("speed", "modulus"), default="speed"),
     "opacity": Key("1", number(0.2, 1.0, ""), default=1.0),
     "roi_depth_mm": Key("[from, to] mm", numbers(2)),
     "roi_lateral_mm": Key("[from, to] mm", numbers(2)),

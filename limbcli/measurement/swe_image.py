@@ -35,6 +35,7 @@ class Overlay:
 
     low, high : m/s at the two ends of the bar; high is its top (or right) end
     opacity : 0 to 1 of the colours over the B-mode image
+    of_modulus : whether the bar is even in kPa, so that between its ends the speed's square grows evenly
     """
 
     box_pixels: Box
@@ -42,6 +43,7 @@ class Overlay:
     low_m_per_s: float
     high_m_per_s: float
     opacity: float = 1.0
+    of_modulus: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +127,10 @@ def bar_colours(image: UltrasoundImage, overlay: Overlay) -> tuple[Array, Array]
         )
     place = np.linspace(0, len(line) - 1, min(_BAR_COLOURS, len(line)))
     colours = np.column_stack([np.interp(place, np.arange(len(line)), line[:, k]) for k in range(3)])
-    return colours, np.linspace(overlay.low_m_per_s, overlay.high_m_per_s, len(colours))
+    low, high = overlay.low_m_per_s, overlay.high_m_per_s
+    if overlay.of_modulus:
+        return colours, np.sqrt(np.linspace(low**2, high**2, len(colours)))
+    return colours, np.linspace(low, high, len(colours))
 
 
 def _nearest(rgb: Array, colours: Array, opacity: float) -> tuple[NDArray[np.intp], Array, NDArray[np.bool_]]:

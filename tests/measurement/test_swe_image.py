@@ -56,6 +56,14 @@ def test_speed_is_read_through_the_bar_at_any_opacity(rng, opacity):
     assert len(decoded.swe) > 0.9 * (len(decoded.swe) + decoded.n_ambiguous)
 
 
+def test_a_bar_in_kpa_is_even_in_the_speed_s_square(rng):
+    image = render(rng, ramp())
+    even = decode_overlay(image, overlay()).swe.speed_m_per_s
+    squares = decode_overlay(image, replace(overlay(), of_modulus=True)).swe.speed_m_per_s
+    share = (even - 0.5) / 10.0  # of the way along the bar
+    np.testing.assert_allclose(squares**2, 0.25 + share * (10.5**2 - 0.25))
+
+
 def test_a_box_that_stands_a_pixel_aside_is_read_at_the_same_places(rng):
     image = render(rng, ramp())
     one = decode_overlay(image, overlay()).swe

@@ -153,7 +153,8 @@ def _overlays(
         if not table[name]:
             writer.summary.append(f"{name} found at {list(found)}")
     low, high = float(table["low_m_per_s"]), float(table["high_m_per_s"])
-    return [Overlay(box, bar, low, high, float(table["opacity"])) for box in boxes]
+    opacity, of_modulus = float(table["opacity"]), table["bar_scale"] == "modulus"
+    return [Overlay(box, bar, low, high, opacity, of_modulus) for box in boxes]
 
 
 def within_tissue(
