@@ -18,7 +18,7 @@ from limbcli.measurement.indentation import read_levels
 from limbcli.measurement.swe_image import DecodedMap
 from limbcli.results import open_stage
 from limbcli.stages.measure import measure
-from limbcli.stages.measuring.holds import found_twice
+from limbcli.stages.measuring.holds import found_twice, holds_of
 from limbcli.stages.measuring.images import TissueBetween, images_of, within_tissue
 from tests.case.test_case_text import HEAD, SITE
 from tests.measurement.test_bmode import frame, speckle
@@ -195,6 +195,20 @@ def test_a_level_whose_force_moved_is_told_where_it_is_found_as_two(rng):
     assert len(told) == 1
     assert "holds 2 and 3" in told[0]
     assert found_twice(find_holds(trace), 2.0) == []
+
+
+def test_a_tare_at_the_record_s_end_leaves_no_holds_and_is_told_so(tmp_path: Path, rng):
+    path = tmp_path / "cell.csv"
+    trace = record(rng, levels=(0, 2))
+    np.savetxt(
+        path, np.column_stack([trace.time, trace.force]), delimiter=",", header="time_s,force_n", comments=""
+    )
+    table = {
+        "path": path, "columns": {}, "force_unit": "N", "length_unit": "mm", "separator": None,
+        "decimal": None, "tare_s": [20.0, 24.0], "probe_mass_kg": 0.0, "axis": "z", "hold_s": 5.0, "hold_tolerance_n": 0.1,
+    }  # fmt: skip
+    with pytest.raises(MeasurementError, match="ends 0 s after tare_s"):
+        holds_of(table)
 
 
 def test_a_trace_alone_is_a_load_cell_record(tmp_path: Path, rng):

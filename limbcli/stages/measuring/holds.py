@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from limbcli.errors import MeasurementError
 from limbcli.errors.problems import Problem
 from limbcli.measurement.hold_cycles import cycles_of_holds
 from limbcli.measurement.holds import Hold, find_holds, missing_levels, without_probe_weight
@@ -102,6 +103,13 @@ def holds_of(table: Mapping[str, Any]) -> tuple[Trace, list[Hold]]:
         mass, axis = float(table["probe_mass_kg"]), table["axis"]
         trace = without_probe_weight(trace, probe_mass_kg=mass, axis=axis, tare_s=tare)
     pressed = trace if table["tare_s"] is None else trace.since(float(table["tare_s"][1]))
+    left = float(np.ptp(pressed.time)) if len(pressed.time) else 0.0
+    if table["tare_s"] is not None and left < float(table["hold_s"]):
+        raise MeasurementError(
+            f"the record ends {left:.3g} s after tare_s: holds are looked for after the tare",
+            where=str(path),
+            fix="state as tare_s a stretch in the air before first touch, in seconds of the record's time",
+        )
     return trace, find_holds(
         pressed, tolerance=float(table["hold_tolerance_n"]), duration_s=float(table["hold_s"])
     )
