@@ -205,7 +205,8 @@ def test_a_tare_at_the_record_s_end_leaves_no_holds_and_is_told_so(tmp_path: Pat
     )
     table = {
         "path": path, "columns": {}, "force_unit": "N", "length_unit": "mm", "separator": None,
-        "decimal": None, "tare_s": [20.0, 24.0], "probe_mass_kg": 0.0, "axis": "z", "hold_s": 5.0, "hold_tolerance_n": 0.1,
+        "decimal": None, "tare_s": [20.0, 24.0], "probe_mass_kg": 0.0, "axis": "z",
+        "hold_s": 5.0, "hold_tolerance_n": 0.1,
     }  # fmt: skip
     with pytest.raises(MeasurementError, match="ends 0 s after tare_s"):
         holds_of(table)
