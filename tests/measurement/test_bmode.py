@@ -83,6 +83,12 @@ def test_lost_line_is_said_with_its_image(rng):
         follow_bone([frame(rng, 300.0, tissue), noise])
 
 
+def test_a_bone_that_moved_beyond_the_search_is_not_put_at_its_end(rng):
+    tissue = speckle(rng)
+    with pytest.raises(MeasurementError, match=r"moved by 8\.0 mm or more"):
+        follow_bone([frame(rng, row, tissue) for row in (300.0, 216.0)], bone=30.0)
+
+
 def test_change_of_scale_is_refused(rng):
     tissue = speckle(rng)
     first, second = frame(rng, 300.0, tissue), frame(rng, 290.0, tissue)
