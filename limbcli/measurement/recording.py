@@ -118,7 +118,7 @@ def _lvm_table(lines: list[str], path: Path, form: RecordingFormat) -> tuple[lis
             continue
         titles, segment = [cell.strip() for cell in body[0]], _data_rows(body[1:])
         if own.get("X_Columns", [""])[0].strip() == "No":
-            titles, segment = _with_times(titles, segment, own, path)
+            titles, segment = _with_times(titles, segment, own, path, form.decimal)
         if header and titles != header:
             what = f"the segments have different columns: {', '.join(header)}; then {', '.join(titles)}"
             raise MeasurementError(what, where=str(path), fix="export one segment a file")
@@ -146,7 +146,7 @@ def _data_rows(body: list[list[str]]) -> list[list[str]]:
 
 
 def _with_times(
-    titles: list[str], rows: list[list[str]], own: Mapping[str, list[str]], path: Path
+    titles: list[str], rows: list[list[str]], own: Mapping[str, list[str]], path: Path, decimal: str | None
 ) -> tuple[list[str], list[list[str]]]:
     """The table with a column of times before each channel; one without X0 and Delta_X has the last ones."""
     starts, steps = (_numbers_of(own.get(key, [])) for key in ("X0", "Delta_X"))
@@ -157,7 +157,7 @@ def _with_times(
             where=str(path),
             fix="save it with one X column",
         )
-    comma = any("," in cell for row in rows[:50] for cell in row)
+    comma = decimal == "," if decimal else any("," in cell for row in rows[:50] for cell in row)
     channels = [known[min(j, len(known) - 1)] for j in range(len(titles) - 1)]
     timed = []
     for k, row in enumerate(rows):

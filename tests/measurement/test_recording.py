@@ -78,6 +78,8 @@ def test_labview_channels_sampled_apart_have_each_its_own_time(tmp_path):
         "X_Value\tTilt\tForce\tComment\n\t1\t2\n\t1\t3\n\t1\n"
     )
     np.testing.assert_array_equal(read_recording(path, form).time, [3712345678.5, 3712345678.75])
+    comma = RecordingFormat(columns=form.columns, decimal=",")
+    np.testing.assert_array_equal(read_recording(path, comma).force, [2.0, 3.0])
 
 
 @pytest.mark.parametrize(
