@@ -6,6 +6,7 @@ something else says in case.toml what its columns are called and in which unit.
 
 from __future__ import annotations
 
+import codecs
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -85,7 +86,7 @@ def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
 
 
 def _table(path: Path, form: RecordingFormat) -> tuple[list[str], list[list[str]], str]:
-    text = _text(path).splitlines()
+    text = _without_comments(_text(path).splitlines(), form)
     lines = [line for line in text if line.strip()]
     if any(line.startswith(LVM_END_OF_HEADER) for line in lines):
         return _lvm_table(lines, path, form)
@@ -96,6 +97,16 @@ def _table(path: Path, form: RecordingFormat) -> tuple[list[str], list[list[str]
     cells = checked(*csv_rows("\n".join(text), path, separator=separator), MeasurementError)
     rows = [row for row in cells if separator.join(row).strip()]
     return [cell.strip() for cell in rows[0]], rows[1:], separator
+
+
+def _without_comments(text: list[str], form: RecordingFormat) -> list[str]:
+    """Lines of which those that begin with # are empty, so that line numbers hold, as in `trace.csv`.
+
+    A header may begin so, too: where none of the wanted columns is in the first line that does not, all stay.
+    """
+    bare = ["" if line.startswith("#") else line for line in text]
+    header = next((line for line in bare if line.strip()), "")
+    return bare if any(form.columns.get(name, name) in header for name in COLUMNS) else text
 
 
 def _lvm_table(lines: list[str], path: Path, form: RecordingFormat) -> tuple[list[str], list[list[str]], str]:
@@ -214,7 +225,8 @@ def _cell(row: list[str], position: int) -> str:
 
 def _text(path: Path) -> str:
     content = path.read_bytes()
-    for encoding in ("utf-8-sig", "latin-1"):
+    marked = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    for encoding in (*(["utf-16"] if marked else []), "utf-8-sig", "latin-1"):
         try:
             return content.decode(encoding)
         except UnicodeDecodeError:

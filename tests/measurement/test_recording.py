@@ -98,6 +98,16 @@ def test_semicolons_and_decimal_commas_are_found_out(tmp_path):
     np.testing.assert_allclose(read_recording(path).force, [1.5, 2.5])
 
 
+def test_comments_and_utf_16_are_read(tmp_path):
+    path = tmp_path / "a.csv"
+    text = "# cell 3, as set up\ntime_s,force_n\n0,1.5\n# a pause\n1,2.5\n"
+    path.write_text(text, encoding="utf-16")
+    np.testing.assert_allclose(read_recording(path).force, [1.5, 2.5])
+    path.write_text("# t,F\n0,1.5\n1,2.5\n")
+    named = RecordingFormat(columns={"time_s": "# t", "force_n": "F"})
+    np.testing.assert_allclose(read_recording(path, named).force, [1.5, 2.5])
+
+
 def test_a_labview_file_repeats_the_time_before_every_channel(tmp_path):
     path = tmp_path / "a.lvm"
     rows = "X_Value\tForce\tX_Value\tDepth\tComment\n0,0\t0,1\t0,0\t5\n0,1\t1,5\t0,1\t6\n"
