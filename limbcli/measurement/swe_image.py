@@ -23,6 +23,9 @@ _LEAST_COLOUR = 24.0  # of 255: difference of the largest and smallest channel
 _WORST_FIT = 18.0  # of 255: RGB distance to the best colour of the bar
 _AMBIGUOUS_FIT = 6.0  # of 255: a second colour this close in fit ...
 _AMBIGUOUS_SPAN = 0.08  # ... and this far along the bar makes the pixel ambiguous
+_MOST_UNLIKE = (
+    0.5  # of the coloured pixels: those that are like the bar are so by chance then, at wrong speeds
+)
 _BAR_COLOURS = 192
 _CHUNK = 4096
 
@@ -60,6 +63,11 @@ class DecodedMap:
     n_ambiguous: int
 
     @property
+    def share_unlike(self) -> float:
+        """Of the coloured pixels, those whose colour is none of the bar's."""
+        return self.n_unlike / (len(self.swe) + self.n_unlike + self.n_ambiguous)
+
+    @property
     def unsaturated(self) -> SweMap:
         keep = ~self.saturated
         return SweMap(
@@ -77,7 +85,7 @@ def decode_overlay(image: UltrasoundImage, overlay: Overlay, *, pixel: float = 0
     ------
     MeasurementError
         If a box lies outside the image, the colour box in no calibrated region or across two,
-        the bar has no colours or repeats them, or nothing could be read.
+        the bar has no colours or repeats them, nothing could be read, or most colours are none of the bar's.
     """
     _check_box(image, overlay.box_pixels, "box_pixels")
     _check_box(image, overlay.bar_pixels, "bar_pixels")
@@ -88,10 +96,11 @@ def decode_overlay(image: UltrasoundImage, overlay: Overlay, *, pixel: float = 0
     index, fit, ambiguous = _nearest(rgb[coloured], colours, overlay.opacity)
     unlike = fit > _WORST_FIT
     good = ~unlike & ~ambiguous
-    if not good.any():
+    if not good.any() or unlike.mean() > _MOST_UNLIKE:
         raise MeasurementError(
-            f"no pixel of the box could be read ({int((~coloured).sum())} without colour, "
-            f"{int(unlike.sum())} unlike the bar, {int(ambiguous.sum())} ambiguous)",
+            f"{'few pixels' if good.any() else 'no pixel'} of the box could be read "
+            f"({int((~coloured).sum())} without colour, "
+            f"{int(unlike.sum())} unlike the bar, {int(ambiguous.sum())} ambiguous, {int(good.sum())} read)",
             where=image.where,
             fix="correct box_pixels, bar_pixels and opacity (1 is opaque)",
         )

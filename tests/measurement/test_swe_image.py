@@ -56,6 +56,15 @@ def test_speed_is_read_through_the_bar_at_any_opacity(rng, opacity):
     assert len(decoded.swe) > 0.9 * (len(decoded.swe) + decoded.n_ambiguous)
 
 
+@pytest.mark.parametrize(("opacity", "speed"), [(0.6, 2.0), (0.8, 9.5)])
+def test_the_few_pixels_that_a_wrong_opacity_leaves_are_no_reading(rng, opacity, speed):
+    image = render(rng, np.full(ramp().shape, speed), opacity)
+    with pytest.raises(MeasurementError, match="few pixels of the box could be read"):
+        decode_overlay(image, overlay())  # as if nothing shone through
+    faint = decode_overlay(render(rng, np.full(ramp().shape, 5.0), 0.9), overlay())
+    assert faint.share_unlike == pytest.approx(0.48, abs=0.05)
+
+
 def test_a_bar_in_kpa_is_even_in_the_speed_s_square(rng):
     image = render(rng, ramp())
     even = decode_overlay(image, overlay()).swe.speed_m_per_s

@@ -22,6 +22,7 @@ from limbcli.stages.provenance.chain import Chain
 
 _IMAGE_SUFFIXES = {".png", ".bmp", ".dcm", ".dicom", ".jpg", ".jpeg", ".tif", ".tiff"}
 _MANY_SATURATED = 10.0  # % of the pixels in the tissue
+_MANY_UNLIKE = 0.2  # share of the coloured pixels
 _OFF_BONE = 1.5  # mm above the bone line in which its blur is left out
 
 
@@ -125,6 +126,13 @@ def measured_speeds(
     for k, (image, overlay) in enumerate(zip(images, overlays, strict=True), 1):
         decoded.append(decode_overlay(image, overlay))
         progress.event("task", name="SWE images", done=k, total=len(images))
+    worst = max(range(len(decoded)), key=lambda k: decoded[k].share_unlike)
+    unlike = decoded[worst].share_unlike
+    if unlike > _MANY_UNLIKE:
+        writer.warnings.append(
+            f"level {worst}: {100 * unlike:.0f} % of the coloured pixels have no colour of the bar and are left "
+            "out; speeds of the others may be wrong: check opacity, bar_pixels and box_pixels"
+        )
     maps = within_tissue(decoded, table, tissue, writer)
     for k, each in enumerate(maps):
         write_map(map_file(writer.file("maps", "swe").parent / "swe", k), each)
