@@ -130,8 +130,8 @@ def measured_speeds(
     unlike = decoded[worst].share_unlike
     if unlike > _MANY_UNLIKE:
         writer.warnings.append(
-            f"level {worst}: {100 * unlike:.0f} % of the coloured pixels have no colour of the bar and are left "
-            "out; speeds of the others may be wrong: check opacity, bar_pixels and box_pixels"
+            f"level {worst}: {100 * unlike:.0f} % of the coloured pixels have no colour of the bar and are "
+            "left out; speeds of the others may be wrong: check opacity, bar_pixels and box_pixels"
         )
     maps = within_tissue(decoded, table, tissue, writer)
     for k, each in enumerate(maps):
