@@ -165,6 +165,16 @@ def test_a_modulus_in_the_column_of_speeds_is_doubted(tmp_path: Path):
     assert not doubts_about_levels(write(tmp_path))
 
 
+def test_a_probe_that_the_tissue_would_pull_was_not_tared(tmp_path: Path):
+    def told(zero: float) -> bool:
+        rows = [f"{zero + 2 * k},{k}" for k in range(4)]
+        doubts = doubts_about_levels(write(tmp_path, "force_n,depth_mm", rows))
+        return any("tissue does not pull" in each for each in doubts)
+
+    assert told(-2.5)
+    assert not told(-0.3)
+
+
 def test_a_force_that_falls_a_little_while_the_depth_grows_is_doubted(tmp_path: Path):
     def doubts(force: str) -> list[str]:
         rows = ["0,0", "2,2.1", f"{force},4", "6,5.5"]
