@@ -15,7 +15,7 @@ import numpy as np
 
 from limbcli.errors import MeasurementError
 from limbcli.errors.problems import checked, suggestion
-from limbcli.measurement.tables import csv_rows
+from limbcli.measurement.tables import csv_rows, number_of
 from limbcli.measurement.trace import Trace
 from limbcli.model import Array
 from limbcli.units import FORCE_UNITS_IN_N, LENGTH_UNITS_IN_MM
@@ -266,7 +266,7 @@ def _column(rows: list[list[str]], position: int, decimal: str, name: str, path:
         try:
             if decimal != "." and "." in cell:  # between thousands, perhaps: never one mark for the other
                 raise ValueError
-            values[k] = float(cell.replace(decimal, "."))
+            values[k] = number_of(cell.replace(decimal, "."))
         except ValueError:
             fix = 'remove the row, or say the decimal mark with decimal = ","'
             if decimal != "." and "." in cell:
