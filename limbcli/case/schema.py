@@ -55,6 +55,12 @@ def text(value: object) -> str | None:
     return None if isinstance(value, str) and value.strip() else f"is {value!r}, not a text"
 
 
+def one_mark(value: object) -> str | None:
+    """What stands between the columns of a table: one character, no quotation mark and no line end."""
+    good = isinstance(value, str) and len(value) == 1 and value not in '"\r\n'
+    return None if good else f'is {value!r}, not one mark such as ";", "," or "\\t"'
+
+
 def plain_name(value: object) -> str | None:
     """A name that is also a folder name."""
     wrong = text(value)
@@ -243,7 +249,7 @@ LOAD_CELL = {
     "columns": Key("table of texts", table_of_texts, default={}),
     "force_unit": Key("unit", one_of(*FORCE_UNITS_IN_N), default="N"),
     "length_unit": Key("unit", one_of(*LENGTH_UNITS_IN_MM), default="mm"),
-    "separator": Key("text", text),
+    "separator": Key("one mark", one_mark),
     "decimal": Key(". | ,", one_of(".", ",")),
     "hold_s": Key("s", number(0.5, 600.0, "s"), default=5.0),
     "hold_tolerance_n": Key("N", number(0.005, 5.0, "N"), default=0.1),
@@ -270,6 +276,7 @@ SWE_IMAGES = {
     "bar_pixels": Key("[left, top, right, bottom]", numbers(4)),
     "low_m_per_s": Key("m/s", number(0.0, 20.0, "m/s"), default=0.0),
     "high_m_per_s": Key("m/s", number(0.5, 30.0, "m/s"), required=True),
+    "bar_scale": Key("speed | modulus", one_of("speed", "modulus"), default="speed"),
     "opacity": Key("1", number(0.2, 1.0, ""), default=1.0),
     "roi_depth_mm": Key("[from, to] mm", numbers(2)),
     "roi_lateral_mm": Key("[from, to] mm", numbers(2)),

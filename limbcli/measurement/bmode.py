@@ -160,21 +160,24 @@ def follow_line(
     Raises
     ------
     MeasurementError
-        If the scale changes, or nothing there is like it.
+        If the scale changes, nothing there is like it, or it is likest at the end of what is searched.
     """
     old, old_step = _strip(previous)
     new, step = _strip(image)
+    n = min(old.shape[1], new.shape[1])  # a pixel apart where pictures are not equally wide
+    old, new = _middle(old, n), _middle(new, n)
     if abs(step / old_step - 1.0) > 0.02:
         raise MeasurementError(
             f"the scale changes from {old_step:.4f} to {step:.4f} mm per pixel",
             where=image.where,
             fix=f"give every level the same depth setting, or measure this one by hand ({by_hand})",
         )
-    shifts, correlations = [], []
+    shifts, correlations, beyond = [], [], []
     for a, b in zip(_bands(old), _bands(new), strict=True):
-        shift, correlation = _match(a, b, line.distance / step, largest_change / step, step, half)
+        shift, correlation, at_end = _match(a, b, line.distance / step, largest_change / step, step, half)
         shifts.append(shift * step)
         correlations.append(correlation)
+        beyond.append(at_end)
     best = float(np.median(correlations))
     if best < _WORST_CORRELATION:
         raise MeasurementError(
@@ -184,6 +187,13 @@ def follow_line(
             correlation=best,
         )
     keep = np.array(correlations) >= min(best, 0.5)
+    if np.mean(np.array(beyond)[keep]) > 0.5:
+        raise MeasurementError(
+            f"the {name} is lost: it moved by {largest_change:.1f} mm or more from the image before, beyond "
+            "what is searched",
+            where=image.where,
+            fix=f"add the images of levels between, or measure by hand, level by level ({by_hand})",
+        )
     moved = np.array(shifts)[keep]
     sd = float(np.hypot(_spread(moved.tolist()), line.sd if len(moved) < 2 else 0.0))
     return BoneLine(line.distance + float(np.median(moved)), max(sd, 0.1 * step), best)
@@ -202,14 +212,21 @@ def _strip(image: UltrasoundImage) -> tuple[Array, float]:
     return strip, region.mm_per_pixel_y
 
 
+def _middle(strip: Array, n_columns: int) -> Array:
+    first = (strip.shape[1] - n_columns) // 2
+    return strip[:, first : first + n_columns]
+
+
 def _bands(strip: Array) -> list[Array]:
     return np.array_split(strip, _BANDS, axis=1)
 
 
 def _match(
     old: Array, new: Array, row: float, reach: float, step: float, half_mm: float
-) -> tuple[float, float]:
-    """Shift (pixels, with fraction) of the neighbourhood of `row`, and its correlation."""
+) -> tuple[float, float, bool]:
+    """Shift (pixels, with fraction) of the neighbourhood of `row`, its correlation, and whether it is as
+    large as the reach, so that a likelier one may lie beyond.
+    """
     half = round(half_mm / step)
     centre = round(row)
     top = max(0, centre - half)
@@ -224,9 +241,10 @@ def _match(
         part = part - part.mean()
         values[k] = float((part * template).sum()) / (norm * float(np.sqrt((part**2).sum())) + 1e-12)
     if not len(values):
-        return 0.0, -1.0
+        return 0.0, -1.0, False
     best = int(np.argmax(values))
-    return rows[0] + _parabola(values, best) - top, float(values[best])
+    at_end = 0 < int(reach) == abs(rows[best] - top)
+    return rows[0] + _parabola(values, best) - top, float(values[best]), at_end
 
 
 def _peak(profile: Array, row: int, reach: int) -> float:

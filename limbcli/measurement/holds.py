@@ -23,6 +23,7 @@ SMOOTHING_S = 0.5
 _BATCHES = 10
 _DROPOUT_FACTOR = 3.0
 _CREEP_SIGNIFICANCE = 4.0
+_GRAVITY_OFF = 0.15  # g: cheap accelerometers are off by some hundredths, other units by far more
 _SPIKE = 8.0  # robust deviations from the hold's median
 
 
@@ -89,7 +90,8 @@ def find_holds(trace: Trace, *, tolerance: float = 0.1, duration_s: float = 5.0)
             longest_s=float(longest),
         )
     depth = trace.depth[good] if trace.depth is not None else None
-    return [_describe(time, force, depth, a, b) for a, b in chosen]
+    resolution = _resolution(force)
+    return [_describe(time, force, depth, a, b, resolution) for a, b in chosen]
 
 
 def _smoothed(time: Array, force: Array, window_s: float) -> Array:
@@ -140,9 +142,9 @@ def _longest_first(time: Array, stretches: list[tuple[int, int]], duration_s: fl
     return sorted(chosen)
 
 
-def _describe(time: Array, force: Array, depth: Array | None, a: int, b: int) -> Hold:
+def _describe(time: Array, force: Array, depth: Array | None, a: int, b: int, resolution: float) -> Hold:
     t, f = time[a : b + 1], force[a : b + 1]
-    sane = _sane(f)
+    sane = _sane(f, resolution)
     gaps = int((np.diff(t) > _DROPOUT_FACTOR * float(np.median(np.diff(time)))).sum())
     t, f = t[sane], f[sane]
     late = t >= 0.5 * (t[0] + t[-1])
@@ -175,10 +177,24 @@ def _describe(time: Array, force: Array, depth: Array | None, a: int, b: int) ->
     )
 
 
-def _sane(force: Array) -> NDArray[np.bool_]:
-    """Samples that are no spikes: within eight robust deviations of the hold's median."""
+def _sane(force: Array, resolution: float) -> NDArray[np.bool_]:
+    """Samples that are no spikes: within eight robust deviations of the hold's median.
+
+    The deviation is at least the resolution: where most samples show one number it would be 0, and the next
+    number that the load cell can show would be a spike.
+    """
     off = np.abs(force - np.median(force))
-    return np.asarray(off <= _SPIKE * max(1.4826 * float(np.median(off)), 1e-6))
+    return np.asarray(off <= _SPIKE * max(1.4826 * float(np.median(off)), resolution))
+
+
+def _resolution(force: Array) -> float:
+    """N between the numbers that a record (n,) shows, mostly.
+
+    >>> round(_resolution(np.array([0.0, 0.1, 0.1, 0.2, 0.3, 40.0])), 6)
+    0.1
+    """
+    steps = np.diff(np.unique(force))
+    return max(float(np.median(steps)), 1e-6) if len(steps) else 1e-6
 
 
 def _standard_error(values: Array) -> float:
@@ -212,7 +228,7 @@ def without_probe_weight(
     Raises
     ------
     MeasurementError
-        If there is no accelerometer record or no sample within `tare_s`.
+        If there is no accelerometer record, it is not in g, or no sample lies within `tare_s`.
     """
     from dataclasses import replace
 
@@ -229,12 +245,28 @@ def without_probe_weight(
             fix = "add accel_x_g, accel_y_g and accel_z_g, or leave probe_mass_kg out"
             what = "the probe's weight cannot be taken off without its orientation"
             raise MeasurementError(what, where=str(trace.path), fix=fix)
+        _check_gravity(trace.acceleration_g[in_air], trace)
         sign = -1.0 if axis.startswith("-") else 1.0
         cosine = sign * trace.acceleration_g[:, "xyz".index(axis[-1])]
+        known = np.isfinite(cosine)  # an accelerometer is often read less often than the force
+        cosine = np.interp(trace.time, trace.time[known], cosine[known])
         smooth = _smoothed(trace.time, cosine, SMOOTHING_S)
         turned = smooth - float(np.nanmean(smooth[in_air]))
         force = force - probe_mass_kg * GRAVITY_M_PER_S2 * turned
     return replace(trace, force=force)
+
+
+def _check_gravity(acceleration_g: Array, trace: Trace) -> None:
+    """At rest an accelerometer reads 1 g (n_samples, 3), whichever way it is turned."""
+    size = np.linalg.norm(acceleration_g, axis=1)
+    size = size[np.isfinite(size)]
+    felt = float(np.median(size)) if len(size) else 0.0
+    if abs(felt - 1.0) > _GRAVITY_OFF:
+        what = f"the accelerometer reads {felt:.3g} g while the probe hangs free, not 1 g"
+        fix = (
+            "give accel_x_g, accel_y_g and accel_z_g in g (from m/s2: divide by 9.80665), their zeros taken "
+        )
+        raise MeasurementError(what, where=str(trace.path), fix=f"{fix}off, or leave probe_mass_kg out")
 
 
 def missing_levels(holds: list[Hold], *, step: float = 2.0) -> list[float]:

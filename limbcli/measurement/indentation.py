@@ -22,6 +22,7 @@ from limbcli.measurement.level_checks import (
     check_phase,
     check_plausible,
     check_swe,
+    check_tare,
     check_values,
     check_zero,
 )
@@ -90,6 +91,7 @@ def check_levels(path: Path, *, noise: LayerNoise | None = None) -> tuple[Levels
         problems += check_order(levels, table, path)
         problems += check_distance(levels, table, path, noise=noise)
         problems += check_zero(levels, table, path, noise=noise)
+        problems += check_tare(levels, table, path)
         problems += check_plausible(levels, path, speed_is_possible=trusted)
         problems += speeds
     return levels, problems

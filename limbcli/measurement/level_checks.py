@@ -30,6 +30,7 @@ _SPEED_LOW_M_PER_S, _SPEED_HIGH_M_PER_S = 0.3, 15.0
 _SPEED_UNUSUAL_M_PER_S = 4.0  # at 0 N
 _TOLERATED_FORCE_DROP = 1.0
 _SILENT_FORCE_DROP = 0.3
+_PULL = 0.5  # N below 0 that noise and a load cell's drift explain
 # How far skin_bone_mm and depth_mm may contradict each other: mm, deviations of the depth.
 _DISTANCE_OFF, _DISTANCE_SIGMAS = 2.0, 4.0
 # How far from 0 mm level 0 may stand: deviations of the depth; by how much a curve is softer at its start
@@ -246,6 +247,16 @@ def check_zero(
         return []
     what = f"level 0 stands at {at:.3g} mm and {levels.force[0]:.3g} N, but depth_mm counts from level 0"
     fix = f"take {at:.3g} mm from every depth if this is first touch; otherwise measure first touch, too"
+    return [problem(what, path, fix, line=table.lines[0], warning=True)]
+
+
+def check_tare(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
+    """No tissue pulls the probe: a force below 0 at first touch is the load cell's own, of every level."""
+    force = float(levels.force[0])
+    if force >= -_PULL:
+        return []
+    what = f"force_n is {force:.3g} N at the first level: tissue does not pull, the load cell's zero is off"
+    fix = "take what it read in the air from every force (tare_s of [site.load_cell] does so)"
     return [problem(what, path, fix, line=table.lines[0], warning=True)]
 
 

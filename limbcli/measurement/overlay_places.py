@@ -21,6 +21,8 @@ _BAR_COLOUR, _BOX_COLOUR = 60.0, 24.0  # of 255: difference of the largest and s
 _SLENDER = 4.0  # length over width of a bar, at least
 _SHORTEST, _NARROWEST = 40, 4  # pixels
 _UNEVEN = 14.0  # of 255: spread of the colours across a bar, at most
+_EVEN_STEP = 20.0, 45.0  # of 255, least and most from one line of a bar to the next: more is the bar's edge
+_GREY_END = 0.15  # share of a bar that may be nearly grey at an end
 _HUES = 0.3  # share of the colour circle that a bar runs through, at least
 _SMALLEST_BOX = 900  # pixels
 _COLOURED = 0.2  # share of a row or column of the box that has a colour, at least
@@ -32,7 +34,7 @@ def find_bar(image: UltrasoundImage) -> Box:
     Raises
     ------
     MeasurementError
-        If there is none, or two that are as good.
+        If there is none, or two that are as good, or its end cannot be told from what lies beside it.
     """
     rgb = image.rgb.astype(np.float64)
     marks, _ = ndimage.label(np.ptp(rgb, axis=2) >= _BAR_COLOUR)
@@ -49,7 +51,31 @@ def find_bar(image: UltrasoundImage) -> Box:
             where=image.where,
             fix="state bar_pixels = [left, top, right, bottom] of the elastography bar",
         )
-    return found[0][1]
+    return _to_its_ends(rgb, found[0][1], image)
+
+
+def _to_its_ends(rgb: Array, box: Box, image: UltrasoundImage) -> Box:
+    """A bar with what of it is nearly grey at its ends: its colours go on evenly there, up to an edge."""
+    left, top, right, bottom = box
+    upright = bottom - top >= right - left
+    lines = rgb[:, left + 1 : right] if upright else rgb[top + 1 : bottom].transpose(1, 0, 2)
+    first, last = (top, bottom) if upright else (left, right)
+    line, even = np.median(lines, axis=1), lines.std(axis=1).max(axis=1) <= _UNEVEN
+    steps = np.abs(np.diff(line, axis=0)).max(axis=1)
+    goes_on = steps <= np.clip(5 * float(np.median(steps[first:last])), *_EVEN_STEP)
+    most = round(_GREY_END * (last - first + 1))
+    begin, end = first, last
+    while begin > 0 and goes_on[begin - 1] and even[begin - 1] and first - begin <= most:
+        begin -= 1
+    while end < len(line) - 1 and goes_on[end] and even[end + 1] and end - last <= most:
+        end += 1
+    if max(first - begin, end - last) > most:
+        raise MeasurementError(
+            f"the colour bar at {list(box)} fades into what lies beside it: its end is not plain",
+            where=image.where,
+            fix="state bar_pixels = [left, top, right, bottom] of the elastography bar, to its very ends",
+        )
+    return (left, begin, right, end) if upright else (begin, top, end, bottom)
 
 
 def _hue_span(rgb: Array, box: Box) -> float:

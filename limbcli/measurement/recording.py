@@ -6,6 +6,7 @@ something else says in case.toml what its columns are called and in which unit.
 
 from __future__ import annotations
 
+import codecs
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +15,7 @@ import numpy as np
 
 from limbcli.errors import MeasurementError
 from limbcli.errors.problems import checked, suggestion
-from limbcli.measurement.tables import csv_rows
+from limbcli.measurement.tables import csv_rows, number_of
 from limbcli.measurement.trace import Trace
 from limbcli.model import Array
 from limbcli.units import FORCE_UNITS_IN_N, LENGTH_UNITS_IN_MM
@@ -50,21 +51,25 @@ def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
     Raises
     ------
     MeasurementError
-        If a row cannot be read, a column is missing or stands twice, a cell is no number, or time
-        does not grow.
+        If a row cannot be read, a column is missing or stands twice, a cell is no number, time does not
+        grow, or a LabVIEW file has its force and another column at other times.
     """
     form = form or RecordingFormat()
     header, rows, separator = _table(path, form)
     decimal = form.decimal or _decimal(rows, separator)
-    values = {}
+    positions = {}
     for name in COLUMNS:
         position = _position(header, form.columns.get(name, name), name, path, asked=name in form.columns)
         if position is not None:
-            values[name] = _column(rows, position, decimal, name, path)
+            positions[name] = position
     for name in ("time_s", "force_n"):
-        if name not in values:
+        if name not in positions:
             fix = f'say which one it is: columns = {{ {name} = "..." }}; ' + suggestion(name, header)
             raise MeasurementError(f"the record has no column {name!r}", where=str(path), fix=fix)
+    if header[positions["time_s"]] == _LVM_TIME and header.count(_LVM_TIME) > 1:
+        positions["time_s"] = _time_of_force(header, rows, positions, path)
+        rows = [row for row in rows if _cell(row, positions["time_s"])]  # other channels may go on for longer
+    values = {name: _column(rows, k, decimal, name, path) for name, k in positions.items()}
     _check_time(values["time_s"], path)
     length = LENGTH_UNITS_IN_MM[form.length_unit]
     axes = [values.get(f"accel_{axis}_g") for axis in "xyz"]
@@ -81,7 +86,7 @@ def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
 
 
 def _table(path: Path, form: RecordingFormat) -> tuple[list[str], list[list[str]], str]:
-    text = _text(path).splitlines()
+    text = _without_comments(_text(path).splitlines(), form)
     lines = [line for line in text if line.strip()]
     if any(line.startswith(LVM_END_OF_HEADER) for line in lines):
         return _lvm_table(lines, path, form)
@@ -94,24 +99,37 @@ def _table(path: Path, form: RecordingFormat) -> tuple[list[str], list[list[str]
     return [cell.strip() for cell in rows[0]], rows[1:], separator
 
 
+def _without_comments(text: list[str], form: RecordingFormat) -> list[str]:
+    """Lines of which those that begin with # are empty, so that line numbers hold, as in `trace.csv`.
+
+    A header may begin so, too: where none of the wanted columns is in the first line that does not, all stay.
+    """
+    bare = ["" if line.startswith("#") else line for line in text]
+    header = next((line for line in bare if line.strip()), "")
+    return bare if any(form.columns.get(name, name) in header for name in COLUMNS) else text
+
+
 def _lvm_table(lines: list[str], path: Path, form: RecordingFormat) -> tuple[list[str], list[list[str]], str]:
     """A LabVIEW measurement file: a header, then segments with a header of their own each.
 
-    Where the segments carry no times (X_Columns No), X_Value is made from their X0 and Delta_X.
+    Where the segments carry no times (X_Columns No), each channel's X_Value is made from its X0 and Delta_X.
     """
     ends = [k for k, line in enumerate(lines) if line.startswith(LVM_END_OF_HEADER)]
     mark = form.separator or _lvm_separator(lines[: ends[0]])
     header: list[str] = []
     rows: list[list[str]] = []
+    own: dict[str, list[str]] = {}  # what the headers say up to here, the file's and the segment's
+    begin = 0
     for k, end in enumerate(ends):
         last = ends[k + 1] if k + 1 < len(ends) else len(lines)
         body = [line.split(mark) for line in lines[end + 1 : last]]
-        own = {cells[0]: cells[1:] for line in lines[:end] for cells in [line.split(mark)]}
+        own |= {cells[0]: cells[1:] for line in lines[begin:end] for cells in [line.split(mark)]}
+        begin = end + 1
         if not body or body[0][0].strip() == _SEGMENT:
             continue
         titles, segment = [cell.strip() for cell in body[0]], _data_rows(body[1:])
         if own.get("X_Columns", [""])[0].strip() == "No":
-            titles, segment = _with_times(titles, segment, own, path)
+            titles, segment = _with_times(titles, segment, own, path, form.decimal)
         if header and titles != header:
             what = f"the segments have different columns: {', '.join(header)}; then {', '.join(titles)}"
             raise MeasurementError(what, where=str(path), fix="export one segment a file")
@@ -139,27 +157,76 @@ def _data_rows(body: list[list[str]]) -> list[list[str]]:
 
 
 def _with_times(
-    titles: list[str], rows: list[list[str]], own: Mapping[str, list[str]], path: Path
+    titles: list[str], rows: list[list[str]], own: Mapping[str, list[str]], path: Path, decimal: str | None
 ) -> tuple[list[str], list[list[str]]]:
-    try:
-        start, step = (float(own[key][0].replace(",", ".")) for key in ("X0", "Delta_X"))
-    except (KeyError, IndexError, ValueError) as error:
+    """The table with a column of times before each channel; one without X0 and Delta_X has the last ones."""
+    starts, steps = (_numbers_of(own.get(key, [])) for key in ("X0", "Delta_X"))
+    known = list(zip(starts, steps, strict=False))
+    if not known:
         raise MeasurementError(
             "the file has no times: X_Columns is No, and X0 or Delta_X is missing",
             where=str(path),
             fix="save it with one X column",
-        ) from error
-    comma = any("," in cell for row in rows[:50] for cell in row)
-    times = (f"{start + k * step:.9g}" for k in range(len(rows)))
-    timed = [
-        [time.replace(".", ",") if comma else time, *row[1:]] for time, row in zip(times, rows, strict=True)
-    ]
-    return [_LVM_TIME, *titles[1:]], timed
+        )
+    comma = decimal == "," if decimal else any("," in cell for row in rows[:50] for cell in row)
+    channels = [known[min(j, len(known) - 1)] for j in range(len(titles) - 1)]
+    timed = []
+    for k, row in enumerate(rows):
+        cells: list[str] = []
+        for j, (start, step) in enumerate(channels, 1):
+            value = _cell(row, j)
+            time = repr(start + k * step) if value else ""
+            cells += [time.replace(".", ",") if comma else time, value]
+        timed.append(cells)
+    return [each for title in titles[1:] for each in (_LVM_TIME, title)], timed
+
+
+def _numbers_of(cells: list[str]) -> list[float]:
+    """Those that stand before the first cell without a number."""
+    found = []
+    for cell in cells:
+        try:
+            found.append(float(cell.replace(",", ".")))
+        except ValueError:
+            break
+    return found
+
+
+def _time_of_force(header: list[str], rows: list[list[str]], positions: Mapping[str, int], path: Path) -> int:
+    """Of several X_Value columns, one before each channel, that of the force.
+
+    Raises
+    ------
+    MeasurementError
+        If another column that is read was sampled at other times.
+    """
+    times = {name: _time_before(header, k) for name, k in positions.items() if name != "time_s"}
+    own = times["force_n"]
+    for name, k in times.items():
+        pairs = ((_cell(row, own), _cell(row, k)) for row in rows)
+        if k != own and any(a != b for a, b in pairs if a and b):
+            raise MeasurementError(
+                f"force_n and {name} were sampled at other times (columns {own + 1} and {k + 1})",
+                where=str(path),
+                fix="export both at one rate (X_Columns One), or take the column out of the file",
+            )
+    return own
+
+
+def _time_before(header: list[str], position: int) -> int:
+    """The nearest X_Value before a column; the first one where none stands before it."""
+    before = [k for k, title in enumerate(header[:position]) if title == _LVM_TIME]
+    return before[-1] if before else header.index(_LVM_TIME)
+
+
+def _cell(row: list[str], position: int) -> str:
+    return row[position].strip() if position < len(row) else ""
 
 
 def _text(path: Path) -> str:
     content = path.read_bytes()
-    for encoding in ("utf-8-sig", "latin-1"):
+    marked = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    for encoding in (*(["utf-16"] if marked else []), "utf-8-sig", "latin-1"):
         try:
             return content.decode(encoding)
         except UnicodeDecodeError:
@@ -193,13 +260,20 @@ def _position(header: list[str], wanted: str, name: str, path: Path, *, asked: b
 def _column(rows: list[list[str]], position: int, decimal: str, name: str, path: Path) -> Array:
     values = np.full(len(rows), np.nan)
     for k, row in enumerate(rows):
-        cell = row[position].strip() if position < len(row) else ""
+        cell = _cell(row, position)
         if not cell:
             continue
         try:
-            values[k] = float(cell.replace(decimal, "."))
+            if decimal != "." and "." in cell:  # between thousands, perhaps: never one mark for the other
+                raise ValueError
+            values[k] = number_of(cell.replace(decimal, "."))
         except ValueError:
             fix = 'remove the row, or say the decimal mark with decimal = ","'
+            if decimal != "." and "." in cell:
+                fix = (
+                    f"the decimal mark is a {decimal!r} here: write numbers without marks between thousands, "
+                )
+                fix += 'or say decimal = "."'
             if ":" in cell:
                 fix = "write seconds: a time of day or a date is not read as time"
             where = f"{path}, row {k + 1} below the header"

@@ -23,6 +23,9 @@ _LEAST_COLOUR = 24.0  # of 255: difference of the largest and smallest channel
 _WORST_FIT = 18.0  # of 255: RGB distance to the best colour of the bar
 _AMBIGUOUS_FIT = 6.0  # of 255: a second colour this close in fit ...
 _AMBIGUOUS_SPAN = 0.08  # ... and this far along the bar makes the pixel ambiguous
+_MOST_UNLIKE = (
+    0.5  # of the coloured pixels: those that are like the bar are so by chance then, at wrong speeds
+)
 _BAR_COLOURS = 192
 _CHUNK = 4096
 
@@ -35,6 +38,7 @@ class Overlay:
 
     low, high : m/s at the two ends of the bar; high is its top (or right) end
     opacity : 0 to 1 of the colours over the B-mode image
+    of_modulus : whether the bar is even in kPa, so that between its ends the speed's square grows evenly
     """
 
     box_pixels: Box
@@ -42,6 +46,7 @@ class Overlay:
     low_m_per_s: float
     high_m_per_s: float
     opacity: float = 1.0
+    of_modulus: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +61,11 @@ class DecodedMap:
     n_masked: int
     n_unlike: int
     n_ambiguous: int
+
+    @property
+    def share_unlike(self) -> float:
+        """Of the coloured pixels, those whose colour is none of the bar's."""
+        return self.n_unlike / (len(self.swe) + self.n_unlike + self.n_ambiguous)
 
     @property
     def unsaturated(self) -> SweMap:
@@ -75,7 +85,7 @@ def decode_overlay(image: UltrasoundImage, overlay: Overlay, *, pixel: float = 0
     ------
     MeasurementError
         If a box lies outside the image, the colour box in no calibrated region or across two,
-        the bar has no colours or repeats them, or nothing could be read.
+        the bar has no colours or repeats them, nothing could be read, or most colours are none of the bar's.
     """
     _check_box(image, overlay.box_pixels, "box_pixels")
     _check_box(image, overlay.bar_pixels, "bar_pixels")
@@ -86,10 +96,11 @@ def decode_overlay(image: UltrasoundImage, overlay: Overlay, *, pixel: float = 0
     index, fit, ambiguous = _nearest(rgb[coloured], colours, overlay.opacity)
     unlike = fit > _WORST_FIT
     good = ~unlike & ~ambiguous
-    if not good.any():
+    if not good.any() or unlike.mean() > _MOST_UNLIKE:
         raise MeasurementError(
-            f"no pixel of the box could be read ({int((~coloured).sum())} without colour, "
-            f"{int(unlike.sum())} unlike the bar, {int(ambiguous.sum())} ambiguous)",
+            f"{'few pixels' if good.any() else 'no pixel'} of the box could be read "
+            f"({int((~coloured).sum())} without colour, "
+            f"{int(unlike.sum())} unlike the bar, {int(ambiguous.sum())} ambiguous, {int(good.sum())} read)",
             where=image.where,
             fix="correct box_pixels, bar_pixels and opacity (1 is opaque)",
         )
@@ -125,7 +136,10 @@ def bar_colours(image: UltrasoundImage, overlay: Overlay) -> tuple[Array, Array]
         )
     place = np.linspace(0, len(line) - 1, min(_BAR_COLOURS, len(line)))
     colours = np.column_stack([np.interp(place, np.arange(len(line)), line[:, k]) for k in range(3)])
-    return colours, np.linspace(overlay.low_m_per_s, overlay.high_m_per_s, len(colours))
+    low, high = overlay.low_m_per_s, overlay.high_m_per_s
+    if overlay.of_modulus:
+        return colours, np.sqrt(np.linspace(low**2, high**2, len(colours)))
+    return colours, np.linspace(low, high, len(colours))
 
 
 def _nearest(rgb: Array, colours: Array, opacity: float) -> tuple[NDArray[np.intp], Array, NDArray[np.bool_]]:
@@ -157,10 +171,17 @@ def _misfit(rgb: Array, colours: Array, opacity: float) -> Array:
 def _samples(
     image: UltrasoundImage, box: Box, pixel: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Array, Array]:
+    """Columns, rows, lateral and depth (mm), each (n,), of a grid that belongs to the picture: boxes that
+    stand a pixel apart, as they do from level to level, are read at the same places.
+    """
     region = image.region_of(box)
     step_x = max(1, round(pixel / region.mm_per_pixel_x))
     step_y = max(1, round(pixel / region.mm_per_pixel_y))
-    rows, columns = np.mgrid[box[1] : box[3] + 1 : step_y, box[0] : box[2] + 1 : step_x]
+    first_row, first_column = (
+        box[1] + (region.top - box[1]) % step_y,
+        box[0] + (region.left - box[0]) % step_x,
+    )
+    rows, columns = np.mgrid[first_row : box[3] + 1 : step_y, first_column : box[2] + 1 : step_x]
     lateral = (columns - (region.left + region.right) / 2.0) * region.mm_per_pixel_x
     depth = (rows - region.top) * region.mm_per_pixel_y
     return columns.ravel(), rows.ravel(), lateral.ravel(), depth.ravel()

@@ -49,6 +49,8 @@ def read_table(
     numbered = [(k, row) for k, row in enumerate(rows, 1) if any(cell.strip() for cell in row)]
     if not numbered:
         return None, [problem("the file is empty", path, f"write the header {','.join(required)} and rows")]
+    width = max(j for _, row in numbered for j, cell in enumerate(row, 1) if cell.strip())
+    numbered = [(line, row[:width]) for line, row in numbered]  # spreadsheets leave empty cells beyond
     header = [cell.strip() for cell in numbered[0][1]]
     problems += _check_header(header, path, required=required, known={*required, *optional, *texts})
     if any(each.severity == "error" for each in problems):
@@ -96,6 +98,22 @@ def csv_rows(
         fix = "close or remove the quotation mark that opens there; numbers need none"
         return None, [problem(f"the row that begins here cannot be read ({error})", path, fix, line=begin)]
     return rows, []
+
+
+def number_of(cell: str) -> float:
+    """What a cell says; "1_0", which is ten to Python alone, is no number.
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+
+    >>> number_of("1e-1")
+    0.1
+    """
+    if "_" in cell:
+        raise ValueError(cell)
+    return float(cell)
 
 
 def _read_text(path: Path) -> tuple[str | None, list[Problem]]:
@@ -158,7 +176,7 @@ def _numbers(
         if not cell and may_be_empty:
             continue
         try:
-            values[k] = float(cell)
+            values[k] = number_of(cell)
         except ValueError:
             what = f"{name} is {cell!r}, not a number" if cell else f"{name} is empty"
             fix = "write a number with a decimal point, without its unit"

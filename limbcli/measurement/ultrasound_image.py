@@ -27,6 +27,7 @@ _DAMAGED = (
     RuntimeError, NotImplementedError, struct.error, zlib.error, MemoryError,
 )  # fmt: skip
 _WITH_PREVIEW = "MPO"  # a camera's JPEG: what follows the picture is the same one, smaller
+_DEEP = ("I", "F")  # how Pillow's modes begin of one channel of 16 or 32 bits, which it would cut off at 255
 _OVER_EDGE = 2  # pixels by which a box may stand over the edge of its region
 _MOST_CUT_OFF = 1.0  # mm of tissue below the probe face that a picture may lack; it is neglected
 
@@ -241,6 +242,8 @@ def _read_picture(path: Path, frame: int | None) -> _Frame:
             count = 1 if picture.format == _WITH_PREVIEW else getattr(picture, "n_frames", 1)
             number = _frame_of(path, count, frame)
             picture.seek((number or 1) - 1)
+            if picture.mode[:1] in _DEEP:
+                return _to_bytes(np.asarray(picture), inverted=False), (), number
             return np.asarray(picture.convert("RGB"), dtype=np.uint8), (), number
     except (UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, *_DAMAGED) as error:
         fix = "export the frame as DICOM, PNG or BMP"
@@ -276,9 +279,10 @@ def _dicom_frame(path: Path, frame: int | None) -> _Frame:
 
 
 def _to_bytes(pixels: NDArray, *, inverted: bool) -> NDArray[np.uint8]:
-    values = pixels.astype(np.float64)
+    """Of more than eight bits the brightest is white."""
+    values = np.nan_to_num(pixels.astype(np.float64), posinf=0.0, neginf=0.0)
     if pixels.dtype != np.uint8:
-        values *= 255.0 / max(float(values.max()), 1.0)
+        values *= 255.0 / (max(float(values.max()), 0.0) or 1.0)
     if inverted:
         values = 255.0 - values
     if values.ndim == 2:

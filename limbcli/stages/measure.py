@@ -87,9 +87,7 @@ def _measure_site(case: Case, site: Site, out: Path, writer: StageWriter, progre
         columns |= force_columns(instruments["load_cell"], writer)
         progress.event("note", text=f"{len(columns['force_n'])} holds found")
     elif known is not None:
-        columns |= {"force_n": list(known.force), "depth_mm": list(known.depth)}
-        if known.cycles != (1,) or not known.loading.all():
-            columns |= {"cycle": known.cycle.tolist(), "phase": list(known.phase)}
+        columns |= _of_known(known, instruments)
     if "b_mode" in instruments:
         columns |= _depth(instruments["b_mode"], writer, progress)
     if "swe_images" in instruments:
@@ -111,6 +109,24 @@ def _measure_site(case: Case, site: Site, out: Path, writer: StageWriter, progre
     writer.data["n_levels"] = len(next(iter(columns.values())))
     writer.summary.append(f"{writer.data['n_levels']} levels: {', '.join(columns)}")
     return text
+
+
+def _of_known(known: Levels, instruments: Mapping[str, Any]) -> Columns:
+    """The columns of an existing levels.csv, but for those that the other instruments read."""
+    columns: Columns = {"force_n": list(known.force), "depth_mm": list(known.depth)}
+    if known.cycles != (1,) or not known.loading.all():
+        columns |= {"cycle": known.cycle.tolist(), "phase": list(known.phase)}
+    others = {"hold_s": known.hold, "probe_travel_mm": known.probe_travel}
+    if "swe_images" not in instruments:
+        others |= {
+            "swe_mean_m_per_s": known.swe_mean_m_per_s,
+            "swe_sd_m_per_s": known.swe_sd_m_per_s,
+            "swe_pixels": known.swe_pixels,
+        }
+    if "b_mode" not in instruments:
+        others |= {"skin_bone_mm": known.skin_bone}
+        others |= {f"{name}_mm": values for name, values in known.layers.items()}
+    return columns | {name: list(values) for name, values in others.items() if np.isfinite(values).any()}
 
 
 def _depth(table: Mapping[str, Any], writer: StageWriter, progress: Progress) -> dict[str, Sequence[float]]:
@@ -173,6 +189,7 @@ def _as_csv(columns: Mapping[str, Sequence[Any]]) -> str:
         "swe_sd_m_per_s",
         "swe_pixels",
         "hold_s",
+        "probe_travel_mm",
         "skin_bone_mm",
         *(f"{name}_mm" for name in LAYERS),
     ]
@@ -180,8 +197,15 @@ def _as_csv(columns: Mapping[str, Sequence[Any]]) -> str:
     lines = [",".join(names)]
     for k in range(len(columns[names[0]])):
         cells = (columns[name][k] for name in names)
-        lines.append(",".join(each if isinstance(each, str) else f"{each:.6g}" for each in cells))
+        lines.append(",".join(map(_as_cell, cells)))
     return "\n".join(lines) + "\n"
+
+
+def _as_cell(value: str | float) -> str:
+    """Empty where there is no reading."""
+    if isinstance(value, str):
+        return value
+    return f"{value:.6g}" if np.isfinite(value) else ""
 
 
 def _write_maps(site: Site, result: StageResult) -> None:

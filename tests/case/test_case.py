@@ -111,6 +111,7 @@ def test_position_and_marker_together_are_refused(folder: Path):
     ("table", "told"),
     [
         ('[site.load_cell]\nfile = "p1/levels.csv"\nprobe_mass_kg = 0.3\n', "no tare_s"),
+        ('[site.load_cell]\nfile = "p1/levels.csv"\nseparator = "; "\n', "not one mark"),
         (
             '[site.swe_images]\nfolder = "p1"\nlow_m_per_s = 10\nhigh_m_per_s = 5\n',
             "low_m_per_s, 10, is not below high_m_per_s, 5",

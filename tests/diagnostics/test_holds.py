@@ -51,6 +51,20 @@ def test_relaxing_force_of_a_ramp_is_the_convolution():
     assert relaxing(ramp, tau) == pytest.approx(exact, abs=1e-12)
 
 
+def test_a_pause_of_the_record_is_no_hold_and_the_hold_after_it_is_not_used(rng):
+    whole = record(rng)
+    start = len(DEPTHS[:-1]) * HOLD_S + (len(DEPTHS) - 2) * RAMP_S  # of the last ramp
+    late = whole.time > start + RAMP_S
+    keep = late | (whole.time < start)
+    time = whole.time + 60.0 * late
+    assert whole.depth is not None
+    paused = Trace(time[keep], whole.force[keep], whole.depth[keep], None, None, whole.path)
+    found, _ = held_forces(paused, levels())
+    assert found is not None
+    assert len(found) == len(held_forces(whole, levels())[0]) - 2
+    assert STEP_S * found.windows.max() <= start + 1.0
+
+
 def test_plateaus_are_the_holds(rng):
     found = held_forces(record(rng), levels())[0]
     assert found is not None

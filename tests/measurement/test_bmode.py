@@ -57,6 +57,13 @@ def test_stated_bone_is_followed_like_a_found_one(rng):
     assert lines[1].distance == pytest.approx(29.0, abs=0.05)
 
 
+def test_the_bone_is_followed_into_a_picture_that_is_a_column_wider(rng):
+    tissue = speckle(rng)
+    first, second = (frame(rng, row, tissue).grey for row in (300.0, 290.0))
+    narrow, wide = image_of(first[:, 110:190]), image_of(second[:, 110:191])
+    assert follow_bone([narrow, wide], bone=30.0)[1].distance == pytest.approx(29.0, abs=0.05)
+
+
 def test_image_without_bone_names_none(rng):
     with pytest.raises(MeasurementError, match="no bone line is visible"):
         find_bone(image_of(speckle(rng)))
@@ -74,6 +81,12 @@ def test_lost_line_is_said_with_its_image(rng):
     noise = image_of(rng.uniform(0, 1, (ROWS, COLUMNS)))
     with pytest.raises(MeasurementError, match="is lost"):
         follow_bone([frame(rng, 300.0, tissue), noise])
+
+
+def test_a_bone_that_moved_beyond_the_search_is_not_put_at_its_end(rng):
+    tissue = speckle(rng)
+    with pytest.raises(MeasurementError, match=r"moved by 8\.0 mm or more"):
+        follow_bone([frame(rng, row, tissue) for row in (300.0, 216.0)], bone=30.0)
 
 
 def test_change_of_scale_is_refused(rng):

@@ -66,6 +66,14 @@ def test_dropouts_and_spikes_do_not_break_a_hold(rng):
     assert [each.n_dropouts for each in holds] == [0, 1, 0, 0]
 
 
+def test_readings_one_step_of_the_load_cell_apart_are_no_spikes(rng):
+    trace = record(rng, levels=(0, 2.03, 4.06))
+    coarse = replace(trace, force=np.round(trace.force / 0.1) * 0.1)
+    holds = find_holds(coarse)
+    assert [each.n_spikes for each in holds] == [0, 0, 0]
+    np.testing.assert_allclose([each.force for each in holds], [0, 2.03, 4.06], atol=0.02)
+
+
 def test_record_without_holds_says_how_near_it_came(rng):
     time = np.arange(600) / RATE
     trace = Trace(time, 2.0 * time, None, None, None, Path("trace.csv"))
@@ -88,8 +96,18 @@ def test_weight_of_a_turned_probe_is_taken_off(rng):
     trace = Trace(time, read, None, None, gravity, Path("trace.csv"))
     mended = without_probe_weight(trace, probe_mass_kg=0.3, tare_s=(0.0, 4.0))
     np.testing.assert_allclose(mended.force[400:], 5.0, atol=0.01)
+    gravity[1::2] = np.nan  # read at half the rate
+    half = without_probe_weight(trace, probe_mass_kg=0.3, tare_s=(0.0, 4.0))
+    np.testing.assert_allclose(half.force[400:], 5.0, atol=0.01)
     unmended = without_probe_weight(trace, probe_mass_kg=0.0, tare_s=(0.0, 4.0))
     assert abs(unmended.force[400:].mean() - 5.0) > 1.0
+
+
+def test_accelerations_that_are_not_in_g_take_off_no_weight(rng):
+    trace = record(rng)
+    still = np.tile([0.0, 0.0, 9.81], (len(trace.time), 1))
+    with pytest.raises(MeasurementError, match=r"9\.81 g while the probe hangs free.*\n.*\n.*m/s2"):
+        without_probe_weight(replace(trace, acceleration_g=still), probe_mass_kg=0.3, tare_s=(0.0, 4.0))
 
 
 def test_weight_without_accelerometer_and_tare_outside_the_record_are_refused(rng):

@@ -45,6 +45,14 @@ def test_columns_are_read_in_any_order_and_missing_ones_are_nan(tmp_path: Path):
     assert levels.loading.all()
 
 
+def test_empty_columns_that_a_spreadsheet_leaves_are_none(tmp_path: Path):
+    rows = [f"{row},," for row in ROWS]
+    levels = read_levels(write(tmp_path, HEADER + ",,", rows))
+    np.testing.assert_array_equal(levels.force, [0, 2, 4, 6])
+    with pytest.raises(MeasurementError, match="a column without a name"):
+        read_levels(write(tmp_path, HEADER + ",,", [*rows[:3], ROWS[3] + ",7,"]))
+
+
 def test_unloading_levels_are_told_apart(tmp_path: Path):
     rows = ["0,0,load", "2,1,load", "4,2,load", "2,1.4,unload", "0,0.2,unload"]
     levels = read_levels(write(tmp_path, "force_n,depth_mm,phase", rows))
@@ -74,6 +82,7 @@ def test_wrong_units_and_signs_are_refused(tmp_path: Path, force, depth, speed, 
         ("4,abc,2.0,0.3,85", "line 4"),
         ("4,,2.0,0.3,85", "depth_mm is empty"),
         ("4,nan,2.0,0.3,85", "depth_mm is nan"),
+        ("4,3_9,2.0,0.3,85", "not a number"),
         ("4,inf,2.0,0.3,85", "depth_mm is inf"),
         ('"4,0",3.9,2.0,0.3,85', "not a number"),
         ("4,3.9,2.0,0.3", "4 cells"),
@@ -163,6 +172,16 @@ def test_a_modulus_in_the_column_of_speeds_is_doubted(tmp_path: Path):
     rows = [f"{2 * k},{2.0 * k},{(2.1 + 0.2 * k) ** 2},," for k in range(4)]
     assert any("modulus" in text for text in doubts_about_levels(write(tmp_path, rows=rows)))
     assert not doubts_about_levels(write(tmp_path))
+
+
+def test_a_probe_that_the_tissue_would_pull_was_not_tared(tmp_path: Path):
+    def told(zero: float) -> bool:
+        rows = [f"{zero + 2 * k},{k}" for k in range(4)]
+        doubts = doubts_about_levels(write(tmp_path, "force_n,depth_mm", rows))
+        return any("tissue does not pull" in each for each in doubts)
+
+    assert told(-2.5)
+    assert not told(-0.3)
 
 
 def test_a_force_that_falls_a_little_while_the_depth_grows_is_doubted(tmp_path: Path):

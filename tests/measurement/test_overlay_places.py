@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from matplotlib import colormaps
 
 from limbcli.errors import MeasurementError
 from limbcli.measurement.overlay_places import find_bar, find_box
@@ -25,6 +28,25 @@ def test_lying_bar_is_found_too(rng):
     turned = UltrasoundImage(np.rot90(image.rgb).copy(), (), image.path)
     left, top, right, bottom = find_bar(turned)
     assert (right - left, bottom - top) == (BAR[3] - BAR[1], BAR[2] - BAR[0])
+
+
+@pytest.mark.parametrize("colours", ["turbo", "gist_ncar"])
+def test_a_bar_is_found_to_its_ends_though_they_are_dark_or_pale(rng, colours):
+    rgb = render(rng, ramp()).rgb.copy()
+    left, top, right, bottom = BAR
+    line = colormaps[colours](np.linspace(1, 0, bottom - top + 1))[:, None, :3]
+    rgb[top : bottom + 1, left : right + 1] = 255 * line
+    assert np.abs(np.array(find_bar(UltrasoundImage(rgb, (), Path("x")))) - BAR).max() <= 1
+
+
+def test_a_bar_that_fades_into_a_black_screen_is_not_cut_where_its_colour_ends(rng):
+    rgb = render(rng, ramp()).rgb.copy()
+    left, top, right, bottom = BAR
+    line = colormaps["CMRmap"](np.linspace(1, 0, bottom - top + 1))[:, None, :3]  # down to black
+    rgb[:, BOX[2] + 1 :] = 0
+    rgb[top : bottom + 1, left : right + 1] = 255 * line
+    with pytest.raises(MeasurementError, match="fades into"):
+        find_bar(UltrasoundImage(rgb, (), Path("x")))
 
 
 def test_nothing_is_guessed_without_a_bar_with_two_or_without_a_box(rng):

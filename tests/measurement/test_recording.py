@@ -64,6 +64,24 @@ def test_labview_file_without_times_gets_them_from_its_step(tmp_path):
         read_recording(path, form)
 
 
+def test_labview_channels_sampled_apart_have_each_its_own_time(tmp_path):
+    path = tmp_path / "a.lvm"
+    form = RecordingFormat(columns={"time_s": "X_Value", "force_n": "Force"})
+    rows = "X_Value\tTilt\tX_Value\tForce\tComment\n0,0\t5\t0,0\t0,1\n0,001\t5\t0,1\t1,5\n0,002\t5\n"
+    path.write_text(LVM[: LVM.index("X_Value")] + rows)
+    np.testing.assert_allclose(read_recording(path, form).time, [0.0, 0.1])
+    with pytest.raises(MeasurementError, match="depth_mm were sampled at other times"):
+        read_recording(path, RecordingFormat(columns={**form.columns, "depth_mm": "Tilt"}))
+    path.write_text(
+        "LabVIEW Measurement\nSeparator\tTab\nX_Columns\tNo\n***End_of_Header***\nChannels\t2\n"
+        "X0\t0\t3712345678.5\nDelta_X\t0.001\t0.25\n***End_of_Header***\n"
+        "X_Value\tTilt\tForce\tComment\n\t1\t2\n\t1\t3\n\t1\n"
+    )
+    np.testing.assert_array_equal(read_recording(path, form).time, [3712345678.5, 3712345678.75])
+    comma = RecordingFormat(columns=form.columns, decimal=",")
+    np.testing.assert_array_equal(read_recording(path, comma).force, [2.0, 3.0])
+
+
 @pytest.mark.parametrize(
     ("unit", "factor"), [("N", 1.0), ("kgf", 9.80665), ("gf", 9.80665e-3), ("lbf", 4.4482216)]
 )
@@ -78,6 +96,16 @@ def test_semicolons_and_decimal_commas_are_found_out(tmp_path):
     path = tmp_path / "a.csv"
     path.write_bytes("time_s;force_n;Gerät\n0,0;1,5;x\n0,5;2,5;x\n".encode("latin-1"))
     np.testing.assert_allclose(read_recording(path).force, [1.5, 2.5])
+
+
+def test_comments_and_utf_16_are_read(tmp_path):
+    path = tmp_path / "a.csv"
+    text = "# cell 3, as set up\ntime_s,force_n\n0,1.5\n# a pause\n1,2.5\n"
+    path.write_text(text, encoding="utf-16")
+    np.testing.assert_allclose(read_recording(path).force, [1.5, 2.5])
+    path.write_text("# t,F\n0,1.5\n1,2.5\n")
+    named = RecordingFormat(columns={"time_s": "# t", "force_n": "F"})
+    np.testing.assert_allclose(read_recording(path, named).force, [1.5, 2.5])
 
 
 def test_a_labview_file_repeats_the_time_before_every_channel(tmp_path):
@@ -97,6 +125,7 @@ def test_a_labview_file_repeats_the_time_before_every_channel(tmp_path):
         ("time_s,force_n\n0,1\n1,x\n", RecordingFormat(), "not a number"),
         ("time_s,force_n,force_n\n0,1,9\n1,2,9\n", RecordingFormat(), "2 columns of the record are called"),
         ("time_s,force_n\n", RecordingFormat(), "no rows"),
+        ("time_s;force_n\n0,0;900\n1,0;1.234\n", RecordingFormat(), "marks between thousands"),
         ('time_s,force_n\n0,1\n\n1,"2\n' + "2,3\n" * 40000, RecordingFormat(), "line 4"),
     ],
 )

@@ -56,6 +56,32 @@ def test_speed_is_read_through_the_bar_at_any_opacity(rng, opacity):
     assert len(decoded.swe) > 0.9 * (len(decoded.swe) + decoded.n_ambiguous)
 
 
+@pytest.mark.parametrize(("opacity", "speed"), [(0.6, 2.0), (0.8, 9.5)])
+def test_the_few_pixels_that_a_wrong_opacity_leaves_are_no_reading(rng, opacity, speed):
+    image = render(rng, np.full(ramp().shape, speed), opacity)
+    with pytest.raises(MeasurementError, match="few pixels of the box could be read"):
+        decode_overlay(image, overlay())  # as if nothing shone through
+    faint = decode_overlay(render(rng, np.full(ramp().shape, 5.0), 0.9), overlay())
+    assert faint.share_unlike == pytest.approx(0.48, abs=0.05)
+
+
+def test_a_bar_in_kpa_is_even_in_the_speed_s_square(rng):
+    image = render(rng, ramp())
+    even = decode_overlay(image, overlay()).swe.speed_m_per_s
+    squares = decode_overlay(image, replace(overlay(), of_modulus=True)).swe.speed_m_per_s
+    share = (even - 0.5) / 10.0  # of the way along the bar
+    np.testing.assert_allclose(squares**2, 0.25 + share * (10.5**2 - 0.25))
+
+
+def test_a_box_that_stands_a_pixel_aside_is_read_at_the_same_places(rng):
+    image = render(rng, ramp())
+    one = decode_overlay(image, overlay()).swe
+    aside = Overlay((BOX[0] + 1, BOX[1] + 2, BOX[2], BOX[3]), BAR, 0.5, 10.5)
+    other = decode_overlay(image, aside).swe
+    assert set(other.lateral) <= set(one.lateral)
+    assert set(other.depth) <= set(one.depth)
+
+
 def test_uncoloured_pixels_are_left_out_and_counted(rng):
     speed = ramp()
     speed[:, :120] = np.nan

@@ -132,6 +132,15 @@ def test_of_a_loop_the_frame_is_read_that_is_told_and_none_that_is_not(tmp_path,
         read_image(path, mm_per_pixel=0.1, frame=5)
 
 
+@pytest.mark.parametrize(("ending", "kind"), [("png", np.uint16), ("tif", np.uint16), ("tif", np.float32)])
+def test_greys_of_more_than_eight_bits_are_not_cut_off(tmp_path, ending, kind):
+    grey = np.tile(np.arange(256), (8, 1))
+    deep = (grey * 257).astype(kind) if kind is np.uint16 else (grey / 255).astype(kind)
+    Image.fromarray(deep).save(tmp_path / f"a.{ending}")
+    found = read_image(tmp_path / f"a.{ending}", mm_per_pixel=0.1)
+    np.testing.assert_array_equal(found.rgb, np.repeat(grey[:, :, None], 3, axis=2))
+
+
 def test_a_still_image_is_its_own_first_frame(tmp_path):
     path = stored(tmp_path / "a.dcm", screen().tobytes())
     assert read_image(path, frame=1).where == str(path)

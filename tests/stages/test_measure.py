@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,14 @@ from PIL import Image
 
 from limbcli.case import Case
 from limbcli.errors import CaseError, MeasurementError
-from limbcli.measurement.elastography import read_map
+from limbcli.measurement.elastography import SweMap, read_map
+from limbcli.measurement.holds import find_holds
 from limbcli.measurement.indentation import read_levels
+from limbcli.measurement.swe_image import DecodedMap
 from limbcli.results import open_stage
 from limbcli.stages.measure import measure
-from limbcli.stages.measuring.images import images_of
+from limbcli.stages.measuring.holds import found_twice, holds_of
+from limbcli.stages.measuring.images import TissueBetween, images_of, within_tissue
 from tests.case.test_case_text import HEAD, SITE
 from tests.measurement.test_bmode import frame, speckle
 from tests.measurement.test_holds import record
@@ -182,6 +186,32 @@ def cell_only(folder: Path, place: Path, time: np.ndarray, force: np.ndarray) ->
 # ---------------------------------------------------------------- found, left out, taken over
 
 
+def test_a_level_whose_force_moved_is_told_where_it_is_found_as_two(rng):
+    trace = record(rng, levels=(0, 2, 4), hold=14.0)
+    moved = np.where(trace.time > 41.0, 0.3, 0.0)  # in the midst of the last hold
+    holds = find_holds(replace(trace, force=trace.force + moved))
+    told = found_twice(holds, 2.0)
+    assert len(holds) == 4
+    assert len(told) == 1
+    assert "holds 2 and 3" in told[0]
+    assert found_twice(find_holds(trace), 2.0) == []
+
+
+def test_a_tare_at_the_record_s_end_leaves_no_holds_and_is_told_so(tmp_path: Path, rng):
+    path = tmp_path / "cell.csv"
+    trace = record(rng, levels=(0, 2))
+    np.savetxt(
+        path, np.column_stack([trace.time, trace.force]), delimiter=",", header="time_s,force_n", comments=""
+    )
+    table = {
+        "path": path, "columns": {}, "force_unit": "N", "length_unit": "mm", "separator": None,
+        "decimal": None, "tare_s": [20.0, 24.0], "probe_mass_kg": 0.0, "axis": "z",
+        "hold_s": 5.0, "hold_tolerance_n": 0.1,
+    }  # fmt: skip
+    with pytest.raises(MeasurementError, match="ends 0 s after tare_s"):
+        holds_of(table)
+
+
 def test_a_trace_alone_is_a_load_cell_record(tmp_path: Path, rng):
     (tmp_path / "mri").mkdir()
     site = SITE.format(name="p1", levels='p1.csv"\ntrace = "trace.csv')
@@ -229,6 +259,19 @@ def test_skin_fat_and_bone_are_left_out_of_the_speeds(folder: Path, tmp_path: Pa
         assert depth.max() <= 0.1 * row - 1.5 + 0.2
 
 
+def test_pixels_at_the_end_of_the_bar_are_told_where_the_tissue_has_them_though_the_box_has_few(
+    tmp_path: Path,
+):
+    depth = np.repeat(np.arange(40.0), 5)
+    at_end = (depth >= 36.0) & (depth < 39.0)  # 7 % of the box, three quarters of the muscle
+    swe = SweMap(np.tile(np.arange(5.0), 40), depth, np.full(200, 2.0))
+    table = {"roi_lateral_mm": None, "roi_depth_mm": [36.0, 40.0]}
+    with open_stage(tmp_path, "measure", subject="S1") as writer:
+        part = within_tissue([DecodedMap(swe, at_end, 0, 0, 0)], table, TissueBetween(None, None), writer)
+        assert len(part[0]) == 5
+        assert any("level 0: 75 % of the pixels are at an end" in each for each in writer.warnings)
+
+
 @pytest.mark.slow
 def test_bone_read_by_hand_at_every_level_wins(folder: Path, tmp_path: Path):
     bone = "bone_mm = [24.0, 23.0, 22.0, 21.0]\n"
@@ -271,6 +314,27 @@ def test_level_0_may_follow_the_air_without_a_gap(folder: Path, tmp_path: Path, 
     assert any("depths count from there" in text for text in late.warnings)
 
 
+def test_what_levels_csv_holds_beside_the_speeds_is_kept_and_its_bone_ends_the_tissue(
+    folder: Path, tmp_path: Path
+):
+    lines = (folder / "case.toml").read_text().splitlines()
+    there = [lines.index(f"[site.{name}]") for name in ("load_cell", "swe_images")]
+    case = tmp_path / "case"
+    shutil.copytree(folder, case)
+    (case / "case.toml").write_text("\n".join(lines[: there[0]] + lines[there[1] :]) + "\n")
+    header = "force_n,depth_mm,hold_s,probe_travel_mm,skin_bone_mm,skin_mm,fat_mm"
+    rows = ["0,0,20,0,20,1.5,6", "2,1,20,1.2,19,1.5,5.8", "4,2,20,2.4,,,", "6,3,20,3.6,17,1.4,5.5"]
+    (case / "p1.csv").write_text("\n".join([header, *rows]) + "\n")
+    result = measure(Case.open(case), out=tmp_path / "out")[0]
+    made, known = read_levels(result.path("levels")), read_levels(case / "p1.csv")
+    for name in ("force", "depth", "hold", "probe_travel", "skin_bone"):
+        np.testing.assert_array_equal(getattr(made, name), getattr(known, name))
+    np.testing.assert_array_equal(made.layer("fat"), known.layer("fat"))
+    deepest = [read_map(result.folder / "swe" / f"level_{k:02d}.csv").depth.max() for k in range(4)]
+    assert deepest == pytest.approx([18.5, 17.5, 23.5, 15.5])
+
+
+@pytest.mark.slow
 def test_half_a_table_is_not_written_into_the_case(folder: Path, tmp_path: Path):
     text = (folder / "case.toml").read_text()
     case = without(folder, tmp_path / "case", "-")

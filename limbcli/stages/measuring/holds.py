@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from limbcli.errors import MeasurementError
 from limbcli.errors.problems import Problem
 from limbcli.measurement.hold_cycles import cycles_of_holds
 from limbcli.measurement.holds import Hold, find_holds, missing_levels, without_probe_weight
@@ -19,6 +21,7 @@ from limbcli.results import StageWriter
 _FEW_LOST = 0.01  # of the samples
 _SMALL_FORCE = 4.0  # N, of a whole indentation
 _FEWEST_LEVELS = 3
+_ONE_LEVEL = 0.5  # of the protocol's step: levels are further apart
 _TURN = 0.5  # of the protocol's step: what the force goes back by where it turns
 
 Columns = dict[str, Sequence[Any]]
@@ -100,6 +103,13 @@ def holds_of(table: Mapping[str, Any]) -> tuple[Trace, list[Hold]]:
         mass, axis = float(table["probe_mass_kg"]), table["axis"]
         trace = without_probe_weight(trace, probe_mass_kg=mass, axis=axis, tare_s=tare)
     pressed = trace if table["tare_s"] is None else trace.since(float(table["tare_s"][1]))
+    left = float(np.ptp(pressed.time)) if len(pressed.time) else 0.0
+    if table["tare_s"] is not None and left < float(table["hold_s"]):
+        raise MeasurementError(
+            f"the record ends {left:.3g} s after tare_s: holds are looked for after the tare",
+            where=str(path),
+            fix="state as tare_s a stretch in the air before first touch, in seconds of the record's time",
+        )
     return trace, find_holds(
         pressed, tolerance=float(table["hold_tolerance_n"]), duration_s=float(table["hold_s"])
     )
@@ -133,9 +143,26 @@ def _say_holds(
             f"the first hold is at {holds[0].force:.2f} N: depths count from there, not from first touch; "
             "hold at about 0 N first, for hold_s"
         )
+    writer.warnings.extend(found_twice(holds, step))
     _say_doubts(holds, trace, writer)
     for force in missing_levels(list(holds), step=step):
         writer.warnings.append(f"there is no hold at {force:g} N (steps of {step:g} N)")
+
+
+def found_twice(holds: Sequence[Hold], step: float) -> list[str]:
+    """Neighbouring holds of about one force, which a force that drifts in one hold makes of it.
+
+    step : N, of the protocol
+    """
+    found = []
+    for k, (one, other) in enumerate(pairwise(holds)):
+        if abs(other.force - one.force) < _ONE_LEVEL * step:
+            found.append(
+                f"holds {k} and {k + 1} ({one.force:.2f} and {other.force:.2f} N, before and after "
+                f"{other.start_s:.0f} s) are nearer than half a step of {step:g} N: one level, counted twice "
+                "unless it was held twice; raise hold_s or hold_tolerance_n until they are one"
+            )
+    return found
 
 
 def _follows_unloading(phase: Sequence[str], k: int) -> bool:

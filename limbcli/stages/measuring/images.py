@@ -21,6 +21,8 @@ from limbcli.results import StageWriter
 from limbcli.stages.provenance.chain import Chain
 
 _IMAGE_SUFFIXES = {".png", ".bmp", ".dcm", ".dicom", ".jpg", ".jpeg", ".tif", ".tiff"}
+_MANY_SATURATED = 10.0  # % of the pixels in the tissue
+_MANY_UNLIKE = 0.2  # share of the coloured pixels
 _OFF_BONE = 1.5  # mm above the bone line in which its blur is left out
 
 
@@ -50,8 +52,13 @@ class TissueBetween:
 def tissue_between(
     case: Case, site: Site, out: Path, skin_bone: Sequence[float] | None, writer: StageWriter
 ) -> TissueBetween:
-    """From what `segment` found at the site and the B-mode images of the levels."""
-    bottom = tuple(each - _OFF_BONE for each in skin_bone) if skin_bone is not None else None
+    """From what `segment` found at the site and the distances to bone, of the B-mode images or levels.csv.
+
+    skin_bone : mm at every level, NaN where it was not read
+    """
+    bottom = None
+    if skin_bone is not None:
+        bottom = tuple(each - _OFF_BONE if np.isfinite(each) else np.inf for each in skin_bone)
     segmented = Chain(case, out).present("segment", about=[site.name])
     layers = None
     if segmented is not None:
@@ -119,7 +126,14 @@ def measured_speeds(
     for k, (image, overlay) in enumerate(zip(images, overlays, strict=True), 1):
         decoded.append(decode_overlay(image, overlay))
         progress.event("task", name="SWE images", done=k, total=len(images))
-    maps = _within_tissue(decoded, table, tissue, writer)
+    worst = max(range(len(decoded)), key=lambda k: decoded[k].share_unlike)
+    unlike = decoded[worst].share_unlike
+    if unlike > _MANY_UNLIKE:
+        writer.warnings.append(
+            f"level {worst}: {100 * unlike:.0f} % of the coloured pixels have no colour of the bar and are "
+            "left out; speeds of the others may be wrong: check opacity, bar_pixels and box_pixels"
+        )
+    maps = within_tissue(decoded, table, tissue, writer)
     for k, each in enumerate(maps):
         write_map(map_file(writer.file("maps", "swe").parent / "swe", k), each)
     figures = [statistics(each) for each in maps]
@@ -129,10 +143,6 @@ def measured_speeds(
          "n_saturated": int(d.saturated.sum()), "box_pixels": list(o.box_pixels), **vars(f)}
         for d, o, f in zip(decoded, overlays, figures, strict=True)
     ]  # fmt: skip
-    for k, level in enumerate(decoded):
-        share = 100 * float(level.saturated.mean())
-        if share > 10.0:
-            writer.warnings.append(f"level {k}: {share:.0f} % of the pixels are at an end of the colour bar")
     return {
         "swe_mean_m_per_s": [each.mean_m_per_s for each in figures],
         "swe_sd_m_per_s": [each.sd_m_per_s for each in figures],
@@ -151,13 +161,22 @@ def _overlays(
         if not table[name]:
             writer.summary.append(f"{name} found at {list(found)}")
     low, high = float(table["low_m_per_s"]), float(table["high_m_per_s"])
-    return [Overlay(box, bar, low, high, float(table["opacity"])) for box in boxes]
+    opacity, of_modulus = float(table["opacity"]), table["bar_scale"] == "modulus"
+    return [Overlay(box, bar, low, high, opacity, of_modulus) for box in boxes]
 
 
-def _within_tissue(
+def within_tissue(
     decoded: Sequence[DecodedMap], table: Mapping[str, Any], tissue: TissueBetween, writer: StageWriter
 ) -> list[SweMap]:
-    """The unsaturated pixels of the region of interest: as stated, else between fat and bone."""
+    """The unsaturated pixels of the region of interest: as stated, else between fat and bone.
+
+    table : [site.swe_images]
+
+    Raises
+    ------
+    MeasurementError
+        If a level has none there.
+    """
     lateral = tuple(table["roi_lateral_mm"] or (-np.inf, np.inf))
     stated = tuple(table["roi_depth_mm"]) if table["roi_depth_mm"] else None
     if stated is None and tissue.words:
@@ -176,6 +195,13 @@ def _within_tissue(
                 f"level {k}: no readable pixel lies between {depth[0]:.1f} and {depth[1]:.1f} mm",
                 where=str(each.swe.path),
                 fix="state roi_depth_mm, or image_pixels, box_pixels and mm_per_pixel of the pictures",
+            )
+        read = len(each.swe.within(lateral=lateral, depth=depth))
+        share = 100 * (1 - len(part) / read)
+        if share > _MANY_SATURATED:
+            writer.warnings.append(
+                f"level {k}: {share:.0f} % of the pixels are at an end of the colour bar and left out: the "
+                "mean speed is that of the rest; measure with a wider range"
             )
         maps.append(part)
     return maps

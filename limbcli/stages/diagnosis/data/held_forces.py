@@ -25,6 +25,7 @@ _DEPTH_SHARE = 0.05  # the same of a depth, whose steps differ more
 # Of the steepest ramps of force: what is steeper is a ramp although the recorded depth is steady, as it is
 # where the tissue is so stiff that the step is smaller than the reading's error. Relaxation is less steep.
 _FORCE_SHARE = 0.4
+_PAUSE_S, _PAUSE_SAMPLES = 1.0, 5.0  # without a sample: nobody knows what probe and force did
 _MOVED_SHARE = 0.15  # of the force that a movement within a hold explains: its error
 _LEAST_HOLD_S, _LEAST_FORCE = 3.0, 1.0
 _FLOOR = 0.004  # of ln force: what else moves in a hold (assumed)
@@ -111,13 +112,17 @@ def held_forces(trace: Trace, levels: Levels) -> tuple[HeldForces | None, str]:
     steady = is_steady(steering, share=_DEPTH_SHARE if recorded else _RAMP_SHARE)
     if recorded:
         steady &= is_steady(force, share=_FORCE_SHARE)
-    holds = stretches(steady)
+    read = _was_read(trace.time, time)
+    holds = stretches(steady & read)
     if not holds:
         return None, f"the record has no hold of {_LEAST_HOLD_S:g} s"
     depth = steering if recorded else _depth_of_levels(holds, force, levels, len(time))
     if depth is None:
         return None, f"the record has no depth, and its {len(holds)} holds are not the levels"
-    windows, means = _windows(holds, force)
+    # The first hold after a pause relaxes from a movement that nobody saw.
+    before = [0, *(end for _, end in holds)]
+    seen = [(a, b) for (a, b), last in zip(holds, before[:-1], strict=True) if read[last:a].all()]
+    windows, means = _windows(seen, force)
     if not len(windows):
         return None, "no hold carries a force to speak of"
     found = HeldForces(
@@ -154,6 +159,13 @@ def _binned(at: Array, values: Array, grid: Array) -> Array:
     total = np.bincount(index[known], weights=values[known], minlength=len(grid))
     there = count > 0
     return np.interp(np.arange(len(grid)), np.flatnonzero(there), total[there] / count[there])
+
+
+def _was_read(at: Array, grid: Array) -> NDArray[np.bool_]:
+    """Where the grid (n,) lies in no pause of the record: a line that closes one is no hold."""
+    after = np.clip(np.searchsorted(at, grid + 0.5 * STEP_S), 1, len(at) - 1)
+    pause = max(_PAUSE_S, _PAUSE_SAMPLES * float(np.median(np.diff(at))))
+    return np.asarray(at[after] - at[after - 1] <= pause)
 
 
 def _depth_of_levels(holds: list[tuple[int, int]], force: Array, levels: Levels, n: int) -> Array | None:
