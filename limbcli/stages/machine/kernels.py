@@ -1,7 +1,7 @@
-"""The reference solver's kernels, compiled in two more processes while images are read and meshes made.
+"""The solver's and the mesher's kernels, compiled in two more processes while images are read.
 
 Only where none is on disk yet and there is more than one core. They compile what a small simulation of
-each kind calls, into numba's cache; `fem.supported.warm_up` waits for them.
+each kind and a small mesh call, into numba's cache; `fem.supported.warm_up` waits for them.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from limbcli.config import at_most
 from limbcli.errors import LimbError
 
 _MODULE = "limbcli.stages.machine.kernels"  # also where it is called as a program, and named otherwise
+_RADIUS = 30.0  # mm, of the mesher's limb
 _FINE = 7  # cells along an edge of the self test's block: enough equations for single precision
 
 
@@ -34,8 +35,8 @@ def compile_ahead(*, solver: str = "reference", febio: Path | None = None) -> No
         return
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     if at_most(cores) > 1 and not background_processes.at_work() and not kernels_are_there():
-        for part in PARTS:
-            background_processes.start(_MODULE, part)
+        for parts in _PROCESSES:
+            background_processes.start(_MODULE, *parts)
 
 
 def equations() -> None:
@@ -70,22 +71,46 @@ def simulation() -> None:
     session.close()
 
 
-PARTS: dict[str, Callable[[], None]] = {"simulation": simulation, "equations": equations}
+def mesher() -> None:
+    """Of distances, facets and tetrahedra: a thick cylinder with a bone, meshed coarsely."""
+    import manifold3d
+
+    from limbcli.meshing.crop import crop_planes
+    from limbcli.meshing.domain import make_domain
+    from limbcli.meshing.mending import mend
+    from limbcli.meshing.probe import ProbeShape
+    from limbcli.meshing.remesh import Sizes
+    from limbcli.meshing.site_mesher import mesh_volume
+    from limbcli.meshing.surfaces import Triangles
+
+    def cylinder(radius: float, length: float) -> Triangles:
+        made = manifold3d.Manifold.cylinder(length, radius, circular_segments=24, center=True)
+        mesh = made.rotate((90.0, 0.0, 0.0)).translate((0.0, 0.0, -_RADIUS)).to_mesh()
+        return Triangles(np.asarray(mesh.vert_properties, float)[:, :3], np.asarray(mesh.tri_verts, int))
+
+    limb = mend(cylinder(_RADIUS, 90.0), [cylinder(10.0, 100.0)])
+    probe = ProbeShape(30.0, 10.0, 2.0)
+    mesh_volume(make_domain(limb, crop_planes(limb, probe, 15.0), spacing=3.0), probe, Sizes(6.0, 12.0))
+
+
+# What one process compiles after another; the first one takes as long as the others together.
+PARTS: dict[str, Callable[[], None]] = {"simulation": simulation, "equations": equations, "mesher": mesher}
+_PROCESSES = (("simulation",), ("equations", "mesher"))
 
 
 def compile_all() -> None:
-    """Both parts side by side, where they are not on disk yet."""
+    """All parts, two side by side, where the solver's are not on disk yet."""
     from limbcli.solvers.reference import kernels_are_there
 
     if kernels_are_there():
         return
-    for part in PARTS:
-        background_processes.start(_MODULE, part)
+    for parts in _PROCESSES:
+        background_processes.start(_MODULE, *parts)
     background_processes.wait()
 
 
 if __name__ == "__main__":
-    if sys.argv[1:]:
-        PARTS[sys.argv[1]]()
-    else:
+    for part in sys.argv[1:]:
+        PARTS[part]()
+    if not sys.argv[1:]:
         compile_all()
