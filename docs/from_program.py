@@ -1,7 +1,8 @@
-"""Pages that the program writes of itself: commands, keys of case.toml, effects, laws."""
+"""Pages that the program writes of itself: commands, keys of case.toml, effects, laws; benchmarks."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from limbcli.cli.app import COMMANDS, app
 from limbcli.effects import EFFECTS
 from limbcli.materials.laws import LAWS, WRAPPERS
 
+FIGURES = Path(__file__).resolve().parents[1] / "tests" / "benchmarks" / "figures"
 TABLES = {
     "[subject]": schema.SUBJECT,
     "[imaging]": schema.IMAGING,
@@ -37,6 +39,10 @@ def write_all(folder: Path) -> None:
     folder.mkdir(exist_ok=True)
     pages = {f"command-{name}": command_page(name) for name in COMMANDS}
     pages |= {"case-keys": case_keys(), "effects": effects(), "laws": laws()}
+    pages |= {"benchmarks": benchmarks()}
+    pages |= {
+        f"figures-{path.stem}": _beside(path.read_text(encoding="utf-8")) for path in FIGURES.glob("*.md")
+    }
     for name, text in pages.items():
         path = folder / f"{name}.md"
         if not path.is_file() or path.read_text(encoding="utf-8") != text:
@@ -44,6 +50,17 @@ def write_all(folder: Path) -> None:
     for path in folder.glob("*.md"):
         if path.stem not in pages:
             path.unlink()
+
+
+def benchmarks() -> str:
+    """How they are repeated and what is asked, with links to the pages of figures as they are called here."""
+    text = (FIGURES.parent / "README.md").read_text(encoding="utf-8")
+    return text.partition("## Pages")[0].replace("](figures/", "](generated/figures-")
+
+
+def _beside(text: str) -> str:
+    """A page of figures whose neighbours are called as the generated ones are."""
+    return re.sub(r"\]\(([a-z-]+\.md)", r"](figures-\1", text)
 
 
 def command_page(name: str) -> str:

@@ -191,7 +191,8 @@ Convention (chi2 with one degree of freedom)."""
 MAP_DOUBT: Final = 1.35
 """Times which the intervals of c and m (in ln) and of effects' sizes are widened where maps tell them: the
 model's error in maps is taken at its likeliest, and by so much what was missed of c and m exceeded what was
-told, root mean square, at sites that another solver made (`tests/benchmarks/README.md`). Chosen."""
+told, root mean square, at sites that another solver made (`tests/benchmarks/figures/diagnosis-febio.md`).
+Chosen."""
 
 SIZE_WITHIN: Final = 1.96
 """Deviations of the interval of an effect's size: 95 %. Convention (normal law)."""

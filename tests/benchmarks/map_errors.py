@@ -7,7 +7,7 @@ its hidden effect: segmented and meshed into FOLDER, its working mesh tied to it
 ln speed of its parts at the true c and m less FEBio's, at eight forces (f_kappa as held, not the true one). A
 line a site; with --fit the constants of `stages.diagnosis.data.noise` by maximum likelihood, beside those
 that stand there, whose sizes are meant to be twice as large. Sites whose bones in the files are not those of
-FEBio's model are left out (see README.md).
+FEBio's model are left out (see figures/diagnosis-febio.md).
 """
 
 from __future__ import annotations

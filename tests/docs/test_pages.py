@@ -199,3 +199,12 @@ def test_the_readme_of_every_folder_of_templates_lists_its_files():
         text = (REPOSITORY / "templates" / folder / "README.md").read_text(encoding="utf-8")
         files = {each.name for each in (REPOSITORY / "templates" / folder).iterdir()} - {"README.md"}
         assert {each for each in files if each not in text} == set()
+
+
+@pytest.mark.parametrize(
+    "page", [*PAGES, *sorted((REPOSITORY / "tests/benchmarks").rglob("*.md"))],
+    ids=lambda page: page.relative_to(REPOSITORY).as_posix(),
+)  # fmt: skip
+def test_every_link_leads_to_a_file(page: Path):
+    links = re.findall(r"\]\(([^)#:\s]+)(?:#[\w-]*)?\)", page.read_text(encoding="utf-8"))
+    assert [each for each in links if not (page.parent / each).exists()] == []
