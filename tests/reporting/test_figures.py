@@ -284,6 +284,12 @@ def test_words_beside_flat_speed_maps_do_not_touch(rows):
     assert not any(one.overlaps(other) for one, other in pairwise(words))
 
 
+def test_speed_maps_tell_the_side_to_which_lateral_grows():
+    words = speed_maps(maps(2, measured=True), toward="left").get_supxlabel()
+    assert "(+ is left)" in words
+    assert "+" not in speed_maps(maps(2, measured=True)).get_supxlabel()
+
+
 def test_layers_of_a_single_level_are_seen():
     one = np.array([[1.5, 6.0]])
     left, right = layers_figure(LayerPicture(np.array([4.0]), ("skin", "fat"), one, one, 0.2)).axes

@@ -37,8 +37,11 @@ def chosen_levels(levels: Sequence[LevelMaps]) -> list[LevelMaps]:
     return [best[k] for k in index]
 
 
-def speed_maps(levels: Sequence[LevelMaps]) -> Figure:
-    """A column a level; measured, predicted, and predicted less measured, or the predicted row alone."""
+def speed_maps(levels: Sequence[LevelMaps], *, toward: str | None = None) -> Figure:
+    """A column a level; measured, predicted, and predicted less measured, or the predicted row alone.
+
+    toward : the side of the patient to which `lateral` grows, where it is known
+    """
     shown = chosen_levels(levels)
     paired = any(each.measured is not None for each in shown)
     rows = ("measured", "predicted", "difference") if paired else ("predicted",)
@@ -67,7 +70,9 @@ def speed_maps(levels: Sequence[LevelMaps]) -> Figure:
             label = "difference [m/s]" if row == "difference" else "speed [m/s]"
             figure.colorbar(drawn, ax=list(axes_row), label=label, shrink=0.9)
         panels[0, 0].invert_yaxis()
-        figure.supxlabel("lateral [mm], 0 under the probe's centre; depth 0 at its face", fontsize=9.5)
+        side = f" (+ is {toward})" if toward else ""
+        across = f"lateral [mm], 0 under the probe's centre{side}; depth 0 at its face"
+        figure.supxlabel(across, fontsize=9.5)
     return figure
 
 

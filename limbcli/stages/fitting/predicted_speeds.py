@@ -20,6 +20,7 @@ from limbcli.feb.settings import least_level
 from limbcli.measurement.elastography import SweMap, check_map, check_mean, check_width, map_file, write_map
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, IntArray, LimbModel
+from limbcli.patient_frame import side_of
 from limbcli.reporting.figures.speed_maps import LevelMaps, speed_maps
 from limbcli.reporting.figures.wave_speed import PredictedSpeeds, SpeedReadings, wave_speed
 from limbcli.results import StageWriter
@@ -71,8 +72,15 @@ def leave_speeds(
         LevelMaps(int(levels.rows[k]), float(levels.force[k]), one, other or None)
         for k, one, other in zip(found.levels, found.maps, found.measured, strict=True)
     ]
-    save_figure(speed_maps(shown), writer.file("swe_maps_picture", "swe-maps.png"))
+    picture = speed_maps(shown, toward=_lateral_side(fitted))
+    save_figure(picture, writer.file("swe_maps_picture", "swe-maps.png"))
     _tell(found, levels, writer)
+
+
+def _lateral_side(model: LimbModel) -> str | None:
+    """The side of the patient to which the image's lateral axis, x of the model, points."""
+    told = model.info.get("patient_from_model")
+    return None if told is None else side_of(np.array(told, dtype=float).reshape(4, 4)[:3, 0])
 
 
 def _predict(
