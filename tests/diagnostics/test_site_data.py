@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from limbcli.case import StatedNoise
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
+from limbcli.diagnostics.statistical_tests.roughness import roughness
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Protocol, Reading
 from limbcli.measurement.elastography import SweMap
@@ -122,6 +124,19 @@ def test_channels_are_those_measured():
     assert rich.data.y[[row.channel == "map" for row in rich.rows]] == pytest.approx(np.log(2.0))
     assert {"speed maps, deep middle", "speed maps, first third of the levels"} <= set(rich.data.groups)
     assert np.linalg.eigvalsh(rich.data.noise.covariance).min() > 0
+
+
+def test_a_force_that_falls_less_late_in_a_hold_than_early_is_no_scatter():
+    """Each hold gives two numbers, and only those of a kind go on evenly from hold to hold."""
+    windows = np.zeros((16, 2, 2), dtype=np.int64)
+    falls = np.tile([0.2, 0.1], 8)
+    held = HeldForces(np.linspace(0, 9, 40), windows, falls, np.full(16, 0.01))
+    data = site_data("p1", levels(), StatedNoise(), windows=Windows(), held=held).data
+    whiten = Whitener.of(data.noise.covariance)
+    off = np.where([channel == "hold" for channel in data.channel], data.y, 0.0)
+    state = LinearFit.of(whiten(off), np.zeros((len(data), 0)))
+    found = roughness(state, whiten, series=data.all_series(), order=data.order)
+    assert found.ratio == pytest.approx(0.0, abs=1e-9)
 
 
 def test_assumed_noise_is_recognised_and_known_noise_is_not():
