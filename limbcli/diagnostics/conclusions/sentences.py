@@ -182,7 +182,7 @@ def _blind(found: Diagnosis) -> str:
 
 
 def _next(found: Diagnosis) -> str:
-    if found.verdict != "ambiguous" or len(found.confidence_set) < 2:
+    if found.verdict != "ambiguous" or not found.next_steps:  # none: nothing was compared
         return ""
     useful = useful_steps(found.next_steps)
     if not useful:
