@@ -18,7 +18,11 @@ from limbcli.diagnostics.selection.baseline_fit import BaselineFit
 from limbcli.diagnostics.selection.confidence_set import Refit
 from limbcli.diagnostics.selection.gap_closure import Closing
 from limbcli.diagnostics.selection.refits import Refits
-from limbcli.diagnostics.statistical_tests.heldout import held_out_error, over_shared
+from limbcli.diagnostics.statistical_tests.heldout import (
+    held_out_error,
+    over_shared,
+    told_by_the_rest,
+)
 from limbcli.diagnostics.statistical_tests.localisation_tests import predicted_without
 from limbcli.diagnostics.statistical_tests.multiple_testing import Family
 from limbcli.diagnostics.statistical_tests.score import Trial
@@ -146,11 +150,10 @@ class Account:
         return found
 
     def held_out_z(self) -> dict[str, tuple[float, float]]:
-        """Each part of the data predicted from the rest: (root mean square, largest) z."""
+        """Each part of the data that the rest can predict: (root mean square, largest) z."""
         data, base = self.baseline.data, self.baseline.base
         residual = data.y - base.prediction
-        found = {}
-        for name, mask in data.groups.items():
-            if 0 < mask.sum() < len(mask) - base.jacobian.shape[1]:
-                found[name] = predicted_without(residual, base.jacobian, data.noise.covariance, mask)
-        return found
+        return {
+            name: predicted_without(residual, base.jacobian, data.noise.covariance, mask)
+            for name, mask in told_by_the_rest(data.groups, base.jacobian).items()
+        }
