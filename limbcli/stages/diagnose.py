@@ -167,7 +167,7 @@ def load_effect(path: Path) -> Effect:
     CaseError
         If the file cannot be run, or holds no effect that can be tried.
     """
-    return effect_of_file(path, tuple(each.name for each in EFFECTS))
+    return effect_of_file(path, EFFECTS)
 
 
 class _Diagnosed:

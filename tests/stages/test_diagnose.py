@@ -51,6 +51,8 @@ def test_a_users_effect_is_one_file(tmp_path):
         ('Effect("slip"', 'Effect("tilt"', "there is an effect 'tilt' already"),
         ('"measurement"', '"numerical"', "its kind is 'numerical'"),
         ("low=0.0", "low=0.1", "null of slip_mm is 0, outside of its bounds"),
+        ("typical=0.5", "typical=0.0", "typical of slip_mm is its null, 0"),
+        ("slip_mm", "depth_zero_mm", "'depth-zero' has a parameter depth_zero_mm already"),
         (", observe=observe", "", "it changes nothing"),
         ("observe=observe", "observe=observe, needs=('forces',)", "it needs 'forces'"),
         ('theta["slip_mm"])', '0.3)', "its null value changes the reading"),
