@@ -75,6 +75,19 @@ def test_parts_of_a_coarse_map_have_the_pixels_that_its_grid_has_there(pitch):
     assert np.flatnonzero(np.isnan(rest[1:])).tolist() == [fullest]
 
 
+@pytest.mark.parametrize(
+    ("lateral", "depth"),
+    [(1.3 * np.arange(-8, 9), 2.0 * np.arange(1, 8)), (1.6 * np.arange(15) - 20.0, 2.5 * np.arange(1, 20)),
+     (1.2 * np.arange(-9, 10), 2.5 * np.arange(14))],
+)  # fmt: skip
+def test_no_part_of_a_whole_map_is_lost_where_pixels_lie_on_a_border_or_begin_at_the_face(lateral, depth):
+    """Nor does it matter on which side of the border rounding puts them: mirrored it is the same."""
+    x, z = (each.ravel() for each in np.meshgrid(lateral, depth))
+    for sign in (1.0, -1.0):
+        swe = SweMap(sign * x, z, np.full(len(x), 2.0))
+        assert np.isfinite(Windows.of_maps([swe]).log_means(swe)[0]).all()
+
+
 @pytest.mark.parametrize(("rows", "there"), [(4, True), (3, True), (2, False), (1, False)])
 def test_parts_of_which_bone_hides_half_count_for_nothing(rows, there):
     """As the probe goes in, the map ends sooner: no pixel anywhere of the rows in the bone."""
