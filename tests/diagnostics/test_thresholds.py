@@ -12,6 +12,7 @@ PACKAGE = Path(thresholds.__file__).parent
 NUMERICAL = {
     *("RCOND", "_INVISIBLE", "_RANK", "_WAVES", "_DEGREE", "_LEAST_NU", "_PLACES", "_REFINED", "_FAR"),
     *("TAILS", "EXCESS", "USUAL_M", "LN_M_DEVIATION", "_MOST_COMPARED", "_EXACT", "_KEPT_BYTES", "_BETWEEN"),
+    "_SAME",
 }
 
 
