@@ -10,12 +10,20 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from limbcli.diagnostics.conclusions.next_measurement import NextStep, best_step, rank_proposals, useful_steps
+from limbcli.diagnostics.conclusions.account import Account
+from limbcli.diagnostics.conclusions.next_measurement import (
+    NextStep,
+    best_step,
+    rank_proposals,
+    separation,
+    useful_steps,
+)
 from limbcli.diagnostics.conclusions.sentences import sentences
 from limbcli.diagnostics.engine import _Run, diagnose
 from limbcli.diagnostics.model.estimates import Reported
 from limbcli.diagnostics.model.forward_model import Fitted, Proposal
 from limbcli.diagnostics.model.linear import Whitener
+from limbcli.diagnostics.selection.baseline_fit import BaselineFit
 from limbcli.diagnostics.selection.candidates import Candidates, closes_gross
 from tests.diagnostics import toy
 
@@ -435,6 +443,21 @@ def test_all_that_is_significant_must_be_effects_that_gain_too_little(overall, o
     run.family = SimpleNamespace(overall=SimpleNamespace(p_adjusted=overall), tests=tests)
     single = SimpleNamespace(explanation=("a",), state=SimpleNamespace(chi2=100.0 - gained))
     assert run._is_borne_out_by_none([single]) is nothing
+
+
+@pytest.mark.parametrize("source", ["assumed", "repeats"])
+def test_a_next_measurement_is_weighed_beside_data_as_sure_as_they_scatter(rng, source):
+    """Their noise was taken three times too small: they tell two explanations apart by as much less."""
+    case = toy.make(rng, {"toe": 12.0}, source=source, stated=1 / 3)
+    baseline = BaselineFit(case, case.fit((), {}), seed=7, n_draws=300)
+    fits = [case.fit((name,), {}) for name in ("toe", "hump")]
+    kept = [SimpleNamespace(fitted=each, state=baseline.linearised(each)) for each in fits]
+    steps = Account(baseline).next_steps(kept, {})
+    best = kept[0].state
+    assert baseline.is_relative(best)
+    expected = separation(*fits, baseline.whiten) / np.sqrt(best.chi2 / best.nu)
+    assert best.chi2 > 4 * best.nu
+    assert [each.distance_before for each in steps] == pytest.approx([expected] * 2)
 
 
 def test_what_a_refit_bears_out_is_the_same_whatever_level_was_assumed_of_noise_of_unknown_level():

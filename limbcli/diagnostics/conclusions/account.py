@@ -13,7 +13,7 @@ from limbcli.diagnostics.conclusions.next_measurement import NextStep, rank_prop
 from limbcli.diagnostics.conclusions.verdict import Shrink
 from limbcli.diagnostics.model.estimates import Reported
 from limbcli.diagnostics.model.forward_model import Facts, Fitted
-from limbcli.diagnostics.model.linear import LinearFit
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
 from limbcli.diagnostics.selection.baseline_fit import BaselineFit
 from limbcli.diagnostics.selection.confidence_set import Refit
 from limbcli.diagnostics.selection.gap_closure import Closing
@@ -124,16 +124,19 @@ class Account:
         return tuple(sorted(spots, key=lambda spot: -spot.detectable_times_typical))
 
     def next_steps(self, kept: Sequence[Refit], not_evaluated: dict[str, str]) -> tuple[NextStep, ...]:
-        """Measurements that would tell the members of the set apart."""
+        """Measurements that would tell the members of the set apart, those that there are being as sure as
+        their scatter about the best member says, where the noise's level is not known."""
         if len(kept) < 2:
             return ()
-        fits = [refit.fitted for refit in sorted(kept, key=lambda refit: refit.state.chi2)[:_MOST_COMPARED]]
+        best, *_ = members = sorted(kept, key=lambda refit: refit.state.chi2)[:_MOST_COMPARED]
+        fits = [refit.fitted for refit in members]
         try:
             proposals = self.baseline.forward_model.proposals(fits)
         except LimbError as error:
             not_evaluated["next measurement"] = error.what
             return ()
-        return tuple(rank_proposals(fits, proposals, self.baseline.whiten))
+        whiten = Whitener(np.sqrt(self._scale(best.state)) * self.baseline.whiten.factor)
+        return tuple(rank_proposals(fits, proposals, whiten))
 
     def angles(self, kept: Sequence[Refit]) -> dict[str, float]:
         """Cosines between what the members of the set do to the data, the fitted parameters aside."""
