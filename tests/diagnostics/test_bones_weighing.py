@@ -90,6 +90,15 @@ def test_nothing_is_said_of_a_next_measurement_where_none_was_compared():
     assert not any("Next measurement" in each for each in sentences(replace(told, not_evaluated={})))
 
 
+@pytest.mark.parametrize(
+    ("effects", "words"), [(TILT, "one missing effect explains"), (PAIR, "two missing effects explain")]
+)
+def test_the_verdict_says_how_many_effects_it_names(effects, words):
+    for more in ((), ((*effects, "friction"),)):
+        told = replace(found("named", effects, *more), not_evaluated={})
+        assert sentences(told)[0].startswith(f"NAMED: {words} the gap")
+
+
 def test_what_explains_nothing_adds_nothing():
     ours = found("named", TILT)
     assert told_together(ours, found("unexplained", PAIR), "x") is ours

@@ -42,7 +42,9 @@ def _verdict(found: Diagnosis) -> str:
     alone = len(found.confidence_set) == 1
     if found.verdict == "ambiguous" and alone:
         return _ALONE
-    return _AND_MORE if found.verdict == "named" and not alone else _WORDS[found.verdict]
+    text = _AND_MORE if found.verdict == "named" and not alone else _WORDS[found.verdict]
+    several = len(found.chosen) > 1
+    return text.replace("one missing effect explains", "two missing effects explain") if several else text
 
 
 def _fit(found: Diagnosis) -> str:
