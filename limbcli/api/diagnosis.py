@@ -29,7 +29,7 @@ class DiagnosisResult(Result):
     reason : why, as a sentence
     added : the effects that were added to the model
     confidence_set : every explanation that fits, each a tuple of effects
-    gap_closed : share of the gap that they close; None where nothing was added
+    gap_closed : whether they close the gap; False where nothing was added
     sentences : the whole account, to be read from top to bottom
     next_measurement : what to measure next; None where nothing is proposed
     """
@@ -39,7 +39,7 @@ class DiagnosisResult(Result):
     reason: str
     added: tuple[str, ...]
     confidence_set: tuple[tuple[str, ...], ...]
-    gap_closed: float | None
+    gap_closed: bool
     sentences: tuple[str, ...]
     next_measurement: str | None
 

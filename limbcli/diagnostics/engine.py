@@ -29,6 +29,7 @@ from limbcli.diagnostics.selection.refits import Refits
 from limbcli.diagnostics.statistical_tests.localisation_tests import PREFIX
 from limbcli.diagnostics.statistical_tests.multiple_testing import Family, Tested
 from limbcli.diagnostics.statistical_tests.score import Trial
+from limbcli.interval_limits import noise_scale
 from limbcli.progress import SILENT, Progress
 
 
@@ -269,21 +270,29 @@ class _Run:
 
     def _borne_out(self, found: Tested, refit: Refit) -> float:
         """Adjusted p of a first-order score, or of the gain of the refit where that is less: along the tail
-        of chi2, of as many tests."""
-        gain = self.baseline.state.chi2 - refit.state.chi2 + thresholds.SLACK
-        promised, n = found.score.statistic, max(len(found.score.direction.names), 1)
+        of chi2, of as many tests.
+
+        In units of the scatter that stays, where the noise's level is not known.
+        """
+        unit = self._scatter(refit) if self.baseline.relative else 1.0
+        gain = (self.baseline.state.chi2 - refit.state.chi2) / unit + thresholds.SLACK
+        promised, n = found.score.statistic / unit, max(len(found.score.direction.names), 1)
         if gain >= promised:
             return found.p_adjusted
         times = np.exp(chi2_distribution.logsf(max(gain, 0.0), n) - chi2_distribution.logsf(promised, n))
         return float(-np.expm1(times * np.log1p(-min(found.p_adjusted, 1.0 - 1e-12))))
+
+    @staticmethod
+    def _scatter(refit: Refit) -> float:
+        """By how much the variance that stays is larger than stated; at least 1."""
+        return noise_scale(refit.state.chi2, refit.state.nu)
 
     def _gain_p(self, refit: Refit) -> float:
         """That a refit of any candidate gains as much by chance.
 
         Likelihood ratio, in units of the scatter that stays, of as many tests as there are grid points.
         """
-        before, after = self.baseline.state, refit.state
-        gain = (before.chi2 - after.chi2) / max(after.chi2 / max(after.nu, 1), 1.0)
+        gain = (self.baseline.state.chi2 - refit.state.chi2) / self._scatter(refit)
         trials = self.refits.trials.values() if self.refits else ()
         n_tests = max(sum(len(trial.directions) for trial in trials), 1)
         p = float(chi2_distribution.sf(max(gain, 0.0), max(len(refit.fitted.effect_names), 1)))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib.util
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from traceback import extract_tb
@@ -28,10 +28,10 @@ _FIX = (
 )
 
 
-def effect_of_file(path: Path, known: tuple[str, ...]) -> Effect:
+def effect_of_file(path: Path, known: Sequence[Effect]) -> Effect:
     """The `EFFECT` of a Python file.
 
-    known : names that are taken
+    known : effects whose names, and those of their parameters, are taken
 
     Raises
     ------
@@ -64,11 +64,11 @@ def _run(path: Path) -> ModuleType:
     return module
 
 
-def _wrong(effect: Effect, known: tuple[str, ...]) -> Iterator[tuple[str, str]]:
+def _wrong(effect: Effect, known: Sequence[Effect]) -> Iterator[tuple[str, str]]:
     """(what, what to do) of everything that stands in the way."""
     if not isinstance(effect.name, str) or not re.fullmatch(r"[\w-]+", effect.name):
         yield f"its name is {effect.name!r}", "name it with letters, digits, '-' and '_' only"
-    if effect.name in known:
+    if effect.name in {each.name for each in known}:
         yield f"there is an effect {effect.name!r} already", "give it another name"
     if effect.kind not in _KINDS:
         yield f"its kind is {effect.kind!r}", f"give one of {', '.join(map(repr, _KINDS))}"
@@ -82,6 +82,14 @@ def _wrong(effect: Effect, known: tuple[str, ...]) -> Iterator[tuple[str, str]]:
                 yield what, "let low and high hold null, start and typical"
         if p.start == p.null and not p.shape:
             yield f"start of {p.name} is its null, {p.null:g}", "let a fit begin where the effect is there"
+        if p.typical == p.null and not p.shape:
+            yield (
+                f"typical of {p.name} is its null, {p.null:g}",
+                "give a size that is plausible if it is there",
+            )
+        taken = [each.name for each in known if p.name in {other.name for other in each.parameters}]
+        if taken:
+            yield f"{taken[0]!r} has a parameter {p.name} already", "give that of the file another name"
     if not effect.parameters:
         yield "it has no parameters", "give it one: Effect(..., parameters=(Parameter(...),))"
     if effect.apply is same_model and effect.observe is same_reading and effect.stiffness is None:

@@ -167,7 +167,7 @@ def load_effect(path: Path) -> Effect:
     CaseError
         If the file cannot be run, or holds no effect that can be tried.
     """
-    return effect_of_file(path, tuple(each.name for each in EFFECTS))
+    return effect_of_file(path, EFFECTS)
 
 
 class _Diagnosed:
@@ -302,8 +302,7 @@ class _Diagnosed:
             writer.data.update(mine.notes.data)
             writer.data.update(content)
             writer.data["n_solves"] = mine.simulations.n_solves
-            writer.summary.extend(content["sentences"][:10])
-            writer.summary.extend(repeated["sentences"] if repeated else ())
+            writer.summary.extend(content["sentences"])
             gap_picture(found, [each.curves.site for each in all_], writer.file("gap", "gap.png"))
             candidates_picture(found, writer.file("candidates", "candidates.png"))
             sizes_picture(found, sizes_of(forward_model, mine.curves.site), writer.file("sizes", "sizes.png"))

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from limbcli.diagnostics.conclusions.sentences import sentences
 from limbcli.diagnostics.conclusions.verdict import Diagnosis, Shrink
 from limbcli.diagnostics.model.estimates import Reported
 from limbcli.diagnostics.model.forward_model import Explanation, Fitted
@@ -80,6 +82,21 @@ def test_either_limb_gives_all_that_fits_and_c_and_m_of_any():
     assert told.shrink[0].estimates.intervals["m"] == (1.2, 1.8)
     same_pair = told_together(found("ambiguous", PAIR), found("ambiguous", ("fat", "preload")), "x")
     assert same_pair.confidence_set == (PAIR,)
+
+
+def test_nothing_is_said_of_a_next_measurement_where_none_was_compared():
+    told = told_together(found("named", TILT), found("named", ("preload",)), "without bone_2")
+    assert len(told.confidence_set) == 2
+    assert not any("Next measurement" in each for each in sentences(replace(told, not_evaluated={})))
+
+
+@pytest.mark.parametrize(
+    ("effects", "words"), [(TILT, "one missing effect explains"), (PAIR, "two missing effects explain")]
+)
+def test_the_verdict_says_how_many_effects_it_names(effects, words):
+    for more in ((), ((*effects, "friction"),)):
+        told = replace(found("named", effects, *more), not_evaluated={})
+        assert sentences(told)[0].startswith(f"NAMED: {words} the gap")
 
 
 def test_what_explains_nothing_adds_nothing():

@@ -10,12 +10,20 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from limbcli.diagnostics.conclusions.next_measurement import NextStep, best_step, rank_proposals, useful_steps
+from limbcli.diagnostics.conclusions.account import Account
+from limbcli.diagnostics.conclusions.next_measurement import (
+    NextStep,
+    best_step,
+    rank_proposals,
+    separation,
+    useful_steps,
+)
 from limbcli.diagnostics.conclusions.sentences import sentences
 from limbcli.diagnostics.engine import _Run, diagnose
 from limbcli.diagnostics.model.estimates import Reported
 from limbcli.diagnostics.model.forward_model import Fitted, Proposal
 from limbcli.diagnostics.model.linear import Whitener
+from limbcli.diagnostics.selection.baseline_fit import BaselineFit
 from limbcli.diagnostics.selection.candidates import Candidates, closes_gross
 from tests.diagnostics import toy
 
@@ -291,7 +299,7 @@ def judged(p_adjusted, statistic, n_parameters=1):
 def test_a_refit_that_gains_much_needs_no_score_of_its_own(before, after, gap, speaks, needed):
     """Its score was not significant at the fit without effects, where sensitivities may tell little; nor does
     one that fits as well as the best."""
-    baseline = SimpleNamespace(state=SimpleNamespace(nu=10, chi2=before))
+    baseline = SimpleNamespace(state=SimpleNamespace(nu=10, chi2=before), relative=False)
     run = _Run(baseline, 3, False)
     run.family = SimpleNamespace(of=lambda name: judged(0.5, 0.0))
     run.refits = SimpleNamespace(trials={"all": SimpleNamespace(directions=[None] * 40)})
@@ -379,7 +387,7 @@ def test_no_name_for_what_one_site_in_twenty_with_nothing_missing_shows(
     monkeypatch, p, after, several, named
 ):
     """Its own evidence is that of chance, and its refit tells no more; two effects were each needed."""
-    run = _Run(SimpleNamespace(state=SimpleNamespace(nu=100, chi2=100.0)), 3, False)
+    run = _Run(SimpleNamespace(state=SimpleNamespace(nu=100, chi2=100.0), relative=False), 3, False)
     run.family = SimpleNamespace(of=lambda name: judged(p, 5.0))
     run.refits = SimpleNamespace(trials={"all": SimpleNamespace(directions=[None] * 40)}, known={})
     monkeypatch.setattr("limbcli.diagnostics.engine.Closing.is_closed", lambda self, refit: True)
@@ -397,7 +405,7 @@ def test_no_name_for_what_one_site_in_twenty_with_nothing_missing_shows(
 )
 def test_a_score_is_evidence_as_far_as_the_refit_bears_it_out(gained, p):
     """Two parameters: the tail of chi2 falls by e every 2; the first order promised 15.2."""
-    run = _Run(SimpleNamespace(state=SimpleNamespace(nu=100, chi2=100.0)), 3, False)
+    run = _Run(SimpleNamespace(state=SimpleNamespace(nu=100, chi2=100.0), relative=False), 3, False)
     run.family = SimpleNamespace(of=lambda name: judged(0.0088, 15.2, n_parameters=2))
     run.refits = SimpleNamespace(trials={"all": SimpleNamespace(directions=[None] * 400)}, known={})
     refit = SimpleNamespace(
@@ -427,7 +435,7 @@ def test_what_no_refit_bears_out_is_not_found(seed):
      (0.5, ["not refitted"], 5.0, False)],
 )  # fmt: skip
 def test_all_that_is_significant_must_be_effects_that_gain_too_little(overall, others, gained, nothing):
-    run = _Run(SimpleNamespace(state=SimpleNamespace(nu=100, chi2=100.0)), 3, False)
+    run = _Run(SimpleNamespace(state=SimpleNamespace(nu=100, chi2=100.0), relative=False), 3, False)
     names = ["a", *others, "far from it"]
     tests = [judged(p, 10.0) for p in [0.03] * (1 + len(others)) + [0.7]]
     for name, each in zip(names, tests, strict=True):
@@ -435,6 +443,33 @@ def test_all_that_is_significant_must_be_effects_that_gain_too_little(overall, o
     run.family = SimpleNamespace(overall=SimpleNamespace(p_adjusted=overall), tests=tests)
     single = SimpleNamespace(explanation=("a",), state=SimpleNamespace(chi2=100.0 - gained))
     assert run._is_borne_out_by_none([single]) is nothing
+
+
+@pytest.mark.parametrize("source", ["assumed", "repeats"])
+def test_a_next_measurement_is_weighed_beside_data_as_sure_as_they_scatter(rng, source):
+    """Their noise was taken three times too small: they tell two explanations apart by as much less."""
+    case = toy.make(rng, {"toe": 12.0}, source=source, stated=1 / 3)
+    baseline = BaselineFit(case, case.fit((), {}), seed=7, n_draws=300)
+    fits = [case.fit((name,), {}) for name in ("toe", "hump")]
+    kept = [SimpleNamespace(fitted=each, state=baseline.linearised(each)) for each in fits]
+    steps = Account(baseline).next_steps(kept, {})
+    best = kept[0].state
+    assert baseline.is_relative(best)
+    expected = separation(*fits, baseline.whiten) / np.sqrt(best.chi2 / best.nu)
+    assert best.chi2 > 4 * best.nu
+    assert [each.distance_before for each in steps] == pytest.approx([expected] * 2)
+
+
+def test_what_a_refit_bears_out_is_the_same_whatever_level_was_assumed_of_noise_of_unknown_level():
+    """The refit leaves as much as its noise says, or, with deviations taken three times too small, nine times
+    as much: of a promise of 10 it gains 8 either way."""
+    found = []
+    for times in (1.0, 9.0):
+        baseline = SimpleNamespace(state=SimpleNamespace(nu=100, chi2=107.0 * times), relative=True)
+        refit = SimpleNamespace(explanation=("a",), state=SimpleNamespace(nu=99, chi2=99.0 * times))
+        found.append(_Run(baseline, 3, False)._borne_out(judged(0.01, 10.0 * times), refit))
+    assert found[1] == pytest.approx(found[0])
+    assert found[0] < 0.05
 
 
 @pytest.mark.parametrize(("told", "named"), [(20.0, False), (19.0, False), (12.0, True)])

@@ -70,6 +70,15 @@ def test_an_interval_that_ends_where_the_search_ends_is_open():
     assert told.within({"c_kpa": (0.0, 1e60)}).open == ("m below",)
 
 
+@pytest.mark.parametrize("short", [0.0, 1e-6, 5e-4])
+@pytest.mark.parametrize(("bound", "beyond", "is_open"), [(20.0, 25.0, "m above"), (1.0, 0.9, "m below")])
+def test_an_interval_is_open_where_a_fit_ended_just_short_of_its_bound(short, bound, beyond, is_open):
+    start = bound * np.exp(-short if beyond > bound else short)
+    found = estimates(lambda x: 20.0 * (x - np.log(beyond)) ** 2, start=start)
+    assert found.open == (is_open,)
+    assert bound in found.intervals["m"]
+
+
 def test_a_wider_interval_has_its_ends_as_much_farther_from_the_value():
     told = Reported({"c_kpa": 8.0, "m": 4.0, "tilt_deg": 5.0}, {},
                     {"c_kpa": (4.0, 16.0), "m": (4.0, 19.0), "tilt_deg": (3.0, 7.0)})  # fmt: skip

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from limbcli.diagnostics.conclusions.account import Account
 from limbcli.diagnostics.model.forward_model import Data, Fitted
 from limbcli.diagnostics.model.noise import Noise, NoisePart
+from limbcli.diagnostics.selection.baseline_fit import BaselineFit
 from limbcli.diagnostics.statistical_tests.heldout import fell, held_out_error, over_shared
 
 N = 30  # data in each of two blocks, of deviation 1
@@ -42,6 +45,16 @@ def test_a_block_that_tells_a_parameter_itself_says_nothing_of_the_model(rng, gr
     found = held_out_error(told, fitted(told, column))
     assert ("first" in found) == tested
     assert "second" in found
+
+
+def test_a_part_is_not_told_to_be_predicted_by_a_rest_that_does_not_tell_a_parameter(rng):
+    """The second half does not depend on the first parameter: what it predicts of the first is anything."""
+    told = data(rng)
+    told = replace(told, groups=told.blocks)
+    alone, shared = np.where(told.groups["first"], np.arange(2.0 * N), 1e-12), np.ones(2 * N)
+    model = fitted(told, np.stack([alone, shared], axis=1))
+    account = Account(BaselineFit(SimpleNamespace(data=told), model, seed=7, n_draws=10))
+    assert set(account.held_out_z()) == {"second"}
 
 
 def test_an_error_that_the_rest_shows_is_not_held_against_the_model(rng):

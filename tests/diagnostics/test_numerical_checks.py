@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from limbcli.case import StatedNoise
 from limbcli.effects.curves import Curves, continued, log_force_at
 from limbcli.measurement.indentation import Levels
 from limbcli.stages.diagnosis.curves.site_simulations import FIRST_M
@@ -14,7 +17,6 @@ from limbcli.stages.diagnosis.forward_model.changes import filled
 from limbcli.stages.diagnosis.mesh_error.numerical_checks import (
     Intervention,
     NumericalChecks,
-    measured_slope,
     too_doubtful,
 )
 
@@ -29,15 +31,21 @@ def test_force_between_and_beyond_solved_depths_is_that_of_a_power_of_depth():
     assert np.exp(log_force_at(curve(1.4), at)) == pytest.approx(0.7 * at**1.4, rel=1e-9)
 
 
-def test_measured_slope_is_that_of_the_loading_and_nothing_while_depth_falls():
-    depth = np.array([0.0, 2.0, 4.0, 6.0, 4.0, 2.0])
-    n = len(depth)
-    nan, one = np.full(n, np.nan), np.ones(n)
-    found = Levels(
-        2.0 * depth, depth, nan, nan, nan, ("load",) * 4 + ("unload",) * 2, one, nan, nan, Path("x")
-    )
-    assert measured_slope(found)[:3] == pytest.approx(2.0, rel=1e-3)
-    assert measured_slope(found)[4:] == pytest.approx(0.0)
+def test_levels_on_the_way_back_err_by_their_depth_as_those_on_the_way_do():
+    """So that 3 % of the force are as many deviations whether the way back was read or not."""
+    up = np.linspace(0.0, 20.0, 11)
+    stiffer = replace(curve(1.4), force=1.03 * curve(1.4).force)
+    sizes = []
+    for force in (up, np.r_[up, up[-2::-1]]):
+        n = len(force)
+        nan, phase = np.full(n, np.nan), ("load",) * 11 + ("unload",) * (n - 11)
+        depth = 3.0 * np.log1p(force / 2.0)
+        found = Levels(force, depth, nan, nan, nan, phase, np.ones(n), nan, nan, Path("x"))
+        site = SimpleNamespace(noise=StatedNoise(force=0.1, depth=0.3))
+        checks = NumericalChecks(None, site, found, None, out=Path(), size=5.0, notes=None, progress=None)
+        sizes.append(checks._judged("crop", curve(1.4), stiffer, "").deviations)
+    assert sizes[1] == pytest.approx(sizes[0], rel=1e-3)
+    assert sizes[0] == pytest.approx(np.log(1.03) * 20.0 / np.hypot(0.1, 0.3 * 22.0 / 3.0), rel=0.02)
 
 
 def test_gaps_are_closed_by_the_nearest_depth_but_too_many_are_not():

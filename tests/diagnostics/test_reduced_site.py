@@ -81,6 +81,16 @@ def test_three_levels_with_speeds_can_be_tested(rng):
     assert not found.not_evaluated
 
 
+def test_nothing_is_said_to_be_seen_where_nothing_was_tested(rng):
+    """Three forces and no speed, for c and m: no part and no effect was looked at."""
+    few = replace(levels(rng, n_levels=3), swe_mean_m_per_s=np.full(3, np.nan))
+    found = diagnose(bench(few, names=("force-zero",)), n_draws=300)
+    assert found.verdict == "untestable"
+    lines = " ".join(sentences(found))
+    assert "Where" not in lines
+    assert "unseen" not in lines
+
+
 @pytest.mark.parametrize("touches", [0.0, 1.0])
 def test_depths_off_by_a_constant_are_found_whether_level_0_is_among_them_or_at_first_touch(rng, touches):
     curves, _, protocol = reduced.truth(simulations=true_simulations())

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from limbcli.case import StatedNoise
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
+from limbcli.diagnostics.statistical_tests.roughness import roughness
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Protocol, Reading
 from limbcli.measurement.elastography import SweMap
@@ -73,6 +75,19 @@ def test_parts_of_a_coarse_map_have_the_pixels_that_its_grid_has_there(pitch):
     assert np.flatnonzero(np.isnan(rest[1:])).tolist() == [fullest]
 
 
+@pytest.mark.parametrize(
+    ("lateral", "depth"),
+    [(1.3 * np.arange(-8, 9), 2.0 * np.arange(1, 8)), (1.6 * np.arange(15) - 20.0, 2.5 * np.arange(1, 20)),
+     (1.2 * np.arange(-9, 10), 2.5 * np.arange(14))],
+)  # fmt: skip
+def test_no_part_of_a_whole_map_is_lost_where_pixels_lie_on_a_border_or_begin_at_the_face(lateral, depth):
+    """Nor does it matter on which side of the border rounding puts them: mirrored it is the same."""
+    x, z = (each.ravel() for each in np.meshgrid(lateral, depth))
+    for sign in (1.0, -1.0):
+        swe = SweMap(sign * x, z, np.full(len(x), 2.0))
+        assert np.isfinite(Windows.of_maps([swe]).log_means(swe)[0]).all()
+
+
 @pytest.mark.parametrize(("rows", "there"), [(4, True), (3, True), (2, False), (1, False)])
 def test_parts_of_which_bone_hides_half_count_for_nothing(rows, there):
     """As the probe goes in, the map ends sooner: no pixel anywhere of the rows in the bone."""
@@ -122,6 +137,19 @@ def test_channels_are_those_measured():
     assert rich.data.y[[row.channel == "map" for row in rich.rows]] == pytest.approx(np.log(2.0))
     assert {"speed maps, deep middle", "speed maps, first third of the levels"} <= set(rich.data.groups)
     assert np.linalg.eigvalsh(rich.data.noise.covariance).min() > 0
+
+
+def test_a_force_that_falls_less_late_in_a_hold_than_early_is_no_scatter():
+    """Each hold gives two numbers, and only those of a kind go on evenly from hold to hold."""
+    windows = np.zeros((16, 2, 2), dtype=np.int64)
+    falls = np.tile([0.2, 0.1], 8)
+    held = HeldForces(np.linspace(0, 9, 40), windows, falls, np.full(16, 0.01))
+    data = site_data("p1", levels(), StatedNoise(), windows=Windows(), held=held).data
+    whiten = Whitener.of(data.noise.covariance)
+    off = np.where([channel == "hold" for channel in data.channel], data.y, 0.0)
+    state = LinearFit.of(whiten(off), np.zeros((len(data), 0)))
+    found = roughness(state, whiten, series=data.all_series(), order=data.order)
+    assert found.ratio == pytest.approx(0.0, abs=1e-9)
 
 
 def test_assumed_noise_is_recognised_and_known_noise_is_not():

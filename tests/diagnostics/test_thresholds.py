@@ -12,6 +12,7 @@ PACKAGE = Path(thresholds.__file__).parent
 NUMERICAL = {
     *("RCOND", "_INVISIBLE", "_RANK", "_WAVES", "_DEGREE", "_LEAST_NU", "_PLACES", "_REFINED", "_FAR"),
     *("TAILS", "EXCESS", "USUAL_M", "LN_M_DEVIATION", "_MOST_COMPARED", "_EXACT", "_KEPT_BYTES", "_BETWEEN"),
+    "_SAME",
 }
 
 
@@ -58,3 +59,12 @@ def test_the_table_is_used_whole():
     text = "".join(p.read_text(encoding="utf-8") for p in PACKAGE.parent.rglob("*.py"))
     unused = [name for name in vars(thresholds) if name.isupper() and f"thresholds.{name}" not in text]
     assert not unused
+
+
+def test_the_method_page_says_what_speaks_for_other_bones():
+    page = (PACKAGE.parents[1] / "docs" / "method.md").read_text(encoding="utf-8")
+    seen, misplaced = thresholds.BONES_SEEN, thresholds.BONES_MISPLACED
+    told = (
+        f"lower by {seen:g} speaks against a bone that was seen, by {misplaced:g} for bones put back, and by"
+    )
+    assert f"{told} {thresholds.BONES_REMESHED:g} a reading more" in " ".join(page.split())

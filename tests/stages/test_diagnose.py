@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,8 +15,9 @@ from limbcli.effects.reading import Protocol, Reading, read
 from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
 from limbcli.model_io import save_model
+from limbcli.progress import SILENT
 from limbcli.results import open_stage
-from limbcli.stages.diagnose import DiagnoseOptions, chosen_effects, diagnose, load_effect
+from limbcli.stages.diagnose import DiagnoseOptions, _Diagnosed, chosen_effects, diagnose, load_effect
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from tests.stages import block_case as block
 
@@ -51,6 +53,8 @@ def test_a_users_effect_is_one_file(tmp_path):
         ('Effect("slip"', 'Effect("tilt"', "there is an effect 'tilt' already"),
         ('"measurement"', '"numerical"', "its kind is 'numerical'"),
         ("low=0.0", "low=0.1", "null of slip_mm is 0, outside of its bounds"),
+        ("typical=0.5", "typical=0.0", "typical of slip_mm is its null, 0"),
+        ("slip_mm", "depth_zero_mm", "'depth-zero' has a parameter depth_zero_mm already"),
         (", observe=observe", "", "it changes nothing"),
         ("observe=observe", "observe=observe, needs=('forces',)", "it needs 'forces'"),
         ('theta["slip_mm"])', '0.3)', "its null value changes the reading"),
@@ -133,6 +137,30 @@ def test_a_force_offset_on_the_block(tmp_path, rng):
     sizes = content["sizes_95"]["force-zero"]["f0_n"]
     assert sizes[0] < 1.2 < sizes[1]
     assert found.path("sizes").is_file()
+
+
+def test_the_command_prints_every_sentence_once(tmp_path, monkeypatch):
+    """Also those of numerical doubt, of bones and of cycles, of which there may be a dozen together."""
+    told, of_cycles = [f"sentence {k}" for k in range(11)], ["All loadings are one curve within noise."]
+    stage = "limbcli.stages.diagnose."
+    for name in ("note_earlier", "note_fibres", "gap_picture", "candidates_picture", "sizes_picture",
+                 "sizes_of", "write_diagnosed", "all_levels_of"):  # fmt: skip
+        monkeypatch.setattr(stage + name, lambda *_, **__: None)
+    monkeypatch.setattr(stage + "doubted", lambda found, bones: found)
+    monkeypatch.setattr(stage + "cycle_facts", lambda *_: {"sentences": of_cycles})
+    monkeypatch.setattr(_Diagnosed, "_content", lambda *_: {"sentences": told})
+    mine = SimpleNamespace(
+        site=SimpleNamespace(name="p1"), notes=SimpleNamespace(inputs={}, warnings=[], data={}),
+        simulations=SimpleNamespace(in_part={}, n_solves=0), interventions=[],
+        curves=SimpleNamespace(changes=SimpleNamespace(not_simulated={}), site=None),
+    )  # fmt: skip
+    place = SimpleNamespace(
+        forward_model=SimpleNamespace(not_simulated=set()), prepared=[mine], bones=[], problems=[], out=None
+    )
+    case = SimpleNamespace(subject="B1")
+    asked = _Diagnosed(case, [mine.site], tmp_path, (), DiagnoseOptions(), None, SILENT)
+    result = asked._leave(None, place, 0)
+    assert list(result.summary) == result.data["sentences"] == [*told, *of_cycles]
 
 
 def test_without_segment_it_says_so_and_leaves_nothing(tmp_path):

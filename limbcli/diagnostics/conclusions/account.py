@@ -13,12 +13,16 @@ from limbcli.diagnostics.conclusions.next_measurement import NextStep, rank_prop
 from limbcli.diagnostics.conclusions.verdict import Shrink
 from limbcli.diagnostics.model.estimates import Reported
 from limbcli.diagnostics.model.forward_model import Facts, Fitted
-from limbcli.diagnostics.model.linear import LinearFit
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
 from limbcli.diagnostics.selection.baseline_fit import BaselineFit
 from limbcli.diagnostics.selection.confidence_set import Refit
 from limbcli.diagnostics.selection.gap_closure import Closing
 from limbcli.diagnostics.selection.refits import Refits
-from limbcli.diagnostics.statistical_tests.heldout import held_out_error, over_shared
+from limbcli.diagnostics.statistical_tests.heldout import (
+    held_out_error,
+    over_shared,
+    told_by_the_rest,
+)
 from limbcli.diagnostics.statistical_tests.localisation_tests import predicted_without
 from limbcli.diagnostics.statistical_tests.multiple_testing import Family
 from limbcli.diagnostics.statistical_tests.score import Trial
@@ -120,16 +124,19 @@ class Account:
         return tuple(sorted(spots, key=lambda spot: -spot.detectable_times_typical))
 
     def next_steps(self, kept: Sequence[Refit], not_evaluated: dict[str, str]) -> tuple[NextStep, ...]:
-        """Measurements that would tell the members of the set apart."""
+        """Measurements that would tell the members of the set apart, those that there are being as sure as
+        their scatter about the best member says, where the noise's level is not known."""
         if len(kept) < 2:
             return ()
-        fits = [refit.fitted for refit in sorted(kept, key=lambda refit: refit.state.chi2)[:_MOST_COMPARED]]
+        best, *_ = members = sorted(kept, key=lambda refit: refit.state.chi2)[:_MOST_COMPARED]
+        fits = [refit.fitted for refit in members]
         try:
             proposals = self.baseline.forward_model.proposals(fits)
         except LimbError as error:
             not_evaluated["next measurement"] = error.what
             return ()
-        return tuple(rank_proposals(fits, proposals, self.baseline.whiten))
+        whiten = Whitener(np.sqrt(self._scale(best.state)) * self.baseline.whiten.factor)
+        return tuple(rank_proposals(fits, proposals, whiten))
 
     def angles(self, kept: Sequence[Refit]) -> dict[str, float]:
         """Cosines between what the members of the set do to the data, the fitted parameters aside."""
@@ -146,11 +153,10 @@ class Account:
         return found
 
     def held_out_z(self) -> dict[str, tuple[float, float]]:
-        """Each part of the data predicted from the rest: (root mean square, largest) z."""
+        """Each part of the data that the rest can predict: (root mean square, largest) z."""
         data, base = self.baseline.data, self.baseline.base
         residual = data.y - base.prediction
-        found = {}
-        for name, mask in data.groups.items():
-            if 0 < mask.sum() < len(mask) - base.jacobian.shape[1]:
-                found[name] = predicted_without(residual, base.jacobian, data.noise.covariance, mask)
-        return found
+        return {
+            name: predicted_without(residual, base.jacobian, data.noise.covariance, mask)
+            for name, mask in told_by_the_rest(data.groups, base.jacobian).items()
+        }

@@ -42,7 +42,9 @@ def _verdict(found: Diagnosis) -> str:
     alone = len(found.confidence_set) == 1
     if found.verdict == "ambiguous" and alone:
         return _ALONE
-    return _AND_MORE if found.verdict == "named" and not alone else _WORDS[found.verdict]
+    text = _AND_MORE if found.verdict == "named" and not alone else _WORDS[found.verdict]
+    several = len(found.chosen) > 1
+    return text.replace("one missing effect explains", "two missing effects explain") if several else text
 
 
 def _fit(found: Diagnosis) -> str:
@@ -58,6 +60,8 @@ def _fit(found: Diagnosis) -> str:
 
 
 def _where(found: Diagnosis) -> str:
+    if not found.family.tests:
+        return ""
     if not found.flagged:
         return "Where: no part of the data stands out by itself."
     tests = {t.name.removeprefix("where: "): t.p_adjusted for t in found.family.tests}
@@ -170,8 +174,13 @@ def _shrunk(found: Diagnosis) -> str:
 
 def _blind(found: Diagnosis) -> str:
     hidden = [spot for spot in found.blind_spots if spot.matters]
+    if not found.blind_spots:
+        return ""
     if not hidden:
-        return "No effect of plausible size would stay unseen and move c or m by more than one deviation."
+        return (
+            "No effect that was tried would at plausible size stay unseen and move c or m by more than one "
+            "deviation."
+        )
     listed = []
     for spot in sorted(hidden, key=lambda s: -max(abs(v) for v in s.bias_sd.values()))[:3]:
         name, bias = max(spot.bias_sd.items(), key=lambda item: abs(item[1]))
@@ -182,7 +191,7 @@ def _blind(found: Diagnosis) -> str:
 
 
 def _next(found: Diagnosis) -> str:
-    if found.verdict != "ambiguous" or len(found.confidence_set) < 2:
+    if found.verdict != "ambiguous" or not found.next_steps:  # none: nothing was compared
         return ""
     useful = useful_steps(found.next_steps)
     if not useful:

@@ -29,6 +29,7 @@ PRIOR = f"ln m = ln {USUAL_M} with deviation {LN_M_DEVIATION} (m from 1 to 15, 9
 TISSUE = ("c_kpa", "m")
 _PLACES, _REFINED = 10, 3
 _BETWEEN = 25  # places between two that were walked, at which the profile is read
+_SAME = 1.001  # times: nearer ones are one place
 _FAR = 20.0  # deviances above the best: the walk ends there
 
 
@@ -132,10 +133,11 @@ def _walked(
 ) -> dict[float, Conditional]:
     """From the fit's own m up and down to the bounds, each place from its neighbour's values."""
     own = float(np.clip(start["m"], *bounds))
+    own = next((end for end in bounds if end / _SAME < own < end * _SAME), own)  # fits stop short of a bound
     grid = np.exp(np.linspace(np.log(bounds[0]), np.log(bounds[1]), _PLACES))
     grid[0], grid[-1] = bounds
     profile = {own: walk(own, start)}
-    for places in (grid[grid > own * 1.001], grid[grid < own / 1.001][::-1]):
+    for places in (grid[grid > own * _SAME], grid[grid < own / _SAME][::-1]):
         values = profile[own].values
         for m in places.tolist():
             profile[m] = walk(m, values)

@@ -231,7 +231,7 @@ def depth_slopes(
         if channel == "travel":
             out[members] = 1.0
         elif channel == "force":
-            out[members] = (np.maximum(force, 0.0) + smooth.unit) / smooth.rate
+            out[members] = smooth.slope(force)
         elif channel != "skin-bone" and len(np.unique(place)) >= 2:
             curve = np.polynomial.Polynomial.fit(place, y[members], 2 if len(np.unique(place)) > 4 else 1)
             out[members] = curve.deriv()(place) / smooth.rate
@@ -287,6 +287,10 @@ class SmoothDepth:
     def at(self, force: Array) -> Array:
         """mm at these forces."""
         return self.start + self.rate * self.place(force)
+
+    def slope(self, force: Array) -> Array:
+        """N/mm at these forces."""
+        return np.asarray((np.maximum(force, 0.0) + self.unit) / self.rate)
 
     def place(self, force: Array) -> Array:
         """Where forces are along the curve: ln(1 + F/unit)."""

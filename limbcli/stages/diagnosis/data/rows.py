@@ -123,10 +123,13 @@ def thickness_rows(levels: Levels, keep: IntArray) -> Stacked:
 
 
 def hold_rows(held: HeldForces | None) -> Stacked:
-    """Their deviations are told by `hold_noise`, as numbers of one hold err together."""
+    """An early and a late number of each hold: parts 0 and 1, as each of them goes on from hold to hold.
+
+    Their deviations are told by `hold_noise`, as numbers of one hold err together.
+    """
     if held is None:
         return [], [], []
-    return [Row("hold", k) for k in range(len(held))], held.y.tolist(), [0.0] * len(held)
+    return [Row("hold", k, k % 2) for k in range(len(held))], held.y.tolist(), [0.0] * len(held)
 
 
 def extra_rows(extras: Sequence[ExtraMeasurement]) -> Stacked:

@@ -23,6 +23,7 @@ _USUAL_MM, _INNER_MM = 20.0, 12.0  # half widths between which the region of a m
 _WIDTH_PARTS = 10  # the usual region's parts across: those within the inner width are whole
 _SHARE = 0.6  # of the places where a model is looked at in a part, that must lie in its tissue
 _SHARE_READ = 0.75  # of a part's pixels that must have been read: beside bone they tell of its edge, too
+_ROUNDED = 1e-6  # of a part, or a pixel: what places are rounded by
 _SUBDIVIDED = 2  # each side of a part, for the places where a model is looked at
 # A place is blurred by the scanner's smoothing along x, y and z, and over its slice along y.
 _BLUR, _BLUR_WEIGHT = (-(3.0**0.5), 0.0, 3.0**0.5), (1 / 6, 2 / 3, 1 / 6)  # in deviations: Gauss-Hermite
@@ -176,8 +177,8 @@ class Windows:
 
     def part_of(self, lateral: Array, depth: Array) -> IntArray:
         """Number of the part that pixels (n,) lie in; -1 outside the region."""
-        column = np.floor((lateral - self.left) / (self.right - self.left) * self.across).astype(np.int64)
-        row = np.floor((depth - self.top) / (self.bottom - self.top) * self.down).astype(np.int64)
+        column = _along_side(lateral, self.left, self.right, self.across)
+        row = _along_side(depth, self.top, self.bottom, self.down)
         inside = (column >= 0) & (column < self.across) & (row >= 0) & (row < self.down)
         return np.asarray(np.where(inside, row * self.across + column, -1))
 
@@ -187,8 +188,8 @@ class Windows:
 
         The grid goes on where nothing was read: rows that end in bone are missing, not coarse.
         """
-        across = _grid_per_part(self.left, self.right, self.across, pitch_of(swe.lateral))
-        down = _grid_per_part(self.top, self.bottom, self.down, pitch_of(swe.depth))
+        across = _grid_per_part(swe.lateral, self.left, self.right, self.across)
+        down = _grid_per_part(swe.depth, self.top, self.bottom, self.down)
         return np.minimum(np.outer(down, across).ravel(), counts.max(initial=0))
 
     def log_means(self, swe: SweMap) -> tuple[Array, Array]:
@@ -206,15 +207,21 @@ class Windows:
         return np.r_[whole, means], np.r_[inside.sum(), counts]
 
 
-def _grid_per_part(low: float, high: float, n_parts: int, pitch: float) -> IntArray:
-    """Places of a grid (n_parts,) in each of the parts of one side.
+def _along_side(at: Array, low: float, high: float, n_parts: int) -> IntArray:
+    """In which part of one side each place lies; one on a border in the next, however it is rounded."""
+    return np.asarray(np.floor((at - low) / (high - low) * n_parts + _ROUNDED).astype(np.int64))
 
-    >>> _grid_per_part(0.0, 15.0, 4, 2.5).tolist()
+
+def _grid_per_part(values: Array, low: float, high: float, n_parts: int) -> IntArray:
+    """Places in each of the parts of one side (n_parts,), of a grid on which these values lie.
+
+    >>> _grid_per_part(np.array([3.75, 6.25]), 0.0, 15.0, 4).tolist()
     [1, 2, 1, 2]
     """
-    at = (np.arange(max(round((high - low) / pitch), 1)) + 0.5) * pitch
-    part = np.floor(at / (high - low) * n_parts).astype(np.int64)
-    return np.bincount(np.minimum(part, n_parts - 1), minlength=n_parts)
+    pitch, nearest = pitch_of(values), float(values.min())
+    first = nearest - pitch * np.floor((nearest - low) / pitch + _ROUNDED)
+    part = _along_side(np.arange(first, high, pitch), low, high, n_parts)
+    return np.bincount(np.clip(part, 0, n_parts - 1), minlength=n_parts)
 
 
 def pitch_of(values: Array) -> float:

@@ -184,7 +184,7 @@ class NumericalChecks:
         speed = np.nan_to_num(after.log_speed - before.log_speed)
         speeds = self._at_levels(before, speed)
         noise = self.site.noise
-        slope = measured_slope(self.levels)
+        slope = SmoothDepth.through(readings(self.levels)).slope(self.levels.force)
         deviation = np.hypot(noise.force, slope * noise.depth)
         size = float(np.max(np.abs(at_levels * self.levels.force) / deviation))
         return Intervention(name, at_levels, speeds, size, note)
@@ -231,11 +231,3 @@ def smooth_depth(levels: Levels) -> Array:
         return levels.depth
     smooth = np.maximum(SmoothDepth.through(protocol).at(levels.force), 0.0)
     return np.where(np.isfinite(levels.depth), smooth, np.nan)
-
-
-def measured_slope(levels: Levels) -> Array:
-    """N/mm along the measured curve, level by level (n,); 0 where depth does not grow."""
-    apart = np.maximum.accumulate(levels.depth) + 1e-6 * np.arange(len(levels))
-    slope = np.gradient(levels.force, apart)
-    rising = np.diff(np.maximum.accumulate(levels.depth), prepend=-1.0) > 1e-3
-    return np.asarray(np.where(rising, np.nan_to_num(slope, posinf=0.0, neginf=0.0), 0.0))
