@@ -12,7 +12,7 @@ from small_models import punch
 
 from limbcli.errors import CaseError
 from limbcli.materials import ogden_type
-from limbcli.model import Curve, LimbModel, Support
+from limbcli.model import Curve, LimbModel, Material, Support
 from limbcli.solvers.session import ReferenceSession
 
 
@@ -45,3 +45,17 @@ def test_the_same_model_read_anew_with_other_materials_and_curves_is_solved() ->
     with closing(ReferenceSession(small(), threads=1)) as session:
         forces = [session.solve(each).must_points.forces[-1] for each in (None, stiffer, late)]
     assert forces[1:] == pytest.approx([2 * forces[0]] * 2, rel=1e-5)
+
+
+def test_the_penalty_of_a_relaxing_law_is_that_of_the_steps_that_are_solved() -> None:
+    """It is as stiff as the law in its first step, however long that of an earlier model was."""
+    relaxing = Material("viscoelastic", {"g1": 2.0, "t1": 0.3}, (ogden_type(c=0.005, f_kappa=5.0, m=2.0),))
+    coarse = small().with_material("tissue", relaxing)
+    fine = replace(coarse, steps=(replace(coarse.steps[0], n_steps=20, step_size=0.05),))
+    forces = []
+    for before in ((), (coarse,)):
+        with closing(ReferenceSession((*before, fine)[0], threads=1)) as session:
+            for each in before:
+                session.solve(each)
+            forces.append(session.solve(fine).must_points.forces)
+    np.testing.assert_allclose(forces[1], forces[0], rtol=1e-6)
