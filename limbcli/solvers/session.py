@@ -158,12 +158,17 @@ class ReferenceSession:
         CaseError
             If `model2` differs in more.
         SolveError
-            If a level is not reached; the session can be used further.
+            If a level is not reached, or `model2` holds what is not supported; the session can be used
+            further.
         """
+        from limbcli.fem.supported import check_supported, refuse_limp
         from limbcli.fem.warm_start import Solved, WarmStart
 
         model = model2 if model2 is not None else self.model
         check_same_set_up(self.model, model)
+        if model is not self.model:
+            check_supported(model)
+            refuse_limp(model)
         if wrt and path_dependent(model):
             return self._differenced(
                 model, wrt, weights or {}, field_gradients, records=records, required=required, last=last,

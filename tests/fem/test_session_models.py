@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from small_models import punch
 
-from limbcli.errors import CaseError
+from limbcli.errors import CaseError, SolveError
 from limbcli.materials import ogden_type
-from limbcli.model import Curve, LimbModel, Material, Support
+from limbcli.model import Curve, LimbModel, LogRecord, Material, Support
 from limbcli.solvers.session import ReferenceSession
 
 
@@ -37,6 +37,33 @@ def test_another_set_up_is_refused(what: str, change: Callable[[LimbModel], Limb
         with pytest.raises(CaseError, match=f"differs in its {what}"):
             session.solve(change(small()))
         np.testing.assert_array_equal(session.solve().must_points.forces, before)
+
+
+def with_step(model: LimbModel, **change: object) -> LimbModel:
+    return replace(model, steps=tuple(replace(each, **change) for each in model.steps))
+
+
+@pytest.mark.parametrize(
+    ("what", "change"),
+    [
+        ("does not resist deformation", lambda m: m.with_material("tissue", LIMP)),
+        ("transient analysis", lambda m: with_step(m, analysis="transient")),
+        ("arc-length", lambda m: with_step(m, control={"arc_length": 1})),
+        ("'vx' is not supported", lambda m: replace(m, records=(LogRecord("node", ("vx",), "v.csv", None),))),
+    ],
+)
+def test_what_a_session_would_not_begin_with_is_refused_later_too(
+    what: str, change: Callable[[LimbModel], LimbModel]
+) -> None:
+    """Limp tissue had given a force of -0 N, and inertia had been left out."""
+    with closing(ReferenceSession(small(), threads=1)) as session:
+        before = session.solve().must_points.forces
+        with pytest.raises(SolveError, match=what):
+            session.solve(change(small()), records=True)
+        np.testing.assert_array_equal(session.solve().must_points.forces, before)
+
+
+LIMP = Material("ogden", {"c1": -0.005, "m1": 2.0, "kappa": 0.05})
 
 
 def test_the_same_model_read_anew_with_other_materials_and_curves_is_solved() -> None:
