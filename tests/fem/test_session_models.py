@@ -63,6 +63,16 @@ def test_what_a_session_would_not_begin_with_is_refused_later_too(
         np.testing.assert_array_equal(session.solve().must_points.forces, before)
 
 
+def test_a_name_that_the_model_does_not_have_is_told_with_those_it_has() -> None:
+    with pytest.raises(SolveError, match="no rigid body 'prob'") as found:
+        ReferenceSession(small(), threads=1, body="prob")
+    assert "use one of probe" in str(found.value)
+    session = ReferenceSession(small(), threads=1)
+    with closing(session), pytest.raises(SolveError, match="no material 'skin'") as found:
+        session.solve(wrt=[("skin", "c1")])
+    assert "use one of tissue" in str(found.value)
+
+
 LIMP = Material("ogden", {"c1": -0.005, "m1": 2.0, "kappa": 0.05})
 
 
