@@ -71,7 +71,8 @@ def refuse_limp(model: LimbModel) -> None:
         if compiled.varies:
             continue
         n_cells = len(model.mesh.block(domain.block).cells)
-        stiffness = np.linalg.eigvalsh(tangents_at_rest(compiled.program(n_cells, _at_1)))
+        tangents = tangents_at_rest(compiled.program(n_cells, _at_1))
+        stiffness = np.linalg.eigvalsh(tangents) if np.isfinite(tangents).all() else np.full(1, np.nan)
         least = float(stiffness.min())
         if not least > _LEAST_STIFFNESS * stiffness.max():
             raise SolveError(

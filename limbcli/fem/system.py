@@ -98,9 +98,9 @@ class System(RigidLoads, ElementLoops):
         ]
 
     def with_materials(self, model: LimbModel) -> None:
-        """Take other material parameters on the same mesh; the penalty follows them."""
+        """Take other material parameters and steps on the same mesh; the penalty follows them."""
         fresh = make_groups(replace(model, mesh=self.model.mesh)) if self._laws_differ(model) else None
-        self.model = replace(self.model, materials=model.materials, curves=model.curves)
+        self.model = replace(self.model, materials=model.materials, curves=model.curves, steps=model.steps)
         if fresh is not None:
             self.groups = fresh
         self.at(self.start.time)

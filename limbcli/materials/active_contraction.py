@@ -30,7 +30,7 @@ def energy(p: Any, extra: int, at: Deformation) -> Any:
 
 LAW = Law(
     "active_contraction",
-    Kernel(add_contraction, energy),
+    Kernel(add_contraction, energy, works=True),
     {"T0": None},
     lambda v: [v["T0"]],
     fiber=True,

@@ -12,9 +12,14 @@ from limbcli.model import Array, IntArray
 
 
 def energy_density(operands: Any, F: Array) -> Array:
-    """Energy per reference volume (MPa) at F (n_cells, n_gauss, 3, 3) of the mesh, for the program
+    """Stored energy per reference volume (MPa) at F (n_cells, n_gauss, 3, 3) of the mesh, for the program
     in `operands` (ops, par, base); a prestrain gradient in `base` comes before F."""
-    return program_energy(operands.ops, operands.par, F @ operands.base)
+    return program_energy(stored(operands.ops), operands.par, F @ operands.base)
+
+
+def stored(ops: IntArray) -> IntArray:
+    """The leaves of a program that store energy: FEBio logs none of a muscle's work."""
+    return ops[[not kernel_of(number).works for number in ops[:, 0]]]
 
 
 def program_energy(ops: IntArray, par: Array, F: Array) -> Array:

@@ -60,12 +60,14 @@ class Kernel:
     jump : which of its numbers makes the stress jump with the deformation, where it is not 0. With `extra` 1
         such a kernel adds the slope of the jump to its tangent, which is then not symmetric.
     known_number : of the one that the loops know
+    works : its energy is work that a muscle does, not stored in the tissue
     """
 
     add: Any
     energy: Energy | None = None
     jump: int | None = None
     known_number: int | None = None
+    works: bool = False
 
     @cached_property
     def number(self) -> int:

@@ -172,7 +172,7 @@ def _leaves(material: Material, name: str, path: str) -> list[Leaf]:
     law = LAWS.get(material.law)
     if law is None:
         nested = material.law in WRAPPERS
-        what = f"the law {material.law!r} inside another law" if nested else f"the law {material.law!r}"
+        what = f"law {material.law!r} inside another law" if nested else f"law {material.law!r}"
         raise _problem(
             name,
             f"the reference solver has no {what}",

@@ -19,7 +19,13 @@ from limbcli.progress import SILENT, Progress
 from limbcli.solvers.base import Simulation, Table
 from limbcli.solvers.reference import NAME, prepare
 from limbcli.solvers.session_models import check_same_set_up
-from limbcli.solvers.session_parameters import Parameter, law_parameter, nudged, parameter_values
+from limbcli.solvers.session_parameters import (
+    Parameter,
+    check_materials,
+    law_parameter,
+    nudged,
+    parameter_values,
+)
 from limbcli.solvers.session_watch import Rows, StateObserver, is_asked, key_of
 from limbcli.version import __version__
 
@@ -89,7 +95,7 @@ class ReferenceSession:
     CaseError
         If the model holds what the reference solver does not support.
     SolveError
-        If the model has no rigid body.
+        If the model has no rigid body, or none of that name.
 
     Source: total Lagrangian elements and penalty contact, as the FEBio theory manual 4 describes them.
     """
@@ -110,7 +116,7 @@ class ReferenceSession:
         self._analysis = prepare(
             model, progress, threads=threads, linear=linear, tolerance=tolerance, stalled=stalled
         )
-        self.body = body or _contact_body(model)
+        self.body = _contact_body(model) if body is None else _named_body(model, body)
         self._warm: WarmStart | None = None
         self._other: OtherMesh | None = None
 
@@ -158,12 +164,18 @@ class ReferenceSession:
         CaseError
             If `model2` differs in more.
         SolveError
-            If a level is not reached; the session can be used further.
+            If a level is not reached, or `model2` holds what is not supported; the session can be used
+            further.
         """
+        from limbcli.fem.supported import check_supported, refuse_limp
         from limbcli.fem.warm_start import Solved, WarmStart
 
         model = model2 if model2 is not None else self.model
         check_same_set_up(self.model, model)
+        if model is not self.model:
+            check_supported(model)
+            refuse_limp(model)
+        check_materials(wrt, model)
         if wrt and path_dependent(model):
             return self._differenced(
                 model, wrt, weights or {}, field_gradients, records=records, required=required, last=last,
@@ -377,6 +389,15 @@ def path_dependent(model: LimbModel) -> bool:
     viscoelastic = any(each.is_viscoelastic for each in model.materials.values())
     by_the_way = viscoelastic or model.has_friction or any(each.augmented for each in model.contacts)
     return by_the_way or model.goes_on_from_steps
+
+
+def _named_body(model: LimbModel, name: str) -> str:
+    names = [body.name for body in model.bodies]
+    if name not in names:
+        raise SolveError(
+            f"the model has no rigid body {name!r}", where="session", fix=f"use one of {', '.join(names)}"
+        )
+    return name
 
 
 def _contact_body(model: LimbModel) -> str:

@@ -28,6 +28,17 @@ def tied_parts(name: str) -> list[tuple[str, float]]:
     return [(part, -1.0 if sign == "-" else 1.0) for sign, part in re.findall(r"([+-]?)([^+-]+)", name)]
 
 
+def check_materials(wrt: Sequence[Parameter], model: LimbModel) -> None:
+    """Refuse parameters of materials that the model does not have."""
+    for material, name in wrt:
+        if material not in model.materials:
+            raise SolveError(
+                f"the model has no material {material!r}",
+                where=f"derivative with respect to {material}.{name}",
+                fix=f"use one of {', '.join(sorted(model.materials))}",
+            )
+
+
 def law_parameter(key: Parameter, weights: Array | None, model: LimbModel) -> LawParameter | Tied | Prestrain:
     """What a key stands for; of a prestrained material "ramp" is its prestrain's, and "F0", or "F0" with any
     ending, its gradient, whose nine numbers move by `weights`."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from scipy.integrate import simpson
 from small_models import block
 
 from limbcli.errors import MeshError, SolveError
+from limbcli.feb.read import read_feb
+from limbcli.feb.records import read_records
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.equilibrium.newton import Settings
 from limbcli.fem.equilibrium.tangent import assemble
@@ -181,6 +184,22 @@ def test_loading_and_unloading_returns_the_work() -> None:
     energy = (energy_density(analysis.system.operands[0], F) * analysis.system.groups[0].weight).sum()
     assert work == pytest.approx(energy, rel=1e-4)  # Simpson's rule over 20 steps
     assert back == pytest.approx(-work, rel=1e-9)
+
+
+def test_the_energy_of_a_tensed_muscle_is_febios(golden: Path) -> None:
+    """At FEBio's displacements; what the muscle's own tension does is no energy stored in the tissue. Counted
+    as such it had been up to half of the largest."""
+    folder = golden / "effect-contraction"
+    model = read_feb(folder / "model.feb")
+    nodes, cells = (read_records(folder / name) for name in ("nodes.csv", "elements.csv"))
+    system = System(model, threads=1)
+    system.at(cells.times[-1])
+    u = np.zeros_like(system.X)
+    u[nodes.ids - 1] = nodes.values[-1, :, :3]
+    sed = cell_fields(system, replace(system.rest(), u=u), 0, ("sed",))[:, 0]
+    (record,) = (each for each in model.records if each.kind == "element")
+    expected = cells.values[-1, :, record.fields.index("sed")][: len(sed)]
+    np.testing.assert_allclose(sed, expected, atol=1e-6 * expected.max())
 
 
 def test_two_regions_in_series_share_the_load() -> None:

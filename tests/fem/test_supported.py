@@ -63,6 +63,13 @@ def test_tissue_that_does_not_resist_shear_is_refused(c: float, as_map: bool):
     )
 
 
+def test_tissue_of_a_modulus_that_is_no_number_is_refused():
+    model = punch()
+    law = model.materials["tissue"].with_parameters(c1=float("nan"))
+    with pytest.raises(SolveError, match="does not resist deformation"):
+        refuse_limp(model.with_material("tissue", law))
+
+
 def test_an_exponent_that_is_0_in_one_cell_is_refused():
     model = punch()
     (block,) = model.mesh.solid_blocks

@@ -29,7 +29,7 @@ from limbcli.fem.elements import kernels
 from limbcli.fem.elements.groups import Group, Operands
 from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
-from limbcli.materials.energy import program_energy_change
+from limbcli.materials.energy import program_energy_change, stored
 from limbcli.materials.tangent_change import tangent_change
 from limbcli.materials.tensors import VOIGT
 from limbcli.model import Array
@@ -81,7 +81,7 @@ class PointChanges:
     def d_energy(self) -> Array:
         """Change (n_cells, n_gauss) of the energy that is logged."""
         o = self.operands
-        return program_energy_change(o.ops, o.par, self.law_F, self.law_dF, self.dpar)
+        return program_energy_change(stored(o.ops), o.par, self.law_F, self.law_dF, self.dpar)
 
     @property
     def d_tangent(self) -> Array:

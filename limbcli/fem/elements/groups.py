@@ -160,7 +160,7 @@ def _group(model: LimbModel, domain: Domain, block: Block, first: int) -> Group:
     check_volumes(model, block, weight)
     cells = np.ascontiguousarray(block.cells, dtype=np.int64)
     if weight.shape[1] > LANES or cells.shape[1] > WIDTH:  # the compiled loops would write beyond their rows
-        raise NotImplementedError(f"{block.kind} with {weight.shape[1]} points")
+        raise NotImplementedError(f"{block.kind} with {cells.shape[1]} nodes and {weight.shape[1]} points")
     return Group(block.name, block.kind, first, cells, grad, weight, compiled)
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from limbcli.diagnostics.conclusions.verdict import Diagnosis
 from limbcli.effects.base import applied
-from limbcli.effects.curves import Curves
-from limbcli.effects.reading import true_depth
+from limbcli.effects.curves import Curves, force_at
+from limbcli.effects.reading import Reading, true_depth
 from limbcli.feb.settings import least_level, schedule
 from limbcli.feb.write import write_feb
 from limbcli.model import Array
@@ -46,8 +46,8 @@ def write_diagnosed(
         return
     fitted = replace(found.final, values={**found.final.values, **found.estimates.values})
     curves, reading = forward_model.curves_of(fitted, number)
-    depth = np.unique(np.round(true_depth(curves, mine.curves.site.protocol.depth, reading), 3))
-    depths = [float(d) for d in depth if d > 2 * least_level()]
+    depth = true_depth(curves, mine.curves.site.protocol.depth, reading)
+    depths = [float(d) for d in probe_depths(curves, depth, reading) if d > 2 * least_level()]
     meshed = load_model(path)
     plan = schedule(depths, start=starting_depth(meshed, depths[0]))
     c = mpa_from_kpa(fitted.values["c_kpa"])
@@ -66,9 +66,15 @@ def write_diagnosed(
             )
     write_feb(applied(model, added), writer.file("feb", "diagnosed.feb"), templates)
     warning = _contact_takes(
-        mine, curves, curves.force * mine.simulations.c / c, depths[-1], penalty, out=out
+        mine, curves, curves.force * mine.simulations.c / c, float(depth.max()), penalty, out=out
     )
     writer.warnings.extend([warning] if warning else [])
+
+
+def probe_depths(curves: Curves, depth: Array, reading: Reading) -> Array:
+    """mm (n,) rising, that the probe has to go to for depths in the tissue (mm): deeper by what limb and bone
+    give way."""
+    return np.unique(np.round(depth + reading.compliance * force_at(curves, depth), 3))
 
 
 def _contact_takes(
