@@ -11,7 +11,10 @@ Gaussian. The effective number of draws says whether the sampling can be trusted
 
 Standard errors come from the curvature of the likelihood with the prior: what complete rows would tell, less
 what is lost as their parameters are not seen. Rows of one person are not independent: where there are any,
-errors are no smaller than by the scatter of the people's own scores.
+errors are no smaller than by the scatter of the people's own scores. Few people leave more doubt than a
+Gaussian of that error has: a mean is that of Student's t for as many people less one, the upper end of a
+deviation that of chi-square. What a row takes from the mean, it takes with the mean's doubt (Morris 1983,
+J Am Stat Assoc 78:47).
 
 Source: Dempster, Laird and Rubin 1977, J R Stat Soc B 39:1; Gelman et al. 2013, Bayesian Data Analysis,
 sections 10.4 (importance sampling) and 13.6 (EM for a hierarchical model); Louis 1982, J R Stat Soc B 44:226
@@ -24,6 +27,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2, norm
+from scipy.stats import t as student_t
 
 from limbcli.model import Array
 
@@ -39,6 +44,7 @@ _STILL = 1e-3
 _STEPS, _STEPS_BETWEEN = 40, 4  # of Newton's method: at the ends, and between two rounds
 _HALVINGS = 8
 _LARGEST_STEP = 1.0
+_LOW, _HIGH = 0.025, 0.975  # of a 95 % interval
 _LEAST_TOLD = 0.01  # rows' worth of information: less is the draws' graininess
 
 
@@ -50,17 +56,37 @@ class Population:
     spread: Array
     mean_error: Array
     deviation_error: Array
+    n_people: int
     rounds: int
 
     @property
     def deviation(self) -> Array:
         return np.asarray(np.sqrt(np.diag(self.spread)))
 
+    @property
+    def mean_interval(self) -> tuple[Array, Array]:
+        """95 % interval of the means: low, high (p,)."""
+        reach = student_t.ppf(_HIGH, self.n_people - 1) * self.mean_error
+        return self.mean - reach, self.mean + reach
+
+    @property
+    def deviation_interval(self) -> tuple[Array, Array]:
+        """95 % interval of the deviations: low, high (p,).
+
+        Upwards by chi-square with as many degrees of freedom as give this error, and no fewer than the rows
+        that the prior weighs as much as; downwards by the error itself, as below the prior's deviation it is
+        the prior that holds the spread up.
+        """
+        free = np.maximum(0.5 * (self.deviation / self.deviation_error) ** 2, _PRIOR_ROWS)
+        low = self.deviation - norm.ppf(_HIGH) * self.deviation_error
+        return np.maximum(low, 0.0), self.deviation * np.sqrt(free / chi2.ppf(_LOW, free))
+
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Of every row: posterior mean and deviation (n, p), 95 % interval low and high (n, p), the mode (n, p),
-    effective draws (n,), and how much of the population's variance was left unlearnt (n, p), 0 to 1.
+    """Of every row: posterior mean and deviation under the population found (n, p), low and high of the 95 %
+    interval with the doubt of the population's mean (n, p), the mode (n, p), effective draws (n,), and how
+    much of the population's variance was left unlearnt (n, p), 0 to 1.
 
     misfit (n,): distance of the readings from those of the population's middle, squared, in deviations of
     both population and noise; as many degrees of freedom as readings.
@@ -127,9 +153,9 @@ def estimate_population(
     points, weights = _sampled(problem, mean, spread, theta, covariance, draws)
     errors = _errors(points, weights, mean, spread, prior, people)
     by_mean, by_deviation = np.split(errors, 2) * np.sqrt(np.diag(spread))
-    return Population(mean, spread, by_mean, by_deviation, rounds), _rows(
-        problem, mean, spread, theta, points, weights
-    )
+    n_people = len(readings) if people is None else len(set(people.tolist()))
+    population = Population(mean, spread, by_mean, by_deviation, n_people, rounds)
+    return population, _rows(problem, population, theta, points, weights, seed)
 
 
 def _inverse(matrix: Array) -> Array:
@@ -271,9 +297,14 @@ def _complete_information(apart: Array, weights: Array, precision: Array, prior:
     return out
 
 
-def _rows(problem: _Problem, mean: Array, spread: Array, mode: Array, points: Array, weights: Array) -> Rows:
+def _rows(
+    problem: _Problem, population: Population, mode: Array, points: Array, weights: Array, seed: int
+) -> Rows:
     middle, covariance = _moments(points, weights)
-    low, high = (_quantiles(points, weights, q) for q in (0.025, 0.975))
+    taken = covariance @ _inverse(population.spread)  # of a shift of the population's mean
+    doubt = _mean_doubt(population, points.shape, seed)
+    doubted = points + np.einsum("nij,dnj->dni", taken, doubt)
+    low, high = (_quantiles(doubted, weights, q) for q in (_LOW, _HIGH))
     variance = np.einsum("nii->ni", covariance)
     return Rows(
         middle,
@@ -282,9 +313,15 @@ def _rows(problem: _Problem, mean: Array, spread: Array, mode: Array, points: Ar
         high,
         mode,
         1.0 / np.sum(weights**2, axis=0),
-        np.clip(variance / np.diag(spread), 0.0, 1.0),
-        _misfit(problem, mean, spread),
+        np.clip(variance / np.diag(population.spread), 0.0, 1.0),
+        _misfit(problem, population.mean, population.spread),
     )
+
+
+def _mean_doubt(population: Population, shape: tuple[int, ...], seed: int) -> Array:
+    """Draws (DRAWS, n, p) of how far off the population's mean is; a row of it for each row."""
+    rng = np.random.default_rng([seed, 1])
+    return np.asarray(rng.standard_t(population.n_people - 1, shape) * population.mean_error)
 
 
 def _quantiles(points: Array, weights: Array, q: float) -> Array:

@@ -17,6 +17,10 @@ def linear(theta, slopes):
     return values, np.broadcast_to(MIX, (*values.shape, 3)) if slopes else np.empty((*values.shape, 0))
 
 
+def straight(theta, slopes):
+    return theta, np.broadcast_to(np.eye(3), (*theta.shape, 3)) if slopes else np.empty((*theta.shape, 0))
+
+
 def curved(theta, slopes):
     u = theta - MEAN
     values = u + 0.4 * u**2
@@ -74,7 +78,7 @@ def test_a_person_seen_four_times_is_not_four_people(rng):
     of_once, _ = estimate_population(linear, once, noise, **usual)
     noise = np.repeat(noise, 4, axis=0)
     of_several, _ = estimate_population(linear, several, noise, people=names, **usual)
-    of_rows, _ = estimate_population(linear, several, noise, people=np.arange(80), **usual)
+    of_rows, _ = estimate_population(linear, several, noise, people=np.arange(60), **usual)
     assert (of_several.mean_error > 0.75 * of_once.mean_error).all()
     assert (of_several.mean_error > 1.5 * of_rows.mean_error).all()
 
@@ -85,6 +89,24 @@ def test_intervals_cover_at_their_rate_where_the_model_is_curved(rng):
     inside = (theta > rows.low) & (theta < rows.high)
     # 400 rows at 95 %: three deviations of the count are 3.3 %; the draws' own graininess adds some.
     assert inside.mean(axis=0) == pytest.approx(np.full(3, 0.95), abs=0.045)
+
+
+@pytest.mark.parametrize("wider", [0.5, 1.0, 1.5])
+def test_intervals_of_five_people_cover_though_the_spread_is_not_that_of_the_prior(rng, wider):
+    """Of the mean, of the spread, and of people of whom the readings tell less than the population does."""
+    deviation = wider * PRIOR
+    inside, own = np.zeros((2, 3)), np.zeros(3)
+    for _ in range(60):
+        theta = MEAN + deviation * rng.standard_normal((5, 3))
+        noise = np.tile(np.diag((1.5 * deviation) ** 2), (5, 1, 1))
+        seen = theta + 1.5 * deviation * rng.standard_normal((5, 3))
+        few, rows = estimate_population(straight, seen, noise, start=MEAN, prior_deviation=PRIOR)
+        for k, (ends, truth) in enumerate(((few.mean_interval, MEAN), (few.deviation_interval, deviation))):
+            inside[k] += (ends[0] <= truth) & (truth <= ends[1])
+        own += ((rows.low <= theta) & (theta <= rows.high)).sum(axis=0)
+    # 60 at 95 %: 86 % and fewer have a probability of 1 %; more may be inside, as the prior holds spreads up.
+    assert (inside >= 0.86 * 60).all(), inside / 60
+    assert (own >= 0.9 * 300).all(), own / 300
 
 
 def test_rows_without_information_are_the_population(rng):
