@@ -6,8 +6,8 @@ y_i are a row's readings, g_i the model of that row, theta_i logarithms of its p
 mean and spread are those of greatest likelihood but for a weak inverse-Wishart prior on the spread, which
 keeps it from collapsing where a parameter is hardly seen (it weighs as much as a few rows). They are found by
 expectation-maximisation: first with Laplace's approximation of every row's distribution, then with
-importance sampling from a wider t distribution round it, which is right where the row's distribution is not
-Gaussian. The effective number of draws says whether the sampling can be trusted.
+importance sampling from wider t distributions round it and round the population, which is right where the
+row's distribution is not Gaussian. The effective number of draws says whether the sampling can be trusted.
 
 Standard errors come from the curvature of the likelihood with the prior: what complete rows would tell, less
 what is lost as their parameters are not seen. Rows of one person are not independent: where there are any,
@@ -35,7 +35,7 @@ from limbcli.model import Array
 Model = Callable[[Array, bool], tuple[Array, Array]]
 """theta (..., n, p), whether derivatives are wanted -> readings (..., n, q), derivatives (..., n, q, p)."""
 
-DRAWS = 400
+DRAWS = 1000
 _PRIOR_ROWS = 3.0  # rows that the prior on the spread weighs as much as
 _FREEDOM = 6.0  # of the t distribution that is drawn from
 _WIDER = 1.15
@@ -238,19 +238,30 @@ def _standard_draws(n: int, p: int, seed: int) -> Array:
 def _sampled(
     problem: _Problem, mean: Array, spread: Array, theta: Array, covariance: Array, draws: Array
 ) -> tuple[Array, Array]:
-    """Points (DRAWS, n, p) and weights (DRAWS, n) that sum to 1 over the draws."""
-    root = _WIDER * np.linalg.cholesky(covariance)
-    points = theta + np.einsum("nij,dnj->dni", root, draws)
-    p = points.shape[2]
+    """Points (DRAWS, n, p) and weights (DRAWS, n) that sum to 1 over the draws.
+
+    Half of the points lie round every row's mode, half are of the population: where readings leave a row open
+    to one side, most of what it may be lies far from its mode.
+    """
+    near, far = (np.asarray(_WIDER * np.linalg.cholesky(each), float) for each in (covariance, spread))
+    points = np.concatenate([theta + np.einsum("nij,dnj->dni", near, draws[::2]), mean + draws[1::2] @ far.T])
     values, _ = problem.model(points, False)
     precision = _inverse(spread)
     missed, apart = problem.readings - values, points - mean
     logs = -0.5 * np.einsum("dni,nij,dnj->dn", missed, problem.weights, missed)
     logs -= 0.5 * np.einsum("dni,ij,dnj->dn", apart, precision, apart)
-    logs += 0.5 * (_FREEDOM + p) * np.log1p(np.sum(draws**2, axis=2) / _FREEDOM)
+    logs -= np.logaddexp(_log_density(points - theta, near), _log_density(apart, far))
     logs -= logs.max(axis=0)
     weights = np.exp(logs)
     return points, weights / weights.sum(axis=0)
+
+
+def _log_density(apart: Array, root: Array) -> Array:
+    """Of the t distribution that is drawn from, (d, n), but for a constant; root (p, p), or (n, p, p)."""
+    p = apart.shape[-1]
+    standard = (_inverse(root) @ apart[..., None])[..., 0]
+    size = np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum(axis=-1)
+    return np.asarray(-size - 0.5 * (_FREEDOM + p) * np.log1p(np.sum(standard**2, axis=-1) / _FREEDOM))
 
 
 def _moments(points: Array, weights: Array) -> tuple[Array, Array]:
