@@ -159,7 +159,7 @@ def _decoded(dataset: Dataset, name: str) -> NDArray:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return np.asarray(dataset.pixel_array)
+            return _from_high_bit(dataset)
     except (ValueError, AttributeError, RuntimeError, NotImplementedError, KeyError, TypeError) as error:
         syntax = getattr(getattr(dataset, "file_meta", None), "TransferSyntaxUID", None)
         packed = bool(getattr(syntax, "is_private", True) or syntax.is_compressed)  # type: ignore[union-attr]
@@ -169,6 +169,23 @@ def _decoded(dataset: Dataset, name: str) -> NDArray:
             where=name,
             fix=_PLUGINS if packed else "the file is cut short or damaged: copy the series again",
         ) from error
+
+
+def _from_high_bit(dataset: Dataset) -> NDArray:
+    """Stored values, also where High Bit (0028,0102) says that they lie above the lowest bits of their words.
+
+    Words whose lower bits are not all empty hold values that lie lowest, whatever High Bit says.
+    """
+    stored, high = dataset.get("BitsStored", 0), dataset.get("HighBit", 0)
+    above = high + 1 - stored
+    if not 0 < above <= dataset.BitsAllocated - stored or dataset.file_meta.TransferSyntaxUID.is_compressed:
+        return np.asarray(dataset.pixel_array)
+    dataset.BitsStored = dataset.BitsAllocated  # pydicom cuts off what lies above the lowest bits
+    words = np.array(dataset.pixel_array)
+    dataset.BitsStored = stored
+    if (words & (2**above - 1)).any():
+        return np.asarray(dataset.pixel_array)
+    return np.asarray((words << (dataset.BitsAllocated - 1 - high)) >> (dataset.BitsAllocated - stored))
 
 
 def should_be_image(dataset: Dataset) -> bool:

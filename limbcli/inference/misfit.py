@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from limbcli.inference.statistics import root_mean_square
 from limbcli.model import Array
 
 BEYOND_NOISE = 2.0  # times the stated noise; with six residuals chance alone gives 1.5 in one of forty
@@ -14,7 +15,8 @@ LEAST_R2 = 0.9  # any curve that rises with the force has more
 
 @dataclass(frozen=True)
 class Misfit:
-    """rmse, noise : root mean square of the residuals and of what their noise explains, N; r2 may be NaN."""
+    """rmse, noise : root mean square of the loaded levels' residuals and of what their noise explains, N; r2
+    may be NaN."""
 
     rmse: float
     noise: float
@@ -32,23 +34,24 @@ class Misfit:
     @property
     def words(self) -> str:
         """
-        >>> Misfit(2.0, 0.5, 0.6).words
-        'poor fit: it misses the measured force by 2 N (RMSE), 4 times what its noise explains; R2 0.60'
+        >>> Misfit(2.0, 0.5, float("nan")).words
+        'poor fit: it misses the measured force by 2 N (RMSE under load), 4 times what its noise explains'
         >>> Misfit(0.5, 0.5, 0.99).words
         ''
         """
         if not self.poor:
             return ""
-        text = f"poor fit: it misses the measured force by {self.rmse:.2g} N (RMSE)"
+        text = f"poor fit: it misses the measured force by {self.rmse:.2g} N (RMSE under load)"
         if np.isfinite(self.times_noise):
             text += f", {self.times_noise:.2g} times what its noise explains"
         return text + (f"; R2 {self.r2:.2f}" if np.isfinite(self.r2) else "")
 
 
-def misfit(rmse: float, r2: float, variance: Array) -> Misfit:
-    """variance : (n,) of the residuals, N^2
+def misfit(residual: Array, variance: Array, r2: float) -> Misfit:
+    """residual, variance of it : N, N^2, (n,) of the loaded levels; at first touch the probe misses nothing
 
-    >>> misfit(0.3, 0.99, np.array([0.01, 0.09])).noise
-    0.22360679774997896
+    >>> misfit(np.array([0.3, -0.3]), np.array([0.01, 0.09]), 0.99).times_noise
+    1.3416407864998738
     """
-    return Misfit(rmse, float(np.sqrt(np.mean(variance))) if len(variance) else 0.0, r2)
+    noise = float(np.sqrt(np.mean(variance))) if len(variance) else 0.0
+    return Misfit(root_mean_square(residual) if len(residual) else 0.0, noise, r2)

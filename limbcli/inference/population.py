@@ -6,12 +6,15 @@ y_i are a row's readings, g_i the model of that row, theta_i logarithms of its p
 mean and spread are those of greatest likelihood but for a weak inverse-Wishart prior on the spread, which
 keeps it from collapsing where a parameter is hardly seen (it weighs as much as a few rows). They are found by
 expectation-maximisation: first with Laplace's approximation of every row's distribution, then with
-importance sampling from a wider t distribution round it, which is right where the row's distribution is not
-Gaussian. The effective number of draws says whether the sampling can be trusted.
+importance sampling from wider t distributions round it and round the population, which is right where the
+row's distribution is not Gaussian. The effective number of draws says whether the sampling can be trusted.
 
 Standard errors come from the curvature of the likelihood with the prior: what complete rows would tell, less
 what is lost as their parameters are not seen. Rows of one person are not independent: where there are any,
-errors are no smaller than by the scatter of the people's own scores.
+errors are no smaller than by the scatter of the people's own scores. Few people leave more doubt than a
+Gaussian of that error has: a mean is that of Student's t for as many people less one, the upper end of a
+deviation that of chi-square. What a row takes from the mean, it takes with the mean's doubt (Morris 1983,
+J Am Stat Assoc 78:47).
 
 Source: Dempster, Laird and Rubin 1977, J R Stat Soc B 39:1; Gelman et al. 2013, Bayesian Data Analysis,
 sections 10.4 (importance sampling) and 13.6 (EM for a hierarchical model); Louis 1982, J R Stat Soc B 44:226
@@ -24,13 +27,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2, norm
+from scipy.stats import t as student_t
 
 from limbcli.model import Array
 
 Model = Callable[[Array, bool], tuple[Array, Array]]
 """theta (..., n, p), whether derivatives are wanted -> readings (..., n, q), derivatives (..., n, q, p)."""
 
-DRAWS = 400
+DRAWS = 1000
 _PRIOR_ROWS = 3.0  # rows that the prior on the spread weighs as much as
 _FREEDOM = 6.0  # of the t distribution that is drawn from
 _WIDER = 1.15
@@ -39,6 +44,7 @@ _STILL = 1e-3
 _STEPS, _STEPS_BETWEEN = 40, 4  # of Newton's method: at the ends, and between two rounds
 _HALVINGS = 8
 _LARGEST_STEP = 1.0
+_LOW, _HIGH = 0.025, 0.975  # of a 95 % interval
 _LEAST_TOLD = 0.01  # rows' worth of information: less is the draws' graininess
 
 
@@ -50,17 +56,37 @@ class Population:
     spread: Array
     mean_error: Array
     deviation_error: Array
+    n_people: int
     rounds: int
 
     @property
     def deviation(self) -> Array:
         return np.asarray(np.sqrt(np.diag(self.spread)))
 
+    @property
+    def mean_interval(self) -> tuple[Array, Array]:
+        """95 % interval of the means: low, high (p,)."""
+        reach = student_t.ppf(_HIGH, self.n_people - 1) * self.mean_error
+        return self.mean - reach, self.mean + reach
+
+    @property
+    def deviation_interval(self) -> tuple[Array, Array]:
+        """95 % interval of the deviations: low, high (p,).
+
+        Upwards by chi-square with as many degrees of freedom as give this error, and no fewer than the rows
+        that the prior weighs as much as; downwards by the error itself, as below the prior's deviation it is
+        the prior that holds the spread up.
+        """
+        free = np.maximum(0.5 * (self.deviation / self.deviation_error) ** 2, _PRIOR_ROWS)
+        low = self.deviation - norm.ppf(_HIGH) * self.deviation_error
+        return np.maximum(low, 0.0), self.deviation * np.sqrt(free / chi2.ppf(_LOW, free))
+
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Of every row: posterior mean and deviation (n, p), 95 % interval low and high (n, p), the mode (n, p),
-    effective draws (n,), and how much of the population's variance was left unlearnt (n, p), 0 to 1.
+    """Of every row: posterior mean and deviation under the population found (n, p), low and high of the 95 %
+    interval with the doubt of the population's mean (n, p), the mode (n, p), effective draws (n,), and how
+    much of the population's variance was left unlearnt (n, p), 0 to 1.
 
     misfit (n,): distance of the readings from those of the population's middle, squared, in deviations of
     both population and noise; as many degrees of freedom as readings.
@@ -127,9 +153,9 @@ def estimate_population(
     points, weights = _sampled(problem, mean, spread, theta, covariance, draws)
     errors = _errors(points, weights, mean, spread, prior, people)
     by_mean, by_deviation = np.split(errors, 2) * np.sqrt(np.diag(spread))
-    return Population(mean, spread, by_mean, by_deviation, rounds), _rows(
-        problem, mean, spread, theta, points, weights
-    )
+    n_people = len(readings) if people is None else len(set(people.tolist()))
+    population = Population(mean, spread, by_mean, by_deviation, n_people, rounds)
+    return population, _rows(problem, population, theta, points, weights, seed)
 
 
 def _inverse(matrix: Array) -> Array:
@@ -212,19 +238,30 @@ def _standard_draws(n: int, p: int, seed: int) -> Array:
 def _sampled(
     problem: _Problem, mean: Array, spread: Array, theta: Array, covariance: Array, draws: Array
 ) -> tuple[Array, Array]:
-    """Points (DRAWS, n, p) and weights (DRAWS, n) that sum to 1 over the draws."""
-    root = _WIDER * np.linalg.cholesky(covariance)
-    points = theta + np.einsum("nij,dnj->dni", root, draws)
-    p = points.shape[2]
+    """Points (DRAWS, n, p) and weights (DRAWS, n) that sum to 1 over the draws.
+
+    Half of the points lie round every row's mode, half are of the population: where readings leave a row open
+    to one side, most of what it may be lies far from its mode.
+    """
+    near, far = (np.asarray(_WIDER * np.linalg.cholesky(each), float) for each in (covariance, spread))
+    points = np.concatenate([theta + np.einsum("nij,dnj->dni", near, draws[::2]), mean + draws[1::2] @ far.T])
     values, _ = problem.model(points, False)
     precision = _inverse(spread)
     missed, apart = problem.readings - values, points - mean
     logs = -0.5 * np.einsum("dni,nij,dnj->dn", missed, problem.weights, missed)
     logs -= 0.5 * np.einsum("dni,ij,dnj->dn", apart, precision, apart)
-    logs += 0.5 * (_FREEDOM + p) * np.log1p(np.sum(draws**2, axis=2) / _FREEDOM)
+    logs -= np.logaddexp(_log_density(points - theta, near), _log_density(apart, far))
     logs -= logs.max(axis=0)
     weights = np.exp(logs)
     return points, weights / weights.sum(axis=0)
+
+
+def _log_density(apart: Array, root: Array) -> Array:
+    """Of the t distribution that is drawn from, (d, n), but for a constant; root (p, p), or (n, p, p)."""
+    p = apart.shape[-1]
+    standard = (_inverse(root) @ apart[..., None])[..., 0]
+    size = np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum(axis=-1)
+    return np.asarray(-size - 0.5 * (_FREEDOM + p) * np.log1p(np.sum(standard**2, axis=-1) / _FREEDOM))
 
 
 def _moments(points: Array, weights: Array) -> tuple[Array, Array]:
@@ -271,9 +308,14 @@ def _complete_information(apart: Array, weights: Array, precision: Array, prior:
     return out
 
 
-def _rows(problem: _Problem, mean: Array, spread: Array, mode: Array, points: Array, weights: Array) -> Rows:
+def _rows(
+    problem: _Problem, population: Population, mode: Array, points: Array, weights: Array, seed: int
+) -> Rows:
     middle, covariance = _moments(points, weights)
-    low, high = (_quantiles(points, weights, q) for q in (0.025, 0.975))
+    taken = covariance @ _inverse(population.spread)  # of a shift of the population's mean
+    doubt = _mean_doubt(population, points.shape, seed)
+    doubted = points + np.einsum("nij,dnj->dni", taken, doubt)
+    low, high = (_quantiles(doubted, weights, q) for q in (_LOW, _HIGH))
     variance = np.einsum("nii->ni", covariance)
     return Rows(
         middle,
@@ -282,9 +324,15 @@ def _rows(problem: _Problem, mean: Array, spread: Array, mode: Array, points: Ar
         high,
         mode,
         1.0 / np.sum(weights**2, axis=0),
-        np.clip(variance / np.diag(spread), 0.0, 1.0),
-        _misfit(problem, mean, spread),
+        np.clip(variance / np.diag(population.spread), 0.0, 1.0),
+        _misfit(problem, population.mean, population.spread),
     )
+
+
+def _mean_doubt(population: Population, shape: tuple[int, ...], seed: int) -> Array:
+    """Draws (DRAWS, n, p) of how far off the population's mean is; a row of it for each row."""
+    rng = np.random.default_rng([seed, 1])
+    return np.asarray(rng.standard_t(population.n_people - 1, shape) * population.mean_error)
 
 
 def _quantiles(points: Array, weights: Array, q: float) -> Array:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import codecs
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -113,6 +114,7 @@ def _lvm_table(lines: list[str], path: Path, form: RecordingFormat) -> tuple[lis
     """A LabVIEW measurement file: a header, then segments with a header of their own each.
 
     Where the segments carry no times (X_Columns No), each channel's X_Value is made from its X0 and Delta_X.
+    Times that begin again count from when each segment was begun, by the clock in its header.
     """
     ends = [k for k, line in enumerate(lines) if line.startswith(LVM_END_OF_HEADER)]
     mark = form.separator or _lvm_separator(lines[: ends[0]])
@@ -120,6 +122,7 @@ def _lvm_table(lines: list[str], path: Path, form: RecordingFormat) -> tuple[lis
     rows: list[list[str]] = []
     own: dict[str, list[str]] = {}  # what the headers say up to here, the file's and the segment's
     begin = 0
+    clocks: list[float | None] = []
     for k, end in enumerate(ends):
         last = ends[k + 1] if k + 1 < len(ends) else len(lines)
         body = [line.split(mark) for line in lines[end + 1 : last]]
@@ -134,11 +137,50 @@ def _lvm_table(lines: list[str], path: Path, form: RecordingFormat) -> tuple[lis
             what = f"the segments have different columns: {', '.join(header)}; then {', '.join(titles)}"
             raise MeasurementError(what, where=str(path), fix="export one segment a file")
         header = titles
-        rows += segment
+        clocks.append(_clock(own))
+        rows += _after(rows, segment, header, clocks, comma=_has_comma(segment, form.decimal))
     if not rows:
         fix = "name the file that the load cell's program wrote"
         raise MeasurementError("the record has no rows", where=str(path), fix=fix)
     return header, rows, mark
+
+
+def _clock(own: Mapping[str, list[str]]) -> float | None:
+    """When a segment was begun, s, by its header's Date and Time; None where they do not tell."""
+    day, time = (own.get(key, [""])[0].strip() for key in ("Date", "Time"))
+    minute, _, seconds = time.replace(",", ".").rpartition(":")
+    try:
+        begun = datetime.strptime(f"{day.replace('-', '/')} {minute}", "%Y/%m/%d %H:%M")
+        return (begun - datetime(1970, 1, 1)).total_seconds() + float(seconds)
+    except ValueError:
+        return None
+
+
+def _after(
+    rows: list[list[str]], segment: list[list[str]], header: list[str], clocks: list[float | None], *,
+    comma: bool,
+) -> list[list[str]]:  # fmt: skip
+    """A segment's rows; where its times begin again, they count from when the first segment was begun.
+
+    clocks : when each segment up to this one was begun; comma : the decimal mark
+    """
+    first, own = clocks[0], clocks[-1]
+    times = [k for k, title in enumerate(header) if title == _LVM_TIME]
+    ends = _numbers_of([_cell(each[0], times[0]) for each in (rows[-1:], segment) if each and times])
+    if len(ends) < 2 or ends[1] > ends[0] or first is None or own is None:
+        return segment
+    later = [list(row) for row in segment]
+    for row in later:
+        for k in times:
+            for number in _numbers_of([_cell(row, k)]):
+                text = repr(number + own - first)
+                row[k] = text.replace(".", ",") if comma else text
+    return later
+
+
+def _has_comma(rows: list[list[str]], decimal: str | None) -> bool:
+    """Whether numbers are written with a decimal comma."""
+    return decimal == "," if decimal else any("," in cell for row in rows[:50] for cell in row)
 
 
 def _lvm_separator(header: list[str]) -> str:
@@ -168,7 +210,7 @@ def _with_times(
             where=str(path),
             fix="save it with one X column",
         )
-    comma = decimal == "," if decimal else any("," in cell for row in rows[:50] for cell in row)
+    comma = _has_comma(rows, decimal)
     channels = [known[min(j, len(known) - 1)] for j in range(len(titles) - 1)]
     timed = []
     for k, row in enumerate(rows):

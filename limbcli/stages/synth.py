@@ -77,16 +77,16 @@ def synth(
     check_stretches(case, chosen, options.stretches)
     check_orientations(chosen)
     measured = measure_sites(case, chosen, out=out, options=options, progress=progress)
-    with atomic_folder(out_case) as work:
-        copy_imaging(case, work)
-        for each in measured:
-            write = write_readings if each.state is None else write_levels
-            write(work / each.label, each.readings)
-        table = case_table(case, {each.site: each.law for each in measured}, layers=options.layers)
-        (work / CASE_FILE).write_text(toml(table), encoding="utf-8")
-        keep_expected(out_case, work)
-    with atomic_file(truth_file(out_case)) as path:
+    with atomic_file(truth_file(out_case)) as path:  # written before the case is replaced, put in place after
         path.write_text(toml(truth_table(measured, options)), encoding="utf-8")
+        with atomic_folder(out_case) as work:
+            copy_imaging(case, work)
+            for each in measured:
+                write = write_readings if each.state is None else write_levels
+                write(work / each.label, each.readings)
+            table = case_table(case, {each.site: each.law for each in measured}, layers=options.layers)
+            (work / CASE_FILE).write_text(toml(table), encoding="utf-8")
+            keep_expected(out_case, work)
     return _result(case, out_case, measured)
 
 

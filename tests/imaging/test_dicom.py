@@ -275,6 +275,21 @@ def test_signed_and_8_bit_values_are_read(ramp, tmp_path):
     assert np.array_equal(read_series(tmp_path / "small").volume.values, small.values)
 
 
+@pytest.mark.parametrize("signed", [False, True])
+@pytest.mark.parametrize("above", [4, 2, 0])
+def test_values_are_read_from_where_high_bit_says_that_they_lie(ramp, tmp_path, signed, above):
+    """12 bits in words of 16; 0: they lie lowest, and the tag is wrong."""
+    values = ramp.with_values(8 * ramp.values - 1000 * signed)
+
+    def moved(dataset, _):
+        words = np.frombuffer(dataset.PixelData, "<i2" if signed else "<u2") << above
+        dataset.PixelData = words.tobytes()
+        dataset.BitsStored, dataset.HighBit = 12, 11 + (above or 4)
+
+    write_dicom(tmp_path, values, signed=signed, change=moved)
+    assert np.array_equal(read_series(tmp_path).volume.values, values.values)
+
+
 @pytest.mark.parametrize(
     ("keyword", "value", "tag"),
     [

@@ -48,6 +48,20 @@ def test_labview_segments_are_joined_and_different_columns_are_refused(tmp_path)
         read_recording(path, form)
 
 
+@pytest.mark.parametrize("clocks", [("10:59:59,5", "11:00:02,75"), ("23:59:59,5", "00:00:02,75")])
+def test_labview_times_that_begin_again_count_from_when_each_segment_was_begun(tmp_path, clocks):
+    path = tmp_path / "a.lvm"
+    form = RecordingFormat(columns={"time_s": "X_Value", "force_n": "Force"})
+    days = ("2024/02/28", "2024/02/29" if clocks[1] < clocks[0] else "2024/02/28")
+    segment = LVM[LVM.index("Channels") :]
+    told = [f"\nDate\t{day}\nTime\t{clock}0000000\n" for day, clock in zip(days, clocks, strict=True)]
+    parts = [segment.replace("\nSamples\t3\n", each) for each in told]
+    path.write_text(LVM[: LVM.index("Channels")] + "".join(parts))
+    trace = read_recording(path, form)
+    np.testing.assert_allclose(trace.time, [0, 0.017, 0.033, 3.25, 3.267, 3.283], atol=1e-6)
+    np.testing.assert_allclose(trace.force, [0.1, 1.25, 2.5] * 2)
+
+
 def test_labview_file_without_times_gets_them_from_its_step(tmp_path):
     path = tmp_path / "a.lvm"
     form = RecordingFormat(columns={"time_s": "X_Value", "force_n": "Force"})

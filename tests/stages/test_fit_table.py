@@ -15,7 +15,7 @@ from limbcli.inference.two_step_fit import ForceDepth, two_step
 from limbcli.reporting.figures import profiles
 from limbcli.stages.fitting import result as fit_result
 from limbcli.stages.fitting.result import write_curves
-from limbcli.stages.fitting.table import Identified, step_table, total_covariance
+from limbcli.stages.fitting.table import Identified, step_misfit, step_table, total_covariance
 from tests.loading import module_at
 
 C, KNOTS = 0.008, np.linspace(1.0, 11.0, 11)
@@ -71,6 +71,14 @@ def test_the_numerical_error_is_that_of_each_step():
         step_table(each, 0)["standard_error"]["f_kappa"] for each in (found, replace(found, gains=(0.1, 0.1)))
     ]
     assert errors[0] > 4 * errors[1]
+
+
+def test_levels_at_first_touch_do_not_make_a_fit_look_better():
+    depth, force = np.array([0.0, 3.0, 6.0, 9.0]), np.array([0.0, 7.2, 13.6, 28.0])
+    once = found_of(depth, force)
+    often = found_of(np.r_[0.0, 0.0, 0.0, depth], np.r_[0.0, 0.0, 0.0, force])
+    ratios = [step_misfit(each, each.steps[-1]).times_noise for each in (once, often)]
+    assert ratios[1] == pytest.approx(ratios[0], rel=1e-3)
 
 
 def test_one_depth_read_three_times_does_not_identify_two_parameters():

@@ -305,7 +305,7 @@ def test_a_poor_fit_is_told_before_anything_else(tmp_path):
     add_fit(out, "p1")
     path = out / "fit" / "p1" / "fit.json"
     content = json.loads(path.read_text())
-    words = "poor fit: it misses the measured force by 3 N (RMSE), 6 times what its noise explains; R2 0.61"
+    words = "poor fit: it misses the measured force by 3 N (RMSE under load); R2 0.61"
     content["data"]["misfit"] = {"poor": True, "words": words}
     path.write_text(json.dumps(content))
     glance = overview(gather(case, out=out))

@@ -148,6 +148,16 @@ def test_one_subjects_own_folder_can_be_indexed(tmp_path):
     assert row.link == "report/report.html"
 
 
+@pytest.mark.parametrize("name", ["segment", "mesh", "fit", "report"])
+def test_a_subject_whose_folder_is_named_as_a_stage_is_one_row(tmp_path, name):
+    add_subject(tmp_path, name)
+    add_subject(tmp_path, "A")
+    folder = tmp_path / name / "segment"
+    folder.mkdir(exist_ok=True)
+    (folder / "segment.json").write_text("{}")
+    assert sorted(row.subject for row in report_index(tmp_path).rows) == sorted(["A", name])
+
+
 def test_a_folder_without_results_is_refused(tmp_path):
     for folder in (tmp_path, tmp_path / "absent"):
         with pytest.raises(CaseError) as caught:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from limbcli.case import Case
-from limbcli.errors import CaseError
+from limbcli.errors import CaseError, LimbError
 from limbcli.measurement.elastography import read_maps
 from limbcli.measurement.indentation import read_levels
 from limbcli.phantom.protocol import LoadingProtocol
@@ -124,3 +124,19 @@ def test_what_is_expected_of_a_simulated_case_outlives_its_being_made_again(limb
     (folder / "expected.toml").write_text("[site.p1]\n")
     synth(case, out=limb / "out", out_case=folder, options=EXACT, force=True)
     assert (folder / "expected.toml").read_text() == "[site.p1]\n"
+
+
+@pytest.mark.slow
+def test_a_case_whose_truth_cannot_be_written_does_not_replace_the_one_before(limb, tmp_path, monkeypatch):
+    monkeypatch.setattr(synth_module, "measure_sites", lambda *_, **__: [])
+    case, folder = Case.open(limb / "limb"), tmp_path / "new"
+    synth(case, out=limb / "out", out_case=folder, options=EXACT)
+    (folder / "mine").write_text("of the first")
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(synth_module, "truth_table", full)
+    with pytest.raises(LimbError):
+        synth(case, out=limb / "out", out_case=folder, options=EXACT, force=True)
+    assert (folder / "mine").exists()

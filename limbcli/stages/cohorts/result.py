@@ -17,7 +17,6 @@ from limbcli.model import Array
 from limbcli.stages.cohorts.estimate import SiteEstimate
 from limbcli.units import kpa_from_mpa
 
-_LIKELY = 1.959964  # deviations on either side of a 95 % interval
 _LEVEL = 0.05
 _KEYS = ("c_muscle_kpa", "c_fat_kpa", "m")
 _FAT_BANDS_MM = (0.0, 2.0, 4.0, 8.0, 15.0, np.inf)
@@ -46,9 +45,9 @@ def site_entry(table: CohortTable, site: SiteEstimate) -> dict[str, Any]:
     """Population of a site: geometric means with 95 % intervals, spread as a factor, what the rows say."""
     people = site.population
     middle = natural(people.mean)
-    low, high = (natural(people.mean + sign * _LIKELY * people.mean_error) for sign in (-1, 1))
+    low, high = map(natural, people.mean_interval)
     beyond = {"m": m_beyond(people.mean), "c_fat_kpa": c_fat_beyond(people.mean)}
-    spread, doubt = people.deviation, people.deviation_error
+    spread, (spread_low, spread_high) = people.deviation, people.deviation_interval
     root = np.sqrt(np.diag(people.spread))
     together = people.spread / np.outer(root, root)
     parameters = {
@@ -58,8 +57,8 @@ def site_entry(table: CohortTable, site: SiteEstimate) -> dict[str, Any]:
             "high": high[k],
             "spread_factor": float(np.exp(spread[k])),
             "spread_of_ln": spread[k],
-            "spread_of_ln_low": max(spread[k] - _LIKELY * doubt[k], 0.0),
-            "spread_of_ln_high": spread[k] + _LIKELY * doubt[k],
+            "spread_of_ln_low": spread_low[k],
+            "spread_of_ln_high": spread_high[k],
             "mean_shrinkage": float(site.found.shrinkage[:, k].mean()),
             "beyond_family": beyond.get(key),
         }

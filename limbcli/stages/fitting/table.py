@@ -167,7 +167,7 @@ def geometry_spread(found: Identified, step: FittedStep) -> Array:
 
 def step_misfit(found: Identified, step: FittedStep) -> Misfit:
     """How far a step's curve lies from the measured forces, against their stated noise."""
-    return misfit(step.rmse, step.r2, _variance(found, step))
+    return misfit(step.fit.residual[found.data.loaded], _variance(found, step), step.r2)
 
 
 def _variance(found: Identified, step: FittedStep) -> Array:

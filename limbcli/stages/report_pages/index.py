@@ -19,7 +19,7 @@ from limbcli.reporting.fit_view import FitView, read_fit_view
 from limbcli.reporting.index import HEADINGS, IndexRow, relative, study_rows
 from limbcli.reporting.outcome import Failure, problems_of
 from limbcli.reporting.page import data_uri, render
-from limbcli.results import UNLIKE_OURS, StageResult, plain, provenance, read_result, stage_folder
+from limbcli.results import ERROR_FILE, UNLIKE_OURS, StageResult, plain, provenance, read_result, stage_folder
 
 INDEX_FILE = "index.html"
 
@@ -90,14 +90,20 @@ def _picture(rows: list[IndexRow], folder: Path) -> str:
     return data_uri(svg)
 
 
-_STAGES = ("segment", "mesh", "build-feb", "run", "fit", "report")
+_OF_CASE, _OF_SITES = ("segment", "report"), ("mesh", "build-feb", "run", "fit")
 
 
 def _is_output(folder: Path) -> bool:
-    """A subject's output folder holds at least one stage's folder."""
+    """A subject's output folder holds a stage's own result, or that its first stage failed.
+
+    Nothing else tells: a subject's folder in `folder` may be named as a stage's is.
+    """
     if not folder.is_dir() or folder.name.startswith("."):
         return False
-    return any(any(stage_folder(folder, stage).glob("**/*.json")) for stage in _STAGES)
+    own = [stage_folder(folder, stage) / f"{stage}.json" for stage in _OF_CASE]
+    if any(each.is_file() for each in (*own, stage_folder(folder, _OF_CASE[0]) / ERROR_FILE)):
+        return True
+    return any(any(stage_folder(folder, stage).glob(f"*/{stage}.json")) for stage in _OF_SITES)
 
 
 def _rows(out: Path, folder: Path) -> list[IndexRow]:
