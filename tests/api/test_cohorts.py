@@ -117,10 +117,14 @@ def test_numbers_and_words_are_bounded(tmp_path: Path):
 def test_a_cohort_comes_back_as_a_table(tmp_path: Path):
     mean, spread = np.log([0.006, 0.010, 4.0]), np.diag([0.35, 0.3, 0.2]) ** 2
     rows, _ = people(12, mean=mean, spread=spread, rng=np.random.default_rng(7))
-    table = written(tmp_path / "people.csv", rows)
+    names = [f"{k:03d}" for k in range(12)]  # no numbers, though they look like some
+    table = written(
+        tmp_path / "people.csv", [{**row, "subject": name} for row, name in zip(rows, names, strict=True)]
+    )
     found = limbcli.cohort(table, out=tmp_path / "out")
     assert found.page == tmp_path / "out" / "cohort.html"
-    assert list(found.table()["subject"]) == [f"P{k:03d}" for k in range(12)]
+    assert list(found.table()["subject"]) == names
+    assert found.table()["outside_family"].dtype == bool
     assert found.compliance_left_out["mean_absolute_difference_percent"] > 0
     assert found.stage_result.provenance["command"].startswith("limbcli.cohort(")
     back = limbcli.CohortResult.read(tmp_path / "out")
