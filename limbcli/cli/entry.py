@@ -16,6 +16,7 @@ from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
 
 def main() -> None:
     """`limbcli`, as installed."""
+    _open_closed_streams()
     _answer_with(_leave)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -32,6 +33,14 @@ def main() -> None:
         sys.exit(_caught(error))
     finally:
         _answer_with(_leave)
+
+
+def _open_closed_streams() -> None:
+    """What a caller closed (`2>&-`) leads nowhere; else the first files opened would get its numbers, and
+    with them what libraries and programs that are started print."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
 
 
 def _caught(error: Exception) -> int:
