@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 
@@ -92,6 +93,18 @@ def test_failures_in_other_processes_come_back(tmp_path: Path):
     found = limbcli.batch([case, tmp_path / "b"], out=tmp_path / "out", jobs=2)
     assert [each.ok for each in found] == [False, False]
     assert "case.toml" in str(found.cases[0].failures[0].error)
+
+
+@pytest.mark.slow
+def test_a_script_whose_call_every_process_would_repeat_is_told_so(tmp_path: Path):
+    script = tmp_path / "script.py"
+    script.write_text("import limbcli\nlimbcli.batch(['a', 'b'], out='out', jobs=2)\n")
+    command = [sys.executable, str(script)]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 1
+    *_, what, _where, fix = done.stderr.splitlines()
+    assert what.startswith("limbcli.errors.ToolError: the worker processes did not start (")
+    assert 'below `if __name__ == "__main__":`' in fix
 
 
 @pytest.mark.parametrize(
