@@ -213,7 +213,23 @@ entry.main()
 """
 
 
-@pytest.mark.parametrize("moment", [WHILE_IMPORTING, AT_THE_END], ids=["importing", "leaving"])
+INSIDE_A_LIBRARY = """
+import os, signal, sys
+from limbcli.cli import app, entry
+def opening():
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+        [None for _ in range(1000)]
+    except KeyboardInterrupt as interrupt:
+        raise ImportError("initialization failed") from interrupt
+app.main = opening
+entry.main()
+"""
+
+
+@pytest.mark.parametrize(
+    "moment", [WHILE_IMPORTING, AT_THE_END, INSIDE_A_LIBRARY], ids=["importing", "leaving", "in a library"]
+)
 def test_interruption_at_the_first_and_the_last_moment_is_quiet(moment: str):
     done = subprocess.run(
         [sys.executable, "-c", moment],
