@@ -59,9 +59,11 @@ def atomic_file(target: Path) -> Iterator[Path]:
 def atomic_folder(target: Path) -> Iterator[Path]:
     """An empty folder to fill; it replaces `target` when the block ends well.
 
-    What an interrupted earlier run left behind is cleared first.
+    What an interrupted earlier run left behind is cleared first. Where `target` is a link to a folder
+    elsewhere, that folder is replaced and the link stays.
     """
     with file_system_errors(target):
+        target = Path(os.path.realpath(target)) if target.is_symlink() else target
         target.parent.mkdir(parents=True, exist_ok=True)
         clear_partial(target.parent)
         partial = _beside(target)

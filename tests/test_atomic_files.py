@@ -36,6 +36,19 @@ def test_failure_keeps_the_previous_folder(tmp_path: Path):
     assert os.listdir(tmp_path) == ["stage"]
 
 
+def test_a_link_to_a_folder_elsewhere_stays_one(tmp_path: Path):
+    (tmp_path / "large" / "stage").mkdir(parents=True)
+    (tmp_path / "out").mkdir()
+    target = tmp_path / "out" / "stage"
+    target.symlink_to(tmp_path / "large" / "stage")
+    for content in ("one", "two"):
+        with atomic_folder(target) as work:
+            (work / "a").write_text(content)
+        assert (tmp_path / "large" / "stage" / "a").read_text() == content
+        assert target.is_symlink()
+        assert os.listdir(tmp_path / "out") == os.listdir(tmp_path / "large") == ["stage"]
+
+
 def test_folder_is_replaced_whole(tmp_path: Path):
     for name in ("a", "b"):
         with atomic_folder(tmp_path / "stage") as work:

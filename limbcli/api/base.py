@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, SupportsIndex, TypeVar, overload
 
 from limbcli.api.call import folder_of
 from limbcli.api.tables import Row, Tabular
@@ -139,15 +139,15 @@ class SiteResults(Tabular, Sequence[AnyResult], Generic[AnyResult]):
     results: tuple[AnyResult, ...]
 
     @overload
-    def __getitem__(self, key: int | str) -> AnyResult: ...
+    def __getitem__(self, key: SupportsIndex | str) -> AnyResult: ...
 
     @overload
     def __getitem__(self, key: slice) -> SiteResults[AnyResult]: ...
 
-    def __getitem__(self, key: int | str | slice) -> AnyResult | SiteResults[AnyResult]:
+    def __getitem__(self, key: SupportsIndex | str | slice) -> AnyResult | SiteResults[AnyResult]:
         if isinstance(key, slice):
             return SiteResults(self.results[key])
-        if isinstance(key, int):
+        if isinstance(key, SupportsIndex):
             return self.results[key]
         for each in self.results:
             if each.site == key:
@@ -156,6 +156,10 @@ class SiteResults(Tabular, Sequence[AnyResult], Generic[AnyResult]):
         raise CaseError(
             f"there is no result of a site {key!r}", where="SiteResults", fix=f"the sites are: {names}"
         )
+
+    def __contains__(self, key: object) -> bool:
+        """Whether there is a result of the site of that name; a result itself is looked for, too."""
+        return any(each is key or (each.site is not None and each.site == key) for each in self.results)
 
     def __len__(self) -> int:
         return len(self.results)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ParamSpec, TypeAlias, TypeVar
 
+from limbcli.api.limits import flags_and_numbers
 from limbcli.case import Case
 from limbcli.config import at_home, default_out
 from limbcli.errors import CaseError
@@ -33,6 +34,7 @@ def records_call(function: Callable[_Taken, _Given]) -> Callable[_Taken, _Given]
     def calling(*args: _Taken.args, **kwargs: _Taken.kwargs) -> _Given:
         given = {name: value for name, value in kwargs.items() if name != "progress"}
         words = [*map(_in_words, args), *(f"{name}={_in_words(value)}" for name, value in given.items())]
+        flags_and_numbers(function, kwargs)
         before = CALLED.set(f"limbcli.{function.__name__}({', '.join(words)})")
         try:
             return function(*args, **kwargs)

@@ -20,12 +20,12 @@ from limbcli.api.call import (
 )
 from limbcli.api.limits import one_of, within
 from limbcli.api.simulation import SOLVERS, SolverName
-from limbcli.api.tables import Row, Tabular, plain_rows, read_columns
+from limbcli.api.tables import Row, Tabular
 from limbcli.case import Case
 from limbcli.config import default_out
 from limbcli.errors import CaseError, LimbcliError
 from limbcli.output_lock import one_writer
-from limbcli.results import StageResult, plain
+from limbcli.results import StageResult
 
 if TYPE_CHECKING:
     from limbcli.progress import Progress
@@ -173,7 +173,7 @@ class CohortResult(Result):
 
     def rows(self) -> list[dict[str, Any]]:
         """The rows of rows.csv."""
-        return [dict(plain(row)) for row in plain_rows(read_columns(self.files["rows"]))]
+        return [dict(row) for row in self.data["rows"]]
 
 
 @records_call

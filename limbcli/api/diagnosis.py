@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from limbcli.api.base import Result, SiteResults, by_site
 from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path, names_of, records_call
-from limbcli.api.limits import one_of, within
+from limbcli.api.limits import one_of, tables, within
 from limbcli.api.simulation import SOLVERS, SolverName
 from limbcli.results import StageResult
 
@@ -143,6 +143,7 @@ def diagnose(
     """
     within("diagnose", max_effects=max_effects, seed=seed, size_mm=size_mm, far_size_mm=far_size_mm)
     one_of("diagnose", SOLVERS, solver=solver)
+    tables("diagnose", {"tare_n": 0.4}, measured=measured)
     within("diagnose", **dict(measured or {}))
     from limbcli.stages import diagnose as stage
 

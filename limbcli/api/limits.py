@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 import numbers
-from collections.abc import Iterable
-from typing import TypeAlias
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, TypeAlias
+
+import numpy as np
 
 from limbcli.errors import CaseError
 from limbcli.mesh_bounds import FAR_SIZE_MM, MARGIN_MM, SIZE_MM
@@ -90,4 +93,42 @@ def one_of(function: str, known: Iterable[str], **values: object) -> None:
                 f"{name} is {value!r}",
                 where=f"{function}({name}={value!r})",
                 fix=f"give {' or '.join(known)}",
+            )
+
+
+def flags_and_numbers(function: Callable[..., Any], given: Mapping[str, object]) -> None:
+    """Whether what is True or False by default is given as that, and no number as None.
+
+    Raises
+    ------
+    CaseError
+        Naming the argument, and what is possible.
+    """
+    defaults = {name: each.default for name, each in inspect.signature(function).parameters.items()}
+    for name, value in given.items():
+        default = defaults.get(name)
+        if isinstance(default, bool) and not (isinstance(value, bool | np.bool_ | int) and value in (0, 1)):
+            what, fix = "neither True nor False", "give True or False"
+        elif isinstance(default, int | float) and value is None:
+            what, fix = "not a number", f"leave it out: {default:g}"
+        else:
+            continue
+        where = f"{function.__name__}({name}={value!r})"
+        raise CaseError(f"{name} is {value!r}, {what}", where=where, fix=fix)
+
+
+def tables(function: str, example: Mapping[str, object], **values: object) -> None:
+    """Whether numbers by name are given as a table, such as the example; None stands for none.
+
+    Raises
+    ------
+    CaseError
+        Naming the argument, and what is possible.
+    """
+    for name, value in values.items():
+        if value is not None and not isinstance(value, Mapping):
+            raise CaseError(
+                f"{name} is {value!r}, not a table",
+                where=f"{function}({name}={value!r})",
+                fix=f"give numbers by name, such as {dict(example)}",
             )

@@ -20,7 +20,7 @@ from limbcli.api.call import (
     names_of,
     records_call,
 )
-from limbcli.api.limits import one_of, within
+from limbcli.api.limits import one_of, tables, within
 from limbcli.case import Case
 from limbcli.results import StageResult
 
@@ -126,6 +126,7 @@ def synth(
         "synth", contact_penalty=contact_penalty, unloaded_stretch_along=unloaded_stretch_along,
         unloaded_stretch_around=unloaded_stretch_around,
     )  # fmt: skip
+    tables("synth", {"bent": 0.8}, stretch_along=stretch_along, stretch_around=stretch_around)
     from limbcli.case.parts import Stretch
     from limbcli.stages import synth as stage
     from limbcli.stages.simulated_subjects.hidden_effects import hide

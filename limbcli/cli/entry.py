@@ -16,6 +16,7 @@ from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
 
 def main() -> None:
     """`limbcli`, as installed."""
+    _open_closed_streams()
     _answer_with(_leave)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -29,9 +30,31 @@ def main() -> None:
         print(MESSAGE, file=sys.stderr)
         sys.exit(INTERRUPTED)
     except Exception as error:  # the last net: whatever is left becomes a message
+        if _is_interrupt(error):
+            print(MESSAGE, file=sys.stderr)
+            sys.exit(INTERRUPTED)
         sys.exit(_caught(error))
     finally:
         _answer_with(_leave)
+
+
+def _open_closed_streams() -> None:
+    """What a caller closed (`2>&-`) leads nowhere; else the first files opened would get its numbers, and
+    with them what libraries and programs that are started print."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
+
+
+def _is_interrupt(error: BaseException | None) -> bool:
+    """Whether an interrupt lies behind it: a library that is being opened makes it an ImportError.
+
+    >>> _is_interrupt(ImportError("initialization failed")), _is_interrupt(KeyboardInterrupt())
+    (False, True)
+    """
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def _caught(error: Exception) -> int:

@@ -21,6 +21,7 @@ from limbcli.atomic_files import atomic_file, read_triangles
 from limbcli.errors import CaseError, MeshError
 from limbcli.imaging.signed_distance import box_around, signed_distance
 from limbcli.imaging.volume import Volume
+from limbcli.meshlab import open_pymeshlab
 from limbcli.model import Array, IntArray
 
 SMOOTH = 0.7  # mm: standard deviation of the Gaussian over the distance field
@@ -145,7 +146,7 @@ def _largest_part(values: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def remeshed(surface: ClosedSurface, *, edge: float) -> ClosedSurface:
     """Nearly equilateral triangles of about `edge` mm; sharp rims (over 40 degrees) stay."""
-    import pymeshlab
+    pymeshlab = open_pymeshlab()
 
     meshes = pymeshlab.MeshSet(verbose=False)
     centre = surface.points.mean(axis=0)

@@ -14,6 +14,7 @@ import numpy as np
 
 from limbcli.errors import MeshError
 from limbcli.meshing.surfaces import Triangles, bodies, boundary_loops, undirected
+from limbcli.meshlab import open_pymeshlab
 from limbcli.model import Array
 from limbcli.patient_frame import HEAD
 
@@ -186,7 +187,7 @@ def _coherent(body: Triangles, notes: list[str], name: str) -> Triangles:
     balance = np.bincount(which, weights=np.where(edges[:, 0] < edges[:, 1], 1.0, -1.0))
     if (np.abs(balance) <= 1).all():
         return body
-    import pymeshlab
+    pymeshlab = open_pymeshlab()
 
     meshes = pymeshlab.MeshSet(verbose=False)
     meshes.add_mesh(pymeshlab.Mesh(body.points, body.faces.astype(np.int32)))

@@ -22,6 +22,7 @@ from limbcli.meshing.facets import collapse_short, edges_of, flip, keep_unfolded
 from limbcli.meshing.improve import FIXED, NodeConstraints, put_back
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.surfaces import Triangles, undirected
+from limbcli.meshlab import open_pymeshlab
 from limbcli.model import Array, IntArray
 
 _MIN_SIZE = 1.5  # mm: no bend and no thin place asks for less; a user may
@@ -143,7 +144,7 @@ def finer_near(field: SizeField, places: Array, *, factor: float = 0.6, reach: f
 
 def bad_places(boundary: Boundary) -> Array:
     """Centroids (n, 3) of faces that cut through others, or lie folded on a neighbour."""
-    import pymeshlab
+    pymeshlab = open_pymeshlab()
 
     surface = boundary.surface
     meshes = pymeshlab.MeshSet(verbose=False)

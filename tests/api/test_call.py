@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import limbcli
@@ -37,6 +38,34 @@ def test_a_call_that_fails_leaves_nothing_behind():
     with pytest.raises(ValueError):  # noqa: PT011
         fail()
     assert "limbcli.fail" not in provenance()["command"]
+
+
+@pytest.mark.parametrize(
+    ("name", "argument", "value", "fix"),
+    [
+        ("fit", "intervals", "no", "give True or False"),
+        ("segment", "fresh", None, "give True or False"),
+        ("mesh", "wait", 2, "give True or False"),
+        ("segment", "smooth_mm", None, "leave it out: 0.7"),
+        ("fit", "max_iterations", None, "leave it out: 50"),
+        ("diagnose", "measured", "tare_n=0.4", "give numbers by name, such as {'tare_n': 0.4}"),
+        ("synth", "stretch_along", ["bent=0.8"], "give numbers by name, such as {'bent': 0.8}"),
+    ],
+)
+def test_what_is_of_another_kind_is_told_by_its_name(
+    tmp_path: Path, name: str, argument: str, value: object, fix: str
+):
+    more = (tmp_path / "made",) if name == "synth" else ()
+    with pytest.raises(CaseError, match=f"{argument} is ") as caught:
+        getattr(limbcli, name)(tmp_path, *more, out=tmp_path / "out", **{argument: value})
+    assert caught.value.where == f"{name}({argument}={value!r})"
+    assert caught.value.fix == fix
+
+
+def test_flags_of_numpy_and_numbers_are_flags(tmp_path: Path):
+    for value in (np.True_, 1, 0):
+        with pytest.raises(CaseError, match=r"no case.toml"):
+            limbcli.segment(tmp_path, fresh=value)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("sites", [[], (), 3, ["p1", 2]])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 
@@ -94,6 +95,18 @@ def test_failures_in_other_processes_come_back(tmp_path: Path):
     assert "case.toml" in str(found.cases[0].failures[0].error)
 
 
+@pytest.mark.slow
+def test_a_script_whose_call_every_process_would_repeat_is_told_so(tmp_path: Path):
+    script = tmp_path / "script.py"
+    script.write_text("import limbcli\nlimbcli.batch(['a', 'b'], out='out', jobs=2)\n")
+    command = [sys.executable, str(script)]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 1
+    *_, what, _where, fix = done.stderr.splitlines()
+    assert what.startswith("limbcli.errors.ToolError: the worker processes did not start (")
+    assert 'below `if __name__ == "__main__":`' in fix
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -117,10 +130,14 @@ def test_numbers_and_words_are_bounded(tmp_path: Path):
 def test_a_cohort_comes_back_as_a_table(tmp_path: Path):
     mean, spread = np.log([0.006, 0.010, 4.0]), np.diag([0.35, 0.3, 0.2]) ** 2
     rows, _ = people(12, mean=mean, spread=spread, rng=np.random.default_rng(7))
-    table = written(tmp_path / "people.csv", rows)
+    names = [f"{k:03d}" for k in range(12)]  # no numbers, though they look like some
+    table = written(
+        tmp_path / "people.csv", [{**row, "subject": name} for row, name in zip(rows, names, strict=True)]
+    )
     found = limbcli.cohort(table, out=tmp_path / "out")
     assert found.page == tmp_path / "out" / "cohort.html"
-    assert list(found.table()["subject"]) == [f"P{k:03d}" for k in range(12)]
+    assert list(found.table()["subject"]) == names
+    assert found.table()["outside_family"].dtype == bool
     assert found.compliance_left_out["mean_absolute_difference_percent"] > 0
     assert found.stage_result.provenance["command"].startswith("limbcli.cohort(")
     back = limbcli.CohortResult.read(tmp_path / "out")

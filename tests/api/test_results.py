@@ -123,7 +123,10 @@ def test_progress_is_silent_unless_it_is_heard(
 
 def test_sites_by_number_by_name_and_together(chain: dict[str, Any]):
     several = chain["mesh"]
-    assert several[0] is several["p1"]
+    assert several[0] is several["p1"] is several[np.int64(0)]
+    assert "p1" in several
+    assert "p9" not in several
+    assert several[0] in several
     assert len(several) == len(list(several)) == 1
     assert several[:1].results == several.results
     with pytest.raises(limbcli.CaseError, match="the sites are: p1"):

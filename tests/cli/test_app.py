@@ -140,6 +140,31 @@ def default_signals() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
+CLOSED = """
+import sys
+from limbcli.cli import check, entry
+import limbcli.stages.check as module
+def held(case, *, progress):
+    progress.event("note", text="of the progress")
+    with open(case / "kept", "w") as stream:
+        sys.stderr.write("not meant for the file")
+        sys.stderr.flush()
+        stream.write(str(stream.fileno() > 2))
+    raise SystemExit(3)
+module.check = held
+sys.argv = ["limbcli", "check", sys.argv[1]]
+entry.main()
+"""
+
+
+@pytest.mark.slow
+def test_closed_streams_lead_nowhere_and_into_no_file(tmp_path: Path):
+    words = [sys.executable, "-c", CLOSED, str(tmp_path)]
+    done = subprocess.run(["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh", *words], check=False, timeout=60)
+    assert done.returncode == 3
+    assert (tmp_path / "kept").read_text() == "True"
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
 def test_interruption_keeps_nothing_half_written_and_says_so(tmp_path: Path, sent: signal.Signals):
@@ -188,7 +213,23 @@ entry.main()
 """
 
 
-@pytest.mark.parametrize("moment", [WHILE_IMPORTING, AT_THE_END], ids=["importing", "leaving"])
+INSIDE_A_LIBRARY = """
+import os, signal, sys
+from limbcli.cli import app, entry
+def opening():
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+        [None for _ in range(1000)]
+    except KeyboardInterrupt as interrupt:
+        raise ImportError("initialization failed") from interrupt
+app.main = opening
+entry.main()
+"""
+
+
+@pytest.mark.parametrize(
+    "moment", [WHILE_IMPORTING, AT_THE_END, INSIDE_A_LIBRARY], ids=["importing", "leaving", "in a library"]
+)
 def test_interruption_at_the_first_and_the_last_moment_is_quiet(moment: str):
     done = subprocess.run(
         [sys.executable, "-c", moment],

@@ -129,18 +129,31 @@ def connected(*, scheduler: str | None, jobs: int, progress: Progress) -> Iterat
 
 
 def _local(jobs: int, folder: str) -> LocalCluster:
-    """Processes on this computer; what waits does so with the scheduler, and is not lost with a process."""
+    """Processes on this computer; what waits does so with the scheduler, and is not lost with a process.
+
+    Raises
+    ------
+    ToolError
+        If they do not start, as where each would call the very batch again that starts it.
+    """
     import dask
     from distributed import LocalCluster
 
     environment = dict.fromkeys((THREADS, *_LIBRARY_THREADS), str(threads_of(jobs)))
     asked = dask.config.get("distributed.worker.preload")
-    with dask.config.set(_LOCAL):
-        return LocalCluster(
-            n_workers=jobs, threads_per_worker=1, processes=True, host="127.0.0.1",
-            dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL, env=environment,
-            local_directory=folder, preload=[*([asked] if isinstance(asked, str) else asked), __name__],
-        )  # fmt: skip
+    try:
+        with dask.config.set(_LOCAL):
+            return LocalCluster(
+                n_workers=jobs, threads_per_worker=1, processes=True, host="127.0.0.1",
+                dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL, env=environment,
+                local_directory=folder, preload=[*([asked] if isinstance(asked, str) else asked), __name__],
+            )  # fmt: skip
+    except RuntimeError as error:
+        raise ToolError(
+            f"the worker processes did not start ({error})",
+            where="--jobs",
+            fix='in a script, put the call below `if __name__ == "__main__":`; else take --jobs 1',
+        ) from error
 
 
 def dask_setup(_worker: Any) -> None:
