@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.atomic_files import atomic_folder, sha256
-from limbcli.errors import CaseError, LimbError, tell_site
+from limbcli.errors import CaseError, LimbError, add_site
 from limbcli.errors.commands import command_line
 from limbcli.version import __version__
 
@@ -113,7 +113,7 @@ def open_stage(out: Path, stage: str, *, subject: str, site: str | None = None) 
             yield writer
         except LimbError as error:
             if site:
-                tell_site(error, site)
+                add_site(error, site)
             raise
         writer.result = writer.finish()
         _refuse_foreign(target, work, stage)

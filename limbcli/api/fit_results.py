@@ -151,7 +151,7 @@ class StatesFitResult(_WithParameters):
     states : by name: `stretch_along` and `stretch_around` over the unloaded tissue (told, value, low, high,
         known), the speed at rest as measured and as fitted (`swe_at_rest_m_per_s`, `..._fitted_m_per_s`)
     least_stiffness : by way ("along", "around"): `stretch`, `low`, `high` (None: open), `told`, `words`
-    not_told : a sentence for everything that the data leave open
+    undetermined : a sentence for everything that the data leave open
     chi_square, n_freedom : of the likelihood
     """
 
@@ -160,7 +160,7 @@ class StatesFitResult(_WithParameters):
     parameters: tuple[Estimate, ...]
     states: dict[str, dict[str, Any]]
     least_stiffness: dict[str, dict[str, Any]]
-    not_told: tuple[str, ...]
+    undetermined: tuple[str, ...]
     chi_square: float
     n_freedom: int
 
@@ -169,7 +169,7 @@ class StatesFitResult(_WithParameters):
         data = found.data
         return cls(
             found, data["law"], _estimates(data["parameters"]), dict(data["states"]),
-            dict(data["least_stiffness"]), tuple(data["not_told"]), data["chi_square"], data["n_freedom"],
+            dict(data["least_stiffness"]), tuple(data["undetermined"]), data["chi_square"], data["n_freedom"],
         )  # fmt: skip
 
     def model(self, state: str) -> LimbModel:

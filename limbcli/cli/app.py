@@ -90,7 +90,7 @@ def main(arguments: list[str] | None = None) -> None:
         _refuse_no_numbers(arguments)
         app(args=arguments, standalone_mode=True)
     except LimbError as error:
-        _leave(error, arguments)
+        _exit_with(error, arguments)
     except SystemExit as stop:
         if stop.code == INTERRUPTED:
             print(MESSAGE, file=sys.stderr)
@@ -102,9 +102,9 @@ def main(arguments: list[str] | None = None) -> None:
         found = in_words(error)
         if found is None:
             raise
-        _leave(found, arguments)
+        _exit_with(found, arguments)
     except MemoryError:
-        _leave(NO_MEMORY, arguments)
+        _exit_with(NO_MEMORY, arguments)
 
 
 def command_options() -> dict[str, frozenset[str]]:
@@ -113,7 +113,7 @@ def command_options() -> dict[str, frozenset[str]]:
     return {name: frozenset(text for each in found[name].params for text in each.opts) for name in COMMANDS}
 
 
-def _leave(error: LimbError, arguments: Sequence[str]) -> NoReturn:
+def _exit_with(error: LimbError, arguments: Sequence[str]) -> NoReturn:
     report_error(for_command_line(error, arguments, command_options()), as_json="--json" in arguments)
     sys.exit(error.exit_code)
 

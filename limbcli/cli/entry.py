@@ -17,7 +17,7 @@ from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
 def main() -> None:
     """`limbcli`, as installed."""
     _open_closed_streams()
-    _answer_with(_leave)
+    _answer_with(_exit_on_signal)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # letters that a terminal lacks are spelt
@@ -35,7 +35,7 @@ def main() -> None:
             sys.exit(INTERRUPTED)
         sys.exit(_caught(error))
     finally:
-        _answer_with(_leave)
+        _answer_with(_exit_on_signal)
 
 
 def _open_closed_streams() -> None:
@@ -83,7 +83,7 @@ def _interrupt(_signal: int, _frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-def _leave(_signal: int, _frame: FrameType | None) -> None:
+def _exit_on_signal(_signal: int, _frame: FrameType | None) -> None:
     """Before anything was begun, or after all was written: nothing to clean up."""
     os.write(2, f"{MESSAGE}\n".encode())
     os._exit(INTERRUPTED)

@@ -197,7 +197,7 @@ class _Run:
             why = "something is left that no candidate, alone or together, explains"
             return self._finish("unexplained", why, None)
         best = min(kept, key=lambda refit: (len(refit.explanation), not refit.is_adequate, refit.state.chi2))
-        doubt = self._doubt(best, kept, promising)
+        doubt = self._why_not_named(best, kept, promising)
         if len(kept) == 1 and doubt is not None:
             word, but = doubt
             why = f"one explanation fits, but {but}"
@@ -213,7 +213,9 @@ class _Run:
             return self._finish("named", why, best, tuple(kept))
         return self._finish("ambiguous", f"{has}, but {doubt[1]}", best, tuple(kept))
 
-    def _doubt(self, best: Refit, kept: Sequence[Refit], promising: list[str]) -> tuple[Word, str] | None:
+    def _why_not_named(
+        self, best: Refit, kept: Sequence[Refit], promising: list[str]
+    ) -> tuple[Word, str] | None:
         """What to say instead of a name, and why ("it fits, but ..."); None: nothing speaks against it.
 
         What it leaves may be that of one effect more: then an explanation with both leaves nothing. An m on

@@ -59,7 +59,7 @@ def _run(path: Path) -> ModuleType:
         spec.loader.exec_module(module)
     except Exception as error:  # whatever a file of the user's own raises is told as the file's
         at = error.lineno if isinstance(error, SyntaxError) else _line(error, path)
-        what = f"the effect file does not run ({_told(error)})"
+        what = f"the effect file does not run ({_error_text(error)})"
         raise CaseError(what, where=f"{path}, line {at}" if at else str(path), fix=_FIX) from error
     return module
 
@@ -112,17 +112,17 @@ def _guarded(effect: Effect, path: Path) -> Effect:
     """The same, with functions whose errors name the file."""
     changed: dict[str, Any] = {}
     if effect.apply is not same_model:
-        changed["apply"] = _telling(effect.apply, "apply", LimbModel, path)
+        changed["apply"] = _with_its_errors(effect.apply, "apply", LimbModel, path)
     if effect.observe is not same_reading:
-        changed["observe"] = _telling(effect.observe, "observe", Reading, path)
+        changed["observe"] = _with_its_errors(effect.observe, "observe", Reading, path)
     if effect.waves is not None:
-        changed["waves"] = _telling(effect.waves, "waves", LimbModel, path)
+        changed["waves"] = _with_its_errors(effect.waves, "waves", LimbModel, path)
     if effect.stiffness is not None:
-        changed["stiffness"] = _telling(effect.stiffness, "stiffness", object, path)
+        changed["stiffness"] = _with_its_errors(effect.stiffness, "stiffness", object, path)
     return replace(effect, **changed)
 
 
-def _telling(function: Callable[..., Any], name: str, kind: type, path: Path) -> Callable[..., Any]:
+def _with_its_errors(function: Callable[..., Any], name: str, kind: type, path: Path) -> Callable[..., Any]:
     def called(*given: Any) -> Any:
         try:
             found = function(*given)
@@ -131,7 +131,7 @@ def _telling(function: Callable[..., Any], name: str, kind: type, path: Path) ->
         except Exception as error:  # as above
             at = _line(error, path)
             where = f"{path}, line {at}" if at else str(path)
-            what = f"{name} of the effect file fails ({_told(error)})"
+            what = f"{name} of the effect file fails ({_error_text(error)})"
             raise CaseError(what, where=where, fix="mend that line") from error
         if not isinstance(found, kind):
             what = f"{name} of the effect file returns {type(found).__name__}, not a {kind.__name__}"
@@ -141,7 +141,7 @@ def _telling(function: Callable[..., Any], name: str, kind: type, path: Path) ->
     return called
 
 
-def _told(error: Exception) -> str:
+def _error_text(error: Exception) -> str:
     return f"{type(error).__name__}: {error}"
 
 

@@ -64,12 +64,12 @@ def _arrived(
 LimbError = LimbcliError  # the name within the package
 
 
-def tell_site(error: LimbError, name: str) -> None:
+def add_site(error: LimbError, name: str) -> None:
     """Say that it happened at this site, unless `where` tells it: of several a person must know which.
 
     >>> error = MeshError("286 cells are inverted", where="layers", fix="give thinner layers")
-    >>> tell_site(error, "p1")
-    >>> tell_site(error, "p1")
+    >>> add_site(error, "p1")
+    >>> add_site(error, "p1")
     >>> error.where
     'site p1, layers'
     """

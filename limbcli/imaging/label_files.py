@@ -97,20 +97,20 @@ def _label(title: str) -> int:
     """
     words = [each.lower() for each in _WORD.findall(title)]
     named = words[: next((k for k, word in enumerate(words) if word in _WITHOUT), None)]
-    if _tells(named, _MARKER):
+    if _names_any(named, _MARKER):
         return MARKER
-    is_flesh = _tells(named, _IN_FLESH)
-    kinds = {SOFT_TISSUE} if is_flesh or _tells(named, _SOFT) else set()
-    if _tells(named, _BONE) and not is_flesh:
+    is_flesh = _names_any(named, _IN_FLESH)
+    kinds = {SOFT_TISSUE} if is_flesh or _names_any(named, _SOFT) else set()
+    if _names_any(named, _BONE) and not is_flesh:
         kinds.add(BONE)
-    if _tells(named, _FAT):
+    if _names_any(named, _FAT):
         kinds.add(FAT)
-    if not kinds and _tells(named, _ANY_TISSUE):
+    if not kinds and _names_any(named, _ANY_TISSUE):
         return SOFT_TISSUE
     return kinds.pop() if len(kinds) == 1 else 0
 
 
-def _tells(words: Sequence[str], of_kind: Sequence[str]) -> bool:
+def _names_any(words: Sequence[str], of_kind: Sequence[str]) -> bool:
     return any(fnmatchcase(word, each) for word in words for each in of_kind)
 
 

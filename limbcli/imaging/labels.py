@@ -17,7 +17,7 @@ from limbcli.atomic_files import atomic_file
 from limbcli.errors import CaseError
 from limbcli.imaging.limbs import Side
 from limbcli.imaging.markers import MarkerCapsule, number_markers
-from limbcli.imaging.nifti import must_tell_place, one_geometry
+from limbcli.imaging.nifti import one_geometry, require_placement
 from limbcli.imaging.segmentation import BONE, FAT, MARKER, SOFT_TISSUE, Segmentation
 from limbcli.imaging.signed_distance import filled_by_slice, largest
 from limbcli.imaging.volume import DAMAGED, MOST_VOXELS, RAS_FROM_LPS, Volume
@@ -76,7 +76,7 @@ def read_labels(path: Path) -> Volume:
     while values.ndim > 3 and values.shape[-1] == 1:
         values = values[..., 0]
     fix = "export it again from 3D Slicer with the MRI series as its reference volume"
-    must_tell_place(image, path, noun="label map", fix=fix)
+    require_placement(image, path, noun="label map", fix=fix)
     one_geometry(image, path, noun="label map")
     return checked_labels(Volume(values, RAS_FROM_LPS @ affine), path)
 

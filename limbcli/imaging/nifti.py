@@ -43,7 +43,7 @@ def read_nifti(path: Path) -> Volume:
             fix="crop it to the limb",
         )
     fix = "convert the DICOM series again (dcm2niix writes both), or name the DICOM folder itself"
-    must_tell_place(image, path, noun="image", fix=fix)
+    require_placement(image, path, noun="image", fix=fix)
     one_geometry(image, path, noun="image")
     try:
         values = np.asarray(image.dataobj, dtype=np.float32).reshape(shape)
@@ -91,7 +91,7 @@ def _one_volume(shape: tuple[int, ...], path: Path) -> tuple[int, int, int]:
     return int(shape[0]), int(shape[1]), int(shape[2])
 
 
-def must_tell_place(image: object, path: Path, *, noun: str, fix: str) -> None:
+def require_placement(image: object, path: Path, *, noun: str, fix: str) -> None:
     """A NIfTI without qform and sform has voxel sizes only: which side is left nobody knows.
 
     Raises

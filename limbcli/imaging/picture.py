@@ -54,7 +54,7 @@ def contact_sheet(
         _outlines(axes, found, markers, grey, int(k))
         axes.set_xlim(extent[0], extent[1])
         axes.set_ylim(extent[2], extent[3])
-        _tell_sides(axes, grey)
+        _label_sides(axes, grey)
         height_mm = grey.to_patient(np.array([[*(n / 2 for n in grey.shape[:2]), k]]))[0, 2]
         axes.set_title(f"slice {k + 1} of {grey.shape[2]}, z = {height_mm:.0f} mm", fontsize=8)
         is_lowest, is_first = number > len(chosen) - _COLUMNS, number % _COLUMNS == 1
@@ -76,7 +76,7 @@ def _outlined(found: Segmentation, names: Sequence[str], markers: NDArray[np.boo
     return told + ([("marker", _MARKER)] if markers.any() else [])
 
 
-def _tell_sides(axes: Axes, grey: Volume) -> None:
+def _label_sides(axes: Axes, grey: Volume) -> None:
     """First letters of the sides of the patient that the panel's edges lie towards: L for left and so on."""
     across, down = grey.affine[:3, 0], grey.affine[:3, 1]
     places = ((across, 0.98, 0.5), (-across, 0.02, 0.5), (down, 0.5, 0.02), (-down, 0.5, 0.98))

@@ -173,24 +173,24 @@ def _seed_error(kind: str, seed: Array, what: str) -> CaseError:
 
 
 def _on_mri(work: Volume, hints: SegmentationHints, progress: Progress) -> Masks:
-    def tell(done: int) -> None:
+    def report(done: int) -> None:
         progress.event("task", name="segmenting", done=done, total=_PARTS)
 
     rough = rough_outline(work, threshold=hints.threshold)
     require_bright_fat(work, rough)
-    tell(1)
+    report(1)
     intensities = normalise(work, rough)
-    tell(2)
+    report(2)
     found = find_markers(work, intensities, rough)
-    tell(3)
+    report(3)
     limb = skin_outline(work, intensities, rough, without=found.around, threshold=hints.threshold)
-    tell(4)
+    report(4)
     points = None
     if hints.bone_seeds is not None:
         _require_in_limb(hints.bone_seeds, limb, work)
         points = np.clip(work.to_voxel(hints.bone_seeds), 0, np.array(limb.shape) - 1)
     marrow = find_marrow(intensities, limb, work.spacing, seeds=points)
-    tell(5)
+    report(5)
     bones = [with_cortex(each, intensities, limb, work.spacing) & limb for each in marrow]
     bone = np.any(bones, axis=0) if bones else np.zeros_like(limb)
     return Masks(limb, bones, fat_of(intensities, limb, bone, work), found.mask, found.markers)

@@ -113,7 +113,7 @@ def adaptive_profiles(
     work = _Work(problem, estimate)
     for done in range(max_solves + 1):
         found = work.profiles()
-        wanted = work.doubtful(found) if done < max_solves else None
+        wanted = work.least_certain(found) if done < max_solves else None
         if wanted is None:
             return replace(found, n_solves=done, unsolved=tuple(work.unsolved))
         progress.event("task", name="simulations for intervals", done=done + 1, total=max_solves)
@@ -148,7 +148,7 @@ class _Work:
             found[profile.name] = profile
         return Intervals(found, best.theta, best.cost, problem.n_freedom, scale, threshold, 0, best)
 
-    def doubtful(self, found: Intervals) -> tuple[Array, str, int] | None:
+    def least_certain(self, found: Intervals) -> tuple[Array, str, int] | None:
         """Where to simulate next: (theta, parameter whose profile asks, side), or None."""
         near = self.problem.within_reach
         asked = [(near(found.best), "", 0)]

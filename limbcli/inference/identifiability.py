@@ -32,13 +32,13 @@ def force_variance(slope: Array, *, force_deviation: float, depth_deviation: flo
     return force_deviation**2 + (slope * depth_deviation) ** 2
 
 
-def are_told(columns: Array) -> NDArray[np.bool_]:
+def are_determined(columns: Array) -> NDArray[np.bool_]:
     """Which parameters (p,) the data tell apart from the others, by the derivatives (n, p) of a prediction.
 
     Neither one without any influence nor one that makes up for others whole has a standard error.
 
     >>> alike = np.array([[1.0, 2.0, 0.0], [2.0, 4.0, 1.0], [3.0, 6.0, 0.0]])
-    >>> are_told(alike).tolist(), are_told(alike[:, [0, 2]]).tolist()
+    >>> are_determined(alike).tolist(), are_determined(alike[:, [0, 2]]).tolist()
     ([False, False, True], [True, True])
     """
     lengths = np.linalg.norm(columns, axis=0)
@@ -72,11 +72,11 @@ def log_covariance(
     nuisance : (n,) or (n, k) d prediction / d ln of the quantities held fixed (c)
     nuisance_deviation : standard deviation of their ln, or (k,)
 
-    Entries of a parameter that the data do not tell (`are_told`) are NaN.
+    Entries of a parameter that the data do not tell (`are_determined`) are NaN.
     """
     p = sensitivity.shape[1]
     covariance = np.full((p, p), np.nan)
-    seen = np.flatnonzero(are_told(sensitivity))
+    seen = np.flatnonzero(are_determined(sensitivity))
     estimator = np.linalg.pinv(sensitivity)[seen]
     block = (estimator * variance) @ estimator.T
     if nuisance is not None:

@@ -313,7 +313,7 @@ def _rows(
 ) -> Rows:
     middle, covariance = _moments(points, weights)
     taken = covariance @ _inverse(population.spread)  # of a shift of the population's mean
-    doubt = _mean_doubt(population, points.shape, seed)
+    doubt = _mean_errors(population, points.shape, seed)
     doubted = points + np.einsum("nij,dnj->dni", taken, doubt)
     low, high = (_quantiles(doubted, weights, q) for q in (_LOW, _HIGH))
     variance = np.einsum("nii->ni", covariance)
@@ -329,7 +329,7 @@ def _rows(
     )
 
 
-def _mean_doubt(population: Population, shape: tuple[int, ...], seed: int) -> Array:
+def _mean_errors(population: Population, shape: tuple[int, ...], seed: int) -> Array:
     """Draws (DRAWS, n, p) of how far off the population's mean is; a row of it for each row."""
     rng = np.random.default_rng([seed, 1])
     return np.asarray(rng.standard_t(population.n_people - 1, shape) * population.mean_error)

@@ -62,7 +62,7 @@ def _fitted(name: str, column: Array, difference: Difference) -> CycleChange:
     return CycleChange(name, size, information**-0.5, left, fits)
 
 
-def change_words(difference: Difference) -> str:
+def change_text(difference: Difference) -> str:
     """One sentence: what the difference looks like, or that it cannot be told."""
     pair = f"from cycle {difference.earlier} to {difference.later}"
     if difference.is_noise:
@@ -98,7 +98,7 @@ def _offset(change: CycleChange) -> str:
 _WORDS = {"residual depth": _residual, "compliance": _compliance, "force offset": _offset}
 
 
-def support_words(levels: Levels, study: CycleStudy, *, travel_deviation: float) -> str | None:
+def support_text(levels: Levels, study: CycleStudy, *, travel_deviation: float) -> str | None:
     """Whether the limb moved as a whole between the loadings; None where the probe's travel was not read.
 
     Travel minus depth is what the bone gave way. It is compared at the levels of the first and the

@@ -42,7 +42,7 @@ __all__ = [
     "check_levels",
     "check_trace",
     "check_values",
-    "doubts_about_levels",
+    "level_warnings",
     "read_levels",
     "read_trace",
 ]
@@ -67,7 +67,7 @@ def read_levels(path: Path, *, noise: LayerNoise | None = None) -> Levels:
     return checked(*check_levels(path, noise=noise), MeasurementError)
 
 
-def doubts_about_levels(path: Path, *, noise: LayerNoise | None = None) -> tuple[str, ...]:
+def level_warnings(path: Path, *, noise: LayerNoise | None = None) -> tuple[str, ...]:
     """What is unusual about the levels though they can be used, in words."""
     _, problems = check_levels(path, noise=noise)
     return tuple(f"{each.what} ({each.fix})" for each in problems if each.severity == "warning")

@@ -34,12 +34,12 @@ _MISFIT, _DOUBT = 3.0, 6.0  # deviations of what must hold, mm across the limb: 
 
 @dataclass(frozen=True, eq=False)
 class PutBack:
-    """names : the bones that were moved together; move (3,) : mm, patient LPS; doubt_mm : one standard
+    """names : the bones that were moved together; move (3,) : mm, patient LPS; deviation_mm : one standard
     deviation of the move across the limb, mm."""
 
     names: tuple[str, ...]
     move: Array
-    doubt_mm: float
+    deviation_mm: float
 
 
 def put_back(

@@ -12,7 +12,7 @@ from limbcli.reporting.fit_view import FitView
 from limbcli.reporting.numbers import DASH, cell
 from limbcli.reporting.outcome import Failure
 from limbcli.reporting.reportlet import Cell, Mood
-from limbcli.reporting.sections.parameters import interval_words, said
+from limbcli.reporting.sections.parameters import interval_text, said
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class IndexRow:
         m = step.estimate("m")
         interval = Cell(DASH, reason="not computed")
         if m is not None and (m.low is not None or m.high is not None):
-            interval = Cell(interval_words(m))
+            interval = Cell(interval_text(m))
         return (
             cell(step.c_kpa),
             said(cell(step.m), m),

@@ -55,7 +55,7 @@ class LogWatcher:
         for line in lines:
             last = self.reader.feed(line) or last
         if last is not None:
-            self._tell(last)
+            self._report(last)
         return last is not None
 
     def alive(self, seconds: float, limit_s: float) -> None:
@@ -69,7 +69,7 @@ class LogWatcher:
             end_time=self._end,
         )
 
-    def _tell(self, iteration: Iteration) -> None:
+    def _report(self, iteration: Iteration) -> None:
         residual, target = iteration.worst()
         level = next((k for k, goal in enumerate(self._goals, 1) if goal >= iteration.time - 1e-9), 1)
         self._progress.event(

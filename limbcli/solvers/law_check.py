@@ -29,10 +29,10 @@ _STRAIN = 0.08  # of the cells looked at, at most: beyond, means over curved cel
 
 def can_be_checked(elements: Mapping[str, Table]) -> bool:
     """Whether any table holds deformation and stress."""
-    return any(_tells(each) for each in elements.values())
+    return any(_has_stress(each) for each in elements.values())
 
 
-def _tells(table: Table) -> bool:
+def _has_stress(table: Table) -> bool:
     return {*_GRADIENT, *_STRESS} <= set(table.fields)
 
 
@@ -46,7 +46,7 @@ def check_first_step(model: LimbModel, elements: Mapping[str, Table], folder: Pa
     """
     laws = _laws_by_cell(model)
     for name, table in elements.items():
-        off = _deviation(table, laws) if _tells(table) else None
+        off = _deviation(table, laws) if _has_stress(table) else None
         if off is not None and off > _TOLERANCE:
             raise SolveError(
                 f"the stresses in {name} are not those of the model's material: "

@@ -43,8 +43,8 @@ class RunFiles:
         self._files: dict[str, IO[str]] = {}
         self._finished = False
         self._said_solver = False
-        self._say(f"{_RULE}\n  limbcli reference solver\n  version {version}\n{_RULE}\n")
-        self._say(f" FILES USED\n{_RULE}\n\tModel file : {mark}\n")
+        self._write_log(f"{_RULE}\n  limbcli reference solver\n  version {version}\n{_RULE}\n")
+        self._write_log(f" FILES USED\n{_RULE}\n\tModel file : {mark}\n")
 
     def __enter__(self) -> RunFiles:
         return self
@@ -55,9 +55,9 @@ class RunFiles:
         if error is not None:
             stars = " *" * 37
             lines = "\n".join(f" * {line}" for line in str(error).splitlines())
-            self._say(f"{stars}\n * ERROR\n{lines}\n{stars}\n".replace(stars, " " + "*" * 73))
+            self._write_log(f"{stars}\n * ERROR\n{lines}\n{stars}\n".replace(stars, " " + "*" * 73))
         if not self._finished:
-            self._say("\n E R R O R   T E R M I N A T I O N\n")
+            self._write_log("\n E R R O R   T E R M I N A T I O N\n")
         self._stack.close()
 
     def step(self, analysis: Analysis, snapshot: Snapshot) -> None:
@@ -66,31 +66,31 @@ class RunFiles:
             self._first(analysis)
         time = snapshot.state.time
         counts = analysis.newton.counts
-        self._say(f"===== beginning time step {snapshot.step} : {time:.12g} =====")
-        self._say(
+        self._write_log(f"===== beginning time step {snapshot.step} : {time:.12g} =====")
+        self._write_log(
             f" touching points {snapshot.forces.n_touching}, residual {snapshot.forces.error:.3e},"
             f" iterations so far {counts.iterations}, factorisations {counts.factorisations}"
         )
-        self._say(f"------- converged at time : {time:.12g}\n")
+        self._write_log(f"------- converged at time : {time:.12g}\n")
         self._records(analysis, snapshot.step, time, snapshot)
         self._log.flush()
 
     def finish(self, analysis: Analysis, seconds: float) -> None:
         """Totals and the line by which a finished run is known."""
         counts = analysis.totals()
-        self._say(" N O N L I N E A R   I T E R A T I O N   S U M M A R Y\n")
-        self._say(f"\tTotal number of equilibrium iterations ............ : {counts.iterations}\n")
-        self._say(f"\tTotal number of right hand evaluations ............ : {counts.residuals}\n")
-        self._say(f"\tTotal number of stiffness reformations ............ : {counts.factorisations}\n")
-        self._say(f"\tTotal elapsed time .............. : 0:00:00 ({seconds:.3f} sec)\n")
-        self._say("\n N O R M A L   T E R M I N A T I O N\n")
+        self._write_log(" N O N L I N E A R   I T E R A T I O N   S U M M A R Y\n")
+        self._write_log(f"\tTotal number of equilibrium iterations ............ : {counts.iterations}\n")
+        self._write_log(f"\tTotal number of right hand evaluations ............ : {counts.residuals}\n")
+        self._write_log(f"\tTotal number of stiffness reformations ............ : {counts.factorisations}\n")
+        self._write_log(f"\tTotal elapsed time .............. : 0:00:00 ({seconds:.3f} sec)\n")
+        self._write_log("\n N O R M A L   T E R M I N A T I O N\n")
         self._finished = True
 
     def _first(self, analysis: Analysis) -> None:
         self._said_solver = True
         box = " " + "*" * 73
-        self._say(f"{box}\n * Selecting linear solver {analysis.newton.linear_name}\n{box}\n")
-        self._say(f"\tNumber of equations ............ : {analysis.system.n_unknowns}\n")
+        self._write_log(f"{box}\n * Selecting linear solver {analysis.newton.linear_name}\n{box}\n")
+        self._write_log(f"\tNumber of equations ............ : {analysis.system.n_unknowns}\n")
         self._records(analysis, 0, 0.0, None)
 
     def _records(self, analysis: Analysis, step: int, time: float, snapshot: Snapshot | None) -> None:
@@ -124,5 +124,5 @@ class RunFiles:
         np.savetxt(stream, table, fmt=["%d"] + ["%.12g"] * values.shape[1], delimiter=",")
         stream.flush()
 
-    def _say(self, text: str) -> None:
+    def _write_log(self, text: str) -> None:
         self._log.write(text + "\n")

@@ -123,7 +123,9 @@ class _Together:
                 self.client.unsubscribe_topic(self.call.topic)
         lost = lost_workers(self.client) - before
         if lost > 0:
-            self._say("note", text=f"worker processes lost on the way: {lost}; their work was done by others")
+            self._publish(
+                "note", text=f"worker processes lost on the way: {lost}; their work was done by others"
+            )
         return [way.outcome for way in self.ways]
 
     # ------------------------------------------------------------ parts
@@ -214,7 +216,7 @@ class _Together:
         how = "; ".join(f"{each.place} failed: {each.error.what}" for each in failures) or "done"
         if not failures and not way.outcome.ran:
             how = "nothing changed"
-        self._say("note", text=f"{way.name}: {how}")
+        self._publish("note", text=f"{way.name}: {how}")
         self._count("")
         return []
 
@@ -224,7 +226,7 @@ class _Together:
         address = str(error.facts["worker"])
         if address not in self.refused:
             self.refused.add(address)
-            self._say("note", text=f"{error.what} ({error.where}); others do it. {error.fix}")
+            self._publish("note", text=f"{error.what} ({error.where}); others do it. {error.fix}")
 
     def _without_answer(self, way: CaseProgress, part: BatchTask, error: Exception) -> PartOutcome:
         """The part as failed, where Dask gave it up.
@@ -267,7 +269,7 @@ class _Together:
         facts = event[1]
         part, stage = facts["part"], facts["stage"]
         if facts["text"]:
-            self._say("note", text=f"{part}: {facts['text']}")
+            self._publish("note", text=f"{part}: {facts['text']}")
             return
         if stage:
             self.stages[part] = stage
@@ -282,14 +284,14 @@ class _Together:
             except Exception:  # the scheduler is gone: the main thread hears of it
                 return
             if there and not n_workers:
-                self._say("note", text="no worker is left: waiting for one (start jobs that ended anew)")
+                self._publish("note", text="no worker is left: waiting for one (start jobs that ended anew)")
             elif n_workers and not there:
-                self._say("note", text=f"workers are there again: {n_workers}")
+                self._publish("note", text=f"workers are there again: {n_workers}")
             there = bool(n_workers)
 
     def _count(self, now: str) -> None:
         left = self._left()
-        self._say(
+        self._publish(
             "task", name=", ".join(each for each in ("cases", now, left) if each),
             done=self.n_cases_done, total=len(self.ways),
         )  # fmt: skip
@@ -302,6 +304,6 @@ class _Together:
         minutes = each * (self.n_parts - self.n_done) / 60
         return f"about {minutes:.0f} min left" if minutes >= 1 else "less than a minute left"
 
-    def _say(self, kind: str, **facts: Any) -> None:
+    def _publish(self, kind: str, **facts: Any) -> None:
         with self._speaking:
             self.progress.event(kind, **facts)

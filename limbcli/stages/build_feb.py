@@ -128,7 +128,7 @@ def _build_site(
         writer.warnings.append(doubt)
     writer.data.update(c_source=c_source, f_kappa=options.f_kappa, m=options.m)
     _report(writer, model, plan, levels, site)
-    _tell_layers(writer, laws)
+    _report_layers(writer, laws)
 
 
 def tissue_stiffness(levels: Levels, site: Site, *, c_kpa: float | None = None) -> tuple[float, str]:
@@ -207,7 +207,7 @@ def simulated_depths(levels: Levels) -> Array:
     return np.array(apart(depths.tolist()))
 
 
-def _tell_layers(writer: StageWriter, laws: Mapping[str, LayerLaw]) -> None:
+def _report_layers(writer: StageWriter, laws: Mapping[str, LayerLaw]) -> None:
     """Laws of the layers, which of their values are assumed, and where the element makes them stiffer."""
     writer.data["layers"] = {name: law.to_json() for name, law in laws.items()}
     for name, law in laws.items():

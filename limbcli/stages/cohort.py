@@ -29,10 +29,10 @@ from limbcli.stages.cohorts.result import (
     c_fat_beyond,
     family_ends,
     m_beyond,
+    outliers,
     row_entries,
     site_entry,
     summary_lines,
-    told_apart,
 )
 
 STAGE, RESULT, ROWS, PAGE = "cohort", "cohort.json", "rows.csv", "cohort.html"
@@ -61,7 +61,7 @@ def cohort(
     read, problems = checked_cohort(table)
     raise_errors(problems, MeasurementError, then="then call `limbcli cohort` again")
     rows = checked(read, problems, MeasurementError)
-    warnings = [_told(each) for each in problems if each.severity == "warning"]
+    warnings = [_problem_text(each) for each in problems if each.severity == "warning"]
     rows, left_out_sites = _with_enough(rows)
     warnings += left_out_sites
     family = layered_family()
@@ -114,7 +114,7 @@ def _with_enough(table: CohortTable) -> tuple[CohortTable, list[str]]:
     ]
 
 
-def _told(each: Problem) -> str:
+def _problem_text(each: Problem) -> str:
     return f"{each.what} ({each.where})"
 
 
@@ -174,7 +174,7 @@ def _data(
             },
         },
         "sites": {each.name: site_entry(table, each) for each in estimates},
-        "stands_out": told_apart(table, estimates),
+        "stands_out": outliers(table, estimates),
         "compliance_left_out": predicted,
         "rows": rows,
     }

@@ -25,16 +25,21 @@ from limbcli.diagnostics.model.forward_model import Explanation
 from limbcli.effects import EFFECTS, Effect, effect
 from limbcli.effects.base import NUMERICAL
 from limbcli.effects.own_file import effect_of_file
-from limbcli.errors import CaseError, LimbError, tell_site
+from limbcli.errors import CaseError, LimbError, add_site
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, open_stage, plain, read_result
-from limbcli.stages.diagnosis.bones.bone_comparison import doubted, may_be_elsewhere, told_together, weighed
+from limbcli.stages.diagnosis.bones.bone_comparison import (
+    combined_diagnosis,
+    may_be_elsewhere,
+    weighed,
+    with_bone_warnings,
+)
 from limbcli.stages.diagnosis.bones.evidence import Stand, compared
 from limbcli.stages.diagnosis.drainage.drained import DrainageSolver
 from limbcli.stages.diagnosis.forward_model.measurement_menu import known
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.stages.diagnosis.mesh_error.mesh_correction import F_KAPPA
-from limbcli.stages.diagnosis.mesh_error.numerical_checks import Intervention, too_doubtful
+from limbcli.stages.diagnosis.mesh_error.numerical_checks import Intervention, large_uncertainty
 from limbcli.stages.diagnosis.place import Place, PlaceMaker
 from limbcli.stages.diagnosis.prepare import STAGE, Prepared, WorkingMesh, depth_misfit, prepare, turned_by_90
 from limbcli.stages.diagnosis.report import (
@@ -116,7 +121,7 @@ def diagnose(
                 results += _Diagnosed(case, group, out, effects, options, draining, progress).all()
         except LimbError as error:
             if not any(site.name in error.where for site in group):
-                tell_site(error, " + ".join(site.name for site in group))
+                add_site(error, " + ".join(site.name for site in group))
             raise
     return results
 
@@ -192,7 +197,7 @@ class _Diagnosed:
                 place = better
                 found = self._found(place)
             place, found = self._against_rivals(place, found)
-            return [self._leave(found, place, k) for k in range(len(place.prepared))]
+            return [self._write(found, place, k) for k in range(len(place.prepared))]
         finally:
             place.close()
 
@@ -230,7 +235,7 @@ class _Diagnosed:
             if outcome == "other bones":
                 return rival.instead_of(place, evidence), theirs
             if outcome == "either":
-                found = told_together(found, theirs, other.words)
+                found = combined_diagnosis(found, theirs, other.words)
             stand: Stand = "open" if outcome == "either" else "not taken"
             place.settled(replace(evidence, stand=stand), rival)
         for evidence, rival in list(place.rivals):
@@ -272,10 +277,10 @@ class _Diagnosed:
             prepared.notes.warnings.append(text)
             raise
 
-    def _leave(self, found: Diagnosis, place: Place, k: int) -> StageResult:
+    def _write(self, found: Diagnosis, place: Place, k: int) -> StageResult:
         """One site's folder: the verdict, which is that of its place, and its own pictures and model."""
         forward_model, all_, mine = place.forward_model, place.prepared, place.prepared[k]
-        found = doubted(found, place.bones)
+        found = with_bone_warnings(found, place.bones)
         with open_stage(self.out, STAGE, subject=self.case.subject, site=mine.site.name) as writer:
             writer.data["asked"] = self.options.asked()
             for name, path in mine.notes.inputs.items():
@@ -289,7 +294,7 @@ class _Diagnosed:
                 writer.warnings.append(f"{name} was judged at the deformation without it: {why}")
             if forward_model.not_simulated:
                 writer.warnings.append(_not_simulated(forward_model.not_simulated))
-            doubt = too_doubtful(mine.interventions)
+            doubt = large_uncertainty(mine.interventions)
             writer.warnings.extend([doubt] if doubt else [])
             writer.warnings.extend(place.problems)
             writer.warnings.extend(each.sentence for each in place.bones if each.stand != "not taken")
@@ -320,7 +325,7 @@ class _Diagnosed:
         content["numerical"] = [
             {"name": i.name, "note": i.note, "largest_change_in_deviations": i.deviations,
              "matters": i.deviations > thresholds.MATTERS_SD, "log_force_change": i.log_force,
-             "share_in_doubt": i.left}
+             "share_uncertain": i.left}
             for i in mine.interventions
         ]  # fmt: skip
         content["f_kappa_held_at"] = F_KAPPA

@@ -116,12 +116,12 @@ def _table(
         result = read_result(out, stage, site=site)
     except LimbError as error:
         return [Comparison(label, f"no result ({error.what})", "a result", False)]
-    if doubt := _doubt(chain, result):
+    if doubt := _why_stale(chain, result):
         return [Comparison(label, f"no result of today's case ({doubt})", "a result", False)]
     return [_compare(f"{label}.{key}", *_looked_up(result.data, key), rule) for key, rule in rules.items()]
 
 
-def _doubt(chain: Chain | None, result: StageResult) -> str:
+def _why_stale(chain: Chain | None, result: StageResult) -> str:
     """Why a result says nothing of the case as it is today; nothing where it does."""
     if chain is None:
         return ""

@@ -24,25 +24,25 @@ from limbcli.inference.geometry_uncertainty import no_narrower
 from limbcli.inference.interval import Stiffness, force_intervals
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.two_step_fit import START_F_KAPPA, FittedStep, ForceDepth, two_step
-from limbcli.measurement.indentation import Levels, doubts_about_levels
+from limbcli.measurement.indentation import Levels, level_warnings
 from limbcli.model import Array, ElementMap, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.solvers import choose
 from limbcli.solvers.base import Simulation, Solver
 from limbcli.stages.build_feb import tissue_stiffness
-from limbcli.stages.fitting.contact_check import forces_with_penalty, leave_contact_check
-from limbcli.stages.fitting.cycles import leave_cycle, through_cycle
-from limbcli.stages.fitting.exports import leave_mat
+from limbcli.stages.fitting.contact_check import forces_with_penalty, write_contact_check
+from limbcli.stages.fitting.cycles import through_cycle, write_cycle
+from limbcli.stages.fitting.exports import write_mat_file
 from limbcli.stages.fitting.force_curves import FileCurve, ReferenceCurve, with_tissue
-from limbcli.stages.fitting.geometry import geometry_doubt
-from limbcli.stages.fitting.geometry_result import leave_geometry
-from limbcli.stages.fitting.layers import leave_layers
+from limbcli.stages.fitting.geometry import site_geometry_uncertainty
+from limbcli.stages.fitting.geometry_result import write_geometry
+from limbcli.stages.fitting.layers import write_layers
 from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.stages.fitting.options import FitOptions, check_choice, check_numbers
-from limbcli.stages.fitting.predicted_speeds import leave_speeds
-from limbcli.stages.fitting.result import Identified, leave_result
-from limbcli.stages.fitting.stiffness_map import leave_map, tissue_map
+from limbcli.stages.fitting.predicted_speeds import write_speeds
+from limbcli.stages.fitting.result import Identified, write_result
+from limbcli.stages.fitting.stiffness_map import tissue_map, write_tissue_map
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.provenance.chain_inputs import note_case, note_templates
 from limbcli.stages.site_model.site_layers import held_layers
@@ -129,7 +129,9 @@ def _fit_site(
         share = _share_of_c(share_of_c, theta, writer) if held_layers(model) else None
         known = [replace(stiffness, gain_deviation=each, share=share) for each in gains]
         fitted = with_tissue(model, c=c, f_kappa=float(theta[0]), m=float(theta[1]))
-        doubt = geometry_doubt(case, site, out, fitted, curve(theta).values, writer, progress=progress)
+        doubt = site_geometry_uncertainty(
+            case, site, out, fitted, curve(theta).values, writer, progress=progress
+        )
         intervals, of_noise, why_none = None, None, "no interval was asked for"
         if not (site.noise.force > 0 or site.noise.depth > 0):
             why_none = "the case states no noise of force or depth"
@@ -147,20 +149,20 @@ def _fit_site(
         identified = Identified(
             curve, knots, data, known[-1], c_source, START, steps, intervals, cold, why_none, doubt, gains
         )
-        simulation = _leave_fitted_run(fitted, solver, writer, options, progress)
-        leave_result(identified, fitted, simulation, writer, site, seconds=time.perf_counter() - clock)
-        leave_cycle(levels, site, writer)
+        simulation = _write_fitted_run(fitted, solver, writer, options, progress)
+        write_result(identified, fitted, simulation, writer, site, seconds=time.perf_counter() - clock)
+        write_cycle(levels, site, writer)
         if site.states:
             writer.warnings.insert(0, one_state(site))
         if doubt is not None:
-            leave_geometry(identified, doubt, of_noise[-1] if of_noise else None, writer)
+            write_geometry(identified, doubt, of_noise[-1] if of_noise else None, writer)
         if options.contact_check:
             harder = partial(forces_with_penalty, fitted, progress=progress)
             penalty = fitted.contacts[0].penalty
-            leave_contact_check(penalty, curve(theta).values, knots, harder, writer, progress=progress)
-        leave_speeds(fitted, simulation, levels, site, writer)
-        leave_layers(fitted, simulation, levels, site, writer)
-        leave_mat(writer)
+            write_contact_check(penalty, curve(theta).values, knots, harder, writer, progress=progress)
+        write_speeds(fitted, simulation, levels, site, writer)
+        write_layers(fitted, simulation, levels, site, writer)
+        write_mat_file(writer)
 
 
 def _intervals(
@@ -192,7 +194,7 @@ def _tissue_c(
             fix="leave one of the two out",
         )
     found = tissue_map(model, site, row=int(levels.rows[0]))
-    leave_map(found, model, levels, site, writer)
+    write_tissue_map(found, model, levels, site, writer)
     stiffness = found.stiffness(site)
     if options.c_deviation is not None:
         stiffness = Stiffness(stiffness.c, options.c_deviation)
@@ -211,7 +213,7 @@ def built_model(case: Case, site: Site, out: Path, writer: StageWriter, *, label
     writer.used(f"{prefix}model", feb)
     writer.used(f"{prefix}levels", site.levels, role=f"site/{site.name}/levels")
     note_case(writer, case, [], site=site, own=["density_kg_per_m3", "noise"])
-    for text in (*built.warnings, *doubts_about_levels(site.levels, noise=layer_noise(site))):
+    for text in (*built.warnings, *level_warnings(site.levels, noise=layer_noise(site))):
         if text not in writer.warnings:
             writer.warnings.append(text)
     return read_feb(feb)
@@ -271,7 +273,7 @@ def _share_of_c(share_of_c: Callable[[Array], Array], theta: Array, writer: Stag
     return share
 
 
-def _leave_fitted_run(
+def _write_fitted_run(
     fitted: LimbModel, solver: Solver, writer: StageWriter, options: FitOptions, progress: Progress
 ) -> Simulation:
     """fitted.feb, ready for FEBio Studio, and the records of its run."""

@@ -30,7 +30,7 @@ from limbcli.stages.fit import (
     force_depth_data,
     initial_stiffness,
 )
-from limbcli.stages.fitting.cycles import leave_cycle, through_cycle
+from limbcli.stages.fitting.cycles import through_cycle, write_cycle
 from limbcli.stages.fitting.exports import write_table
 from limbcli.stages.fitting.force_curves import ReferenceCurve
 from limbcli.stages.fitting.options import COMPARISON
@@ -94,7 +94,7 @@ def _compare_site(
 ) -> None:
     levels = levels_of(site, options.cycle)
     model = through_cycle(built_model(case, site, out, writer), levels, site)
-    leave_cycle(levels, site, writer)
+    write_cycle(levels, site, writer)
     stiffness, source = initial_stiffness(levels, site, options)
     data = force_depth_data(levels, site)
     found: list[ElementFit] = []
@@ -117,7 +117,7 @@ def _compare_site(
         found.append(
             ElementFit(element, curve.depths, start, np.array(sweep), steps, forces, linear, _unknowns(same))
         )
-    _leave(writer, found, kpa_from_mpa(stiffness.c), source, data.depth, data.force)
+    _write(writer, found, kpa_from_mpa(stiffness.c), source, data.depth, data.force)
 
 
 def _forces_with(curve: SolvedPoints, theta: Array, writer: StageWriter) -> Array:
@@ -136,7 +136,7 @@ def _unknowns(model: LimbModel) -> int:
     return 3 * len(np.setdiff1d(nodes, np.concatenate(held) if held else np.zeros(0, np.int64)))
 
 
-def _leave(
+def _write(
     writer: StageWriter, found: list[ElementFit], c_kpa: float, source: str, depth: Array, force: Array
 ) -> None:
     linear, quadratic = found

@@ -32,14 +32,14 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.solvers.material_lines import MaterialLines
 from limbcli.stages.fit import FitOptions, built_model, check_numbers, initial_stiffness
-from limbcli.stages.fitting.contact_check import leave_contact_check
-from limbcli.stages.fitting.cycles import leave_cycle, through_cycle
-from limbcli.stages.fitting.exports import leave_mat
-from limbcli.stages.fitting.fibre_orientations import leave_orientations
+from limbcli.stages.fitting.contact_check import write_contact_check
+from limbcli.stages.fitting.cycles import through_cycle, write_cycle
+from limbcli.stages.fitting.exports import write_mat_file
+from limbcli.stages.fitting.fibre_orientations import write_orientations
 from limbcli.stages.fitting.fibre_rest_speed import rest_speed
-from limbcli.stages.fitting.fibre_uncertainty import leave_direction_doubt, told_deviation
+from limbcli.stages.fitting.fibre_uncertainty import stated_deviation, write_direction_uncertainty
 from limbcli.stages.fitting.force_curves import LawCurve
-from limbcli.stages.fitting.joint_result import law_row, leave_comparison, leave_joint
+from limbcli.stages.fitting.joint_result import law_row, write_comparison, write_joint
 from limbcli.stages.fitting.laws import LAWS, FitLaw, first_shapes, law_named
 from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.stages.provenance.requested_options import in_words
@@ -109,15 +109,15 @@ def fit_joint(
     with open_stage(out, STAGE, subject=case.subject) as writer:
         measured = [_measured(case, site, out, writer, options) for site in case.selected(sites)]
         for each in measured:
-            leave_cycle(each.levels, each.site, writer, label=each.site.name)
+            write_cycle(each.levels, each.site, writer, label=each.site.name)
             check_noise(each.site, speeds=each.levels.has_swe)
-        _say_free(measured, options, writer)
+        _report_free(measured, options, writer)
         models = [(each.site.name, each.model) for each in measured]
         told = any(model.fibres is not None for _, model in models)
         others = [each for each in LAWS if each != law.name and (told or not LAWS[each].has_fibres)]
         names = [law.name, *(others if joint.compare_laws else [])]
         if law.has_fibres:
-            leave_orientations(models, [each.levels.has_swe for each in measured], writer)
+            write_orientations(models, [each.levels.has_swe for each in measured], writer)
         table = []
         for name in names:
             progress.event("note", text=f"law {name}")
@@ -133,16 +133,16 @@ def fit_joint(
                 n_solves = sum(each.n_solves for each in curves)
                 table.append(law_row(LAWS[name], problem, found, n_solves))
                 if name == law.name:
-                    leave_joint(writer, models, law, problem, found, n_solves)
+                    write_joint(writer, models, law, problem, found, n_solves)
                     if law.has_fibres:
                         _check_directions(writer, measured, law, problem, found, out, progress)
                     if options.contact_check:
                         _check_contacts(writer, measured, curves, problem, found, progress)
         if joint.compare_laws:
-            leave_comparison(writer, table)
+            write_comparison(writer, table)
         writer.data["asked"] = {**options.asked("joint"), "gain_deviation": joint.gain_deviation}
         writer.data["seconds"] = time.perf_counter() - clock
-        leave_mat(writer)
+        write_mat_file(writer)
     assert writer.result is not None
     return writer.result
 
@@ -167,7 +167,7 @@ def _measured(case: Case, site: Site, out: Path, writer: StageWriter, options: F
     return Measured(site, model, levels, stiffness.c, error, layers if lines else None, lines)
 
 
-def _say_free(measured: Sequence[Measured], options: FitOptions, writer: StageWriter) -> None:
+def _report_free(measured: Sequence[Measured], options: FitOptions, writer: StageWriter) -> None:
     """What was given of c by hand holds nothing fixed where every site has speeds."""
     given = in_words(
         {key: value for key, value in options.asked().items() if key in ("c_kpa", "c_deviation")}
@@ -235,10 +235,12 @@ def _check_directions(
 ) -> None:  # fmt: skip
     """What fibres one deviation off would change, at every site that states how well they are known."""
     for each in measured:
-        deviation = told_deviation(out, each.site)
+        deviation = stated_deviation(out, each.site)
         if deviation is not None:
             c, shape = float(found.best[0]), problem.solved_at(found.best)
-            leave_direction_doubt(each.model, each.site, law, c, shape, deviation, writer, progress=progress)
+            write_direction_uncertainty(
+                each.model, each.site, law, c, shape, deviation, writer, progress=progress
+            )
 
 
 def _check_contacts(
@@ -253,7 +255,7 @@ def _check_contacts(
         except SolveError as error:
             writer.warnings.append(f"{each.site.name}: the contact was not checked: {error.what}")
             continue
-        leave_contact_check(
+        write_contact_check(
             each.model.contacts[0].penalty, forces, curve.depths, partial(curve.with_penalty, place), writer,
             site=each.site.name, progress=progress,
         )  # fmt: skip

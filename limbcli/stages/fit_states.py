@@ -25,12 +25,12 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.stages.fit import FitOptions, built_model, check_numbers
 from limbcli.stages.fit_joint import JointOptions, Measured, check_noise, site_data
-from limbcli.stages.fitting.exports import leave_mat
+from limbcli.stages.fitting.exports import write_mat_file
 from limbcli.stages.fitting.laws import FitLaw, first_shapes, law_named
 from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.stages.fitting.state_curve import StateCurve
 from limbcli.stages.fitting.state_plan import StretchPlan, stretch_plan
-from limbcli.stages.fitting.states_result import leave_states
+from limbcli.stages.fitting.states_result import write_states
 from limbcli.stages.provenance.chain_inputs import note_case
 from limbcli.stages.provenance.requested_options import asked_of_options
 from limbcli.stages.site_model.site_layers import held_layers
@@ -95,7 +95,7 @@ def fit_states(
             _fit_site(case, site, out, writer, law, states, options, progress)
             writer.data["asked"] = {**options.asked("states"), **asked_of_options(states)}
             writer.data["seconds"] = time.perf_counter() - clock
-            leave_mat(writer)
+            write_mat_file(writer)
         assert writer.result is not None
         results.append(writer.result)
     return results
@@ -137,7 +137,7 @@ def _fit_site(
             c0=c0, gain=gain_deviation(model, given, studied=studied), max_rounds=states.max_rounds,
             progress=progress,
         )  # fmt: skip
-        leave_states(writer, site, model, law, plan, curve, problem, found)
+        write_states(writer, site, model, law, plan, curve, problem, found)
     finally:
         curve.close()
 

@@ -23,13 +23,13 @@ from limbcli.measurement.bmode import BoneLine, follow_bone
 from limbcli.measurement.indentation import (
     Levels,
     check_levels,
-    doubts_about_levels,
+    level_warnings,
     read_levels,
 )
 from limbcli.measurement.levels import LAYERS
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
-from limbcli.stages.measuring.fibres import leave_pennation
+from limbcli.stages.measuring.fibres import write_pennation
 from limbcli.stages.measuring.holds import Columns, column_problems, force_columns
 from limbcli.stages.measuring.images import box_of, images_of, measured_speeds, tissue_between
 from limbcli.stages.measuring.layers import layer_columns, read_borders
@@ -105,7 +105,7 @@ def _measure_site(case: Case, site: Site, out: Path, writer: StageWriter, progre
         problems = check_levels(path, noise=layer_noise(site))[1]
         found = [replace(each, where=f"the levels of site {site.name}") for each in problems]
         raise_errors(found, MeasurementError)
-        writer.warnings.extend(doubts_about_levels(path, noise=layer_noise(site)))
+        writer.warnings.extend(level_warnings(path, noise=layer_noise(site)))
     writer.data["n_levels"] = len(next(iter(columns.values())))
     writer.summary.append(f"{writer.data['n_levels']} levels: {', '.join(columns)}")
     return text
@@ -142,7 +142,7 @@ def _depth(table: Mapping[str, Any], writer: StageWriter, progress: Progress) ->
     lines: list[BoneLine] = follow_bone(images, bone=table["bone_mm"])
     progress.event("task", name="B-mode images", done=len(images), total=len(images))
     borders = read_borders(images, table, lines, writer)
-    leave_pennation(images[0], borders, lines[0], writer)
+    write_pennation(images[0], borders, lines[0], writer)
     draw_bone_lines(images, lines, writer.file("bone_picture", "bone.png"), borders=borders)
     writer.data["bone"] = [vars(each) for each in lines]
     worst = max(each.sd for each in lines)

@@ -29,7 +29,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.provenance.requested_options import asked_of
-from limbcli.stages.site_model.fibres import leave_fibres, note_fibres, with_fibres
+from limbcli.stages.site_model.fibres import note_fibres, with_fibres, write_fibres
 from limbcli.stages.site_model.mesh_checks import geometry_warnings, layer_warnings, measured_skin_bone
 from limbcli.stages.site_model.mesh_inputs import MeshInputs
 from limbcli.stages.site_model.mesh_study import study_site
@@ -197,13 +197,13 @@ def mesh_site(
             sides=found.frame.sides,
         )
         _report(writer, found, options, limb, segmented, site)
-        leave_fibres(fibres, model, probe, site, writer)
-        _tell_layers(writer, options.layers, layer_sources, found)
+        write_fibres(fibres, model, probe, site, writer)
+        _report_layers(writer, options.layers, layer_sources, found)
     assert writer.result is not None
     return writer.result
 
 
-def _tell_layers(
+def _report_layers(
     writer: StageWriter, layers: tuple[Layer, ...], sources: dict[str, str], found: SiteModel
 ) -> None:
     """What was asked for, and what of it the model has: over bone layers thin out."""

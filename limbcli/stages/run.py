@@ -23,7 +23,7 @@ from limbcli.solvers.reference import NAME as REFERENCE
 from limbcli.solvers.restart import RESTART_FILE
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.provenance.requested_options import asked_of_options
-from limbcli.stages.running.files import leave_simulation
+from limbcli.stages.running.files import write_simulation
 from limbcli.stages.running.vtu import write_series
 from limbcli.stages.site_model.site_levels import levels_of
 
@@ -182,7 +182,7 @@ def _simulate(
     writer.files["log"] = LOG_FILE
     for record in outline.records:
         writer.files[Path(record.file).stem] = record.file
-    leave_simulation(simulation, outline, writer, levels=levels, site=site)
+    write_simulation(simulation, outline, writer, levels=levels, site=site)
     if options.vtu:
         write_series(feb, simulation, writer)
     writer.data["model_sha256"] = sha256(feb)

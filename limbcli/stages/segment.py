@@ -35,7 +35,7 @@ from limbcli.results import StageResult, StageWriter, open_stage, read_result
 from limbcli.stages.provenance.chain_inputs import LIMB, note_case
 from limbcli.stages.provenance.requested_options import asked_of
 from limbcli.stages.segmenting.assumed import from_assumed
-from limbcli.stages.segmenting.places import tell_places
+from limbcli.stages.segmenting.places import report_places
 from limbcli.stages.segmenting.surfaces import check_limb, from_surfaces, write_surfaces
 
 SKIN_EDGE, BONE_EDGE = 2.0, 1.5  # mm: edge lengths of the surfaces' triangles
@@ -264,15 +264,15 @@ def _write(
         progress.event("task", name="surfaces", done=number, total=1 + len(names))
     check_limb(surfaces, case, writer, where=f"{case.subject}, segment ({writer.data['source']})")
     write_surfaces(surfaces, writer)
-    _tell_markers(found, lowered, writer)
-    tell_places(case, surfaces, writer.data["markers"], writer)
-    _tell_layers(case, found, surfaces["skin"], writer)
-    verdict = _tell_quality(found, names, writer)
+    _report_markers(found, lowered, writer)
+    report_places(case, surfaces, writer.data["markers"], writer)
+    _report_layers(case, found, surfaces["skin"], writer)
+    verdict = _report_quality(found, names, writer)
     sheet = writer.file("contact_sheet", "contact-sheet.png")
     contact_sheet(sheet, image, found, names, title=f"{case.subject}, distal to proximal; quality: {verdict}")
 
 
-def _tell_markers(found: Segmentation, lowered: list[float], writer: StageWriter) -> None:
+def _report_markers(found: Segmentation, lowered: list[float], writer: StageWriter) -> None:
     writer.data["markers"] = [
         {"number": each.number, "position_mm": list(each.position), "volume_mm3": each.volume,
          "skin_lowered_mm": down}
@@ -282,7 +282,7 @@ def _tell_markers(found: Segmentation, lowered: list[float], writer: StageWriter
         writer.summary.append(f"{len(found.markers)} skin marker(s), numbered from distal to proximal")
 
 
-def _tell_layers(case: Case, found: Segmentation, skin: ClosedSurface, writer: StageWriter) -> None:
+def _report_layers(case: Case, found: Segmentation, skin: ClosedSurface, writer: StageWriter) -> None:
     """Thickness of skin and fat under each site whose place is known."""
     places = {each.number: each.position for each in found.markers}
     layers = {}
@@ -303,7 +303,7 @@ def _tell_layers(case: Case, found: Segmentation, skin: ClosedSurface, writer: S
     writer.data["layers"] = layers
 
 
-def _tell_quality(found: Segmentation, names: tuple[str, ...], writer: StageWriter) -> str:
+def _report_quality(found: Segmentation, names: tuple[str, ...], writer: StageWriter) -> str:
     quality = assess(found, names)
     writer.data["quality"] = {"verdict": quality.verdict, **quality.figures}
     writer.summary.append(f"quality: {quality.verdict}")

@@ -12,7 +12,7 @@ from scipy.stats import multivariate_normal
 
 from limbcli.meshing.surfaces import tetrahedron
 from limbcli.stages.diagnosis.bones.bone_hypotheses import OtherBones, _from_face, _in_reach
-from limbcli.stages.diagnosis.bones.evidence import Evidence, compared, fits_badly
+from limbcli.stages.diagnosis.bones.evidence import Evidence, compared, is_poor_fit
 from limbcli.stages.diagnosis.data.rows import Row
 from limbcli.stages.diagnosis.place import Place
 
@@ -105,8 +105,8 @@ def test_rivals_wait_until_the_effects_have_been_looked_at():
 
 def test_a_bad_fit_is_told_by_its_chi2():
     model = model_of(np.zeros(12), np.eye(12), [Row("force", k) for k in range(12)])
-    assert not fits_badly(model, fit_of(np.full(12, 1.2)), 0.05)  # 17.3 on 10
-    assert fits_badly(model, fit_of(np.full(12, 1.3)), 0.05)  # 20.3 on 10
+    assert not is_poor_fit(model, fit_of(np.full(12, 1.2)), 0.05)  # 17.3 on 10
+    assert is_poor_fit(model, fit_of(np.full(12, 1.3)), 0.05)  # 20.3 on 10
 
 
 def test_a_bone_is_left_out_moved_or_as_it_was():

@@ -13,7 +13,12 @@ from limbcli.diagnostics.conclusions.verdict import Diagnosis, Shrink
 from limbcli.diagnostics.model.estimates import Reported
 from limbcli.diagnostics.model.forward_model import Explanation, Fitted
 from limbcli.diagnostics.statistical_tests.multiple_testing import Family
-from limbcli.stages.diagnosis.bones.bone_comparison import doubted, may_be_elsewhere, told_together, weighed
+from limbcli.stages.diagnosis.bones.bone_comparison import (
+    combined_diagnosis,
+    may_be_elsewhere,
+    weighed,
+    with_bone_warnings,
+)
 from limbcli.stages.diagnosis.bones.bone_hypotheses import OtherBones
 from limbcli.stages.diagnosis.bones.evidence import Evidence
 
@@ -72,7 +77,9 @@ def test_nothing_missing_is_not_looked_for_on_another_limb():
 
 def test_either_limb_gives_all_that_fits_and_c_and_m_of_any():
     ours = found("named", TILT, m=(2.0, 3.0))
-    told = told_together(ours, found("ambiguous", ("fat", "preload"), TILT, m=(2.5, 4.0)), "without bone_2")
+    told = combined_diagnosis(
+        ours, found("ambiguous", ("fat", "preload"), TILT, m=(2.5, 4.0)), "without bone_2"
+    )
     assert told.verdict == "ambiguous"
     assert "without bone_2" in told.reason
     assert told.confidence_set == (TILT, ("fat", "preload"))
@@ -80,12 +87,12 @@ def test_either_limb_gives_all_that_fits_and_c_and_m_of_any():
     assert told.estimates.values["m"] == 2.5
     assert told.estimates.over == 3
     assert told.shrink[0].estimates.intervals["m"] == (1.2, 1.8)
-    same_pair = told_together(found("ambiguous", PAIR), found("ambiguous", ("fat", "preload")), "x")
+    same_pair = combined_diagnosis(found("ambiguous", PAIR), found("ambiguous", ("fat", "preload")), "x")
     assert same_pair.confidence_set == (PAIR,)
 
 
 def test_nothing_is_said_of_a_next_measurement_where_none_was_compared():
-    told = told_together(found("named", TILT), found("named", ("preload",)), "without bone_2")
+    told = combined_diagnosis(found("named", TILT), found("named", ("preload",)), "without bone_2")
     assert len(told.confidence_set) == 2
     assert not any("Next measurement" in each for each in sentences(replace(told, not_evaluated={})))
 
@@ -101,8 +108,8 @@ def test_the_verdict_says_how_many_effects_it_names(effects, words):
 
 def test_what_explains_nothing_adds_nothing():
     ours = found("named", TILT)
-    assert told_together(ours, found("unexplained", PAIR), "x") is ours
-    told = told_together(found("unexplained"), found("named", TILT), "x")
+    assert combined_diagnosis(ours, found("unexplained", PAIR), "x") is ours
+    told = combined_diagnosis(found("unexplained"), found("named", TILT), "x")
     assert (told.verdict, told.confidence_set) == ("unexplained", ())
     assert "see `bones`" in told.reason
 
@@ -117,8 +124,10 @@ PUT_BACK = OtherBones("with bone_2 put back", 10.0, moved={"bone_2": np.ones(3)}
      (PUT_BACK, "taken", "ambiguous"), (PUT_BACK, "open", "ambiguous"), (PUT_BACK, "not taken", "named")],
 )  # fmt: skip
 def test_no_name_on_a_limb_whose_bones_were_moved(other, stand, verdict):
-    told = doubted(found("named", TILT), [Evidence(other, 50.0, 20, True, stand)])
+    told = with_bone_warnings(found("named", TILT), [Evidence(other, 50.0, 20, True, stand)])
     assert told.verdict == verdict
     assert told.confidence_set == (TILT,)
     assert ("(see `bones`)" in told.reason) == (verdict == "ambiguous")
-    assert doubted(found("adequate"), [Evidence(other, 50.0, 20, True, stand)]).verdict == "adequate"
+    assert (
+        with_bone_warnings(found("adequate"), [Evidence(other, 50.0, 20, True, stand)]).verdict == "adequate"
+    )

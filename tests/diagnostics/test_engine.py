@@ -335,7 +335,7 @@ def test_what_barely_is_not_adequate_is_told_beside_a_member_only(adequate):
 )  # fmt: skip
 def test_what_every_explanation_has_is_named_and_the_others_are_kept(several, doubt, word, reason):
     run = _Run(SimpleNamespace(), 3, False)
-    run._doubt = lambda best, kept, promising: doubt
+    run._why_not_named = lambda best, kept, promising: doubt
     run._finish = lambda said, why, best, kept=(): (said, why, [each.explanation for each in kept])
     kept = [
         SimpleNamespace(explanation=each, is_adequate=True, state=SimpleNamespace(chi2=10.0 - len(each)))

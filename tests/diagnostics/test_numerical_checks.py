@@ -17,7 +17,7 @@ from limbcli.stages.diagnosis.forward_model.changes import filled
 from limbcli.stages.diagnosis.mesh_error.numerical_checks import (
     Intervention,
     NumericalChecks,
-    too_doubtful,
+    large_uncertainty,
 )
 
 
@@ -103,7 +103,7 @@ def test_doubt_that_is_a_large_part_of_the_force_is_warned_of():
     def tried(name: str, change: float) -> Intervention:
         return Intervention(name, np.array([0.0, change]), np.zeros((2, 0)), 1.0)
 
-    assert too_doubtful([tried("contact", -0.12), tried("locking", 0.9)]) is None
-    estimates = too_doubtful([tried("contact", -0.3), tried("f-kappa", 0.22), tried("crop", 0.01)])
+    assert large_uncertainty([tried("contact", -0.12), tried("locking", 0.9)]) is None
+    estimates = large_uncertainty([tried("contact", -0.3), tried("f-kappa", 0.22), tried("crop", 0.01)])
     assert estimates is not None
     assert "contact 35 %, f-kappa 25 %" in estimates

@@ -112,7 +112,7 @@ def test_a_mean_whose_region_is_not_known_lies_between_that_of_a_narrow_and_of_a
     found = windows.log_means_of(np.where(np.abs(x) < 12.0, 3.0, 2.0))[None]
     narrow, wide = np.log(3.0), np.log(0.6 * 3.0 + 0.4 * 2.0)
     assert found[0, 0] == pytest.approx((narrow + wide) / 2)
-    assert windows.width_doubt(found) == pytest.approx([(narrow - wide) / 2])
+    assert windows.width_uncertainty(found) == pytest.approx([(narrow - wide) / 2])
 
 
 def test_speeds_that_a_line_takes_below_zero_are_not_known():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from limbcli.errors import CaseError, MeasurementError
-from limbcli.measurement.cycle_changes import change_words, changes, support_words
+from limbcli.measurement.cycle_changes import change_text, changes, support_text
 from limbcli.measurement.cycles import compare, cycle_energy, study_cycles
 from limbcli.measurement.hold_cycles import cycles_of_holds
 from limbcli.measurement.indentation import read_levels
@@ -104,12 +104,12 @@ def test_what_changed_is_told_apart_and_measured(change, name, size):
 
 
 def test_words_name_the_cause_or_say_that_the_levels_do_not_tell():
-    told = change_words(compare(repeated({}, {"softer": 0.6}, unload=False, seed=7), 1, 2, 0.1, 0.3))
+    told = change_text(compare(repeated({}, {"softer": 0.6}, unload=False, seed=7), 1, 2, 0.1, 0.3))
     assert "preconditioning" in told
-    same = change_words(compare(repeated({}, {}, unload=False, seed=7), 1, 2, 0.1, 0.3))
+    same = change_text(compare(repeated({}, {}, unload=False, seed=7), 1, 2, 0.1, 0.3))
     assert "nothing changed beyond noise" in same
     slight = [
-        change_words(compare(repeated({}, {"left": 0.9}, unload=False, seed=k), 1, 2, 0.1, 0.3))
+        change_text(compare(repeated({}, {"left": 0.9}, unload=False, seed=k), 1, 2, 0.1, 0.3))
         for k in range(10)
     ]
     assert any("do not tell which" in each for each in slight)
@@ -117,11 +117,11 @@ def test_words_name_the_cause_or_say_that_the_levels_do_not_tell():
 
 def test_a_support_that_moved_shows_in_the_travel_only():
     moved = repeated({}, {"moved": 3.0}, unload=False, seed=7, travel=True)
-    assert "support moved" in support_words(moved, study_cycles(moved, **NOISE), travel_deviation=0.3)
+    assert "support moved" in support_text(moved, study_cycles(moved, **NOISE), travel_deviation=0.3)
     still = repeated({}, {}, unload=False, seed=7, travel=True)
-    assert "did not move" in support_words(still, study_cycles(still, **NOISE), travel_deviation=0.3)
+    assert "did not move" in support_text(still, study_cycles(still, **NOISE), travel_deviation=0.3)
     silent = repeated({}, {}, unload=False, seed=7)
-    assert support_words(silent, study_cycles(silent, **NOISE), travel_deviation=0.3) is None
+    assert support_text(silent, study_cycles(silent, **NOISE), travel_deviation=0.3) is None
 
 
 def test_a_cycle_counts_its_depth_from_its_own_first_touch():

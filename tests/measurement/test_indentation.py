@@ -11,7 +11,7 @@ from limbcli.errors import MeasurementError
 from limbcli.measurement.indentation import (
     LayerNoise,
     check_levels,
-    doubts_about_levels,
+    level_warnings,
     read_levels,
     read_trace,
 )
@@ -170,14 +170,14 @@ def test_speeds_in_cm_per_s_are_not_taken_for_a_soft_limb(tmp_path: Path):
 
 def test_a_modulus_in_the_column_of_speeds_is_doubted(tmp_path: Path):
     rows = [f"{2 * k},{2.0 * k},{(2.1 + 0.2 * k) ** 2},," for k in range(4)]
-    assert any("modulus" in text for text in doubts_about_levels(write(tmp_path, rows=rows)))
-    assert not doubts_about_levels(write(tmp_path))
+    assert any("modulus" in text for text in level_warnings(write(tmp_path, rows=rows)))
+    assert not level_warnings(write(tmp_path))
 
 
 def test_a_probe_that_the_tissue_would_pull_was_not_tared(tmp_path: Path):
     def told(zero: float) -> bool:
         rows = [f"{zero + 2 * k},{k}" for k in range(4)]
-        doubts = doubts_about_levels(write(tmp_path, "force_n,depth_mm", rows))
+        doubts = level_warnings(write(tmp_path, "force_n,depth_mm", rows))
         return any("tissue does not pull" in each for each in doubts)
 
     assert told(-2.5)
@@ -187,9 +187,7 @@ def test_a_probe_that_the_tissue_would_pull_was_not_tared(tmp_path: Path):
 def test_a_force_that_falls_a_little_while_the_depth_grows_is_doubted(tmp_path: Path):
     def doubts(force: str) -> list[str]:
         rows = ["0,0", "2,2.1", f"{force},4", "6,5.5"]
-        return [
-            text for text in doubts_about_levels(write(tmp_path, "force_n,depth_mm", rows)) if "falls" in text
-        ]
+        return [text for text in level_warnings(write(tmp_path, "force_n,depth_mm", rows)) if "falls" in text]
 
     assert "falls by 0.5 N" in doubts("1.5")[0]
     assert not doubts("1.9"), "within the noise of a reading"
@@ -211,9 +209,9 @@ def test_depths_that_do_not_grow_are_told(tmp_path: Path, rows: list[str], expec
 
 @pytest.mark.parametrize("first", ["2,1.6,1.7,0.2,90", "0.4,1.4,1.7,0.2,90"])
 def test_a_measurement_without_a_level_0_is_told(tmp_path: Path, first: str):
-    doubts = doubts_about_levels(write(tmp_path, rows=[first, *ROWS[2:], "8,6,2.5,0.3,80"]))
+    doubts = level_warnings(write(tmp_path, rows=[first, *ROWS[2:], "8,6,2.5,0.3,80"]))
     assert any("there is no level 0" in each for each in doubts)
-    assert not any("level 0" in each for each in doubts_about_levels(write(tmp_path)))
+    assert not any("level 0" in each for each in level_warnings(write(tmp_path)))
 
 
 @pytest.mark.parametrize(
@@ -225,7 +223,7 @@ def test_a_level_0_that_stands_elsewhere_than_at_0_mm_is_told(
 ):
     """All depths would be off by it; a force that already presses explains some depth."""
     rows = [f"{force},{moved}", *(f"{2 * k},{depth + moved}" for k, depth in ((1, 2.1), (2, 3.9), (3, 5.2)))]
-    doubts = doubts_about_levels(write(tmp_path, "force_n,depth_mm", rows), noise=LayerNoise(0.2, 0.3))
+    doubts = level_warnings(write(tmp_path, "force_n,depth_mm", rows), noise=LayerNoise(0.2, 0.3))
     found = [each for each in doubts if "depth_mm counts from level 0" in each]
     assert bool(found) == told
     assert not told or f"take {moved:.3g} mm from every depth" in found[0]

@@ -48,7 +48,7 @@ def test_what_was_moved_together_is_put_back_within_5_mm_from_anywhere(leg):
         ends.append(found.move + np.array(by))
         assert np.abs(ends[-1][:2]).max() < 4.0
         assert abs(ends[-1][2]) < 6.0
-        assert found.doubt_mm < 6.0
+        assert found.deviation_mm < 6.0
     assert ends[0] == pytest.approx(ends[1], abs=0.3)
 
 

@@ -26,7 +26,7 @@ from limbcli.reporting.figures.states import StateReading, StatesPanel, states_f
 from limbcli.reporting.figures.stiffness import StiffnessSection, stiffness_figure
 from limbcli.reporting.figures.study import StudyRow, study_figure
 from limbcli.reporting.figures.style import plain_log
-from limbcli.reporting.figures.wave_speed import PredictedSpeeds, SpeedReadings, line_words, wave_speed
+from limbcli.reporting.figures.wave_speed import PredictedSpeeds, SpeedReadings, line_text, wave_speed
 from limbcli.reporting.fit_view import EstimateView
 
 DEPTH = np.linspace(0, 10, 11)
@@ -113,11 +113,11 @@ def test_without_measured_maps_only_the_predicted_ones_are_drawn():
 
 
 def test_a_falling_speed_is_written_with_a_minus():
-    assert line_words(Line(-0.05, 2.0, 0.5, None, 3), "N").startswith("2.00 m/s − 0.050 m/s per N")
+    assert line_text(Line(-0.05, 2.0, 0.5, None, 3), "N").startswith("2.00 m/s − 0.050 m/s per N")
 
 
 def test_an_undefined_r2_is_said_in_words():
-    assert "R² undefined" in line_words(Line(0.0, 2.0, None, None, 3), "N")
+    assert "R² undefined" in line_text(Line(0.0, 2.0, None, None, 3), "N")
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.01, 1000.0), (1.0, 190.0), (3.0, 40.0)])

@@ -225,7 +225,7 @@ def test_a_fit_recovers_the_tissue_and_allows_for_the_shape(chain, tmp_path):
     )
     (first,) = fit(case, out=out, solver="reference", options=wanted)
     found = first.data
-    doubt = found["geometry_doubt"]
+    doubt = found["geometry_uncertainty"]
     for name, true in (("f_kappa", 2.0), ("m", 5.0)):
         narrow, wide = doubt["interval_95_noise"][name], doubt["interval_95"][name]
         assert found["interval_95"][name] == wide
@@ -242,7 +242,7 @@ def test_a_fit_recovers_the_tissue_and_allows_for_the_shape(chain, tmp_path):
     assert (kinds["roundness"] > 0).all()  # the last one is the flatter: more of the face at once
     assert doubt["n_solves"] == 9
     brief = replace(wanted, intervals=False)
-    again = fit(case, out=out, solver="reference", options=brief)[0].data["geometry_doubt"]
+    again = fit(case, out=out, solver="reference", options=brief)[0].data["geometry_uncertainty"]
     assert again["n_solves"] == 0
     assert again["variations"] == doubt["variations"]
     assert assumed_gain(case, case.sites[0], out)[0] == doubt["gain_fraction"]
@@ -291,7 +291,7 @@ def test_a_bone_met_on_its_flank_is_within_the_interval_that_allows_for_it(tmp_p
     wanted = FitOptions(
         gain_deviation=0.02, c_kpa=8.0, c_deviation=0.02, contact_check=False, max_interval_solves=3
     )
-    doubt = fit(case, out=out, solver="reference", options=wanted)[0].data["geometry_doubt"]
+    doubt = fit(case, out=out, solver="reference", options=wanted)[0].data["geometry_uncertainty"]
     (low, _), (alone, _) = doubt["interval_95"]["m"], doubt["interval_95_noise"]["m"]
     assert low < 5.0 < alone
     moved = {each["kind"]: each["log_shift"]["m"] for each in doubt["variations"]}

@@ -12,7 +12,7 @@ from limbcli.feb.settings import schedule
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.diagnosis.curves.model_simplification import softer_jumps
-from limbcli.stages.fitting.contact_check import leave_contact_check
+from limbcli.stages.fitting.contact_check import write_contact_check
 from limbcli.stages.fitting.force_curves import FIBRE_BAND, LawCurve
 from limbcli.stages.fitting.laws import LAWS
 from limbcli.stages.site_model.indentation_model import TISSUE, indentation_model, with_penalty
@@ -63,7 +63,7 @@ def test_levels_that_a_harder_contact_does_not_reach_soon_are_left_out_and_it_is
     forces = curve(SHAPE).values
     counts.stop = 2
     writer = SimpleNamespace(data={}, summary=[], warnings=[])
-    leave_contact_check(
+    write_contact_check(
         20.0, forces, curve.depths, lambda penalty: curve.with_penalty(SHAPE, penalty), writer, site="p1"
     )
     counts.stop = 0

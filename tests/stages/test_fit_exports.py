@@ -5,7 +5,7 @@ import json
 from scipy.io import loadmat
 
 from limbcli.results import open_stage
-from limbcli.stages.fitting.exports import leave_mat, write_mat
+from limbcli.stages.fitting.exports import write_mat, write_mat_file
 
 
 def test_no_name_of_a_matlab_file_takes_the_place_of_another(tmp_path):
@@ -29,7 +29,7 @@ def test_fields_of_more_letters_than_matlab_has_stay_apart(tmp_path):
 def test_a_matlab_file_holds_what_the_result_does(tmp_path):
     with open_stage(tmp_path, "fit", subject="S1", site="p1") as writer:
         writer.data.update(m=4.0, asked={}, misfit={"poor": False, "words": ""}, cycle={"fitted": 2})
-        leave_mat(writer)
+        write_mat_file(writer)
     data = json.loads((tmp_path / "fit" / "p1" / "fit.json").read_text())["data"]
     found = loadmat(tmp_path / "fit" / "p1" / "fit.mat", simplify_cells=True)["fit"]
     assert set(found) == set(data)

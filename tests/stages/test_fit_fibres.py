@@ -24,7 +24,7 @@ from limbcli.stages.build_feb import build_feb
 from limbcli.stages.diagnosis.curves.model_simplification import softer_jumps
 from limbcli.stages.fit import FitOptions, check_choice
 from limbcli.stages.fit_joint import JointOptions, fit_joint
-from limbcli.stages.fitting.fibre_orientations import not_told, share_along
+from limbcli.stages.fitting.fibre_orientations import share_along, undetermined
 from limbcli.stages.fitting.fibre_rest_speed import rest_speed
 from limbcli.stages.fitting.force_curves import LawCurve
 from limbcli.stages.fitting.laws import FIBRE_F_KAPPA, LAWS, law_named
@@ -196,8 +196,8 @@ def test_two_orientations_give_back_one_tissue(both):
 @pytest.mark.slow
 def test_what_a_doubtful_direction_changes_is_told(both):
     """Where the case states how well it is known: fibres 4 degrees off, against two simulations of that."""
-    assert set(both.data["direction_doubt"]) == {"along"}
-    told, values = both.data["direction_doubt"]["along"], []
+    assert set(both.data["direction_uncertainty"]) == {"along"}
+    told, values = both.data["direction_uncertainty"]["along"], []
     c, shape = 1e-3 * both.data["c_kpa"], np.array([both.data[each.name] for each in LAW.shape])
     a = np.radians(4.0)
     for axis in ((1.0, 0.0, 0.0), (np.cos(a), 0.0, np.sin(a))):
@@ -237,10 +237,10 @@ def test_one_orientation_is_told_what_it_leaves_open(case_and_out, both):
 
 
 def test_words_of_orientations():
-    assert not not_told([0.02, 0.95], [True, True])
-    assert "one orientation only: fibre_shear rests on forces" in not_told([0.02, 0.95], [True, False])[0]
-    assert "c (1 + fibre_shear) together" in not_told([0.9, 0.95], [True, True])[0]
-    assert "one mixture" in not_told([0.5], [True])[0]
+    assert not undetermined([0.02, 0.95], [True, True])
+    assert "one orientation only: fibre_shear rests on forces" in undetermined([0.02, 0.95], [True, False])[0]
+    assert "c (1 + fibre_shear) together" in undetermined([0.9, 0.95], [True, True])[0]
+    assert "one mixture" in undetermined([0.5], [True])[0]
     assert share_along(fibred((0.6, 0.8, 0.0))) == pytest.approx(0.36)
 
 

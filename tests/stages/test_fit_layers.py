@@ -96,7 +96,7 @@ def test_layers_of_a_later_cycle_have_the_numbers_of_its_rows_in_the_file(tmp_pa
     monkeypatch.setattr(fitted_layers, "predict_layers", lambda *_: found)
     site = SimpleNamespace(name="p1", noise=SimpleNamespace(layer=0.1))
     with open_stage(tmp_path, "fit", subject="S1", site="p1") as writer:
-        fitted_layers.leave_layers(None, None, levels, site, writer)
+        fitted_layers.write_layers(None, None, levels, site, writer)
         with (writer.work / "layers.csv").open() as stream:
             assert [row["level"] for row in csv.DictReader(stream)] == ["5", "6", "7"]
 

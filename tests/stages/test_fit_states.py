@@ -149,8 +149,8 @@ def test_states_on_one_slope_leave_the_lowest_point_open(levels, tmp_path):
     assert not least["told"]
     assert "is not told by these data" in least["words"]
     assert least["by_parabola_through_states"] == {"stretch": None, "low": None, "high": None, "told": False}
-    assert any("not told by these data" in each for each in found.data["not_told"])
-    assert set(found.data["not_told"]) <= set(found.warnings)
+    assert any("not told by these data" in each for each in found.data["undetermined"])
+    assert set(found.data["undetermined"]) <= set(found.warnings)
 
 
 @pytest.mark.slow

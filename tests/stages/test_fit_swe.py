@@ -16,7 +16,7 @@ from limbcli.results import open_stage, read_result
 from limbcli.shear_waves.speed import element_speeds
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.fitting.force_curves import with_tissue
-from limbcli.stages.fitting.predicted_speeds import leave_speeds
+from limbcli.stages.fitting.predicted_speeds import write_speeds
 from limbcli.stages.site_model.indentation_model import indentation_model
 from tests.stages import block_case as block
 
@@ -53,7 +53,7 @@ def predict(solved, case: Case, out: Path):
     model, result = solved
     site = case.sites[0]
     with open_stage(out, "fit", subject="B1", site="p1") as writer:
-        leave_speeds(model, result.simulation, read_levels(site.levels), site, writer)
+        write_speeds(model, result.simulation, read_levels(site.levels), site, writer)
     return read_result(out, "fit", site="p1")
 
 

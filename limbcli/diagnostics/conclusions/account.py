@@ -19,9 +19,9 @@ from limbcli.diagnostics.selection.confidence_set import Refit
 from limbcli.diagnostics.selection.gap_closure import Closing
 from limbcli.diagnostics.selection.refits import Refits
 from limbcli.diagnostics.statistical_tests.heldout import (
+    determined_by_the_rest,
     held_out_error,
     over_shared,
-    told_by_the_rest,
 )
 from limbcli.diagnostics.statistical_tests.localisation_tests import predicted_without
 from limbcli.diagnostics.statistical_tests.multiple_testing import Family
@@ -158,5 +158,5 @@ class Account:
         residual = data.y - base.prediction
         return {
             name: predicted_without(residual, base.jacobian, data.noise.covariance, mask)
-            for name, mask in told_by_the_rest(data.groups, base.jacobian).items()
+            for name, mask in determined_by_the_rest(data.groups, base.jacobian).items()
         }

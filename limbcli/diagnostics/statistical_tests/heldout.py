@@ -27,7 +27,7 @@ def held_out_error(data: Data, fitted: Fitted) -> dict[str, float]:
     residual, covariance = data.y - fitted.prediction, data.noise.covariance
     found: dict[str, float] = {}
     squares, n_data = 0.0, 0
-    for name, mask in told_by_the_rest(data.blocks, J).items():
+    for name, mask in determined_by_the_rest(data.blocks, J).items():
         keep = ~mask
         rest = cho_factor(covariance[np.ix_(keep, keep)], lower=True)
         known = cho_solve(rest, np.column_stack([covariance[np.ix_(keep, mask)], J[keep], residual[keep]]))
@@ -83,7 +83,7 @@ def over_shared(errors: Sequence[Mapping[str, float]], blocks: Mapping[str, Mask
     ]
 
 
-def told_by_the_rest(blocks: Mapping[str, Mask], J: Array) -> dict[str, Mask]:
+def determined_by_the_rest(blocks: Mapping[str, Mask], J: Array) -> dict[str, Mask]:
     """Those blocks without which the data still tell every parameter; J (n, p) : sensitivities."""
     scale = np.where(np.linalg.norm(J, axis=0) > 0, np.linalg.norm(J, axis=0), 1.0)
     usable = {}

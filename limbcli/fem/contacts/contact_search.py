@@ -56,12 +56,12 @@ def _hit_triangle(x2, first, second, third, r, nu, tolerance, out):
     t = (d11 * p2 - d12 * p1) / det
     if s < -tolerance or t < -tolerance or s + t > 1.0 + tolerance:
         return False
-    _tell(g, m, r, nu, s, t, e1, e2, out)
+    _write_projection(g, m, r, nu, s, t, e1, e2, out)
     return True
 
 
 @njit(cache=True)
-def _tell(g, m, r, nu, s, t, along_s, along_t, out):
+def _write_projection(g, m, r, nu, s, t, along_s, along_t, out):
     """out of a hit; along_s, along_t : how the place moves with s and t."""
     out[0], out[_PLACE], out[_PLACE + 1] = g, s, t
     cross(along_t, m, out[_ALONG : _ALONG + 3])
@@ -114,7 +114,7 @@ def _hit_quad(x2, nodes, r, nu, tolerance, out):
         return False
     if abs(s) > 1.0 + tolerance or abs(t) > 1.0 + tolerance:
         return False
-    _tell(g, m, r, nu, s, t, xs, xt, out)
+    _write_projection(g, m, r, nu, s, t, xs, xt, out)
     return True
 
 

@@ -56,7 +56,7 @@ def force_depth(measured: MeasuredCurve, curves: Sequence[SimulatedCurve]) -> Fi
             axes = figure.subplots()
             _draw_measured(axes, measured)
             axes.set(xlabel="indentation depth [mm]", ylabel="probe force [N]")
-            _tell(figure, axes)
+            _legend(figure, axes)
             return figure
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2.6, 1.0])
         for curve in curves:
@@ -65,7 +65,7 @@ def force_depth(measured: MeasuredCurve, curves: Sequence[SimulatedCurve]) -> Fi
         _draw_measured(upper, measured)
         _limit(upper, measured)
         upper.set(ylabel="probe force [N]")
-        _tell(figure, upper)
+        _legend(figure, upper)
         for curve in curves:
             _draw_difference(lower, measured, curve)
         if measured.force_sd:
@@ -76,7 +76,7 @@ def force_depth(measured: MeasuredCurve, curves: Sequence[SimulatedCurve]) -> Fi
     return figure
 
 
-def _tell(figure: Figure, axes: Axes) -> None:
+def _legend(figure: Figure, axes: Axes) -> None:
     """The legend above the panels, where no curve can run through it."""
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=2, fontsize=8.5)

@@ -43,7 +43,7 @@ def skin_figure(state: DeformedState) -> Figure:
         axes.set_axis_off()
         _scale_bar(axes, 20.0)
         if state.sides is not None:
-            _tell_sides(axes, state.sides)
+            _label_sides(axes, state.sides)
         marks = [
             Patch(facecolor=each, edgecolor="none", label=word)
             for each, word, at in ((UNKNOWN, "cut open", cut), (BONE, "bone", bone))
@@ -77,7 +77,7 @@ def _turned() -> Array:
     return np.asarray(about_x @ about_z)
 
 
-def _tell_sides(axes: Axes, sides: tuple[str, str]) -> None:
+def _label_sides(axes: Axes, sides: tuple[str, str]) -> None:
     """Two arrows beside the limb, along x and y, with the sides of the patient that they point to."""
     low, high = axes.get_xlim()[0], axes.get_ylim()[1]
     for word, direction in zip(sides, _turned()[:2, :2].T, strict=True):

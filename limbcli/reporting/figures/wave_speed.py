@@ -80,7 +80,7 @@ def _measured(axes: Axes, readings: SpeedReadings, x: Array, line: Line | None, 
             ends,
             line.intercept + line.slope * ends,
             color=BLUE,
-            label=line_words(line, unit).replace(",  ", "\n"),
+            label=line_text(line, unit).replace(",  ", "\n"),
         )
     return float(np.max((readings.mean_m_per_s + spread)[there]))
 
@@ -93,9 +93,9 @@ def _predicted(axes: Axes, predicted: PredictedSpeeds, x: Array) -> float:
     return float(np.nanmax(predicted.mean_m_per_s))
 
 
-def line_words(line: Line, unit: str) -> str:
+def line_text(line: Line, unit: str) -> str:
     """
-    >>> line_words(Line(0.051, 2.21, 0.934, None, 12), "N")
+    >>> line_text(Line(0.051, 2.21, 0.934, None, 12), "N")
     '2.21 m/s + 0.051 m/s per N,  R² = 0.934'
     """
     sign = "+" if line.slope >= 0 else "−"

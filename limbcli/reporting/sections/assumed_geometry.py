@@ -16,7 +16,7 @@ def geometry_tables(site: str, data: Mapping[str, Any]) -> tuple[PageTable, ...]
 
     data : of fit.json
     """
-    doubt = data.get("geometry_doubt")
+    doubt = data.get("geometry_uncertainty")
     if not isinstance(doubt, Mapping):
         return ()
     return _parts(site, doubt), _variations(site, doubt)

@@ -23,13 +23,13 @@ def diagnosis(page: ReportData, site: SiteMaterial) -> Reportlet | None:
     if outcome.usable is None:
         return placeholder(key, TITLE, outcome)
     try:
-        return _told(key, site, outcome.usable)
+        return _section(key, site, outcome.usable)
     except UNLIKE_OURS as error:
         text = f"Its result cannot be shown ({type(error).__name__}: {error}); run it again."
         return Reportlet(key, TITLE, "failed", site.name, warned=(text,), command=outcome.command)
 
 
-def _told(key: str, site: SiteMaterial, result: StageResult) -> Reportlet:
+def _section(key: str, site: SiteMaterial, result: StageResult) -> Reportlet:
     data = result.data
     mood = _MOODS.get(str(data["verdict"]), "warning")
     first, *others = [str(each) for each in data["sentences"]] or [""]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from limbcli.errors import CaseError
 from limbcli.measurement.regression import Line
 from limbcli.reporting.curves import read_predicted_speeds
-from limbcli.reporting.figures.wave_speed import PredictedSpeeds, line_words, wave_speed
+from limbcli.reporting.figures.wave_speed import PredictedSpeeds, line_text, wave_speed
 from limbcli.reporting.numbers import DASH, cell, number, quantity
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head
@@ -67,7 +67,7 @@ def _predicted(fit: StageResult | None) -> tuple[PredictedSpeeds | None, tuple[s
 
 def _speeds(site: SiteMaterial, predicted: PredictedSpeeds | None) -> Picture:
     alt = f"Shear-wave speed over probe force and over depth at site {site.name}. "
-    alt += line_words(site.against_force, "N") if site.against_force else ""
+    alt += line_text(site.against_force, "N") if site.against_force else ""
     if predicted is not None:
         ends = predicted.mean_m_per_s[[0, -1]]
         alt += f" The fitted model predicts {ends[0]:.2f} to {ends[1]:.2f} m/s."

@@ -79,7 +79,7 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
             f"Site {name}: the image lies {quantity(each.get('fibre_to_image_deg'), '°', digits=2)} from the "
             f"fibres" + ("." if each.get("fibres_told") else ", whose direction nobody told.")
         )
-    for name, each in (data.get("direction_doubt") or {}).items():
+    for name, each in (data.get("direction_uncertainty") or {}).items():
         force, speed = (100 * each[f"{key}_change_fraction"] for key in ("force", "speed"))
         notes.append(
             f"Site {name}: fibres one deviation ({each['deviation_deg']:.1f}°) further out of the skin "

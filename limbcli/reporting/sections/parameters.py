@@ -123,17 +123,17 @@ def estimate_cells(each: EstimateView) -> tuple[Cell, ...]:
         Cell(each.name),
         cell(each.value, unit=each.unit) if each.is_sound else Cell(each.headline.split(" (")[0] + (
             unit if each.headline[:1].isdigit() or each.low is not None or each.high is not None else "")),
-        Cell(interval_words(each) + unit) if each.low is not None or each.high is not None else Cell(
+        Cell(interval_text(each) + unit) if each.low is not None or each.high is not None else Cell(
             DASH, reason=each.interval_why
         ),
         Cell(each.flag, reason=each.words),
     )  # fmt: skip
 
 
-def interval_words(each: EstimateView) -> str:
+def interval_text(each: EstimateView) -> str:
     """An interval of which at least one end is known, without its unit.
 
-    >>> interval_words(EstimateView("m", 4.0, "", 3.0, None, "", "weak"))
+    >>> interval_text(EstimateView("m", 4.0, "", 3.0, None, "", "weak"))
     'above\xa03.00'
     """
     if each.low is None and each.high is not None:

@@ -60,9 +60,9 @@ def _solvers(done: tuple[Outcome, ...]) -> PageTable:
         rows.append(
             (
                 Cell(each.label, lead=True),
-                _told(solver, "not in the result"),
-                _told(facts.get("solver_version"), "the solver does not say"),
-                _told(facts.get("linear_solver"), "the solver does not say"),
+                _cell_or_why(solver, "not in the result"),
+                _cell_or_why(facts.get("solver_version"), "the solver does not say"),
+                _cell_or_why(facts.get("linear_solver"), "the solver does not say"),
             )
         )
     names = head("stage", "solver that ran", "version", "linear solver")
@@ -71,7 +71,7 @@ def _solvers(done: tuple[Outcome, ...]) -> PageTable:
     return PageTable("Solver", (names,), tuple(rows), numeric=False)
 
 
-def _told(value: object, why_not: str) -> Cell:
+def _cell_or_why(value: object, why_not: str) -> Cell:
     return Cell(str(value)) if value else Cell(DASH, reason=why_not)
 
 

@@ -27,7 +27,7 @@ def states(page: ReportData, site: SiteMaterial) -> Reportlet | None:
         return placeholder(key, TITLE, outcome)
     data = result.data
     locks = "tet4" in str(data.get("element", ""))
-    told = not data.get("not_told")
+    told = not data.get("undetermined")
     return Reportlet(
         key,
         TITLE,

@@ -193,7 +193,7 @@ def row_entries(
     return [entries[k] for k in sorted(entries)]
 
 
-def told_apart(table: CohortTable, sites: list[SiteEstimate]) -> dict[str, Any]:
+def outliers(table: CohortTable, sites: list[SiteEstimate]) -> dict[str, Any]:
     """Rows and people that their population does not expect, after Holm's adjustment over all looked at."""
     rows, p_rows = [], []
     for site in sites:

@@ -12,7 +12,7 @@ from limbcli.errors import LimbError
 from limbcli.progress import Progress
 from limbcli.results import read_result, stage_folder
 from limbcli.stages.diagnosis.bones.bone_hypotheses import OtherBones, questions
-from limbcli.stages.diagnosis.bones.evidence import Evidence, compared, fits_badly
+from limbcli.stages.diagnosis.bones.evidence import Evidence, compared, is_poor_fit
 from limbcli.stages.diagnosis.bones.limb_with import limb_with
 from limbcli.stages.diagnosis.data.noise import IN_MAPS
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
@@ -126,7 +126,7 @@ class PlaceMaker:
             return []
         model = place.forward_model
         absorbed = model.shares.get(IN_MAPS, 0.0) > thresholds.BONES_ABSORBED
-        if found and not absorbed and not fits_badly(model, model.fit((), {}), thresholds.BONES_LOOKED_AT):
+        if found and not absorbed and not is_poor_fit(model, model.fit((), {}), thresholds.BONES_LOOKED_AT):
             return []
         return found
 

@@ -57,7 +57,7 @@ def forces_with_penalty(
         session.close()
 
 
-def leave_contact_check(
+def write_contact_check(
     penalty: float, forces: Array, depths: Array, harder: Callable[[float], Array], writer: StageWriter, *,
     site: str | None = None, progress: Progress = SILENT,
 ) -> None:  # fmt: skip

@@ -7,7 +7,7 @@ from typing import Any
 
 from limbcli.case import Site
 from limbcli.feb.settings import schedule
-from limbcli.measurement.cycle_changes import change_words
+from limbcli.measurement.cycle_changes import change_text
 from limbcli.measurement.cycles import CycleStudy, Difference
 from limbcli.measurement.indentation import Levels
 from limbcli.model import LimbModel
@@ -37,7 +37,7 @@ def through_cycle(model: LimbModel, levels: Levels, site: Site) -> LimbModel:
     )
 
 
-def leave_cycle(levels: Levels, site: Site, writer: StageWriter, *, label: str = "") -> None:
+def write_cycle(levels: Levels, site: Site, writer: StageWriter, *, label: str = "") -> None:
     """`cycle` of fit.json where there are several; a warning where later cycles contradict the fitted one.
 
     label : the site's name, where several sites are fitted together; then `cycle` is told by site
@@ -82,7 +82,7 @@ def contradiction(difference: Difference) -> str:
     return (
         f"cycle {difference.later} contradicts the fitted cycle {difference.earlier}: at "
         f"{difference.force[k]:.3g} N its depth is {difference.depth[k]:+.2f} mm off (chance of that by "
-        f"noise {difference.p_value:.1g}); {change_words(difference)}. The fit is of tissue that was not yet "
+        f"noise {difference.p_value:.1g}); {change_text(difference)}. The fit is of tissue that was not yet "
         "preconditioned: --cycle last"
     )
 

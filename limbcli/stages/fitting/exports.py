@@ -30,7 +30,7 @@ PARAMETER_COLUMNS = (
 _LONGEST = 63  # letters of a MATLAB field's name
 
 
-def leave_exports(writer: StageWriter, rows: Sequence[Mapping[str, Any]], model: LimbModel) -> None:
+def write_exports(writer: StageWriter, rows: Sequence[Mapping[str, Any]], model: LimbModel) -> None:
     """parameters.csv and material.feb."""
     write_parameters(writer.file("parameters", "parameters.csv"), rows)
     writer.file("material", "material.feb").write_text(material_snippet(model), encoding="utf-8")
@@ -63,7 +63,7 @@ def _cell(value: object) -> object:
     return f"{value:.8g}" if isinstance(value, float) else value
 
 
-def leave_mat(writer: StageWriter) -> None:
+def write_mat_file(writer: StageWriter) -> None:
     """fit.mat, of all that the result holds by now: the last thing that a fit leaves."""
     write_mat(writer.file("mat", "fit.mat"), writer.data)
 

@@ -24,7 +24,7 @@ def share_along(model: LimbModel) -> float:
     return float(axis[0] ** 2 + axis[2] ** 2)
 
 
-def leave_orientations(
+def write_orientations(
     models: Sequence[tuple[str, LimbModel]], has_speeds: Sequence[bool], writer: StageWriter
 ) -> None:
     """`orientations` of fit-joint.json, and in words what they cannot tell.
@@ -55,15 +55,15 @@ def leave_orientations(
             f"({', '.join(linear)}): their forces are too high, and c, m and the fibres make up for it; mesh "
             "with --element tet10"
         )
-    writer.warnings.extend(not_told(list(shares.values()), has_speeds))
+    writer.warnings.extend(undetermined(list(shares.values()), has_speeds))
 
 
-def not_told(shares: Sequence[float], has_speeds: Sequence[bool]) -> list[str]:
+def undetermined(shares: Sequence[float], has_speeds: Sequence[bool]) -> list[str]:
     """What records of these orientations leave open.
 
-    >>> not_told([0.0, 1.0], [True, True])
+    >>> undetermined([0.0, 1.0], [True, True])
     []
-    >>> print(not_told([0.0], [True])[0][:61])
+    >>> print(undetermined([0.0], [True])[0][:61])
     all records are across the fibres: their speeds tell c, but h
     """
     seen = [share for share, speeds in zip(shares, has_speeds, strict=True) if speeds]
@@ -89,7 +89,7 @@ def not_told(shares: Sequence[float], has_speeds: Sequence[bool]) -> list[str]:
     return [f"all records are of one orientation: c and fibre_shear are told by one mixture of them; {turn}"]
 
 
-def leave_moduli(c_kpa: float, fibre_shear: float, writer: StageWriter) -> None:
+def write_moduli(c_kpa: float, fibre_shear: float, writer: StageWriter) -> None:
     """The shear moduli along and across, as elastography states them."""
     across = c_kpa / 2
     writer.data["mu_across_kpa"], writer.data["mu_along_kpa"] = across, across * (1 + fibre_shear)

@@ -20,7 +20,7 @@ _MATTERS = 0.05  # of force or speed
 _LEAST_IN_SKIN = 1e-6
 
 
-def told_deviation(out: Path, site: Site) -> float | None:
+def stated_deviation(out: Path, site: Site) -> float | None:
     """One deviation of the site's fibre direction (deg), as `mesh` left it; None where it is not known."""
     try:
         value = read_result(out, "mesh", site=site.name).data["fibres"]["deviation_deg"]
@@ -45,11 +45,11 @@ def turned(direction: Value, angle_deg: float) -> Value:
     return float(moved[0, 0]), float(moved[0, 1]), float(moved[0, 2])
 
 
-def leave_direction_doubt(
+def write_direction_uncertainty(
     model: LimbModel, site: Site, law: FitLaw, c: float, shape: Array, deviation_deg: float,
     writer: StageWriter, *, progress: Progress = SILENT,
 ) -> None:  # fmt: skip
-    """`direction_doubt` of fit-joint.json: the change of force and speed with fibres one deviation off."""
+    """`direction_uncertainty` of fit-joint.json: what fibres one deviation off change in force and speed."""
     direction = fibre_direction(model)
     values = []
     for angle in (0.0, deviation_deg):
@@ -67,7 +67,7 @@ def leave_direction_doubt(
     force, speed = np.split(values[1] / values[0] - 1.0, 2)
     worst = {"force_change_fraction": float(force[np.abs(force).argmax()]),
              "speed_change_fraction": float(speed[np.abs(speed).argmax()])}  # fmt: skip
-    writer.data.setdefault("direction_doubt", {})[site.name] = {"deviation_deg": deviation_deg, **worst}
+    writer.data.setdefault("direction_uncertainty", {})[site.name] = {"deviation_deg": deviation_deg, **worst}
     by_force, by_speed = (100 * each for each in worst.values())
     writer.summary.append(
         f"{site.name}: fibres {deviation_deg:.1f} deg further out of the skin change the force by up to "
@@ -76,5 +76,5 @@ def leave_direction_doubt(
     if max(map(abs, worst.values())) > _MATTERS:
         writer.warnings.append(
             f"{site.name}: the fibres' direction is known to {deviation_deg:.1f} deg, which matters here "
-            "(direction_doubt) and is not in the intervals; measure it better, or in a second image"
+            "(direction_uncertainty) and is not in the intervals; measure it better, or in a second image"
         )

@@ -47,7 +47,7 @@ class Varied:
 
 
 @dataclass(frozen=True, eq=False)
-class GeometryDoubt:
+class GeometryUncertainty:
     """All variations of one site's model, of what `words` say was assumed."""
 
     words: str
@@ -71,10 +71,10 @@ class GeometryDoubt:
         return np.array([1.0 / kinds.count(each) for each in kinds])
 
 
-def geometry_doubt(
+def site_geometry_uncertainty(
     case: Case, site: Site, out: Path, fitted: LimbModel, forces: Array, writer: StageWriter, *,
     progress: Progress = SILENT,
-) -> GeometryDoubt | None:  # fmt: skip
+) -> GeometryUncertainty | None:  # fmt: skip
     """The doubt of a site's geometry, where it was assumed; None where it was imaged.
 
     forces : (n_levels,) N of the fitted model at its levels
@@ -124,7 +124,7 @@ def rod_in_model(geometry: Mapping[str, Any], site: str, patient_from_model: Arr
 
 def _solve_all(
     fitted: LimbModel, forces: Array, rod: Rod, todo: tuple[Variation, ...], progress: Progress
-) -> GeometryDoubt:
+) -> GeometryUncertainty:
     clock = time.perf_counter()
     found: list[Varied] = []
     before: ReferenceSession | None = None
@@ -144,10 +144,10 @@ def _solve_all(
             found.append(Varied(each, None, why_not=str(getattr(error, "what", error))))
     if before is not None:
         before.close()
-    return GeometryDoubt("", tuple(found), len(todo), time.perf_counter() - clock)
+    return GeometryUncertainty("", tuple(found), len(todo), time.perf_counter() - clock)
 
 
-def _remembered(path: Path, key: str, todo: tuple[Variation, ...]) -> GeometryDoubt | None:
+def _remembered(path: Path, key: str, todo: tuple[Variation, ...]) -> GeometryUncertainty | None:
     """What an earlier fit of the same model left."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -162,6 +162,6 @@ def _remembered(path: Path, key: str, todo: tuple[Variation, ...]) -> GeometryDo
             )
             for each, row in zip(todo, content["varied"], strict=True)
         ]
-        return GeometryDoubt("", tuple(varied), 0, float(content["seconds"]))
+        return GeometryUncertainty("", tuple(varied), 0, float(content["seconds"]))
     except (OSError, ValueError, KeyError, TypeError):
         return None

@@ -10,14 +10,14 @@ from limbcli.inference.adaptive import Intervals
 from limbcli.inference.geometry_uncertainty import at_depths, ends, shifts, total_share
 from limbcli.inference.two_step_fit import sensitivities
 from limbcli.results import StageWriter
-from limbcli.stages.fitting.geometry import GeometryDoubt
+from limbcli.stages.fitting.geometry import GeometryUncertainty
 from limbcli.stages.fitting.table import NAMES, Identified, inside
 
 
-def leave_geometry(
-    found: Identified, doubt: GeometryDoubt, of_noise: Intervals | None, writer: StageWriter
+def write_geometry(
+    found: Identified, doubt: GeometryUncertainty, of_noise: Intervals | None, writer: StageWriter
 ) -> None:
-    """`geometry_doubt` of fit.json, and a line of the summary.
+    """`geometry_uncertainty` of fit.json, and a line of the summary.
 
     of_noise : intervals of the measurement's noise alone; None where none were computed
     """
@@ -33,7 +33,7 @@ def leave_geometry(
         "interval_95": ends(found.intervals[-1]) if found.intervals else {},
         "standard_error_fraction": _deviations(rows, doubt),
     }
-    writer.data["geometry_doubt"] = reported
+    writer.data["geometry_uncertainty"] = reported
     if doubt.words not in writer.warnings:
         writer.warnings.insert(0, doubt.words)
     writer.summary.append(
@@ -42,7 +42,7 @@ def leave_geometry(
     )
 
 
-def _rows(found: Identified, doubt: GeometryDoubt) -> list[dict[str, Any]]:
+def _rows(found: Identified, doubt: GeometryUncertainty) -> list[dict[str, Any]]:
     step = found.steps[-1]
     answer = sensitivities(found.curve, found.knots, found.data, step.theta)
     assert answer.jacobian is not None
@@ -63,7 +63,7 @@ def _rows(found: Identified, doubt: GeometryDoubt) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def _deviations(rows: list[dict[str, Any]], doubt: GeometryDoubt) -> dict[str, float]:
+def _deviations(rows: list[dict[str, Any]], doubt: GeometryUncertainty) -> dict[str, float]:
     """Of ln f_kappa and ln m by the geometry alone."""
     weights = doubt.weights
     return {

@@ -11,15 +11,15 @@ from scipy.stats import chi2
 
 from limbcli.effects.tissue import fibre_direction
 from limbcli.inference.adaptive import EstimationProblem, Intervals
-from limbcli.inference.identifiability import Verdict, are_told, correlation, verdict
+from limbcli.inference.identifiability import Verdict, are_determined, correlation, verdict
 from limbcli.inference.joint import JointProblem, SiteMeasurement, SitePrediction, held_out_error
 from limbcli.inference.parameter import FitParameter
 from limbcli.measurement.levels import LAYERS
 from limbcli.model import LimbModel
 from limbcli.reporting.headline import headline
 from limbcli.results import StageWriter
-from limbcli.stages.fitting.exports import leave_exports, parameter_rows, write_table
-from limbcli.stages.fitting.fibre_orientations import leave_moduli
+from limbcli.stages.fitting.exports import parameter_rows, write_exports, write_table
+from limbcli.stages.fitting.fibre_orientations import write_moduli
 from limbcli.stages.fitting.joint_picture import draw_joint
 from limbcli.stages.fitting.laws import FitLaw
 from limbcli.units import kpa_from_mpa
@@ -27,7 +27,7 @@ from limbcli.units import kpa_from_mpa
 _POOR = 1e-4  # chance of a chi-square by noise, below which a fit is called poor
 
 
-def leave_joint(
+def write_joint(
     writer: StageWriter,
     measured: Sequence[tuple[str, LimbModel]],
     law: FitLaw,
@@ -55,14 +55,14 @@ def leave_joint(
         n_solves=n_solves, sites=[name for name, _ in measured], solver="reference",
     )  # fmt: skip
     rows = parameter_rows("+".join(writer.data["sites"]), law.name, parameters)
-    leave_levels(writer, problem.task.data, lambda k: problem.predict(k, found.best))
-    leave_exports(writer, rows, fitted)
+    write_level_table(writer, problem.task.data, lambda k: problem.predict(k, found.best))
+    write_exports(writer, rows, fitted)
     draw_joint(problem.task.data, lambda k: problem.predict(k, found.best), found, writer)
     for name, each in parameters.items():
         writer.summary.append(f"{name}: {each['headline']}; {each['words']}")
     warn_poor(found, writer)
     if law.has_fibres:
-        leave_moduli(values["c_kpa"], values["fibre_shear"], writer)
+        write_moduli(values["c_kpa"], values["fibre_shear"], writer)
     n_layers = sum(len(each.layers) for each in problem.task.data)
     writer.data["n_layer_readings"] = n_layers
     if n_layers:
@@ -92,7 +92,7 @@ def parameter_table(problem: EstimationProblem, found: Intervals) -> dict[str, d
     logs = found.fit.jacobian * found.fit.theta
     rows = np.linalg.pinv(logs)[:n]
     covariance = rows @ rows.T * found.scale
-    silent = ~are_told(logs)[:n]
+    silent = ~are_determined(logs)[:n]
     covariance[silent], covariance[:, silent] = np.nan, np.nan
     rho = np.nan_to_num(correlation(covariance))
     table: dict[str, dict[str, Any]] = {}
@@ -126,7 +126,7 @@ def _in_unit(parameter: FitParameter, unit: float) -> FitParameter:
     )
 
 
-def leave_levels(
+def write_level_table(
     writer: StageWriter, several: Sequence[SiteMeasurement], predict: Callable[[int], SitePrediction]
 ) -> None:
     """levels-<site>.csv: measured and predicted depths, speeds and layers at each force."""
@@ -157,7 +157,7 @@ def law_row(law: FitLaw, problem: JointProblem, found: Intervals, n_solves: int)
     }  # fmt: skip
 
 
-def leave_comparison(writer: StageWriter, table: list[dict[str, Any]]) -> None:
+def write_comparison(writer: StageWriter, table: list[dict[str, Any]]) -> None:
     """laws.csv, best first: by the error of levels that were left out, never by R2."""
     table.sort(key=lambda row: row["held_out_depth_mm"])
     writer.data["laws"] = table

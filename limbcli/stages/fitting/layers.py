@@ -36,7 +36,7 @@ class PredictedLayers:
     drift: float
 
 
-def leave_layers(
+def write_layers(
     fitted: LimbModel, simulation: Simulation, levels: Levels, site: Site, writer: StageWriter
 ) -> None:
     """layers.csv and layers.png, where layers were read; a warning where they cannot be predicted."""
@@ -61,7 +61,7 @@ def leave_layers(
         levels.force[k], layers.names, layers.thickness[k], found.thickness, layers.deviation
     )
     save_figure(layers_figure(picture), writer.file("layers_picture", "layers.png"))
-    _tell(layers, found, levels, writer)
+    _report(layers, found, levels, writer)
 
 
 def predict_layers(
@@ -82,7 +82,7 @@ def predict_layers(
     return PredictedLayers(numbers, layers.predicted(lines, moved), lines.drift(u))
 
 
-def _tell(layers: LayerReadings, found: PredictedLayers, levels: Levels, writer: StageWriter) -> None:
+def _report(layers: LayerReadings, found: PredictedLayers, levels: Levels, writer: StageWriter) -> None:
     """data["layers"], a line of the summary, and a warning where the layers speak against the model."""
     used, k = layers.used(levels)[found.levels], found.levels
     deviance, n, reported = 0.0, 0, {}

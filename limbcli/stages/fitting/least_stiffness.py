@@ -42,7 +42,7 @@ class LeastStiffness:
         return not self.measured[0] <= self.by_law.value <= self.measured[1]
 
     @property
-    def is_told(self) -> bool:
+    def is_determined(self) -> bool:
         return not (self.by_law.open_low or self.by_law.open_high)
 
     def words(self) -> str:
@@ -50,7 +50,7 @@ class LeastStiffness:
         frame = (
             "as the case counts stretches" if self.counted == "case" else "of the unloaded tissue's length"
         )
-        if not self.is_told:
+        if not self.is_determined:
             return (
                 f"{self.way} the limb, the state of least stiffness is not told by these data: "
                 f"{self._excluded()}. The speeds at rest do not curve enough over the stretches measured; "
@@ -92,7 +92,8 @@ class LeastStiffness:
             "stretch": float(np.exp(law.value)),
             "low": None if law.open_low else float(np.exp(law.low)),
             "high": None if law.open_high else float(np.exp(law.high)),
-            "told": self.is_told, "beyond_measured_states": self.is_beyond, "counted_from": self.counted,
+            "told": self.is_determined, "beyond_measured_states": self.is_beyond,
+            "counted_from": self.counted,
             "words": self.words(), "by_parabola_through_states": of_states,
         }  # fmt: skip
 

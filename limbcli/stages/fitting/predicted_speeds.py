@@ -47,7 +47,7 @@ class Predicted:
         return np.array([each.speed_m_per_s.mean() for each in self.maps])
 
 
-def leave_speeds(
+def write_speeds(
     fitted: LimbModel, simulation: Simulation, levels: Levels, site: Site, writer: StageWriter
 ) -> None:
     """swe.csv, a predicted map a level in swe/, swe.png and swe-maps.png; a warning where it cannot be."""
@@ -56,7 +56,7 @@ def leave_speeds(
     except LimbError as error:
         writer.warnings.append(f"no shear-wave speeds could be predicted: {error.what}")
         return
-    _leave_table(found, levels, writer)
+    _write_speed_table(found, levels, writer)
     for row, each in zip(levels.rows[found.levels].tolist(), found.maps, strict=True):
         write_map(writer.file(f"swe_level_{row:02d}", map_file(Path(FOLDER), row).as_posix()), each)
     predicted = PredictedSpeeds(found.force, levels.depth[found.levels], found.mean_m_per_s)
@@ -74,7 +74,7 @@ def leave_speeds(
     ]
     picture = speed_maps(shown, toward=_lateral_side(fitted))
     save_figure(picture, writer.file("swe_maps_picture", "swe-maps.png"))
-    _tell(found, levels, writer)
+    _report(found, levels, writer)
 
 
 def _lateral_side(model: LimbModel) -> str | None:
@@ -131,7 +131,7 @@ def _measured_map(site: Site, levels: Levels, level: int, width: float, writer: 
     return swe
 
 
-def _leave_table(found: Predicted, levels: Levels, writer: StageWriter) -> None:
+def _write_speed_table(found: Predicted, levels: Levels, writer: StageWriter) -> None:
     def known(values: Array) -> list[object]:
         return ["" if not np.isfinite(each) else float(each) for each in values[found.levels]]
 
@@ -151,7 +151,7 @@ def _leave_table(found: Predicted, levels: Levels, writer: StageWriter) -> None:
     )
 
 
-def _tell(found: Predicted, levels: Levels, writer: StageWriter) -> None:
+def _report(found: Predicted, levels: Levels, writer: StageWriter) -> None:
     measured, mean = levels.swe_mean_m_per_s[found.levels], found.mean_m_per_s
     both = np.isfinite(measured)
     loaded = both & (levels.depth[found.levels] > least_level())

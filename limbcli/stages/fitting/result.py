@@ -17,11 +17,11 @@ from limbcli.model import LimbModel
 from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth
 from limbcli.results import StageWriter
 from limbcli.solvers.base import Simulation
-from limbcli.stages.fitting.exports import leave_exports, parameter_rows
+from limbcli.stages.fitting.exports import parameter_rows, write_exports
 from limbcli.stages.fitting.table import NAMES, Identified, step_misfit, step_table
 from limbcli.units import kpa_from_mpa
 
-__all__ = ["Identified", "draw_fit", "leave_result", "write_curves"]
+__all__ = ["Identified", "draw_fit", "write_curves", "write_result"]
 
 _FINE = 120
 _TOP = (
@@ -30,7 +30,7 @@ _TOP = (
 )  # fmt: skip
 
 
-def leave_result(
+def write_result(
     found: Identified, fitted: LimbModel, simulation: Simulation, writer: StageWriter, site: Site, *,
     seconds: float,
 ) -> None:  # fmt: skip
@@ -68,7 +68,7 @@ def leave_result(
     rows = [
         row for name, each in tables.items() for row in parameter_rows(site.name, name, each["parameters"])
     ]
-    leave_exports(writer, rows, fitted)
+    write_exports(writer, rows, fitted)
     draw_fit(found, site, writer)
     _summarise(found, last, writer)
 

@@ -53,13 +53,13 @@ def _panel(
     readings = [_reading(k, site, way, zero, plan, problem, found) for k in range(len(site.states))]
     by_law = np.exp([each.by_law.value, each.by_law.low, each.by_law.high])
     shown = [end for one in readings for end in (one.low, one.high)]
-    shown += [zero, *(by_law if each.is_told else ())]
+    shown += [zero, *(by_law if each.is_determined else ())]
     grid = np.geomspace(max(0.95 * min(shown), LOW * zero), min(1.05 * max(shown), HIGH * zero), 81)
     stretches = np.ones((len(grid), len(plan.ways)))
     stretches[:, column] = grid / zero
     ratio = problem.c_of_curve(found.best) / problem.task.c0
     speed = np.exp(curve.even_speeds(problem.curve_shape(found.best), stretches)) * np.sqrt(ratio)
-    lowest = (float(by_law[0]), float(by_law[1]), float(by_law[2])) if each.is_told else None
+    lowest = (float(by_law[0]), float(by_law[1]), float(by_law[2])) if each.is_determined else None
     return StatesPanel(way, each.counted, readings, grid, speed, zero, lowest)
 
 

@@ -15,9 +15,9 @@ from limbcli.inference.states import StatesProblem
 from limbcli.model import LimbModel
 from limbcli.reporting.headline import headline
 from limbcli.results import StageWriter
-from limbcli.stages.fitting.exports import leave_exports, parameter_rows
+from limbcli.stages.fitting.exports import parameter_rows, write_exports
 from limbcli.stages.fitting.joint_picture import draw_joint
-from limbcli.stages.fitting.joint_result import leave_levels, parameter_table, warn_poor
+from limbcli.stages.fitting.joint_result import parameter_table, warn_poor, write_level_table
 from limbcli.stages.fitting.laws import FIBRE_F_KAPPA, FitLaw
 from limbcli.stages.fitting.least_stiffness import LeastStiffness, least_stiffness
 from limbcli.stages.fitting.state_curve import StateCurve
@@ -29,7 +29,7 @@ from limbcli.stages.site_model.prestretch import WAYS, through_depths
 _WIDE = 1.35  # upper over lower end of a stretch's interval, from which on it is weakly identified
 
 
-def leave_states(
+def write_states(
     writer: StageWriter, site: Site, model: LimbModel, law: FitLaw, plan: StretchPlan, curve: StateCurve,
     problem: StatesProblem, found: Intervals,
 ) -> None:  # fmt: skip
@@ -38,7 +38,7 @@ def leave_states(
     values = {name: each["value"] for name, each in parameters.items()}
     c, shape = float(found.best[0]), found.best[1 : 1 + problem.n_shape]
     names = [each.name for each in site.states]
-    lowest = least_stiffness(problem, found, curve, plan, lambda way: _told(site, way))
+    lowest = least_stiffness(problem, found, curve, plan, lambda way: _stated(site, way))
     writer.data.update(
         objective="states", law=law.name, law_words=law.words, **values, **law.fixed, parameters=parameters,
         flags={name: each["flag"] for name, each in parameters.items()},
@@ -46,7 +46,7 @@ def leave_states(
         states={name: _state(k, site, plan, curve, problem, found) for k, name in enumerate(names)},
         least_stiffness={each.way: each.to_json() for each in lowest},
         taken_as_unloaded={way: plan.unloaded[way] for way in plan.taken},
-        not_told=_not_told(parameters, plan, lowest),
+        undetermined=_undetermined(parameters, plan, lowest),
         gain=problem.gain(found.best), gain_deviation_fraction=problem.task.gain_deviation,
         chi_square=found.chi_square, n_freedom=found.n_freedom, noise_scale=float(np.sqrt(found.scale)),
         element="+".join(sorted({block.kind for block in model.mesh.solid_blocks})),
@@ -54,17 +54,17 @@ def leave_states(
     )  # fmt: skip
     fitted = model.with_material(TISSUE, law.along(fibre_direction(model)).material(c, shape))
     several = [each.data for each in problem.task.states]
-    leave_levels(writer, several, lambda k: problem.predict(k, found.best))
-    leave_exports(writer, parameter_rows(site.name, law.name, parameters), fitted)
+    write_level_table(writer, several, lambda k: problem.predict(k, found.best))
+    write_exports(writer, parameter_rows(site.name, law.name, parameters), fitted)
     draw_joint(
         several, lambda k: problem.predict(k, found.best), found, writer, file="fit-states.png", of="state"
     )
     draw_states(writer, site, plan, curve, problem, found, lowest)
-    _leave_models(writer, site, model, curve, problem, found)
-    _say(writer, parameters, lowest, law, found)
+    _write_models(writer, site, model, curve, problem, found)
+    _report(writer, parameters, lowest, law, found)
 
 
-def _told(site: Site, way: str) -> list[float | None]:
+def _stated(site: Site, way: str) -> list[float | None]:
     return [getattr(each.stretch, way) for each in site.states]
 
 
@@ -90,7 +90,7 @@ def _state(
         known = plan.is_known(k, way)
         low, high = stretch_ends(k, way, plan, found)
         out[f"stretch_{way}"] = {
-            "told": _told(site, way)[k], "value": plan.elastic(k, way, values), "low": low, "high": high,
+            "told": _stated(site, way)[k], "value": plan.elastic(k, way, values), "low": low, "high": high,
             "known": known,
         }  # fmt: skip
     rest = int(np.argmin(data.speed_force))
@@ -104,7 +104,7 @@ def _state(
     }
 
 
-def _not_told(
+def _undetermined(
     parameters: dict[str, dict[str, Any]], plan: StretchPlan, lowest: Sequence[LeastStiffness]
 ) -> list[str]:
     """A sentence for everything that these data leave open."""
@@ -114,10 +114,10 @@ def _not_told(
         for name, each in parameters.items()
         if each["low"] is None or each["high"] is None or (name in stretches and each["flag"] != "identified")
     ]
-    return found + [each.words() for each in lowest if not each.is_told]
+    return found + [each.words() for each in lowest if not each.is_determined]
 
 
-def _leave_models(
+def _write_models(
     writer: StageWriter, site: Site, model: LimbModel, curve: StateCurve, problem: StatesProblem,
     found: Intervals,
 ) -> None:  # fmt: skip
@@ -129,7 +129,7 @@ def _leave_models(
         write_feb(fitted, writer.file(f"feb_{state.name}", f"{state.name}.feb"))
 
 
-def _say(
+def _report(
     writer: StageWriter, parameters: dict[str, dict[str, Any]], lowest: Sequence[LeastStiffness], law: FitLaw,
     found: Intervals,
 ) -> None:  # fmt: skip
@@ -142,7 +142,7 @@ def _say(
             f"{way} the limb all states that tell it tell a stretch of {told:g}: taken as unloaded there"
         )
     writer.summary.append(f"chi-square {found.chi_square:.1f} for {found.n_freedom} degrees of freedom")
-    writer.warnings += writer.data["not_told"]
+    writer.warnings += writer.data["undetermined"]
     if "tet4" in writer.data["element"]:
         words = (
             f"at the f_kappa of {FIBRE_F_KAPPA:g} that this law holds their forces are too high"

@@ -133,7 +133,9 @@ def _without_tissue(swe: SweMap, middles: Array) -> int:
     return int((distance > spacing).sum())
 
 
-def leave_map(found: TissueMap, model: LimbModel, levels: Levels, site: Site, writer: StageWriter) -> None:
+def write_tissue_map(
+    found: TissueMap, model: LimbModel, levels: Levels, site: Site, writer: StageWriter
+) -> None:
     """What fit.json says of the map, its picture, and a warning where it does not suit the levels."""
     assert found.swe.path is not None
     role = f"site/{site.name}/swe_maps/{found.swe.path.name}"
@@ -150,7 +152,7 @@ def leave_map(found: TissueMap, model: LimbModel, levels: Levels, site: Site, wr
     writer.summary.append(
         f"stiffness map: {found.n_inside} of {len(values)} elements within the image ({found.words})"
     )
-    writer.warnings.extend(_doubts(found, levels))
+    writer.warnings.extend(_warnings(found, levels))
     block = model.mesh.block(found.c.block)
     section = StiffnessSection(
         model.mesh.points, block.kind, block.cells, values, found.swe.lateral, found.swe.depth,
@@ -159,7 +161,7 @@ def leave_map(found: TissueMap, model: LimbModel, levels: Levels, site: Site, wr
     save_figure(stiffness_figure(section), writer.file("stiffness_map", "stiffness-map.png"))
 
 
-def _doubts(found: TissueMap, levels: Levels) -> list[str]:
+def _warnings(found: TissueMap, levels: Levels) -> list[str]:
     doubts = []
     if found.n_outside > _MOST_OUTSIDE * len(found.swe):
         doubts.append(

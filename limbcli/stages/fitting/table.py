@@ -25,7 +25,7 @@ from limbcli.inference.prediction import SolvedPoints, slopes_at
 from limbcli.inference.two_step_fit import FittedStep, ForceDepth, sensitivities
 from limbcli.model import Array
 from limbcli.reporting.headline import headline
-from limbcli.stages.fitting.geometry import GeometryDoubt
+from limbcli.stages.fitting.geometry import GeometryUncertainty
 from limbcli.units import kpa_from_mpa
 
 NAMES = ("f_kappa", "m")
@@ -49,7 +49,7 @@ class Identified:
     intervals: Sequence[Intervals] | None
     cold_seconds: float
     why_no_intervals: str = "no interval was asked for"
-    geometry: GeometryDoubt | None = None
+    geometry: GeometryUncertainty | None = None
     gains: Sequence[float] = ()
 
     def gain_of(self, step: FittedStep) -> float:

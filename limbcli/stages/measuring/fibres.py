@@ -15,7 +15,7 @@ _ABOVE_BONE = 2.0  # mm that the bone's own echo takes
 _SKIN_AND_FAT = 0.25  # of the depth to bone, where no border of the fat was read
 
 
-def leave_pennation(
+def write_pennation(
     image: UltrasoundImage, borders: Mapping[str, Sequence[BoneLine]], bone: BoneLine, writer: StageWriter
 ) -> None:
     """`pennation` of measure.json with its picture, and how to use it; why not, where none can be told."""

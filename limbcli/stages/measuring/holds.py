@@ -44,7 +44,7 @@ def force_columns(table: Mapping[str, Any], writer: StageWriter) -> Columns:
     step = float(table["step_n"])
     columns = columns_of(holds, step)
     phase = columns.get("phase", ["load"] * len(holds))
-    _say_holds(holds, phase, trace, step, writer)
+    _report_holds(holds, phase, trace, step, writer)
     if "cycle" in columns:
         last = writer.data["cycles"] = columns["cycle"][-1]
         n_unloading = list(phase).count("unload")
@@ -115,7 +115,7 @@ def holds_of(table: Mapping[str, Any]) -> tuple[Trace, list[Hold]]:
     )
 
 
-def _say_holds(
+def _report_holds(
     holds: Sequence[Hold], phase: Sequence[str], trace: Trace, step: float, writer: StageWriter
 ) -> None:
     writer.data["holds"] = [vars(each) for each in holds]
@@ -144,7 +144,7 @@ def _say_holds(
             "hold at about 0 N first, for hold_s"
         )
     writer.warnings.extend(found_twice(holds, step))
-    _say_doubts(holds, trace, writer)
+    _report_doubtful_holds(holds, trace, writer)
     for force in missing_levels(list(holds), step=step):
         writer.warnings.append(f"there is no hold at {force:g} N (steps of {step:g} N)")
 
@@ -170,7 +170,7 @@ def _follows_unloading(phase: Sequence[str], k: int) -> bool:
     return k > 0 and phase[k - 1] == "unload"
 
 
-def _say_doubts(holds: Sequence[Hold], trace: Trace, writer: StageWriter) -> None:
+def _report_doubtful_holds(holds: Sequence[Hold], trace: Trace, writer: StageWriter) -> None:
     """Samples without a force, and forces so small that they may be in another unit."""
     lost = int((~np.isfinite(trace.force)).sum())
     if lost > _FEW_LOST * len(trace.force):

@@ -12,7 +12,7 @@ import numpy as np
 from limbcli.case import Case, Site
 from limbcli.errors import LimbError, MeasurementError
 from limbcli.errors.problems import errors_of
-from limbcli.measurement.indentation import Levels, check_levels, doubts_about_levels
+from limbcli.measurement.indentation import Levels, check_levels, level_warnings
 from limbcli.measurement.regression import Line, speed_against_depth, speed_against_force
 from limbcli.patient_frame import side_of
 from limbcli.progress import SILENT, Progress
@@ -60,7 +60,7 @@ def _measured(site: Site, fitted: int | None) -> SiteMaterial:
     if levels is None or errors_of(problems):
         why = "; ".join(each.what for each in errors_of(problems)) or "no level could be read"
         return replace(material, why_no_levels=f"{site.levels.name} cannot be used: {why}.")
-    warnings = doubts_about_levels(site.levels, noise=layer_noise(site))
+    warnings = level_warnings(site.levels, noise=layer_noise(site))
     repeated = cycle_material(site, levels, fitted)
     levels = levels.of_cycle(fitted if fitted in levels.cycles else levels.chosen_cycle())
     noise = site.noise

@@ -23,7 +23,7 @@ _DIGITS = 12
 _TIME_DIGITS = 1e-8  # relative: FEBio writes nine digits of a time
 
 
-def leave_simulation(
+def write_simulation(
     simulation: Simulation,
     outline: Outline,
     writer: StageWriter,

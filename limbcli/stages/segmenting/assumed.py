@@ -7,7 +7,7 @@ from limbcli.results import StageWriter
 from limbcli.stages.provenance.chain_inputs import note_case
 from limbcli.stages.segmenting.assumed_geometry import AssumedLimb, assumed_limb
 from limbcli.stages.segmenting.assumed_picture import draw_assumed
-from limbcli.stages.segmenting.places import tell_places
+from limbcli.stages.segmenting.places import report_places
 from limbcli.stages.segmenting.surfaces import check_limb, write_surfaces
 
 ASSUMED = "assumed"
@@ -26,7 +26,7 @@ def from_assumed(case: Case, writer: StageWriter) -> None:
     _note_inputs(case, limb, writer)
     check_limb(dict(limb.surfaces), case, writer, where=str(case.imaging.skin or case.file))
     write_surfaces(dict(limb.surfaces), writer)
-    tell_places(case, limb.surfaces, [], writer)
+    report_places(case, limb.surfaces, [], writer)
     for name, each in limb.sites.items():
         made = "no bone" if each.made is None else f"{each.made:.1f} mm"
         writer.summary.append(

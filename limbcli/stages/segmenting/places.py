@@ -22,7 +22,7 @@ from limbcli.stages.segmenting.site_grid import grid_points, write_grid
 PICTURE, TABLE = "site-grid.png", "site-grid.csv"
 
 
-def tell_places(
+def report_places(
     case: Case,
     surfaces: Mapping[str, ClosedSurface],
     markers: Sequence[Mapping[str, Any]],
@@ -59,6 +59,6 @@ def tell_places(
 
 
 def site_errors(data: Mapping[str, Any], where: str) -> list[Problem]:
-    """The errors that `tell_places` left in a result of segment."""
+    """The errors that `report_places` left in a result of segment."""
     found = data.get("site_problems", {}).values()
     return [Problem(each["what"], where, each["fix"]) for each in found if each["severity"] == "error"]

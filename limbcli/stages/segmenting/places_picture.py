@@ -63,11 +63,11 @@ def draw_places(
         axes.set(xlim=(middle[across[0]] - half, middle[across[0]] + half), ylim=(low[2], high[2]))
         axes.label_outer()
         axes.grid(True, linewidth=0.4, alpha=0.5)
-    _tell_marks(figure, grid, markers, sites)
+    _report_marks(figure, grid, markers, sites)
     save_picture(figure, path, dpi=70)
 
 
-def _tell_marks(
+def _report_marks(
     figure: Figure, grid: Sequence[GridPoint], markers: Mapping[str, Array], sites: Mapping[str, Array]
 ) -> None:
     """A legend of what is there."""

@@ -19,7 +19,7 @@ from limbcli.meshing.places import triple
 from limbcli.meshing.surfaces import Triangles
 from limbcli.results import StageWriter
 from limbcli.stages.segmenting.bone_names import names_of_bodies, names_of_files, numbered
-from limbcli.stages.segmenting.places import tell_places
+from limbcli.stages.segmenting.places import report_places
 
 # What follows looks at points and triangles. Those of drawn bodies span the whole limb; a scan's do so at its
 # flat ends alone, and stay as they were given.
@@ -46,7 +46,7 @@ def from_surfaces(case: Case, writer: StageWriter) -> None:
     }
     check_limb(surfaces, case, writer, where=str(case.imaging.skin))
     write_surfaces(surfaces, writer)
-    tell_places(case, surfaces, [], writer)
+    report_places(case, surfaces, [], writer)
 
 
 def check_limb(surfaces: Mapping[str, ClosedSurface], case: Case, writer: StageWriter, *, where: str) -> None:
@@ -62,10 +62,10 @@ def check_limb(surfaces: Mapping[str, ClosedSurface], case: Case, writer: StageW
     raise_errors(found.problems, CaseError)
     writer.warnings.extend(f"{each.what}; {each.fix}" for each in found.problems)
     if found.outside:
-        _tell_misplaced(triangles, found.outside, case, writer)
+        _report_misplaced(triangles, found.outside, case, writer)
 
 
-def _tell_misplaced(
+def _report_misplaced(
     surfaces: Mapping[str, Triangles], wrong: Sequence[str], case: Case, writer: StageWriter
 ) -> None:
     """The one shift that would put these bones back into the skin. Nothing is moved."""
@@ -74,12 +74,12 @@ def _tell_misplaced(
     writer.data["misplaced"] = {"bones": list(wrong)}
     if found is None:
         return
-    writer.data["misplaced"] |= {"move_mm": found.move, "doubt_mm": found.doubt_mm}
+    writer.data["misplaced"] |= {"move_mm": found.move, "deviation_mm": found.deviation_mm}
     x, y, z = found.move
     writer.warnings.append(
         f"moved together by ({x:.0f}, {y:.0f}, {z:.0f}) mm, {' and '.join(wrong)} would lie within the skin, "
-        f"beside the other bones (to some {max(found.doubt_mm, 3.0):.0f} mm): their files may have another "
-        "origin; nothing was moved"
+        f"beside the other bones (to some {max(found.deviation_mm, 3.0):.0f} mm): their files may have "
+        "another origin; nothing was moved"
     )
 
 

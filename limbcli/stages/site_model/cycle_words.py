@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from limbcli.case import Case, Site
-from limbcli.measurement.cycle_changes import change_words, support_words
+from limbcli.measurement.cycle_changes import change_text, support_text
 from limbcli.measurement.cycles import CycleStudy
 from limbcli.measurement.indentation import Levels, check_levels
 from limbcli.stages.site_model.site_levels import cycles_of
@@ -26,8 +26,8 @@ def cycle_sentences(site: Site, levels: Levels, study: CycleStudy) -> list[str]:
     else:
         lines = [f"From cycle {study.repeats_from} on the tissue repeats itself within noise."]
     if not study.differences[0].is_noise:
-        lines.append(capital(change_words(study.differences[0])) + ".")
-    moved = support_words(levels, study, travel_deviation=site.noise.depth)
+        lines.append(capital(change_text(study.differences[0])) + ".")
+    moved = support_text(levels, study, travel_deviation=site.noise.depth)
     if moved is not None:
         lines.append(capital(moved) + ".")
     return lines

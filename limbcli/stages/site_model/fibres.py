@@ -137,7 +137,7 @@ def note_fibres(writer: StageWriter, case: Case, site: Site) -> None:
         writer.used("fibres", case.imaging.fibres, role="imaging/fibres")
 
 
-def leave_fibres(
+def write_fibres(
     found: SiteFibres, model: LimbModel, probe: ProbeShape, site: Site, writer: StageWriter
 ) -> None:
     """What mesh.json says of the fibres, doubts, and their picture."""

@@ -53,7 +53,7 @@ def fitting(found: Diagnosis) -> tuple[Explanation, ...]:
     return () if found.verdict == "unexplained" else found.confidence_set
 
 
-def told_together(ours: Diagnosis, theirs: Diagnosis, words: str) -> Diagnosis:
+def combined_diagnosis(ours: Diagnosis, theirs: Diagnosis, words: str) -> Diagnosis:
     """Ours, with what fits on the other limb as well: more explanations, and c and m of any of them.
 
     words : of the other limb
@@ -71,7 +71,7 @@ def told_together(ours: Diagnosis, theirs: Diagnosis, words: str) -> Diagnosis:
     return replace(ours, verdict="ambiguous", closed=False, reason=reason, confidence_set=both, shrink=shrink)
 
 
-def doubted(found: Diagnosis, bones: Sequence[Evidence]) -> Diagnosis:
+def with_bone_warnings(found: Diagnosis, bones: Sequence[Evidence]) -> Diagnosis:
     """No name where a limb with other bones would do as well, nor on one whose bones were moved: where they
     really are is known to some mm only, and that looks like other effects."""
     if found.verdict != "named":

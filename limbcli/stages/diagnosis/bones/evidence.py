@@ -92,7 +92,7 @@ class Evidence:
         return {
             "words": self.other.words, "left_out": list(self.other.left_out),
             "moved_mm": {name: list(move) for name, move in self.other.moved.items()},
-            "deviance_gain": self.gain, "gain_asked_for": self.asked, "n_readings": self.n,
+            "deviance_gain": self.gain, "gain_required": self.asked, "n_readings": self.n,
             "taken": self.stand == "taken", "open": self.stand == "open",
             "with_effects": None if self.with_effects is None else _summary(self.with_effects),
         }  # fmt: skip
@@ -108,7 +108,7 @@ def _summary(found: Diagnosis) -> dict[str, object]:
     }  # fmt: skip
 
 
-def fits_badly(model: SiteForwardModel, fitted: Fitted, level: float) -> bool:
+def is_poor_fit(model: SiteForwardModel, fitted: Fitted, level: float) -> bool:
     """Whether chi2 of the fit without effects has a p below this level."""
     everything = np.arange(len(model.data))
     off = _deviance(model, fitted, everything, with_size=False)
@@ -122,7 +122,7 @@ def compared(
     """The limb as it was segmented (`ours`) and with other bones, both fitted without effects."""
     here, there = _rows_in_both(ours, theirs)
     gain = _deviance(ours, our_fit, here) - _deviance(theirs, their_fit, there)
-    fits = not fits_badly(theirs, their_fit, thresholds.ALPHA)
+    fits = not is_poor_fit(theirs, their_fit, thresholds.ALPHA)
     return Evidence(other, float(gain), len(here), fits)
 
 

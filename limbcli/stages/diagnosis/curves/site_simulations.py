@@ -301,7 +301,7 @@ class SiteSimulations:
                 self._with_effects[_names(ingredients)] = key
         n_reached = self.n_depths if enough else n_reached
         if n_reached < hoped:
-            self._tell(m, ingredients, n_reached)
+            self._report_level(m, ingredients, n_reached)
         self.kept.keep_curves(key, curves, work=work, n_reached=n_reached)
         return curves
 
@@ -338,7 +338,7 @@ class SiteSimulations:
         except SolveError:
             return None
 
-    def _tell(self, m: float, ingredients: Ingredients, n_reached: int) -> None:
+    def _report_level(self, m: float, ingredients: Ingredients, n_reached: int) -> None:
         if n_reached >= self._hoped:
             return
         words = " and ".join(effect.name for effect, _ in ingredients) or "no effect"
@@ -357,7 +357,7 @@ class SiteSimulations:
                 self._levels[key] = levels
         return None if key is None else self._levels.get(key)
 
-    def _taken_up(self, key: str) -> None:
+    def _resume(self, key: str) -> None:
         """Levels of an earlier run lead later solves as they did there."""
         levels = self.kept.levels(key)
         if levels is None:
@@ -403,11 +403,11 @@ class SiteSimulations:
         self.work.total += found.work
         if not ingredients:
             self.work.usual.append(found.work)
-            self._taken_up(key)
+            self._resume(key)
         elif not is_numerical(ingredients):
             self._with_effects[_names(ingredients)] = key
         if not is_numerical(ingredients):
-            self._tell(m, ingredients, found.n_reached)
+            self._report_level(m, ingredients, found.n_reached)
         return found.curves
 
 

@@ -163,7 +163,7 @@ class Windows:
             return float(every)
         return float(0.5 * (every + np.log(total[inner].sum() / counts[inner].sum())))
 
-    def width_doubt(self, log_speed: Array) -> Array:
+    def width_uncertainty(self, log_speed: Array) -> Array:
         """Of ln mean speed (n,): half of what the region's width makes, from its parts (n, 1 + n_parts)."""
         if self.whole_is_known:
             return np.zeros(len(log_speed))

@@ -17,7 +17,7 @@ def assumed_gain(case: Case, site: Site, out: Path) -> tuple[float, str]:
     if not words:
         return 0.0, ""
     try:
-        doubt = read_result(out, "fit", site=site.name).data.get("geometry_doubt") or {}
+        doubt = read_result(out, "fit", site=site.name).data.get("geometry_uncertainty") or {}
     except LimbError:
         doubt = {}
     found = doubt.get("gain_fraction")

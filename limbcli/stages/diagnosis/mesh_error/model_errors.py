@@ -86,7 +86,9 @@ class ModelErrors:
         if self.site.swe_maps is not None:
             return []
         curves = self.simulations.curves(self.likely_m)
-        width = np.interp(self.depth, curves.depth, self.simulations.windows.width_doubt(curves.log_speed))
+        width = np.interp(
+            self.depth, curves.depth, self.simulations.windows.width_uncertainty(curves.log_speed)
+        )
         strain = IN_MEAN * np.nan_to_num(self.depth) / self.thickness
         return [
             ModelError(

@@ -190,7 +190,7 @@ class NumericalChecks:
         return Intervention(name, at_levels, speeds, size, note)
 
 
-def too_doubtful(interventions: Sequence[Intervention]) -> str | None:
+def large_uncertainty(interventions: Sequence[Intervention]) -> str | None:
     """A warning where numerical doubt is a large part of the force: over thin tissue, mostly."""
     worst = {
         each.name: each.left * float(np.max(np.abs(each.log_force)))
