@@ -374,7 +374,7 @@ def test_what_a_name_leaves_one_effect_more_has_to_explain(monkeypatch, alone, w
     kept = [SimpleNamespace(explanation=("a",), left_p=alone, fitted=fitted)]
     if with_one_more is not None:
         kept.append(SimpleNamespace(explanation=("a", "b"), left_p=with_one_more, fitted=fitted))
-    doubt = run._doubt(kept[0], kept, [])
+    doubt = run._why_not_named(kept[0], kept, [])
     assert (doubt is None) == named
     assert named or doubt[0] == "ambiguous"
 
@@ -395,7 +395,7 @@ def test_no_name_for_what_one_site_in_twenty_with_nothing_missing_shows(
         explanation=("a", "b")[:several], left_p=0.5, state=SimpleNamespace(nu=99, chi2=after),
         fitted=SimpleNamespace(notes=(), at_bound=(), effect_names=("size",)),
     )  # fmt: skip
-    doubt = run._doubt(best, [best], [])
+    doubt = run._why_not_named(best, [best], [])
     assert (doubt is None) == named
     assert named or doubt == ("ambiguous", "its own evidence is weak for a name (p 0.043)")
 

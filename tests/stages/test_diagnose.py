@@ -159,7 +159,7 @@ def test_the_command_prints_every_sentence_once(tmp_path, monkeypatch):
     )
     case = SimpleNamespace(subject="B1")
     asked = _Diagnosed(case, [mine.site], tmp_path, (), DiagnoseOptions(), None, SILENT)
-    result = asked._leave(None, place, 0)
+    result = asked._write(None, place, 0)
     assert list(result.summary) == result.data["sentences"] == [*told, *of_cycles]
 
 
