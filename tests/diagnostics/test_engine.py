@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.conclusions.account import Account
 from limbcli.diagnostics.conclusions.next_measurement import (
     NextStep,
@@ -23,6 +24,7 @@ from limbcli.diagnostics.engine import _Run, diagnose
 from limbcli.diagnostics.model.estimates import Reported
 from limbcli.diagnostics.model.forward_model import Fitted, Proposal
 from limbcli.diagnostics.model.linear import Whitener
+from limbcli.diagnostics.selection import baseline_fit
 from limbcli.diagnostics.selection.baseline_fit import BaselineFit
 from limbcli.diagnostics.selection.candidates import Candidates, closes_gross
 from tests.diagnostics import toy
@@ -509,3 +511,16 @@ def test_intervals_know_that_few_data_tell_the_level_of_the_noise(rng, times):
     base = found.shrink[0]
     expected = base.chi2_per_nu * stats.f.ppf(0.95, 1, base.nu) / 3.84 if times > 1.0 else 1.0
     assert told.scales[0] == pytest.approx(expected, rel=1e-3)
+
+
+def test_draws_go_on_until_an_adjusted_p_is_clear_of_all_by_which_something_is_decided(rng, monkeypatch):
+    """With 5000 draws a p of 0.022 is known to 0.01: four of them were as extreme, and a name hung on it."""
+    decided, scored = [], baseline_fit.score_family
+
+    def noted(*args, **options):
+        decided.append(options["decisive"])
+        return scored(*args, **options)
+
+    monkeypatch.setattr(baseline_fit, "score_family", noted)
+    diagnose(toy.make(rng, {}), n_draws=300, propose=False)
+    assert {thresholds.ALPHA, thresholds.NAMED} <= set(decided[0])

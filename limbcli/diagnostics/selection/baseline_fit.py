@@ -80,7 +80,7 @@ class BaselineFit:
 
     def family(
         self, state: LinearFit, trials: Sequence[Trial], *, relative: bool,
-        decisive: Sequence[float] = (thresholds.ALPHA,),
+        decisive: Sequence[float] = (thresholds.ALPHA, thresholds.NAMED),
     ) -> Family:  # fmt: skip
         """All these tests with one false-alarm rate; `decisive`: adjusted p by which something is decided."""
         return score_family(
