@@ -20,6 +20,8 @@ from limbcli.stages.build_feb import build_feb
 from limbcli.stages.check import check
 from limbcli.stages.diagnosis.mesh_error.geometry_gain import USUAL, assumed_gain
 from limbcli.stages.fit import FitOptions, fit
+from limbcli.stages.fit_joint import JointOptions, fit_joint
+from limbcli.stages.fitting.geometry import NOT_ALLOWED_FOR
 from limbcli.stages.mesh import mesh
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.report import report
@@ -138,6 +140,13 @@ def test_a_diagnosis_takes_the_fits_doubt_or_says_that_there_is_none(chain):
     gain, reported = assumed_gain(case, case.sites[0], out)
     assert gain == USUAL
     assert "No fit has varied it" in reported
+
+
+def test_a_joint_fit_says_once_what_is_assumed_and_once_that_its_intervals_do_not_allow_for_it(chain):
+    case, out = chain
+    warnings = fit_joint(case, out=out, joint=JointOptions(gain_deviation=0.03)).warnings
+    assert sum(case.imaging.assumed in each for each in warnings) == 1
+    assert warnings.count(NOT_ALLOWED_FOR) == 1
 
 
 def test_check_tells_it_as_a_warning(tmp_path):

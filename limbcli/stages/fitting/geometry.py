@@ -27,6 +27,7 @@ from limbcli.stages.fitting.geometry_variations import Variation, depth_deviatio
 from limbcli.stages.provenance.freshness import key_of
 
 FILE = "geometry.json"
+NOT_ALLOWED_FOR = "the intervals do not allow for what is assumed of the geometry; those of `limbcli fit` do"
 _TOLERANCE = 1e-4
 
 
