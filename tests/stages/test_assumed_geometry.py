@@ -171,6 +171,18 @@ def test_layers_that_do_not_add_up_are_refused(tmp_path, more, first):
     assert any("do not add up" in each.what for each in check(folder).problems)
 
 
+def test_what_was_seen_beside_the_front_is_compared_with_the_round_limb_there(tmp_path):
+    """It was compared with the layers in front, and so refused where it was right."""
+    middle = RADIUS - 15 - 9  # of the bone, before the limb's own
+    right = RADIUS - np.sqrt(9**2 - middle**2)
+    aside = {"place": f"position_mm = [{RADIUS}, 0, 0]", "more": ",skin_bone_mm"}
+    limb = assumed_limb(numbers(tmp_path / "case", **aside, first=f",{right:.2f}"))
+    assert limb.sites["p1"].made == pytest.approx(right)
+    what = r"p1 does not lie in front, and the round limb is 27.4 mm thick there, but .* is 15 mm"
+    with pytest.raises(CaseError, match=what):
+        assumed_limb(numbers(tmp_path / "case", **aside, first=",15"))
+
+
 def test_a_scan_gets_a_bone_as_deep_as_it_was_seen(tmp_path):
     case = scanned(tmp_path / "case")
     result = segment(case, out=tmp_path / "out")
