@@ -22,6 +22,7 @@ from limbcli.stages.diagnosis.mesh_error.geometry_gain import USUAL, assumed_gai
 from limbcli.stages.fit import FitOptions, fit
 from limbcli.stages.fit_joint import JointOptions, fit_joint
 from limbcli.stages.fitting.geometry import NOT_ALLOWED_FOR
+from limbcli.stages.fitting.geometry_variations import depth_deviation
 from limbcli.stages.mesh import mesh
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.report import report
@@ -181,6 +182,14 @@ def test_what_was_seen_beside_the_front_is_compared_with_the_round_limb_there(tm
     what = r"p1 does not lie in front, and the round limb is 27.4 mm thick there, but .* is 15 mm"
     with pytest.raises(CaseError, match=what):
         assumed_limb(numbers(tmp_path / "case", **aside, first=",15"))
+
+
+@pytest.mark.parametrize(("first", "off"), [("", 0.0), (",27", 0.395)], ids=["not seen", "seen"])
+def test_beside_the_front_the_bone_is_not_off_by_what_the_round_limb_makes_of_it(tmp_path, first, off):
+    """A fit had varied its depth by the 12 mm between the thickness there and in front."""
+    place, more = f"position_mm = [{RADIUS}, 0, 0]", ",skin_bone_mm" if first else ""
+    site = assumed_limb(numbers(tmp_path / "case", place=place, more=more, first=first)).sites["p1"]
+    assert depth_deviation(0.3, site.to_json()) == pytest.approx(np.hypot(0.3, off), abs=0.01)
 
 
 def test_a_scan_gets_a_bone_as_deep_as_it_was_seen(tmp_path):

@@ -177,14 +177,14 @@ def _is_aside(shape: Shape, made: float | None) -> bool:
 def _of_numbers(shape: Shape, case: Case) -> AssumedLimb:
     skin, bone = _rods(shape)
     surfaces = {"skin": _closed(skin.surface(edge=SKIN_EDGE)), BONE: _closed(bone.surface(edge=BONE_EDGE))}
-    sites = {}
+    sites, aside = {}, []
     for site in case.sites:
         point, normal = _on_tube(shape, site)
-        made = bone.depth_under(point, -normal)
-        sites[site.name] = ThicknessComparison(
-            shape.skin_bone, "[imaging] shape", made, BONE, _triple(point), _triple(normal)
-        )
-    aside = [name for name, each in sites.items() if _is_aside(shape, each.made)]
+        made, depth, source = bone.depth_under(point, -normal), shape.skin_bone, "[imaging] shape"
+        if _is_aside(shape, made):
+            aside.append(site.name)
+            depth, source = seen_depth(site) or (made or depth, source)
+        sites[site.name] = ThicknessComparison(depth, source, made, BONE, _triple(point), _triple(normal))
     warnings = tuple(
         f"site {name} does not lie in front, where [imaging] shape tells the layers: the tissue there is as "
         "thick as the round limb makes it" for name in aside
