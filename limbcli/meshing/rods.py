@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.cluster.hierarchy import fcluster, linkage
 
 from limbcli.errors import CaseError
 from limbcli.meshing.distance import Field, grid_over, signed_distance
@@ -127,24 +128,17 @@ def rods_for(
     """The fewest rods that agree with what was seen, each with the names of the sites that see it.
 
     Every site alone puts the middle of its rod's section. Sites whose middles lie within one radius of each
-    other look at one bone, whose middle is their mean (least squares); others have one each.
+    other look at one bone, whose middle is their mean (least squares), the nearest first, in whatever order
+    the sites come; others have one each.
 
     Raises
     ------
     CaseError
         If a rod would stand out of the skin at its site.
     """
-    groups: list[list[str]] = []
     middles = {name: _middle(each, axis, radius) for name, each in seen.items()}
-    for name, middle in middles.items():
-        near = [
-            group for group in groups
-            if np.linalg.norm(_across(middle - _mean([middles[n] for n in group]), axis)) < radius
-        ]  # fmt: skip
-        if near:
-            near[0].append(name)
-        else:
-            groups.append([name])
+    across = np.array([_across(each, axis) for each in middles.values()])
+    groups = [[list(seen)[k] for k in group] for group in _within_reach(across, radius)]
     inside = _inside(limb)
     found = []
     for group in groups:
@@ -162,6 +156,20 @@ def rods_for(
         clear = min(_CLEAR, max(_LEAST_CLEAR, _KEEPS * here))
         found.append((_as_long_as_inside(rod, limb, inside, clear), group))
     return found
+
+
+def _within_reach(points: Array, reach: float) -> list[list[int]]:
+    """Points (n, 3) in groups that `reach` spans, the nearest joined first; each in order of its numbers.
+
+    >>> _within_reach(np.array([[0.0, 0, 0], [8, 0, 0], [14, 0, 0]]), 9.0)
+    [[0], [1, 2]]
+    """
+    if len(points) < 2:
+        return [[k] for k in range(len(points))]
+    order = np.lexsort(points.T)  # ties, too, are joined alike in whatever order the points come
+    labels = np.empty(len(points), dtype=int)
+    labels[order] = fcluster(linkage(points[order], "complete"), reach, "distance")
+    return [np.flatnonzero(labels == each).tolist() for each in dict.fromkeys(labels.tolist())]
 
 
 def _middle(seen: BoneHit, axis: Array, radius: float) -> Array:

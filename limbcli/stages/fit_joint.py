@@ -39,6 +39,7 @@ from limbcli.stages.fitting.fibre_orientations import write_orientations
 from limbcli.stages.fitting.fibre_rest_speed import rest_speed
 from limbcli.stages.fitting.fibre_uncertainty import stated_deviation, write_direction_uncertainty
 from limbcli.stages.fitting.force_curves import LawCurve
+from limbcli.stages.fitting.geometry import NOT_ALLOWED_FOR
 from limbcli.stages.fitting.joint_result import law_row, write_comparison, write_joint
 from limbcli.stages.fitting.laws import LAWS, FitLaw, first_shapes, law_named
 from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
@@ -152,10 +153,8 @@ def _measured(case: Case, site: Site, out: Path, writer: StageWriter, options: F
     model = through_cycle(built_model(case, site, out, writer, label=site.name), levels, site)
     stiffness, _ = initial_stiffness(levels, site, options)
     error = studied_error(case, site, out, writer, label=f"{site.name}/")
-    if case.imaging.assumed:
-        warning = f"{case.imaging.assumed}. The joint fit's intervals do not allow for it; those of `fit` do"
-        if warning not in writer.warnings:
-            writer.warnings.append(warning)
+    if case.imaging.assumed and NOT_ALLOWED_FOR not in writer.warnings:
+        writer.warnings.append(NOT_ALLOWED_FOR)
     if site.states:
         writer.warnings.append(one_state(site))
     layers, lines = layer_readings(levels, site), None

@@ -26,6 +26,7 @@ from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.stages.fit import FitOptions, built_model, check_numbers
 from limbcli.stages.fit_joint import JointOptions, Measured, check_noise, site_data
 from limbcli.stages.fitting.exports import write_mat_file
+from limbcli.stages.fitting.geometry import NOT_ALLOWED_FOR
 from limbcli.stages.fitting.laws import FitLaw, first_shapes, law_named
 from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.stages.fitting.state_curve import StateCurve
@@ -120,9 +121,7 @@ def _fit_site(
         role = f"site/{site.name}/state/{each.state.name}"
         writer.used(f"levels {each.state.name}", each.state.levels, role=role)
     if case.imaging.assumed:
-        writer.warnings.append(
-            f"{case.imaging.assumed}. The intervals do not allow for it; those of `fit` do"
-        )
+        writer.warnings.append(NOT_ALLOWED_FOR)
     given = states.gain_deviation
     studied = None if given is not None else studied_error(case, site, out, writer)
     c0 = _start_c(site, measured, plan)

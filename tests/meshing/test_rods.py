@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -67,6 +69,14 @@ def test_sites_that_look_at_one_bone_share_it_and_others_have_their_own(tapered)
         for name in names:
             depth = rod.depth_under(seen[name].point, -seen[name].normal)
             assert depth == pytest.approx(seen[name].depth, abs=0.5 if len(names) > 1 else 1e-6)
+
+
+def test_bones_are_the_same_in_whatever_order_sites_are_listed(tapered):
+    """The first listed had taken in its neighbour, though another lay nearer."""
+    seen = {"a": seen_on(tapered, 0, 15.0), "b": seen_on(tapered, 0, 22.0), "c": seen_on(tapered, 0, 27.0)}
+    for names in itertools.permutations(seen):
+        found = rods_for({name: seen[name] for name in names}, tapered, np.array([0, 0.05, 1.0]), 9.0)
+        assert sorted(sorted(group) for _, group in found) == [["a"], ["b", "c"]]
 
 
 def test_a_bone_that_does_not_fit_is_refused_with_its_numbers(tapered):

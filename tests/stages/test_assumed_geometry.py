@@ -20,6 +20,9 @@ from limbcli.stages.build_feb import build_feb
 from limbcli.stages.check import check
 from limbcli.stages.diagnosis.mesh_error.geometry_gain import USUAL, assumed_gain
 from limbcli.stages.fit import FitOptions, fit
+from limbcli.stages.fit_joint import JointOptions, fit_joint
+from limbcli.stages.fitting.geometry import NOT_ALLOWED_FOR
+from limbcli.stages.fitting.geometry_variations import depth_deviation
 from limbcli.stages.mesh import mesh
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.report import report
@@ -140,6 +143,13 @@ def test_a_diagnosis_takes_the_fits_doubt_or_says_that_there_is_none(chain):
     assert "No fit has varied it" in reported
 
 
+def test_a_joint_fit_says_once_what_is_assumed_and_once_that_its_intervals_do_not_allow_for_it(chain):
+    case, out = chain
+    warnings = fit_joint(case, out=out, joint=JointOptions(gain_deviation=0.03)).warnings
+    assert sum(case.imaging.assumed in each for each in warnings) == 1
+    assert warnings.count(NOT_ALLOWED_FOR) == 1
+
+
 def test_check_tells_it_as_a_warning(tmp_path):
     found = check(numbers(tmp_path / "case").folder)
     assert found.exit_code == 0
@@ -160,6 +170,26 @@ def test_layers_that_do_not_add_up_are_refused(tmp_path, more, first):
     with pytest.raises(CaseError, match=what):
         segment(case, out=tmp_path / "out")
     assert any("do not add up" in each.what for each in check(folder).problems)
+
+
+def test_what_was_seen_beside_the_front_is_compared_with_the_round_limb_there(tmp_path):
+    """It was compared with the layers in front, and so refused where it was right."""
+    middle = RADIUS - 15 - 9  # of the bone, before the limb's own
+    right = RADIUS - np.sqrt(9**2 - middle**2)
+    aside = {"place": f"position_mm = [{RADIUS}, 0, 0]", "more": ",skin_bone_mm"}
+    limb = assumed_limb(numbers(tmp_path / "case", **aside, first=f",{right:.2f}"))
+    assert limb.sites["p1"].made == pytest.approx(right)
+    what = r"p1 does not lie in front, and the round limb is 27.4 mm thick there, but .* is 15 mm"
+    with pytest.raises(CaseError, match=what):
+        assumed_limb(numbers(tmp_path / "case", **aside, first=",15"))
+
+
+@pytest.mark.parametrize(("first", "off"), [("", 0.0), (",27", 0.395)], ids=["not seen", "seen"])
+def test_beside_the_front_the_bone_is_not_off_by_what_the_round_limb_makes_of_it(tmp_path, first, off):
+    """A fit had varied its depth by the 12 mm between the thickness there and in front."""
+    place, more = f"position_mm = [{RADIUS}, 0, 0]", ",skin_bone_mm" if first else ""
+    site = assumed_limb(numbers(tmp_path / "case", place=place, more=more, first=first)).sites["p1"]
+    assert depth_deviation(0.3, site.to_json()) == pytest.approx(np.hypot(0.3, off), abs=0.01)
 
 
 def test_a_scan_gets_a_bone_as_deep_as_it_was_seen(tmp_path):

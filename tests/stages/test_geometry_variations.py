@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,10 @@ import pytest
 
 from limbcli.case.parts import Imaging, Shape
 from limbcli.errors import MeshError
+from limbcli.meshing.morph import deeper
 from limbcli.meshing.rods import Rod
 from limbcli.model import Mesh
+from limbcli.stages.fitting.geometry import rod_in_model
 from limbcli.stages.fitting.geometry_variations import (
     USUAL_DEPTH,
     Variation,
@@ -48,6 +51,21 @@ def test_depth_is_in_doubt_by_what_a_shared_bone_misses_a_reading_by():
     site = {"skin_bone_mm": 20.0, "made_mm": 20.9}
     assert depth_deviation(0.4, site) == pytest.approx(np.hypot(0.4, 0.9))
     assert depth_deviation(0.0, {**site, "made_mm": None}) == USUAL_DEPTH
+
+
+def test_a_bone_that_sites_share_is_put_deeper_below_each_of_them():
+    """It was put deeper below the first one, which below another is aside."""
+    bone = {"centre_mm": [0, 0, 0], "axis": [0, 0, 1], "radius_mm": 9, "towards": [0, -1, 0],
+            "from_mm": -50, "to_mm": 50}  # fmt: skip
+    geometry = {"bones": {"bone_1": bone}, "sites": {name: {"bone": "bone_1"} for name in ("front", "left")}}
+    for name, out in (("front", [0.0, -1.0, 0.0]), ("left", [1.0, 0.0, 0.0])):
+        patient_from_model = np.eye(4)
+        patient_from_model[:3, :3] = np.column_stack([[0.0, 0.0, 1.0], np.cross(out, [0.0, 0.0, 1.0]), out])
+        patient_from_model[:3, 3] = 30.0 * np.array(out)
+        rod = rod_in_model(geometry, name, patient_from_model)
+        deep = replace(rod, centre=rod.centre + deeper(rod.centre, rod, 0.3))
+        depths = [each.depth_under(np.zeros(3), np.array([0.0, 0.0, -1.0])) for each in (rod, deep)]
+        assert depths == pytest.approx([21.0, 21.3])
 
 
 @pytest.mark.parametrize(("kind", "value"), [("slope", 0.1), ("side", 0.3), ("depth", 0.5)])

@@ -8,8 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from limbcli.effects.places import layer_share
+from limbcli.effects.tissue import TISSUE
 from limbcli.errors import CaseError
 from limbcli.measurement.elastography import SweMap
+from limbcli.model import LimbModel, Material
 from limbcli.phantom.case_folder import NoiseLaw
 from limbcli.phantom.noise import Readings
 from limbcli.phantom.protocol import LoadingProtocol, TrueLevels
@@ -143,6 +146,26 @@ def test_the_truth_tells_which_of_its_levels_were_not_read():
     (true,) = truth_table([site], plan)["site"]
     assert np.delete(true["force_n"], true["levels_not_read"]) == pytest.approx(readings.force)
     assert "p1: 2 levels" in summary_of(site)
+
+
+def test_the_truth_tells_parameters_as_they_are_hidden_not_as_the_effects_own_model_has_them():
+    """One relaxation time of two was told, a skin of 1.5 mm for one of 1.2, no exponent of the fibres."""
+    names = ("viscoelasticity=0.3", "skin-layer=2.3", "anisotropy")
+    relaxing, skin, fibres = truth_table([], SynthOptions(hidden=tuple(map(hide, names))))["hidden"]
+    share, held = np.array(relaxing["share_of_relaxing"]) * relaxing["relaxing_share"], 6.0
+    times = np.array(relaxing["relaxation_time_s"])
+    left = 2.0 * times * -np.expm1(-1.0 / times) * np.exp(-held / times)  # of a step of 2 N in 1 s
+    assert shown("viscoelasticity=0.3").force[1] == pytest.approx(2.0 + share @ left)
+    model = block_model()
+    told = 1.0 + layer_share(model, 0.0, skin["skin_thickness_mm"]) * np.expm1(skin["log_skin_ratio"])
+    assert ground(hide("skin-layer=2.3").in_model(model)) == pytest.approx(ground(model) * told)
+    (law,) = [each for each in _materials(hide("anisotropy").in_model(model)) if "alpha" in each.parameters]
+    assert law.parameters["alpha"] == fibres["fibre_exponent"]
+
+
+def _materials(model: LimbModel) -> list[Material]:
+    whole = model.materials[TISSUE]
+    return [whole, *whole.parts]
 
 
 def test_stiffer_and_softer_places_are_hidden_beside_any_other_effect():

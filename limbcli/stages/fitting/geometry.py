@@ -27,6 +27,7 @@ from limbcli.stages.fitting.geometry_variations import Variation, depth_deviatio
 from limbcli.stages.provenance.freshness import key_of
 
 FILE = "geometry.json"
+NOT_ALLOWED_FOR = "the intervals do not allow for what is assumed of the geometry; those of `limbcli fit` do"
 _TOLERANCE = 1e-4
 
 
@@ -111,14 +112,16 @@ def site_geometry_uncertainty(
 
 
 def rod_in_model(geometry: Mapping[str, Any], site: str, patient_from_model: Array) -> Rod:
-    """The bone that a site looks at, in the site's frame."""
+    """The bone that a site looks at, in the site's frame; its first line is that towards this site."""
     bone = geometry["bones"][geometry["sites"][site]["bone"]]
     to_model = np.linalg.inv(patient_from_model)
     turn = to_model[:3, :3]
-    centre = turn @ np.array(bone["centre_mm"]) + to_model[:3, 3]
+    centre, axis = turn @ np.array(bone["centre_mm"]) + to_model[:3, 3], turn @ np.array(bone["axis"])
+    up = np.array([0.0, 0.0, 1.0])
+    towards = up - (up @ axis) * axis
     return Rod(
-        centre, turn @ np.array(bone["axis"]), float(bone["radius_mm"]), float(bone["from_mm"]),
-        float(bone["to_mm"]), turn @ np.array(bone["towards"]),
+        centre, axis, float(bone["radius_mm"]), float(bone["from_mm"]), float(bone["to_mm"]),
+        towards / np.linalg.norm(towards),
     )  # fmt: skip
 
 

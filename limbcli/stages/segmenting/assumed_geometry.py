@@ -24,12 +24,14 @@ from limbcli.meshing.places import place_problems
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.rods import BoneHit, Rod, limb_axis, rods_for, tube
 from limbcli.meshing.surfaces import Triangles
+from limbcli.model import Array
 from limbcli.stages.segmenting.surfaces import read_body
 from limbcli.stages.site_model.mesh_checks import measured_skin_bone
 
 LENGTH = 300.0  # mm of a limb in numbers: longer than any usual model with its margin
 SKIN_EDGE, BONE_EDGE = 2.0, 1.5  # mm, as of imaged surfaces
 _SUM_OFF, _BEYOND_CHANCE = 1.0, 4.0  # mm, and deviations, that the layers may differ from the thickness
+_ASIDE = 0.5  # mm by which the tissue of a site aside differs from the layers in front
 _DEPTH_OFF = 1.0  # mm between a bone that several sites share and what one of them saw
 BONE = "bone_1"
 
@@ -131,15 +133,20 @@ def seen_depth(site: Site) -> tuple[float, str] | None:
 
 
 def _off_the_sum(shape: Shape, site: Site, case: Case) -> list[Problem]:
-    seen = seen_depth(site)
+    """What was seen at a site against what the round limb makes there: in front, the sum of the layers."""
+    seen, (point, normal) = seen_depth(site), _on_tube(shape, site)
+    made = _rods(shape)[1].depth_under(point, -normal)
     allowed = max(_SUM_OFF, _BEYOND_CHANCE * 2.0 * site.noise.layer)  # of three layers and the whole
-    if seen is None or abs(seen[0] - shape.skin_bone) <= allowed:
+    if seen is None or (made is not None and abs(seen[0] - made) <= allowed):
         return []
+    but = f"but the skin-bone distance of site {site.name} is {seen[0]:g} mm ({seen[1]})"
+    if _is_aside(shape, made):
+        here = "has no bone under it" if made is None else f"is {made:.1f} mm thick there"
+        what = f"site {site.name} does not lie in front, and the round limb {here}, {but}"
+        fix = "give the site a case of its own, with the layers read there and without position_mm"
+        return [Problem(what, str(case.file), fix)]
     parts = f"skin {shape.skin:g} + fat {shape.fat:g} + muscle {shape.muscle:g} = {shape.skin_bone:g} mm"
-    what = (
-        f"the layers do not add up to the thickness: {parts}, but the skin-bone distance of site {site.name} "
-        f"is {seen[0]:g} mm ({seen[1]})"
-    )
+    what = f"the layers do not add up to the thickness: {parts}, {but}"
     return [
         Problem(what, str(case.file), "read layers and bone on one image; muscle_mm goes down to the bone")
     ]
@@ -148,24 +155,36 @@ def _off_the_sum(shape: Shape, site: Site, case: Case) -> list[Problem]:
 # ---------------------------------------------------------------- made
 
 
-def _of_numbers(shape: Shape, case: Case) -> AssumedLimb:
+def _rods(shape: Shape) -> tuple[Rod, Rod]:
+    """Skin and bone of a limb in numbers."""
     skin = tube(shape.radius, LENGTH)
     inward = shape.radius - shape.skin_bone - shape.bone_radius
-    bone = Rod(inward * skin.towards, skin.axis, shape.bone_radius, skin.low, skin.high, skin.towards)
+    return skin, Rod(inward * skin.towards, skin.axis, shape.bone_radius, skin.low, skin.high, skin.towards)
+
+
+def _on_tube(shape: Shape, site: Site) -> tuple[Array, Array]:
+    """A site's point (3,) on the skin, and the normal (3,) there."""
+    assert site.position is not None
+    x, y, z = site.position
+    normal = np.array([x, y, 0.0]) / max(float(np.hypot(x, y)), 1e-9)
+    return shape.radius * normal + [0.0, 0.0, z], normal
+
+
+def _is_aside(shape: Shape, made: float | None) -> bool:
+    return made is None or abs(made - shape.skin_bone) > _ASIDE
+
+
+def _of_numbers(shape: Shape, case: Case) -> AssumedLimb:
+    skin, bone = _rods(shape)
     surfaces = {"skin": _closed(skin.surface(edge=SKIN_EDGE)), BONE: _closed(bone.surface(edge=BONE_EDGE))}
-    sites = {}
+    sites, aside = {}, []
     for site in case.sites:
-        assert site.position is not None
-        point = np.array(site.position)
-        normal = np.array([point[0], point[1], 0.0]) / max(float(np.hypot(point[0], point[1])), 1e-9)
-        on_skin = np.array([*(shape.radius * normal[:2]), point[2]])
-        made = bone.depth_under(on_skin, -normal)
-        sites[site.name] = ThicknessComparison(
-            shape.skin_bone, "[imaging] shape", made, BONE, _triple(on_skin), _triple(normal)
-        )
-    aside = [
-        name for name, each in sites.items() if each.made is None or abs(each.made - shape.skin_bone) > 0.5
-    ]
+        point, normal = _on_tube(shape, site)
+        made, depth, source = bone.depth_under(point, -normal), shape.skin_bone, "[imaging] shape"
+        if _is_aside(shape, made):
+            aside.append(site.name)
+            depth, source = seen_depth(site) or (made or depth, source)
+        sites[site.name] = ThicknessComparison(depth, source, made, BONE, _triple(point), _triple(normal))
     warnings = tuple(
         f"site {name} does not lie in front, where [imaging] shape tells the layers: the tissue there is as "
         "thick as the round limb makes it" for name in aside

@@ -7,7 +7,7 @@ file, which no stage reads.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -30,18 +30,20 @@ from limbcli.phantom.protocol import TrueLevels
 class Hidden:
     """One effect hidden: a change of the loaded model, of what its waves meet, of what is read off it.
 
+    true : what the truth says of it: its parameters as they are hidden, which is not always as the effect's
+        own model has them
     preload : N on the probe at the first level
     """
 
     name: str
-    size: dict[str, float]
+    true: Mapping[str, float | Sequence[float]]
     in_model: Callable[[LimbModel], LimbModel] | None = None
     in_readings: Callable[[Readings, TrueLevels], Readings] | None = None
     for_waves: Callable[[LimbModel], LimbModel] | None = None
     preload: float = 0.0
 
     def facts(self) -> dict[str, Any]:
-        return {"effect": self.name, **self.size}
+        return {"effect": self.name, **self.true}
 
 
 def hide(text: str) -> Hidden:
@@ -66,7 +68,8 @@ def hide(text: str) -> Hidden:
     in_model = None if readings else (lambda m: (model or found.apply)(m, theta))
     waves = found.waves
     return Hidden(
-        name, theta, in_model, None if readings is None else (lambda r, t: readings(r, t, theta)),
+        name, {**theta, **_otherwise(name, theta)}, in_model,
+        None if readings is None else (lambda r, t: readings(r, t, theta)),
         None if waves is None else (lambda m: waves(m, theta)),
         theta.get("preload_n", 0.0),
     )  # fmt: skip
@@ -138,21 +141,40 @@ def _cannot(found: Effect) -> CaseError:
 
 # ---------------------------------------------------------------- in the tissue, otherwise parametrised
 
+_FIBRE_EXPONENT = 1.5
+_SKIN_MM = 1.2
+_TERMS = ((0.6, 1.0), (0.4, 20.0))  # share of what relaxes, time constant in s
+
+
+def _otherwise(name: str, theta: Theta) -> dict[str, float | list[float]]:
+    """What of an effect's parameters is hidden otherwise than its own model has it."""
+    if name == "anisotropy":
+        return {"fibre_exponent": _FIBRE_EXPONENT}
+    if name == "skin-layer":
+        return {"log_skin_ratio": float(np.log(_skin_ratio(theta))), "skin_thickness_mm": _SKIN_MM}
+    if name == "viscoelasticity":
+        parts, times = zip(*_TERMS, strict=True)
+        return {"share_of_relaxing": list(parts), "relaxation_time_s": list(times)}
+    return {}
+
 
 def _fibres(model: LimbModel, theta: Theta) -> LimbModel:
-    """Mildly exponential fibres (alpha 1.5) with the same stiffness at small stretch."""
+    """Mildly exponential fibres with the same stiffness at small stretch."""
     c = ground_modulus(model)
     fibre: dict[str, Value] = {
-        "ksi": theta["fibre_tension_per_c"] * c, "alpha": 1.5, "beta": 2.0, "band": 0.02,
+        "ksi": theta["fibre_tension_per_c"] * c, "alpha": _FIBRE_EXPONENT, "beta": 2.0, "band": 0.02,
         "mu": theta["fibre_shear_per_c"] * c, "lam0": 1.0, "fiber": fibre_direction(model),
     }  # fmt: skip
     return with_part(model, Material("fiber_exp_pow", fibre))
 
 
 def _skin(model: LimbModel, theta: Theta) -> LimbModel:
-    """A thinner skin with the same stiffness along it: 1.2 mm."""
-    ratio = 1.0 + (float(np.exp(theta["log_skin_ratio"])) - 1.0) * 1.5 / 1.2
-    return scaled(model, 1.0 + layer_share(model, 0.0, 1.2) * (ratio - 1.0))
+    """A thinner skin with the same stiffness along it."""
+    return scaled(model, 1.0 + layer_share(model, 0.0, _SKIN_MM) * (_skin_ratio(theta) - 1.0))
+
+
+def _skin_ratio(theta: Theta) -> float:
+    return 1.0 + (float(np.exp(theta["log_skin_ratio"])) - 1.0) * theta["skin_thickness_mm"] / _SKIN_MM
 
 
 # ---------------------------------------------------------------- in the readings
@@ -240,9 +262,6 @@ def _relaxing(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
             extra[k] += part * state
     stiffer = replace(readings, force=readings.force + extra, trace=_relaxing_trace(readings.trace, share))
     return _speeds(stiffer, lambda v, z, k: v * np.sqrt(1 + share))
-
-
-_TERMS = ((0.6, 1.0), (0.4, 20.0))  # share of what relaxes, time constant in s
 
 
 def _relaxing_trace(trace: Array, share: float) -> Array:
