@@ -7,6 +7,7 @@ from typing import Any
 
 from limbcli.reporting.numbers import DASH, number, significant
 from limbcli.reporting.reportlet import Cell, PageTable, head
+from limbcli.significant_digits import short
 
 _NAMES = {"f_kappa": "f_κ", "m": "m"}
 
@@ -29,7 +30,7 @@ def _parts(site: str, doubt: Mapping[str, Any]) -> PageTable:
             Cell(_interval((doubt.get(key) or {}).get(name))) for key in ("interval_95_noise", "interval_95")
         ]
         alone = number((doubt.get("standard_error_fraction") or {}).get(name))
-        share = DASH if alone is None else f"{100 * alone:.2g} %"
+        share = DASH if alone is None else f"{short(100 * alone, 2)} %"
         rows.append((Cell(symbol, lead=True), *cells, Cell(share)))
     names = head(
         "parameter", "95 %: noise and mesh alone", "95 %: with the geometry", "geometry alone, one deviation"
