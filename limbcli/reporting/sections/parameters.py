@@ -177,7 +177,15 @@ def _noise_words(view: FitView) -> list[str]:
 
 
 def _effort(step: StepView) -> str:
-    text = f"{step.label}: {step.n_iterations or DASH} iterations, {step.n_solves or DASH} solves"
+    text = f"{step.label}: {_counted(step.n_iterations, 'iteration')}, {_counted(step.n_solves, 'solve')}"
     if step.seconds is not None:
         text += f", {quantity(step.seconds, 's', digits=2)}"
     return text + (f"; it ended because {step.reason}." if step.reason else ".")
+
+
+def _counted(n: int | None, noun: str) -> str:
+    """
+    >>> _counted(1, "solve"), _counted(0, "solve"), _counted(None, "solve")
+    ('1 solve', '0 solves', '– solves')
+    """
+    return f"{DASH if n is None else n} {noun}{'' if n == 1 else 's'}"
