@@ -314,6 +314,12 @@ def test_speed_maps_tell_the_side_to_which_lateral_grows():
     assert "+" not in speed_maps(maps(2, measured=True)).get_supxlabel()
 
 
+def test_force_before_contact_is_no_less_than_nothing_on_speed_maps():
+    shown = [replace(each, force=each.force - 0.02) for each in maps(2, measured=True)]
+    panels = {row[0] for row in figure_data(speed_maps(shown))}
+    assert {"measured, level 0 (0.0 N)", "measured, level 1 (2.0 N)"} <= panels
+
+
 def test_layers_of_a_single_level_are_seen():
     one = np.array([[1.5, 6.0]])
     left, right = layers_figure(LayerPicture(np.array([4.0]), ("skin", "fat"), one, one, 0.2)).axes
