@@ -7,6 +7,7 @@ import csv
 import json
 import re
 from html.parser import HTMLParser
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -260,6 +261,12 @@ def test_ids_are_unique_and_links_lead_somewhere(whole):
     assert {attrs["href"][1:] for attrs in page.all("a")} <= set(ids)
 
 
+def test_headings_go_down_step_by_step(whole):
+    levels = [int(each) for each in re.findall(r"<h(\d)", (whole[0] / "report/report.html").read_text())]
+    assert levels[:2] == [1, 2]
+    assert all(b - a <= 1 for a, b in pairwise(levels))
+
+
 def test_page_is_small(whole):
     out, _ = whole
     assert (out / "report" / "report.html").stat().st_size < 6e6
@@ -418,7 +425,7 @@ def test_predicted_speeds_and_the_stiffness_map_are_shown_where_the_fit_left_the
     add_predicted_speeds(out, "p1")
     page = Page(report(case, out=out).path("page").read_text(encoding="utf-8"))
     described = " ".join(attrs["alt"] for attrs in page.all("img"))
-    assert "The fitted model predicts 2.05 to" in described
+    assert re.search(r"R² = \d\.\d+\. The fitted model predicts 2\.05 to", described), "two sentences"
     assert "predicted by the fitted model" in described
     assert "stiffness c of every element" in described
     assert "off by 0.20 m/s" in page.text
