@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.reporting.page import render
+from limbcli.reporting.sections.joint import laws
 from limbcli.reporting.sections.overview import overview
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.results import open_stage, read_result
@@ -654,6 +655,15 @@ def test_what_was_made_on_demand_is_on_the_page(tmp_path):
         attrs["id"] for _, attrs in page.tags if "id" in attrs
     }
     assert "f_κ" not in page.text, "set as a symbol everywhere"
+
+
+def test_laws_of_a_joint_fit_that_failed_since_are_not_shown(tmp_path):
+    """A batch leaves the result before beside the failure, to make it again."""
+    case, out = make_case(tmp_path / "S1"), tmp_path / "out"
+    add_on_demand(out)
+    assert laws(gather(case, out=out)) is not None
+    fail(out, "fit-joint", None)
+    assert laws(gather(case, out=out)) is None
 
 
 def test_what_was_not_made_on_demand_is_not_missed(whole):
