@@ -17,9 +17,10 @@ from matplotlib.figure import Figure
 from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.reporting.page import render
-from limbcli.reporting.sections.joint import laws
+from limbcli.reporting.sections.joint import joint, laws
 from limbcli.reporting.sections.overview import overview
 from limbcli.reporting.sections.parameters import parameters
+from limbcli.reporting.sections.states import states
 from limbcli.results import open_stage, read_result
 from limbcli.stages.batching.outcome import keep_error
 from limbcli.stages.report import report
@@ -655,6 +656,18 @@ def test_what_was_made_on_demand_is_on_the_page(tmp_path):
         attrs["id"] for _, attrs in page.tags if "id" in attrs
     }
     assert "f_κ" not in page.text, "set as a symbol everywhere"
+
+
+def test_a_joint_fit_that_misses_its_data_is_not_marked_as_fine(tmp_path):
+    case, out = make_case(tmp_path / "S1"), tmp_path / "out"
+    sound = {"c_kpa": {"value": 8.0, "low": 7.0, "high": 9.0, "flag": "identified"}}
+    for warnings, mood in (((), "fine"), (("the fit misses the data: chi-square 73",), "warning")):
+        for stage, site in (("fit-joint", None), ("fit-states", "p1")):
+            with open_stage(out, stage, subject="S1", site=site) as writer:
+                writer.data.update(parameters=sound, element="tet10", sites=["p1"])
+                writer.warnings += warnings
+        page = gather(case, out=out)
+        assert [each.mood for each in (joint(page), states(page, page.sites[0])) if each] == [mood, mood]
 
 
 def test_laws_of_a_joint_fit_that_failed_since_are_not_shown(tmp_path):

@@ -31,7 +31,7 @@ def joint(page: ReportData) -> Reportlet | None:
     return Reportlet(
         "fit-joint",
         TITLE,
-        "fine" if all(each.is_sound for each in estimates) else "warning",
+        "fine" if all(each.is_sound for each in estimates) and not result.warnings else "warning",
         pictures=tuple(_pictures(result, sites)),
         tables=(_table(estimates, data, sites),),
         look_for="curves through the points of both columns, chi-square near its degrees of freedom, and "
