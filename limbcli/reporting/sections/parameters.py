@@ -117,12 +117,18 @@ def _details(site: str, view: FitView) -> PageTable:
 
 
 def estimate_cells(each: EstimateView) -> tuple[Cell, ...]:
-    """Name, value, 95 % interval and verdict."""
-    unit = f"\u00a0{each.unit}" if each.unit else ""
+    """Name, value, 95 % interval and verdict; words that hold no number have no unit.
+
+    >>> c = EstimateView("c", 50.0, "kPa", 1.0, 90.0, "", "no influence")
+    >>> [cell.text.replace("\u00a0", " ") for cell in estimate_cells(c)]
+    ['c', 'not identifiable', '1.00 to 90.0 kPa', 'no influence']
+    """
+    unit, said = f"\u00a0{each.unit}" if each.unit else "", each.headline.split(" (")[0]
     return (
         Cell(each.name),
-        cell(each.value, unit=each.unit) if each.is_sound else Cell(each.headline.split(" (")[0] + (
-            unit if each.headline[:1].isdigit() or each.low is not None or each.high is not None else "")),
+        cell(each.value, unit=each.unit) if each.is_sound else Cell(
+            said + unit * any(map(str.isdigit, said))
+        ),
         Cell(interval_text(each) + unit) if each.low is not None or each.high is not None else Cell(
             DASH, reason=each.interval_why
         ),
