@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.profile import Profile
 from limbcli.model import Array
+from limbcli.significant_digits import short
 
 _NO_INFLUENCE = 1e-3  # of the force, for a doubling of the parameter
 _WEAK_RATIO = 3.0  # upper over lower end of the interval
@@ -157,18 +158,19 @@ def verdict(
     if wide:
         return Verdict("weak", f"{name} is only weakly identified: {excluded}.")
     return Verdict(
-        "identified", f"{name} is identified: {profile.low:.4g} to {profile.high:.4g}{unit} (95 %)."
+        "identified",
+        f"{name} is identified: {short(profile.low, 4)} to {short(profile.high, 4)}{unit} (95 %).",
     )
 
 
 def _without_profile(name: str, value: float, log_deviation: float, why: str) -> Verdict:
     """By the standard error alone, or, where there is none, without a claim."""
     if not np.isfinite(log_deviation):
-        return Verdict("weak", f"{name} = {value:.4g}; how sure that is cannot be determined: {why}.")
+        return Verdict("weak", f"{name} = {short(value, 4)}; how sure that is cannot be determined: {why}.")
     reach = float(np.exp(min(2 * _TWO_SIDED * log_deviation, 50.0)))
     flag = "identified" if reach <= _WEAK_RATIO else "weak"
     share = 100.0 * log_deviation
-    return Verdict(flag, f"{name} = {value:.4g}, standard error {share:.2g} %; {why}.")
+    return Verdict(flag, f"{name} = {short(value, 4)}, standard error {short(share, 2)} %; {why}.")
 
 
 def _excluded(parameter: FitParameter, profile: Profile | None, unit: str = "") -> str:
@@ -176,7 +178,7 @@ def _excluded(parameter: FitParameter, profile: Profile | None, unit: str = "") 
     if profile is None:
         return "no interval was computed"
     unit = unit and f" {unit}"
-    below, above = f"below {profile.low:.3g}{unit}", f"above {profile.high:.3g}{unit}"
+    below, above = f"below {short(profile.low)}{unit}", f"above {short(profile.high)}{unit}"
     if profile.open_low and profile.open_high:
         return f"the data exclude no value between {parameter.low:g} and {parameter.high:g}{unit}"
     if profile.open_high:

@@ -8,6 +8,7 @@ import numpy as np
 
 from limbcli.inference.statistics import root_mean_square
 from limbcli.model import Array
+from limbcli.significant_digits import short
 
 BEYOND_NOISE = 2.0  # times the stated noise; with six residuals chance alone gives 1.5 in one of forty
 LEAST_R2 = 0.9  # any curve that rises with the force has more
@@ -41,9 +42,9 @@ class Misfit:
         """
         if not self.poor:
             return ""
-        text = f"poor fit: it misses the measured force by {self.rmse:.2g} N (RMSE under load)"
+        text = f"poor fit: it misses the measured force by {short(self.rmse, 2)} N (RMSE under load)"
         if np.isfinite(self.times_noise):
-            text += f", {self.times_noise:.2g} times what its noise explains"
+            text += f", {short(self.times_noise, 2)} times what its noise explains"
         return text + (f"; R2 {self.r2:.2f}" if np.isfinite(self.r2) else "")
 
 

@@ -20,6 +20,7 @@ from scipy.stats import chi2
 from limbcli.measurement.cycles import LEVEL, CycleStudy, Difference
 from limbcli.measurement.levels import Levels
 from limbcli.model import Array
+from limbcli.significant_digits import short
 
 TOLD_APART = 6.0  # difference of BIC beyond which the second best is out (strong evidence)
 
@@ -79,19 +80,19 @@ def change_text(difference: Difference) -> str:
 
 def _residual(change: CycleChange) -> str:
     way = "deeper" if change.size > 0 else "less deep"
-    size = f"{abs(change.size):.2g} mm (deviation {change.deviation:.1g})"
+    size = f"{short(abs(change.size), 2)} mm (deviation {short(change.deviation, 1)})"
     return f"all depths are {size} {way}: deformation that did not come back, or the depth's zero moved"
 
 
 def _compliance(change: CycleChange) -> str:
     way = "softer" if change.size > 0 else "stiffer"
-    share = f"{100 * abs(change.size):.2g} % (deviation {100 * change.deviation:.1g})"
+    share = f"{short(100 * abs(change.size), 2)} % (deviation {short(100 * change.deviation, 1)})"
     return f"the tissue became {way} by {share} of the depth: preconditioning"
 
 
 def _offset(change: CycleChange) -> str:
     way = "less" if change.size > 0 else "more"
-    size = f"{abs(change.size):.2g} N (deviation {change.deviation:.1g})"
+    size = f"{short(abs(change.size), 2)} N (deviation {short(change.deviation, 1)})"
     return f"the load cell reads {size} {way} at the same deformation: drift of its zero"
 
 
@@ -123,6 +124,6 @@ def support_text(levels: Levels, study: CycleStudy, *, travel_deviation: float) 
     if abs(size) <= 3.0 * deviation:
         return f"travel minus depth is the same in cycles {first} and {last}: the support did not move"
     return (
-        f"from cycle {first} to {last} the probe's travel grew by {size:.2g} mm more than the depth: the "
-        "limb or its support moved"
+        f"from cycle {first} to {last} the probe's travel grew by {short(size, 2)} mm more than the depth: "
+        "the limb or its support moved"
     )

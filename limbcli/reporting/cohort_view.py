@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from limbcli.reporting.figures import cohort as drawn
@@ -119,7 +119,7 @@ def standing_out(data: Data) -> Reportlet:
     if people:
         tables.append(
             PageTable(
-                "People whose muscle differs over all of their sites",
+                f"People whose muscle differs over all of their sites{_first(found['people'])}",
                 (head("person", "rows", "muscle is", "z", "p, adjusted"),),
                 people,
             )
@@ -127,14 +127,16 @@ def standing_out(data: Data) -> Reportlet:
     if rows:
         tables.append(
             PageTable(
-                "Rows that their site’s population does not expect",
+                f"Rows that their site’s population does not expect{_first(found['rows'])}",
                 (head("person", "site", "line", "p, adjusted"),),
                 rows,
             )
         )
+    rows_words = f"{len(found['rows'])} row{'' if len(found['rows']) == 1 else 's'}"
+    people_words = f"{len(found['people'])} {'person' if len(found['people']) == 1 else 'people'}"
     counts = (
-        f"{len(found['rows'])} rows and {len(found['people'])} people stand out at "
-        f"{100 * found['level']:g} %, adjusted for all looked at (Holm)."
+        f"{rows_words} and {people_words} stand out at {100 * found['level']:g} %, adjusted for all looked "
+        "at (Holm)."
     )
     return Reportlet(
         "stands-out",
@@ -146,6 +148,14 @@ def standing_out(data: Data) -> Reportlet:
         "others",
         bad="a list as long as the table: then the model is wrong for this site, not the people",
     )
+
+
+def _first(found: Sequence[object]) -> str:
+    """
+    >>> _first([1, 2]), _first(range(40))
+    ('', ', the first 25 of 40')
+    """
+    return f", the first {_LISTED} of {len(found)}" if len(found) > _LISTED else ""
 
 
 def misfits(data: Data) -> Reportlet:

@@ -47,7 +47,7 @@ class IndexRow:
         if self.view is None or step is None:
             return (Cell(DASH, reason=self.state, span=6),)
         m = step.estimate("m")
-        interval = Cell(DASH, reason="not computed")
+        interval = Cell(DASH, reason=m.interval_why if m and m.interval_why else "not computed")
         if m is not None and (m.low is not None or m.high is not None):
             interval = Cell(interval_text(m))
         return (

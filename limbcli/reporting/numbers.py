@@ -69,6 +69,7 @@ _UNIT_ENDINGS = {
 
 _OPTIONS = "asked"  # a result's key
 _SHARES = ("share_below_", "share_above_")
+_ROUNDING = 1e-9  # of the largest of several numbers: less is what rounding left of nothing
 _EXTENTS = ("matrix", "spacing", "shape")  # lists that are so much by so much; others are coordinates
 
 
@@ -103,6 +104,8 @@ def plain_rows(data: Mapping[str, Any], *, prefix: str = "", unit: str = "") -> 
     number of slices = 56
     >>> [value.text for _, value in plain_rows({"spacing_mm": [1.0, 4.0], "normal": [-0.5, 0.9]})]
     ['1.00 × 4.00 mm', '-0.500, 0.900']
+    >>> plain_rows({"long_axis": [1.0, 0.0, -1.22e-13]})[0][1].text  # what rounding leaves is no number
+    '1.00, 0, 0'
     >>> plain_rows({"asked": {"size": 6.0}})
     []
     """
@@ -136,6 +139,8 @@ def _shown(value: object, unit: str, *, by: str) -> Cell | None:
         return cell(value, digits=4, unit=unit)
     short = isinstance(value, list) and 0 < len(value) <= _MOST_IN_A_ROW
     if short and all(number(each) is not None for each in value):  # type: ignore[attr-defined]
-        texts = [str(each) if isinstance(each, int) else significant(each) for each in value]  # type: ignore[attr-defined]
+        least = _ROUNDING * max(abs(each) for each in value)  # type: ignore[attr-defined]
+        known = [0 if abs(each) <= least else each for each in value]  # type: ignore[attr-defined]
+        texts = [str(each) if isinstance(each, int) else significant(each) for each in known]
         return Cell(by.join(texts) + (f" {unit}" if unit else ""))
     return None

@@ -42,11 +42,16 @@ _BY_SITE = {"site": "fit", "elements": "fit-elements", "states": "fit-states", "
 _OF_THE_CASE = ("segment", "fit-joint")
 _NUMBERS = frozenset({"value", "tolerance", "relative", "min", "max"})
 _RULES = _NUMBERS | {"is"}
+_DIGITS = 10  # by which a value beside its range is told from it
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """One expectation and what was found."""
+    """One expectation and what was found; digits enough to see why it does not hold.
+
+    >>> print(Comparison("m", 2.0000004, "2 to 2", False))
+    FAIL m: 2.0000004 (expected 2 to 2)
+    """
 
     name: str
     found: object
@@ -55,7 +60,8 @@ class Comparison:
 
     def __str__(self) -> str:
         mark = "ok  " if self.holds else "FAIL"
-        found = f"{self.found:.5g}" if isinstance(self.found, float) else str(self.found)
+        digits = 5 if self.holds else _DIGITS
+        found = f"{self.found:.{digits}g}" if isinstance(self.found, float) else str(self.found)
         return f"{mark} {self.name}: {found} (expected {self.expected})"
 
 
@@ -183,7 +189,7 @@ def _compare(name: str, found: object, is_there: bool, rule: Mapping[str, Any]) 
         return Comparison(name, found, repr(rule["is"]), is_there and same)
     low, high = _range(rule)
     holds = _is_number(found) and low <= found <= high  # type: ignore[operator]
-    return Comparison(name, found, f"{low:.5g} to {high:.5g}", holds)
+    return Comparison(name, found, f"{low:.{_DIGITS}g} to {high:.{_DIGITS}g}", holds)
 
 
 def _range(rule: Mapping[str, float]) -> tuple[float, float]:

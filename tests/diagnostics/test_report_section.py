@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from types import SimpleNamespace
 
 import numpy as np
@@ -59,6 +60,23 @@ def test_section_shows_verdict_candidates_and_blind_spots(tmp_path):
 def test_sizes_are_drawn_within_what_is_looked_for(effect_name, parameter, ends, shown):
     p = effect(effect_name).sizes[parameter]
     assert _in_plausible_sizes(p, ends) == pytest.approx(shown), (p.null, p.typical, p.low, p.high)
+
+
+def test_bars_of_candidates_that_are_cut_are_told_by_their_axis(tmp_path):
+    tests = [
+        SimpleNamespace(name=name, p_adjusted=p, score=SimpleNamespace(statistic=1.0))
+        for name, p in (("tilt", 1e-9), ("force-zero", 0.2))
+    ]
+    spot = SimpleNamespace(name="tilt", detectable_times_typical=40.0)
+    facts = {"tilt": None, "force-zero": None}
+    found = SimpleNamespace(family=SimpleNamespace(tests=tests), facts=facts, blind_spots=[spot])
+    candidates_picture(found, tmp_path / "candidates.png")
+    with (tmp_path / "candidates-data.csv").open() as stream:
+        axis = {row["x_axis"]: float(row["x"]) for row in csv.DictReader(stream)
+                if row["series"] == "tilt"}  # fmt: skip
+    assert sorted(axis.values()) == [6.0, 10.0]
+    for name, largest in axis.items():
+        assert f"{largest:g}: or more" in name
 
 
 def test_nothing_is_shown_where_nothing_was_diagnosed(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from itertools import pairwise
 
 import matplotlib
@@ -217,6 +218,29 @@ def test_differences_to_unloading_are_no_part_of_the_fits_line():
     assert down.get_markerfacecolor() == "white"
 
 
+def test_tables_beside_figures_name_every_curve():
+    back = np.r_[np.zeros(9, bool), True, True]
+    measured = MeasuredCurve(DEPTH, 1.5 * DEPTH, 0.3, 0.1, unloading=back)
+    loops = [Loop(k, (DEPTH, DEPTH), (DEPTH[::-1], DEPTH), 3.0, 1.0, 0.1) for k in (1, 2)]
+    known = EstimateView("c", 5.0, "kPa", 4.0, 7.0, "", "fixed")
+    rows = [StudyRow("A p1", {"c": known}), StudyRow("B p1", {"c": replace(known, high=None, flag="weak")})]
+    middle = {"beyond_family": None, "geometric_mean": 2.0, "spread_factor": 1.2, "low": 1.8, "high": 2.2}
+    names = ("c_muscle_kpa", "c_fat_kpa", "m")
+    person = {"location": "thigh", **{f"{k}{end}": 2.0 for k in names for end in ("", "_low", "_high")}}
+    for figure, told in (
+        (force_depth(measured, [curve("start", 2.0), curve("ogden", 1.4)]), {"ogden", "ogden, unloading"}),
+        (cycles(loops), {"cycle 2", "cycle 2, unloading"}),
+        (study_figure(rows), {"A p1", "A p1, 95 %", "B p1, above"}),
+        (distributions([person], {"thigh": {"population": dict.fromkeys(names, middle)}}),
+         {"thigh", "thigh, 95 %", "thigh, spread between people"}),
+    ):  # fmt: skip
+        series = {row[4] for row in figure_data(figure)}
+        assert told <= series
+        assert not [name for name in series if name.isdigit()]
+    texts = [each.get_text() for each in cycles(loops).axes[0].get_legend().get_texts()]
+    assert texts == ["cycle 1", "cycle 2"], "unloading is said in its title"
+
+
 def test_bars_are_named_only_where_there_are_some():
     bare = SpeedReadings(DEPTH, DEPTH, 2.0 + DEPTH, np.full(11, np.nan))
     for readings, words in ((SPEEDS, "measured: mean ± SD over pixels"), (bare, "measured: mean")):
@@ -288,6 +312,12 @@ def test_speed_maps_tell_the_side_to_which_lateral_grows():
     words = speed_maps(maps(2, measured=True), toward="left").get_supxlabel()
     assert "(+ is left)" in words
     assert "+" not in speed_maps(maps(2, measured=True)).get_supxlabel()
+
+
+def test_force_before_contact_is_no_less_than_nothing_on_speed_maps():
+    shown = [replace(each, force=each.force - 0.02) for each in maps(2, measured=True)]
+    panels = {row[0] for row in figure_data(speed_maps(shown))}
+    assert {"measured, level 0 (0.0 N)", "measured, level 1 (2.0 N)"} <= panels
 
 
 def test_layers_of_a_single_level_are_seen():

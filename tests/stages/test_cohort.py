@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shutil
 from dataclasses import replace
 
@@ -73,6 +74,7 @@ def test_twelve_rows_end_in_a_page_a_table_and_a_json(twelve):
     page = (out / "cohort.html").read_text()
     assert page.count("data:image") == 4
     assert "Who stands out?" in page
+    assert re.findall(r"<h(\d)", page) == ["1", *("2" for _ in range(6))], "no level of headings is left out"
     assert f"from {low:.1f} to {high:.1f} % (95 %)" in page
     assert {each.suffix for each in (out / "pictures").iterdir()} == {".png", ".svg", ".csv"}
     assert result.summary[0] == "12 rows of 12 people"

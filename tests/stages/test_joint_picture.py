@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 from matplotlib.figure import Figure
 
+from limbcli.drawing import figure_data
 from limbcli.inference.joint import SiteMeasurement, SitePrediction
 from limbcli.stages.fitting import joint_picture
 
@@ -49,3 +50,6 @@ def test_sites_without_speeds_or_layers_have_panels_that_say_so(monkeypatch):
     words = [[each.get_text() for each in axes.texts] for axes in kept[0].axes]
     assert words == [[], [], [], [], ["no speeds enter"], ["no layers enter"]]
     assert not len(kept[0].axes[4].get_xticks())
+    named = {(row[0], row[4]) for row in figure_data(kept[0])}
+    assert {("site a, speed", "measured (±1 SD)"), ("site a, speed", "joint fit")} <= named
+    assert {("site a, layers", "skin (±1 SD)"), ("site a, layers", "skin, joint fit")} <= named

@@ -7,6 +7,7 @@ import csv
 import json
 import re
 from html.parser import HTMLParser
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,10 @@ from matplotlib.figure import Figure
 from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.reporting.page import render
+from limbcli.reporting.sections.joint import joint, laws
 from limbcli.reporting.sections.overview import overview
 from limbcli.reporting.sections.parameters import parameters
+from limbcli.reporting.sections.states import states
 from limbcli.results import open_stage, read_result
 from limbcli.stages.batching.outcome import keep_error
 from limbcli.stages.report import report
@@ -260,6 +263,12 @@ def test_ids_are_unique_and_links_lead_somewhere(whole):
     assert {attrs["href"][1:] for attrs in page.all("a")} <= set(ids)
 
 
+def test_headings_go_down_step_by_step(whole):
+    levels = [int(each) for each in re.findall(r"<h(\d)", (whole[0] / "report/report.html").read_text())]
+    assert levels[:2] == [1, 2]
+    assert all(b - a <= 1 for a, b in pairwise(levels))
+
+
 def test_page_is_small(whole):
     out, _ = whole
     assert (out / "report" / "report.html").stat().st_size < 6e6
@@ -418,7 +427,7 @@ def test_predicted_speeds_and_the_stiffness_map_are_shown_where_the_fit_left_the
     add_predicted_speeds(out, "p1")
     page = Page(report(case, out=out).path("page").read_text(encoding="utf-8"))
     described = " ".join(attrs["alt"] for attrs in page.all("img"))
-    assert "The fitted model predicts 2.05 to" in described
+    assert re.search(r"R² = \d\.\d+\. The fitted model predicts 2\.05 to", described), "two sentences"
     assert "predicted by the fitted model" in described
     assert "stiffness c of every element" in described
     assert "off by 0.20 m/s" in page.text
@@ -647,6 +656,27 @@ def test_what_was_made_on_demand_is_on_the_page(tmp_path):
         attrs["id"] for _, attrs in page.tags if "id" in attrs
     }
     assert "f_κ" not in page.text, "set as a symbol everywhere"
+
+
+def test_a_joint_fit_that_misses_its_data_is_not_marked_as_fine(tmp_path):
+    case, out = make_case(tmp_path / "S1"), tmp_path / "out"
+    sound = {"c_kpa": {"value": 8.0, "low": 7.0, "high": 9.0, "flag": "identified"}}
+    for warnings, mood in (((), "fine"), (("the fit misses the data: chi-square 73",), "warning")):
+        for stage, site in (("fit-joint", None), ("fit-states", "p1")):
+            with open_stage(out, stage, subject="S1", site=site) as writer:
+                writer.data.update(parameters=sound, element="tet10", sites=["p1"])
+                writer.warnings += warnings
+        page = gather(case, out=out)
+        assert [each.mood for each in (joint(page), states(page, page.sites[0])) if each] == [mood, mood]
+
+
+def test_laws_of_a_joint_fit_that_failed_since_are_not_shown(tmp_path):
+    """A batch leaves the result before beside the failure, to make it again."""
+    case, out = make_case(tmp_path / "S1"), tmp_path / "out"
+    add_on_demand(out)
+    assert laws(gather(case, out=out)) is not None
+    fail(out, "fit-joint", None)
+    assert laws(gather(case, out=out)) is None
 
 
 def test_what_was_not_made_on_demand_is_not_missed(whole):

@@ -101,6 +101,19 @@ def test_a_poor_fit_is_called_so_in_the_table(tmp_path):
     assert re.search(r'<span class="pill \w+">poor fit</span>', html)
 
 
+@pytest.mark.parametrize("why", ["open to both bounds: nothing is excluded", ""])
+def test_an_interval_without_ends_says_why(tmp_path, why):
+    """One that was looked for and excludes nothing was computed."""
+    add_subject(tmp_path, "A")
+    place = tmp_path / "A/fit/p1/fit.json"
+    content = json.loads(place.read_text())
+    m = content["data"]["steps"]["ogden"]["parameters"]["m"]
+    m.update(low=None, high=None, flag="weak", interval_reason=why)
+    place.write_text(json.dumps(content))
+    (row,) = report_index(tmp_path).rows
+    assert (row.cells[2].text, row.cells[2].reason) == ("–", why or "not computed")
+
+
 def test_folders_with_dollars_in_their_names_are_drawn_as_they_are_named(tmp_path):
     for name in (r"a$\q$", "cost $1$"):
         add_subject(tmp_path, name)

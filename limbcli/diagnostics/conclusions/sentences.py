@@ -9,6 +9,7 @@ from limbcli.diagnostics.conclusions.verdict import Diagnosis
 from limbcli.diagnostics.model.estimates import Reported
 from limbcli.diagnostics.model.forward_model import Explanation
 from limbcli.diagnostics.statistical_tests.multiple_testing import Family
+from limbcli.significant_digits import short
 
 _WORDS = {
     "adequate": "ADEQUATE: the model explains the measurement within its noise.",
@@ -88,7 +89,7 @@ def _set(found: Diagnosis) -> str:
     listed = "; ".join(" + ".join(each) for each in found.confidence_set)
     if found.verdict == "named":
         estimates = found.estimates
-        sizes = ", ".join(f"{name} {estimates.values[name]:.3g}" for name in found.final.effect_names)
+        sizes = ", ".join(f"{name} {short(estimates.values[name])}" for name in found.final.effect_names)
         others = [" + ".join(each) for each in found.confidence_set if each != found.chosen]
         over = "; c and m reach over all of these" if estimates.over > 1 else ""
         more = f" Fits as well: {'; '.join(others)}{over}." if others else ""

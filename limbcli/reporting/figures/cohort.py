@@ -48,9 +48,10 @@ def distributions(rows: Sequence[Row], sites: Mapping[str, Any]) -> Figure:
                 )
                 x = place + np.linspace(-0.33, 0.2, len(own))
                 values, low, high = (_column(own, f"{key}{end}") for end in ("", "_low", "_high"))
-                axes.vlines(x, low, high, color=BLUE, alpha=0.18, lw=1.2)
-                axes.plot(x, values, ".", color=BLUE, ms=4, alpha=0.8)
-                _bar(axes, place + 0.34, sites[name]["population"][key])
+                told = literal(name)
+                axes.vlines(x, low, high, color=BLUE, alpha=0.18, lw=1.2, label=f"{told}, 95 %")
+                axes.plot(x, values, ".", color=BLUE, ms=4, alpha=0.8, label=told)
+                _bar(axes, place + 0.34, sites[name]["population"][key], told)
             axes.set(yscale="log", ylabel=label)
             plain_log(axes.yaxis)
             axes.grid(axis="x", visible=False)
@@ -73,15 +74,16 @@ def _marks() -> list[Line2D]:
     ]
 
 
-def _bar(axes: Axes, x: float, own: Mapping[str, Any]) -> None:
+def _bar(axes: Axes, x: float, own: Mapping[str, Any], name: str) -> None:
     if own["beyond_family"]:
         return  # known on one side only
     middle, factor = own["geometric_mean"], own["spread_factor"]
     axes.plot(
-        [x, x], [middle / factor, middle * factor], color=VERMILION, lw=5, alpha=0.45, solid_capstyle="butt"
-    )
-    axes.plot([x, x], [own["low"], own["high"]], color=VERMILION, lw=2)
-    axes.plot(x, middle, "_", color=VERMILION, ms=14, mew=2)
+        [x, x], [middle / factor, middle * factor], color=VERMILION, lw=5, alpha=0.45, solid_capstyle="butt",
+        label=f"{name}, spread between people",
+    )  # fmt: skip
+    axes.plot([x, x], [own["low"], own["high"]], color=VERMILION, lw=2, label=f"{name}, 95 % of the middle")
+    axes.plot(x, middle, "_", color=VERMILION, ms=14, mew=2, label=f"{name}, middle of the people")
 
 
 def misfits(rows: Sequence[Row]) -> Figure:

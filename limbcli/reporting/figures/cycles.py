@@ -59,7 +59,7 @@ def cycles(loops: Sequence[Loop]) -> Figure:
             [each.number for each in lossy],
             [each.lost or 0.0 for each in lossy],
             yerr=[each.lost_deviation or 0.0 for each in lossy],
-            fmt="o-", color=INK, ecolor=QUIET, capsize=3, lw=1.0,
+            fmt="o-", color=INK, ecolor=QUIET, capsize=3, lw=1.0, label="energy lost",
         )  # fmt: skip
         right.set(xlabel="cycle", ylabel="energy lost [N mm] (±1 SD)")
         right.xaxis.set_major_locator(MaxNLocator(6, integer=True))
@@ -68,18 +68,25 @@ def cycles(loops: Sequence[Loop]) -> Figure:
 
 
 def _draw_loops(axes: Axes, loops: Sequence[Loop]) -> None:
+    shown = []
     for k, loop in enumerate(loops):
         colour, mark = _colour(k, len(loops)), MARKERS[k % len(MARKERS)]
         depth, force = loop.loading
-        axes.plot(depth, force, f"{mark}-", ms=4, lw=1.3, color=colour, label=f"cycle {loop.number}")
+        name = f"cycle {loop.number}"
+        shown += axes.plot(depth, force, f"{mark}-", ms=4, lw=1.3, color=colour, label=name)
         back, last = loop.unloading, len(loop.loading[0]) - 1
         if not len(back[0]):
             continue
         depth, force = (np.r_[up[last:], down] for up, down in zip(loop.loading, back, strict=True))
-        axes.plot(depth, force, f"{mark}--", ms=4, lw=1.0, color=colour, mfc="white", zorder=1.5)
+        axes.plot(
+            depth, force, f"{mark}--", ms=4, lw=1.0, color=colour, mfc="white", zorder=1.5,
+            label=f"{name}, unloading",
+        )  # fmt: skip
     axes.set(xlabel="indentation depth [mm]", ylabel="probe force [N]")
     title = "dashed: unloading" if any(len(x.unloading[0]) for x in loops) else None
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=4, fontsize=8.5, title=title)
+    axes.legend(
+        handles=shown, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=4, fontsize=8.5, title=title
+    )
 
 
 def _colour(k: int, n: int) -> str:

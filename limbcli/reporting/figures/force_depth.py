@@ -69,8 +69,10 @@ def force_depth(measured: MeasuredCurve, curves: Sequence[SimulatedCurve]) -> Fi
         for curve in curves:
             _draw_difference(lower, measured, curve)
         if measured.force_sd:
-            lower.axhspan(-measured.force_sd, measured.force_sd, color=QUIET, alpha=0.25, lw=0)
-        lower.axhline(0.0, color=INK, lw=0.8)
+            lower.axhspan(
+                -measured.force_sd, measured.force_sd, color=QUIET, alpha=0.25, lw=0, label="±1 SD of force"
+            )
+        lower.axhline(0.0, color=INK, lw=0.8, label="no difference")
         lower.set(xlabel="indentation depth [mm]", ylabel="measured −\nsimulated [N]")
         _limit_difference(lower, measured, curves)
     return figure
@@ -137,9 +139,15 @@ def _draw_difference(axes: Axes, measured: MeasuredCurve, curve: SimulatedCurve)
     order = order[np.isfinite(difference[order])]
     back = _unloading(measured)[order]
     up, down = order[~back], order[back]
-    axes.plot(measured.depth[up], difference[up], "o", linestyle=dashes, ms=3.5, lw=1.0, color=colour)
+    axes.plot(
+        measured.depth[up], difference[up], "o", linestyle=dashes, ms=3.5, lw=1.0, color=colour,
+        label=curve.label,
+    )  # fmt: skip
     if len(down):  # what no fit was made to
-        axes.plot(measured.depth[down], difference[down], "o", ms=3.5, color=colour, mfc="white")
+        axes.plot(
+            measured.depth[down], difference[down], "o", ms=3.5, color=colour, mfc="white",
+            label=f"{curve.label}, unloading",
+        )  # fmt: skip
 
 
 def _limit_difference(axes: Axes, measured: MeasuredCurve, curves: Sequence[SimulatedCurve]) -> None:

@@ -52,9 +52,10 @@ def speed_maps(levels: Sequence[LevelMaps], *, toward: str | None = None) -> Fig
         figure = new_figure(7.6, 0.9 + len(rows) * (0.3 + _height(shown)))
         panels = figure.subplots(len(rows), len(shown), sharex=True, sharey=True, squeeze=False)
         for column, each in zip(panels.T, shown, strict=True):
-            column[0].set_title(f"{max(each.force, 0.0):.1f} N")
+            force = f"{max(each.force, 0.0):.1f} N"
+            column[0].set_title(force)
             for axes, row in zip(column, rows, strict=True):
-                axes.set_label(f"{row}, level {each.level} ({each.force:.1f} N)")
+                axes.set_label(f"{row}, level {each.level} ({force})")
                 content = {
                     "measured": each.measured, "predicted": each.predicted, "difference": _difference(each),
                 }[row]  # fmt: skip

@@ -6,6 +6,7 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -36,7 +37,7 @@ def study_figure(rows: Sequence[StudyRow]) -> Figure:
         for axes, (name, label) in zip(panels, _COLUMNS, strict=True):
             for k, row in enumerate(rows):
                 if name in row.estimates:
-                    _draw(axes, k, row.estimates[name])
+                    _draw(axes, k, row.estimates[name], literal(row.label))
             drawn = any(_is_drawn(row.estimates.get(name)) for row in rows)
             if drawn:
                 axes.set_xscale("log")
@@ -64,16 +65,15 @@ def _marks() -> list[Line2D]:
     ]
 
 
-def _draw(axes: object, k: int, each: EstimateView) -> None:
-    plot = axes.plot  # type: ignore[attr-defined]
+def _draw(axes: Axes, k: int, each: EstimateView, name: str) -> None:
+    plot, within = axes.plot, f"{name}, 95 %"
     if each.is_sound and each.value:
         if each.low and each.high:
-            plot([each.low, each.high], [k, k], color=INK, lw=1.4)
-        plot([each.value], [k], "o", color=INK, markersize=5)
+            plot([each.low, each.high], [k, k], color=INK, lw=1.4, label=within)
+        plot([each.value], [k], "o", color=INK, markersize=5, label=name)
     elif each.low and each.high:
-        plot([each.low, each.high], [k, k], color=_OPEN, lw=1.4)
-        plot([each.low, each.high], [k, k], "|", color=_OPEN, markersize=7)
+        plot([each.low, each.high], [k, k], "|-", color=_OPEN, lw=1.4, markersize=7, label=within)
     elif each.low:
-        plot([each.low], [k], marker=9, color=_OPEN, markersize=8)  # towards larger values
+        plot([each.low], [k], marker=9, color=_OPEN, markersize=8, label=f"{name}, above")
     elif each.high:
-        plot([each.high], [k], marker=8, color=_OPEN, markersize=8)  # towards smaller values
+        plot([each.high], [k], marker=8, color=_OPEN, markersize=8, label=f"{name}, below")

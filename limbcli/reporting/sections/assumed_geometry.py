@@ -7,6 +7,7 @@ from typing import Any
 
 from limbcli.reporting.numbers import DASH, number, significant
 from limbcli.reporting.reportlet import Cell, PageTable, head
+from limbcli.significant_digits import short
 
 _NAMES = {"f_kappa": "f_κ", "m": "m"}
 
@@ -29,7 +30,7 @@ def _parts(site: str, doubt: Mapping[str, Any]) -> PageTable:
             Cell(_interval((doubt.get(key) or {}).get(name))) for key in ("interval_95_noise", "interval_95")
         ]
         alone = number((doubt.get("standard_error_fraction") or {}).get(name))
-        share = DASH if alone is None else f"{100 * alone:.2g} %"
+        share = DASH if alone is None else f"{short(100 * alone, 2)} %"
         rows.append((Cell(symbol, lead=True), *cells, Cell(share)))
     names = head(
         "parameter", "95 %: noise and mesh alone", "95 %: with the geometry", "geometry alone, one deviation"
@@ -44,12 +45,21 @@ def _variations(site: str, doubt: Mapping[str, Any]) -> PageTable:
     for each in doubt.get("variations") or ():
         changes = [known for value in each["force_change_fraction"] if (known := number(value)) is not None]
         shifts = [number(each["log_shift"].get(name)) for name in _NAMES]
-        reach = f"{100 * min(changes):+.1f} to {100 * max(changes):+.1f} %" if changes else DASH
-        reported = [Cell(DASH if known is None else f"{100 * known:+.1f} %") for known in shifts]
+        reach = f"{_signed(min(changes))} to {_signed(max(changes))} %" if changes else DASH
+        reported = [Cell(DASH if known is None else f"{_signed(known)} %") for known in shifts]
         rows.append((Cell(str(each["words"]), lead=True), Cell(reach), *reported))
     names = head("varied", "force, over the levels", "f_κ (ln)", "m (ln)")
     caption = f"Site {site}: the model in other shapes, and how far each would move the parameters"
     return PageTable(caption, (names,), tuple(rows))
+
+
+def _signed(share: float) -> str:
+    """Percent, with its sign where it is not nothing.
+
+    >>> _signed(0.0123), _signed(-0.0002), _signed(-1.5)
+    ('+1.2', '0.0', '-150.0')
+    """
+    return f"{100 * share:+.1f}" if abs(100 * share) >= 0.05 else "0.0"
 
 
 def _interval(found: Sequence[float | None] | None) -> str:

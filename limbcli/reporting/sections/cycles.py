@@ -46,7 +46,7 @@ def _table(loops: tuple[Loop, ...]) -> PageTable:
             Cell(f"{each.loading[0][0]:.2f}") if len(each.loading[0]) else _none("no loading was read"),
             _none("no unloading was read")
             if each.lost is None
-            else Cell(f"{each.lost:.1f} ± {each.lost_deviation:.1f}"),
+            else Cell(f"{_tenths(each.lost)} ± {each.lost_deviation:.1f}"),
             _none("no unloading was read")
             if each.lost_fraction is None
             else Cell(f"{100 * each.lost_fraction:.0f}"),
@@ -63,7 +63,16 @@ def _none(reason: str) -> Cell:
     return Cell(DASH, reason=reason)
 
 
+def _tenths(energy: float) -> str:
+    """N mm, as the alternative text and the table say it.
+
+    >>> _tenths(0.62), _tenths(-0.04)
+    ('0.6', '0.0')
+    """
+    return f"{round(energy, 1) + 0.0:.1f}"
+
+
 def _alt(name: str, loops: tuple[Loop, ...]) -> str:
-    losses = ", ".join(f"{each.lost:.0f}" for each in loops if each.lost is not None)
+    losses = ", ".join(_tenths(each.lost) for each in loops if each.lost is not None)
     text = f"Force over depth of {len(loops)} loading cycle{'s' if len(loops) > 1 else ''} at site {name}"
     return text + (f"; energy lost in each: {losses} N mm." if losses else ".")

@@ -9,6 +9,7 @@ from limbcli.reporting.numbers import DASH
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Cell, Mood, PageTable, Picture, Reportlet, head, placeholder
 from limbcli.results import UNLIKE_OURS, StageResult
+from limbcli.significant_digits import short
 
 TITLE = "What is missing in the model, if anything?"
 _MOODS: Mapping[str, Mood] = {"adequate": "fine", "named": "warning"}
@@ -96,7 +97,7 @@ def _pictures(result: StageResult, name: str) -> tuple[Picture, ...]:
 def _candidates(data: Mapping[str, Any]) -> PageTable:
     rows = []
     for each in data["candidates"]:
-        size = ", ".join(f"{name} {value:.3g}" for name, value in each["estimate"].items())
+        size = ", ".join(f"{name} {short(value)}" for name, value in each["estimate"].items())
         texts = (each["name"], each["sentence"], f"{each['p_adjusted']:.3g}", size or DASH)
         rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
     for name, why in data["not_evaluated"].items():
@@ -165,7 +166,7 @@ def _sizes(data: Mapping[str, Any]) -> tuple[PageTable, ...]:
     rows = []
     for effect, sizes in data.get("sizes_95", {}).items():
         for name, (low, high) in sizes.items():
-            texts = (effect, name, *("open" if end is None else f"{end:.3g}" for end in (low, high)))
+            texts = (effect, name, *("open" if end is None else short(end) for end in (low, high)))
             rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
     titles = head("effect", "size", "from", "to (95 %)")
     return (
@@ -174,4 +175,4 @@ def _sizes(data: Mapping[str, Any]) -> tuple[PageTable, ...]:
 
 
 def _number(value: float | None) -> str:
-    return DASH if value is None else f"{value:.3g}"
+    return DASH if value is None else short(value)

@@ -66,8 +66,8 @@ def _predicted(fit: StageResult | None) -> tuple[PredictedSpeeds | None, tuple[s
 
 
 def _speeds(site: SiteMaterial, predicted: PredictedSpeeds | None) -> Picture:
-    alt = f"Shear-wave speed over probe force and over depth at site {site.name}. "
-    alt += line_text(site.against_force, "N") if site.against_force else ""
+    alt = f"Shear-wave speed over probe force and over depth at site {site.name}."
+    alt += f" {line_text(site.against_force, 'N')}." if site.against_force else ""
     if predicted is not None:
         ends = predicted.mean_m_per_s[[0, -1]]
         alt += f" The fitted model predicts {ends[0]:.2f} to {ends[1]:.2f} m/s."

@@ -31,7 +31,7 @@ def joint(page: ReportData) -> Reportlet | None:
     return Reportlet(
         "fit-joint",
         TITLE,
-        "fine" if all(each.is_sound for each in estimates) else "warning",
+        "fine" if all(each.is_sound for each in estimates) and not result.warnings else "warning",
         pictures=tuple(_pictures(result, sites)),
         tables=(_table(estimates, data, sites),),
         look_for="curves through the points of both columns, chi-square near its degrees of freedom, and "
@@ -97,11 +97,12 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
 
 
 def laws(page: ReportData) -> Reportlet | None:
-    """The laws by the error of levels that were left out; None where they were not compared."""
+    """The laws by the error of levels that were left out; None where they were not compared, or are old."""
     outcome = page.outcomes.maybe("fit-joint")
-    if outcome is None or outcome.result is None or not outcome.result.data.get("laws"):
+    result = outcome.usable if outcome is not None else None
+    if result is None or not result.data.get("laws"):
         return None
-    rows = tuple(_law_row(each) for each in outcome.result.data["laws"])
+    rows = tuple(_law_row(each) for each in result.data["laws"])
     names = head(
         "law", "parameters", "left-out depth [mm]", "left-out speed [%]", "chi-square", "c [kPa]", "its shape"
     )

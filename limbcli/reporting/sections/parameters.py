@@ -117,12 +117,18 @@ def _details(site: str, view: FitView) -> PageTable:
 
 
 def estimate_cells(each: EstimateView) -> tuple[Cell, ...]:
-    """Name, value, 95 % interval and verdict."""
-    unit = f"\u00a0{each.unit}" if each.unit else ""
+    """Name, value, 95 % interval and verdict; words that hold no number have no unit.
+
+    >>> c = EstimateView("c", 50.0, "kPa", 1.0, 90.0, "", "no influence")
+    >>> [cell.text.replace("\u00a0", " ") for cell in estimate_cells(c)]
+    ['c', 'not identifiable', '1.00 to 90.0 kPa', 'no influence']
+    """
+    unit, said = f"\u00a0{each.unit}" if each.unit else "", each.headline.split(" (")[0]
     return (
         Cell(each.name),
-        cell(each.value, unit=each.unit) if each.is_sound else Cell(each.headline.split(" (")[0] + (
-            unit if each.headline[:1].isdigit() or each.low is not None or each.high is not None else "")),
+        cell(each.value, unit=each.unit) if each.is_sound else Cell(
+            said + unit * any(map(str.isdigit, said))
+        ),
         Cell(interval_text(each) + unit) if each.low is not None or each.high is not None else Cell(
             DASH, reason=each.interval_why
         ),
@@ -177,7 +183,15 @@ def _noise_words(view: FitView) -> list[str]:
 
 
 def _effort(step: StepView) -> str:
-    text = f"{step.label}: {step.n_iterations or DASH} iterations, {step.n_solves or DASH} solves"
+    text = f"{step.label}: {_counted(step.n_iterations, 'iteration')}, {_counted(step.n_solves, 'solve')}"
     if step.seconds is not None:
         text += f", {quantity(step.seconds, 's', digits=2)}"
     return text + (f"; it ended because {step.reason}." if step.reason else ".")
+
+
+def _counted(n: int | None, noun: str) -> str:
+    """
+    >>> _counted(1, "solve"), _counted(0, "solve"), _counted(None, "solve")
+    ('1 solve', '0 solves', '– solves')
+    """
+    return f"{DASH if n is None else n} {noun}{'' if n == 1 else 's'}"

@@ -31,7 +31,7 @@ def states(page: ReportData, site: SiteMaterial) -> Reportlet | None:
     return Reportlet(
         key,
         TITLE,
-        "fine" if told else "warning",
+        "fine" if told and not result.warnings else "warning",
         site.name,
         pictures=tuple(_pictures(result, site.name)),
         tables=(_parameters(data, locks=locks), _states(data)),

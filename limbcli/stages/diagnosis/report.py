@@ -116,6 +116,7 @@ def _refit(refit: Any) -> dict[str, Any]:
 _GAP_COLUMNS = 3  # panels side by side, of which the words can be read on a printed page
 _GAP_NAME = 20  # characters of a site's name above a panel
 _MOST_SIZES = 10.0  # plausible sizes up to which the power to see an effect is drawn
+_MOST_DECADES = 6.0  # of an adjusted p, that are drawn
 _WIDEST = 4.0  # plausible sizes
 _THINNEST = 0.02  # of them: a bar that can be seen
 _SHOWN = {"force": "force", "swe": "mean wave speed", "map": "wave-speed map", "travel": "probe travel",
@@ -170,9 +171,9 @@ def candidates_picture(found: Diagnosis, path: Path) -> None:
     left, right = figure.subplots(1, 2, sharey=True)
     names = [t.name for t in tests]
     color = ["#d55e00" if t.p_adjusted < 0.05 else "#9aa5b1" for t in tests]
-    left.barh(names, [-np.log10(max(t.p_adjusted, 1e-6)) for t in tests], color=color)
+    left.barh(names, [-np.log10(max(t.p_adjusted, 10.0**-_MOST_DECADES)) for t in tests], color=color)
     left.axvline(-np.log10(0.05), color="#22303c", lw=0.8, ls="--")
-    left.set_xlabel("-log10 of adjusted p (dashed: 0.05)")
+    left.set_xlabel(f"-log10 of adjusted p\n(dashed: 0.05; {_MOST_DECADES:g}: or more)")
     spots = {spot.name: spot for spot in found.blind_spots}
     sizes = [min(spots[n].detectable_times_typical, _MOST_SIZES) if n in spots else np.nan for n in names]
     right.barh(names, sizes, color="#56b4e9")

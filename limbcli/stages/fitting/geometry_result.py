@@ -10,6 +10,7 @@ from limbcli.inference.adaptive import Intervals
 from limbcli.inference.geometry_uncertainty import at_depths, ends, shifts, total_share
 from limbcli.inference.two_step_fit import sensitivities
 from limbcli.results import StageWriter
+from limbcli.significant_digits import short
 from limbcli.stages.fitting.geometry import GeometryUncertainty
 from limbcli.stages.fitting.table import NAMES, Identified, inside
 
@@ -37,8 +38,8 @@ def write_geometry(
     if doubt.words not in writer.warnings:
         writer.warnings.insert(0, doubt.words)
     writer.summary.append(
-        f"the assumed geometry puts the force off by {100 * share:.2g} % (one deviation, {len(doubt.done)} "
-        f"shapes); {_widening(reported)}"
+        f"the assumed geometry puts the force off by {short(100 * share, 2)} % (one deviation, "
+        f"{len(doubt.done)} shapes); {_widening(reported)}"
     )
 
 
@@ -80,5 +81,5 @@ def _widening(reported: dict[str, Any]) -> str:
     before, after = (reported[key].get("m", [None, None]) for key in ("interval_95_noise", "interval_95"))
     if None in before or None in after:
         return "the interval of m is open" if reported["interval_95"] else "no interval was computed"
-    narrow, wide = (f"{low:.3g} to {high:.3g}" for low, high in (before, after))
+    narrow, wide = (f"{short(low)} to {short(high)}" for low, high in (before, after))
     return f"95 % of m: {narrow} by noise alone, {wide} with it"

@@ -40,14 +40,19 @@ def draw_joint(
             left.legend(loc="upper left")
             speed = np.exp(data.log_speed)
             right.errorbar(
-                data.speed_force, speed, yerr=speed * data.speed_deviation, fmt="o", ms=4, color=INK
-            )
+                data.speed_force, speed, yerr=speed * data.speed_deviation, fmt="o", ms=4, color=INK,
+                label="measured (±1 SD)",
+            )  # fmt: skip
             order = np.argsort(data.speed_force)
-            right.plot(data.speed_force[order], np.exp(seen.log_speed)[order], color=VERMILION)
+            right.plot(
+                data.speed_force[order], np.exp(seen.log_speed)[order], color=VERMILION, label="joint fit"
+            )
+            right.set_label(f"{of} {data.name}, speed")
             right.set(xlabel="probe force [N]", ylabel="shear-wave speed [m/s]")
             if not len(speed):
                 _nothing(right, "no speeds enter")
             for each in more:
+                each.set_label(f"{of} {data.name}, layers")
                 _layers(each, data, seen)
         save_figure(figure, writer.file("picture", file))
     _draw_profiles(found, writer)
@@ -65,8 +70,8 @@ def _layers(axes: Axes, data: SiteMeasurement, seen: SitePrediction) -> None:
         spread = np.sqrt(np.diag(data.layers.covariance)[order])
         force, name = data.layers.force[order], LAYERS[j]
         read = data.layers.thickness[order]
-        axes.errorbar(force, read, yerr=spread, fmt="o", ms=4, color=colour, label=name)
-        axes.plot(force, seen.layers[order], color=colour)
+        axes.errorbar(force, read, yerr=spread, fmt="o", ms=4, color=colour, label=f"{name} (±1 SD)")
+        axes.plot(force, seen.layers[order], color=colour, label=f"{name}, joint fit")
     axes.legend(loc="best")
 
 

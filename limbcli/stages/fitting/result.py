@@ -16,6 +16,7 @@ from limbcli.inference.two_step_fit import MOONEY_RIVLIN, OGDEN
 from limbcli.model import LimbModel
 from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth
 from limbcli.results import StageWriter
+from limbcli.significant_digits import short
 from limbcli.solvers.base import Simulation
 from limbcli.stages.fitting.exports import parameter_rows, write_exports
 from limbcli.stages.fitting.table import NAMES, Identified, step_misfit, step_table
@@ -146,7 +147,7 @@ def _summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) 
         f"{writer.data['n_iterations']} iterations, {writer.data['n_solves']} solves"
     )
     error = 100 * found.stiffness.gain_deviation
-    writer.summary.append(f"counted as uncertainty of the simulated force: {error:.2g} % by the mesh")
+    writer.summary.append(f"counted as uncertainty of the simulated force: {short(error, 2)} % by the mesh")
     if "tet4" in writer.data["element"]:
         writer.warnings.append(
             "linear tetrahedra lock: f_kappa is a property of this mesh as much as of the tissue, and its "
@@ -176,7 +177,7 @@ def _headline(name: str, content: Mapping[str, Any]) -> str:
         return f"{name}: {said}{' (95 %)' if ends != (None, None) else ''}: {flag}"
     if "(" in said:  # its interval, or that it has none, is reported with it
         return f"{name} = {said}: {flag}"
-    interval = "no interval" if None in ends else f"95 %: {ends[0]:.3g} to {ends[1]:.3g}"
+    interval = "no interval" if None in ends else f"95 %: {short(ends[0])} to {short(ends[1])}"
     return f"{name} = {said} ({interval}): {flag}"
 
 

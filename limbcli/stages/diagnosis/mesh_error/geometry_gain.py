@@ -7,6 +7,7 @@ from pathlib import Path
 from limbcli.case import Case, Site
 from limbcli.errors import LimbError
 from limbcli.results import read_result
+from limbcli.significant_digits import short
 
 USUAL = 0.15  # of the force, where no fit varied the geometry: about what shapes of a limb in numbers give
 
@@ -27,6 +28,7 @@ def assumed_gain(case: Case, site: Site, out: Path) -> tuple[float, str]:
             f"{site.name}; run `limbcli fit`, then diagnose again"
         )
     return float(found), (
-        f"{words}. By the fit's varied shapes {100 * float(found):.2g} % of the force at site {site.name} is "
-        "in doubt, taken as one common factor; that it may change with depth is not allowed for"
+        f"{words}. By the fit's varied shapes {short(100 * float(found), 2)} % of the force at site "
+        f"{site.name} is in doubt, taken as one common factor; that it may change with depth is not allowed "
+        "for"
     )
