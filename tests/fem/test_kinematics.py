@@ -1,4 +1,4 @@
-"""What is given and what follows: nodes that belong to a rigid body as well."""
+"""What is given and what follows: nodes that belong to a rigid body as well, and that two supports name."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from small_models import block, on
 from limbcli.bodies import Drive, RigidBody
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.motion.kinematics import Kinematics
 from limbcli.model import Block, LimbModel, Mesh, Support
 
 QUICK = Settings(tolerance=1e-11, threads=1)
@@ -45,3 +46,15 @@ def test_nodes_that_tissue_shares_with_a_rigid_block_move_with_it(kind: str) -> 
     np.testing.assert_allclose(shared.state.u[middle], [[0.0, 0.0, -0.1]] * len(middle), atol=1e-12)
     assert expected.forces.bodies[0, 2] < -1e-3
     np.testing.assert_allclose(shared.forces.bodies, expected.forces.bodies, atol=1e-12)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_prescribed_displacement_stands_above_one_held_at_0(order: int) -> None:
+    """On the edge that both node sets have, whichever stands first."""
+    model = block("hex8", (1, 1, 1))
+    supports = (Support("x0", ("x", "y", "z")), Support("z1", ("z",), -0.1, "ramp"))[::order]
+    given = Kinematics(model, supports, None, None, [model.mesh.block("tissue").cells])
+    u = given.prescribed(given.rest(), 0.5).u
+    sets = model.mesh.node_sets
+    np.testing.assert_array_equal(u[sets["z1"], 2], -0.05)
+    np.testing.assert_array_equal(u[np.setdiff1d(sets["x0"], sets["z1"]), 2], 0.0)

@@ -75,9 +75,14 @@ class Kinematics:
             self.n_tissue = 0
 
     def _find_prescribed(self, free: Array) -> list[tuple[IntArray, int, Array, str | None, bool]]:
-        """(nodes, axis, values, curve, relative) of every support with a value; frees are cleared."""
+        """(nodes, axis, values, curve, relative) of every support; frees are cleared.
+
+        Where two are on one node, what is prescribed stands above what is held; else the later one counts.
+
+        Source: FEBio, FEFixedBC::Activate, which takes open degrees of freedom only.
+        """
         found = []
-        for each in self.supports:
+        for each in sorted(self.supports, key=lambda support: support.value is not None):
             if each.node_set not in self.model.mesh.node_sets:
                 raise SolveError(
                     f"a support refers to the unknown node set {each.node_set!r}",
