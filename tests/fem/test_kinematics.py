@@ -1,4 +1,4 @@
-"""What is given and what follows: nodes that belong to a rigid body as well, and that two supports name."""
+"""What is given and what follows: nodes of rigid bodies, nodes that two supports name, springs, turns."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from small_models import block, on
 
-from limbcli.bodies import Drive, RigidBody
+from limbcli.bodies import Drive, RigidBody, Spring
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.equilibrium.newton import Settings
 from limbcli.fem.motion.kinematics import Kinematics
+from limbcli.fem.motion.rigid import AT_REST, Body, spring_forces
 from limbcli.model import Block, LimbModel, Mesh, Support
 
 QUICK = Settings(tolerance=1e-11, threads=1)
@@ -58,3 +59,13 @@ def test_a_prescribed_displacement_stands_above_one_held_at_0(order: int) -> Non
     sets = model.mesh.node_sets
     np.testing.assert_array_equal(u[sets["z1"], 2], -0.05)
     np.testing.assert_array_equal(u[np.setdiff1d(sets["x0"], sets["z1"]), 2], 0.0)
+
+
+@pytest.mark.parametrize(("free_length", "force"), [(4.0, 2.0), (0.0, 0.0)])
+def test_a_spring_without_a_free_length_is_slack_at_the_start(free_length: float, force: float) -> None:
+    spring = Spring("spring", "a", "b", 2.0, (0.0, 0.0, 0.0), (0.0, 3.0, 4.0), free_length)
+    nodes = np.zeros(0, dtype=np.int64)
+    ends = {name: (Body(name, np.zeros(3), {}, nodes, nodes), AT_REST) for name in "ab"}
+    on_a, on_b, _ = spring_forces(spring, ends)
+    np.testing.assert_allclose(on_a[:3], [0.0, 0.6 * force, 0.8 * force], atol=1e-15)
+    np.testing.assert_array_equal(on_b[:3], -on_a[:3])

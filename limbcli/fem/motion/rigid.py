@@ -136,7 +136,7 @@ def spring_forces(spring: Spring, bodies: dict[str, tuple[Body, BodyState]]) -> 
             f"spring {spring.name!r} has no length", where="rigid springs", fix="move an insertion point"
         )
     unit = line / length
-    tension = spring.stiffness * (length - spring.free_length)
+    tension = spring.stiffness * (length - spring.slack_length)
     along = np.outer(unit, unit)
     k = spring.stiffness * along + tension / length * (np.eye(3) - along)
     pull = tension * unit
