@@ -162,9 +162,14 @@ class Kinematics:
         return BodyState(shift, self._turn(body, now, begin, vector))
 
     def _turn(self, body: Body, now: BodyState, begin: BodyState, vector: Array) -> Array:
+        """The body's rotation; where all of it is given and some of it driven, `vector` is its rotation
+        vector: a component that is fixed is 0 then, and relative ones are added to those at the step's begin.
+
+        Source: FEBio, FERigidSolverNew::UpdateRigidBodies and FERigidPrescribedBC::Activate.
+        """
         if not any(k >= 3 for k in body.free):
-            given = {k: body.drives[dof] for k, dof in enumerate("uvw") if body.given(dof)}
-            relative = {drive.relative for drive in given.values() if drive.kind != "fixed"}
+            given = [body.drives[dof] for dof in "uvw" if body.given(dof)]
+            relative = {drive.relative for drive in given if drive.kind != "fixed"}
             if not relative:
                 return begin.turn
             if len(relative) > 1:
@@ -173,12 +178,7 @@ class Kinematics:
                     where="rigid bodies",
                     fix="make all of its rotations relative, or none",
                 )
-            if relative == {True}:
-                return rotation_matrix(vector) @ begin.turn
-            held = rotation_vector(begin.turn)
-            fixed = [k for k, drive in given.items() if drive.kind == "fixed"]
-            vector[fixed] = held[fixed]
-            return rotation_matrix(vector)
+            return rotation_matrix(vector + rotation_vector(begin.turn) if True in relative else vector)
         if vector.any():
             raise SolveError(
                 f"body {body.name!r} has given and free rotations together",
