@@ -1,7 +1,7 @@
 """What the records ask for: fields of nodes, cells and bodies at a converged state.
 
-Cell fields are means over the integration points, as in FEBio's log. A rigid shell has
-J = 1, F = 1 and no stress.
+Cell fields are means over the integration points, places and principal stresses too, as in FEBio's log.
+A rigid shell has J = 1, F = 1 and no stress.
 """
 
 from __future__ import annotations
@@ -110,12 +110,12 @@ def cell_fields(system: System, state: State, number: int, fields: tuple[str, ..
     """(n_cells, n_fields): means over the integration points of a group's cells."""
     group = system.groups[number]
     F, stress = gauss_fields(system, state, number)
-    x = (system.X + state.u)[group.cells].mean(axis=1)
+    x = np.einsum("k,cki->ci", group.shares, (system.X + state.u)[group.cells])
     getters: dict[str, Callable[[], Array]] = {
         "J": lambda: np.linalg.det(F).mean(axis=1),
         "sed": lambda: energy_density(system.operands[number], F).mean(axis=1),
     }
-    principal = np.linalg.eigvalsh(stress.mean(axis=1)) if {"s1", "s2", "s3"} & set(fields) else None
+    principal = np.linalg.eigvalsh(stress).mean(axis=1) if {"s1", "s2", "s3"} & set(fields) else None
     strain = 0.5 * (np.swapaxes(F, -1, -2) @ F - np.eye(3))
     columns = []
     spatial = (

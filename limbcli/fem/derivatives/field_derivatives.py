@@ -77,7 +77,9 @@ def cell_field_derivatives(
     spatial = _tangent_change(at).mean(axis=1) if tangent else np.zeros(0)
     principal = np.zeros(0)
     if {"s1", "s2", "s3"} & set(fields):
-        principal = principal_changes(at.stress.mean(axis=1), at.d_stress.mean(axis=1))
+        n_points = at.stress.shape[:2]
+        changes = principal_changes(at.stress.reshape(-1, 3, 3), at.d_stress.reshape(-1, 3, 3))
+        principal = changes.reshape(*n_points, 3).mean(axis=1)
     columns = []
     for name in fields:
         if name in TANGENT_FIELDS:
@@ -92,8 +94,8 @@ def cell_field_derivatives(
             columns.append(_component(at.d_strain, _STRAIN[name]))
         elif name in _CENTER:
             moves, rest = _node_changes(system, state, parameter, sensitivity)
-            of_cells = (moves + rest)[system.groups[number].cells]
-            columns.append(of_cells[:, :, _CENTER.index(name)].mean(axis=1))
+            of_nodes = (moves + rest)[:, _CENTER.index(name)]
+            columns.append(of_nodes[system.groups[number].cells] @ system.groups[number].shares)
         else:
             columns.append(principal[:, int(name[1]) - 1])
     return np.stack(columns, axis=1)
