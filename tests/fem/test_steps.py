@@ -73,6 +73,20 @@ def test_rigid_plate_goes_on_from_the_first_step(relative: bool) -> None:
     assert second.forces.bodies[0, 2] == pytest.approx(pull(1.04 + base, model), rel=1e-9)
 
 
+def test_what_is_relative_through_all_steps_is_so_to_rest() -> None:
+    """A support and a plate that no step has for its own: FEBio takes their start once, before any load."""
+    model = squeezed()
+    plate = RigidBody("plate", (0.5, 0.5, 0.0), node_sets=("z1",))
+    drives = (
+        *(Drive("plate", dof, "fixed") for dof in ("x", "y", "u", "v", "w")),
+        Drive("plate", "z", "displacement", -0.1, "first", relative=True),
+    )
+    down = replace(model, supports=(*model.supports, Support("z1", ("z",), -0.1, "first", relative=True)))
+    for each in (down, replace(model, bodies=(plate,), drives=drives)):
+        last = Analysis(replace(each, steps=(Step(1, 0.5), Step(1, 0.5), Step(1, 0.5))), QUICK).run()[-1]
+        np.testing.assert_allclose(last.state.u[model.mesh.node_sets["z1"], 2], -0.1, atol=1e-12)
+
+
 def test_a_force_after_a_displacement_finds_the_same_place() -> None:
     model = squeezed()
     plate = RigidBody("plate", (0.5, 0.5, 0.0), node_sets=("z1",))
@@ -184,8 +198,9 @@ def test_relative_and_absolute_rotations_together_are_refused() -> None:
         Drive("probe", "w", "rotation", 0.01, "ramp"),
         model.drives[-1],
     )
+    model = replace(model, drives=(), steps=(replace(model.steps[0], drives=drives),))
     with pytest.raises(SolveError, match="relative and absolute"):
-        Analysis(replace(model, drives=drives), QUICK).run()
+        Analysis(model, QUICK).run()
 
 
 @pytest.mark.parametrize("second", ["ramp", None])
