@@ -9,6 +9,7 @@ import pytest
 from small_models import block, on
 
 from limbcli.bodies import Drive, RigidBody, Spring
+from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.equilibrium.newton import Settings
 from limbcli.fem.motion.kinematics import Kinematics
@@ -69,3 +70,12 @@ def test_a_spring_without_a_free_length_is_slack_at_the_start(free_length: float
     on_a, on_b, _ = spring_forces(spring, ends)
     np.testing.assert_allclose(on_a[:3], [0.0, 0.6 * force, 0.8 * force], atol=1e-15)
     np.testing.assert_array_equal(on_b[:3], -on_a[:3])
+
+
+def test_a_prescribed_displacement_of_a_rigid_bodys_nodes_is_refused() -> None:
+    """It would do nothing. One held at 0 does nothing either, and FEBio lets it pass."""
+    model = under_a_rigid_half("hex8")
+    for node_set in ("middle", "z1"):
+        Kinematics(model, (Support(node_set, ("x",)),), None, None, [])
+        with pytest.raises(SolveError, match=f"4 nodes of '{node_set}' .* the rigid body 'plate'"):
+            Kinematics(model, (Support(node_set, ("x",), 0.1, "ramp"),), None, None, [])

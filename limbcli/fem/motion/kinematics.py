@@ -104,8 +104,21 @@ class Kinematics:
                 )
                 found.append((nodes, _AXES[dof], values, each.curve, each.relative))
                 if value is not None:
+                    self._refuse_rigid(nodes, each)
                     self._prescribed_values.append(found[-1])
         return found
+
+    def _refuse_rigid(self, nodes: IntArray, support: Support) -> None:
+        """FEBio says so as well."""
+        for body in self.bodies:
+            n = int(np.isin(nodes, [*body.tied, *body.points]).sum())
+            if n:
+                raise SolveError(
+                    f"{n} nodes of {support.node_set!r} have a prescribed displacement and move with "
+                    f"the rigid body {body.name!r}",
+                    where="supports",
+                    fix="take them out of the node set, or prescribe the body's motion",
+                )
 
     def spread(self, x: Array) -> Array:
         """Values (n_tissue,) of the tissue's unknowns as (n_points, 3), 0 elsewhere."""
