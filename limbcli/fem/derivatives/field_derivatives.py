@@ -24,6 +24,7 @@ from limbcli.fem.record_fields import (
     TANGENT_FIELDS,
     _component,
     check_record,
+    mean_places,
     pair_push,
     pushed,
 )
@@ -52,6 +53,10 @@ def record_derivatives(
         values = node_field_derivatives(system, state, record.fields, parameter, sensitivity)
     else:
         values = np.zeros((sum(len(b.cells) for b in system.model.mesh.blocks), len(record.fields)))
+        for k, name in enumerate(record.fields):
+            if name in _CENTER:  # of rigid cells
+                _, rest = _node_changes(system, state, parameter, sensitivity)
+                values[:, k] = mean_places(system, rest)[:, _CENTER.index(name)]
         for number, group in enumerate(system.groups):
             rows = cell_field_derivatives(system, state, number, record.fields, parameter, sensitivity)
             values[group.first : group.first + len(group.cells)] = rows
