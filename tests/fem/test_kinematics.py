@@ -6,43 +6,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_models import block, on
+from small_models import block, under_a_rigid_half
 
-from limbcli.bodies import Drive, RigidBody, Spring
+from limbcli.bodies import Spring
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.equilibrium.newton import Settings
 from limbcli.fem.motion.kinematics import Kinematics
 from limbcli.fem.motion.rigid import AT_REST, Body, spring_forces
-from limbcli.model import Block, LimbModel, Mesh, Support
+from limbcli.model import Support
 
 QUICK = Settings(tolerance=1e-11, threads=1)
-PLATE = RigidBody("plate", (0.5, 0.5, 0.0), ("plate",))
-
-
-def under_a_rigid_half(kind: str) -> LimbModel:
-    """A block whose upper half is rigid and pressed down by 0.1 mm; node set `middle` between the halves."""
-    model = block(kind, (1, 1, 2))
-    points, cells = model.mesh.points, model.mesh.block("tissue").cells
-    upper = points[cells, 2].mean(axis=1) > -0.5
-    blocks = (Block("tissue", kind, cells[~upper]), Block("plate", kind, cells[upper]))  # type: ignore[arg-type]
-    return replace(
-        model,
-        mesh=Mesh(points, blocks, {**model.mesh.node_sets, "middle": on(points, 2, -0.5)}),
-        bodies=(PLATE,),
-        supports=(Support("z0", ("x", "y", "z")),),
-        drives=(
-            *(Drive("plate", dof, "fixed") for dof in ("x", "y", "u", "v", "w")),  # type: ignore[arg-type]
-            Drive("plate", "z", "displacement", -0.1, "ramp"),
-        ),
-    )
 
 
 @pytest.mark.parametrize("kind", ["hex8", "tet4"])
 def test_nodes_that_tissue_shares_with_a_rigid_block_move_with_it(kind: str) -> None:
     """As if they were tied to it."""
     model = under_a_rigid_half(kind)
-    tied = replace(model, bodies=(replace(PLATE, node_sets=("middle",)),))
+    tied = replace(model, bodies=(replace(model.bodies[0], node_sets=("middle",)),))
     shared, expected = (Analysis(each, QUICK).run()[-1] for each in (model, tied))
     middle = model.mesh.node_sets["middle"]
     np.testing.assert_allclose(shared.state.u[middle], [[0.0, 0.0, -0.1]] * len(middle), atol=1e-12)

@@ -147,13 +147,14 @@ def _node_changes(
     if isinstance(parameter, ShapeParameter):
         rest += parameter.directions
     for b, body in enumerate(system.bodies):
-        turn, arm = state.bodies[b].turn, system.X[body.points] - body.center
+        own = np.setdiff1d(body.points, body.tied)  # those that are tied are among the displacements
+        turn, arm = state.bodies[b].turn, system.X[own] - body.center
         shift, spin = sensitivity.motions[b, :3], sensitivity.motions[b, 3:]
-        moves[body.points] += shift + np.cross(spin, arm @ turn.T)
+        moves[own] += shift + np.cross(spin, arm @ turn.T)
         if isinstance(parameter, BodyMotion) and parameter.body == body.name:
             begin = np.cross(parameter.motion[3:], arm)
-            rest[body.points] += parameter.motion[:3] + begin
-            moves[body.points] += begin @ turn.T - begin
+            rest[own] += parameter.motion[:3] + begin
+            moves[own] += begin @ turn.T - begin
     return moves, rest
 
 
