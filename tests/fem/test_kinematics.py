@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
 from small_models import block, under_a_rigid_half
 
-from limbcli.bodies import Spring
+from limbcli.bodies import Drive, RigidBody, Spring
 from limbcli.errors import SolveError
-from limbcli.fem.analysis import Analysis
+from limbcli.fem.analysis import Analysis, Snapshot
 from limbcli.fem.equilibrium.newton import Settings
 from limbcli.fem.motion.kinematics import Kinematics
 from limbcli.fem.motion.rigid import AT_REST, Body, spring_forces
@@ -60,3 +61,22 @@ def test_a_prescribed_displacement_of_a_rigid_bodys_nodes_is_refused() -> None:
         Kinematics(model, (Support(node_set, ("x",)),), None, None, [])
         with pytest.raises(SolveError, match=f"4 nodes of '{node_set}' .* the rigid body 'plate'"):
             Kinematics(model, (Support(node_set, ("x",), 0.1, "ramp"),), None, None, [])
+
+
+def test_a_cube_that_a_rigid_plate_holds_whole_is_pressed_by_a_force() -> None:
+    """No node of it is free: the plate alone has an equation. As far as by a displacement of that force."""
+    cube = replace(
+        block("hex8", (1, 1, 1)),
+        bodies=(RigidBody("plate", (0.5, 0.5, 0.0), node_sets=("z1",)),),
+        supports=(Support("z0", ("x", "y", "z")),),
+    )
+    held = tuple(Drive("plate", dof, "fixed") for dof in ("x", "y", "u", "v", "w"))  # type: ignore[arg-type]
+
+    def pressed(kind: Literal["displacement", "force"], value: float) -> Snapshot:
+        return Analysis(replace(cube, drives=(*held, Drive("plate", "z", kind, value, "ramp"))), QUICK).run()[
+            -1
+        ]
+
+    force = pressed("displacement", -0.1).forces.bodies[0, 2]
+    assert force < -1e-3
+    assert pressed("force", force).state.bodies[0].shift[2] == pytest.approx(-0.1, rel=1e-9)
