@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -44,7 +45,10 @@ class Drive:
 
 @dataclass(frozen=True)
 class Spring:
-    """FEBio's "rigid spring" between two bodies: k N/mm, insertion points, free length."""
+    """FEBio's "rigid spring" between two bodies: k N/mm, insertion points, free length.
+
+    free_length : mm; 0: its length at the start
+    """
 
     name: str
     body_a: str
@@ -53,6 +57,14 @@ class Spring:
     insertion_a: tuple[float, float, float]
     insertion_b: tuple[float, float, float]
     free_length: float
+
+    @property
+    def slack_length(self) -> float:
+        """Length (mm) without force.
+
+        Source: FEBio, FERigidSpring::Init.
+        """
+        return self.free_length or math.dist(self.insertion_a, self.insertion_b)
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,10 @@ within one are first guesses. With a viscoelastic law every increment is a step 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
+from limbcli.bodies import Drive
 from limbcli.errors import SolveError
 from limbcli.fem.equilibrium.history import Histories
 from limbcli.fem.equilibrium.load_stepping import LoadStepping, is_timed
@@ -21,7 +22,7 @@ from limbcli.fem.equilibrium.solve_times import step_times
 from limbcli.fem.motion import load_curves
 from limbcli.fem.motion.state import Forces, State
 from limbcli.fem.system import System
-from limbcli.model import Curve, LimbModel, Step
+from limbcli.model import Curve, LimbModel, Step, Support
 from limbcli.progress import SILENT, Progress
 
 
@@ -155,10 +156,11 @@ class Analysis:
         if before is not None:
             self._collect()
             before.close()
+        supports, drives = _from_rest(self.model)
         system = System(
             self.model,
-            supports=self.model.supports + step.supports,
-            drives=self.model.drives + step.drives,
+            supports=supports + step.supports,
+            drives=drives + step.drives,
             threads=self.settings.threads,
             start=state,
         )
@@ -181,6 +183,12 @@ class Analysis:
     def close(self) -> None:
         if self._newton is not None:
             self._newton.close()
+
+
+def _from_rest(model: LimbModel) -> tuple[tuple[Support, ...], tuple[Drive, ...]]:
+    """Supports and drives of all steps: those that are relative began before any load."""
+    supports = tuple(replace(each, relative=False) for each in model.supports)
+    return supports, tuple(replace(each, relative=False) for each in model.drives)
 
 
 def _shifted(curve: Curve, begin: float, time: float) -> float:

@@ -1,7 +1,7 @@
 """What the records ask for: fields of nodes, cells and bodies at a converged state.
 
-Cell fields are means over the integration points, as in FEBio's log. A rigid shell has
-J = 1, F = 1 and no stress.
+Cell fields are means over the integration points, places and principal stresses too, as in FEBio's log.
+A rigid cell has J = 1, F = 1 and no stress, and stays where it began.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ import numpy as np
 
 from limbcli.errors import SolveError
 from limbcli.fem.elements import kernels
+from limbcli.fem.elements.element import shape
+from limbcli.fem.elements.quadrature import rule
 from limbcli.fem.motion.rigid import rotation_vector
 from limbcli.fem.motion.state import Forces, State
 from limbcli.fem.system import System
@@ -84,11 +86,21 @@ def _cell_rows(system: System, state: State, record: LogRecord) -> tuple[IntArra
     for k, name in enumerate(record.fields):
         if name == "J" or (name in _F and _F[name][0] == _F[name][1]):
             values[:, k] = 1.0
+        if name in _CENTER:
+            values[:, k] = mean_places(system, system.X)[:, _CENTER.index(name)]
     for number, group in enumerate(system.groups):
         rows = cell_fields(system, state, number, record.fields)
         values[group.first : group.first + len(group.cells)] = rows
     items = np.arange(n_cells) if record.items is None else np.asarray(record.items)
     return items, values[items]
+
+
+def mean_places(system: System, points: Array) -> Array:
+    """(n_cells, 3) means over the integration points, of all blocks. FEBio logs first ones of rigid cells."""
+    blocks = system.model.mesh.blocks
+    shares = [shape(block.kind, rule(block.kind)[0])[0].mean(axis=0) for block in blocks]
+    places = [np.einsum("k,cki->ci", s, points[b.cells]) for s, b in zip(shares, blocks, strict=True)]
+    return np.concatenate(places)
 
 
 def gauss_fields(system: System, state: State, number: int) -> tuple[Array, Array]:
@@ -110,12 +122,12 @@ def cell_fields(system: System, state: State, number: int, fields: tuple[str, ..
     """(n_cells, n_fields): means over the integration points of a group's cells."""
     group = system.groups[number]
     F, stress = gauss_fields(system, state, number)
-    x = (system.X + state.u)[group.cells].mean(axis=1)
+    x = np.einsum("k,cki->ci", group.shares, (system.X + state.u)[group.cells])
     getters: dict[str, Callable[[], Array]] = {
         "J": lambda: np.linalg.det(F).mean(axis=1),
         "sed": lambda: energy_density(system.operands[number], F).mean(axis=1),
     }
-    principal = np.linalg.eigvalsh(stress.mean(axis=1)) if {"s1", "s2", "s3"} & set(fields) else None
+    principal = np.linalg.eigvalsh(stress).mean(axis=1) if {"s1", "s2", "s3"} & set(fields) else None
     strain = 0.5 * (np.swapaxes(F, -1, -2) @ F - np.eye(3))
     columns = []
     spatial = (

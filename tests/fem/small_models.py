@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from limbcli.bodies import Contact, Drive, RigidBody
@@ -137,5 +139,23 @@ def punch(
                 step_size=0.1,
                 must_points=tuple((k + 1) / levels for k in range(levels - 1)) or (1.0,),
             ),
+        ),
+    )
+
+
+def under_a_rigid_half(kind: str) -> LimbModel:
+    """A block whose upper half is rigid and pressed down by 0.1 mm; node set `middle` between the halves."""
+    model = block(kind, (1, 1, 4))
+    points, cells = model.mesh.points, model.mesh.block("tissue").cells
+    upper = points[cells, 2].mean(axis=1) > -0.5
+    blocks = (Block("tissue", kind, cells[~upper]), Block("plate", kind, cells[upper]))
+    return replace(
+        model,
+        mesh=Mesh(points, blocks, {**model.mesh.node_sets, "middle": on(points, 2, -0.5)}),
+        bodies=(RigidBody("plate", (0.5, 0.5, 0.0), ("plate",)),),
+        supports=(Support("z0", ("x", "y", "z")),),
+        drives=(
+            *(Drive("plate", dof, "fixed") for dof in ("x", "y", "u", "v", "w")),
+            Drive("plate", "z", "displacement", -0.1, "ramp"),
         ),
     )

@@ -164,7 +164,7 @@ def test_a_probe_that_touches_nothing_at_first_gives_the_force_of_one_that_does(
 
 
 def test_augmentations_go_on_as_febios() -> None:
-    """Until multipliers and gap settle, within minaug and maxaug; at a tolerance of 0 there are none."""
+    """Until multipliers and gap settle, within minaug and maxaug; without a tolerance there are none."""
     model = punch("hex8", (2, 2, 2), depth=0.5, levels=1)
     soft = replace(model.contacts[0], penalty=0.5, tolerance=0.1, augmented=True)
 
@@ -176,10 +176,11 @@ def test_augmentations_go_on_as_febios() -> None:
         return max(float(s[s[..., TRACTION] > 0, GAP].max()) for s in states)
 
     plain = gap(augmented=False)
-    assert gap(tolerance=0.0, gap_tolerance=1e-3) == gap({"maxaug": "0"}) == plain
+    assert gap(tolerance=0.0) == gap({"maxaug": "0"}) == plain
     settled = gap()
     assert settled < gap({"maxaug": "1"}) < plain
     assert gap({"maxaug": "50"}, gap_tolerance=1e-3) <= 1e-3 < settled
+    assert gap({"maxaug": "50"}, gap_tolerance=1e-3, tolerance=0.0) <= 1e-3
     assert gap({"minaug": "8"}) < settled / 2
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_models import block, punch
+from small_models import block, punch, under_a_rigid_half
 
 from limbcli.bodies import Drive, RigidBody, Spring
 from limbcli.errors import SolveError
@@ -330,6 +330,18 @@ def test_every_field_of_every_record(case: str) -> None:
         *(LogRecord("rigid_body", fields[name], name, name) for name in names),
     )
     check(parameter, change, 1e-4, records=records)
+
+
+def test_nodes_of_tissue_that_a_rigid_block_shares_move_once() -> None:
+    """With a body that a force moves."""
+    model = under_a_rigid_half("hex8")
+    pressed = Drive("plate", "z", "force", -0.002, "ramp")
+    model = replace(model, drives=(*model.drives[:-1], pressed))
+
+    def change(h: float) -> LimbModel:
+        return model.with_material("tissue", moved(model.materials["tissue"], "c1", h))
+
+    check(LawParameter("tissue", "c1"), change, 1e-6, records=(LogRecord("node", ("z", "uz"), "nodes"),))
 
 
 def test_equal_principal_stresses_change_by_those_within_their_plane(rng: np.random.Generator) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -35,8 +36,6 @@ def test_the_largest_step_may_follow_a_curve() -> None:
     model = block("tet4", (1, 1, 1))
     curve = Curve(((0.0, 0.1), (0.5, 0.1), (0.51, 0.5), (2.0, 0.5)))
     step = Step(20, 0.1, dt_max=0.5, dt_max_curve="steps")
-    from dataclasses import replace
-
     analysis = Analysis(replace(model, curves={**model.curves, "steps": curve}, steps=(step,)), Settings())
     (times,) = analysis.times()
     steps = np.diff([0.0, *times])
@@ -47,3 +46,13 @@ def test_the_largest_step_may_follow_a_curve() -> None:
 
 def test_without_a_stepper_steps_are_equal() -> None:
     np.testing.assert_allclose(step_times(Step(4, 0.25, adaptive=False, dt_max=0.5)), [0.25, 0.5, 0.75, 1.0])
+
+
+def test_no_step_is_longer_than_the_largest() -> None:
+    """Nor is the first: 5 steps of 0.2 s become 10 of 0.1 s; after a must-point they go on from there."""
+    step = Step(5, 0.2, dt_min=0.0, dt_max=0.1)
+    np.testing.assert_allclose(step_times(step), np.arange(1, 11) / 10)
+    times = step_times(replace(step, n_steps=2, must_points=(0.25,)), every=True)
+    np.testing.assert_allclose(times, [0.1, 0.2, 0.25, 0.35, 0.4])
+    curved = step_times(step, largest=lambda time: 0.4 if time else 0.1)
+    np.testing.assert_allclose(curved[:2], [0.1, 0.26])

@@ -48,6 +48,15 @@ def test_nothing_reacts_before_the_first_step(tmp_path: Path) -> None:
     assert abs(body[-1, 0, 3]) > 1e-3
 
 
+def test_a_rigid_cell_is_logged_where_it_began(tmp_path: Path) -> None:
+    """So FEBio does, which never moves its integration points; it had stood at 0."""
+    record = LogRecord("element", ("x", "y", "z", "J"), "cells.csv")
+    model = replace(punch(n=(2, 2, 2), depth=0.5), records=(record,))
+    cells = run(write_feb(model, tmp_path / "model.feb")).elements["cells.csv"].values
+    np.testing.assert_allclose(cells[:, -1], [[6.0, 5.0, -0.05, 1.0]] * len(cells), atol=1e-12)
+    assert (cells[-1, :-1, 2] < cells[0, :-1, 2]).all()  # the tissue goes down
+
+
 def test_records_carry_the_files_ids(tmp_path: Path) -> None:
     """Nodes listed from the last id to the first, and cells with ids from 101."""
     records = (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 import pytest
@@ -13,7 +12,9 @@ from limbcli.bodies import Drive, RigidBody
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.equilibrium.newton import Settings
-from limbcli.fem.motion.rigid import rotation_vector
+from limbcli.fem.motion.kinematics import Kinematics
+from limbcli.fem.motion.rigid import AT_REST, rotation_matrix, rotation_vector
+from limbcli.fem.motion.state import State
 from limbcli.materials import ogden_type
 from limbcli.materials.stress import cauchy_stress
 from limbcli.model import Curve, Curved, LimbModel, Material, Step, Support
@@ -70,6 +71,20 @@ def test_rigid_plate_goes_on_from_the_first_step(relative: bool) -> None:
     assert first.forces.bodies[0, 2] == pytest.approx(pull(0.9, model), rel=1e-9)
     assert second.state.bodies[0].shift[2] == pytest.approx(base + 0.04)
     assert second.forces.bodies[0, 2] == pytest.approx(pull(1.04 + base, model), rel=1e-9)
+
+
+def test_what_is_relative_through_all_steps_is_so_to_rest() -> None:
+    """A support and a plate that no step has for its own: FEBio takes their start once, before any load."""
+    model = squeezed()
+    plate = RigidBody("plate", (0.5, 0.5, 0.0), node_sets=("z1",))
+    drives = (
+        *(Drive("plate", dof, "fixed") for dof in ("x", "y", "u", "v", "w")),
+        Drive("plate", "z", "displacement", -0.1, "first", relative=True),
+    )
+    down = replace(model, supports=(*model.supports, Support("z1", ("z",), -0.1, "first", relative=True)))
+    for each in (down, replace(model, bodies=(plate,), drives=drives)):
+        last = Analysis(replace(each, steps=(Step(1, 0.5), Step(1, 0.5), Step(1, 0.5))), QUICK).run()[-1]
+        np.testing.assert_allclose(last.state.u[model.mesh.node_sets["z1"], 2], -0.1, atol=1e-12)
 
 
 def test_a_force_after_a_displacement_finds_the_same_place() -> None:
@@ -150,21 +165,29 @@ def test_a_prestrained_viscoelastic_law_relaxes() -> None:
     np.testing.assert_allclose(forces[1], forces[0], rtol=1e-9)
 
 
-def test_a_fixed_rotation_stays_where_it_is_while_another_is_driven() -> None:
-    """Turned about x in the first step; that is held in the second, in which it turns about y as well."""
-    model = punch("hex8", (1, 1, 1), depth=0.2)
-
-    def turning(dof: Literal["u", "v"], curve: str) -> Step:
-        fixed = tuple(Drive("probe", each, "fixed") for each in ("x", "y", "u", "v", "w") if each != dof)
-        press = Drive("probe", "z", "displacement", -0.15, "first")
-        drives = (*fixed, press, Drive("probe", dof, "rotation", 0.02, curve))  # type: ignore[arg-type]
-        return Step(2, 0.5, adaptive=False, drives=drives)
-
-    curves = {"first": CURVES["first"], "then": Curve(((1.0, 0.0), (2.0, 1.0)))}
-    model = replace(model, curves=curves, drives=(), steps=(turning("u", "first"), turning("v", "then")))
-    turns = [rotation_vector(s.state.bodies[0].turn) for s in Analysis(model, QUICK).run()]
-    expected = [(0.01, 0.0, 0.0), (0.02, 0.0, 0.0), (0.02, 0.01, 0.0), (0.02, 0.02, 0.0)]
-    np.testing.assert_allclose(turns, expected, atol=1e-12)
+@pytest.mark.parametrize(
+    ("driven", "relative", "turn"),
+    [
+        ({}, False, (0.2, 0.0, 0.0)),
+        ({"v": 0.3}, False, (0.0, 0.3, 0.0)),
+        ({"u": 0.1, "v": 0.3, "w": 0.0}, True, (0.3, 0.3, 0.0)),
+    ],
+)
+def test_a_second_steps_rotations_are_febios(
+    driven: dict[str, float], relative: bool, turn: tuple[float, ...]
+) -> None:
+    """After 0.2 about x: held; one driven, which takes those that are fixed to 0; all driven from there."""
+    model = punch("hex8", (1, 1, 1))
+    before = replace(AT_REST, turn=rotation_matrix(np.array([0.2, 0.0, 0.0])))
+    start = State(1.0, np.zeros_like(model.mesh.points), (before,))
+    drives = tuple(
+        Drive("probe", dof, "rotation", driven[dof], relative=relative)  # type: ignore[arg-type]
+        if dof in driven
+        else Drive("probe", dof, "fixed")  # type: ignore[arg-type]
+        for dof in "xyzuvw"
+    )
+    after = Kinematics(model, (), drives, start, []).prescribed(start, 2.0)
+    np.testing.assert_allclose(rotation_vector(after.bodies[0].turn), turn, atol=1e-14)
 
 
 def test_relative_and_absolute_rotations_together_are_refused() -> None:
@@ -175,8 +198,9 @@ def test_relative_and_absolute_rotations_together_are_refused() -> None:
         Drive("probe", "w", "rotation", 0.01, "ramp"),
         model.drives[-1],
     )
+    model = replace(model, drives=(), steps=(replace(model.steps[0], drives=drives),))
     with pytest.raises(SolveError, match="relative and absolute"):
-        Analysis(replace(model, drives=drives), QUICK).run()
+        Analysis(model, QUICK).run()
 
 
 @pytest.mark.parametrize("second", ["ramp", None])

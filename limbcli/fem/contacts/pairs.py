@@ -103,19 +103,19 @@ class Pair:
 
     @property
     def is_augmented(self) -> bool:
-        """As in FEBio, a tolerance of 0 leaves the augmentations out."""
-        return self.contact.augmented and self.contact.tolerance > 0
+        """As in FEBio 4.11, no tolerance above 0 leaves the augmentations out."""
+        return self.contact.augmented and max(self.contact.tolerance, self.contact.gap_tolerance) > 0
 
     def augment(self, n_before: int) -> bool:
         """Take the tractions over as multipliers; whether these have settled.
 
         That is where the relative change of their sum of squares is within the tolerance, and the largest
-        gap of the points that press within `gap_tolerance` (mm) if that is set; not before the
+        gap of the points that press within `gap_tolerance` (mm), each if it is set; not before the
         `minaug`-th augmentation of a load step, and at the latest at the one after `maxaug`.
 
         n_before : augmentations of this load step so far
 
-        Source: FEBio 4, FESlidingElasticInterface::Augment.
+        Source: FEBio 4.11, FESlidingElasticInterface::Augment.
         """
         before = sum(float((p.multiplier**2).sum()) for p in self.patches)
         for p in self.patches:
@@ -128,7 +128,8 @@ class Pair:
             return False
         gaps = [abs(p.state[p.state[..., TRACTION] > 0, GAP]).max(initial=0.0) for p in self.patches]
         closed = contact.gap_tolerance <= 0 or max(gaps) <= contact.gap_tolerance
-        return closed and abs(after - before) <= contact.tolerance * (after or 1.0)
+        settled = contact.tolerance <= 0 or abs(after - before) <= contact.tolerance * (after or 1.0)
+        return closed and settled
 
 
 def _count(contact: Contact, name: str, default: int) -> int:

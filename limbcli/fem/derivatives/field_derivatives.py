@@ -24,6 +24,7 @@ from limbcli.fem.record_fields import (
     TANGENT_FIELDS,
     _component,
     check_record,
+    mean_places,
     pair_push,
     pushed,
 )
@@ -52,6 +53,10 @@ def record_derivatives(
         values = node_field_derivatives(system, state, record.fields, parameter, sensitivity)
     else:
         values = np.zeros((sum(len(b.cells) for b in system.model.mesh.blocks), len(record.fields)))
+        for k, name in enumerate(record.fields):
+            if name in _CENTER:  # of rigid cells
+                _, rest = _node_changes(system, state, parameter, sensitivity)
+                values[:, k] = mean_places(system, rest)[:, _CENTER.index(name)]
         for number, group in enumerate(system.groups):
             rows = cell_field_derivatives(system, state, number, record.fields, parameter, sensitivity)
             values[group.first : group.first + len(group.cells)] = rows
@@ -77,7 +82,9 @@ def cell_field_derivatives(
     spatial = _tangent_change(at).mean(axis=1) if tangent else np.zeros(0)
     principal = np.zeros(0)
     if {"s1", "s2", "s3"} & set(fields):
-        principal = principal_changes(at.stress.mean(axis=1), at.d_stress.mean(axis=1))
+        n_points = at.stress.shape[:2]
+        changes = principal_changes(at.stress.reshape(-1, 3, 3), at.d_stress.reshape(-1, 3, 3))
+        principal = changes.reshape(*n_points, 3).mean(axis=1)
     columns = []
     for name in fields:
         if name in TANGENT_FIELDS:
@@ -92,8 +99,8 @@ def cell_field_derivatives(
             columns.append(_component(at.d_strain, _STRAIN[name]))
         elif name in _CENTER:
             moves, rest = _node_changes(system, state, parameter, sensitivity)
-            of_cells = (moves + rest)[system.groups[number].cells]
-            columns.append(of_cells[:, :, _CENTER.index(name)].mean(axis=1))
+            of_nodes = (moves + rest)[:, _CENTER.index(name)]
+            columns.append(of_nodes[system.groups[number].cells] @ system.groups[number].shares)
         else:
             columns.append(principal[:, int(name[1]) - 1])
     return np.stack(columns, axis=1)
@@ -140,13 +147,14 @@ def _node_changes(
     if isinstance(parameter, ShapeParameter):
         rest += parameter.directions
     for b, body in enumerate(system.bodies):
-        turn, arm = state.bodies[b].turn, system.X[body.points] - body.center
+        own = np.setdiff1d(body.points, body.tied)  # those that are tied are among the displacements
+        turn, arm = state.bodies[b].turn, system.X[own] - body.center
         shift, spin = sensitivity.motions[b, :3], sensitivity.motions[b, 3:]
-        moves[body.points] += shift + np.cross(spin, arm @ turn.T)
+        moves[own] += shift + np.cross(spin, arm @ turn.T)
         if isinstance(parameter, BodyMotion) and parameter.body == body.name:
             begin = np.cross(parameter.motion[3:], arm)
-            rest[body.points] += parameter.motion[:3] + begin
-            moves[body.points] += begin @ turn.T - begin
+            rest[own] += parameter.motion[:3] + begin
+            moves[own] += begin @ turn.T - begin
     return moves, rest
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.errors import MeshError, SolveError
-from limbcli.fem.elements.element import reference_gradients
+from limbcli.fem.elements.element import reference_gradients, shape
 from limbcli.fem.elements.quadrature import rule
 from limbcli.fem.elements.simd_kernels import WIDTH
 from limbcli.materials import Compiled, Program, compile_material
@@ -28,6 +28,7 @@ class Group:
 
     first : number of its first cell, counted over all blocks in order
     grad (n_cells, n_gauss, n_nodes, 3), weight (n_cells, n_gauss) : reference configuration
+    shares (n_nodes,) : of the nodes' places in the mean place of a cell's integration points
     """
 
     block: str
@@ -37,6 +38,7 @@ class Group:
     grad: Array
     weight: Array
     material: Compiled
+    shares: Array
     _cache: dict[str, Any] = field(default_factory=dict)
 
     def at(self, curve: CurveAt, *, scale: float = 1.0, history: Array = _NO_HISTORY) -> Operands:
@@ -156,12 +158,14 @@ def _group(model: LimbModel, domain: Domain, block: Block, first: int) -> Group:
             where=f"block {block.name!r}",
             fix="use tet10 cells, an unconstrained law, or FEBio",
         )
-    grad, weight = reference_gradients(model.mesh.points, block.cells, block.kind, rule(_rule(domain, block)))
+    points, weights = rule(_rule(domain, block))
+    grad, weight = reference_gradients(model.mesh.points, block.cells, block.kind, (points, weights))
     check_volumes(model, block, weight)
     cells = np.ascontiguousarray(block.cells, dtype=np.int64)
     if weight.shape[1] > LANES or cells.shape[1] > WIDTH:  # the compiled loops would write beyond their rows
         raise NotImplementedError(f"{block.kind} with {cells.shape[1]} nodes and {weight.shape[1]} points")
-    return Group(block.name, block.kind, first, cells, grad, weight, compiled)
+    shares = shape(block.kind, points)[0].mean(axis=0)
+    return Group(block.name, block.kind, first, cells, grad, weight, compiled, shares)
 
 
 def _rule(domain: Domain, block: Block) -> str:

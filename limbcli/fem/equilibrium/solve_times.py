@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from limbcli.model import Step
@@ -17,9 +18,9 @@ def step_times(
 ) -> list[float]:
     """Times (s, from the start of the step) that are solved for: must-points and the end, else all steps.
 
-    An automatic stepper's steps grow towards its largest, as they do where each is easy: what is hard
-    for this solver is cut within a step. A must-point is hit by a shorter step, after which steps are as
-    long as before.
+    An automatic stepper's steps are no longer than its largest, towards which they grow, as they do where
+    each is easy: what is hard for this solver is cut within a step. A must-point is hit by a shorter step,
+    after which steps are as long as before.
 
     every : the steps between must-points as well, for a response that depends on the way
     largest : size of a step by time (s, from the start of the step), where it is not `dt_max` throughout
@@ -32,19 +33,23 @@ def step_times(
     [0.1, 0.2, 0.3, 0.4]
     >>> [round(t, 4) for t in step_times(Step(n_steps=10, step_size=0.1, dt_max=0.6))]
     [0.1, 0.3, 0.58, 0.924, 1.0]
+    >>> step_times(Step(n_steps=2, step_size=0.5, dt_max=0.25))
+    [0.25, 0.5, 0.75, 1.0]
     """
     end = step.n_steps * step.step_size
     inner = sorted({t for t in step.must_points if 0 < t < end * (1 - _NEAR)})
     if step.must_points and not every:
         return [*inner, end]
-    if not step.adaptive or (largest is None and (step.dt_max is None or step.dt_max <= step.step_size)):
-        grid = [step.step_size * (k + 1) for k in range(step.n_steps - 1)]
-        between = [g for g in grid if all(abs(t - g) > _NEAR * end for t in inner)]
-        return sorted({*between, *inner, end})
-    goals, times, dt = [*inner, end], [0.0], step.step_size
+    dt = step.step_size
+    if step.adaptive:
+        most = largest(0.0) if largest else step.dt_max
+        dt = min(max(dt, step.dt_min), most or math.inf)
+    if not inner and (not step.adaptive or (largest is None and (step.dt_max or dt) <= dt)):
+        return [*(dt * (k + 1) for k in range(math.ceil(end / dt - _NEAR) - 1)), end]
+    goals, times = [*inner, end], [0.0]
     while times[-1] < end:
         if len(times) > 1:
-            most = largest(times[-1]) if largest else float(step.dt_max or dt)
+            most = largest(times[-1]) if largest else step.dt_max or dt
             dt = min(dt + _GROWTH * max(most - dt, 0.0), _MOST * dt, max(most, step.dt_min))
         goal = next(each for each in goals if each > times[-1])
         times.append(goal if goal <= times[-1] + dt + _NEAR * end else times[-1] + dt)

@@ -197,7 +197,7 @@ class Inverse:
             unit[self.n + k] = 1.0
             self.border[:, k] = self.tangent.times(state, unit)
         self.solved = np.zeros((self.n, n_rigid))
-        for k in range(n_rigid):
+        for k in range(n_rigid if self.n else 0):
             self.solved[:, k] = self.linear.solve(np.ascontiguousarray(self.border[: self.n, k]))
         schur = self.border[self.n :] - self.border[: self.n].T @ self.solved
         if n_rigid:

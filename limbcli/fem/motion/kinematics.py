@@ -75,9 +75,14 @@ class Kinematics:
             self.n_tissue = 0
 
     def _find_prescribed(self, free: Array) -> list[tuple[IntArray, int, Array, str | None, bool]]:
-        """(nodes, axis, values, curve, relative) of every support with a value; frees are cleared."""
+        """(nodes, axis, values, curve, relative) of every support; frees are cleared.
+
+        Where two are on one node, what is prescribed stands above what is held; else the later one counts.
+
+        Source: FEBio, FEFixedBC::Activate, which takes open degrees of freedom only.
+        """
         found = []
-        for each in self.supports:
+        for each in sorted(self.supports, key=lambda support: support.value is not None):
             if each.node_set not in self.model.mesh.node_sets:
                 raise SolveError(
                     f"a support refers to the unknown node set {each.node_set!r}",
@@ -99,8 +104,21 @@ class Kinematics:
                 )
                 found.append((nodes, _AXES[dof], values, each.curve, each.relative))
                 if value is not None:
+                    self._refuse_rigid(nodes, each)
                     self._prescribed_values.append(found[-1])
         return found
+
+    def _refuse_rigid(self, nodes: IntArray, support: Support) -> None:
+        """FEBio says so as well."""
+        for body in self.bodies:
+            n = int(np.isin(nodes, [*body.tied, *body.points]).sum())
+            if n:
+                raise SolveError(
+                    f"{n} nodes of {support.node_set!r} have a prescribed displacement and move with "
+                    f"the rigid body {body.name!r}",
+                    where="supports",
+                    fix="take them out of the node set, or prescribe the body's motion",
+                )
 
     def spread(self, x: Array) -> Array:
         """Values (n_tissue,) of the tissue's unknowns as (n_points, 3), 0 elsewhere."""
@@ -157,9 +175,14 @@ class Kinematics:
         return BodyState(shift, self._turn(body, now, begin, vector))
 
     def _turn(self, body: Body, now: BodyState, begin: BodyState, vector: Array) -> Array:
+        """The body's rotation; where all of it is given and some of it driven, `vector` is its rotation
+        vector: a component that is fixed is 0 then, and relative ones are added to those at the step's begin.
+
+        Source: FEBio, FERigidSolverNew::UpdateRigidBodies and FERigidPrescribedBC::Activate.
+        """
         if not any(k >= 3 for k in body.free):
-            given = {k: body.drives[dof] for k, dof in enumerate("uvw") if body.given(dof)}
-            relative = {drive.relative for drive in given.values() if drive.kind != "fixed"}
+            given = [body.drives[dof] for dof in "uvw" if body.given(dof)]
+            relative = {drive.relative for drive in given if drive.kind != "fixed"}
             if not relative:
                 return begin.turn
             if len(relative) > 1:
@@ -168,12 +191,7 @@ class Kinematics:
                     where="rigid bodies",
                     fix="make all of its rotations relative, or none",
                 )
-            if relative == {True}:
-                return rotation_matrix(vector) @ begin.turn
-            held = rotation_vector(begin.turn)
-            fixed = [k for k, drive in given.items() if drive.kind == "fixed"]
-            vector[fixed] = held[fixed]
-            return rotation_matrix(vector)
+            return rotation_matrix(vector + rotation_vector(begin.turn) if True in relative else vector)
         if vector.any():
             raise SolveError(
                 f"body {body.name!r} has given and free rotations together",

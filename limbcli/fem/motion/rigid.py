@@ -60,7 +60,7 @@ class Body:
 
     drives : by degree of freedom ("x" .. "w"); one that has none is free, as is one with loads, of which
         the last stands here
-    tied : node numbers of the tissue that move with it
+    tied : node numbers of the tissue that move with it: of its node sets, and those its blocks share
     """
 
     name: str
@@ -97,20 +97,27 @@ def _body(model: LimbModel, body: RigidBody, drives: tuple[Drive, ...]) -> Body:
                 f"body {body.name!r} has two drives for {each.dof}", where="rigid bodies", fix="keep one"
             )
         mine[each.dof] = each
+    points = _nodes(model, body.blocks)
+    shared = np.intersect1d(points, _nodes(model, tuple(domain.block for domain in model.domains)))
     tied = [model.mesh.node_sets[name] for name in body.node_sets]
-    blocks = [model.mesh.block(name).cells.ravel() for name in body.blocks]
     result = Body(
         body.name,
         np.array(body.center_of_mass, dtype=float),
         mine,
-        np.unique(np.concatenate(tied)) if tied else np.zeros(0, dtype=np.int64),
-        np.unique(np.concatenate(blocks)) if blocks else np.zeros(0, dtype=np.int64),
+        np.unique(np.concatenate([*tied, shared])),
+        points,
     )
     moves = bool(len(result.tied) or len(result.points)) or any(
         body.name in (s.body_a, s.body_b) for s in model.springs
     )
     free = tuple(k for k, dof in enumerate(DOFS) if not result.given(dof)) if moves else ()
     return Body(result.name, result.center, result.drives, result.tied, result.points, free)
+
+
+def _nodes(model: LimbModel, blocks: tuple[str, ...]) -> IntArray:
+    """(n,) those of the blocks' cells, each once."""
+    cells = [model.mesh.block(name).cells.ravel() for name in blocks]
+    return np.unique(np.concatenate(cells)) if cells else np.zeros(0, dtype=np.int64)
 
 
 def spring_forces(spring: Spring, bodies: dict[str, tuple[Body, BodyState]]) -> tuple[Array, Array, Array]:
@@ -129,7 +136,7 @@ def spring_forces(spring: Spring, bodies: dict[str, tuple[Body, BodyState]]) -> 
             f"spring {spring.name!r} has no length", where="rigid springs", fix="move an insertion point"
         )
     unit = line / length
-    tension = spring.stiffness * (length - spring.free_length)
+    tension = spring.stiffness * (length - spring.slack_length)
     along = np.outer(unit, unit)
     k = spring.stiffness * along + tension / length * (np.eye(3) - along)
     pull = tension * unit
