@@ -146,7 +146,7 @@ def test_the_command_prints_every_sentence_once(tmp_path, monkeypatch):
     for name in ("note_earlier", "note_fibres", "gap_picture", "candidates_picture", "sizes_picture",
                  "sizes_of", "write_diagnosed", "all_levels_of"):  # fmt: skip
         monkeypatch.setattr(stage + name, lambda *_, **__: None)
-    monkeypatch.setattr(stage + "doubted", lambda found, bones: found)
+    monkeypatch.setattr(stage + "with_bone_warnings", lambda found, bones: found)
     monkeypatch.setattr(stage + "cycle_facts", lambda *_: {"sentences": of_cycles})
     monkeypatch.setattr(_Diagnosed, "_content", lambda *_: {"sentences": told})
     mine = SimpleNamespace(

@@ -113,4 +113,6 @@ def test_what_is_hidden_is_measured_and_told_by_the_command(tmp_path, monkeypatc
     monkeypatch.setattr("limbcli.stages.phantom.measure_sites", measured)
     main = typer.main.get_command(app)
     main(["phantom", str(tmp_path / "x"), "--effect", "skin-layer=4", "-q"], standalone_mode=False)
-    assert [(each["effect"], each["log_skin_ratio"]) for each in seen] == [("skin-layer", 4.0)]
+    thinner = np.log(1.0 + 1.25 * np.expm1(4.0))  # 1.2 mm with the stiffness along it of the 1.5 mm asked for
+    assert [(each["effect"], each["skin_thickness_mm"]) for each in seen] == [("skin-layer", 1.2)]
+    assert seen[0]["log_skin_ratio"] == pytest.approx(thinner)
