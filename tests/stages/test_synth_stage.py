@@ -116,21 +116,26 @@ def test_the_mesh_that_is_fitted_has_its_own_element_and_sizes(limb, tmp_path):
     assert not (tmp_path / "new").exists()
 
 
-@pytest.mark.slow
-def test_what_is_expected_of_a_simulated_case_outlives_its_being_made_again(limb, tmp_path, monkeypatch):
+@pytest.fixture
+def simulated(limb, tmp_path, monkeypatch):
+    """A case, and the folder of one that was made of it, no site of which was measured."""
     monkeypatch.setattr(synth_module, "measure_sites", lambda *_, **__: [])
     case, folder = Case.open(limb / "limb"), tmp_path / "new"
     synth(case, out=limb / "out", out_case=folder, options=EXACT)
+    return case, folder
+
+
+@pytest.mark.slow
+def test_what_is_expected_of_a_simulated_case_outlives_its_being_made_again(limb, simulated):
+    case, folder = simulated
     (folder / "expected.toml").write_text("[site.p1]\n")
     synth(case, out=limb / "out", out_case=folder, options=EXACT, force=True)
     assert (folder / "expected.toml").read_text() == "[site.p1]\n"
 
 
 @pytest.mark.slow
-def test_a_case_whose_truth_cannot_be_written_does_not_replace_the_one_before(limb, tmp_path, monkeypatch):
-    monkeypatch.setattr(synth_module, "measure_sites", lambda *_, **__: [])
-    case, folder = Case.open(limb / "limb"), tmp_path / "new"
-    synth(case, out=limb / "out", out_case=folder, options=EXACT)
+def test_a_case_whose_truth_cannot_be_written_does_not_replace_the_one_before(limb, simulated, monkeypatch):
+    case, folder = simulated
     (folder / "mine").write_text("of the first")
 
     def full(*_):
