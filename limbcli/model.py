@@ -191,7 +191,8 @@ class Step:
 
     dt_max : the largest step size; None means `step_size`
     must_points : times (s, from the start of the step) that are hit exactly
-    adaptive : False: every step is `step_size`, never cut nor grown
+    adaptive : False: every step is `step_size`, never cut nor grown; with must-points, the steps from one to
+        the next are alike, as near to it as can be
     dt_max_curve : the load curve that gives the largest step size over time, where
         it is not `dt_max` throughout; its points are the must-points
     control : further solver settings as FEBio names them

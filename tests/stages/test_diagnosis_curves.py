@@ -12,9 +12,12 @@ import pytest
 from limbcli.effects import effect
 from limbcli.effects.curves import Curves, depth_at, force_at
 from limbcli.errors import SolveError
+from limbcli.feb.settings import robust_step, schedule
+from limbcli.fem.equilibrium.solve_times import step_times
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.diagnosis.curves import keys
 from limbcli.stages.diagnosis.curves.curve_plan import Reach, Solving
+from limbcli.stages.diagnosis.curves.model_simplification import fewer_steps
 from limbcli.stages.diagnosis.curves.penetration import Penetration
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.curves.work_budget import Work
@@ -272,6 +275,14 @@ def test_an_effect_of_any_name_may_change_contact(block, name, theta):
 def iterate(work: Work, n: int, *, factors: int = 0) -> None:
     for k in range(1, n + 1):
         work("newton", {"krylov": 20 * k, "factorisations": factors * k})
+
+
+def test_with_friction_a_model_is_solved_in_two_steps_alike_from_level_to_level(block):
+    plan = schedule([1.0, 2.0, 3.0, 4.0], start=0.05)
+    (step,) = fewer_steps(replace(block, steps=(robust_step(plan, "tet10"),)), 8).steps
+    times = step_times(step, every=True)
+    np.testing.assert_allclose(times, np.arange(1, 9) * 0.05)
+    assert step_times(step) == list(plan.times)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 
@@ -20,7 +21,8 @@ def step_times(
 
     An automatic stepper's steps are no longer than its largest, towards which they grow, as they do where
     each is easy: what is hard for this solver is cut within a step. A must-point is hit by a shorter step,
-    after which steps are as long as before.
+    after which steps are as long as before. Where steps are not automatic, those from one must-point to the
+    next are alike.
 
     every : the steps between must-points as well, for a response that depends on the way
     largest : size of a step by time (s, from the start of the step), where it is not `dt_max` throughout
@@ -33,6 +35,8 @@ def step_times(
     [0.1, 0.2, 0.3, 0.4]
     >>> [round(t, 4) for t in step_times(Step(n_steps=10, step_size=0.1, dt_max=0.6))]
     [0.1, 0.3, 0.58, 0.924, 1.0]
+    >>> step_times(Step(n_steps=2, step_size=0.4, must_points=(0.7,), adaptive=False), every=True)
+    [0.35, 0.7, 0.8]
     >>> step_times(Step(n_steps=2, step_size=0.5, dt_max=0.25))
     [0.25, 0.5, 0.75, 1.0]
     """
@@ -47,6 +51,8 @@ def step_times(
     if not inner and (not step.adaptive or (largest is None and (step.dt_max or dt) <= dt)):
         return [*(dt * (k + 1) for k in range(math.ceil(end / dt - _NEAR) - 1)), end]
     goals, times = [*inner, end], [0.0]
+    if not step.adaptive:
+        return [time for ends in itertools.pairwise([0.0, *goals]) for time in _evenly(*ends, dt)]
     while times[-1] < end:
         if len(times) > 1:
             most = largest(times[-1]) if largest else step.dt_max or dt
@@ -54,3 +60,9 @@ def step_times(
         goal = next(each for each in goals if each > times[-1])
         times.append(goal if goal <= times[-1] + dt + _NEAR * end else times[-1] + dt)
     return times[1:]
+
+
+def _evenly(begin: float, end: float, size: float) -> list[float]:
+    """Times from `begin` to `end`, without the first, equally far apart: about a step's size."""
+    n = max(round((end - begin) / size), 1)
+    return [*(begin + (end - begin) * k / n for k in range(1, n)), end]

@@ -22,9 +22,14 @@ def softer_jumps(model: LimbModel, band: float = BAND) -> LimbModel:
 
 
 def fewer_steps(model: LimbModel, n: int) -> LimbModel:
-    """What depends on the way takes every step: so many are enough for it."""
+    """What depends on the way takes every step: so many are enough for it, alike from level to level.
+
+    Long and short steps in turn take with friction up to twice the work of steps that are alike.
+    """
     steps = tuple(
-        replace(each, n_steps=n, step_size=each.n_steps * each.step_size / n) if each.n_steps > n else each
+        replace(each, n_steps=n, step_size=each.n_steps * each.step_size / n, adaptive=False)
+        if each.n_steps > n
+        else each
         for each in model.steps
     )
     return replace(model, steps=steps)
