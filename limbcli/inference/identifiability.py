@@ -129,11 +129,12 @@ def verdict(
 ) -> Verdict:
     """One plain word for a parameter, and the sentence behind it, whose numbers are in `unit`.
 
+    influence : whether it moves the force at this value; where it does not, other values may be excluded
     correlations : (other parameter, correlation) of the logs
     log_deviation : standard error of ln theta; it decides where there is no profile, NaN if unknown
     """
     name = parameter.name
-    if not influence:
+    if not influence and (profile is None or (profile.open_low and profile.open_high)):
         return Verdict(
             "no influence",
             f"{name} has no influence on the force here (less than 0.1 % for a doubling): not identifiable.",

@@ -70,6 +70,16 @@ def test_every_verdict_has_its_case():
     assert "exclude no value" in wide.words
 
 
+def test_what_the_data_exclude_is_told_also_where_the_parameter_moves_nothing_any_more():
+    """Nearly incompressible tissue: a larger f_kappa changes no force, a small one is excluded."""
+    above = profile(2.5, 1000.0, open_high=True)
+    at_bound = verdict(F_KAPPA, 1000.0, above, influence=False)
+    assert at_bound.flag == "at bound"
+    assert at_bound.words.endswith("the data exclude only values below 2.5 (95 %).")
+    assert verdict(F_KAPPA, 700.0, above, influence=False).flag == "weak"
+    assert verdict(F_KAPPA, 700.0, profile(0.01, 1000.0, True, True), influence=False).flag == "no influence"
+
+
 def test_without_noise_there_is_no_correlation_and_no_warning():
     with np.errstate(all="raise"):
         found = correlation(np.zeros((2, 2)))
