@@ -142,9 +142,9 @@ def verdict(
     side = parameter.at_bound(value)
     excluded, unit = _excluded(parameter, profile, unit), unit and f" {unit}"
     if side:
-        bound = parameter.low if side == "low" else parameter.high
+        which, bound = ("lower", parameter.low) if side == "low" else ("upper", parameter.high)
         excluded = why_no_profile if profile is None else excluded
-        return Verdict("at bound", f"{name} ended on its {side}er bound {bound:g}{unit}; {excluded}.")
+        return Verdict("at bound", f"{name} ended on its {which} bound {bound:g}{unit}; {excluded}.")
     if profile is None:
         return _without_profile(name, value, log_deviation, why_no_profile)
     wide = profile.is_open or profile.high / profile.low > _WEAK_RATIO
