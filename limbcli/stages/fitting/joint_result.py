@@ -21,7 +21,7 @@ from limbcli.results import StageWriter
 from limbcli.stages.fitting.exports import parameter_rows, write_exports, write_table
 from limbcli.stages.fitting.fibre_orientations import write_moduli
 from limbcli.stages.fitting.joint_picture import draw_joint
-from limbcli.stages.fitting.laws import FitLaw
+from limbcli.stages.fitting.laws import FIBRE_F_KAPPA, FitLaw
 from limbcli.units import kpa_from_mpa
 
 _POOR = 1e-4  # chance of a chi-square by noise, below which a fit is called poor
@@ -61,6 +61,7 @@ def write_joint(
     for name, each in parameters.items():
         writer.summary.append(f"{name}: {each['headline']}; {each['words']}")
     warn_poor(found, writer)
+    warn_locking(law, writer)
     if law.has_fibres:
         write_moduli(values["c_kpa"], values["fibre_shear"], writer)
     n_layers = sum(len(each.layers) for each in problem.task.data)
@@ -84,6 +85,19 @@ def warn_poor(found: Intervals, writer: StageWriter) -> None:
         "not of the tissue: look at the pictures, at the noise of the case, and at what `limbcli diagnose` "
         "finds missing",
     )
+
+
+def warn_locking(law: FitLaw, writer: StageWriter) -> None:
+    """That what was found with linear tetrahedra (`element` of the result) holds on their mesh."""
+    if "tet4" not in writer.data["element"]:
+        return
+    words = (
+        f"at the f_kappa of {FIBRE_F_KAPPA:g} that this law holds their forces are too high, and c, m and "
+        "the fibres make up for it"
+        if law.fixed
+        else "f_kappa is a property of this mesh as much as of the tissue"
+    )
+    writer.warnings.append(f"linear tetrahedra lock: {words}; tet10 elements do not")
 
 
 def parameter_table(problem: EstimationProblem, found: Intervals) -> dict[str, dict[str, Any]]:
