@@ -129,11 +129,12 @@ def verdict(
 ) -> Verdict:
     """One plain word for a parameter, and the sentence behind it, whose numbers are in `unit`.
 
+    influence : whether it moves the force at this value; where it does not, other values may be excluded
     correlations : (other parameter, correlation) of the logs
     log_deviation : standard error of ln theta; it decides where there is no profile, NaN if unknown
     """
     name = parameter.name
-    if not influence:
+    if not influence and (profile is None or (profile.open_low and profile.open_high)):
         return Verdict(
             "no influence",
             f"{name} has no influence on the force here (less than 0.1 % for a doubling): not identifiable.",
@@ -141,9 +142,9 @@ def verdict(
     side = parameter.at_bound(value)
     excluded, unit = _excluded(parameter, profile, unit), unit and f" {unit}"
     if side:
-        bound = parameter.low if side == "low" else parameter.high
+        which, bound = ("lower", parameter.low) if side == "low" else ("upper", parameter.high)
         excluded = why_no_profile if profile is None else excluded
-        return Verdict("at bound", f"{name} ended on its {side}er bound {bound:g}{unit}; {excluded}.")
+        return Verdict("at bound", f"{name} ended on its {which} bound {bound:g}{unit}; {excluded}.")
     if profile is None:
         return _without_profile(name, value, log_deviation, why_no_profile)
     wide = profile.is_open or profile.high / profile.low > _WEAK_RATIO

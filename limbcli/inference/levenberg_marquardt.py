@@ -100,7 +100,8 @@ def levenberg_marquardt(
     raise FitError(
         f"the fit did not settle in {max_iterations} iterations (cost {search.now.cost:.4g})",
         where=", ".join(f"{p.name} {t:.4g}" for p, t in zip(parameters, search.theta, strict=True)),
-        fix="look at the measurement (fit.png); raise --max-iterations if the cost was still falling",
+        fix="look at the measurement (force-depth.png of `limbcli run`); raise --max-iterations if the cost "
+        "was still falling",
         cost=search.now.cost,
     )
 

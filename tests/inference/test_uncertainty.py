@@ -13,6 +13,7 @@ from limbcli.inference.parameter import FitParameter
 from limbcli.inference.profile import Profile
 from limbcli.inference.residual import Residual
 from limbcli.interval_limits import THRESHOLD_95, noise_scale, threshold_95
+from limbcli.reporting.headline import headline
 
 F_KAPPA = FitParameter("f_kappa", 100.0, 0.01, 1000.0)
 
@@ -70,6 +71,16 @@ def test_every_verdict_has_its_case():
     assert "exclude no value" in wide.words
 
 
+def test_what_the_data_exclude_is_told_also_where_the_parameter_moves_nothing_any_more():
+    """Nearly incompressible tissue: a larger f_kappa changes no force, a small one is excluded."""
+    above = profile(2.5, 1000.0, open_high=True)
+    at_bound = verdict(F_KAPPA, 1000.0, above, influence=False)
+    assert at_bound.flag == "at bound"
+    assert at_bound.words.endswith("the data exclude only values below 2.5 (95 %).")
+    assert verdict(F_KAPPA, 700.0, above, influence=False).flag == "weak"
+    assert verdict(F_KAPPA, 700.0, profile(0.01, 1000.0, True, True), influence=False).flag == "no influence"
+
+
 def test_without_noise_there_is_no_correlation_and_no_warning():
     with np.errstate(all="raise"):
         found = correlation(np.zeros((2, 2)))
@@ -86,6 +97,13 @@ def test_without_an_interval_the_standard_error_decides_and_without_noise_nothin
     assert unknown.words == "f_kappa = 100; how sure that is cannot be determined: the case states no noise."
     bound = verdict(F_KAPPA, 1000.0, None, influence=True, why_no_profile="the case states no noise")
     assert bound.words.endswith("the case states no noise.")
+
+
+@pytest.mark.parametrize(("value", "which"), [(0.01, "lower"), (1000.0, "upper")])
+def test_a_headline_without_an_interval_names_the_bound(value, which):
+    found = verdict(F_KAPPA, value, None, influence=True)
+    said = headline(value, None, None, found.flag, why=found.words, computed=False)
+    assert said == f"at the {which} bound of the search"
 
 
 def test_the_words_of_a_parameter_with_a_unit_are_in_that_unit():

@@ -63,6 +63,12 @@ def test_tissue_is_recovered_with_c_free(joint):
 
 
 @pytest.mark.slow
+def test_linear_elements_are_warned_of(joint):
+    """As in a fit of the force: on them f_kappa says how stiff the mesh is."""
+    assert sum("f_kappa is a property of this mesh" in each for each in joint.warnings) == 1
+
+
+@pytest.mark.slow
 def test_what_a_harder_contact_changes_is_told_of_every_site(joint, measured):
     check = joint.data["contact_check"]["p1"]
     assert (check["penalty"], check["tried"]) == (20.0, 80.0)

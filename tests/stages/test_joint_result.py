@@ -6,7 +6,7 @@ import numpy as np
 
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.profile import Profile
-from limbcli.stages.fitting.joint_result import parameter_table
+from limbcli.stages.fitting.joint_result import judge_given_c, parameter_table
 
 
 def test_what_is_said_of_c_is_in_kpa():
@@ -36,3 +36,18 @@ def test_parameters_that_the_data_do_not_tell_apart_have_no_standard_error():
     assert np.isfinite(table["c_kpa"]["standard_error"])
     assert np.isnan([table[name]["standard_error"] for name in ("f_kappa", "m")]).all()
     assert table["m"]["flag"] == "weak"
+
+
+def test_c_that_only_a_value_by_hand_tells_is_not_called_identified():
+    """Without any speed its interval is that of what was given; speeds that tell it better are heard."""
+
+    def judged(standard_error):
+        table = {"value": 8.0, "standard_error": standard_error, "low": 6.6, "high": 9.7,
+                 "flag": "identified", "words": "", "headline": ""}  # fmt: skip
+        judge_given_c(table, SimpleNamespace(c0=0.008, c_deviation=0.1), 1.0)
+        return table
+
+    assert judged(0.4)["flag"] == "identified"
+    alone = judged(0.79)
+    assert (alone["flag"], alone["headline"]) == ("fixed", "8.00 kPa")
+    assert "c is what was given (8 kPa, one deviation 10 %)" in alone["words"]

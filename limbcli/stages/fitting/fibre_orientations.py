@@ -10,7 +10,6 @@ from limbcli.effects.tissue import fibre_direction
 from limbcli.meshing.fibres import mean_axis
 from limbcli.model import ElementMap, LimbModel
 from limbcli.results import StageWriter
-from limbcli.stages.fitting.laws import FIBRE_F_KAPPA
 
 _ALIKE = 0.25  # shares along fibres closer than that are one orientation
 _ACROSS, _ALONG = 0.25, 0.75
@@ -48,13 +47,6 @@ def write_orientations(
             writer.warnings.append(
                 f"no fibre direction is told for site {name}: along the limb, within the skin, is taken"
             )
-    linear = [name for name, model in models if any(b.kind == "tet4" for b in model.mesh.solid_blocks)]
-    if linear:
-        writer.warnings.append(
-            f"linear tetrahedra lock at the f_kappa of {FIBRE_F_KAPPA:g} that this law holds "
-            f"({', '.join(linear)}): their forces are too high, and c, m and the fibres make up for it; mesh "
-            "with --element tet10"
-        )
     writer.warnings.extend(undetermined(list(shares.values()), has_speeds))
 
 

@@ -12,16 +12,17 @@ from scipy.stats import chi2
 from limbcli.effects.tissue import fibre_direction
 from limbcli.inference.adaptive import EstimationProblem, Intervals
 from limbcli.inference.identifiability import Verdict, are_determined, correlation, verdict
-from limbcli.inference.joint import JointProblem, SiteMeasurement, SitePrediction, held_out_error
+from limbcli.inference.joint import JointProblem, JointTask, SiteMeasurement, SitePrediction, held_out_error
 from limbcli.inference.parameter import FitParameter
 from limbcli.measurement.levels import LAYERS
 from limbcli.model import LimbModel
 from limbcli.reporting.headline import headline
 from limbcli.results import StageWriter
+from limbcli.significant_digits import short
 from limbcli.stages.fitting.exports import parameter_rows, write_exports, write_table
 from limbcli.stages.fitting.fibre_orientations import write_moduli
 from limbcli.stages.fitting.joint_picture import draw_joint
-from limbcli.stages.fitting.laws import FitLaw
+from limbcli.stages.fitting.laws import FIBRE_F_KAPPA, FitLaw
 from limbcli.units import kpa_from_mpa
 
 _POOR = 1e-4  # chance of a chi-square by noise, below which a fit is called poor
@@ -37,6 +38,7 @@ def write_joint(
 ) -> None:
     """fit-joint.json, levels by site, exports and pictures; `measured`: site name and its model."""
     parameters = parameter_table(problem, found)
+    judge_given_c(parameters["c_kpa"], problem.task, found.scale)
     c = float(found.best[0])
     model = measured[0][1]
     own = law.along(fibre_direction(model))
@@ -61,6 +63,7 @@ def write_joint(
     for name, each in parameters.items():
         writer.summary.append(f"{name}: {each['headline']}; {each['words']}")
     warn_poor(found, writer)
+    warn_locking(law, writer)
     if law.has_fibres:
         write_moduli(values["c_kpa"], values["fibre_shear"], writer)
     n_layers = sum(len(each.layers) for each in problem.task.data)
@@ -84,6 +87,19 @@ def warn_poor(found: Intervals, writer: StageWriter) -> None:
         "not of the tissue: look at the pictures, at the noise of the case, and at what `limbcli diagnose` "
         "finds missing",
     )
+
+
+def warn_locking(law: FitLaw, writer: StageWriter) -> None:
+    """That what was found with linear tetrahedra (`element` of the result) holds on their mesh."""
+    if "tet4" not in writer.data["element"]:
+        return
+    words = (
+        f"at the f_kappa of {FIBRE_F_KAPPA:g} that this law holds their forces are too high, and c, m and "
+        "the fibres make up for it"
+        if law.fixed
+        else "f_kappa is a property of this mesh as much as of the tissue"
+    )
+    writer.warnings.append(f"linear tetrahedra lock: {words}; tet10 elements do not")
 
 
 def parameter_table(problem: EstimationProblem, found: Intervals) -> dict[str, dict[str, Any]]:
@@ -117,6 +133,18 @@ def parameter_table(problem: EstimationProblem, found: Intervals) -> dict[str, d
             "low": low, "high": high, "flag": spoken.flag, "words": words,
         }  # fmt: skip
     return table
+
+
+def judge_given_c(c: dict[str, Any], task: JointTask, scale: float) -> None:
+    """c is called fixed where it was given and the data tell less of it than that does.
+
+    c : its row of the table; scale : of the noise's variance, by which that of what was given counts too
+    """
+    if task.c_deviation is None or c["standard_error"] < np.sqrt(0.5 * scale) * task.c_deviation * c["value"]:
+        return
+    given = f"{short(kpa_from_mpa(task.c0), 4)} kPa, one deviation {short(100 * task.c_deviation, 2)} %"
+    c["flag"], c["words"] = "fixed", f"c is what was given ({given}): the data tell less of it than that."
+    c["headline"] = headline(c["value"], c["low"], c["high"], c["flag"], unit="kPa")
 
 
 def _in_unit(parameter: FitParameter, unit: float) -> FitParameter:

@@ -17,8 +17,13 @@ from limbcli.reporting.headline import headline
 from limbcli.results import StageWriter
 from limbcli.stages.fitting.exports import parameter_rows, write_exports
 from limbcli.stages.fitting.joint_picture import draw_joint
-from limbcli.stages.fitting.joint_result import parameter_table, warn_poor, write_level_table
-from limbcli.stages.fitting.laws import FIBRE_F_KAPPA, FitLaw
+from limbcli.stages.fitting.joint_result import (
+    parameter_table,
+    warn_locking,
+    warn_poor,
+    write_level_table,
+)
+from limbcli.stages.fitting.laws import FitLaw
 from limbcli.stages.fitting.least_stiffness import LeastStiffness, least_stiffness
 from limbcli.stages.fitting.state_curve import StateCurve
 from limbcli.stages.fitting.state_plan import StretchPlan
@@ -143,12 +148,6 @@ def _report(
         )
     writer.summary.append(f"chi-square {found.chi_square:.1f} for {found.n_freedom} degrees of freedom")
     writer.warnings += writer.data["undetermined"]
-    if "tet4" in writer.data["element"]:
-        words = (
-            f"at the f_kappa of {FIBRE_F_KAPPA:g} that this law holds their forces are too high"
-            if law.fixed
-            else "f_kappa is a property of this mesh as much as of the tissue"
-        )
-        writer.warnings.append(f"linear tetrahedra lock: {words}; tet10 elements do not")
+    warn_locking(law, writer)
     for theta in found.unsolved:
         writer.warnings.append(f"no simulation converged at {np.array2string(theta, precision=3)}")
