@@ -205,6 +205,16 @@ def test_the_power_of_a_proposal_is_its_own(added, power):
     assert [each.name for each in useful_steps(steps)] == ["x"] * (added > 1.6)
 
 
+def test_two_explanations_are_as_far_apart_as_the_better_of_them_follows_the_other():
+    """The second has a parameter by which it does just what the first does; the first cannot follow it."""
+    stiff = Fitted(("a",), np.array([1.0, 0.0]), np.array([[1.0], [0.0]]), ("c",), {})
+    free = Fitted(("b",), np.array([1.0, 4.0]), np.eye(2), ("c", "m"), {})
+    other = Fitted(("d",), np.array([9.0, 3.0]), np.array([[1.0], [0.0]]), ("c",), {})
+    whiten = Whitener.of(0.25 * np.eye(2))
+    assert separation(stiff, free, whiten) == separation(free, stiff, whiten) == pytest.approx(0.0)
+    assert separation(stiff, other, whiten) == separation(other, stiff, whiten) == pytest.approx(6.0)
+
+
 def test_a_pair_that_nothing_tells_apart_does_not_choose_the_measurement():
     def step(name, pair, power):
         return NextStep(name, name, ("a", pair), 1.0, 1.0, power)

@@ -130,6 +130,22 @@ def test_parts_at_an_edge_of_what_is_shown_are_known_less_well():
     assert {row.part for row, each in zip(hole, deviation, strict=True) if each > 0} == {2, 5, 6}
 
 
+@pytest.mark.parametrize(("eta", "allowed"), [((2.0,), 0.9 * 1000.0), ((0.0,), 0.9 * 1000.0), (None, 100.0)])
+def test_a_test_of_several_channels_allows_for_each_by_its_part(eta, allowed):
+    """Of a direction three deviations in the maps and one in the force, nine tenths look at the maps: at 2 %
+    of what an effect changes there, if there is an estimate or not; and at no more than it explains."""
+    noise = Noise((independent("own", np.full(2, 2.0), source="repeats"),))
+    data = Data(np.zeros(2), ("map", "force"), np.arange(2.0), noise)
+    spot = Fitted(
+        ("inclusion",), np.array([2 * 1000**0.5, 0.0]), np.zeros((2, 0)), (), {}, without=np.zeros(2)
+    )
+    along = Direction(np.array([[3.0], [1.0]]), (0,))
+    tested = calibrate.Tested("tilt", Score(1.0, along, np.array(eta or (2.0,))), 0.5, 0.5, 9.0)
+    family, whiten = calibrate.Family((tested,), None, 0.05), Whitener.of(noise.covariance)
+    found = form_allowances(data, spot, family, whiten, 2000.0 if eta else 100.0)
+    assert found == pytest.approx({"tilt": thresholds.OF_FORM * allowed})
+
+
 def test_an_effects_form_errs_by_its_share_alike_at_neighbouring_levels_and_places():
     """Two parts of an image, 4 mm apart, at two levels; and a force: 15 % and 5 % of what changes."""
     n, level = 6, np.array([0.0, 0.0, 1.0, 1.0, 0.0, 1.0])

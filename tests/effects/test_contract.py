@@ -155,6 +155,8 @@ def test_bone_spring_is_that_of_the_golden_model(base, golden):
     assert model.springs[0].stiffness == theirs.springs[0].stiffness == 2.0
     assert {b.name for b in model.bodies} == {b.name for b in theirs.bodies}
     assert next(b for b in model.bodies if b.name == "bone").node_sets == ("fixed",)
+    held = [{each.node_set for each in every.supports} for every in (base, model)]
+    assert held[1] == held[0] - {"fixed"}  # the bone is held by the spring alone
 
 
 def test_promoted_tet4_is_the_golden_tet10(base, golden):
