@@ -19,8 +19,8 @@ def toward_head(axis: Array) -> Array:
 def side_of(direction: Array) -> str:
     """The side of the patient that a direction (3,) in LPS points to.
 
-    >>> side_of(np.array([-1.0, 0.1, 0.0])), side_of(np.array([0.0, -0.7, 0.7]))
-    ('right', 'anterior and head')
+    >>> [side_of(np.array(each)) for each in ((-1.0, 0.1, 0.0), (0.0, -7.0, 9.0), (0.0, 9.0, -4.0))]
+    ['right', 'head and anterior', 'posterior']
     """
     share = np.asarray(direction, dtype=float) / np.linalg.norm(direction)
     told = [k for k in np.argsort(-np.abs(share), kind="stable") if abs(share[k]) > _ALSO]

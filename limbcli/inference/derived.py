@@ -63,30 +63,25 @@ def derived_interval(
     ends, opens = [], []
     for sign, stop in ((-1.0, low), (1.0, high)):
         inside, theta, is_open = value, best.theta, True
-        deviance_inside = 0.0
         for _ in range(int(np.ceil(abs(stop - value) / pace))):
             outside = float(np.clip(inside + sign * pace, low, high))
             deviance, moved = at(outside, theta)
             if not np.isfinite(deviance):  # the parameters' bounds end the walk, not the data
                 break
             if deviance > threshold:
-                inside = _crossing(at, (inside, deviance_inside, theta), (outside, deviance), threshold)
+                inside = _crossing(at, inside, theta, outside, threshold)
                 is_open = False
                 break
-            inside, theta, deviance_inside = outside, moved, max(deviance, 0.0)
+            inside, theta = outside, moved
         ends.append(inside)
         opens.append(is_open)
     return DerivedInterval(value, ends[0], ends[1], opens[0], opens[1])
 
 
 def _crossing(
-    at: Callable[[float, Array], tuple[float, Array]],
-    inside: tuple[float, float, Array],
-    outside: tuple[float, float],
-    threshold: float,
+    at: Callable[[float, Array], tuple[float, Array]], near: float, theta: Array, far: float, threshold: float
 ) -> float:
-    """Where the deviance meets its threshold, by halving."""
-    (near, _, theta), (far, _) = inside, outside
+    """Where the deviance meets its threshold between `near`, fitted by theta, and `far`: by halving."""
     for _ in range(4):
         middle = 0.5 * (near + far)
         deviance, moved = at(middle, theta)

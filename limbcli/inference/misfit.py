@@ -37,6 +37,8 @@ class Misfit:
         """
         >>> Misfit(2.0, 0.5, float("nan")).words
         'poor fit: it misses the measured force by 2 N (RMSE under load), 4 times what its noise explains'
+        >>> Misfit(0.5, 0.5, 0.8).words.removeprefix("poor fit: it misses the measured force by ")
+        '0.5 N (RMSE under load), 1 times what its noise explains; R2 0.80'
         >>> Misfit(0.5, 0.5, 0.99).words
         ''
         """

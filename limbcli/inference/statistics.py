@@ -14,6 +14,8 @@ def coefficient_of_determination(measured: Array, simulated: Array) -> float:
 
     >>> coefficient_of_determination(np.array([0.0, 2.0, 4.0]), np.array([0.0, 2.0, 4.0]))
     1.0
+    >>> coefficient_of_determination(np.array([0.0, 2.0, 4.0]), np.array([0.0, 2.0, 2.0]))
+    0.5
     """
     total = float(np.sum((measured - measured.mean()) ** 2))
     return 1.0 - float(np.sum((measured - simulated) ** 2)) / total if total > 0.0 else float("nan")
@@ -21,7 +23,7 @@ def coefficient_of_determination(measured: Array, simulated: Array) -> float:
 
 def root_mean_square(residual: Array) -> float:
     """
-    >>> root_mean_square(np.array([3.0, -3.0]))
-    3.0
+    >>> root_mean_square(np.array([0.0, -10.0, 0.0, 0.0]))
+    5.0
     """
     return float(np.sqrt(np.mean(residual**2)))

@@ -102,8 +102,8 @@ _WORDS = {"residual depth": _residual, "compliance": _compliance, "force offset"
 def support_text(levels: Levels, study: CycleStudy, *, travel_deviation: float) -> str | None:
     """Whether the limb moved as a whole between the loadings; None where the probe's travel was not read.
 
-    Travel minus depth is what the bone gave way. It is compared at the levels of the first and the
-    last loading, by the largest force that both reach.
+    Travel minus depth is what the bone gave way. It is compared at the first loading's levels, in the mean of
+    those whose force the last one reaches, too.
     """
     whole = [*(each.earlier for each in study.differences), *(each.later for each in study.differences[-1:])]
     given = levels.probe_travel - levels.depth
@@ -124,6 +124,6 @@ def support_text(levels: Levels, study: CycleStudy, *, travel_deviation: float) 
     if abs(size) <= 3.0 * deviation:
         return f"travel minus depth is the same in cycles {first} and {last}: the support did not move"
     return (
-        f"from cycle {first} to {last} the probe's travel grew by {short(size, 2)} mm more than the depth: "
-        "the limb or its support moved"
+        f"from cycle {first} to {last} the probe's travel grew by {short(abs(size), 2)} mm "
+        f"{'more' if size > 0 else 'less'} than the depth: the limb or its support moved"
     )

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from limbcli.diagnostics.model.forward_model import Direction
+from limbcli.diagnostics.model.linear import LinearFit
+from limbcli.diagnostics.model.noise import ErrorDraws
 from limbcli.diagnostics.selection.baseline_fit import BaselineFit
-from limbcli.diagnostics.selection.candidates import whitened_trials
+from limbcli.diagnostics.selection.candidates import Candidates, whitened_trials
 from limbcli.diagnostics.selection.refits import Refits
+from limbcli.diagnostics.statistical_tests.multiple_testing import score_family
+from limbcli.diagnostics.statistical_tests.score import Trial
 from limbcli.effects import effect
 from limbcli.effects.reading import read
 from limbcli.measurement.elastography import SweMap
@@ -37,6 +43,48 @@ def test_what_a_point_of_a_grid_begins_with_goes_with_its_trial(rng):
     baseline = BaselineFit(data, data.fit((), {}), 7, 200)
     trials = whitened_trials(data, baseline.base, {"place": None}, baseline.whiten, {}, SILENT)
     assert [each.at for each in trials[0].directions] == [{"x": 0.25}, {"x": 0.5}, {"x": 0.75}]
+
+
+def look_alike(likeness: dict[frozenset[str], float], tests=()) -> Candidates:
+    """Candidates a to d, of which these pairs look alike."""
+
+    class Alike(Candidates):
+        def _likeness(self, first, second):
+            return likeness.get(frozenset((first, second)), 0.0)
+
+    return Alike(None, dict.fromkeys("abcd"), SimpleNamespace(tests=tests))
+
+
+def test_an_effect_is_exchanged_for_those_that_look_like_it_the_most_alike_first():
+    alike = look_alike(
+        {frozenset("ac"): 0.9, frozenset("bd"): 0.95, frozenset("bc"): 0.7, frozenset("ab"): 1.0}
+    )
+    both = SimpleNamespace(explanation=("a", "b"))
+    assert alike.exchanged([both]) == [("a", "d"), ("c", "b")]
+    again = alike.exchanged([both, SimpleNamespace(explanation=("c", "d"))])
+    assert sorted(again) == [("a", "d"), ("c", "b")]  # each pair once
+
+
+@pytest.mark.parametrize(("left_p", "longer"), [(0.01, [("x", "a"), ("x", "b")]), (0.05, [])])
+def test_what_leaves_something_is_extended_by_what_is_near_significance(left_p, longer):
+    """Not by a part of the data, which is no effect, nor by what shows nothing."""
+    tests = [
+        SimpleNamespace(name=name, p_adjusted=p, score=SimpleNamespace(statistic=statistic))
+        for name, p, statistic in
+        (("where: force", 0.001, 30.0), ("b", 0.15, 9.0), ("a", 0.15, 10.0), ("c", 0.3, 5.0))
+    ]  # fmt: skip
+    refit = SimpleNamespace(explanation=("x",), left_p=left_p, family=SimpleNamespace(tests=tests))
+    assert look_alike({}).extended(refit, below=0.05) == longer
+
+
+def test_two_effects_look_as_alike_as_what_the_fit_leaves_of_them(rng):
+    """What both share with the fitted parameters does not make them alike; nor does their size or sign."""
+    jacobian = np.eye(6)[:, :1]
+    columns = {"a": np.array([5.0, 3.0, 4.0, 0, 0, 0]), "b": -7 * np.array([9.0, 3.0, -4.0, 0, 0, 0])}
+    state = LinearFit.of(rng.standard_normal(6), jacobian)
+    trials = {name: Trial(name, (Direction(each[:, None], (0,)),)) for name, each in columns.items()}
+    family = score_family(state, list(trials.values()), ErrorDraws((3,), 6, 200))
+    assert Candidates(state, trials, family)._likeness("a", "b") == pytest.approx(7 / 25)
 
 
 def with_a_ball(rng, x: float, depth: float) -> SiteForwardModel:

@@ -41,6 +41,19 @@ def test_the_interval_is_that_of_least_squares(size):
     assert low < size < high
 
 
+def test_where_the_noise_is_as_stated_the_data_do_not_widen_it():
+    """Data scatter by a tenth more than stated, which may be chance: intervals are the stated noise's."""
+    case = toy.make(np.random.default_rng(3), sd=1.15)
+    found = diagnose(case, seed=7, n_draws=300, propose=False, max_effects=1)
+    assert not found.relative
+    assert found.shrink[0].chi2_per_nu > 1.1
+    inverse = np.linalg.inv(case.data.noise.covariance)
+    for name in ("offset", "bias", "hump", "wave"):
+        columns = np.column_stack([toy.BASE, toy.SIGNATURES[name][0][1]])
+        deviation = np.sqrt(np.linalg.inv(columns.T @ inverse @ columns)[-1, -1])
+        assert np.ptp(found.sizes[name][name]) == pytest.approx(2 * 1.96 * deviation, rel=1e-3)
+
+
 N_PLACES, N_DATA = 20, 60
 BALLS = np.linalg.qr(np.random.default_rng(1).standard_normal((N_DATA, N_PLACES)))[0] * 5.0
 

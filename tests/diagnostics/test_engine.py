@@ -23,7 +23,7 @@ from limbcli.diagnostics.conclusions.sentences import sentences
 from limbcli.diagnostics.engine import _Run, diagnose
 from limbcli.diagnostics.model.estimates import Reported
 from limbcli.diagnostics.model.forward_model import Fitted, Proposal
-from limbcli.diagnostics.model.linear import Whitener
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
 from limbcli.diagnostics.selection import baseline_fit
 from limbcli.diagnostics.selection.baseline_fit import BaselineFit
 from limbcli.diagnostics.selection.candidates import Candidates, closes_gross
@@ -50,6 +50,8 @@ def test_a_clear_effect_is_named_and_sized(rng, name, size):
     assert found.chosen == (name,)
     assert abs(found.final.values[name] - size) < 0.3 * size
     assert found.shrink[-1].chi2_per_nu < 2.0 < found.shrink[0].chi2_per_nu
+    low, high = found.refitted_sizes[name].intervals[name]
+    assert low < found.final.values[name] < high
     before, after = (stage.held_out["all"] for stage in found.shrink)
     told = f"held-out error {before:.2f} to {after:.2f} deviations"
     assert any(told in each for each in sentences(found)), "a sentence says what the table of the page says"
@@ -97,6 +99,8 @@ def test_two_effects_are_found_together(rng, pair):
         found = run(toy.make(rng, pair))
         assert found.verdict == "named"
         assert set(found.chosen) == set(pair)
+        assert [each.explanation for each in found.shrink] == [found.chosen[:k] for k in range(3)]
+        assert np.all(np.diff([each.chi2 for each in found.shrink]) < 0)
 
 
 def test_an_effect_that_would_have_to_be_implausibly_large_is_no_explanation(rng):
@@ -132,6 +136,18 @@ def test_a_masked_effect_is_a_blind_spot(rng):
     assert spot.visible_fraction < 0.1
     assert spot.is_undetectable
     assert spot.matters
+
+
+def test_what_is_left_of_a_channel_is_its_root_mean_square(rng):
+    """One datum that is ten deviations off among 13 makes 10/sqrt(13) of them, not 0."""
+    case = toy.make(rng)
+    off = 10.0 * (np.arange(len(case.y)) == 4)
+    fitted = Fitted((), case.y - off, toy.BASE, ("c", "m", "k"), {})
+    baseline = SimpleNamespace(
+        data=case.data, forward_model=case, form_error=lambda fitted: None, is_relative=lambda state: False
+    )
+    left = Account(baseline)._stage(fitted, LinearFit.of(off, toy.BASE), None).rms
+    assert left == pytest.approx({"force": 10.0 / np.sqrt(toy.N_FORCE), "speed": 0.0})
 
 
 def test_assumed_noise_gets_no_absolute_test(rng):
@@ -187,6 +203,16 @@ def test_the_power_of_a_proposal_is_its_own(added, power):
     assert steps[0].distance_before == pytest.approx(3.0)
     assert steps[0].power == pytest.approx(power, abs=0.003)
     assert [each.name for each in useful_steps(steps)] == ["x"] * (added > 1.6)
+
+
+def test_two_explanations_are_as_far_apart_as_the_better_of_them_follows_the_other():
+    """The second has a parameter by which it does just what the first does; the first cannot follow it."""
+    stiff = Fitted(("a",), np.array([1.0, 0.0]), np.array([[1.0], [0.0]]), ("c",), {})
+    free = Fitted(("b",), np.array([1.0, 4.0]), np.eye(2), ("c", "m"), {})
+    other = Fitted(("d",), np.array([9.0, 3.0]), np.array([[1.0], [0.0]]), ("c",), {})
+    whiten = Whitener.of(0.25 * np.eye(2))
+    assert separation(stiff, free, whiten) == separation(free, stiff, whiten) == pytest.approx(0.0)
+    assert separation(stiff, other, whiten) == separation(other, stiff, whiten) == pytest.approx(6.0)
 
 
 def test_a_pair_that_nothing_tells_apart_does_not_choose_the_measurement():

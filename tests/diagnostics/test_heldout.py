@@ -36,6 +36,19 @@ def test_what_the_rest_tells_well_is_predicted_to_its_own_noise(rng):
     assert found["all"] == pytest.approx(1.0, abs=0.25)
 
 
+def test_the_error_is_a_root_mean_square_over_data():
+    """A level fitted to 0, 0 and 6 in blocks of 20, 20 and 10 data: the rest tells 2, 2 and 0 of them."""
+    sizes = np.array([20, 20, 10])
+    block = np.repeat(np.arange(3), sizes)
+    noise, n = Noise((NoisePart("own", np.eye(50), "repeats"),)), np.arange(50.0)
+    blocks = {name: block == k for k, name in enumerate("abc")}
+    told = Data(6.0 * (block == 2), ("map",) * 50, n, noise, blocks=blocks)
+    found = held_out_error(told, fitted(told, np.ones((50, 1))))
+    assert found == pytest.approx({"a": 2.0, "b": 2.0, "c": 6.0, "all": np.sqrt(sizes @ [4, 4, 36] / 50)})
+    wider = replace(told, noise=Noise((NoisePart("own", 4.0 * np.eye(50), "repeats"),)))
+    assert held_out_error(wider, fitted(wider, np.ones((50, 1))))["all"] == pytest.approx(found["all"] / 2)
+
+
 @pytest.mark.parametrize(("grows", "tested"), [(2.0, True), (8.0, False)])
 def test_a_block_that_tells_a_parameter_itself_says_nothing_of_the_model(rng, grows, tested):
     """A parameter that moves the first block `grows` times as far as the second: known from the second alone

@@ -31,6 +31,13 @@ def test_force_between_and_beyond_solved_depths_is_that_of_a_power_of_depth():
     assert np.exp(log_force_at(curve(1.4), at)) == pytest.approx(0.7 * at**1.4, rel=1e-9)
 
 
+def test_below_and_beyond_it_is_the_power_of_the_nearest_two_depths():
+    depth = np.array([0.0, 1.0, 2.0, 4.0, 8.0])
+    bent = Curves(depth, np.array([0.0, 0.5, 0.5 * 2**1.2, 2.0, 2.0 * 2**2.5]), np.zeros((5, 0)), np.zeros(0))
+    found = np.exp(log_force_at(bent, np.array([0.1, 0.4, 16.0])))
+    assert found == pytest.approx([0.5 * 0.1**1.2, 0.5 * 0.4**1.2, 2.0 * 4**2.5])
+
+
 def test_levels_on_the_way_back_err_by_their_depth_as_those_on_the_way_do():
     """So that 3 % of the force are as many deviations whether the way back was read or not."""
     up = np.linspace(0.0, 20.0, 11)

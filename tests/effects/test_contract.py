@@ -17,6 +17,7 @@ from limbcli.effects.curves import Curves
 from limbcli.effects.depth_zero import TOUCHES
 from limbcli.effects.drainage import Drainage
 from limbcli.effects.reading import Protocol, Reading, read
+from limbcli.effects.tissue import core
 from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
@@ -154,6 +155,8 @@ def test_bone_spring_is_that_of_the_golden_model(base, golden):
     assert model.springs[0].stiffness == theirs.springs[0].stiffness == 2.0
     assert {b.name for b in model.bodies} == {b.name for b in theirs.bodies}
     assert next(b for b in model.bodies if b.name == "bone").node_sets == ("fixed",)
+    held = [{each.node_set for each in every.supports} for every in (base, model)]
+    assert held[1] == held[0] - {"fixed"}  # the bone is held by the spring alone
 
 
 def test_promoted_tet4_is_the_golden_tet10(base, golden):
@@ -251,6 +254,43 @@ def test_guided_waves_gain_most_where_the_tissue_is_thin():
     assert np.all(np.diff(gain[:, 0]) > 0)
 
 
+def test_a_loss_of_speed_with_depth_is_counted_from_the_middle_of_the_windows():
+    """2 % per mm, windows 5 mm above and below their middle: a tenth more and a tenth less at any load."""
+    depth = np.linspace(0.0, 10.0, 3)
+    curves = Curves(depth, 2 * depth, np.log(np.full((3, 2), 3.0)), np.array([10.0, 20.0]), 30.0)
+    shown = read(curves, _protocol(), effect("swe-depth-bias").observe(Reading(), {"swe_loss_per_mm": 0.02}))
+    assert np.exp(shown.log_speed) == pytest.approx(np.tile([3.3, 2.7], (3, 1)))
+
+
+def test_a_thicker_layer_reaches_deeper_below_the_same_skin(base):
+    """By as much as is said, of the tissue alone: the probe is where it was."""
+    thicker = effect("thickness").apply(base, {"thickness_change": 0.1})
+    nodes = np.unique(base.mesh.solid_blocks[0].cells)
+    probe = np.setdiff1d(np.arange(len(base.mesh.points)), nodes)
+    assert thicker.mesh.points[nodes, 2].min() == pytest.approx(1.1 * base.mesh.points[nodes, 2].min())
+    assert np.array_equal(thicker.mesh.points[nodes, :2], base.mesh.points[nodes, :2])
+    assert np.array_equal(thicker.mesh.points[probe], base.mesh.points[probe])
+
+
+def test_a_soft_contact_has_its_share_of_the_penalty(base):
+    softer = effect("contact").apply(base, {"penalty_factor": 0.25})
+    assert [c.penalty / b.penalty for c, b in zip(softer.contacts, base.contacts, strict=True)] == [0.25]
+
+
+@pytest.mark.parametrize("q", [0.0, 0.8, 1.0])
+def test_unequal_weights_bend_the_law_by_m_times_their_difference_and_keep_its_ground_modulus(q, base):
+    """Of an energy sum c/m^2 (sum of stretches^m - 3), slope and bend at rest go as sum c and sum c m; a
+    second pair has as much of either exponent and bends nothing."""
+    before = core(base.materials["tissue"]).parameters
+    for share in (0.0, 0.3):
+        theta = {"weight_q": q, "second_pair_share": share, "second_exponent": 14.0}
+        law = core(effect("nonlinearity").apply(base, theta).materials["tissue"]).parameters
+        terms = [(law[f"c{k}"], law[f"m{k}"]) for k in range(1, 7) if f"c{k}" in law]
+        assert sum(c for c, _ in terms) == pytest.approx(before["c1"] + before["c2"])
+        bend = (1 - share) * (before["c1"] + before["c2"]) * before["m1"] * (2 * q - 1)
+        assert sum(c * m for c, m in terms) == pytest.approx(bend)
+
+
 def test_an_unknown_effect_is_answered_with_the_nearest():
     with pytest.raises(CaseError, match="did you mean 'skin-layer'"):
         effect("skin_layr")
@@ -269,6 +309,25 @@ def test_a_turned_probe_touches_first_where_it_is_nearest():
         assert above.min() == pytest.approx(0.0, abs=0.05)
         assert turned.info["depth_offset_mm"] == pytest.approx(turned.bodies[0].center_of_mass[2], abs=1e-9)
         assert z.min() < -0.5 * 25.0 * np.sin(np.deg2rad(angle))  # the lowest edge has not touched
+
+
+@pytest.mark.parametrize(
+    ("about", "lowered"), [("short", (25.0, 0.0)), ("long", (0.0, -5.0))], ids=["short", "long"]
+)
+@pytest.mark.parametrize("angle", [5.0, -3.0])
+def test_a_turned_probe_is_the_same_probe_turned_by_so_much(about, lowered, angle):
+    """+5 degrees about the short axis lower the side of +x, about the long one that of -y."""
+    base = on_a_cylinder(radius=50.0)
+    theta = {f"tilt_about_{axis}_axis_deg": angle * (axis == about) for axis in ("short", "long")}
+    body = np.unique(base.mesh.block("probe").cells)
+    before, after = (model.mesh.points[body] for model in (base, effect("tilt").apply(base, theta)))
+    apart = [np.linalg.norm(each[:, None] - each[None], axis=2) for each in (before, after)]
+    assert apart[1] == pytest.approx(apart[0], abs=1e-9)
+    edge, opposite = (
+        np.flatnonzero(np.all(before[:, :2] == np.array(lowered) * s, axis=1))[0] for s in (1, -1)
+    )
+    way = after[opposite] - after[edge]
+    assert np.rad2deg(np.arcsin(way[2] / np.linalg.norm(way))) == pytest.approx(angle)
 
 
 def on_a_cylinder(*, radius: float) -> LimbModel:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from limbcli.inference.cross_validation import (
     FOLDS,
+    lines_left_out,
     mean_interval,
     percent_off,
     person_folds,
@@ -71,6 +72,40 @@ def test_springs_in_series_are_found_exactly(rng):
     thickness = rng.uniform(2, 40, (30, 2))
     compliance = thickness @ [20.0, 12.0]
     assert springs_left_out(people, thickness, compliance) == pytest.approx(compliance)
+
+
+def test_lines_are_those_of_each_site_and_of_other_people(rng):
+    """Exact where there is no noise; a reading that is far off moves everybody's but its own person's."""
+    people, sites = np.repeat([f"P{k}" for k in range(30)], 2), np.tile(["A", "B"], 30)
+    thickness = rng.uniform(2, 40, (60, 2))
+    compliance = np.where(sites == "A", 3.0 + thickness @ [20.0, 12.0], 9.0 + thickness @ [5.0, 8.0])
+    assert lines_left_out(people, sites, thickness, compliance) == pytest.approx(compliance)
+    off = compliance + 1000.0 * (np.arange(60) == 0)
+    moved = np.abs(lines_left_out(people, sites, thickness, off) - compliance) > 1e-6
+    fold = person_folds(people, FOLDS, 7)
+    assert moved.tolist() == ((sites == "A") & (fold != fold[0])).tolist()
+
+
+def test_slopes_of_chance_are_shrunken_and_those_of_a_site_are_not(rng):
+    """Chosen by people that were left out of the training, too: judged by themselves, the weakest shrinking
+    is always the best."""
+    people, sites = np.repeat([f"P{k}" for k in range(30)], 2), np.tile(["A", "B"], 30)
+    features, noise = rng.normal(0, 1, (60, 8)), rng.normal(0, 0.3, 60)
+    own = np.where(sites == "A", 1.0, -1.0) * (features @ np.linspace(0.2, 0.5, 8))
+    for ln, chosen in ((noise, 60.0), (own + 0.1 * noise, 10.0)):
+        found = predict_left_out(people, sites, features, np.exp(6.0 + ln), no_slab)
+        assert [each["shrink_site"] for each in found.chosen].count(chosen) >= 8
+
+
+def test_the_slab_is_used_where_it_helps(rng):
+    people, sites, features, compliance = cohort(rng, noise=0.05)
+    hidden = rng.normal(0, 1.0, len(compliance))
+    for slab, helps in ((hidden, True), (rng.normal(0, 1.0, len(hidden)), False)):
+        found = predict_left_out(
+            people, sites, features, compliance * np.exp(hidden), lambda train, slab=slab: slab
+        )
+        assert [each["with_slab"] for each in found.chosen].count(helps) >= 9
+        assert (percent_off(found.predicted, compliance * np.exp(hidden)).mean() < 8.0) == helps
 
 
 def test_the_interval_of_the_mean_keeps_people_together(rng):

@@ -232,6 +232,12 @@ def test_noise_scales_with_the_marks(seed, sigma):
     assert gaussian_part(3.0 * values) == pytest.approx(3.0 * gaussian_part(values), rel=1e-9)
 
 
+@pytest.mark.parametrize(("sigma", "mean"), [(0.5, 0.2), (0.3, 0.6)])
+def test_noise_is_found_where_it_is_as_large_as_the_shortening(sigma, mean, rng):
+    values = rng.exponential(mean, 3000) + rng.normal(0, sigma, 3000)
+    assert gaussian_part(values) == pytest.approx(sigma, rel=0.04)
+
+
 def test_noise_of_an_edge_is_found_and_borrowed():
     rng = np.random.default_rng(7)
     n = 3000

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.measurement.cycle_changes import change_text, changes, support_text
-from limbcli.measurement.cycles import compare, cycle_energy, study_cycles
+from limbcli.measurement.cycles import Difference, compare, cycle_energy, study_cycles
 from limbcli.measurement.hold_cycles import cycles_of_holds
 from limbcli.measurement.indentation import read_levels
 from limbcli.measurement.levels import Levels
@@ -48,6 +49,24 @@ def test_energy_of_a_loop_that_stays_open_is_that_above_its_last_level():
     assert not found.closed
     assert found.work == pytest.approx(8.0, abs=1e-12)
     assert found.lost == pytest.approx(8.0 - 6.0, abs=1e-12)
+
+
+def test_a_loop_is_closed_by_the_first_touch_of_the_next_cycle():
+    """The parallelogram, whose last level stands as the second cycle's first."""
+    closed, nan, n = parallelogram(), np.full(7, np.nan), 5
+    force, depth = np.r_[closed.force, 2.0, 6.0], np.r_[closed.depth, 3.0, 4.5]
+    phase, cycle = (*closed.phase[: n - 1], *("load",) * 3), np.array([1.0] * (n - 1) + [2.0] * 3)
+    levels = Levels(force, depth, nan, nan, nan, phase, nan, nan, nan, Path("x.csv"), cycle=cycle)
+    found, alone = cycle_energy(levels, 1, 0.1, 0.3), cycle_energy(closed, 1, 0.1, 0.3)
+    assert (found.work, found.lost, found.closed) == (alone.work, alone.lost, True)
+    assert found.lost_deviation == pytest.approx(alone.lost_deviation)
+
+
+def test_a_difference_is_largest_where_its_own_deviation_is_least():
+    covariance = np.diag([1.0, 0.01, 0.25])
+    three = np.arange(3.0)
+    found = Difference(1, 2, three, np.array([2.0, -0.5, 1.0]), covariance, three, three)
+    assert found.largest == 1  # five deviations; two of the others
 
 
 def test_deviation_of_the_energy_is_that_of_repeated_readings():
@@ -103,6 +122,17 @@ def test_what_changed_is_told_apart_and_measured(change, name, size):
     assert np.mean(sizes) == pytest.approx(size, rel=0.2)  # first order in the offset
 
 
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [({"softer": 0.5}, "became softer by 50 %"), ({"softer": -0.3}, "became stiffer by 30 %"),
+     ({"left": 2.0}, r"depths are 2 mm \(.*\) deeper"), ({"left": -2.0}, r"depths are 2 mm \(.*\) less deep"),
+     ({"drift": 3.0}, r"cell reads .* N \(.*\) less"), ({"drift": -3.0}, r"cell reads .* N \(.*\) more")],
+)  # fmt: skip
+def test_words_say_which_way_it_went(change, says):
+    told = change_text(compare(repeated({}, change, unload=False), 1, 2, 0.1, 0.3))
+    assert re.search(says, told), told
+
+
 def test_words_name_the_cause_or_say_that_the_levels_do_not_tell():
     told = change_text(compare(repeated({}, {"softer": 0.6}, unload=False, seed=7), 1, 2, 0.1, 0.3))
     assert "preconditioning" in told
@@ -116,8 +146,13 @@ def test_words_name_the_cause_or_say_that_the_levels_do_not_tell():
 
 
 def test_a_support_that_moved_shows_in_the_travel_only():
-    moved = repeated({}, {"moved": 3.0}, unload=False, seed=7, travel=True)
-    assert "support moved" in support_text(moved, study_cycles(moved, **NOISE), travel_deviation=0.3)
+    moved = repeated({}, {"moved": 3.0}, unload=False, travel=True)
+    told = support_text(moved, study_cycles(moved, **NOISE), travel_deviation=0.3)
+    assert told.startswith("from cycle 1 to 2 the probe's travel grew by 3 mm more than the depth")
+    assert told.endswith("support moved")
+    back = repeated({}, {}, {"moved": -3.0}, unload=False, travel=True)
+    told = support_text(back, study_cycles(back, **NOISE), travel_deviation=0.3)
+    assert told.startswith("from cycle 1 to 3 the probe's travel grew by 3 mm less than the depth")
     still = repeated({}, {}, unload=False, seed=7, travel=True)
     assert "did not move" in support_text(still, study_cycles(still, **NOISE), travel_deviation=0.3)
     silent = repeated({}, {}, unload=False, seed=7)

@@ -56,6 +56,34 @@ def test_drift_within_a_hold_is_said(rng):
     assert holds[-1].drift_n_per_s == pytest.approx(0.015, abs=0.005)
 
 
+def test_a_ramp_that_ends_above_its_hold_is_told_by_how_much(rng):
+    """Half a newton too far for half a second before the hold at 4 N; before the one at 6 N nothing."""
+    trace = record(rng, noise=0.01)
+    beyond = trace.force.copy()
+    first = int(find_holds(trace)[2].start_s * RATE)
+    beyond[first + 15 : first + 45] += 0.5
+    holds = find_holds(replace(trace, force=beyond))
+    assert holds[2].overshoot == pytest.approx(0.5, abs=0.06)
+    assert holds[3].overshoot < 0.15
+
+
+@pytest.mark.parametrize("gaps", [False, True])
+def test_tissue_that_gives_way_under_a_steady_force_creeps(rng, gaps):
+    """0.02 mm/s in the last hold, in which the force stays; depths may be read at some of the samples."""
+    trace = record(rng)
+    end = find_holds(trace)[-1].end_s
+    depth = (
+        3.0 + 0.02 * np.maximum(trace.time - (end - 10.0), 0.0) + 0.01 * rng.standard_normal(len(trace.time))
+    )
+    if gaps:
+        depth[::3] = np.nan
+    holds = find_holds(replace(trace, depth=depth))
+    assert [each.creeping for each in holds] == [False, False, False, True]
+    assert holds[-1].depth_drift_mm_per_s == pytest.approx(0.02, rel=0.15)
+    assert holds[-1].depth == pytest.approx(3.1, abs=0.02)
+    assert holds[1].depth == pytest.approx(3.0, abs=4 * holds[1].depth_se)
+
+
 def test_dropouts_and_spikes_do_not_break_a_hold(rng):
     trace = record(rng)
     force, keep = trace.force.copy(), np.ones(len(trace.force), dtype=bool)

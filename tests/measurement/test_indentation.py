@@ -59,6 +59,15 @@ def test_unloading_levels_are_told_apart(tmp_path: Path):
     np.testing.assert_array_equal(levels.loading, [True, True, True, False, False])
 
 
+def test_a_level_that_stands_twice_is_refused_and_one_that_crept_is_not(tmp_path: Path):
+    """The same force and depth again; the same force, held deeper."""
+    twice = [*ROWS[:2], ROWS[1], *ROWS[2:]]
+    with pytest.raises(MeasurementError, match=r"line 3 to 4 is repeated"):
+        read_levels(write(tmp_path, rows=twice))
+    crept = [*ROWS[:2], "2,2.4,1.8,0.2,88", *ROWS[2:]]
+    np.testing.assert_array_equal(read_levels(write(tmp_path, rows=crept)).force, [0, 2, 2, 4, 6])
+
+
 @pytest.mark.parametrize(
     ("force", "depth", "speed", "expected"),
     [

@@ -65,6 +65,16 @@ def test_the_few_pixels_that_a_wrong_opacity_leaves_are_no_reading(rng, opacity,
     assert faint.share_unlike == pytest.approx(0.48, abs=0.05)
 
 
+def test_a_bar_that_lies_is_low_at_its_left(rng):
+    """The screen with its upright bar laid along the lower edge."""
+    image, lying = render(rng, ramp()), (60, 270, 259, 289)
+    rgb = image.rgb.copy()
+    rgb[270:290, 60:260] = rgb[BAR[1] : BAR[3] + 1, BAR[0] : BAR[2] + 1][::-1].swapaxes(0, 1)
+    found = bar_colours(replace(image, rgb=rgb), replace(overlay(), bar_pixels=lying))
+    for mine, upright in zip(found, bar_colours(image, overlay()), strict=True):
+        np.testing.assert_allclose(mine, upright, atol=1e-9)
+
+
 def test_a_bar_in_kpa_is_even_in_the_speed_s_square(rng):
     image = render(rng, ramp())
     even = decode_overlay(image, overlay()).swe.speed_m_per_s

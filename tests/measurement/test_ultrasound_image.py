@@ -93,6 +93,25 @@ def test_a_picture_that_begins_below_the_face_is_refused_until_its_box_is_told(t
     assert read_image(path, box_pixels=(0, 3, 79, 60)).main_region().top == 3
 
 
+@pytest.mark.parametrize(
+    "region",
+    [{"PhysicalUnitsXDirection": 4}, {"PhysicalUnitsYDirection": 7}, {"PhysicalDeltaY": 0.0},
+     {"RegionSpatialFormat": 2}],
+    ids=["seconds along x", "cm/s along y", "no size", "motion over time"],
+)  # fmt: skip
+def test_a_region_that_is_no_picture_in_cm_gives_no_scale(tmp_path, region):
+    """A trace of motion or of a flow's speed beside the tissue, whose pixels are no lengths."""
+    assert not read_image(stored(tmp_path / "a.dcm", screen().tobytes(), **region)).regions
+    assert len(read_image(stored(tmp_path / "b.dcm", screen().tobytes())).regions) == 1
+
+
+def test_a_box_beyond_the_image_is_refused(tmp_path):
+    path = stored(tmp_path / "a.dcm", screen().tobytes())
+    for box in ((0, 0, COLUMNS, ROWS - 1), (0, 0, COLUMNS - 1, ROWS), (-1, 0, 9, 9), (9, 0, 9, 9)):
+        with pytest.raises(MeasurementError, match="does not lie in the image of 80 by 64 pixels"):
+            read_image(path, box_pixels=box)
+
+
 def test_of_a_real_convex_probe_s_picture_the_face_is_8_mm_below_the_region_s_top(shared):
     region = read_image(shared / "data" / "us-dicom" / "gdcm-US-ALOKA-16.dcm").main_region()
     assert region.top == 45  # its corner is at 24, its reference pixel 21 below

@@ -9,7 +9,7 @@ from limbcli.errors import MeasurementError
 from limbcli.feb.read import read_feb
 from limbcli.feb.records import read_records
 from limbcli.model import Material
-from limbcli.shear_waves.ogden import OgdenTerms, acoustic_tensor
+from limbcli.shear_waves.ogden import OgdenTerms, acoustic_tensor, principal_modulus
 from limbcli.shear_waves.speed import wave_speed_m_per_s
 
 X, Z = np.array([1.0, 0, 0]), np.array([0, 0, 1.0])
@@ -188,3 +188,13 @@ def test_stiffness_may_differ_from_point_to_point():
     c = np.array([[0.003, 0.003], [0.006, 0.006]])
     speed = wave_speed_m_per_s(np.stack([np.eye(3)] * 2), OgdenTerms(c, np.array([6.0, -6.0])))
     assert speed == pytest.approx(np.sqrt([3.0, 6.0]))
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_modulus_between_principal_axes_is_that_of_the_acoustic_tensor(law, rng):
+    """Along x, moving along z, of stretches that are far apart, nearly equal and equal."""
+    stretch = rng.uniform(0.6, 1.6, (6, 3))
+    stretch[4, 2], stretch[5, 2] = stretch[4, 0] * (1 + 1e-6), stretch[5, 0]
+    Q = acoustic_tensor(np.eye(3) * stretch[:, None, :], X, LAWS[law], volumetric=False)
+    found = principal_modulus(LAWS[law], stretch[:, 0], stretch[:, 2])
+    np.testing.assert_allclose(found, Q[:, 2, 2], rtol=1e-6)

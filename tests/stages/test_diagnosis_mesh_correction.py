@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from limbcli.effects.curves import Curves
 from limbcli.errors import CaseError, SolveError
 from limbcli.model_io import save_model
 from limbcli.progress import SILENT
@@ -121,6 +122,43 @@ def test_a_layer_beside_the_tissue_is_no_error_of_a_mesh(ran, tmp_path):
     mine, told = SimpleNamespace(site=site), SimpleNamespace(warnings=[])
     written.write_diagnosed(None, None, mine, told, out=layered, number=0)
     assert "no .feb was written: the site's mesh has fat" in told.warnings[0]
+
+
+def _comparison(out: Path, curves: dict[float, Curves], depth: np.ndarray, size: float) -> MeshComparison:
+    simulations = SimpleNamespace(curves=curves.__getitem__)
+    return MeshComparison(
+        SimpleNamespace(name="p1"), depth, simulations, out=out, size=size, several=list(curves),
+        notes=Notes(), progress=SILENT,
+    )  # fmt: skip
+
+
+def _curves(force: list[float], log_speed: list[float]) -> Curves:
+    return Curves(np.arange(len(force)) * 1.0, np.array(force), np.array(log_speed)[:, None], np.zeros(1))
+
+
+def test_the_limb_is_half_way_from_a_cut_that_is_held_to_one_that_is_free(tmp_path):
+    """Of ln force and ln speeds; a part that the free model does not show stays as it is."""
+    held, freed = _curves([0.0, 2.0, 5.0], [0.1, 0.2, 0.3]), _curves([0.0, 1.0, 3.2], [0.0, np.nan, 0.5])
+    comparison = _comparison(tmp_path, {4.0: held}, np.array([0.0, 1.5, 2.0]), 5.0)
+    alone = comparison.correction(solves=False, freed={})
+    assert not alone.log_force.any()
+    found = comparison.correction(solves=False, freed={4.0: freed})
+    assert held.force * np.exp(found.log_force[0]) == pytest.approx(np.sqrt(held.force * freed.force))
+    assert found.log_speed[0, :, 0] == pytest.approx([-0.05, 0.0, 0.1])
+
+
+def test_an_error_of_quadratic_elements_goes_as_the_square_of_their_edge(tmp_path):
+    """Of forces that are too large by k h^2: half as much again as the finer mesh keeps."""
+    for size, h in ((5.0, 2.5), (6.0, 2.0)):
+        kept = h**2 / (size**2 - h**2)
+        comparison = _comparison(tmp_path, {4.0: _curves([0.0, 1.0], [0.0, 0.0])}, np.zeros(2), size)
+        assert comparison._left(h) == pytest.approx(1.5 * kept)
+    usual = [
+        _comparison(tmp_path, {4.0: _curves([0.0, 1.0], [0.0, 0.0])}, np.zeros(2), size)
+        .correction(solves=False, freed={}).mesh_error for size in (2.5, 5.0)
+    ]  # fmt: skip
+    assert usual[0] == pytest.approx(0.03)
+    assert usual[1] == pytest.approx(4 * usual[0])
 
 
 def _correction(several: list[float], force: list[float], speed: list[float]) -> MeshCorrection:

@@ -193,6 +193,10 @@ def test_interval_of_a_derived_quantity_is_that_of_a_linear_problem():
     assert (found.low, found.high) == pytest.approx((11.0 - half, 11.0 + half), abs=0.03)
     assert not found.open_low
     assert not found.open_high
+    noisier = derived_interval(
+        objective, parameters, best, total, low=2.0, high=40.0, pace=0.5, scale=4.0
+    )  # the noise's variance four times as large as stated
+    assert (noisier.low, noisier.high) == pytest.approx((11.0 - 2 * half, 11.0 + 2 * half), abs=0.03)
     short = derived_interval(objective, parameters, best, total, low=10.5, high=12.0, pace=0.5)
     assert short.open_low
     assert short.open_high

@@ -19,8 +19,6 @@ from limbcli.diagnostics.statistical_tests.score import Trial
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
-# The same in an image, where edges lie elsewhere: how wide it is (mm), how alike from level to level.
-
 
 @dataclass(frozen=True, eq=False)
 class BaselineFit:

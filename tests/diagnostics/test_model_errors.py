@@ -1,0 +1,88 @@
+"""What a model's own geometry leaves to doubt, in the numbers that the data have to allow for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from limbcli.effects.curves import Curves
+from limbcli.measurement.levels import Levels
+from limbcli.results import open_stage
+from limbcli.stages.diagnosis.mesh_error.mesh_correction import MeshCorrection
+from limbcli.stages.diagnosis.mesh_error.model_errors import ModelErrors
+from limbcli.stages.diagnosis.mesh_error.numerical_checks import Intervention
+from limbcli.stages.diagnosis.prepare import Notes
+
+DEPTH = np.array([0.0, 2.0, np.nan, 8.0])
+N = len(DEPTH)
+
+
+def errors_of(out: Path, *, thickness: float = 25.0, maps: str | None = None) -> ModelErrors:
+    """Four levels, one of which has no depth; ln speeds of the whole and of two parts, straight in depth."""
+    depth = np.linspace(0.0, 10.0, 6)
+    slopes = np.array([0.02, 0.03, -0.01])
+    curves = Curves(depth, depth, np.outer(depth, slopes), np.zeros(3), thickness)
+    simulations = SimpleNamespace(
+        curves=lambda m: curves,
+        windows=SimpleNamespace(depths=np.zeros(3), width_uncertainty=lambda log_speed: 0.01 * depth),
+    )
+    nan = np.full(N, np.nan)
+    levels = Levels(
+        np.arange(N) * 1.0, DEPTH, nan, nan, nan, ("load",) * N, nan, nan, nan, Path("levels.csv")
+    )
+    return ModelErrors(
+        SimpleNamespace(
+            case=SimpleNamespace(imaging=SimpleNamespace(assumed="")), site=SimpleNamespace(swe_maps=maps),
+            levels=levels, simulations=simulations, out=out, notes=Notes(), depth=DEPTH,
+            likely_m=4.0,
+        )
+    )  # fmt: skip
+
+
+def with_voxels(out: Path, spacing: list[float]) -> None:
+    with open_stage(out, "segment", subject="x") as writer:
+        writer.data["image"] = {"spacing_mm": spacing}
+
+
+def every(errors: ModelErrors):
+    correction = MeshCorrection(np.ones(1), np.zeros((1, 6)), np.zeros((1, 6, 3)), 1.0, np.full(N, 0.02),
+                                np.full(N, 0.004))  # fmt: skip
+    change = np.full(N, 0.3)
+    crop = Intervention("crop", change, np.zeros((N, 3)), 4.0, left=0.3)
+    locking = Intervention("locking", change, np.zeros((N, 3)), 4.0)
+    return {each.name.removeprefix("model: "): each for each in errors.all(correction, [crop, locking])}
+
+
+@pytest.mark.parametrize(("spacing", "touch"), [([2.0, 2.0, 2.0], 1.0), ([1.0, 1.0, 8.0], 1.0), (None, 0.3)])
+def test_first_touch_is_known_to_half_a_voxels_edge(spacing, touch, tmp_path):
+    """And with it the thickness, in hypotenuse with the 3 % by which a limb is another on another day."""
+    if spacing is not None:
+        with_voxels(tmp_path, spacing)
+    found = every(errors_of(tmp_path))
+    assert found["depth at first touch"].depth == pytest.approx(touch)
+    assert found["strain by the thickness"].strain == pytest.approx(np.hypot(touch / 25.0, 0.03))
+    assert found["gain of the force by the geometry"].log_force == pytest.approx(0.05 if spacing else 0.04)
+
+
+def test_what_is_still_in_doubt_of_a_numerical_change_counts_and_locking_does_not(tmp_path):
+    found = every(errors_of(tmp_path))
+    assert found["crop"].log_force == pytest.approx(0.09)
+    assert "locking" not in found
+    assert found["mesh"].log_force == pytest.approx(0.02)
+
+
+def test_means_and_maps_err_by_what_is_theirs(tmp_path):
+    """The mean: by mesh, window and strain; a map: by how fast its pattern grows, 5 % of its growth."""
+    means, maps = every(errors_of(tmp_path)), every(errors_of(tmp_path, maps="maps"))
+    assert "growth of the maps' pattern" not in means
+    assert not {"mesh, in the mean speed", "width of the window"} & set(maps)
+    width = means["width of the window"].log_speed
+    assert width[:, 0] == pytest.approx([0.0, 0.02, 0.0, 0.08])
+    assert not width[:, 1:].any()
+    grown = maps["growth of the maps' pattern"].log_speed
+    assert grown == pytest.approx(0.05 * np.outer([0.0, 2.0, 0.0, 8.0], [0.02, 0.03, -0.01]))
+    slopes = errors_of(tmp_path, maps="maps").map_slopes()
+    assert slopes == pytest.approx(np.tile([0.03, -0.01], (3, 1)))
