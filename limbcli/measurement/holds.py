@@ -143,18 +143,18 @@ def _longest_first(time: Array, stretches: list[tuple[int, int]], duration_s: fl
 
 
 def _describe(time: Array, force: Array, depth: Array | None, a: int, b: int, resolution: float) -> Hold:
-    t, f = time[a : b + 1], force[a : b + 1]
-    sane = _sane(f, resolution)
-    gaps = int((np.diff(t) > _DROPOUT_FACTOR * float(np.median(np.diff(time)))).sum())
-    t, f = t[sane], f[sane]
+    inside = a + np.flatnonzero(_sane(force[a : b + 1], resolution))
+    a, b = int(inside[0]), int(inside[-1])  # what the band took of the ramps beside it is no spike
+    gaps = int((np.diff(time[a : b + 1]) > _DROPOUT_FACTOR * float(np.median(np.diff(time)))).sum())
+    t, f = time[inside], force[inside]
     late = t >= 0.5 * (t[0] + t[-1])
     drift, drift_se = _slope(t[late], f[late])
     before = (time < t[0]) & (time >= t[0] - 2.0)
     overshoot = float(force[before].max() - f.mean()) if before.any() else 0.0
     depth_mean = depth_se = depth_drift = None
     creeping = abs(drift) > _CREEP_SIGNIFICANCE * drift_se and abs(drift) * (t[-1] - t[0]) > f.std()
-    if depth is not None and np.isfinite(depth[a : b + 1]).sum() > _BATCHES:
-        d = depth[a : b + 1][sane]
+    if depth is not None and np.isfinite(depth[inside]).sum() > _BATCHES:
+        d = depth[inside]
         known = np.isfinite(d)
         depth_mean, depth_se = float(d[known].mean()), _standard_error(d[known])
         depth_drift, slope_se = _slope(t[late & known], d[late & known])
@@ -169,7 +169,7 @@ def _describe(time: Array, force: Array, depth: Array | None, a: int, b: int, re
         drift_se_n_per_s=drift_se,
         overshoot=max(0.0, overshoot),
         n_dropouts=gaps,
-        n_spikes=int((~sane).sum()),
+        n_spikes=b + 1 - a - len(inside),
         depth=depth_mean,
         depth_se=depth_se,
         depth_drift_mm_per_s=depth_drift,

@@ -74,6 +74,12 @@ def test_readings_one_step_of_the_load_cell_apart_are_no_spikes(rng):
     np.testing.assert_allclose([each.force for each in holds], [0, 2.03, 4.06], atol=0.02)
 
 
+def test_a_record_without_spikes_has_none_at_the_ends_of_its_holds(rng):
+    holds = find_holds(record(rng, noise=0.005))
+    assert [each.n_spikes for each in holds] == [0, 0, 0, 0]
+    np.testing.assert_allclose([each.force for each in holds], [0, 2, 4, 6], atol=0.005)
+
+
 def test_record_without_holds_says_how_near_it_came(rng):
     time = np.arange(600) / RATE
     trace = Trace(time, 2.0 * time, None, None, None, Path("trace.csv"))
