@@ -80,6 +80,15 @@ def test_a_record_without_spikes_has_none_at_the_ends_of_its_holds(rng):
     np.testing.assert_allclose([each.force for each in holds], [0, 2, 4, 6], atol=0.005)
 
 
+@pytest.mark.parametrize("every", [1, 60])
+def test_depth_and_travel_may_be_read_less_often_than_the_force(rng, every):
+    trace = record(rng)
+    depth = np.where(np.arange(len(trace.time)) % every == 0, 1.5 * trace.force, np.nan)
+    holds = find_holds(replace(trace, depth=depth, probe_travel=100.0 + depth))
+    np.testing.assert_allclose([each.depth for each in holds], [0, 3, 6, 9], atol=0.05)
+    np.testing.assert_allclose([each.probe_travel for each in holds], [100, 103, 106, 109], atol=0.05)
+
+
 def test_record_without_holds_says_how_near_it_came(rng):
     time = np.arange(600) / RATE
     trace = Trace(time, 2.0 * time, None, None, None, Path("trace.csv"))

@@ -18,7 +18,7 @@ from limbcli.measurement.indentation import read_levels
 from limbcli.measurement.swe_image import DecodedMap
 from limbcli.results import open_stage
 from limbcli.stages.measure import measure
-from limbcli.stages.measuring.holds import found_twice, holds_of
+from limbcli.stages.measuring.holds import columns_of, found_twice, holds_of
 from limbcli.stages.measuring.images import TissueBetween, images_of, within_tissue
 from tests.case.test_case_text import HEAD, SITE
 from tests.measurement.test_bmode import frame, speckle
@@ -221,6 +221,17 @@ def test_a_trace_alone_is_a_load_cell_record(tmp_path: Path, rng):
     (tmp_path / "trace.csv").write_text("time_s,force_n\n" + rows + "\n")
     result = measure(Case.open(tmp_path), out=tmp_path / "out")[0]
     assert len(result.data["holds"]) == 4
+
+
+def test_depth_and_travel_of_the_record_become_columns(rng):
+    trace = record(rng, levels=FORCES)
+    travel = 100.0 + 2.0 * trace.force
+    travel[trace.force < 1.0] = np.nan
+    columns = columns_of(find_holds(replace(trace, depth=5.0 + 1.5 * trace.force, probe_travel=travel)), 2.0)
+    np.testing.assert_allclose(columns["depth_mm"], 1.5 * np.array(FORCES), atol=0.05)
+    np.testing.assert_allclose(
+        columns["probe_travel_mm"], [np.nan, *(100 + 2 * np.array(FORCES[1:]))], atol=0.05
+    )
 
 
 def without(folder: Path, target: Path, *keys: str, more: str = "") -> Case:

@@ -66,6 +66,9 @@ def columns_of(holds: Sequence[Hold], step: float) -> Columns:
     if all(each.depth is not None for each in holds):
         first = holds[0].depth or 0.0
         columns["depth_mm"] = [(each.depth or 0.0) - first for each in holds]
+    if any(each.probe_travel is not None for each in holds):
+        travel = [each.probe_travel for each in holds]
+        columns["probe_travel_mm"] = [np.nan if each is None else each for each in travel]
     return columns
 
 
