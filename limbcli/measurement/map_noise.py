@@ -60,6 +60,7 @@ def pixel_noise(maps: Sequence[SweMap], *, usual: float) -> PixelNoise:
     >>> round(found.deviation, 2), found.smoothing
     (0.1, 0.0)
     """
+    maps = [each for each in maps if len(each)]
     if len(maps) < _FEWEST_LEVELS:
         return PixelNoise(usual)
     table, pitch = _together(maps)
