@@ -59,7 +59,8 @@ def read_table(
         return None, problems
     body = numbered[1:]
     if not body and not may_be_empty:
-        return None, [problem("the table has a header but no rows", path, "add the measured rows")]
+        fix = "add the measured rows; if it is a levels.csv that `limbcli measure CASE --write` is to make, "
+        return None, [problem("the table has a header but no rows", path, f"{fix}remove the file")]
     cells, found = _check_width(body, len(header), path)
     problems += found
     numbers: dict[str, Array] = {}
