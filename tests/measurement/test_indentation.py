@@ -66,6 +66,7 @@ def test_unloading_levels_are_told_apart(tmp_path: Path):
         (1.0, 0.1, 1.0, "cm"),
         (0.102, 1.0, 1.0, "kgf"),
         (1.0, 1.0, 100.0, "cm/s"),
+        (1.0, 1.0, 10.0, "a modulus in kPa"),
         (1.0, -1.0, 1.0, "depth"),
         (-1.0, 1.0, 1.0, "force"),
     ],
