@@ -114,8 +114,9 @@ def test_levels_are_written_to_the_case_once_and_never_over_a_file(folder: Path,
     measure(case, out=tmp_path, write=True)
     try:
         assert len(read_levels(case.sites[0].levels)) == 4
-        with pytest.raises(CaseError, match="not overwritten"):
+        with pytest.raises(CaseError, match="not overwritten") as caught:
             measure(case, out=tmp_path, write=True)
+        assert str(tmp_path / "measure" / "p1" / "levels.csv") in str(caught.value)
     finally:
         case.sites[0].levels.unlink()
 
@@ -306,6 +307,9 @@ def test_maps_go_where_the_case_names_them(folder: Path, tmp_path: Path):
     measure(Case.open(case.folder), out=tmp_path / "a", write=True)
     assert len(list((case.folder / "maps").glob("level_*.csv"))) == 4
     assert (case.folder / "p1.csv").is_file()
+    (case.folder / "p1.csv").unlink()
+    again = measure(Case.open(case.folder), out=tmp_path / "b", write=True)[0]
+    assert any("the maps in maps were there already" in each for each in again.warnings)
 
 
 @pytest.mark.slow
