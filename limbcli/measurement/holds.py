@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from limbcli.errors import MeasurementError
 from limbcli.measurement.trace import Trace
@@ -103,9 +104,7 @@ def _smoothed(time: Array, force: Array, window_s: float) -> Array:
     n = max(1, round(window_s / step)) | 1
     if n < 3 or len(force) < n:
         return force
-    padded = np.pad(force, n // 2, mode="edge")
-    median = np.median(np.lib.stride_tricks.sliding_window_view(padded, n), axis=1)
-    padded = np.pad(median, n // 2, mode="edge")
+    padded = np.pad(median_filter(force, size=n, mode="nearest"), n // 2, mode="edge")
     return np.convolve(padded, np.full(n, 1.0 / n), mode="valid")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -87,6 +88,17 @@ def test_depth_and_travel_may_be_read_less_often_than_the_force(rng, every):
     holds = find_holds(replace(trace, depth=depth, probe_travel=100.0 + depth))
     np.testing.assert_allclose([each.depth for each in holds], [0, 3, 6, 9], atol=0.05)
     np.testing.assert_allclose([each.probe_travel for each in holds], [100, 103, 106, 109], atol=0.05)
+
+
+def test_a_fast_record_is_looked_at_in_the_memory_of_some_copies_of_it(rng):
+    force = np.repeat([0.0, 2.0, 4.0], 3000) + 0.02 * rng.standard_normal(9000)
+    trace = Trace(np.arange(len(force)) / 1000.0, force, None, None, None, Path("trace.csv"))
+    tracemalloc.start()
+    holds = find_holds(trace, duration_s=2.0)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    np.testing.assert_allclose([each.force for each in holds], [0, 2, 4], atol=0.005)
+    assert most < 40 * force.nbytes
 
 
 def test_record_without_holds_says_how_near_it_came(rng):
