@@ -174,13 +174,19 @@ def check_maps(folder: Path, n_levels: int | None = None) -> tuple[list[SweMap],
     expected = [map_file(folder, level) for level in range(n_levels)]
     for path in expected:
         if not path.is_file():
-            fix = "write a file a row of levels.csv, or leave swe_maps out of the site"
+            fix = (
+                "write a file a row of levels.csv (its header alone where nothing was read), or leave "
+                "swe_maps out of the site"
+            )
             problems.append(problem(f"the map {path.name} is missing", folder, fix))
             continue
         swe, found = check_map(path)
         problems += found
         if swe is not None:
             maps.append(swe)
+    if maps and not any(map(len, maps)):
+        fix = "export the maps again, or leave swe_maps out of the site"
+        problems.append(problem("no map has a pixel", folder, fix))
     for path in sorted(folder.glob("*")):
         if path not in expected and not path.name.startswith("."):
             fix = f"{n_levels} levels have their maps in level_00.csv to {expected[-1].name}"
@@ -215,8 +221,12 @@ def check_mean(swe: SweMap, mean_m_per_s: float) -> list[Problem]:
 
     mean_m_per_s : m/s, NaN where levels.csv has none; one that is not positive is told with levels.csv
     """
-    if not len(swe) or not np.isfinite(mean_m_per_s) or mean_m_per_s <= 0:
+    if not np.isfinite(mean_m_per_s) or mean_m_per_s <= 0:
         return []
+    if not len(swe):
+        what = f"the map has no pixel, but levels.csv a mean speed of {mean_m_per_s:.2f} m/s"
+        fix = "export it again; the header alone stands for a level at which nothing was read"
+        return [problem(what, swe.path or Path("shear-wave map"), fix, warning=True)]
     own = float(swe.speed_m_per_s.mean())
     if 1 / _AT_ODDS <= own / mean_m_per_s <= _AT_ODDS:
         return []
@@ -227,7 +237,7 @@ def check_mean(swe: SweMap, mean_m_per_s: float) -> list[Problem]:
 
 def check_map(path: Path) -> tuple[SweMap | None, list[Problem]]:
     """One map, where it can be used, and every problem (errors and warnings)."""
-    table, problems = read_table(path, required=COLUMNS, optional=())
+    table, problems = read_table(path, required=COLUMNS, optional=(), may_be_empty=True)
     if table is None or any(each.severity == "error" for each in problems):
         return None, problems
     lateral, depth, speed = (table.numbers[name] for name in COLUMNS)

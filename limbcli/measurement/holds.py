@@ -13,12 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from limbcli.errors import MeasurementError
 from limbcli.measurement.trace import Trace
-from limbcli.model import Array
+from limbcli.model import Array, IntArray
 
 _FEWEST_SAMPLES = 3
+_FEWEST_READINGS = 2  # of depth or travel in a hold: their mean has a standard error then
 SMOOTHING_S = 0.5
 _BATCHES = 10
 _DROPOUT_FACTOR = 3.0
@@ -35,7 +37,8 @@ class Hold:
     drift_n_per_s : slope over the second half, N/s, with its standard error
     overshoot : N by which the force was above the hold in the two seconds before it
     n_dropouts : gaps of more than three sample times; n_spikes : samples left out as no forces of the hold
-    depth, depth_drift_mm_per_s : mean and slope of the depth, None without a depth column
+    depth, depth_drift_mm_per_s : mean and slope of the depth, None where the hold has fewer than two readings
+    probe_travel : its mean, mm, None likewise
     """
 
     start_s: float
@@ -51,6 +54,7 @@ class Hold:
     depth: float | None
     depth_se: float | None
     depth_drift_mm_per_s: float | None
+    probe_travel: float | None
     creeping: bool
 
     @property
@@ -89,9 +93,9 @@ def find_holds(trace: Trace, *, tolerance: float = 0.1, duration_s: float = 5.0)
             fix="hold longer or steadier, or state hold_s, hold_tolerance_n and force_unit as they were",
             longest_s=float(longest),
         )
-    depth = trace.depth[good] if trace.depth is not None else None
+    depth, travel = (None if each is None else each[good] for each in (trace.depth, trace.probe_travel))
     resolution = _resolution(force)
-    return [_describe(time, force, depth, a, b, resolution) for a, b in chosen]
+    return [_describe(time, force, depth, travel, a, b, resolution) for a, b in chosen]
 
 
 def _smoothed(time: Array, force: Array, window_s: float) -> Array:
@@ -100,9 +104,7 @@ def _smoothed(time: Array, force: Array, window_s: float) -> Array:
     n = max(1, round(window_s / step)) | 1
     if n < 3 or len(force) < n:
         return force
-    padded = np.pad(force, n // 2, mode="edge")
-    median = np.median(np.lib.stride_tricks.sliding_window_view(padded, n), axis=1)
-    padded = np.pad(median, n // 2, mode="edge")
+    padded = np.pad(median_filter(force, size=n, mode="nearest"), n // 2, mode="edge")
     return np.convolve(padded, np.full(n, 1.0 / n), mode="valid")
 
 
@@ -142,23 +144,26 @@ def _longest_first(time: Array, stretches: list[tuple[int, int]], duration_s: fl
     return sorted(chosen)
 
 
-def _describe(time: Array, force: Array, depth: Array | None, a: int, b: int, resolution: float) -> Hold:
-    t, f = time[a : b + 1], force[a : b + 1]
-    sane = _sane(f, resolution)
-    gaps = int((np.diff(t) > _DROPOUT_FACTOR * float(np.median(np.diff(time)))).sum())
-    t, f = t[sane], f[sane]
+def _describe(
+    time: Array, force: Array, depth: Array | None, travel: Array | None, a: int, b: int, resolution: float
+) -> Hold:
+    inside = a + np.flatnonzero(_sane(force[a : b + 1], resolution))
+    a, b = int(inside[0]), int(inside[-1])  # what the band took of the ramps beside it is no spike
+    gaps = int((np.diff(time[a : b + 1]) > _DROPOUT_FACTOR * float(np.median(np.diff(time)))).sum())
+    t, f = time[inside], force[inside]
     late = t >= 0.5 * (t[0] + t[-1])
     drift, drift_se = _slope(t[late], f[late])
     before = (time < t[0]) & (time >= t[0] - 2.0)
     overshoot = float(force[before].max() - f.mean()) if before.any() else 0.0
     depth_mean = depth_se = depth_drift = None
     creeping = abs(drift) > _CREEP_SIGNIFICANCE * drift_se and abs(drift) * (t[-1] - t[0]) > f.std()
-    if depth is not None and np.isfinite(depth[a : b + 1]).sum() > _BATCHES:
-        d = depth[a : b + 1][sane]
+    d = _known(depth, inside)
+    if d is not None:
         known = np.isfinite(d)
         depth_mean, depth_se = float(d[known].mean()), _standard_error(d[known])
         depth_drift, slope_se = _slope(t[late & known], d[late & known])
         creeping = creeping or abs(depth_drift) > _CREEP_SIGNIFICANCE * slope_se
+    way = _known(travel, inside)
     return Hold(
         start_s=float(t[0]),
         end_s=float(t[-1]),
@@ -169,12 +174,19 @@ def _describe(time: Array, force: Array, depth: Array | None, a: int, b: int, re
         drift_se_n_per_s=drift_se,
         overshoot=max(0.0, overshoot),
         n_dropouts=gaps,
-        n_spikes=int((~sane).sum()),
+        n_spikes=b + 1 - a - len(inside),
         depth=depth_mean,
         depth_se=depth_se,
         depth_drift_mm_per_s=depth_drift,
+        probe_travel=None if way is None else float(np.nanmean(way)),
         creeping=bool(creeping),
     )
+
+
+def _known(readings: Array | None, inside: IntArray) -> Array | None:
+    """A hold's readings (n,), some NaN where they are taken less often than the force; None where too few."""
+    found = None if readings is None else readings[inside]
+    return None if found is None or np.isfinite(found).sum() < _FEWEST_READINGS else found
 
 
 def _sane(force: Array, resolution: float) -> NDArray[np.bool_]:

@@ -101,13 +101,14 @@ def _levels(table: RawTable, path: Path) -> Levels:
     missing = np.full(len(table), np.nan)
     thickness = {name: table.numbers.get(f"{name}_mm", missing) for name in LAYERS}
     phase = table.texts.get("phase", ["load"] * len(table))
+    speed, pixels = (table.numbers.get(name, missing) for name in ("swe_mean_m_per_s", "swe_pixels"))
     cycle = np.nan_to_num(table.numbers.get("cycle", np.ones(len(table))), nan=0.0)
     return Levels(
         force=table.numbers["force_n"],
         depth=table.numbers["depth_mm"],
-        swe_mean_m_per_s=table.numbers.get("swe_mean_m_per_s", missing),
+        swe_mean_m_per_s=speed,
         swe_sd_m_per_s=table.numbers.get("swe_sd_m_per_s", missing),
-        swe_pixels=table.numbers.get("swe_pixels", missing),
+        swe_pixels=np.where((pixels == 0) & np.isnan(speed), np.nan, pixels),  # none read: no reading
         phase=tuple(each or "load" for each in phase),
         hold=table.numbers.get("hold_s", missing),
         probe_travel=table.numbers.get("probe_travel_mm", missing),

@@ -320,10 +320,11 @@ def check_swe(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
         fix = "add swe_mean_m_per_s, or give the stiffness by hand: --c-kpa to both `build-feb` and `fit`"
         return [problem("there is no shear-wave speed at any level", path, fix, warning=True)]
     for k in np.flatnonzero((speed < _SPEED_LOW_M_PER_S) | (speed > _SPEED_HIGH_M_PER_S)):
-        unit = "is it in cm/s?" if speed[k] > _SPEED_HIGH_M_PER_S else "is it in kPa, or a masked value?"
+        too_fast = speed[k] > _SPEED_HIGH_M_PER_S
+        unit = "a modulus in kPa, or in cm/s" if too_fast else "a modulus in MPa, or a masked value"
         what = f"swe_mean_m_per_s is {speed[k]:g}; soft tissue gives {_SPEED_LOW_M_PER_S:g} to "
         what += f"{_SPEED_HIGH_M_PER_S:g} m/s"
-        problems.append(problem(what, path, f"the column is in m/s ({unit})", line=table.lines[k]))
+        problems.append(problem(what, path, f"the column is in m/s (is it {unit}?)", line=table.lines[k]))
     if speed[0] > _SPEED_UNUSUAL_M_PER_S:
         what = f"the speed at level 0 is {speed[0]:g} m/s; relaxed soft tissue is slower, mostly 1 to 3.5 m/s"
         fix = "check that the column holds speeds (m/s), not a modulus (kPa), and that the muscle was relaxed"

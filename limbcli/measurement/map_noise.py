@@ -21,7 +21,9 @@ from scipy.optimize import minimize_scalar
 from limbcli.measurement.elastography import SweMap
 from limbcli.model import Array
 
-_BLOCKS = (10.0, 6.0)  # mm, of a block's side: the smaller where maps have gaps
+# mm of a block's side, and share of its pixels that must be there: the next where such blocks are few
+_BLOCKS = ((10.0, 1.0), (6.0, 1.0), (6.0, 0.5))
+_MOST_BLOCKS = 60  # with gaps, each of which is a matrix of its own
 _MOST, _FEWEST = 14, 4  # pixels along it
 _DEGREE = 2
 _SCALES = np.geomspace(0.3, 3.0, 47)  # mm, of the smoothing's deviation s
@@ -60,6 +62,7 @@ def pixel_noise(maps: Sequence[SweMap], *, usual: float) -> PixelNoise:
     >>> round(found.deviation, 2), found.smoothing
     (0.1, 0.0)
     """
+    maps = [each for each in maps if len(each)]
     if len(maps) < _FEWEST_LEVELS:
         return PixelNoise(usual)
     table, pitch = _together(maps)
@@ -72,10 +75,11 @@ def pixel_noise(maps: Sequence[SweMap], *, usual: float) -> PixelNoise:
     deviation = float(np.sqrt(np.nanmean(left**2) / 1.5))  # a value and half of its two neighbours
     if deviation <= 0.0:
         return PixelNoise(usual)
-    for side in _BLOCKS:
-        values, apart, rough = _in_blocks(left, pitch, side)
-        if len(values) >= _FEWEST_BLOCKS and np.ptp(values) > 0:
-            return PixelNoise(deviation, *_likeliest(values @ rough, apart, rough))
+    for side, share in _BLOCKS:
+        values, apart, surfaces = _in_blocks(left, pitch, side)
+        values = values[np.isfinite(values).mean(axis=1) >= share]
+        if len(values) >= _FEWEST_BLOCKS and np.nanmax(values) > np.nanmin(values):
+            return PixelNoise(deviation, *_likeliest(_rough_parts(values, apart, surfaces)))
     return PixelNoise(deviation)
 
 
@@ -99,8 +103,8 @@ def _together(maps: Sequence[SweMap]) -> tuple[Array, tuple[float, float]]:
 
 
 def _in_blocks(left: Array, pitch: tuple[float, float], side: float) -> tuple[Array, Array, Array]:
-    """Of square blocks about `side` mm wide, those that are whole: values (n_blocks, n_pixels); squared
-    distances (n_pixels, n_pixels) mm2; an orthonormal basis (n_pixels, n) of what no smooth surface follows.
+    """Square blocks about `side` mm wide: values (n_blocks, n_pixels), NaN where there is none; squared
+    distances (n_pixels, n_pixels) mm2; surfaces of the second degree (n_pixels, n).
 
     Of fine maps every second, third, ... pixel in each direction, all of them in turn.
     """
@@ -111,7 +115,7 @@ def _in_blocks(left: Array, pitch: tuple[float, float], side: float) -> tuple[Ar
         counts.append(along // steps[-1])
     n_pixels = counts[0] * counts[1]
     if min(counts) < _FEWEST:
-        return np.zeros((0, n_pixels)), np.zeros((n_pixels, n_pixels)), np.eye(n_pixels)
+        return np.zeros((0, n_pixels)), np.zeros((n_pixels, n_pixels)), np.ones((n_pixels, 1))
     found = [
         left[:, i0 : i0 + counts[0] * steps[0] : steps[0], j0 : j0 + counts[1] * steps[1] : steps[1]]
         for i0 in _starts(left.shape[1], counts[0], steps[0])
@@ -123,8 +127,7 @@ def _in_blocks(left: Array, pitch: tuple[float, float], side: float) -> tuple[Ar
     apart = np.subtract.outer(x, x) ** 2 + np.subtract.outer(z, z) ** 2
     u, v = (2 * each / each.max() - 1 for each in (x, z))
     powers = [(i, j) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)]
-    basis, _ = np.linalg.qr(np.column_stack([u**i * v**j for i, j in powers]), mode="complete")
-    return values[np.isfinite(values).all(axis=1)], apart, basis[:, len(powers) :]
+    return values, apart, np.column_stack([u**i * v**j for i, j in powers])
 
 
 def _starts(size: int, count: int, step: int) -> NDArray[Any]:
@@ -133,21 +136,49 @@ def _starts(size: int, count: int, step: int) -> NDArray[Any]:
     return np.asarray((blocks[:, None] + np.arange(step)).ravel())
 
 
-def _likeliest(values: Array, apart: Array, rough: Array) -> tuple[float, float]:
-    """Smoothing and share by restricted likelihood, the noise's size profiled out; values (n_blocks, n) along
-    `rough`."""
-    n = rough.shape[1]
-    alone = n * float(np.log(np.mean(values**2)))
+@dataclass(frozen=True, eq=False)
+class _RoughPart:
+    """What no smooth surface follows in blocks (n_blocks, n) of the same pixels, along an orthonormal basis
+    (n_pixels, n); squared distances (n_pixels, n_pixels) mm2."""
+
+    values: Array
+    apart: Array
+    basis: Array
+
+
+def _rough_parts(values: Array, apart: Array, surfaces: Array) -> list[_RoughPart]:
+    """Blocks by which of their pixels are there; of those with gaps `_MOST_BLOCKS`, evenly chosen."""
+    known = np.isfinite(values)
+    if not known.all():
+        chosen = np.unique(np.linspace(0, len(values) - 1, _MOST_BLOCKS).round().astype(np.int64))
+        values, known = values[chosen], known[chosen]
+    found = []
+    for there in np.unique(known, axis=0):
+        alike = (known == there).all(axis=1)
+        basis = np.linalg.qr(surfaces[there], mode="complete")[0][:, surfaces.shape[1] :]
+        found.append(_RoughPart(values[alike][:, there] @ basis, apart[np.ix_(there, there)], basis))
+    return found
+
+
+def _likeliest(parts: Sequence[_RoughPart]) -> tuple[float, float]:
+    """Smoothing and share by restricted likelihood, the noise's size profiled out."""
+    blocks = np.concatenate([np.full(part.values.shape[1], len(part.values)) for part in parts])
+    n = int(blocks.sum())
+    alone = n * float(np.log(sum(float((part.values**2).sum()) for part in parts) / n))
     best, found = alone, (0.0, 0.0)
     for s in _SCALES.tolist():
-        own, vectors = np.linalg.eigh(rough.T @ np.exp(-apart / (4 * s**2)) @ rough)
-        power = np.mean((values @ vectors) ** 2, axis=0)
+        decomposed = [
+            np.linalg.eigh(part.basis.T @ np.exp(-part.apart / (4 * s**2)) @ part.basis) for part in parts
+        ]
+        own = np.concatenate([each for each, _ in decomposed])
+        pairs = zip(parts, decomposed, strict=True)
+        power = np.concatenate([((part.values @ vectors) ** 2).sum(axis=0) for part, (_, vectors) in pairs])
 
         def deviance(share: float, own: Array = own, power: Array = power) -> float:
             each = 1 - share + share * np.maximum(own, 0.0)
-            return float(np.log(each).sum() + n * np.log(np.mean(power / each)))
+            return float(blocks @ np.log(each) + n * np.log((power / each).sum() / n))
 
         share = float(minimize_scalar(deviance, bounds=(0.0, _MOST_SHARE), method="bounded").x)
         if deviance(share) < best:
             best, found = deviance(share), (s, share)
-    return found if (alone - best) * len(values) / _TOGETHER > _GAIN else (0.0, 0.0)
+    return found if (alone - best) / _TOGETHER > _GAIN else (0.0, 0.0)

@@ -33,11 +33,13 @@ class RawTable:
 
 
 def read_table(
-    path: Path, *, required: Collection[str], optional: Collection[str], texts: Collection[str] = ()
-) -> tuple[RawTable | None, list[Problem]]:
+    path: Path, *, required: Collection[str], optional: Collection[str], texts: Collection[str] = (),
+    may_be_empty: bool = False,
+) -> tuple[RawTable | None, list[Problem]]:  # fmt: skip
     """A comma-separated table with a header line; lines that begin with # are comments.
 
     required, optional : names of number columns; texts : names of text columns (optional).
+    may_be_empty : a header alone is a table without rows
     Returns the table, or None where it cannot be read at all, and every problem.
     """
     content, problems = _read_text(path)
@@ -56,8 +58,9 @@ def read_table(
     if any(each.severity == "error" for each in problems):
         return None, problems
     body = numbered[1:]
-    if not body:
-        return None, [problem("the table has a header but no rows", path, "add the measured rows")]
+    if not body and not may_be_empty:
+        fix = "add the measured rows; if it is a levels.csv that `limbcli measure CASE --write` is to make, "
+        return None, [problem("the table has a header but no rows", path, f"{fix}remove the file")]
     cells, found = _check_width(body, len(header), path)
     problems += found
     numbers: dict[str, Array] = {}

@@ -68,9 +68,14 @@ def measure(
         progress.event("stage", name=STAGE, site=site.name)
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
             rows = _measure_site(case, site, out, writer, progress)
+            if write and "swe_images" in site.instruments and site.swe_maps and site.swe_maps.exists():
+                writer.warnings.append(
+                    f"the maps in {site.swe_maps.name} were there already and stay as they are: if the new "
+                    "ones are meant, copy them there from the output folder (swe)"
+                )
         assert writer.result is not None
         if write:
-            _write_levels(site, rows)
+            _write_levels(site, rows, writer.result)
             _write_maps(site, writer.result)
         results.append(writer.result)
     return results
@@ -217,7 +222,7 @@ def _write_maps(site: Site, result: StageResult) -> None:
             shutil.copy2(each, folder / each.name)
 
 
-def _write_levels(site: Site, text: str) -> None:
+def _write_levels(site: Site, text: str, result: StageResult) -> None:
     lacking = [each for each in ("force_n", "depth_mm") if each not in text.splitlines()[0].split(",")]
     if lacking:
         raise MeasurementError(
@@ -230,7 +235,7 @@ def _write_levels(site: Site, text: str) -> None:
         raise CaseError(
             "levels.csv is there already and is not overwritten",
             where=str(site.levels),
-            fix="move it away first; the new one is in the output folder",
+            fix=f"if the new one is meant, copy it there: {result.path('levels')}",
         )
     with atomic_file(site.levels) as path:
         path.write_text(text, encoding="utf-8")

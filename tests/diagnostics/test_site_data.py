@@ -100,6 +100,14 @@ def test_parts_of_which_bone_hides_half_count_for_nothing(rows, there):
     assert np.isfinite(found[1 : 1 + windows.across * (windows.down - 1)]).all()
 
 
+def test_a_level_of_whose_map_nothing_was_read_has_no_parts(recwarn):
+    nothing = SweMap(np.zeros(0), np.zeros(0), np.zeros(0))
+    maps = [nothing if k == 2 else grid_map(2.0) for k in range(N)]
+    data = site_data("p1", levels(), StatedNoise(), windows=Windows.of_maps(maps), maps=maps)
+    assert {row.level for row in data.rows if row.channel == "map"} == {k for k in range(N) if k != 2}
+    assert not recwarn
+
+
 def test_pixels_outside_the_region_belong_to_no_part():
     windows = Windows(-10.0, 10.0, 2.0, 12.0, 2, 2)
     outside = SweMap(np.array([-11.0, 10.5, 0.0, 5.0]), np.array([5.0, 5.0, 13.0, 5.0]), np.full(4, 3.0))

@@ -46,7 +46,6 @@ FAULTS = {
     "lateral_mm,depth_mm,speed_m_per_s\n0,1,nan\n": "speed_m_per_s is nan",
     "lateral_mm,depth_mm,speed_m_per_s\n0,1,\n": "speed_m_per_s is empty",
     "lateral_mm,depth_mm,speed\n0,1,2\n": "'speed'",
-    "lateral_mm,depth_mm,speed_m_per_s\n": "no rows",
     "lateral_mm;depth_mm;speed_m_per_s\n0;1;2\n": "not separated by commas",
     "": "empty",
 }
@@ -72,6 +71,27 @@ def test_missing_and_surplus_maps_are_both_found(tmp_path):
         "the map level_01.csv is missing",
         "level_05.csv belongs to no level",
     ]
+
+
+def test_a_level_at_which_nothing_was_read_is_a_map_of_no_pixels(tmp_path):
+    for level, speed in enumerate((2.0, None, 2.2)):
+        path = swe.map_file(tmp_path, level)
+        if speed is None:
+            path.write_text("lateral_mm,depth_mm,speed_m_per_s\n")
+        else:
+            swe.write_map(path, square_map(speed))
+    maps, problems = swe.check_maps(tmp_path, 3)
+    assert (list(map(len, maps)), problems) == ([len(square_map()), 0, len(square_map())], [])
+    assert not swe.check_mean(maps[1], float("nan"))
+    (problem,) = swe.check_mean(maps[1], 2.1)
+    assert "no pixel" in problem.what
+
+
+def test_maps_without_any_pixel_are_refused(tmp_path):
+    for level in range(2):
+        swe.map_file(tmp_path, level).write_text("lateral_mm,depth_mm,speed_m_per_s\n")
+    with pytest.raises(MeasurementError, match="no map has a pixel"):
+        swe.read_maps(tmp_path, 2)
 
 
 @pytest.mark.parametrize(("there", "missing"), [((0, 1, 3, 4, 5), ["level_02.csv"]), ((0, 1, 2), [])])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -100,6 +101,32 @@ def test_readings_one_step_of_the_load_cell_apart_are_no_spikes(rng):
     holds = find_holds(coarse)
     assert [each.n_spikes for each in holds] == [0, 0, 0]
     np.testing.assert_allclose([each.force for each in holds], [0, 2.03, 4.06], atol=0.02)
+
+
+def test_a_record_without_spikes_has_none_at_the_ends_of_its_holds(rng):
+    holds = find_holds(record(rng, noise=0.005))
+    assert [each.n_spikes for each in holds] == [0, 0, 0, 0]
+    np.testing.assert_allclose([each.force for each in holds], [0, 2, 4, 6], atol=0.005)
+
+
+@pytest.mark.parametrize("every", [1, 60])
+def test_depth_and_travel_may_be_read_less_often_than_the_force(rng, every):
+    trace = record(rng)
+    depth = np.where(np.arange(len(trace.time)) % every == 0, 1.5 * trace.force, np.nan)
+    holds = find_holds(replace(trace, depth=depth, probe_travel=100.0 + depth))
+    np.testing.assert_allclose([each.depth for each in holds], [0, 3, 6, 9], atol=0.05)
+    np.testing.assert_allclose([each.probe_travel for each in holds], [100, 103, 106, 109], atol=0.05)
+
+
+def test_a_fast_record_is_looked_at_in_the_memory_of_some_copies_of_it(rng):
+    force = np.repeat([0.0, 2.0, 4.0], 3000) + 0.02 * rng.standard_normal(9000)
+    trace = Trace(np.arange(len(force)) / 1000.0, force, None, None, None, Path("trace.csv"))
+    tracemalloc.start()
+    holds = find_holds(trace, duration_s=2.0)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    np.testing.assert_allclose([each.force for each in holds], [0, 2, 4], atol=0.005)
+    assert most < 40 * force.nbytes
 
 
 def test_record_without_holds_says_how_near_it_came(rng):

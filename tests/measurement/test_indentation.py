@@ -53,6 +53,14 @@ def test_empty_columns_that_a_spreadsheet_leaves_are_none(tmp_path: Path):
         read_levels(write(tmp_path, HEADER + ",,", [*rows[:3], ROWS[3] + ",7,"]))
 
 
+def test_no_pixels_at_a_level_are_no_reading_but_no_mean_is_of_none(tmp_path: Path):
+    header = "force_n,depth_mm,swe_mean_m_per_s,swe_pixels"
+    levels = read_levels(write(tmp_path, header, ["0,0,1.6,90", "2,2,1.8,80", "4,3.5,,0", "6,5,2.2,85"]))
+    np.testing.assert_array_equal(levels.swe_pixels, [90, 80, np.nan, 85])
+    with pytest.raises(MeasurementError, match="swe_pixels is 0"):
+        read_levels(write(tmp_path, header, ["0,0,1.6,90", "2,2,1.8,80", "4,3.5,2.0,0", "6,5,2.2,85"]))
+
+
 def test_unloading_levels_are_told_apart(tmp_path: Path):
     rows = ["0,0,load", "2,1,load", "4,2,load", "2,1.4,unload", "0,0.2,unload"]
     levels = read_levels(write(tmp_path, "force_n,depth_mm,phase", rows))
@@ -75,6 +83,7 @@ def test_a_level_that_stands_twice_is_refused_and_one_that_crept_is_not(tmp_path
         (1.0, 0.1, 1.0, "cm"),
         (0.102, 1.0, 1.0, "kgf"),
         (1.0, 1.0, 100.0, "cm/s"),
+        (1.0, 1.0, 10.0, "a modulus in kPa"),
         (1.0, -1.0, 1.0, "depth"),
         (-1.0, 1.0, 1.0, "force"),
     ],

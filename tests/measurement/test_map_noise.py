@@ -49,6 +49,18 @@ def test_tissue_whose_pattern_bends_from_level_to_level_is_no_smooth_noise(rng):
     assert found.deviation == pytest.approx(0.1, rel=0.06)
 
 
+@pytest.mark.parametrize("smoothing", [0.0, 1.27])
+def test_maps_with_pixels_missing_everywhere_tell_it_too(rng, smoothing):
+    sparse = []
+    for each in maps(rng, smoothing, n=5):
+        there = rng.random(len(each)) > 0.1
+        sparse.append(SweMap(each.lateral[there], each.depth[there], each.speed_m_per_s[there]))
+    found = pixel_noise(sparse, usual=0.3)
+    assert found.deviation == pytest.approx(0.1, rel=0.06)
+    assert found.smoothing == pytest.approx(smoothing, rel=0.15)
+    assert (found.share > 0.9) == (smoothing > 0)
+
+
 @pytest.mark.parametrize("pitch", [0.3, 1.0])
 def test_maps_with_holes_and_fine_pixels_tell_it_too(rng, pitch):
     x, z = np.meshgrid(np.arange(-12.0, 12.0, pitch), np.arange(2.0, 26.0, pitch), indexing="ij")

@@ -18,7 +18,7 @@ from limbcli.measurement.indentation import read_levels
 from limbcli.measurement.swe_image import DecodedMap
 from limbcli.results import open_stage
 from limbcli.stages.measure import measure
-from limbcli.stages.measuring.holds import found_twice, holds_of
+from limbcli.stages.measuring.holds import columns_of, found_twice, holds_of
 from limbcli.stages.measuring.images import TissueBetween, images_of, within_tissue
 from tests.case.test_case_text import HEAD, SITE
 from tests.measurement.test_bmode import frame, speckle
@@ -114,8 +114,9 @@ def test_levels_are_written_to_the_case_once_and_never_over_a_file(folder: Path,
     measure(case, out=tmp_path, write=True)
     try:
         assert len(read_levels(case.sites[0].levels)) == 4
-        with pytest.raises(CaseError, match="not overwritten"):
+        with pytest.raises(CaseError, match="not overwritten") as caught:
             measure(case, out=tmp_path, write=True)
+        assert str(tmp_path / "measure" / "p1" / "levels.csv") in str(caught.value)
     finally:
         case.sites[0].levels.unlink()
 
@@ -223,6 +224,17 @@ def test_a_trace_alone_is_a_load_cell_record(tmp_path: Path, rng):
     assert len(result.data["holds"]) == 4
 
 
+def test_depth_and_travel_of_the_record_become_columns(rng):
+    trace = record(rng, levels=FORCES)
+    travel = 100.0 + 2.0 * trace.force
+    travel[trace.force < 1.0] = np.nan
+    columns = columns_of(find_holds(replace(trace, depth=5.0 + 1.5 * trace.force, probe_travel=travel)), 2.0)
+    np.testing.assert_allclose(columns["depth_mm"], 1.5 * np.array(FORCES), atol=0.05)
+    np.testing.assert_allclose(
+        columns["probe_travel_mm"], [np.nan, *(100 + 2 * np.array(FORCES[1:]))], atol=0.05
+    )
+
+
 def without(folder: Path, target: Path, *keys: str, more: str = "") -> Case:
     """The case of `folder` with lines of case.toml left out and others put to the elastography."""
     target.mkdir()
@@ -295,6 +307,9 @@ def test_maps_go_where_the_case_names_them(folder: Path, tmp_path: Path):
     measure(Case.open(case.folder), out=tmp_path / "a", write=True)
     assert len(list((case.folder / "maps").glob("level_*.csv"))) == 4
     assert (case.folder / "p1.csv").is_file()
+    (case.folder / "p1.csv").unlink()
+    again = measure(Case.open(case.folder), out=tmp_path / "b", write=True)[0]
+    assert any("the maps in maps were there already" in each for each in again.warnings)
 
 
 @pytest.mark.slow

@@ -57,6 +57,13 @@ def test_filled_in_it_opens_with_what_was_written(tmp_path: Path):
     assert read_levels(case.sites[0].levels).depth.tolist() == [0.0, 1.1, 2.1]
 
 
+def test_levels_that_are_to_be_measured_need_no_rows_but_the_file_to_be_out_of_the_way(tmp_path: Path):
+    folder = filled(new(tmp_path / "S12").folder)
+    (problem,) = [each for each in check(folder).problems if "no rows" in each.what]
+    assert "remove the file" in problem.fix
+    assert "limbcli measure" in problem.fix
+
+
 def test_every_key_that_the_comments_offer_is_understood(tmp_path: Path):
     """Lines that are commented out become a case without unknown keys."""
     folder = filled(new(tmp_path / "S12").folder)

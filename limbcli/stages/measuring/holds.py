@@ -66,6 +66,9 @@ def columns_of(holds: Sequence[Hold], step: float) -> Columns:
     if all(each.depth is not None for each in holds):
         first = holds[0].depth or 0.0
         columns["depth_mm"] = [(each.depth or 0.0) - first for each in holds]
+    if any(each.probe_travel is not None for each in holds):
+        travel = [each.probe_travel for each in holds]
+        columns["probe_travel_mm"] = [np.nan if each is None else each for each in travel]
     return columns
 
 
@@ -135,9 +138,12 @@ def _report_holds(
         if phase[k] == "load" and hold.overshoot > max(0.5, 5 * noise) and not _follows_unloading(phase, k):
             writer.warnings.append(f"{where}: the force overshot by {hold.overshoot:.2f} N before it")
         if hold.n_dropouts:
-            writer.warnings.append(f"{where}: {hold.n_dropouts} gaps in the record")
+            gaps = "1 gap" if hold.n_dropouts == 1 else f"{hold.n_dropouts} gaps"
+            writer.warnings.append(f"{where}: {gaps} in the record")
         if hold.n_spikes:
-            writer.warnings.append(f"{where}: {hold.n_spikes} samples are spikes and were left out")
+            one = hold.n_spikes == 1
+            spikes = "1 sample is a spike and was" if one else f"{hold.n_spikes} samples are spikes and were"
+            writer.warnings.append(f"{where}: {spikes} left out")
     if holds[0].force > 0.5 * step:
         writer.warnings.append(
             f"the first hold is at {holds[0].force:.2f} N: depths count from there, not from first touch; "

@@ -218,6 +218,8 @@ def _grid_per_part(values: Array, low: float, high: float, n_parts: int) -> IntA
     >>> _grid_per_part(np.array([3.75, 6.25]), 0.0, 15.0, 4).tolist()
     [1, 2, 1, 2]
     """
+    if not len(values):
+        return np.zeros(n_parts, dtype=np.int64)
     pitch, nearest = pitch_of(values), float(values.min())
     first = nearest - pitch * np.floor((nearest - low) / pitch + _ROUNDED)
     part = _along_side(np.arange(first, high, pitch), low, high, n_parts)
