@@ -293,7 +293,7 @@ class LoadStepping:
     def _explained(self, error: SolveError, load_step: LoadStep, time: float) -> SolveError:
         """The error with the load step it belongs to, what is behind it, and how far there is an answer."""
         newton, n_reached = self._newton, len(self._reached) - 1
-        place = load_step.at(time)
+        place = load_step.at(time, newton.depth_at(time))
         what = error.what if isinstance(error, NotConverged) else f"{place}: {error.what}"
         depth = newton.depth(self._reached[-1])
         reported = f"; there is an answer up to {depth:.2f} mm" if n_reached and depth else ""

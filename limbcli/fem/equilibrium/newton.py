@@ -246,7 +246,7 @@ class Newton:
             node = int(np.argmax((size**2).sum(axis=1)))
             place, what = (system.X + state.u)[node], f"largest at node {node}"
         return NotConverged(
-            f"{load_step.at(state.time)}"
+            f"{load_step.at(state.time, self.depth(state))}"
             f" stopped at residual {forces.error:.1e} after {iteration} iterations,"
             f" target {self.settings.tolerance:.0e}: {why}",
             where=f"{what}, at {_mm(place)}",
