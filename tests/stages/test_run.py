@@ -152,6 +152,15 @@ def test_a_model_without_rigid_records_gives_no_curve(febio: Path, tmp_path: Pat
     assert "no force-depth curve" in result.warnings[0]
 
 
+def test_steps_of_a_model_without_records_are_counted_by_the_log(febio: Path, tmp_path: Path) -> None:
+    text = (DATA / "punch.feb").read_text()
+    start, end = text.index("<logfile"), text.index("</logfile>")
+    (tmp_path / "mute.feb").write_text(text[:start] + text[end + len("</logfile>") :])
+    result = run_file(tmp_path / "mute.feb", out=tmp_path / "out", febio=febio)
+    assert result.data["n_steps"] == 3
+    assert "3 steps" in result.summary[0]
+
+
 def test_a_curve_of_an_uncertain_body_or_depth_is_told() -> None:
     """Of a file of one's own the probe may have another name, and its centre lie above its face."""
 
