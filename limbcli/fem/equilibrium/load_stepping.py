@@ -108,6 +108,10 @@ class LoadStepping:
             raise newton.failure(self._reached[-1], forces, way.load_step, spent, "it takes long")
         rest = way.target - begin
         n = 1 if way.known is not None else int(np.ceil(rest / self._increment - 1e-6))
+        while self._incremental and way.known is None and rest / n > self._step.step_size:
+            if not newton.system.may_pass(self._reached[-1], begin + rest / n):
+                break
+            n *= 2
         aim = way.target if n <= 1 else begin + rest / n
         return Increment(begin, aim, rest, before, is_last=aim == way.target)
 
