@@ -22,6 +22,7 @@ from limbcli.fem.motion.rigid import BodyState, rotation_matrix, rotation_vector
 from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
 from limbcli.model import LimbModel, Step, Support
+from limbcli.progress import Progress
 
 QUICK = Settings(tolerance=1e-8, threads=1)
 
@@ -180,6 +181,16 @@ def test_a_probe_from_afar_does_not_pass_the_skin_unseen(first: float) -> None:
     )
     expected = Analysis(model, QUICK).run()[-1].forces.bodies[0, 2]
     assert Analysis(above, QUICK).run()[-1].forces.bodies[0, 2] == pytest.approx(expected, rel=1e-5)
+
+
+def test_the_depth_that_is_told_is_that_of_the_body_in_contact() -> None:
+    model = punch("tet4", (2, 2, 2), depth=0.4, levels=1)
+    bone = RigidBody("bone", (6.0, 5.0, -25.0), node_sets=("z0",))
+    held = tuple(Drive("bone", dof, "fixed") for dof in "xyzuvw")
+    both = replace(model, bodies=(bone, *model.bodies), drives=(*held, *model.drives), supports=())
+    depths: list[float] = []
+    Analysis(both, QUICK, Progress(lambda kind, facts: depths.append(facts["depth"]))).run()
+    assert depths[-1] == pytest.approx(0.4)
 
 
 def test_augmentations_go_on_as_febios() -> None:

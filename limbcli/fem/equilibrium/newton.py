@@ -257,9 +257,10 @@ class Newton:
         )
 
     def depth(self, state: State) -> float:
-        """How far the first body has gone in, mm; 0 without bodies."""
+        """How far the body of the first contact, else the first, has gone in, mm; 0 without bodies."""
         system = self.system
-        return -float((system.bodies[0].center + state.bodies[0].shift)[2]) if system.bodies else 0.0
+        b = system.pairs[0].body if system.pairs else 0
+        return -float(system.center(b, state)[2]) if system.bodies else 0.0
 
     def depth_at(self, time: float) -> float:
         """The same, where it is given, at a time."""
