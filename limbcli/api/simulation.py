@@ -246,9 +246,11 @@ def run_feb(
     Raises
     ------
     CaseError
-        If the file cannot be read, or holds what the solver does not support.
-    ToolError, SolveError
+        If the file cannot be read, or holds what is not read of FEBio's format.
+    ToolError
         As `run`.
+    SolveError
+        As `run`, or if the file holds what the reference solver does not support.
     """
     within("run", time_limit_s=time_limit_s)
     one_of("run_feb", SOLVERS, solver=solver)

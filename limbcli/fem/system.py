@@ -226,6 +226,18 @@ class System(RigidLoads, ElementLoops):
         found = self.equations[np.concatenate(nodes)].ravel() if nodes else np.zeros(0, dtype=np.int64)
         return np.unique(found[found >= 0])
 
+    def may_pass(self, state: State, time: float) -> bool:
+        """Whether a rigid surface that touches nothing at a converged state would be moved farther by `time`
+        than its contact is searched for: it might go through the skin unseen."""
+        ways = np.linalg.norm(self.prescribed(state, time).u - state.u, axis=1)
+        hints = iter(state.hints)
+        for pair in self.pairs:
+            touches = [(each >= 0).any() for _, each in zip(pair.patches, hints, strict=False)]
+            rigid = ways[pair.facets2[pair.facets2 >= 0]]
+            if not any(touches) and rigid.max(initial=0.0) > pair.contact.search_radius:
+                return True
+        return False
+
     def contact_times(self, state: State, v: Array, motions: Array) -> tuple[Array, Array]:
         """Exact contact tangent times nodal and body motions: nodal (n_points, 3), bodies (n_bodies, 6)."""
         nodal, bodies = np.zeros_like(self.X), np.zeros((len(self.bodies), 6))

@@ -71,8 +71,8 @@ def penalty_modulus(C: Array, normals: Array) -> Array:
     1 / (nn : S : nn) with S the inverse of the tangents C (n, 6, 6), Voigt, at F = 1. FEBio takes the
     6x6 inverse, whose shears are engineering compliances, for the components of a tensor;
     hence the factor 2 on the shear products. For normals along an axis this is Young's
-    modulus; for others it is lower, by 0.4 % at 2 degrees in nearly incompressible tissue. Found by
-    comparing nodal forces with FEBio 4.11's.
+    modulus; for others it is lower, in nearly incompressible tissue by 1 % at 2 degrees and to 0.3 of it at
+    45. Found by comparing nodal forces with FEBio 4.11's.
     """
     n = normals
     products = np.stack(

@@ -92,10 +92,9 @@ class ReferenceSession:
 
     Raises
     ------
-    CaseError
-        If the model holds what the reference solver does not support.
     SolveError
-        If the model has no rigid body, or none of that name.
+        If the model holds what the reference solver does not support, or has no rigid body, or none of
+        that name.
 
     Source: total Lagrangian elements and penalty contact, as the FEBio theory manual 4 describes them.
     """

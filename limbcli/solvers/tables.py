@@ -41,7 +41,7 @@ def read_finished(solver: str, feb: Path) -> Simulation:
     return Simulation(
         solver=solver,
         version=log.version,
-        times=tables.times,
+        times=tables.times if outline.records else np.array([0.0, *log.times]),
         rigid=tables.rigid,
         nodes=tables.nodes,
         elements=tables.elements,

@@ -58,12 +58,11 @@ def run(
     Raises
     ------
     CaseError
-        If `build-feb` has not been run since its inputs changed, or the model holds what the solver does
-        not support.
+        If `build-feb` has not been run since its inputs changed.
     ToolError
         If FEBio is asked for and is not there.
     SolveError
-        If the end of the load is not reached.
+        If the end of the load is not reached, or the model holds what the solver does not support.
     """
     engine = choose(solver, febio)
     results = []

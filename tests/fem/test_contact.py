@@ -21,7 +21,8 @@ from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.motion.rigid import BodyState, rotation_matrix, rotation_vector, spring_forces
 from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
-from limbcli.model import LimbModel, Support
+from limbcli.model import LimbModel, Step, Support
+from limbcli.progress import Progress
 
 QUICK = Settings(tolerance=1e-8, threads=1)
 
@@ -161,6 +162,35 @@ def test_a_probe_that_touches_nothing_at_first_gives_the_force_of_one_that_does(
     assert abs(in_air.forces.bodies).max() == 0.0
     expected = Analysis(below, QUICK).run()[-1].forces.bodies[0, 2]
     assert pressed.forces.bodies[0, 2] == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("first", [0.5, 1.0])
+def test_a_probe_from_afar_does_not_pass_the_skin_unseen(first: float) -> None:
+    """Increments on the way in the air are no longer than contact is searched for; as are FEBio's steps."""
+    model = punch("tet4", (3, 2, 2), levels=1)
+    points = model.mesh.points.copy()
+    points[-4:, 2] += 3.0
+    *held, down = model.drives
+    above = replace(
+        model,
+        mesh=replace(model.mesh, points=points),
+        bodies=(replace(model.bodies[0], center_of_mass=(6.0, 5.0, 2.95)),),
+        drives=(*held, replace(down, value=down.value - 3.0)),
+        contacts=(replace(model.contacts[0], search_radius=0.3),),
+        steps=(Step(n_steps=50, step_size=0.02, must_points=(first,)),),
+    )
+    expected = Analysis(model, QUICK).run()[-1].forces.bodies[0, 2]
+    assert Analysis(above, QUICK).run()[-1].forces.bodies[0, 2] == pytest.approx(expected, rel=1e-5)
+
+
+def test_the_depth_that_is_told_is_that_of_the_body_in_contact() -> None:
+    model = punch("tet4", (2, 2, 2), depth=0.4, levels=1)
+    bone = RigidBody("bone", (6.0, 5.0, -25.0), node_sets=("z0",))
+    held = tuple(Drive("bone", dof, "fixed") for dof in "xyzuvw")
+    both = replace(model, bodies=(bone, *model.bodies), drives=(*held, *model.drives), supports=())
+    depths: list[float] = []
+    Analysis(both, QUICK, Progress(lambda kind, facts: depths.append(facts["depth"]))).run()
+    assert depths[-1] == pytest.approx(0.4)
 
 
 def test_augmentations_go_on_as_febios() -> None:

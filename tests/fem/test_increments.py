@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,9 +11,10 @@ from small_models import punch
 
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
+from limbcli.fem.equilibrium import relaxation
 from limbcli.fem.equilibrium.increments import Increment, IncrementOutcome, LoadStepPath
 from limbcli.fem.equilibrium.load_stepping import LoadStepping
-from limbcli.fem.equilibrium.newton import LoadStep, NotConverged, Settings
+from limbcli.fem.equilibrium.newton import LoadStep, Newton, NotConverged, Settings
 from limbcli.fem.linear_solvers.singular import SingularMatrix
 from limbcli.fem.motion.state import RoughState, State
 from limbcli.materials import ogden_type
@@ -101,3 +103,23 @@ def test_a_first_load_step_tried_briefly_ends_with_what_is_wrong(outcomes: list[
     with pytest.raises(SolveError, match="load step 1 of 1"):
         Analysis(model, QUICK).run(required=1, hoped=0)
     assert IncrementOutcome.BEGIN_AGAIN not in outcomes
+
+
+def test_a_failure_tells_the_time_and_the_depth_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The depth of the way's own time, which is not that of the load step."""
+    model, solve = punch(depth=1.0, levels=1), Newton.equilibrate
+
+    def fails(self, guess, load_step, **options):
+        if guess.time > 0.3:
+            raise self.failure(guess, self.forces(guess), load_step, 0, "no")
+        return solve(self, guess, load_step, **options)
+
+    monkeypatch.setattr(Newton, "equilibrate", fails)
+    monkeypatch.setattr(relaxation, "_RELAXED", 0)
+    with pytest.raises(SolveError) as caught:
+        Analysis(model, QUICK).run()
+    told = re.search(r"\(time (\S+), depth (\S+) mm\)", str(caught.value))
+    assert told, str(caught.value)
+    time, depth = (float(each) for each in told.groups())
+    assert time < 0.5
+    assert depth == pytest.approx(0.05 + 0.95 * time, abs=0.006)

@@ -145,6 +145,16 @@ def test_penalty_modulus_along_an_axis_is_youngs() -> None:
     assert penalty_modulus(CC, np.array([[0.0, 0.6, 0.8]]))[0] < 0.7 * E
 
 
+def test_penalty_modulus_falls_as_the_normal_leaves_the_axis() -> None:
+    """By the parts that its docstring tells of nearly incompressible tissue."""
+    C = np.zeros((6, 6))
+    C[:3, :3] = 1000.0
+    C += np.diag([2.0, 2.0, 2.0, 1.0, 1.0, 1.0])
+    angles = np.radians([0.0, 2.0, 45.0])
+    E = penalty_modulus(np.stack([C] * 3), np.stack([np.sin(angles), 0 * angles, np.cos(angles)], axis=1))
+    np.testing.assert_allclose(E / E[0], [1.0, 0.989, 0.308], atol=5e-4)
+
+
 def test_every_law_is_tested() -> None:
     assert set(LAWS) <= set(MATERIALS)
 

@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 
 from limbcli.errors import CaseError, SolveError, ToolError
+from limbcli.feb.outline import Outline
 from limbcli.feb.read import read_feb
-from limbcli.results import read_result
+from limbcli.results import open_stage, read_result
 from limbcli.solvers.base import Simulation, Table
 from limbcli.stages.run import RunOptions, run, run_file
-from limbcli.stages.running.files import doubts
+from limbcli.stages.running.files import doubts, write_simulation
 from tests.stages.block_case import make_case
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "feb"
@@ -151,6 +152,15 @@ def test_a_model_without_rigid_records_gives_no_curve(febio: Path, tmp_path: Pat
     assert "no force-depth curve" in result.warnings[0]
 
 
+def test_steps_of_a_model_without_records_are_counted_by_the_log(febio: Path, tmp_path: Path) -> None:
+    text = (DATA / "punch.feb").read_text()
+    start, end = text.index("<logfile"), text.index("</logfile>")
+    (tmp_path / "mute.feb").write_text(text[:start] + text[end + len("</logfile>") :])
+    result = run_file(tmp_path / "mute.feb", out=tmp_path / "out", febio=febio)
+    assert result.data["n_steps"] == 3
+    assert "3 steps" in result.summary[0]
+
+
 def test_a_curve_of_an_uncertain_body_or_depth_is_told() -> None:
     """Of a file of one's own the probe may have another name, and its centre lie above its face."""
 
@@ -169,6 +179,17 @@ def test_a_curve_of_an_uncertain_body_or_depth_is_told() -> None:
     assert "the curve is that of bone" in other
     (far,) = doubts(simulated(probe=20.0), "probe")
     assert "-20.00 mm at the start; it goes 2.00 mm" in far
+
+
+def test_the_greatest_depth_is_not_the_last_where_the_probe_is_lifted(tmp_path: Path) -> None:
+    times = np.linspace(0, 1, 5)
+    values = np.array([(0.0, 0.0), (-1.0, -1.0), (-2.0, -3.0), (-1.0, 0.0), (-0.5, 0.0)])[:, None]
+    table = Table(("z", "Fz"), times, np.zeros(1, dtype=int), values)
+    simulation = Simulation("reference", "1", times, {"probe": table})
+    outline = Outline(1.0, (), np.zeros(1, dtype=int), np.zeros(1, dtype=int), (0.5, 1.0))
+    with open_stage(tmp_path, "run", subject="lifted") as writer:
+        write_simulation(simulation, outline, writer)
+    assert (writer.data["max_depth_mm"], writer.data["max_force_n"]) == (2.0, 3.0)
 
 
 def test_febio_runs_what_the_reader_would_refuse(febio: Path, tmp_path: Path) -> None:

@@ -108,6 +108,10 @@ class LoadStepping:
             raise newton.failure(self._reached[-1], forces, way.load_step, spent, "it takes long")
         rest = way.target - begin
         n = 1 if way.known is not None else int(np.ceil(rest / self._increment - 1e-6))
+        while self._incremental and way.known is None and rest / n > self._step.step_size:
+            if not newton.system.may_pass(self._reached[-1], begin + rest / n):
+                break
+            n *= 2
         aim = way.target if n <= 1 else begin + rest / n
         return Increment(begin, aim, rest, before, is_last=aim == way.target)
 
@@ -293,7 +297,7 @@ class LoadStepping:
     def _explained(self, error: SolveError, load_step: LoadStep, time: float) -> SolveError:
         """The error with the load step it belongs to, what is behind it, and how far there is an answer."""
         newton, n_reached = self._newton, len(self._reached) - 1
-        place = load_step.at(time)
+        place = load_step.at(time, newton.depth_at(time))
         what = error.what if isinstance(error, NotConverged) else f"{place}: {error.what}"
         depth = newton.depth(self._reached[-1])
         reported = f"; there is an answer up to {depth:.2f} mm" if n_reached and depth else ""

@@ -246,7 +246,7 @@ class Newton:
             node = int(np.argmax((size**2).sum(axis=1)))
             place, what = (system.X + state.u)[node], f"largest at node {node}"
         return NotConverged(
-            f"{load_step.at(state.time)}"
+            f"{load_step.at(state.time, self.depth(state))}"
             f" stopped at residual {forces.error:.1e} after {iteration} iterations,"
             f" target {self.settings.tolerance:.0e}: {why}",
             where=f"{what}, at {_mm(place)}",
@@ -257,9 +257,10 @@ class Newton:
         )
 
     def depth(self, state: State) -> float:
-        """How far the first body has gone in, mm; 0 without bodies."""
+        """How far the body of the first contact, else the first, has gone in, mm; 0 without bodies."""
         system = self.system
-        return -float((system.bodies[0].center + state.bodies[0].shift)[2]) if system.bodies else 0.0
+        b = system.pairs[0].body if system.pairs else 0
+        return -float(system.center(b, state)[2]) if system.bodies else 0.0
 
     def depth_at(self, time: float) -> float:
         """The same, where it is given, at a time."""

@@ -47,6 +47,6 @@ class LoadStep:
     n_steps: int
     depth: float
 
-    def at(self, time: float) -> str:
-        """In words."""
-        return f"load step {self.number} of {self.n_steps} (time {time:.6g}, depth {self.depth:.2f} mm)"
+    def at(self, time: float, depth: float) -> str:
+        """In words, on the way to it: at a time and the depth there."""
+        return f"load step {self.number} of {self.n_steps} (time {time:.6g}, depth {depth:.2f} mm)"

@@ -55,7 +55,7 @@ def write_simulation(
     write_curve(writer.file("force_depth", "force-depth.csv"), curve)
     writer.data.update(
         probe=body,
-        max_depth_mm=float(curve[-1, 1]),
+        max_depth_mm=float(curve[:, 1].max()),
         max_force_n=float(curve[:, 2].max()),
         levels=_levels(curve, outline.must_points),
     )
