@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from limbcli.case import Case
+from limbcli.config import templates_folder
 from limbcli.progress import SILENT, Progress
 from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.page import embed, render, save_pictures
@@ -33,8 +34,9 @@ def report(
     Raises
     ------
     ToolError
-        If the templates are not found.
+        If the templates are not found, ours or those that are named.
     """
+    templates_folder(templates)  # before their content is hashed
     page = gather(case, out=out, progress=progress)
     glance = overview(page)
     with open_stage(out, "report", subject=case.subject) as writer:
