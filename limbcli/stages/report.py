@@ -102,7 +102,14 @@ def _data(page: ReportData, glance: Overview) -> dict[str, Any]:
         "failures": [_failure(each) for each in glance.failures],
         "n_warnings": len(glance.warnings),
         "sites": {site.name: _lines(page, site.name) for site in page.sites},
+        "fitted_utc": _fitted(page),
     }
+
+
+def _fitted(page: ReportData) -> dict[str, Any]:
+    """Which fit of each site the page shows, by when it ended."""
+    fits = (each for each in page.outcomes.done if each.stage == "fit")
+    return {str(each.site): each.result.provenance.get("finished_utc") for each in fits if each.result}
 
 
 def _failure(outcome: Outcome) -> Mapping[str, Any]:

@@ -390,6 +390,11 @@ def test_warnings_of_every_stage_stand_at_the_head(whole):
     assert "fκ trades off <with> c" in head
 
 
+def test_a_report_tells_which_fits_it_shows(whole):
+    told = read_result(whole[0], "report").data["fitted_utc"]
+    assert told["p1"] == read_result(whole[0], "fit", site="p1").provenance["finished_utc"]
+
+
 def test_speed_line_is_that_of_the_readings(whole):
     out, page = whole
     line = read_result(out, "report").data["sites"]["p1"]["swe_against_force"]
