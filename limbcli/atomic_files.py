@@ -97,12 +97,17 @@ def atomic_set(folder: Path, *, last: str) -> Iterator[Path]:
 
 def _beside(target: Path) -> Path:
     """A new name beside the target, of its kind; what gets it has the rights that umask leaves."""
-    return target.parent / f"{PARTIAL}{_maker()}-{secrets.token_hex(_TOKEN_BYTES)}{target.suffix}"
+    return target.parent / f"{_new()}{target.suffix}"
+
+
+def _new() -> str:
+    """How a name begins that was never there, not even in this process."""
+    return f"{PARTIAL}{_maker()}-{secrets.token_hex(_TOKEN_BYTES)}"
 
 
 def _put_in_place(partial: Path, target: Path) -> None:
     """A file or folder takes the target's place; a folder that was there comes back if that fails."""
-    retired = target.parent / f"{PARTIAL}{_maker()}{_OLD}{target.name}"
+    retired = target.parent / f"{_new()}{_OLD}{target.name}"
     try:
         if target.is_dir() and partial.is_dir():
             os.replace(target, retired)

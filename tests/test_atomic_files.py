@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import time
 from pathlib import Path
@@ -117,6 +118,17 @@ def test_leftovers_of_a_killed_run_are_cleared_and_a_living_one_is_not(tmp_path:
     (tmp_path / f".partial-{os.getpid()}-x").mkdir()
     clear_partial(tmp_path)
     assert os.listdir(tmp_path) == [f".partial-{os.getpid()}-x"]
+
+
+def test_a_folder_that_could_not_be_cleared_away_stops_no_later_one(tmp_path: Path, monkeypatch):
+    """Ctrl-C in that moment in a notebook, whose process goes on; or a file of it that is open (NFS)."""
+    target, cleared = tmp_path / "fit", shutil.rmtree
+    for text in "abc":
+        with atomic_folder(target) as work:
+            (work / "fit.json").write_text(text)
+            monkeypatch.setattr(atomic_files.shutil, "rmtree", lambda *_, **__: None)
+        assert (target / "fit.json").read_text() == text
+        monkeypatch.setattr(atomic_files.shutil, "rmtree", cleared)
 
 
 def test_what_another_computer_has_in_work_is_left_alone_for_a_day(tmp_path: Path):

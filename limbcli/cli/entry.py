@@ -28,11 +28,15 @@ def main() -> None:
         run()
     except KeyboardInterrupt:
         print(MESSAGE, file=sys.stderr)
-        sys.exit(INTERRUPTED)
+        sys.exit(_exit_code(_sent[-1]))
+    except SystemExit as stop:
+        if stop.code == INTERRUPTED:
+            sys.exit(_exit_code(_sent[-1]))
+        raise
     except Exception as error:  # the last net: whatever is left becomes a message
         if _is_interrupt(error):
             print(MESSAGE, file=sys.stderr)
-            sys.exit(INTERRUPTED)
+            sys.exit(_exit_code(_sent[-1]))
         sys.exit(_caught(error))
     finally:
         _answer_with(_exit_on_signal)
@@ -78,12 +82,25 @@ def _answer_with(handler: object) -> None:
             signal.signal(number, handler)  # type: ignore[arg-type]
 
 
-def _interrupt(_signal: int, _frame: FrameType | None) -> None:
+_sent: list[int] = [signal.SIGINT]  # signals that came; Ctrl-C where a library tells of none
+
+
+def _exit_code(number: int) -> int:
+    """As a shell tells of a command that a signal ended.
+
+    >>> _exit_code(signal.SIGINT), _exit_code(signal.SIGTERM)
+    (130, 143)
+    """
+    return 128 + number
+
+
+def _interrupt(number: int, _frame: FrameType | None) -> None:
     """A polite kill cleans up as Ctrl-C does."""
+    _sent.append(number)
     raise KeyboardInterrupt
 
 
-def _exit_on_signal(_signal: int, _frame: FrameType | None) -> None:
+def _exit_on_signal(number: int, _frame: FrameType | None) -> None:
     """Before anything was begun, or after all was written: nothing to clean up."""
     os.write(2, f"{MESSAGE}\n".encode())
-    os._exit(INTERRUPTED)
+    os._exit(_exit_code(number))

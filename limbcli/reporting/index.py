@@ -20,6 +20,7 @@ class IndexRow:
     """One site of one subject; `link` is relative to the index page, empty where there is no report.
 
     assumed : what of the geometry was not imaged, in words; nothing where all was
+    older : in words, that the report shows another fit than this one; nothing where it shows this
     """
 
     folder: str
@@ -32,6 +33,7 @@ class IndexRow:
     view: FitView | None = None
     failures: tuple[Failure, ...] = ()
     assumed: str = ""
+    older: str = ""
 
     @property
     def word(self) -> str:

@@ -285,7 +285,8 @@ class _Diagnosed:
             writer.data["asked"] = self.options.asked()
             for name, path in mine.notes.inputs.items():
                 writer.used(name, path)
-            note_earlier(self.case, self.out, mine.site, writer)
+            for each in all_:  # they were weighed together
+                note_earlier(self.case, self.out, each.site, writer)
             note_fibres(writer, self.case, mine.site)
             writer.warnings.extend(mine.notes.warnings)
             if mine.simulations.in_part:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from limbcli.case import Case
+from limbcli.config import templates_folder
 from limbcli.progress import SILENT, Progress
 from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.page import embed, render, save_pictures
@@ -33,8 +34,9 @@ def report(
     Raises
     ------
     ToolError
-        If the templates are not found.
+        If the templates are not found, ours or those that are named.
     """
+    templates_folder(templates)  # before their content is hashed
     page = gather(case, out=out, progress=progress)
     glance = overview(page)
     with open_stage(out, "report", subject=case.subject) as writer:
@@ -100,7 +102,14 @@ def _data(page: ReportData, glance: Overview) -> dict[str, Any]:
         "failures": [_failure(each) for each in glance.failures],
         "n_warnings": len(glance.warnings),
         "sites": {site.name: _lines(page, site.name) for site in page.sites},
+        "fitted_utc": _fitted(page),
     }
+
+
+def _fitted(page: ReportData) -> dict[str, Any]:
+    """Which fit of each site the page shows, by when it ended."""
+    fits = (each for each in page.outcomes.done if each.stage == "fit")
+    return {str(each.site): each.result.provenance.get("finished_utc") for each in fits if each.result}
 
 
 def _failure(outcome: Outcome) -> Mapping[str, Any]:

@@ -8,6 +8,7 @@ each of them, its tissue stretched before the probe touches it.
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Sequence
 from dataclasses import replace
@@ -87,6 +88,8 @@ def synth(
             table = case_table(case, {each.site: each.law for each in measured}, layers=options.layers)
             (work / CASE_FILE).write_text(toml(table), encoding="utf-8")
             keep_expected(out_case, work)
+            if (before := truth_file(out_case)).exists():
+                os.truncate(before, 0)  # a kill from here on leaves no truth, and not another case's
     return _result(case, out_case, measured)
 
 

@@ -166,8 +166,10 @@ def test_closed_streams_lead_nowhere_and_into_no_file(tmp_path: Path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
-def test_interruption_keeps_nothing_half_written_and_says_so(tmp_path: Path, sent: signal.Signals):
+@pytest.mark.parametrize(("sent", "code_of_shell"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_interruption_keeps_nothing_half_written_and_says_so(
+    tmp_path: Path, sent: signal.Signals, code_of_shell: int
+):
     code = (
         "import sys, time; from pathlib import Path; from limbcli.cli import check, entry;"
         "from limbcli.atomic_files import atomic_folder\n"
@@ -188,7 +190,7 @@ def test_interruption_keeps_nothing_half_written_and_says_so(tmp_path: Path, sen
     assert process.stdout.readline() == "ready\n"
     process.send_signal(sent)
     _, errors_text = process.communicate(timeout=30)
-    assert process.returncode == 130
+    assert process.returncode == code_of_shell
     assert "interrupted" in errors_text
     assert list(tmp_path.iterdir()) == []
 
@@ -227,17 +229,18 @@ entry.main()
 """
 
 
+@pytest.mark.parametrize(("sent", "code"), [("SIGINT", 130), ("SIGTERM", 143)])
 @pytest.mark.parametrize(
     "moment", [WHILE_IMPORTING, AT_THE_END, INSIDE_A_LIBRARY], ids=["importing", "leaving", "in a library"]
 )
-def test_interruption_at_the_first_and_the_last_moment_is_quiet(moment: str):
+def test_interruption_at_the_first_and_the_last_moment_is_quiet(moment: str, sent: str, code: int):
     done = subprocess.run(
-        [sys.executable, "-c", moment],
+        [sys.executable, "-c", moment.replace("SIGINT", sent)],
         capture_output=True,
         text=True,
         check=False,
         preexec_fn=default_signals,
     )
-    assert done.returncode == 130
+    assert done.returncode == code
     assert "interrupted" in done.stderr
     assert "Traceback" not in done.stderr

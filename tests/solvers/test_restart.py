@@ -74,6 +74,15 @@ def test_time_limit_leaves_a_level_to_go_on_from(feb: Path) -> None:
     assert worked(feb) == {2, 3}
 
 
+def test_a_run_whose_last_level_took_longer_than_the_limit_is_a_whole_one(feb: Path) -> None:
+    """As the first of all on a machine of one core, which compiles the solver in it."""
+    feb.write_text(feb.read_text().replace("<time_steps>3<", "<time_steps>1<"))
+    solver = ReferenceSolver(threads=1)
+    solver.run(feb, progress=SILENT, time_limit_s=0.0)
+    assert len(solver.read(feb).times) == 2
+    assert not (feb.parent / RESTART_FILE).exists()
+
+
 def test_changed_model_starts_anew(feb: Path) -> None:
     stopped(feb, 2)
     feb.write_text(feb.read_text().replace("<cp>0.25<", "<cp>0.26<"))

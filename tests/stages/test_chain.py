@@ -30,7 +30,7 @@ from limbcli.stages.fit_elements import compare_elements
 from limbcli.stages.fit_joint import fit_joint
 from limbcli.stages.measuring.images import tissue_between
 from limbcli.stages.provenance import chain as chain_module
-from limbcli.stages.provenance.chain import Chain
+from limbcli.stages.provenance.chain import Chain, note_earlier
 from limbcli.stages.report import report
 from limbcli.stages.report_pages.material import gather
 from limbcli.stages.segment import segment
@@ -210,6 +210,18 @@ def test_the_report_tells_every_change(root: Path, change: str):
     words = CHANGES[change][2]
     reported = [*page.notices, *(each.failure.what for each in page.outcomes.failed if each.failure)]
     assert any(words.lower() in each.lower() for each in reported), reported
+
+
+def test_a_diagnosis_rests_on_the_thickness_that_the_case_tells(root: Path):
+    case, out = Case.open(root / "case"), root / "out"
+    with open_stage(out, "diagnose", subject="S1", site="p1") as writer:
+        note_earlier(case, out, case.site("p1"), writer)
+    assert writer.result is not None
+    assert Chain(case, out).broken(writer.result) is None
+    in_case('trace = "trace.csv"', 'trace = "trace.csv"\nskin_bone_mm = 20.0')(root)
+    broken = Chain(Case.open(root / "case"), out).broken(writer.result)
+    assert broken is not None
+    assert broken.what == "skin_bone_mm of site p1 changed after `diagnose p1` was run"
 
 
 def test_a_bone_that_somebody_laid_beside_the_results_is_not_one_of_the_limb(root: Path, monkeypatch):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,9 +17,10 @@ from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
 from limbcli.model_io import save_model
 from limbcli.progress import SILENT
-from limbcli.results import open_stage
+from limbcli.results import StageResult, open_stage
 from limbcli.stages.diagnose import DiagnoseOptions, _Diagnosed, chosen_effects, diagnose, load_effect
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
+from limbcli.stages.provenance.commands import CommandStep
 from tests.stages import block_case as block
 
 EFFECTS = ("force-zero", "depth-zero", "contraction", "poroelasticity", "support-motion")
@@ -139,28 +141,49 @@ def test_a_force_offset_on_the_block(tmp_path, rng):
     assert found.path("sizes").is_file()
 
 
-def test_the_command_prints_every_sentence_once(tmp_path, monkeypatch):
-    """Also those of numerical doubt, of bones and of cycles, of which there may be a dozen together."""
-    told, of_cycles = [f"sentence {k}" for k in range(11)], ["All loadings are one curve within noise."]
+def written(folder: Path, monkeypatch: pytest.MonkeyPatch, told: list[str], *sites: str) -> StageResult:
+    """What is left of the first of these sites, which share a place."""
     stage = "limbcli.stages.diagnose."
-    for name in ("note_earlier", "note_fibres", "gap_picture", "candidates_picture", "sizes_picture",
+    for name in ("note_fibres", "gap_picture", "candidates_picture", "sizes_picture",
                  "sizes_of", "write_diagnosed", "all_levels_of"):  # fmt: skip
         monkeypatch.setattr(stage + name, lambda *_, **__: None)
     monkeypatch.setattr(stage + "with_bone_warnings", lambda found, bones: found)
-    monkeypatch.setattr(stage + "cycle_facts", lambda *_: {"sentences": of_cycles})
-    monkeypatch.setattr(_Diagnosed, "_content", lambda *_: {"sentences": told})
-    mine = SimpleNamespace(
-        site=SimpleNamespace(name="p1"), notes=SimpleNamespace(inputs={}, warnings=[], data={}),
-        simulations=SimpleNamespace(in_part={}, n_solves=0), interventions=[],
-        curves=SimpleNamespace(changes=SimpleNamespace(not_simulated={}), site=None),
-    )  # fmt: skip
+    monkeypatch.setattr(_Diagnosed, "_content", lambda *_: {"sentences": told, "sites": list(sites)})
+    prepared = [
+        SimpleNamespace(
+            site=SimpleNamespace(name=name), notes=SimpleNamespace(inputs={}, warnings=[], data={}),
+            simulations=SimpleNamespace(in_part={}, n_solves=0), interventions=[],
+            curves=SimpleNamespace(changes=SimpleNamespace(not_simulated={}), site=None),
+        )
+        for name in sites
+    ]  # fmt: skip
     place = SimpleNamespace(
-        forward_model=SimpleNamespace(not_simulated=set()), prepared=[mine], bones=[], problems=[], out=None
+        forward_model=SimpleNamespace(not_simulated=set()), prepared=prepared, bones=[], problems=[], out=None
     )
     case = SimpleNamespace(subject="B1")
-    asked = _Diagnosed(case, [mine.site], tmp_path, (), DiagnoseOptions(), None, SILENT)
-    result = asked._write(None, place, 0)
+    asked = _Diagnosed(case, [each.site for each in prepared], folder, (), DiagnoseOptions(), None, SILENT)
+    return asked._write(None, place, 0)
+
+
+def test_the_command_prints_every_sentence_once(tmp_path, monkeypatch):
+    """Also those of numerical doubt, of bones and of cycles, of which there may be a dozen together."""
+    told, of_cycles = [f"sentence {k}" for k in range(11)], ["All loadings are one curve within noise."]
+    monkeypatch.setattr("limbcli.stages.diagnose.note_earlier", lambda *_: None)
+    monkeypatch.setattr("limbcli.stages.diagnose.cycle_facts", lambda *_: {"sentences": of_cycles})
+    result = written(tmp_path, monkeypatch, told, "p1")
     assert list(result.summary) == result.data["sentences"] == [*told, *of_cycles]
+
+
+def test_a_diagnosis_rests_on_all_sites_of_its_place_and_is_made_again_with_them(tmp_path, monkeypatch):
+    noted: list[str] = []
+    monkeypatch.setattr(
+        "limbcli.stages.diagnose.note_earlier", lambda case, out, site, writer: noted.append(site.name)
+    )
+    monkeypatch.setattr("limbcli.stages.diagnose.cycle_facts", lambda *_: None)
+    result = written(tmp_path, monkeypatch, [], "p1", "p2")
+    assert noted == ["p1", "p2"]
+    again = CommandStep.of(result).command(Path("limb"), Path("out"))
+    assert again == "limbcli diagnose limb --site p1 --site p2 --out out"
 
 
 def test_without_segment_it_says_so_and_leaves_nothing(tmp_path):

@@ -15,7 +15,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from limbcli.case import Case
-from limbcli.errors import CaseError
+from limbcli.errors import CaseError, ToolError
 from limbcli.reporting.page import render
 from limbcli.reporting.sections.joint import joint, laws
 from limbcli.reporting.sections.overview import overview
@@ -390,6 +390,11 @@ def test_warnings_of_every_stage_stand_at_the_head(whole):
     assert "fκ trades off <with> c" in head
 
 
+def test_a_report_tells_which_fits_it_shows(whole):
+    told = read_result(whole[0], "report").data["fitted_utc"]
+    assert told["p1"] == read_result(whole[0], "fit", site="p1").provenance["finished_utc"]
+
+
 def test_speed_line_is_that_of_the_readings(whole):
     out, page = whole
     line = read_result(out, "report").data["sites"]["p1"]["swe_against_force"]
@@ -599,6 +604,12 @@ def test_a_faulty_template_of_the_users_is_named_and_leaves_no_half_page(tmp_pat
         report(case, out=tmp_path / "out", templates=tmp_path / "mine")
     assert "mine" in caught.value.where
     assert not list((tmp_path / "out").iterdir())
+
+
+def test_a_folder_of_templates_that_is_not_there_is_named(tmp_path):
+    case = make_case(tmp_path / "case")
+    with pytest.raises(ToolError, match="nope does not exist"):
+        report(case, out=tmp_path / "out", templates=tmp_path / "nope")
 
 
 def test_a_template_of_the_users_that_nothing_uses_is_refused(tmp_path):

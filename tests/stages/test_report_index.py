@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from limbcli.cli.app import app
 from limbcli.errors import CaseError
-from limbcli.results import open_stage
+from limbcli.results import open_stage, read_result
 from limbcli.stages.report_pages.failure import report_failure
 from limbcli.stages.report_pages.index import report_index
 
@@ -99,6 +99,21 @@ def test_a_poor_fit_is_called_so_in_the_table(tmp_path):
     path.write_text(json.dumps(content))
     html = report_index(tmp_path).page.read_text(encoding="utf-8")
     assert re.search(r'<span class="pill \w+">poor fit</span>', html)
+
+
+def test_a_fit_that_its_report_does_not_show_is_told(tmp_path):
+    """The page says that warnings and figures of the report belong to its numbers."""
+    add_subject(tmp_path, "A")
+    path = tmp_path / "A" / "report" / "report.json"
+    content = json.loads(path.read_text())
+    fitted = read_result(tmp_path / "A", "fit", site="p1").provenance["finished_utc"]
+    for shown, words in ((fitted, ""), ("2020-01-01T00:00:00Z", "again, after its report was made")):
+        content["data"]["fitted_utc"] = {"p1": shown}
+        path.write_text(json.dumps(content))
+        result = report_index(tmp_path)
+        assert result.rows[0].older.startswith(words)
+        assert bool(result.rows[0].older) == bool(words)
+        assert words in result.page.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("why", ["open to both bounds: nothing is excluded", ""])

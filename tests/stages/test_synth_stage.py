@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import tomllib
 from dataclasses import replace
@@ -9,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from limbcli.atomic_files import atomic_folder
 from limbcli.case import Case
 from limbcli.errors import CaseError, LimbError
 from limbcli.measurement.elastography import read_maps
@@ -145,3 +147,24 @@ def test_a_case_whose_truth_cannot_be_written_does_not_replace_the_one_before(li
     with pytest.raises(LimbError):
         synth(case, out=limb / "out", out_case=folder, options=EXACT, force=True)
     assert (folder / "mine").exists()
+
+
+@pytest.mark.slow
+def test_a_kill_once_the_case_is_replaced_leaves_no_truth_of_the_one_before(limb, simulated, monkeypatch):
+    case, folder = simulated
+    again = {"out": limb / "out", "out_case": folder, "options": EXACT, "force": True}
+    truth = truth_file(folder).read_text()
+
+    @contextlib.contextmanager
+    def killed(target):
+        with atomic_folder(target) as work:
+            yield work
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(synth_module, "atomic_folder", killed)
+        with pytest.raises(KeyboardInterrupt):
+            synth(case, **again)
+    assert truth_file(folder).read_text() == ""
+    synth(case, **again)
+    assert truth_file(folder).read_text() == truth

@@ -217,8 +217,9 @@ def note_earlier(case: Case, out: Path, site: Site, writer: StageWriter) -> None
             writer.used_result(found, files=[name for name in found.files if name.startswith(names)])
     for kind, path in (("levels", site.levels), ("trace", site.trace), ("swe_maps", site.swe_maps)):
         if path is not None:
-            writer.used(kind.replace("_", " "), path, role=f"site/{site.name}/{kind}")
-    own = ["place", "long_axis", "density_kg_per_m3", "noise", "fibres"]
+            label = kind.replace("_", " ") + ("" if site.name == writer.site else f" {site.name}")
+            writer.used(label, path, role=f"site/{site.name}/{kind}")
+    own = ["place", "long_axis", "skin_bone", "density_kg_per_m3", "noise", "fibres"]
     note_case(writer, case, ["probe", "model/margin"], site=site, own=own)
 
 

@@ -31,14 +31,17 @@ class CommandStep:
 
     @staticmethod
     def of(result: StageResult) -> CommandStep:
-        """As it was made; a joint fit with the same law, or laws, and of the same sites."""
+        """As it was made: a joint fit with the same law, or laws, and of the same sites; a diagnosis of all
+        sites of its place."""
         given = result.data.get("asked")
         asked = dict(given) if isinstance(given, Mapping) else {}
+        sites = tuple(result.data.get("sites") or ())
+        if result.stage == "diagnose" and len(sites) > 1:
+            return CommandStep(result.stage, None, asked, sites)
         if result.stage != "fit-joint":
             return CommandStep(result.stage, result.site, asked)
         law = {"law": result.data["law"]} if "law" in result.data else {}
         laws = {"compare_laws": True} if result.data.get("laws") else {}
-        sites = tuple(result.data.get("sites") or ())
         return CommandStep(result.stage, None, {**law, **laws, **asked}, sites)
 
     def command(self, case: Path, out: Path) -> str:

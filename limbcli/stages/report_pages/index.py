@@ -138,10 +138,12 @@ def _row(out: Path, report: StageResult, site: str, link: str) -> IndexRow:
     if fitted.subject != report.subject:  # as on the page
         state = f"the fit is of {fitted.subject}"
         return IndexRow(name, report.subject, site, "missing", state, n_warnings, link, assumed=assumed)
-    view = read_fit_view(fitted)
+    view, shown_fit = read_fit_view(fitted), report.value(f"fitted_utc/{site}")
+    is_shown = shown_fit in (None, fitted.provenance.get("finished_utc"))
+    older = "" if is_shown else "again, after its report was made: make that again"
     return IndexRow(
-        name, report.subject, site, "warning" if n_warnings else "fine", "fitted", n_warnings, link, view,
-        assumed=assumed,
+        name, report.subject, site, "warning" if n_warnings or older else "fine", "fitted", n_warnings, link,
+        view, assumed=assumed, older=older,
     )  # fmt: skip
 
 
