@@ -104,10 +104,14 @@ print(f"picture: {folder / 'walkthrough.png'}")
 
 # %% Other parameters in the same model, with derivatives: a session keeps the model in memory
 model = limbcli.read_feb(built["p1"].feb)
+tissue = model.materials["tissue"]  # MPa: c1 = c2 = c / 2, m1 = -m2 = m, kappa = f_kappa c
+softer = model.with_material("tissue", tissue.with_parameters(kappa=tissue.parameters["kappa"] / 2))
 with limbcli.ReferenceSession(model) as session:
     solved = session.solve(wrt=[("tissue", "kappa")])
+    halved = session.solve(softer)
 slope = solved.force_gradient["tissue", "kappa"][-1]
 print(f"last level: {solved.must_points.forces[-1]:.2f} N; d force / d kappa' = {slope:.3f} N/MPa")
+print(f"with half of kappa': {halved.must_points.forces[-1]:.2f} N at {halved.must_points.depths[-1]:.2f} mm")
 
 # %% What was computed can be read back without computing
 assert limbcli.FitResult.read(results, site="p1").m == fits["p1"].m

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.bodies import Contact, Drive, RigidBody, Spring
+from limbcli.errors import CaseError
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -269,9 +270,10 @@ class LimbModel:
         )
 
     def with_material(self, name: str, material: Material) -> LimbModel:
-        """The same model with one material replaced."""
+        """The same model with one material replaced. Raises CaseError if there is none of that name."""
         if name not in self.materials:
-            raise KeyError(f"no material {name!r}; there are {sorted(self.materials)}")
+            fix = f"use one of {', '.join(sorted(self.materials))}"
+            raise CaseError(f"the model has no material {name!r}", where=f"with_material({name!r})", fix=fix)
         return replace(self, materials={**self.materials, name: material})
 
     def with_mesh(self, mesh: Mesh) -> LimbModel:

@@ -31,6 +31,7 @@ _SPEED_UNUSUAL_M_PER_S = 4.0  # at 0 N
 _TOLERATED_FORCE_DROP = 1.0
 _SILENT_FORCE_DROP = 0.3
 _PULL = 0.5  # N below 0 that noise and a load cell's drift explain
+_TARE = "take what it read in the air from every force (tare_s of [site.load_cell] does so)"
 # How far skin_bone_mm and depth_mm may contradict each other: mm, deviations of the depth.
 _DISTANCE_OFF, _DISTANCE_SIGMAS = 2.0, 4.0
 # How far from 0 mm level 0 may stand: deviations of the depth; by how much a curve is softer at its start
@@ -256,8 +257,7 @@ def check_tare(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
     if force >= -_PULL:
         return []
     what = f"force_n is {force:.3g} N at the first level: tissue does not pull, the load cell's zero is off"
-    fix = "take what it read in the air from every force (tare_s of [site.load_cell] does so)"
-    return [problem(what, path, fix, line=table.lines[0], warning=True)]
+    return [problem(what, path, _TARE, line=table.lines[0], warning=True)]
 
 
 def check_plausible(levels: Levels, path: Path, *, speed_is_possible: bool) -> list[Problem]:
@@ -273,6 +273,7 @@ def check_plausible(levels: Levels, path: Path, *, speed_is_possible: bool) -> l
     problems += _check_stiffness(stiffness, expected, path)
     if not levels.begins_at_zero:
         fix = "level 0 is first touch: about 0 N and 0 mm; c is taken from the first row's speed as it stands"
+        fix += f"; if the load cell was not tared, {_TARE}" if levels.depth[0] <= 0 < levels.force[0] else ""
         what = f"there is no level 0: the first row is at {levels.force[0]:g} N and {levels.depth[0]:g} mm"
         what += "" if levels.phase[0] == "load" else ", unloading"
         problems.append(problem(what, path, fix, warning=True))

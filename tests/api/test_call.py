@@ -79,3 +79,10 @@ def test_no_effects_are_the_usual_ones(tmp_path: Path):
     assert names_of("skin-layer", "effects") == ["skin-layer"]
     with pytest.raises(CaseError, match="effects is 3"):
         limbcli.make_phantom(tmp_path / "subject", effects=3)  # type: ignore[arg-type]
+
+
+def test_a_material_that_the_model_does_not_have_is_told_with_those_that_it_has():
+    model = limbcli.read_feb(Path(__file__).parents[1] / "data" / "feb" / "punch.feb")
+    with pytest.raises(limbcli.LimbcliError, match="no material 'tisue'") as found:
+        model.with_material("tisue", model.materials["tissue"])
+    assert "tissue" in found.value.fix

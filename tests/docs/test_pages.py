@@ -6,6 +6,7 @@ import ast
 import inspect
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -88,6 +89,19 @@ def test_the_python_that_is_printed_calls_what_there_is(page: Path):
                 given = {each.arg: None for each in node.keywords if each.arg}
                 inspect.signature(names[node.func.id]).bind(*node.args, **given)  # type: ignore[arg-type]
     assert any("from limbcli import" in block for block in blocks(page, "python"))
+
+
+def test_own_parameters_in_a_model_are_simulated_as_the_page_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    (code,) = (each for each in blocks(DOCS / "api.md", "python") if "read_feb" in each)
+    folder = tmp_path / "out" / "subject" / "build-feb" / "p1"
+    folder.mkdir(parents=True)
+    shutil.copy(REPOSITORY / "tests" / "data" / "feb" / "punch.feb", folder / "model.feb")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code, "api.md", "exec"), {})
+    whole, softer = (float(re.findall(r"[\d.]+", line)[-1]) for line in capsys.readouterr().out.splitlines())
+    assert 0 < softer < whole
 
 
 def test_the_page_of_results_lists_every_file_that_a_stage_leaves():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -26,6 +27,9 @@ def test_the_walkthrough_goes_from_dicom_to_a_diagnosis_and_leaves_pictures(tmp_
     assert f"{found.verdict}: {found.reason}" in result.stdout
     fitted = FitResult.read(folder / "results", "p1")
     assert all(each.words in result.stdout for each in fitted.parameters)
+    (whole,) = re.findall(r"^last level: ([\d.]+) N", result.stdout, re.MULTILINE)
+    (halved,) = re.findall(r"^with half of kappa': ([\d.]+) N", result.stdout, re.MULTILINE)
+    assert 0 < float(halved) < float(whole)
     pictures = [folder / "walkthrough.png", *(folder / "results").rglob("*.png")]
     assert {"contact-sheet.png", "mesh.png", "force-depth.png", "fit.png", "gap.png"} <= {
         p.name for p in pictures

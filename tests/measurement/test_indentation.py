@@ -232,6 +232,14 @@ def test_a_measurement_without_a_level_0_is_told(tmp_path: Path, first: str):
     assert not any("level 0" in each for each in level_warnings(write(tmp_path)))
 
 
+@pytest.mark.parametrize(("first", "is_told"), [("3.5,0,1.7,0.2,90", True), ("2,1.6,1.7,0.2,90", False)])
+def test_a_force_at_no_depth_may_be_a_missing_tare(tmp_path: Path, first: str, is_told: bool):
+    rows = [first, "5.5,2,1.9,0.2,90", "7.5,4,2.1,0.2,90", "9.5,6,2.3,0.2,90"]
+    problems = check_levels(write(tmp_path, rows=rows))[1]
+    (doubt,) = [each for each in problems if "there is no level 0" in each.what]
+    assert ("if the load cell was not tared, take what it read in the air" in doubt.fix) == is_told
+
+
 @pytest.mark.parametrize(
     ("force", "moved", "told"),
     [(0.0, 0.8, True), (0.0, -0.8, True), (0.0, 0.3, False), (0.5, 0.8, False), (0.0, 0.0, False)],

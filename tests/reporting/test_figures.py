@@ -82,6 +82,11 @@ def test_a_start_curve_far_off_does_not_flatten_the_data():
     assert lower.get_ylim()[1] < 1.0
 
 
+def test_a_simulation_that_no_fit_stands_beside_is_seen_whole():
+    start = curve("start", 50.0)
+    assert force_depth(MEASURED, [start]).axes[0].get_ylim()[1] > start.force.max()
+
+
 def test_drawing_leaves_the_callers_settings_alone():
     before = dict(matplotlib.rcParams)
     figures()

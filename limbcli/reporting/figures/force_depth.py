@@ -63,7 +63,7 @@ def force_depth(measured: MeasuredCurve, curves: Sequence[SimulatedCurve]) -> Fi
             colour, dashes = LOOKS.get(curve.key, _OTHER)
             upper.plot(curve.depth, curve.force, color=colour, linestyle=dashes, label=curve.label)
         _draw_measured(upper, measured)
-        _limit(upper, measured)
+        _limit(upper, measured, curves)
         upper.set(ylabel="probe force [N]")
         _legend(figure, upper)
         for curve in curves:
@@ -115,11 +115,12 @@ def _noise_words(measured: MeasuredCurve) -> str:
     return f" (bars: ±1 SD, {measured.depth_sd:g} mm and {measured.force_sd:g} N)"
 
 
-def _limit(axes: Axes, measured: MeasuredCurve) -> None:
-    """A start curve far above the data must not flatten the data."""
+def _limit(axes: Axes, measured: MeasuredCurve, curves: Sequence[SimulatedCurve]) -> None:
+    """Beside fits, a start curve far above the data must not flatten the data; alone, it is seen whole."""
     bar = measured.force_sd or 0.0
-    low = min(0.0, float(np.nanmin(measured.force)) - bar)
-    high = max(0.0, float(np.nanmax(measured.force)) + bar)
+    alone = [] if any(each.key != "start" for each in curves) else [each.force for each in curves]
+    shown = np.concatenate([measured.force - bar, measured.force + bar, *alone])
+    low, high = min(0.0, float(np.nanmin(shown))), max(0.0, float(np.nanmax(shown)))
     span = max(high - low, 1e-6)
     axes.set_ylim(low - 0.04 * span, high + 0.08 * span)
 
