@@ -23,7 +23,12 @@ from limbcli.results import StageResult, read_result
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment
 from limbcli.stages.segmenting.surfaces import read_surfaces, triangles_of
-from limbcli.stages.site_model.mesh_checks import geometry_warnings, layer_warnings, warnings_now
+from limbcli.stages.site_model.mesh_checks import (
+    geometry_warnings,
+    layer_warnings,
+    moved_warnings,
+    warnings_now,
+)
 
 CASE = """format = 1
 [subject]
@@ -215,6 +220,13 @@ def test_layers_that_thin_out_over_bone_are_told_with_what_is_left():
     assert layer_warnings(LayersKept(centre=1.0, least=0.95), 7.5) == []
     (said,) = layer_warnings(LayersKept(centre=0.8, least=0.72), 7.5)
     assert "5.4 mm are left under the probe, 6.0 mm at its centre" in said
+
+
+def test_a_place_beside_the_skin_is_told_and_the_middle_of_a_marker_is_none():
+    assert moved_warnings(2.0, SimpleNamespace(marker=None)) == []
+    assert moved_warnings(4.0, SimpleNamespace(marker=3)) == []
+    (said,) = moved_warnings(4.0, SimpleNamespace(marker=None))
+    assert "lay 4.0 mm from the skin" in said
 
 
 def test_a_mesh_is_told_with_the_bones_depth_of_today(tmp_path):
