@@ -111,11 +111,10 @@ def _clear_of_skin(bone: Field, skin: Field, planes: tuple[Plane, ...], notes: l
     points = bone.grid.points()[tight]
     counted = within(points, planes, slack=-1.0)
     if counted.any():
-        depth = float(
-            np.max(np.minimum(skin.values[tight][counted], -bone.values[tight][counted]) + CLEARANCE)
-        )
+        depth = float(skin.at(bone.project(points[counted])).max() + CLEARANCE)
+        volume = int(counted.sum() * bone.grid.spacing**3)
         notes.append(
-            f"bone came within {CLEARANCE:g} mm of the skin on {int(counted.sum())} mm3 "
+            f"bone came within {CLEARANCE:g} mm of the skin on {volume} mm3 "
             f"(by up to {depth:.1f} mm) and was pushed inside"
         )
     return distance_again(bone.with_values(np.maximum(bone.values, skin.values + CLEARANCE)))

@@ -53,7 +53,8 @@ def test_bone_touching_or_piercing_the_skin_is_pushed_inside(make_tube, depth):
     frame = site_frame(limb, np.array([0.0, 40.0, 0.0]), "axial", PROBE)
     local = limb.moved(frame.to_model)
     domain = make_domain(local, crop_planes(local, PROBE, 20.0), spacing=1.5)
-    assert any("pushed inside" in note for note in domain.notes)
+    (note,) = (each for each in domain.notes if "pushed inside" in each)
+    assert float(note.split("up to ")[1].split(" mm")[0]) == pytest.approx(CLEARANCE - depth, abs=0.15)
     on_bone = np.abs(domain.bone.values) < 0.5
     inside = within(domain.bone.grid.points().reshape(-1, 3), domain.planes, slack=-2.0)
     on_bone &= inside.reshape(on_bone.shape)
