@@ -293,6 +293,15 @@ def test_a_label_map_without_bone_is_refused(segmented, tmp_path):
         segment(case_with(tmp_path, labels=tmp_path / "labels.nii.gz"), out=tmp_path)
 
 
+def test_smoothing_that_takes_much_of_a_thin_bone_is_told(segmented, tmp_path):
+    _, first, _ = segmented
+    case = case_with(tmp_path, labels=first.path("labels"))
+    result = segment(case, out=tmp_path, smooth=3.0)
+    (said,) = (each for each in result.warnings if "smoothing took" in each)
+    assert "bone_fibula" in said
+    assert not any("smoothing took" in each for each in first.warnings)
+
+
 def test_an_unknown_seed_is_refused(series, tmp_path):
     with pytest.raises(CaseError, match="seed"):
         segment(case_with(tmp_path, mri=series), out=tmp_path, seeds=[("fat", (0.0, 0.0, 0.0))])
