@@ -29,6 +29,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.provenance.requested_options import asked_of
+from limbcli.stages.segmenting.places import warnings_of_limb
 from limbcli.stages.site_model.fibres import note_fibres, with_fibres, write_fibres
 from limbcli.stages.site_model.mesh_checks import (
     geometry_warnings,
@@ -278,7 +279,7 @@ def _report(
         else (f"skin to bone {checks.skin_bone_mm:.1f} mm at the probe's centre")
     )
     writer.summary.append(f"{bone}; {100 * checks.over_tissue_share:.0f} % of the face over tissue")
-    writer.warnings.extend(segmented.warnings)
+    writer.warnings.extend(warnings_of_limb(segmented))
     writer.warnings.extend(
         geometry_warnings(
             checks, measured=writer.data["measured_skin_bone_mm"], margin=options.margin, site=site.name

@@ -137,6 +137,19 @@ def test_a_long_axis_far_out_of_the_skin_is_told(folder, tmp_path):
     assert any("leaves the skin by 27 degrees" in each for each in result.warnings)
 
 
+@pytest.mark.slow
+def test_a_place_that_was_corrected_is_not_told_as_it_was(folder, tmp_path):
+    shutil.copytree(folder, tmp_path / "case")
+    (tmp_path / "case" / "case.toml").write_text(CASE.replace("29.5", "41.5"))
+    before = segment(Case.open(tmp_path / "case"), out=tmp_path / "out")
+    assert any("site p1 lies" in each for each in before.warnings)
+    (tmp_path / "case" / "case.toml").write_text(CASE)
+    (result,) = mesh(
+        Case.open(tmp_path / "case"), out=tmp_path / "out", sites=["p1"], size=6.0, far_size=15.0
+    )
+    assert not any("site p1 lies" in each for each in result.warnings)
+
+
 def test_sizes_out_of_range_are_refused(folder, out):
     with pytest.raises(CaseError, match="--size-mm"):
         mesh(Case.open(folder), out=out, sites=["p1"], size=0.1)
