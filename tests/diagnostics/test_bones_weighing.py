@@ -103,7 +103,7 @@ def test_nothing_is_said_of_a_next_measurement_where_none_was_compared():
 def test_the_verdict_says_how_many_effects_it_names(effects, words):
     for more in ((), ((*effects, "friction"),)):
         told = replace(found("named", effects, *more), not_evaluated={})
-        assert sentences(told)[0].startswith(f"NAMED: {words} the gap")
+        assert sentences(told)[0].startswith(f"NAMED: {words} the misfit")
 
 
 def test_what_explains_nothing_adds_nothing():

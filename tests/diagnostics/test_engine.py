@@ -259,7 +259,7 @@ def test_no_name_where_something_is_left(rng, monkeypatch):
     found = run(case)
     assert found.verdict == "ambiguous"
     assert found.confidence_set == (("wave",),)
-    assert "leaves something" in found.reason
+    assert "a residual remains" in found.reason
     assert sentences(found)[0].startswith("AMBIGUOUS: one explanation fits, but")
     assert not any(line.startswith("Next measurement") for line in sentences(found))
 
@@ -352,12 +352,13 @@ def test_what_barely_is_not_adequate_is_told_beside_a_member_only(adequate):
 
 @pytest.mark.parametrize(
     ("several", "doubt", "word", "reason"),
-    [([("a",), ("a", "b")], None, "named", "all that fits has a; "),
-     ([("a",), ("a", "b")], ("ambiguous", "why"), "ambiguous", "all that fits has a, but why"),
+    [([("a",), ("a", "b")], None, "named", "every explanation that fits includes a; "),
+     ([("a",), ("a", "b")], ("ambiguous", "why"), "ambiguous", "every explanation that fits includes a, but "
+         "why"),
      ([("a",), ("b",)], None, "ambiguous", "2 explanations fit"),
      ([("a",), ("b",)], ("ambiguous", "why"), "ambiguous", "2 explanations fit"),
      ([("a",), ("b", "c")], None, "ambiguous", "2 explanations fit"),
-     ([("a",)], None, "named", "one explanation fits, no other "),
+     ([("a",)], None, "named", "one explanation fits, and no other "),
      ([("a", "b"), ("a", "c")], None, "ambiguous", "2 explanations fit"),
      ([("a",)], ("unexplained", "why"), "unexplained", "one explanation fits, but why")],
 )  # fmt: skip
@@ -425,7 +426,7 @@ def test_no_name_for_what_one_site_in_twenty_with_nothing_missing_shows(
     )  # fmt: skip
     doubt = run._why_not_named(best, [best], [])
     assert (doubt is None) == named
-    assert named or doubt == ("ambiguous", "its own evidence is weak for a name (p 0.043)")
+    assert named or doubt == ("ambiguous", "its own evidence is too weak to name it (p 0.043)")
 
 
 @pytest.mark.parametrize(

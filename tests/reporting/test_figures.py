@@ -271,7 +271,7 @@ def test_long_names_leave_room_for_the_parameters_of_a_study():
     assert all(axes.bbox.width > 0.2 * figure.bbox.width for axes in figure.axes)
     labels = [each.get_window_extent() for each in figure.axes[0].get_yticklabels()]
     assert all(not one.overlaps(other) for one, other in pairwise(labels))
-    assert [each.get_text() for axes in figure.axes for each in axes.texts] == ["not told", "not told"]
+    assert [each.get_text() for axes in figure.axes for each in axes.texts] == ["not known", "not known"]
 
 
 @pytest.mark.parametrize("ends", [(4.0, 7.0), (3.0, 40.0), (0.02, 2000.0)])

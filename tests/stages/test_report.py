@@ -452,7 +452,7 @@ def test_a_broken_table_of_predicted_speeds_becomes_words(tmp_path):
 
 def test_provenance_names_solver_versions_hashes_and_units(whole):
     _, page = whole
-    tail = page.text[page.text.index("What made this page?") :]
+    tail = page.text[page.text.index("How was this page made?") :]
     for word in ("febio", "4.11.0", "pardiso", "numpy", "mm-N-s (MPa)", "case.toml", "limbcli"):
         assert word in tail, word
     assert re.search(r"\b[0-9a-f]{64}\b", tail)

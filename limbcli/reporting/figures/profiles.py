@@ -54,7 +54,7 @@ def profile_figure(profiles: Sequence[ProfileCurve]) -> Figure:
                 plain_log(axes.xaxis, few=len(profiles) > _ROOMY)
             symbol = _SYMBOLS.get(profile.name, profile.name)
             axes.set(xlabel=f"{symbol} [{profile.unit}]", title=symbol, ylim=(-0.3, 2 * profile.limit))
-        panels[0].set_ylabel("fall of the likelihood (deviance) [–]")
+        panels[0].set_ylabel("increase in deviance, −2 Δ ln L [–]")
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure

@@ -33,10 +33,10 @@ def _parts(site: str, doubt: Mapping[str, Any]) -> PageTable:
         share = DASH if alone is None else f"{short(100 * alone, 2)} %"
         rows.append((Cell(symbol, lead=True), *cells, Cell(share)))
     names = head(
-        "parameter", "95 %: noise and mesh alone", "95 %: with the geometry", "geometry alone, one deviation"
+        "parameter", "95 %: noise and mesh only", "95 %: with the geometry", "geometry only, one deviation"
     )
     return PageTable(
-        f"Site {site}: what the assumed geometry adds ({doubt.get('words')})", (names,), tuple(rows)
+        f"Site {site}: uncertainty from the assumed geometry ({doubt.get('words')})", (names,), tuple(rows)
     )
 
 
@@ -49,7 +49,7 @@ def _variations(site: str, doubt: Mapping[str, Any]) -> PageTable:
         reported = [Cell(DASH if known is None else f"{_signed(known)} %") for known in shifts]
         rows.append((Cell(str(each["words"]), lead=True), Cell(reach), *reported))
     names = head("varied", "force, over the levels", "f_κ (ln)", "m (ln)")
-    caption = f"Site {site}: the model in other shapes, and how far each would move the parameters"
+    caption = f"Site {site}: alternative geometries, and how far each would shift the parameters"
     return PageTable(caption, (names,), tuple(rows))
 
 

@@ -32,8 +32,8 @@ def fibres(page: ReportData, site: SiteMaterial) -> Reportlet | None:
         site.name,
         pictures=pictures,
         look_for="lines that run as the muscle does: along the limb, or at its pennation angle",
-        bad="lines that stand out of the skin or cross the limb (another frame, a sign turned), or a "
-        "direction that nobody measured where a result depends on it",
+        bad="lines that point out of the skin or cross the limb (wrong frame, flipped "
+        "sign), or an unmeasured direction where a result depends on it",
         notes=(*_words(told), _USE),
     )
 

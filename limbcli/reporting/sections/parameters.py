@@ -11,7 +11,7 @@ from limbcli.reporting.report_data import ReportData
 from limbcli.reporting.reportlet import Cell, Mood, PageTable, Reportlet, head
 from limbcli.reporting.sections.assumed_geometry import geometry_tables
 
-KEY, TITLE = "parameters", "Which tissue parameters, and how sure are they?"
+KEY, TITLE = "parameters", "Which tissue parameters, and how certain are they?"
 _NOTABLE = 1.5  # times the stated noise
 TET4_WORDS = (
     "This model is made of four-node tetrahedra, which lock: they resist the change of shape of nearly "
@@ -37,7 +37,7 @@ def parameters(page: ReportData) -> Reportlet:
         _mood(outcomes, views),
         tables=(_paper_table(outcomes, views), *details),
         look_for="a narrow interval and the word “identified”. c comes from shear waves at zero load and "
-        "is held fixed; m says how fast the tissue stiffens; κ′ = f_κ c how it resists a change of volume",
+        "is held fixed; m describes how fast the tissue stiffens; κ′ = f_κ c how it resists volume change",
         bad="“at bound”, “no influence”, “trades off” or an interval open to one side: such a value is "
         "where the search stopped, not a property of the tissue",
         notes=tuple(notes),
@@ -112,7 +112,10 @@ def _details(site: str, view: FitView) -> PageTable:
         for k, each in enumerate(step.estimates):
             label = (Cell(step.label, lead=True, down=len(step.estimates)),) if k == 0 else ()
             rows.append((*label, *estimate_cells(each)))
-    caption = f"Site {site}: intervals and what can be said of each parameter ({view.element}, {view.solver})"
+    caption = (
+        f"Site {site}: confidence interval and identifiability of each parameter ({view.element}, "
+        f"{view.solver})"
+    )
     return PageTable(caption, (names,), tuple(rows), numeric=False)
 
 
@@ -171,8 +174,8 @@ def _noise_words(view: FitView) -> list[str]:
     words = []
     if view.noise_source == "assumed":
         words.append(
-            "the measurement noise is assumed, not measured, so the intervals are as good as that guess. "
-            "Repeat a level and state the spread in [site.noise]."
+            "the measurement noise is assumed, not measured, so the intervals are only as reliable as that "
+            "assumption. Repeat a level and state its standard deviation in [site.noise]."
         )
     if view.noise_scale is not None and view.noise_scale > _NOTABLE:
         words.append(

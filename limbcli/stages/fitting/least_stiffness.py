@@ -52,7 +52,7 @@ class LeastStiffness:
         )
         if not self.is_determined:
             return (
-                f"{self.way} the limb, the state of least stiffness is not told by these data: "
+                f"{self.way} the limb, these data do not determine the state of least stiffness: "
                 f"{self._excluded()}. The speeds at rest do not curve enough over the stretches measured; "
                 "measure states further "
                 "apart, shorter ones above all"

@@ -115,7 +115,7 @@ def _undetermined(
     """A sentence for everything that these data leave open."""
     stretches = [each.name for each in plan.parameters]
     found = [
-        f"not told by these data: {each['words'].rstrip('.')}"
+        f"not determined by these data: {each['words'].rstrip('.')}"
         for name, each in parameters.items()
         if each["low"] is None or each["high"] is None or (name in stretches and each["flag"] != "identified")
     ]

@@ -14,7 +14,9 @@ from limbcli.stages.site_model.site_levels import cycles_of
 def cycle_sentences(site: Site, levels: Levels, study: CycleStudy) -> list[str]:
     """From which cycle on the tissue repeats itself, what changed before, whether the support moved."""
     if not study.differences:
-        return ["There is one whole loading: whether the tissue would repeat it is not told by these data."]
+        return [
+            "There is one whole loading: whether the tissue would repeat it is not determined by these data."
+        ]
     last = study.differences[-1].later
     if study.repeats_from is None:
         lines = [
