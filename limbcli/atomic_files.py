@@ -184,7 +184,7 @@ def read_triangles(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     import meshio
 
     if path.suffix.lower() == ".ply" and b"end_header" not in path.read_bytes()[:_PLY_HEAD]:
-        raise OSError("its header does not end")  # meshio would look for the end for ever
+        raise OSError("its header is not terminated")  # meshio would look for the end for ever
     try:
         with np.errstate(all="ignore"):  # meshio guesses at a size that may not fit
             mesh = meshio.read(path)
@@ -193,10 +193,10 @@ def read_triangles(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     except _FOREIGN as error:
         raise OSError(str(error) or type(error).__name__) from error
     if points.ndim != 2 or points.shape[1] < 3:
-        raise OSError("its points have no three coordinates")
+        raise OSError("its points do not have three coordinates")
     faces = np.concatenate([np.zeros((0, 3), np.int64), *(_fans(each) for each in blocks if each.size)])
     if len(faces) and not 0 <= faces.min() <= faces.max() < len(points):
-        raise OSError(f"a triangle names a point that is not there (of {len(points)})")
+        raise OSError(f"a triangle refers to a point that does not exist (of {len(points)})")
     return points[:, :3], faces
 
 

@@ -29,13 +29,14 @@ def templates_folder(override: Path | None = None) -> Path:
             raise ToolError(
                 f"the template folder {override} does not exist",
                 where="--templates",
-                fix="name a folder that holds feb/*.j2, or leave the option out",
+                fix="give a folder that contains feb/*.j2, or omit the option",
             )
         if not any((override / each).is_dir() for each in ("feb", "report")):
             raise ToolError(
-                f"the template folder {override} holds neither feb/ nor report/",
+                f"the template folder {override} contains neither feb/ nor report/",
                 where="--templates",
-                fix="put your templates into feb/ (of the model file) or report/ (of the pages) below it",
+                fix="put your templates into its subfolders feb/ (for the model file) or report/ (for the "
+                "pages)",
             )
         return override
     for folder in (PACKAGE.parent / "templates", PACKAGE / "_templates"):
@@ -70,7 +71,9 @@ def at_home(path: Path) -> Path:
         return path.expanduser()
     except RuntimeError as error:
         raise CaseError(
-            f"it is not known which folder {path.parts[0]} means", where=str(path), fix="give the whole path"
+            f"cannot determine which folder {path.parts[0]} refers to",
+            where=str(path),
+            fix="give the whole path",
         ) from error
 
 

@@ -44,9 +44,9 @@ def filled(environment: jinja2.Environment, template: str, facts: Mapping[str, A
         return environment.get_template(template).render(facts)
     except (jinja2.TemplateError, *_OF_EXPRESSIONS) as error:
         raise CaseError(
-            f"a template is faulty: {error or type(error).__name__}",
+            f"a template is invalid: {error or type(error).__name__}",
             where=_place(error, environment, template),
-            fix=f"compare it with limbcli's own {ours}, or leave --templates out",
+            fix=f"compare it with limbcli's own {ours}, or omit --templates",
         ) from error
 
 
@@ -69,11 +69,11 @@ def refuse_unused(environment: jinja2.Environment, folder: Path, ours: Path, *, 
         if path.name not in known and f"{below}{path.name}" not in environment.loader.asked:
             near = difflib.get_close_matches(path.name, sorted(known), n=1)
             raise CaseError(
-                f"the template {path.name} is used by nothing",
+                f"the template {path.name} is not used",
                 where=str(path),
                 fix=f"did you mean {near[0]}?"
                 if near
-                else f"include it, or call it one of {', '.join(sorted(known))}",
+                else f"include it, or rename it to one of {', '.join(sorted(known))}",
             )
 
 

@@ -99,8 +99,8 @@ class Imaging:
         if self.bone_radius is None:
             return ""
         return (
-            f"{NOT_IMAGED}: the bone is a straight round rod of {self.bone_radius:g} mm radius, as deep "
-            "below each site as ultrasound shows it; the skin is a scan"
+            f"{NOT_IMAGED}: the bone is a straight round rod of {self.bone_radius:g} mm radius, at "
+            "the depth measured by ultrasound below each site; the skin is a scan"
         )
 
 

@@ -12,7 +12,7 @@ from limbcli.cli.terminal import emit, terminal
 from limbcli.output_lock import one_writer
 
 TableArg = Annotated[
-    Path, typer.Argument(metavar="TABLE.csv", help="A row a person and site.", show_default=False)
+    Path, typer.Argument(metavar="TABLE.csv", help="One row per person and site.", show_default=False)
 ]
 OutOpt = Annotated[
     Path | None,
@@ -20,7 +20,7 @@ OutOpt = Annotated[
         "--out", "-o", metavar="DIR", help="Output folder; default: out/<name of TABLE>.", show_default=False
     ),
 ]
-SeedOpt = Annotated[int, typer.Option("--seed", min=0, help="Of the folds and of the sampling.")]
+SeedOpt = Annotated[int, typer.Option("--seed", min=0, help="Random seed of the folds and of the sampling.")]
 
 
 def command(

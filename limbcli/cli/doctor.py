@@ -32,5 +32,5 @@ def command(
                 if each.fix:
                     print(f"    fix: {each.fix}")
         n = len(result.missing)
-        print("all that is needed is there" if not n else f"{n} missing or broken, marked with !")
+        print("all requirements are met" if not n else f"{n} missing or broken, marked with !")
     raise typer.Exit(result.exit_code)

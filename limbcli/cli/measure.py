@@ -11,7 +11,7 @@ from limbcli.cli.terminal import emit, terminal
 from limbcli.output_lock import one_writer
 
 WriteOpt = Annotated[
-    bool, typer.Option("--write", help="Also write levels.csv where case.toml names it (if absent).")
+    bool, typer.Option("--write", help="Also write levels.csv to the path given in case.toml (if absent).")
 ]
 
 

@@ -43,7 +43,7 @@ def command(
     if (case is None) == (index is None):
         raise typer.BadParameter("give either CASE or --index DIR")
     if index is not None and (out is not None or no_wait):
-        raise typer.BadParameter("the index is written into DIR itself: leave --out and --no-wait out")
+        raise typer.BadParameter("the index is written into DIR itself: omit --out and --no-wait")
     progress = terminal(quiet=quiet, verbose=verbose)
     if index is not None:
         page = _index(index, templates, progress, as_json=json)

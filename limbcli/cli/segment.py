@@ -15,8 +15,8 @@ SeedOpt = Annotated[
     typer.Option(
         "--seed",
         metavar="KIND=X,Y,Z",
-        help="A point (patient LPS, mm) in the marrow of a bone that was missed (bone=...), "
-        "or in what was taken for bone and is none (soft=...). May be repeated.",
+        help="A point (patient LPS, mm) in the marrow of a missed bone (bone=...), "
+        "or in soft tissue wrongly labelled as bone (soft=...). May be repeated.",
     ),
 ]
 SmoothOpt = Annotated[
@@ -36,12 +36,12 @@ LimbOpt = Annotated[
     typer.Option(
         "--limb",
         metavar="left|right",
-        help="Which limb, where two are in view; default: the case's.",
+        help="Which limb, if two are in view; default: the case's.",
         show_default=False,
     ),
 ]
 FreshOpt = Annotated[
-    bool, typer.Option("--fresh", help="Leave a label map that was edited by hand aside; start anew.")
+    bool, typer.Option("--fresh", help="Discard a label map that was edited by hand and start anew.")
 ]
 
 

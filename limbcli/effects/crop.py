@@ -43,5 +43,5 @@ EFFECT = Effect(
     parameters=(FREED,),
     apply=apply,
     solves=True,
-    tell_tale="too stiff, and stiffer late",
+    tell_tale="too stiff, increasingly at larger depth",
 )

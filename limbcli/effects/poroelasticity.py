@@ -77,7 +77,7 @@ def with_drainage(drainage: Drainage) -> Effect:
 
 EFFECT = Effect(
     name="poroelasticity",
-    sentence="fluid drains out of the squeezed tissue",
+    sentence="fluid drains out of the compressed tissue",
     kind="tissue",
     source="Mow et al. 1980, J Biomech Eng 102:73",
     parameters=(PERMEABILITY,),

@@ -65,7 +65,7 @@ def raise_errors(
     raise family(
         f"{len(found)} problems:{listed}",
         where=first.where,
-        fix=f"mend them all, {then}",
+        fix=f"correct them all, {then}",
         **facts,
     )
 

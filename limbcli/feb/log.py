@@ -207,9 +207,9 @@ def read_log(path: Path) -> FebioLog:
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError as error:
         raise SolveError(
-            f"there is no log to judge the run by ({error.strerror})",
+            f"there is no log of the run ({error.strerror})",
             where=str(path),
-            fix="run the simulation again; if it recurs, start FEBio by hand on the model file",
+            fix="run the simulation again; if it recurs, start FEBio manually on the model file",
         ) from error
     log = read_lines(lines)
     if not log.version:
@@ -241,7 +241,10 @@ def check_complete(log: FebioLog, path: Path, *, end_time: float | None = None) 
         _fail(log, path, f"FEBio stopped with an error at time {reached:g}", reached)
     if log.ending == "none":
         _fail(
-            log, path, f"FEBio's log breaks off at time {reached:g}: the run was stopped or crashed", reached
+            log,
+            path,
+            f"FEBio's log ends abruptly at time {reached:g}: the run was stopped or crashed",
+            reached,
         )
     if end_time is not None and abs(reached - end_time) > _TIME_TOLERANCE * max(1.0, end_time):
         _fail(log, path, f"FEBio ended at time {reached:g} and not at {end_time:g}", reached)

@@ -43,10 +43,10 @@ def one_body(datasets: list[tuple[str, Dataset]], folder: Path) -> tuple[str, ..
         counts = Counter(each for each in values if each)
         if len(counts) < 2:
             if counts and "" in values:
-                notes.append(f"{values.count('')} of {len(values)} images lack the {tag}")
+                notes.append(f"{values.count('')} of {len(values)} images have no {tag}")
             continue
         if keyword != "PatientID" and len(counts) > _OWN * len(datasets):
-            notes.append(f"every image has a {tag} of its own; it was not looked at")
+            notes.append(f"every image has its own {tag}; it was ignored")
             continue
         usual = counts.most_common(1)[0][0]
         odd = [name for (name, _), value in zip(datasets, values, strict=True) if value not in ("", usual)]

@@ -108,7 +108,7 @@ def read_fibre_map(path: Path, *, frame: str = "ras") -> FibreMap:
     except (ImageFileError, HeaderDataError, *DAMAGED, zlib.error) as error:
         raise CaseError(f"the fibre map cannot be read ({error})", where=str(path), fix=_SAVE) from error
     if not isinstance(image, nib.Nifti1Image) or image.get_data_dtype().kind not in "fiu":
-        raise CaseError("the fibre map is no NIfTI of numbers", where=str(path), fix=_SAVE)
+        raise CaseError("the fibre map is not a numeric NIfTI file", where=str(path), fix=_SAVE)
     shape = _shape(tuple(image.shape), path)
     _check_place(image, path)
     try:
@@ -136,15 +136,19 @@ def _shape(shape: tuple[int, ...], path: Path) -> tuple[int, int, int]:
         note = f" ({hint[components]})" if components in hint else ""
         raise CaseError(what + note, where=str(path), fix=_SAVE, components=components)
     if math.prod(shape[:3]) > MOST_VOXELS:
-        raise CaseError("the fibre map has more voxels than a limb's", where=str(path), fix="crop it")
+        raise CaseError(
+            "the fibre map has more voxels than a limb image can have", where=str(path), fix="crop it"
+        )
     return int(shape[0]), int(shape[1]), int(shape[2])
 
 
 def _check_place(image: nib.Nifti1Image, path: Path) -> None:
     code = int(image.header["sform_code"]) or int(image.header["qform_code"])
-    fix = "bring the directions in the frame of the limb's own images (scanner coordinates)"
+    fix = "give the directions in the frame of the limb's own images (scanner coordinates)"
     if code == 0:
-        what = "the fibre map does not say how it lies in the patient (qform_code and sform_code are 0)"
+        what = (
+            "the fibre map does not define its orientation in the patient (qform_code and sform_code are 0)"
+        )
         raise CaseError(what, where=str(path), fix=fix)
     if code in _TEMPLATES:
         what = f"the fibre map lies in another frame: {_TEMPLATES[code]}, not the patient's"

@@ -97,7 +97,7 @@ def checked_labels(labels: Volume, path: Path) -> Volume:
     unknown = [each for each in found if each not in _KNOWN]
     if unknown:
         raise CaseError(
-            f"the label map holds the value(s) {', '.join(f'{each:g}' for each in unknown[:6])}",
+            f"the label map contains the value(s) {', '.join(f'{each:g}' for each in unknown[:6])}",
             where=str(path),
             fix="use 0 outside, 1 soft tissue, 2 bone, 3 marker, 4 fat",
         )
@@ -151,7 +151,9 @@ def _of_one_limb(turned: Volume, side: Side | None) -> tuple[Volume, tuple[str, 
         ndimage.distance_transform_edt(parts != each, sampling=turned.spacing) for each in (other, wanted)
     )
     values = np.where((turned.values > 0) & (far < near), 0, turned.values)
-    return turned.with_values(values), (f"the label map holds two limbs: the patient's {side} one was taken",)
+    return turned.with_values(values), (
+        f"the label map contains two limbs: the patient's {side} one was taken",
+    )
 
 
 def _left_out(places: Array, kind: str, volume: Volume) -> tuple[str, ...]:
@@ -161,7 +163,7 @@ def _left_out(places: Array, kind: str, volume: Volume) -> tuple[str, ...]:
     x, y, z = volume.to_patient(places[:1])[0]
     several = "s" if len(places) > 1 else ""
     where = f"at ({x:.0f}, {y:.0f}, {z:.0f}) mm" + (" and elsewhere" if several else "")
-    return (f"{len(places)} speck{several} of {kind} in the label map, {where}, left out",)
+    return (f"{len(places)} speck{several} of {kind} in the label map, {where}, excluded",)
 
 
 def _parts(mask: NDArray[np.bool_], volume: Volume, *, least: float) -> tuple[list[NDArray[np.bool_]], Array]:

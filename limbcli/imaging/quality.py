@@ -56,15 +56,15 @@ def assess(found: Segmentation, names: tuple[str, ...]) -> ImageQuality:
             remarks.append((grade, text.format(value)))
 
     limb = found.skin
-    judge("limb_jump_share", _jump(limb), _JUMP, "the limb's section changes by {:.0%} within 5 mm")
+    judge("limb_jump_share", _jump(limb), _JUMP, "the limb's cross-section changes by {:.0%} within 5 mm")
     judge("limb_cut_share", _cut_off(limb.values), _BORDER, "the image's side cuts off {:.0%} of the limb")
     judge("limb_holes_mm3", _holes(limb), _HOLE, "the limb has holes of {:.0f} mm3")
     turned = _ends_proximally(limb)
     judge("limb_ends_proximally", turned, (0, 2), "the limb ends towards the head: upside down?")
     judge(
         "limb_in_two_share", _in_two(limb), _TWO_LIMBS,
-        "{:.0%} of the limb's sections are two that touch: two limbs? Crop the image to one, or part them in "
-        "the label map",
+        "{:.0%} of the limb's sections are two that touch: two limbs? Crop the image to one, or separate "
+        "them in the label map",
     )  # fmt: skip
     figures["n_bones"] = len(names)
     if len(names) == 1:
@@ -76,11 +76,19 @@ def assess(found: Segmentation, names: tuple[str, ...]) -> ImageQuality:
         gaps = _gaps(bone.values)
         is_ = f"bone {name} "
         judge(
-            f"{name}_jump_share", _jump(bone), _BONE_JUMP, is_ + "changes its section by {:.0%} within 5 mm"
+            f"{name}_jump_share",
+            _jump(bone),
+            _BONE_JUMP,
+            is_ + "changes its cross-section by {:.0%} within 5 mm",
         )
-        judge(f"{name}_at_skin_share", at_skin, _AT_SKIN, is_ + "lies on the skin with {:.0%} of its face")
+        judge(f"{name}_at_skin_share", at_skin, _AT_SKIN, is_ + "has {:.0%} of its surface on the skin")
         judge(f"{name}_holes_mm3", _holes(bone), _HOLE, is_ + "has holes of {:.0f} mm3")
-        judge(f"{name}_half_thickness_mm", _thinnest(bone), _THIN, is_ + "is only {:.1f} mm to its middle")
+        judge(
+            f"{name}_half_thickness_mm",
+            _thinnest(bone),
+            _THIN,
+            is_ + "has a half-thickness of only {:.1f} mm",
+        )
         judge(f"{name}_gaps", gaps, (0, 2), is_ + "is missing in {:.0f} slice(s) between its ends")
     share = _largest_share(allowed, limb.values)
     judge("bone_section_share", share, _SECTION, "bone fills {:.0%} of a section of the limb (a leak?)")

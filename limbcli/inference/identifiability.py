@@ -151,7 +151,8 @@ def verdict(
     partner = max(correlations, key=lambda each: abs(each[1]), default=("", 0.0))
     if wide and abs(partner[1]) > _TRADES_OFF:
         text = (
-            f"{name} trades off with {partner[0]} (correlation {partner[1]:+.2f}): the data fix a combination"
+            f"{name} trades off with {partner[0]} (correlation {partner[1]:+.2f}): the data determine a "
+            f"combination"
         )
         return Verdict(f"trades off with {partner[0]}", f"{text} of the two; {excluded}.")
     if profile.is_open:
@@ -167,7 +168,7 @@ def verdict(
 def _without_profile(name: str, value: float, log_deviation: float, why: str) -> Verdict:
     """By the standard error alone, or, where there is none, without a claim."""
     if not np.isfinite(log_deviation):
-        return Verdict("weak", f"{name} = {short(value, 4)}; how sure that is cannot be determined: {why}.")
+        return Verdict("weak", f"{name} = {short(value, 4)}; its uncertainty cannot be determined: {why}.")
     reach = float(np.exp(min(2 * _TWO_SIDED * log_deviation, 50.0)))
     flag = "identified" if reach <= _WEAK_RATIO else "weak"
     share = 100.0 * log_deviation

@@ -243,7 +243,7 @@ def states_fit(
         raise FitError(
             f"{n_levels} loaded levels and {n_speeds} speeds for {n_parameters} parameters",
             where=", ".join(each.data.name for each in task.states),
-            fix="measure more levels, or tell more of the states' stretches",
+            fix="measure more levels, or give more of the states' stretches",
         )
     problem = StatesProblem(task, starts)
     for _ in range(_FOR_THE_BEST):

@@ -39,7 +39,7 @@ REQUIRED: Mapping[str, str] = {
 }
 OPTIONAL: Mapping[str, str] = {
     FACE: "area of the probe's face; or max_pressure_mpa",
-    PRESSURE: "largest force over the face: tells the face where face_mm2 is missing",
+    PRESSURE: "largest force over the face: gives the face where face_mm2 is missing",
     "circumference_mm": "of the limb at the site (checked against the layers)",
     "age_years": "used in a second prediction of compliance",
     "bmi_kg_per_m2": "used in a second prediction of compliance",
@@ -140,7 +140,7 @@ def read_cohort(path: Path) -> tuple[RawTable | None, list[Problem]]:
     Columns that nobody asked for are left aside, with a warning that names the nearest known one.
     """
     if not path.is_file():
-        return None, [problem("there is no such table", path, "name a CSV file with the documented columns")]
+        return None, [problem("the table was not found", path, "give a CSV file with the documented columns")]
     known = {*REQUIRED, *OPTIONAL, *TEXTS}
     header = _header(path)
     spare = {each for each in header if each and each not in known | set(_ALSO)}
@@ -151,7 +151,7 @@ def read_cohort(path: Path) -> tuple[RawTable | None, list[Problem]]:
     problems = [*_lacking(header, path), *problems] if header else problems
     for name in sorted(spare):
         hint = suggestion(name, known)
-        fix = hint if hint.startswith("did you mean") else "nothing, if that is meant"
+        fix = hint if hint.startswith("did you mean") else "none needed, if this is intended"
         problems.append(problem(f"column {name!r} is not used", path, fix, line=1, warning=True))
     if table is None:
         return None, problems
@@ -181,5 +181,5 @@ def _lacking(header: list[str], path: Path) -> list[Problem]:
             found.append(problem(f"column {name!r} is missing", path, f"add it: {REQUIRED[name]}", line=1))
     if FACE not in header and PRESSURE not in header:
         fix = f"add {FACE}, the area of the probe's face, or {PRESSURE}, the force over it"
-        found.append(problem("the probe's face is not known", path, fix, line=1))
+        found.append(problem("the probe's face area is not known", path, fix, line=1))
     return sorted(found, key=lambda each: each.what)

@@ -75,13 +75,13 @@ def change_text(difference: Difference) -> str:
     words = [_WORDS[each.name](each) for each in able]
     if len(words) == 1:
         return f"{pair} {words[0]}"
-    return f"{pair} either {', or '.join(words)}: these levels do not tell which"
+    return f"{pair} either {', or '.join(words)}: these levels cannot distinguish them"
 
 
 def _residual(change: CycleChange) -> str:
     way = "deeper" if change.size > 0 else "less deep"
     size = f"{short(abs(change.size), 2)} mm (deviation {short(change.deviation, 1)})"
-    return f"all depths are {size} {way}: deformation that did not come back, or the depth's zero moved"
+    return f"all depths are {size} {way}: deformation that did not recover, or a shift of the depth's zero"
 
 
 def _compliance(change: CycleChange) -> str:

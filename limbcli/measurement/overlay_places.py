@@ -71,9 +71,9 @@ def _to_its_ends(rgb: Array, box: Box, image: UltrasoundImage) -> Box:
         end += 1
     if max(first - begin, end - last) > most:
         raise MeasurementError(
-            f"the colour bar at {list(box)} fades into what lies beside it: its end is not plain",
+            f"the colour bar at {list(box)} blends into its surroundings: its end is not clear",
             where=image.where,
-            fix="state bar_pixels = [left, top, right, bottom] of the elastography bar, to its very ends",
+            fix="state bar_pixels = [left, top, right, bottom] of the elastography bar, from end to end",
         )
     return (left, begin, right, end) if upright else (begin, top, end, bottom)
 

@@ -99,7 +99,7 @@ def mend(
         raise MeshError(
             f"the skin surface encloses {outer.volume / 1e3:.2f} cm3",
             where=where,
-            fix="bring the skin as a surface in mm, nearly closed; check the unit of its coordinates",
+            fix="give the skin as a nearly closed surface in mm; check the unit of its coordinates",
             volume_mm3=outer.volume,
         )
     inner = _bones_in_reach(outer, inner, notes, where)
@@ -123,7 +123,7 @@ def _without_strays(pieces: list[Triangles], notes: list[str], name: str) -> lis
         if len(each.faces) >= 4 and extent > _STRAY_EXTENT * size:
             kept.append(each)
     if not kept:
-        raise MeshError("the surface has no body", where=name, fix="bring a nearly closed triangle surface")
+        raise MeshError("the surface has no body", where=name, fix="give a nearly closed triangle surface")
     dropped = sum(len(each.faces) for each in pieces) - sum(len(each.faces) for each in kept)
     if dropped:
         notes.append(f"{name}: {len(pieces) - len(kept)} stray pieces ({dropped} triangles) removed")
@@ -194,7 +194,7 @@ def _coherent(body: Triangles, notes: list[str], name: str) -> Triangles:
     meshes.meshing_repair_non_manifold_edges()
     meshes.meshing_re_orient_faces_coherently()
     mesh = meshes.current_mesh()
-    notes.append(f"{name}: non-manifold edges parted, faces turned to agree")
+    notes.append(f"{name}: non-manifold edges split, faces oriented consistently")
     return Triangles(mesh.vertex_matrix().astype(float), mesh.face_matrix().astype(np.int64))
 
 
@@ -203,7 +203,7 @@ def _bones_in_reach(skin: Triangles, bones: list[Triangles], notes: list[str], w
     low, high = skin.points.min(0), skin.points.max(0)
     kept = [b for b in bones if (b.points.max(0) > low).all() and (b.points.min(0) < high).all()]
     if len(kept) < len(bones):
-        notes.append(f"{len(bones) - len(kept)} bones lie outside the skin altogether and are left out")
+        notes.append(f"{len(bones) - len(kept)} bones lie entirely outside the skin and are excluded")
     if bones and not kept:
         raise MeshError(
             f"all {len(bones)} bones lie outside the skin",

@@ -49,11 +49,11 @@ def check_first_step(model: LimbModel, elements: Mapping[str, Table], folder: Pa
         off = _deviation(table, laws) if _has_stress(table) else None
         if off is not None and off > _TOLERANCE:
             raise SolveError(
-                f"the stresses in {name} are not those of the model's material: "
+                f"the stresses in {name} do not match the model's material: "
                 f"{100 * off:.0f} % off its law in the first step",
                 where=str(folder / name),
-                fix="run the simulation again, in a folder of its own (`limbcli run`); "
-                "check what --febio names",
+                fix="run the simulation again, in a separate folder (`limbcli "
+                "run`); check which program --febio names",
                 deviation=off,
             )
 

@@ -228,7 +228,8 @@ class CaseRun:
             label, words = f"{stage} {site}" if site else stage, in_words(asked)
             self.outcome.kept[label] = words
             self.progress.event(
-                "note", text=f"{label}: as it was called by hand, with {words} (--defaults: without)"
+                "note",
+                text=f"{label}: with the options of the last manual call, {words} (--defaults: without)",
             )
         return asked
 
@@ -267,7 +268,7 @@ class CaseRun:
             error = CaseError(
                 f"`{stage}` was not run, because `{because}` failed",
                 where=f"site {site}" if site else str(self.case.folder),
-                fix=f"mend what `{because}` says, then run the batch again",
+                fix=f"resolve what `{because}` reports, then run the batch again",
             )
             keep_error(self.out, stage, site, error, keep_result=keep_result)
 

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 _TELL_S = 4.0  # between two signs of life of a part; more where there are many workers
 _LOOK_S = 10.0  # between two looks whether any worker is left
-_SAME = "call the same batch again: what is done is not done again"
+_SAME = "call the same batch again: finished work is not repeated"
 
 
 @dataclass
@@ -124,7 +124,7 @@ class _Together:
         lost = lost_workers(self.client) - before
         if lost > 0:
             self._publish(
-                "note", text=f"worker processes lost on the way: {lost}; their work was done by others"
+                "note", text=f"worker processes lost during the run: {lost}; their work was done by others"
             )
         return [way.outcome for way in self.ways]
 
@@ -150,9 +150,9 @@ class _Together:
         there = set(self.client.scheduler_info(n_workers=-1)["workers"]) - self.refused
         if not there:
             raise ToolError(
-                f"all workers refused the work: {', '.join(sorted(self.refused))}",
+                f"all workers rejected the work: {', '.join(sorted(self.refused))}",
                 where=str(self.client.scheduler.address) if self.client.scheduler else "--scheduler",
-                fix="give them the limbcli of this computer (the same files), and start them anew",
+                fix="install this computer's limbcli on them (the same files), and restart them",
             )
         return sorted(there)
 
@@ -226,7 +226,7 @@ class _Together:
         address = str(error.facts["worker"])
         if address not in self.refused:
             self.refused.add(address)
-            self._publish("note", text=f"{error.what} ({error.where}); others do it. {error.fix}")
+            self._publish("note", text=f"{error.what} ({error.where}); other workers take over. {error.fix}")
 
     def _without_answer(self, way: CaseProgress, part: BatchTask, error: Exception) -> PartOutcome:
         """The part as failed, where Dask gave it up.
@@ -245,11 +245,11 @@ class _Together:
             reported = ToolError(
                 f"every process that worked on it was lost ({1 + error.allowed_failures} in turn)",
                 where=part.name,
-                fix="look whether the memory suffices (fewer --jobs, more memory a worker); " + _SAME,
+                fix="check whether the memory is sufficient (fewer --jobs, more memory per worker); " + _SAME,
             )
         else:
-            text = f"the cluster gave it up ({type(error).__name__}: {error})"
-            reported = ToolError(text, where=part.name, fix=f"look at the workers' logs; {_SAME}")
+            text = f"the cluster abandoned it ({type(error).__name__}: {error})"
+            reported = ToolError(text, where=part.name, fix=f"check the workers' logs; {_SAME}")
         stage = self.stages.get(part.name, FIRST_STAGE[part.kind])
         outcome = CaseOutcome(part.case, part.out, failures=[StepFailure(stage, part.site, reported)])
         return PartOutcome(outcome, is_all=part.kind == LAST)
@@ -259,7 +259,7 @@ class _Together:
             f"the scheduler was lost when {self.n_cases_done} of {len(self.ways)} cases were done "
             f"({type(error).__name__})",
             where="--scheduler",
-            fix=f"look at its log, start it anew, and {_SAME}",
+            fix=f"check its log, restart it, and {_SAME}",
         )
 
     # ------------------------------------------------------------ progress
@@ -284,9 +284,9 @@ class _Together:
             except Exception:  # the scheduler is gone: the main thread hears of it
                 return
             if there and not n_workers:
-                self._publish("note", text="no worker is left: waiting for one (start jobs that ended anew)")
+                self._publish("note", text="no worker is left: waiting for one (restart jobs that ended)")
             elif n_workers and not there:
-                self._publish("note", text=f"workers are there again: {n_workers}")
+                self._publish("note", text=f"workers are available again: {n_workers}")
             there = bool(n_workers)
 
     def _count(self, now: str) -> None:

@@ -80,8 +80,11 @@ def _images(case: Case) -> list[Problem]:
             found.append(problem_of(name, fault, where=str(case.file)))
         elif not is_inside(image, place):
             low, high = (triple(each) for each in reach_of(image))
-            what = f"site {name} lies outside the images, which reach from {low} to {high} (LPS, mm)"
-            fix = f"write position_mm = {triple(near)}, about the skin's nearest point, if that is the place"
+            what = f"site {name} is outside the images, which extend from {low} to {high} (LPS, mm)"
+            fix = (
+                f"write position_mm = {triple(near)}, approximately the nearest point of the skin, if "
+                f"that is the intended site"
+            )
             found.append(Problem(what, str(case.file), fix))
     return found
 

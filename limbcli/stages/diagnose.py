@@ -157,7 +157,8 @@ def chosen_effects(options: DiagnoseOptions) -> tuple[Effect, ...]:
     for each in named:
         if each.kind == NUMERICAL:
             raise CaseError(
-                f"{each.name!r} cannot be named: what mesh, cut and contact do is always looked at first",
+                f"{each.name!r} cannot be selected: the effects of mesh, cut and contact are always "
+                f"assessed first",
                 where="--effects",
                 fix="leave it out",
             )
@@ -273,7 +274,7 @@ class _Diagnosed:
                 self.case, prepared, out=folder, mesh=self.options.mesh, progress=self.progress
             )
         except LimbError as error:
-            text = f"the probe turned by 90 degrees is not on the menu of measurements: {error.what}"
+            text = f"the probe turned by 90 degrees is not among the proposed measurements: {error.what}"
             prepared.notes.warnings.append(text)
             raise
 
@@ -292,7 +293,7 @@ class _Diagnosed:
             if mine.simulations.in_part:
                 writer.warnings.append(_in_part(mine.simulations.in_part))
             for name, why in mine.curves.changes.not_simulated.items():
-                writer.warnings.append(f"{name} was judged at the deformation without it: {why}")
+                writer.warnings.append(f"{name} was evaluated at the deformation without it: {why}")
             if forward_model.not_simulated:
                 writer.warnings.append(_not_simulated(forward_model.not_simulated))
             doubt = large_uncertainty(mine.interventions)
@@ -343,7 +344,7 @@ class _Diagnosed:
             if i.name == "locking" and i.deviations > thresholds.MATTERS_SD
         ]
         if moved:
-            lines.insert(2, f"Numerical doubt counted as noise: {', '.join(moved)} (see `numerical`).")
+            lines.insert(2, f"Numerical uncertainty counted as noise: {', '.join(moved)} (see `numerical`).")
         lines[1:1] = [*(each.sentence for each in place.bones if each.sentence), *place.given_up]
         content["sentences"] = lines
         return content
@@ -358,19 +359,20 @@ def _best_gain(found: Diagnosis) -> float:
 
 def _not_simulated(several: Iterable[Explanation]) -> str:
     names = ", ".join(sorted(" + ".join(each) for each in several))
-    return (
-        f"the simulations took all the work that a diagnosis may take; fitted by sensitivities only: {names}"
-    )
+    return f"the simulations used up the diagnosis's work budget; fitted by sensitivities only: {names}"
 
 
 def _in_part(reached: Mapping[str, float]) -> str:
     parts = "; ".join(f"{name}: {depth:.1f} mm" for name, depth in reached.items())
-    return f"not solved as deep as the readings, their curves go on beside others from there: {parts}"
+    return (
+        f"not solved to the depth of the readings; their curves were extrapolated along those of others: "
+        f"{parts}"
+    )
 
 
 def _locked(found: Intervention) -> str:
     times = float(np.exp(-np.min(found.log_force)))
     return (
         f"LOCKING: with the linear elements of the site's own run the force is up to {times:.2f} times too "
-        "high; that is the mesh, not tissue. Diagnosed with quadratic ones."
+        "high; this is due to the mesh, not the tissue. Diagnosed with quadratic elements."
     )

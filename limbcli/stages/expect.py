@@ -107,7 +107,7 @@ def compare(folder: Path, out: Path, *, case: Case | None = None) -> list[Compar
 
 def _as_table(content: object, name: str, path: Path) -> Mapping[str, Any]:
     if not isinstance(content, dict):
-        fix = f"write it as [{name}], with a line a key below it"
+        fix = f"write it as [{name}], with one key per line below it"
         raise CaseError(f"{name} is not a table: {content!r}", where=str(path), fix=fix)
     return content
 
@@ -123,7 +123,7 @@ def _table(
     except LimbError as error:
         return [Comparison(label, f"no result ({error.what})", "a result", False)]
     if doubt := _why_stale(chain, result):
-        return [Comparison(label, f"no result of today's case ({doubt})", "a result", False)]
+        return [Comparison(label, f"no up-to-date result ({doubt})", "a result", False)]
     return [_compare(f"{label}.{key}", *_looked_up(result.data, key), rule) for key, rule in rules.items()]
 
 
@@ -165,12 +165,12 @@ def _rule(name: str, rule: object, path: Path) -> Mapping[str, Any]:
         fix = suggestion(str(next(iter(set(rule) - _RULES), "") if isinstance(rule, dict) else rule), _RULES)
         wrong = "is not understood"
     elif "is" in rule:
-        wrong = "asks for `is` and more" if len(rule) > 1 else ""
-        fix = "leave the rest out: `is` means equal"
+        wrong = "has `is` together with other keys" if len(rule) > 1 else ""
+        fix = "remove the others: `is` means equal"
     elif no_numbers := [key for key, each in rule.items() if not _is_number(each)]:
         wrong, fix = f"has no number as its {no_numbers[0]}", "give a number, or `is` of anything else"
     elif "value" not in rule and {"tolerance", "relative"} & set(rule):
-        wrong, fix = "has a tolerance of nothing", "add the value, such as value = 2.0"
+        wrong, fix = "has a tolerance but no value", "add the value, such as value = 2.0"
     elif min(rule.get("tolerance", 0.0), rule.get("relative", 0.0)) < 0.0:
         wrong, fix = "has a tolerance below 0", "give 0 or more"
     if wrong:

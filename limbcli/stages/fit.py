@@ -132,12 +132,12 @@ def _fit_site(
         doubt = site_geometry_uncertainty(
             case, site, out, fitted, curve(theta).values, writer, progress=progress
         )
-        intervals, of_noise, why_none = None, None, "no interval was asked for"
+        intervals, of_noise, why_none = None, None, "no interval was requested"
         if not (site.noise.force > 0 or site.noise.depth > 0):
             why_none = "the case states no noise of force or depth"
             writer.warnings.append(
-                f"site {site.name}: {why_none} (force_n and depth_mm of [site.noise] are 0), so how sure the "
-                "parameters are cannot be determined"
+                f"site {site.name}: {why_none} (force_n and depth_mm of [site.noise] are 0), so the "
+                "uncertainty of the parameters cannot be determined"
             )
         elif options.intervals:
             limit = options.max_interval_solves
@@ -191,7 +191,7 @@ def _tissue_c(
         raise CaseError(
             "c is given twice: by hand and as a map",
             where="--c-kpa, --stiffness-map",
-            fix="leave one of the two out",
+            fix="omit one of the two",
         )
     found = tissue_map(model, site, row=int(levels.rows[0]))
     write_tissue_map(found, model, levels, site, writer)
@@ -265,8 +265,8 @@ def _share_of_c(share_of_c: Callable[[Array], Array], theta: Array, writer: Stag
         share = share_of_c(theta)
     except SolveError as error:
         writer.warnings.append(
-            f"how much of c's uncertainty reaches the force was not evaluated: {error.what}; "
-            "all of it is taken to"
+            "how much of c's uncertainty propagates to the force was not evaluated: "
+            f"{error.what}; full propagation is assumed"
         )
         return None
     writer.data["c_share_of_force"] = share

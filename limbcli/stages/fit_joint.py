@@ -173,8 +173,8 @@ def _report_free(measured: Sequence[Measured], options: FitOptions, writer: Stag
     )
     if given and all(each.levels.has_swe for each in measured):
         writer.warnings.append(
-            f"{given}: the shear-wave speeds tell c, which is free in a joint fit; a value given by hand is "
-            "only where the search begins"
+            f"{given}: the shear-wave speeds determine c, which is free in a joint fit; a value "
+            "given by hand is only the start value"
         )
 
 
@@ -299,8 +299,8 @@ def check_noise(site: Site, *, speeds: bool) -> None:
         none += ["swe_level_fraction", "swe_pixel_fraction"]
     if none:
         raise CaseError(
-            f"site {site.name} states no noise ({', '.join(none)} are 0); a joint fit weighs depth against "
-            "speed by it",
+            f"site {site.name} states no noise ({', '.join(none)} are 0); a joint fit weights depth "
+            "against speed by it",
             where="case.toml, [site.noise]",
             fix="state one standard deviation each, or fit with --objective force",
         )

@@ -75,7 +75,7 @@ def mesh(
     thickness = Layering(skin_layer, fat_layer, seen=place is None)
     layered = tuple(site.name for site in chosen if thickness.is_from_images(site))
     segmented = Chain(case, out).result("segment", about=layered)
-    progress.event("note", text="reading and mending the surfaces")
+    progress.event("note", text="reading and repairing the surfaces")
     limb = read_limb(segmented)
     if place is not None:
         point = skin_point_at(limb, *place, where=f"site {chosen[0].name}")
@@ -222,7 +222,7 @@ def _report_layers(
     if layers and low:
         writer.warnings.append(
             f"cells of the layers are flat (dihedral angles down to {figures.min_angle_deg:.1f} deg); "
-            "mesh finer (--size-mm) or with thicker layers if the solver stops"
+            "use a finer mesh (--size-mm) or thicker layers if the solver stops"
         )
 
 
@@ -280,9 +280,9 @@ def _report(
         )
     )
     if frame.moved > MOVED_MM:
-        writer.warnings.append(f"the site lay {frame.moved:.1f} mm from the skin and was moved onto it")
+        writer.warnings.append(f"the site was {frame.moved:.1f} mm from the skin and was moved onto it")
     if abs(frame.slope_deg) > LARGEST_SLOPE_DEG:
         writer.warnings.append(
-            f"long_axis leaves the skin by {abs(frame.slope_deg):.0f} degrees, more than a probe is held: "
-            "it was laid into the skin"
+            f"long_axis leaves the skin by {abs(frame.slope_deg):.0f} degrees, more than a probe is "
+            "tilted: it was projected onto the skin"
         )

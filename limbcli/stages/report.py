@@ -52,7 +52,7 @@ def report(
         writer.summary.append(glance.sentence)
         writer.summary += [f"{site.name}: {site.sentence}" for site in glance.sites]
         diagnosed = [site for site in glance.sites if site.diagnosis]
-        writer.summary += [f"{site.name}: the diagnosis says: {site.diagnosis}" for site in diagnosed]
+        writer.summary += [f"{site.name}: diagnosis: {site.diagnosis}" for site in diagnosed]
         writer.summary.append(f"page: {writer.target / PAGE_FILE}")
         writer.warnings += [each.text for each in glance.warnings]
         writer.warnings += [f"site {site.name}: {site.why_not_deformed}" for site in _not_drawn(page)]

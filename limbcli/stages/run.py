@@ -112,7 +112,7 @@ def _refuse_results_of_a_case(out: Path, feb: Path) -> None:
         raise CaseError(
             "the output folder holds the results of a case, whose runs those of a file would replace",
             where=str(found[0]),
-            fix=f"name another folder: limbcli run {shlex.quote(str(feb))} --out FOLDER",
+            fix=f"give another folder: limbcli run {shlex.quote(str(feb))} --out FOLDER",
         )
 
 
@@ -199,7 +199,7 @@ def _check_readable(feb: Path, source: Path) -> None:
 
 def _version(engine: Solver) -> str:
     version = engine.version()
-    return version if version != "unknown" else "of unknown version (asked, it told none; its log will)"
+    return version if version != "unknown" else "of unknown version (it reported none; its log will)"
 
 
 def _keep(writer: StageWriter, error: LimbError, engine: Solver) -> Path:

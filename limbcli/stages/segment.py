@@ -115,7 +115,7 @@ def segment(
             _from_series(case, case.imaging.mri, options, writer, progress)
         else:
             raise CaseError(
-                "the case names no geometry",
+                "the case specifies no geometry",
                 where=str(case.folder / "case.toml"),
                 fix="set mri, labels, or skin and bones under [imaging]",
             )
@@ -127,7 +127,7 @@ def _checked(seeds: Sequence[Seed], case: Case) -> tuple[Seed, ...]:
     for name, place in seeds:
         if name not in ("bone", "soft") or not np.isfinite(place).all():
             raise CaseError(
-                f"the seed {name} = {place} is not understood",
+                f"the seed {name} = {place} is not valid",
                 where=f"{case.subject}, --seed",
                 fix="write bone=x,y,z or soft=x,y,z with patient LPS mm",
             )
@@ -157,18 +157,19 @@ def _check_edited(case: Case, out: Path, path: Path) -> None:
         before = read_result(out, "segment")
     except CaseError as error:
         raise CaseError(
-            "there is a label map that may have been edited by hand, and no result beside it that tells",
+            "there is a label map that may have been edited by hand, and no result next to it that shows "
+            "whether it was",
             where=str(path),
-            fix=f"{aside} (to use it, name the copy as [imaging] labels)",
+            fix=f"{aside} (to use it, enter the copy as [imaging] labels)",
         ) from error
     drawn_on = before.provenance.get("made_from", {}).get("files", {}).get("imaging/mri")
     what = ""
     if before.subject != case.subject:
-        what = f"the label map that was edited by hand is of {before.subject}, the case of {case.subject}"
+        what = f"the manually edited label map is of {before.subject}, but the case is of {case.subject}"
     elif drawn_on and case.imaging.mri is not None and sha256(case.imaging.mri) != drawn_on:
-        what = "the label map was edited by hand on another series than the case names now"
+        what = "the label map was edited manually on another series than the one the case now refers to"
     if what:
-        raise CaseError(what, where=str(path), fix=f"{aside}, or name another --out")
+        raise CaseError(what, where=str(path), fix=f"{aside}, or give another --out")
 
 
 def _from_series(case: Case, path: Path, options: _Options, writer: StageWriter, progress: Progress) -> None:
@@ -212,7 +213,9 @@ def _image_of(case: Case, labels: Volume, path: Path, writer: StageWriter, progr
     raise_errors(agreement.problems, CaseError)
     writer.warnings.extend(f"{each.what}; {each.fix}" for each in agreement.problems)
     if agreement.own_grid:
-        writer.summary.append("the label map has a grid of its own; it is taken by its place in the patient")
+        writer.summary.append(
+            "the label map has a different grid; it is positioned by its patient coordinates"
+        )
     return labels if agreement.own_grid else in_order_of(labels, series)
 
 
@@ -221,7 +224,10 @@ def _from_edited(case: Case, path: Path, options: _Options, writer: StageWriter,
     writer.used("edited_labels", path)
     labels = read_label_file(path)
     writer.data["source"] = EDITED
-    text = f"the label map edited by hand in {path.parent} wins over the automatic one (--fresh starts anew)"
+    text = (
+        f"the label map edited by hand in {path.parent} takes precedence over the automatic one (--fresh "
+        f"starts anew)"
+    )
     writer.summary.append(text)
     writer.warnings.append(text)
     _ignored(options, writer)
@@ -293,7 +299,7 @@ def _report_layers(case: Case, found: Segmentation, skin: ClosedSurface, writer:
         found_layers = layers_at(np.array(position), skin, found.fat)
         if found_layers is None:
             writer.warnings.append(
-                f"site {site.name}: no fat was met under the skin, its thickness is unknown"
+                f"site {site.name}: no fat was found under the skin, its thickness is unknown"
             )
             continue
         layers[site.name] = {"skin_mm": found_layers.skin, "fat_mm": found_layers.fat}
@@ -308,5 +314,5 @@ def _report_quality(found: Segmentation, names: tuple[str, ...], writer: StageWr
     writer.data["quality"] = {"verdict": quality.verdict, **quality.figures}
     writer.summary.append(f"quality: {quality.verdict}")
     for finding in quality.findings:
-        writer.warnings.append(f"segmentation ({quality.verdict}): {finding}; look at contact-sheet.png")
+        writer.warnings.append(f"segmentation ({quality.verdict}): {finding}; check contact-sheet.png")
     return quality.verdict

@@ -72,7 +72,7 @@ def test_flags_of_numpy_and_numbers_are_flags(tmp_path: Path):
 def test_a_selection_that_names_nothing_is_not_everything(sites: object):
     with pytest.raises(CaseError, match="sites is") as caught:
         names_of(sites)  # type: ignore[arg-type]
-    assert caught.value.fix == "give a name or several, or leave it out: all"
+    assert caught.value.fix == "give one or several names, or omit it for all"
 
 
 def test_no_effects_are_the_usual_ones(tmp_path: Path):

@@ -75,9 +75,9 @@ def test_unknown_key_suggests_the_nearest(folder: Path):
     [
         ("format = 1", "format = 2", "format"),
         ("format = 1", "", "lacks 'format'"),
-        ('mri = "mri"', "", "names no geometry"),
+        ('mri = "mri"', "", "specifies no geometry"),
         ('mri = "mri"', 'mri = "nowhere"', "not there"),
-        ('mri = "mri"', 'mri = "case.toml"', "is not a folder"),
+        ('mri = "mri"', 'mri = "case.toml"', "is neither a folder nor a volume"),
         ("length_mm = 53.0", "length_mm = 5300", "plausible"),
         ("length_mm = 53.0", 'length_mm = "53"', "not a number"),
         ("length_mm = 53.0", "length_mm = nan", "not a number"),
@@ -89,7 +89,7 @@ def test_unknown_key_suggests_the_nearest(folder: Path):
         ('name = "p1"', 'name = "../p1"', "letters"),
         ('name = "p1"', 'name = "p1-failed"', "what failed at site 'p1'"),
         ('name = "p1"', f'name = "{"p" * 101}"', "101 letters long"),
-        ('id = "S1"', "id = 7", "not a text"),
+        ('id = "S1"', "id = 7", "not text"),
         ("[probe]", "[prob]", "unknown key 'prob'"),
         ("[[site]]", "[site]", "no site"),
         ("format = 1", "format = 1\nformat = 1", "not valid TOML"),
@@ -111,7 +111,7 @@ def test_position_and_marker_together_are_refused(folder: Path):
     ("table", "told"),
     [
         ('[site.load_cell]\nfile = "p1/levels.csv"\nprobe_mass_kg = 0.3\n', "no tare_s"),
-        ('[site.load_cell]\nfile = "p1/levels.csv"\nseparator = "; "\n', "not one mark"),
+        ('[site.load_cell]\nfile = "p1/levels.csv"\nseparator = "; "\n', "not a single character"),
         (
             '[site.swe_images]\nfolder = "p1"\nlow_m_per_s = 10\nhigh_m_per_s = 5\n',
             "low_m_per_s, 10, is not below high_m_per_s, 5",
@@ -131,7 +131,7 @@ def test_two_sites_of_one_name_are_refused(folder: Path):
 def test_missing_folder_and_missing_file_differ(tmp_path: Path):
     with pytest.raises(CaseError, match="there is no case folder"):
         Case.open(tmp_path / "nowhere")
-    with pytest.raises(CaseError, match=r"holds no case\.toml"):
+    with pytest.raises(CaseError, match=r"contains no case\.toml"):
         Case.open(tmp_path)
 
 

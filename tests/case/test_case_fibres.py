@@ -49,13 +49,13 @@ def test_an_orientation_may_be_a_site_at_the_same_place(tmp_path: Path):
         ("fibre_direction = [0.0, nan, 1.0]\n", "not three numbers"),
         ("fibre_direction = [0.0, 0.0, 1.0]\n" + AXIAL, "both fibre_direction and"),
         (AXIAL + AXIAL, "in the image plane of 'axial' twice"),
-        (AXIAL + AXIAL.replace('"axial"', '"p2"'), "of one image plane, named twice"),
+        (AXIAL + AXIAL.replace('"axial"', '"p2"'), "in the same image plane, given twice"),
         (AXIAL + ACROSS + ACROSS.replace('"transverse"', '"p1"'), "in 3 image planes"),
         (AXIAL.replace('"axial"', '"p9"'), "the orientation 'p9' is not known"),
-        (ACROSS, "across the limb alone"),
-        (AXIAL.replace("12.0", "95.0"), "plausible is -89 to 89 deg"),
+        (ACROSS, "only in an image across the limb"),
+        (AXIAL.replace("12.0", "95.0"), "plausible values are -89 to 89 deg"),
         (AXIAL.replace("pennation_deg", "angle_deg"), "unknown key 'angle_deg'"),
-        (AXIAL + ACROSS.replace("2.0", "0.0"), "plausible is 0.1 to 45 deg"),
+        (AXIAL + ACROSS.replace("2.0", "0.0"), "plausible values are 0.1 to 45 deg"),
         ("pennation = 12.0\n", "not a list of tables"),
     ],
 )
@@ -76,8 +76,8 @@ def test_an_orientation_of_another_place_is_refused(tmp_path: Path):
     [
         ('fibres = "v1.nii.gz"\n', "names a file that is not there"),
         ('fibres = "mri"\n', "is not a file"),
-        ('fibres = "p1.csv"\n', "is no NIfTI file"),
-        ('fibre_frame = "ras"\n', "fibre_frame but no fibres"),
+        ('fibres = "p1.csv"\n', "is not a NIfTI file"),
+        ('fibre_frame = "ras"\n', "fibre_frame but no `fibres`"),
         ('fibres = "p1.csv"\nfibre_frame = "mni"\n', "fibre_frame is 'mni'"),
     ],
 )

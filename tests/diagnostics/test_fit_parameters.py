@@ -13,7 +13,7 @@ CASES = [
     ("nonlinearity", {"weight_q": 0.5, "second_pair_share": 0.0}, ""),  # q is free, and may be anything
     ("nonlinearity", {"weight_q": 0.7, "second_pair_share": 0.6}, ""),  # q is free and says it is there
     ("contraction", {"active_stress_per_c": 4.0}, "higher bound 4"),
-    ("contraction", {"active_stress_per_c": 0.0}, "ended at 0, which is without it"),
+    ("contraction", {"active_stress_per_c": 0.0}, "ended at 0, where the effect is absent"),
     ("inclusion", {"log_inclusion_ratio": 1.0, "inclusion_x_mm": 26.0}, ""),  # a place is no size
     ("inclusion", {"log_inclusion_ratio": 3.0}, "higher bound 3"),
     ("inclusion", {"inclusion_radius_mm": 16.0}, "higher bound 16"),  # as wide as the window: no spot

@@ -118,7 +118,7 @@ def test_a_failure_says_what_gave_way_and_how_far_there_is_an_answer(monkeypatch
     monkeypatch.setattr(newton, "_NEARLY_FLAT", 2.0)  # any element
     with pytest.raises(SolveError) as caught:
         Analysis(model, Settings(threads=1)).run()
-    assert "is about to turn inside out: volume ratio" in caught.value.where
+    assert "is about to invert: volume ratio" in caught.value.where
     assert load_stepping._LOOSE < 0.1
 
 

@@ -249,5 +249,5 @@ def test_whole_words_of_a_name_tell_what_a_segment_is(tmp_path, name):
 
 @pytest.mark.parametrize("name", ["tibialish", "non-bone", "bone and fat", "skin and bone", "muscle fat"])
 def test_a_name_of_several_kinds_or_none_is_refused(tmp_path, name):
-    with pytest.raises(CaseError, match="not understood, or tell of several"):
+    with pytest.raises(CaseError, match="not recognised, or refer to several"):
         by_name([(name, np.ones((1, 1, 1), bool))], tmp_path)

@@ -94,7 +94,7 @@ def test_without_an_interval_the_standard_error_decides_and_without_noise_nothin
     assert verdict(F_KAPPA, 100.0, None, influence=True, log_deviation=1e9).flag == "weak"
     unknown = verdict(F_KAPPA, 100.0, None, influence=True, why_no_profile="the case states no noise")
     assert unknown.flag == "weak"
-    assert unknown.words == "f_kappa = 100; how sure that is cannot be determined: the case states no noise."
+    assert unknown.words == "f_kappa = 100; its uncertainty cannot be determined: the case states no noise."
     bound = verdict(F_KAPPA, 1000.0, None, influence=True, why_no_profile="the case states no noise")
     assert bound.words.endswith("the case states no noise.")
 

@@ -142,7 +142,7 @@ def test_words_name_the_cause_or_say_that_the_levels_do_not_tell():
         change_text(compare(repeated({}, {"left": 0.9}, unload=False, seed=k), 1, 2, 0.1, 0.3))
         for k in range(10)
     ]
-    assert any("do not tell which" in each for each in slight)
+    assert any("cannot distinguish them" in each for each in slight)
 
 
 def test_a_support_that_moved_shows_in_the_travel_only():
@@ -208,7 +208,7 @@ GOOD = ["1,load,0,0", "1,load,2,1", "1,load,4,2", "1,unload,2,1.3", "2,load,0,0.
         ({1: ",load,2,1"}, "cycle is empty"),
         ({1: "1e30,load,2,1"}, "out of order"),
         ({3: "1,back,2,1.3"}, "phase is 'back'"),
-        ({6: "2,load,0.5,2"}, "force falls while the depth grows"),
+        ({6: "2,load,0.5,2"}, "force decreases while the depth increases"),
     ],
 )
 def test_cycles_that_cannot_be_meant_are_refused_with_their_line(tmp_path: Path, change, says):

@@ -105,7 +105,7 @@ def test_wrong_units_and_signs_are_refused(tmp_path: Path, force, depth, speed, 
         ('"4,0",3.9,2.0,0.3,85', "not a number"),
         ("4,3.9,2.0,0.3", "4 cells"),
         ("2,2.1,1.8,0.2,88", "repeated"),
-        ("0.2,3.9,2.0,0.3,85", "falls while the depth grows"),
+        ("0.2,3.9,2.0,0.3,85", "decreases while the depth increases"),
         ("4,-30,2.0,0.3,85", "depth_mm is -30"),
     ],
 )
@@ -120,7 +120,7 @@ def test_wrong_row_is_named_with_its_line(tmp_path: Path, row: str, expected: st
     [
         (HEADER.replace("force_n", "force_N"), "did you mean 'force_n'"),
         (HEADER.replace("depth_mm", "depth_cm"), "did you mean 'depth_mm'? Then convert the values"),
-        (HEADER.replace("force_n,", ""), "its name carries the unit (N)"),
+        (HEADER.replace("force_n,", ""), "its name includes the unit (N)"),
         (HEADER.replace("swe_pixels", "depth_mm"), "stands twice"),
         (HEADER.replace(",", ";"), "not separated by commas"),
     ],
@@ -260,8 +260,10 @@ def test_depths_that_run_backwards_are_refused(tmp_path: Path, depths):
     rows = [f"{2 * k},{depth}" for k, depth in enumerate(depths)]
     _, problems = check_levels(write(tmp_path, "force_n,depth_mm", rows))
     errors = [each for each in problems if each.severity == "error"]
-    assert [each.what for each in errors] == ["depth_mm falls while force_n grows (lines 2 to 5, phase load)"]
-    assert "a distance instead of a loss" in errors[0].fix
+    assert [each.what for each in errors] == [
+        "depth_mm decreases while force_n increases (lines 2 to 5, phase load)"
+    ]
+    assert "a distance instead of a decrease" in errors[0].fix
 
 
 def distances(tmp_path: Path, rows: list[str], **noise: float) -> list[str]:

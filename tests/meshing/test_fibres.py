@@ -57,13 +57,13 @@ def test_one_image_along_the_limb_takes_its_plane_and_says_so():
 
 
 def test_one_image_across_the_limb_tells_no_direction():
-    with pytest.raises(CaseError, match="across the limb alone"):
+    with pytest.raises(CaseError, match="only in an image across the limb"):
         direction_of_angles([ImageAngle(ACROSS, 10.0, 3.0)], BEAM, proximal=PROXIMAL)
 
 
 def test_two_images_in_which_fibres_lie_flat_fix_no_direction():
     angles = [ImageAngle(PROXIMAL, 2.0, 2.0), ImageAngle(ACROSS, 1.0, 2.0)]
-    with pytest.raises(CaseError, match="do not fix a direction"):
+    with pytest.raises(CaseError, match="do not determine a direction"):
         direction_of_angles(angles, BEAM, proximal=PROXIMAL)
 
 

@@ -243,7 +243,7 @@ def test_a_file_from_here_comes_before_a_program_of_that_name(
     monkeypatch.setenv("LIMBCLI_FEBIO", "~/febio4")
     assert FebioSolver().path() == own
     own.chmod(0o644)
-    with pytest.raises(ToolError, match="may not be executed"):
+    with pytest.raises(ToolError, match="is not executable"):
         FebioSolver().need()
     with pytest.raises(ToolError, match="is a folder"):
         FebioSolver(binary.parent).need()

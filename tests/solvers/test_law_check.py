@@ -37,7 +37,7 @@ def test_a_run_bears_the_stress_of_its_law_and_of_no_other(tmp_path: Path, eleme
     assert can_be_checked(elements)
     check_first_step(model, elements, tmp_path)
     check_first_step(with_c(model, 1.01), elements, tmp_path)
-    with pytest.raises(SolveError, match="not those of the model's material"):
+    with pytest.raises(SolveError, match="do not match the model's material"):
         check_first_step(with_c(model, 1.1), elements, tmp_path)
 
 

@@ -125,7 +125,7 @@ def test_every_stage_and_page_says_that_nobody_imaged_it(chain):
     page = report(case, out=out)
     html = (page.folder / "report.html").read_text()
     assert "Geometry assumed, not imaged: a straight round limb of 200 mm circumference" in html
-    assert "What is assumed of the limb" in html
+    assert "What is assumed about the limb" in html
     assert page.data["geometry_assumed"] == case.imaging.assumed
 
 
@@ -179,7 +179,7 @@ def test_what_was_seen_beside_the_front_is_compared_with_the_round_limb_there(tm
     aside = {"place": f"position_mm = [{RADIUS}, 0, 0]", "more": ",skin_bone_mm"}
     limb = assumed_limb(numbers(tmp_path / "case", **aside, first=f",{right:.2f}"))
     assert limb.sites["p1"].made == pytest.approx(right)
-    what = r"p1 does not lie in front, and the round limb is 27.4 mm thick there, but .* is 15 mm"
+    what = r"p1 is not anterior, and the round limb is 27.4 mm thick there, but .* is 15 mm"
     with pytest.raises(CaseError, match=what):
         assumed_limb(numbers(tmp_path / "case", **aside, first=",15"))
 
@@ -218,12 +218,12 @@ def test_a_site_without_a_distance_is_named(tmp_path):
 
 def test_without_sites_or_probe_ultrasound_saw_nothing(tmp_path):
     case = scanned(tmp_path / "case")
-    with pytest.raises(CaseError, match="no site yet under which ultrasound saw the bone"):
+    with pytest.raises(CaseError, match="no site yet with an ultrasound distance to the bone"):
         segment(replace(case, sites=(), raw={}), out=tmp_path / "out")
     with pytest.raises(CaseError, match=r"no \[\[site\]\] .* can be used yet(.|\n)*limbcli check"):
         segment(replace(case, sites=()), out=tmp_path / "out")
     unknown = replace(case.probe, length=float("nan"))
-    with pytest.raises(CaseError, match="the probe under which ultrasound saw the bone is unknown"):
+    with pytest.raises(CaseError, match="the probe that the bone's distance refers to is unknown"):
         segment(replace(case, probe=unknown), out=tmp_path / "out")
 
 
@@ -277,7 +277,7 @@ def test_a_fit_recovers_the_tissue_and_allows_for_the_shape(chain, tmp_path):
     assert again["variations"] == doubt["variations"]
     assert assumed_gain(case, case.sites[0], out)[0] == doubt["gain_fraction"]
     page = report(case, out=out)
-    assert "what the assumed geometry adds" in (page.folder / "report.html").read_text()
+    assert "uncertainty from the assumed geometry" in (page.folder / "report.html").read_text()
     assert json.loads((out / "fit" / "p1" / "geometry.json").read_text())["key"]
 
 

@@ -145,7 +145,7 @@ def test_values_given_by_hand_win(case: Case, tmp_path: Path) -> None:
     assert (law["c1"], law["m1"], law["m2"]) == (0.004, 3.5, -3.5)
     assert law["kappa"] == pytest.approx(0.4)
     for c_kpa in (-1.0, 8000.0):
-        with pytest.raises(MeasurementError, match=r"possible is 0\.1 to 500"):
+        with pytest.raises(MeasurementError, match=r"possible values are 0\.1 to 500"):
             build_feb(case, out=tmp_path / "out", options=TissueOptions(c_kpa=c_kpa))
 
 

@@ -80,14 +80,14 @@ def test_two_levels_past_first_touch_are_too_few_for_a_fit(folder: Path):
     for rows, told in (("2,1.9\n4,3.3\n", True), ("2,1.9\n4,3.3\n6,4.6\n", False)):
         (folder / "levels.csv").write_text("force_n,depth_mm\n0,0\n" + rows)
         whats = [each.what for each in check(folder).problems]
-        assert ("only 2 levels of loading lie deeper than first touch" in whats) is told
+        assert ("only 2 levels of loading are deeper than first touch" in whats) is told
 
 
 @pytest.mark.parametrize(
     ("table", "files", "told"),
     [
         ('[site.load_cell]\nfile = "cell.csv"\ncolumns = { force_n = "F" }\n', {}, "no column 'F'"),
-        ('[site.b_mode]\nfolder = "images"\n', {}, "holds no image"),
+        ('[site.b_mode]\nfolder = "images"\n', {}, "contains no image"),
         (
             '[site.swe_images]\nfolder = "images"\nhigh_m_per_s = 10\n',
             {"images/a.png": "x"},
@@ -121,12 +121,16 @@ def test_as_many_images_as_holds_are_asked_for(folder: Path):
     tables = '[site.load_cell]\nfile = "cell.csv"\n[site.b_mode]\nfolder = "images"\nmm_per_pixel = 0.1\n'
     (folder / "case.toml").write_text(ONE_SITE + tables)
     whats = [each.what for each in check(folder).problems]
-    assert "the instruments of site p1 do not have as many levels: load_cell 4, b_mode 1" in whats
+    assert "the instruments of site p1 have different numbers of levels: load_cell 4, b_mode 1" in whats
 
 
 @pytest.mark.parametrize(
     ("seconds", "newtons", "told"),
-    [(1, -2, "force_n is -4; possible is -3 to 150 (level 2)"), (1000, 2, "hold_s is"), (1, 0, "one level")],
+    [
+        (1, -2, "force_n is -4; possible values are -3 to 150 (level 2)"),
+        (1000, 2, "hold_s is"),
+        (1, 0, "one level"),
+    ],
 )
 def test_a_record_that_measure_would_refuse_is_not_complete(folder: Path, seconds, newtons, told):
     """A sign that is turned, milliseconds, and no load at all."""
@@ -212,8 +216,8 @@ def test_a_label_map_of_other_geometry_than_its_series_is_told(tmp_path: Path):
     assert not [each.what for each in check(folder).problems if each.severity == "error"]
     half = replace(labels, affine=labels.affine @ np.diag([1.0, 1.0, 0.5, 1.0]))
     write_labels(folder / "labels.nii.gz", half)
-    assert any("lies elsewhere" in each.what for each in check(folder).problems)
-    with pytest.raises(CaseError, match="lies elsewhere"):
+    assert any("a different position" in each.what for each in check(folder).problems)
+    with pytest.raises(CaseError, match="a different position"):
         segment(Case.open(folder), out=tmp_path / "out")
 
 

@@ -200,7 +200,7 @@ def test_a_set_of_two_runs_is_refused(twelve, tmp_path, name):
     out = shutil.copytree(twelve[1], tmp_path / "out")
     assert read_cohort(out).data["n_rows"] == 12
     (out / name).write_text((out / name).read_text() + " ")
-    with pytest.raises(CaseError, match=f"{name} is not what `cohort` left together") as caught:
+    with pytest.raises(CaseError, match=f"{name} is not the file that `cohort` wrote together") as caught:
         read_cohort(out)
     assert caught.value.where == str(out / name)
 

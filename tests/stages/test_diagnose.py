@@ -40,7 +40,7 @@ def test_a_users_effect_is_one_file(tmp_path):
     assert load_effect(path).name == "slip"
     assert chosen_effects(DiagnoseOptions(effect_file=path, effects=("slip",)))[0].name == "slip"
     (tmp_path / "empty.py").write_text("x = 1")
-    with pytest.raises(CaseError, match="holds no EFFECT"):
+    with pytest.raises(CaseError, match="defines no EFFECT"):
         load_effect(tmp_path / "empty.py")
     with pytest.raises(CaseError, match="there is no effect 'frction'"):
         chosen_effects(DiagnoseOptions(effects=("frction",)))
@@ -167,7 +167,7 @@ def written(folder: Path, monkeypatch: pytest.MonkeyPatch, told: list[str], *sit
 
 def test_the_command_prints_every_sentence_once(tmp_path, monkeypatch):
     """Also those of numerical doubt, of bones and of cycles, of which there may be a dozen together."""
-    told, of_cycles = [f"sentence {k}" for k in range(11)], ["All loadings are one curve within noise."]
+    told, of_cycles = [f"sentence {k}" for k in range(11)], ["All loadings follow one curve within noise."]
     monkeypatch.setattr("limbcli.stages.diagnose.note_earlier", lambda *_: None)
     monkeypatch.setattr("limbcli.stages.diagnose.cycle_facts", lambda *_: {"sentences": of_cycles})
     result = written(tmp_path, monkeypatch, told, "p1")

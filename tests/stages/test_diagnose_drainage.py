@@ -112,7 +112,7 @@ def test_a_depth_without_an_answer_is_told_and_two_refuse(tmp_path):
     assert "without FEBio's run at 4 mm: FEBio stopped with an error" in found.warnings[0]
     refused = asked(Pretending(reach=1.5), tmp_path / "other", held(0.1))
     assert refused.effect is None
-    assert "at 1 of 3 depths only: FEBio stopped" in refused.refused.what
+    assert "at only 1 of 3 depths: FEBio stopped" in refused.refused.what
     assert "at 0 of 3 depths" in asked(Pretending(reach=0.0), tmp_path / "none", held(0.1)).refused.what
 
 

@@ -69,10 +69,10 @@ def test_misspelt_rule_is_refused(tmp_path: Path, out: Path, rule: str):
         ('[site.p1]\nm = { value = "2" }', "no number as its value"),
         ("[site.p1]\nm = { min = nan }", "no number as its min"),
         ("[site.p1]\nm = { value = 2.0, tolerance = [1] }", "no number as its tolerance"),
-        ("[site.p1]\nm = { tolerance = 0.1 }", "a tolerance of nothing"),
+        ("[site.p1]\nm = { tolerance = 0.1 }", "a tolerance but no value"),
         ("[site.p1]\nm = { value = 2.0, tolerance = -0.1 }", "a tolerance below 0"),
-        ("[site.p1]\nm = { is = 2.1, max = 1.0 }", "`is` and more"),
-        ("[site.p2]\nm = { tolerance = 0.1 }", "a tolerance of nothing"),
+        ("[site.p1]\nm = { is = 2.1, max = 1.0 }", "`is` together with other keys"),
+        ("[site.p2]\nm = { tolerance = 0.1 }", "a tolerance but no value"),
     ],
 )
 def test_what_could_not_fail_or_is_no_rule_is_refused_and_stops_no_batch(

@@ -84,7 +84,7 @@ def test_a_fit_on_a_first_cycle_that_later_ones_contradict_says_so(built):
     np.testing.assert_allclose(site.measured.depth[:5], np.r_[0.0, DEPTHS])
     page = report(case, out=out)
     text = page.path("page").read_text(encoding="utf-8")
-    assert "Does the tissue repeat itself" in text
+    assert "Is the response repeatable" in text
     assert "The parameters on this page are of cycle 1." in text
     assert (page.folder / "figures" / "cycles-p1.png").stat().st_size > 10_000
 

@@ -227,7 +227,7 @@ def test_one_orientation_is_told_what_it_leaves_open(case_and_out, both):
         case, out=out, sites=["across"], joint=JointOptions(law="fibres", max_solves=2), options=OPTIONS
     )
     assert any("all records are across the fibres" in each for each in alone.warnings)
-    assert any("turn the probe by 90 degrees" in each for each in alone.warnings)
+    assert any("with the probe turned by 90 degrees" in each for each in alone.warnings)
 
     def width(result: StageResult) -> float:
         low, high = result.data["interval_95"]["fibre_shear"]
@@ -238,9 +238,11 @@ def test_one_orientation_is_told_what_it_leaves_open(case_and_out, both):
 
 def test_words_of_orientations():
     assert not undetermined([0.02, 0.95], [True, True])
-    assert "one orientation only: fibre_shear rests on forces" in undetermined([0.02, 0.95], [True, False])[0]
-    assert "c (1 + fibre_shear) together" in undetermined([0.9, 0.95], [True, True])[0]
-    assert "one mixture" in undetermined([0.5], [True])[0]
+    assert ("one orientation only: fibre_shear is determined by forces") in undetermined(
+        [0.02, 0.95], [True, False]
+    )[0]
+    assert "only the product c (1 + fibre_shear)" in undetermined([0.9, 0.95], [True, True])[0]
+    assert "only a combination" in undetermined([0.5], [True])[0]
     assert share_along(fibred((0.6, 0.8, 0.0))) == pytest.approx(0.36)
 
 

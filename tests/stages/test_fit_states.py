@@ -98,7 +98,7 @@ def test_page_files_and_python_hold_the_states(case_and_out, fitted):
     case, out = case_and_out
     text = report(case, out=out).path("page").read_text(encoding="utf-8")
     assert "In which state is the tissue least stiff" in text
-    assert "the speed at rest is least at a stretch of" in text
+    assert "the speed at rest is lowest at a stretch of" in text
     assert "0.720" in text or "0.72" in text
     assert {"states", "picture", "profiles", "feb_bent", "levels_bent"} <= set(fitted.files)
     model = read_feb(fitted.path("feb_bent"))
@@ -163,14 +163,14 @@ def test_knots_reach_a_little_beyond_the_deepest_state(case_and_out):
 
 def test_states_are_asked_for_by_name_and_only_where_there_are_any(case_and_out, tmp_path):
     check_choice("states", compare_element=False, solver="auto", joint_only=["--law"])
-    with pytest.raises(CaseError, match="laws are compared by the joint fit alone"):
+    with pytest.raises(CaseError, match="laws are compared by the joint fit only"):
         check_choice("states", compare_element=False, solver="auto", joint_only=["--compare-laws"])
     with pytest.raises(CaseError, match="use force, joint or states"):
         check_choice("state", compare_element=False, solver="auto")
     plain = block.make_case(
         tmp_path / "case", tmp_path / "out", np.array([1.0, 2.0]), np.array([1.0, 2.5]), c=0.006, build=False
     )
-    with pytest.raises(CaseError, match="no site that was asked for has states"):
+    with pytest.raises(CaseError, match="no requested site has states"):
         fit_states(plain, out=tmp_path / "out", options=FitOptions())
 
 

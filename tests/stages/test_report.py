@@ -314,7 +314,7 @@ def test_a_poor_fit_is_told_before_anything_else(tmp_path):
     add_fit(out, "p1")
     path = out / "fit" / "p1" / "fit.json"
     content = json.loads(path.read_text())
-    words = "poor fit: it misses the measured force by 3 N (RMSE under load); R2 0.61"
+    words = "poor fit: it differs from the measured force by 3 N (RMSE under load); R2 0.61"
     content["data"]["misfit"] = {"poor": True, "words": words}
     path.write_text(json.dumps(content))
     glance = overview(gather(case, out=out))
@@ -354,7 +354,7 @@ def test_summary_says_what_to_measure_next(tmp_path):
             "recommended": "larger", "power_for_its_worst_pair": 0.83, "menu": menu
         }  # fmt: skip
     (steps,) = [each.next_steps for each in overview(gather(case, out=out)).sites]
-    assert steps[0].startswith("Press with a larger probe (it tells the explanations apart in 83 of 100")
+    assert steps[0].startswith("Press with a larger probe (it distinguishes the explanations in 83 of 100")
     with open_stage(out, "diagnose", subject="S1", site="p1") as writer:
         powers = {"power_for_its_worst_pair": 0.05, "power_for_its_best_pair": 0.92}
         writer.data["next_measurement"] = {"recommended": "larger", **powers, "menu": menu}
@@ -495,10 +495,10 @@ def test_weak_parameters_are_named_in_the_first_sentence(tmp_path):
     case, out = make_case(tmp_path / "case"), tmp_path / "out"
     add_fit(out, "p1")
     sentence = overview(gather(case, out=out)).sentence
-    assert "Not to be relied on as properties of the tissue: f_κ at p1." in sentence
+    assert "Not reliable as tissue properties: f_κ at p1." in sentence
     path = out / "fit" / "p1" / "fit.json"
     path.write_text(path.read_text().replace('"weak"', '"identified"'))
-    assert "Every parameter searched for is identified." in overview(gather(case, out=out)).sentence
+    assert "All fitted parameters are identified." in overview(gather(case, out=out)).sentence
 
 
 @pytest.mark.parametrize(
@@ -553,7 +553,7 @@ def test_a_damaged_force_depth_curve_becomes_words(tmp_path, content):
         writer.file("force_depth", "force-depth.csv").write_text("time_s,depth_mm,force_n\n1,2,3\n")
     (out / "run" / "p1" / "force-depth.csv").write_bytes(content)
     found = report(case, out=out)
-    assert any("force-depth.csv" in each and "not as it was left" in each for each in found.warnings)
+    assert any("force-depth.csv" in each and "was changed since" in each for each in found.warnings)
 
 
 def test_a_result_older_than_its_source_is_told(tmp_path):
@@ -672,7 +672,10 @@ def test_what_was_made_on_demand_is_on_the_page(tmp_path):
 def test_a_joint_fit_that_misses_its_data_is_not_marked_as_fine(tmp_path):
     case, out = make_case(tmp_path / "S1"), tmp_path / "out"
     sound = {"c_kpa": {"value": 8.0, "low": 7.0, "high": 9.0, "flag": "identified"}}
-    for warnings, mood in (((), "fine"), (("the fit misses the data: chi-square 73",), "warning")):
+    for warnings, mood in (
+        ((), "fine"),
+        (("the fit does not reproduce the data: chi-square 73",), "warning"),
+    ):
         for stage, site in (("fit-joint", None), ("fit-states", "p1")):
             with open_stage(out, stage, subject="S1", site=site) as writer:
                 writer.data.update(parameters=sound, element="tet10", sites=["p1"])
@@ -718,7 +721,7 @@ def test_a_users_own_report_is_not_replaced(tmp_path, kind):
     own.parent.mkdir(parents=True)
     own.write_text("mine")
     for _ in range(2):
-        with pytest.raises(CaseError, match="none of limbcli's") as caught:
+        with pytest.raises(CaseError, match="not made by limbcli") as caught:
             report(case, out=out)
         assert caught.value.where == str(out / "report")
         keep_error(out, "report", None, caught.value)  # as a batch does

@@ -178,7 +178,7 @@ def test_a_curve_of_an_uncertain_body_or_depth_is_told() -> None:
     (other,) = doubts(simulated(bone=0.0, head=0.0), "bone")
     assert "the curve is that of bone" in other
     (far,) = doubts(simulated(probe=20.0), "probe")
-    assert "-20.00 mm at the start; it goes 2.00 mm" in far
+    assert "-20.00 mm at the start; it moves 2.00 mm" in far
 
 
 def test_the_greatest_depth_is_not_the_last_where_the_probe_is_lifted(tmp_path: Path) -> None:

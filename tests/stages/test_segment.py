@@ -185,7 +185,7 @@ def test_one_file_with_all_bodies_is_taken_apart(segmented, tmp_path):
     assert found["skin"] == pytest.approx(wanted["skin"], rel=1e-3)
     assert found["bone_tibia"] == pytest.approx(wanted["bone_tibia"], rel=1e-3)
     assert found["bone_fibula"] == pytest.approx(wanted["bone_fibula"], rel=1e-3)
-    with pytest.raises(CaseError, match="one body only"):
+    with pytest.raises(CaseError, match="only one body"):
         segment(case_with(tmp_path, skin=first.path("skin")), out=tmp_path / "alone")
 
 

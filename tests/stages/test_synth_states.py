@@ -155,7 +155,7 @@ def test_what_the_case_knows_as_unloaded_needs_no_option(tmp_path):
     [
         (
             state_case.TOLD, KnownStretches(), "",
-            "at which of the told stretches around the limb the tissue is unloaded must be told",
+            "the stretch around the limb at which the tissue is unloaded must be given",
             "--unloaded-stretch-around",
         ),
         (
@@ -164,11 +164,12 @@ def test_what_the_case_knows_as_unloaded_needs_no_option(tmp_path):
         ),
         (
             state_case.TOLD, known_stretches({}, {"bent": 0.8}, Stretch(around=0.95)), "",
-            "tells stretch_around = 0.72 of the state, and --stretch-around tells it again", "unknown",
+            "gives stretch_around = 0.72 for the state, and --stretch-around gives it again", "unknown",
         ),
         (
             state_case.TOLD, KnownStretches(Stretch(around=0.95)), "unloaded_stretch_around = 0.9\n",
-            "unloaded at a stretch of 0.9 around the limb, --unloaded-stretch-around says 0.95", "leave one",
+            "unloaded at a stretch of 0.9 around the limb, but --unloaded-stretch-around is 0.95", "remove "
+            "one",
         ),
         (
             state_case.TOLD, KnownStretches(Stretch(around=0.6)), "",
@@ -202,7 +203,7 @@ def test_states_that_no_site_has_are_named_before_anything_is_simulated(tmp_path
     plain = block.make_case(
         tmp_path / "plain", tmp_path / "o2", np.array([1.0, 2.0]), np.array([1.0, 2.5]), c=0.006, build=False
     )
-    with pytest.raises(CaseError, match="no site that is simulated has states"):
+    with pytest.raises(CaseError, match="no simulated site has states"):
         synth(plain, out=tmp_path / "o2", out_case=tmp_path / "new", options=OPTIONS)
     with pytest.raises(CaseError, match="layers are not read in the states"):
         synth(case, out=tmp_path / "out", out_case=tmp_path / "new", options=replace(OPTIONS, layers=True))

@@ -42,9 +42,9 @@ def check_held(tangent: Tangent, state: State) -> None:
                 continue
             middle = system.X[nodes].mean(axis=0)
             raise SingularMatrix(
-                f"a part of the tissue, {len(nodes)} nodes, can move freely {name}: nothing holds it",
+                f"a part of the tissue, {len(nodes)} nodes, can move freely {name}: it is not constrained",
                 where=f"around ({middle[0]:.1f}, {middle[1]:.1f}, {middle[2]:.1f}) mm",
-                fix="hold it: fix its nodes at the bone or at the cuts, or join its mesh to the rest",
+                fix="constrain it: fix its nodes at the bone or at the cuts, or join its mesh to the rest",
             )
 
 

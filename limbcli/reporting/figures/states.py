@@ -38,7 +38,7 @@ class StateReading:
 class StatesPanel:
     """One way of stretching.
 
-    counted : "case", as the case counts stretches, or "unloaded"
+    counted : "case", on the stretch scale of the case, or "unloaded"
     stretch, speed (n,) : the fitted law's curve; unloaded : the stretch at which its tissue is unloaded
     lowest : the stretch of the least speed with its 95 % ends; None where the data do not tell it
     """

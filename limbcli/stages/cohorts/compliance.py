@@ -40,7 +40,7 @@ def compliance_left_out(
             "folds": {},
             "rows": [],
         }
-        return empty, [f"{why}: the compliance of people left out is not predicted"]
+        return empty, [f"{why}: the compliance of held-out people is not predicted"]
     physics = _Slab(table, family)
     features = np.column_stack([np.log(table.thickness), np.log(table.whole), np.log(table.face)])
     people, sites, measured = table.person, table.site, table.compliance
@@ -176,7 +176,7 @@ def _repeatability(table: CohortTable, slope_deviation: float, layer_deviation: 
         entry["reason"] = (
             f"{len(repeated)} sites of a person were measured more than once; trials of the same person "
             f"and site "
-            "are needed to tell repeatability"
+            "are needed to assess repeatability"
         )
         return entry
     free = sum(len(each) - 1 for each in repeated)

@@ -287,7 +287,7 @@ def summary_lines(data: dict[str, Any], page: Path) -> list[str]:
     if told_off is not None:
         low, high = data["compliance_left_out"]["interval_95_percent"]
         lines.append(
-            f"compliance of people left out, from thicknesses: {told_off:.1f} % off on average ({low:.1f} to "
+            f"compliance of held-out people, from thicknesses: {told_off:.1f} % off on average ({low:.1f} to "
             f"{high:.1f} with other people)"
         )
     standing = data["stands_out"]

@@ -303,8 +303,8 @@ class _Preparation:
         if not (self.out / "segment" / "segment.json").is_file() and own.is_file():
             if layers := own_layers(self.site, self.out):
                 raise CaseError(
-                    f"the site's own mesh has {layers} beside the tissue, and there are no surfaces to make "
-                    "the diagnosis' own of",
+                    f"the site's own mesh has {layers} as well as the tissue, and there are no "
+                    "surfaces to make the diagnosis' mesh from",
                     where=f"site {self.site.name}",
                     fix=f"limbcli segment {self.case.folder}, or mesh the site without layers",
                 )
@@ -352,7 +352,7 @@ class _Preparation:
         levels = self.levels
         if np.isfinite(levels.skin_bone).any() and not errors.has_bone:
             self.notes.warnings.append(
-                "skin_bone_mm is not used: in the model the beam meets no bone under the probe's centre"
+                "skin_bone_mm is not used: in the model the beam reaches no bone under the probe's centre"
             )
             levels = replace(levels, skin_bone=np.full(len(levels), np.nan))
         return site_data(

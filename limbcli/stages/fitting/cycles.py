@@ -71,8 +71,8 @@ def write_cycle(levels: Levels, site: Site, writer: StageWriter, *, label: str =
         writer.warnings.append(before + contradiction(against[0]))
     elif number == _last(study) and study.repeats_from is None:
         writer.warnings.append(
-            f"{before}cycle {number} does not repeat the one before it within noise: the tissue was still "
-            "changing when the record ended; load it more often before it is measured"
+            f"{before}cycle {number} does not repeat the previous one within noise: the tissue was "
+            "still changing when the record ended; apply more loading cycles before measuring"
         )
 
 
@@ -81,8 +81,9 @@ def contradiction(difference: Difference) -> str:
     k = difference.largest
     return (
         f"cycle {difference.later} contradicts the fitted cycle {difference.earlier}: at "
-        f"{difference.force[k]:.3g} N its depth is {difference.depth[k]:+.2f} mm off (chance of that by "
-        f"noise {difference.p_value:.1g}); {change_text(difference)}. The fit is of tissue that was not yet "
+        f"{difference.force[k]:.3g} N its depth is {difference.depth[k]:+.2f} mm off (probability "
+        f"under noise {difference.p_value:.1g}); {change_text(difference)}. The fit is of tissue that was "
+        f"not yet "
         "preconditioned: --cycle last"
     )
 

@@ -38,7 +38,8 @@ def write_geometry(
     if doubt.words not in writer.warnings:
         writer.warnings.insert(0, doubt.words)
     writer.summary.append(
-        f"the assumed geometry puts the force off by {short(100 * share, 2)} % (one deviation, "
+        f"the assumed geometry contributes a force uncertainty of {short(100 * share, 2)} % (one standard "
+        f"deviation, "
         f"{len(doubt.done)} shapes); {_widening(reported)}"
     )
 
@@ -82,4 +83,4 @@ def _widening(reported: dict[str, Any]) -> str:
     if None in before or None in after:
         return "the interval of m is open" if reported["interval_95"] else "no interval was computed"
     narrow, wide = (f"{short(low)} to {short(high)}" for low, high in (before, after))
-    return f"95 % of m: {narrow} by noise alone, {wide} with it"
+    return f"95 % of m: {narrow} from noise alone, {wide} with it"

@@ -115,7 +115,7 @@ LAWS: Mapping[str, FitLaw] = {
             lambda c, s: Material("neo_hooke", {"mu": c / 2, "lambda": float(s[0]) * c}),
         ),
         FitLaw(
-            "two-term-ogden", "Mooney-Rivlin type and a stiffening pair m, -m that carries a share of c",
+            "two-term-ogden", "Mooney-Rivlin type and a stiffening pair m, -m with a share of c",
             (
                 _F_KAPPA,
                 FitParameter("share", 0.3, 0.001, 0.999, "log", step_factor=3.0),

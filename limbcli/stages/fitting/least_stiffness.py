@@ -48,30 +48,28 @@ class LeastStiffness:
     def words(self) -> str:
         """One sentence, that says so where the data tell nothing."""
         frame = (
-            "as the case counts stretches" if self.counted == "case" else "of the unloaded tissue's length"
+            "on the stretch scale of the case"
+            if self.counted == "case"
+            else "of the unloaded tissue's length"
         )
         if not self.is_determined:
             return (
                 f"{self.way} the limb, these data do not determine the state of least stiffness: "
-                f"{self._excluded()}. The speeds at rest do not curve enough over the stretches measured; "
-                "measure states further "
-                "apart, shorter ones above all"
+                f"{self._excluded()}. The speeds at rest do not curve enough over the "
+                "stretches measured; measure states "
+                "further apart, especially shorter ones"
             )
         at, low, high = np.exp([self.by_law.value, self.by_law.low, self.by_law.high])
         return (
-            f"{self.way} the limb, the speed at rest is least at a stretch of {at:.2f} (95 %: {low:.2f} to "
+            f"{self.way} the limb, the speed at rest is lowest at a stretch of {at:.2f} (95 %: {low:.2f} to "
             f"{high:.2f}), {frame}"
-            + (
-                "; no state was measured as far as that, so it rests on the law's curve"
-                if self.is_beyond
-                else ""
-            )
+            + ("; no state was measured beyond it, so it rests on the law's curve" if self.is_beyond else "")
         )
 
     def _excluded(self) -> str:
         low, high = np.exp([self.by_law.low, self.by_law.high])
         if self.by_law.open_low and self.by_law.open_high:
-            return "no stretch that was searched is excluded"
+            return "no searched stretch is excluded"
         if self.by_law.open_low:
             return f"only stretches above {high:.2f} are excluded (95 %)"
         return f"only stretches below {low:.2f} are excluded (95 %)"

@@ -91,37 +91,37 @@ def check_choice(
     joint = objective != "force"
     if joint and compare_element:
         raise CaseError(
-            "two different things are asked for",
+            "two conflicting options are given",
             where=f"--objective {objective}, --compare-element",
-            fix="ask for one at a time",
+            fix="give one at a time",
         )
     if joint_only and not joint:
         raise CaseError(
-            f"{joint_only[0]} says nothing to the fit of the force alone",
+            f"{joint_only[0]} has no effect on the fit of the force alone",
             where=joint_only[0],
-            fix="add --objective joint (or states), or leave it out",
+            fix="add --objective joint (or states), or omit it",
         )
     if solver == "febio" and (joint or compare_element):
         raise CaseError(
-            "this needs derivatives that FEBio does not give",
+            "this requires derivatives that FEBio does not provide",
             where="--solver febio",
-            fix="leave --solver out: the reference solver does it",
+            fix="omit --solver: the reference solver supports it",
         )
     if febio is not None and (joint or compare_element):
         raise CaseError(
-            "this needs derivatives that FEBio does not give",
+            "this requires derivatives that FEBio does not provide",
             where="--febio",
-            fix="leave --febio out: the reference solver does it",
+            fix="omit --febio: the reference solver supports it",
         )
     if stiffness_map and (joint or compare_element):
         raise CaseError(
-            "a stiffness map goes with the fit of the force alone",
+            "a stiffness map is supported only by the fit of the force alone",
             where="--stiffness-map",
-            fix=f"leave --objective {objective} and --compare-element out, or the map",
+            fix=f"omit --objective {objective} and --compare-element, or the map",
         )
     if objective == "states" and "--compare-laws" in joint_only:
         raise CaseError(
-            "laws are compared by the joint fit alone",
+            "laws are compared by the joint fit only",
             where="--compare-laws, --objective states",
             fix="give one law (--law), or use --objective joint",
         )
@@ -130,9 +130,9 @@ def check_choice(
     given = {key: value for key, value in (options.asked() if options else {}).items() if key in unheard}
     if given:
         raise CaseError(
-            f"{in_words(given)} says nothing to {asked}",
+            f"{in_words(given)} has no effect on {asked}",
             where=asked,
-            fix="leave it out, or fit the force alone (--objective force)",
+            fix="omit it, or fit the force alone (--objective force)",
         )
 
 
@@ -160,5 +160,7 @@ def check_numbers(options: FitOptions, *, gain_deviation: float | None = None) -
     for name, value, low, high, meaning in rules:
         if value is not None and not low <= value <= high:
             raise CaseError(
-                f"{name} is {value:g}; possible is {low:g} to {high:g}", where=name, fix=f"give {meaning}"
+                f"{name} is {value:g}; possible values are {low:g} to {high:g}",
+                where=name,
+                fix=f"give {meaning}",
             )

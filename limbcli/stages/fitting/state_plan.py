@@ -115,7 +115,7 @@ def plan_of(
         raise CaseError(
             f"the states of {where} do not differ in their stretch",
             where="case.toml, [[site.state]]",
-            fix="tell what was stretched (stretch_along, stretch_around), or leave it out where unknown",
+            fix="give what was stretched (stretch_along, stretch_around), or omit it where unknown",
         )
     factors = np.zeros((len(states), len(ways), len(parameters)))
     for k, w, j, factor in entries:
@@ -147,7 +147,7 @@ def _check_range(where: str, stretches: Sequence[float], way: str) -> None:
     if wrong:
         raise CaseError(
             f"{where}: a state's stretch {way} the limb is {wrong[0]:.3g} of the unloaded tissue; "
-            f"{LOW:g} to {HIGH:g} is possible",
+            f"possible values are {LOW:g} to {HIGH:g}",
             where="case.toml, [[site.state]]",
             fix=f"correct stretch_{way}, or unloaded_stretch_{way}",
         )

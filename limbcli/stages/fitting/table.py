@@ -48,7 +48,7 @@ class Identified:
     steps: Sequence[FittedStep]
     intervals: Sequence[Intervals] | None
     cold_seconds: float
-    why_no_intervals: str = "no interval was asked for"
+    why_no_intervals: str = "no interval was requested"
     geometry: GeometryUncertainty | None = None
     gains: Sequence[float] = ()
 
@@ -220,7 +220,7 @@ def _parameter(
     found: Identified, value: float, interval: Sequence[float | None] | None, said: Verdict, error: float
 ) -> dict[str, Any]:
     low, high = interval or (None, None)
-    reason = "open to both bounds: nothing is excluded" if interval else found.why_no_intervals
+    reason = "open to both bounds: no value is excluded" if interval else found.why_no_intervals
     return {
         "value": value, "low": low, "high": high, "standard_error": error,
         "headline": headline(value, low, high, said.flag, why=said.words, computed=interval is not None),

@@ -116,7 +116,7 @@ def end(package: str, process: subprocess.Popen[str]) -> LibraryTrial:
     if process.returncode == 0:
         return LibraryTrial(package, True)
     last = next((line for line in reversed(said.splitlines()) if line.strip()), "")
-    why = last or f"it ended with status {process.returncode} and said nothing"
+    why = last or f"it ended with status {process.returncode} and no message"
     named = _LIBRARY.findall(why) if "cannot open shared object" in why else []
     return LibraryTrial(package, False, why, tuple(dict.fromkeys([*named, *missing_libraries(package)])))
 

@@ -36,6 +36,6 @@ def write_pennation(
     use = f"pennation_deg = {found.angle_deg:.1f}, deviation_deg = {found.deviation_deg:.1f}"
     writer.summary.append(
         f"pennation {found.angle_deg:.1f} deg in the image (deviation {found.deviation_deg:.1f}; tiles "
-        f"spread by {found.spread_deg:.1f}), positive: deeper to the right; where the image is along the "
-        f"fibres, use it: [[site.pennation]] {use}"
+        f"spread by {found.spread_deg:.1f}), positive: deeper to the right; if the image is along "
+        f"the fibres, use it: [[site.pennation]] {use}"
     )

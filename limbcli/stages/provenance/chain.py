@@ -91,8 +91,10 @@ class Chain:
             if earlier is not None:
                 return replace(earlier, steps=(*earlier.steps, own))
         if found.subject != self.case.subject:
-            what = f"the result of `{found.label}` is of {found.subject}, the case of {self.case.subject}"
-            before = f"name another --out; to replace the results of {found.subject} for good: "
+            what = (
+                f"the result of `{found.label}` is of {found.subject}, but the case is of {self.case.subject}"
+            )
+            before = f"give another --out; to replace the results of {found.subject} permanently: "
             return BrokenLink(what, str(found.folder), (own,), before)
         if made["version"] != __version__:
             by = f"limbcli {made['version']}" if made["version"] else "an earlier limbcli"
@@ -124,7 +126,7 @@ class Chain:
             path = input_path(self.case, role)
             if path is None or not path.exists():
                 yield (
-                    f"{in_words(role)} is gone, of which `{found.label}` was made",
+                    f"{in_words(role)} is missing, from which `{found.label}` was made",
                     str(path or self.case.file),
                 )
             elif sha256(path) != digest:
@@ -136,9 +138,9 @@ class Chain:
         for name, digest in found.provenance.get("files_sha256", {}).items():
             path = found.path(name)
             if not path.exists():
-                yield f"{path.name}, which `{found.label}` left, is gone", str(path)
+                yield f"{path.name}, written by `{found.label}`, is missing", str(path)
             elif sha256(path) != digest:
-                yield f"{path.name}, which `{found.label}` left, is not as it was left", str(path)
+                yield f"{path.name}, written by `{found.label}`, was changed since", str(path)
 
     def _matters(self, key: str, found: StageResult, about: Collection[str] | None) -> bool:
         """Values of one site in a result of the whole case matter where that site is asked about."""

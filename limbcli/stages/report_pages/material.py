@@ -167,5 +167,5 @@ def _older(before: Outcome | None, after: Outcome | None) -> str:
         return ""
     return (
         f"The result of “{after.label}” ({late}) is older than that of “{before.label}” ({early}) "
-        f"it builds on; run it again: {after.command}"
+        f"on which it is based; run it again: {after.command}"
     )

@@ -76,8 +76,9 @@ def doubts(simulation: Simulation, body: str) -> list[str]:
     depth = simulation.probe_depth(body)
     if abs(depth[0]) > _FAR_START_MM:
         found.append(
-            f"depth_mm is how far the centre of mass of {body} lies below z = 0, "
-            f"and that is {depth[0]:.2f} mm at the start; it goes {depth[-1] - depth[0]:.2f} mm from there"
+            f"depth_mm is the depth of the centre of mass of {body} "
+            f"below z = 0, which is {depth[0]:.2f} mm at the start; it moves {depth[-1] - depth[0]:.2f} mm "
+            f"from there"
         )
     return found
 

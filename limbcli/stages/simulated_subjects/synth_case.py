@@ -34,8 +34,8 @@ def check_orientations(sites: Sequence[Site]) -> None:
         for each in site.fibres.pennation:
             if each.orientation not in names:
                 raise CaseError(
-                    f"site {site.name} tells its fibres in the image of {each.orientation}, "
-                    "which is not to be simulated",
+                    f"site {site.name} gives its fibres in the image of "
+                    f"{each.orientation}, which is not simulated",
                     where="--site",
                     fix=f"add --site {each.orientation}, or give site {site.name} a fibre_direction",
                 )
@@ -127,8 +127,8 @@ def borders_at_rest(segmented: StageResult, site: Site) -> Array:
     told = (segmented.data.get("layers") or {}).get(site.name)
     if told is None:
         raise CaseError(
-            "the geometry tells no thickness of skin and fat at this site, so layers cannot be read",
+            "the geometry gives no thickness of skin and fat at this site, so layers cannot be simulated",
             where=f"site {site.name}",
-            fix="leave --with-layers out, or give a case whose images show fat, or [imaging] shape",
+            fix="omit --with-layers, or give a case whose images show fat, or [imaging] shape",
         )
     return np.cumsum([float(told["skin_mm"]), float(told["fat_mm"])])

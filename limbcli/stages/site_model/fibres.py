@@ -24,7 +24,7 @@ from limbcli.stages.provenance.chain_inputs import note_case
 _LEAST_COVERED = 0.5  # of the tissue's elements near the probe
 _NEAR_PROBE = 30.0  # mm
 _OUT_OF_SKIN_DEG = 60.0
-NOT_TOLD = "no fibre direction is told: along the limb, within the skin"
+NOT_TOLD = "no fibre direction is given: along the limb, within the skin"
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,10 +102,10 @@ def _of_map(case: Case, site: Site, model: LimbModel, to_patient: Array, middles
     share = float(known[close].mean())
     if share < _LEAST_COVERED:
         raise CaseError(
-            f"the fibre map says nothing about {100 * (1 - share):.0f} % of the tissue within "
-            f"{_NEAR_PROBE:g} mm of site {site.name}: it lies outside the limb, or in another frame",
+            f"the fibre map has no data for {100 * (1 - share):.0f} % of the tissue within "
+            f"{_NEAR_PROBE:g} mm of site {site.name}: it is outside the limb, or in another frame",
             where=str(path),
-            fix="bring the map in the frame of the limb's own images, with the muscle at the site in it",
+            fix="give the map in the frame of the limb's own images, including the muscle at the site",
             covered_share=share,
         )
     axes = np.where(known[:, None], sample.axes, 0.0) @ to_patient[:3, :3]
@@ -159,8 +159,8 @@ def write_fibres(
     )
     if out_of_skin > _OUT_OF_SKIN_DEG:
         writer.warnings.append(
-            f"the fibres of site {site.name} stand {out_of_skin:.0f} deg out of the skin's plane, which no "
-            "muscle below a probe does: check fibre_direction (patient LPS) or fibre_frame"
+            f"the fibres of site {site.name} are {out_of_skin:.0f} deg out of the skin's plane, which "
+            "is not plausible for muscle below a probe: check fibre_direction (patient LPS) or fibre_frame"
         )
     block = next(model.mesh.block(each.block) for each in model.domains if each.material == TISSUE)
     axes = np.tile(near[0], (len(block.cells), 1)) if found.axes is None else found.axes
@@ -170,6 +170,6 @@ def write_fibres(
     share = (found.facts or {}).get("from_mean_share", 0.0)
     if share > 0.1:
         writer.warnings.append(
-            f"the fibre map says nothing about {100 * share:.0f} % of the model's tissue; the mean direction "
-            "near the probe stands there"
+            f"the fibre map has no data for {100 * share:.0f} % of the model's tissue; the mean "
+            "direction near the probe is used there"
         )

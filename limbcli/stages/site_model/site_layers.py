@@ -193,7 +193,7 @@ def parse_law(text: str) -> tuple[str, dict[str, Any]]:
         except ValueError as error:
             raise CaseError(f"{key} is {value!r}, not a number", where=f"--layer {text}", fix=_HOW) from error
     if name not in NAMES or not table:
-        raise CaseError(f"--layer {text!r} is not understood", where="--layer", fix=_HOW)
+        raise CaseError(f"--layer {text!r} is not valid", where="--layer", fix=_HOW)
     keys = {key: rule for key, rule in schema.LAYER.items() if key != "thickness_mm"}
     problems = schema.check_table(table, keys, name=f"--layer {name}", file="command line")[1]
     raise_errors(problems, CaseError)
@@ -219,7 +219,7 @@ def layer_laws(
             raise CaseError(
                 f"the model has no layer {name!r}",
                 where=f"site {site.name}",
-                fix=f"mesh again with --{name}-mm, or leave --layer {name} out",
+                fix=f"mesh again with --{name}-mm, or omit --layer {name}",
             )
     return {name: _law(name, {**site.layers.get(name, {}), **_known(given.get(name, {}))}) for name in names}
 

@@ -13,7 +13,8 @@ from limbcli.stages.diagnosis.bones.evidence import Evidence
 
 _BONES_OR_EFFECT = "one effect explains the data, and so does the limb with other bones (see `bones`)"
 _ON_MENDED_LIMB = (
-    "one explanation fits, but on a limb whose bones had to be moved (see `bones`): correct the segmentation "
+    "one explanation fits, but with a limb whose bones had to be moved (see `bones`): correct the "
+    "segmentation "
     "first"
 )
 
@@ -61,9 +62,11 @@ def combined_diagnosis(ours: Diagnosis, theirs: Diagnosis, words: str) -> Diagno
     if not fitting(theirs):
         return ours
     if not fitting(ours):
-        return replace(ours, reason=f"{ours.reason}; on the limb {words} something does (see `bones`)")
+        return replace(ours, reason=f"{ours.reason}; with the limb {words} an explanation fits (see `bones`)")
     both = _union(ours.confidence_set, theirs.confidence_set)
-    reason = f"what fits on the limb as segmented, and what fits on the limb {words}, cannot be told apart"
+    reason = (
+        f"what fits with the limb as segmented and what fits with the limb {words} cannot be distinguished"
+    )
     told = _over(ours, theirs)
     shrink = tuple(
         replace(each, estimates=told) if each.explanation == ours.chosen else each for each in ours.shrink

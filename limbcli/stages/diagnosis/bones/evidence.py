@@ -63,14 +63,14 @@ class Evidence:
         if self.stand == "taken":
             return (
                 f"BONES: {words} the limb fits the readings better (deviance lower by {self.gain:.0f}, "
-                f"{self.asked:.0f} asked for): the surfaces are not believed there, and all that "
-                "follows is of the limb so changed. Correct the segmentation."
+                f"{self.asked:.0f} required): the surfaces are not accepted there, and "
+                "all that follows refers to the changed limb. Correct the segmentation."
             )
         if self.stand == "open":
             return (
-                f"BONES: {words} the limb fits the readings better, too (deviance lower by {self.gain:.0f}): "
-                "whether that, or an effect on the limb as segmented, these data do not say. "
-                f"{self._there}Look at the segmentation first."
+                f"BONES: {words} the limb also fits the readings better (deviance lower by {self.gain:.0f}): "
+                "these data do not show whether this or an effect on the limb as segmented is the cause. "
+                f"{self._there}Check the segmentation first."
             )
         if self.other.is_repair:
             return f"Tried {words}: deviance {-self.gain:+.0f}; the limb is taken as segmented."
@@ -83,9 +83,11 @@ class Evidence:
             return ""
         effects = "; ".join(" + ".join(each) for each in self.with_effects.confidence_set)
         if self.with_effects.verdict == "adequate":
-            return "On that limb nothing else is missing. "
+            return "With that limb nothing else is missing. "
         return (
-            f"On that limb it may be: {effects}. " if effects else "On that limb nothing explains the rest. "
+            f"With that limb it may be: {effects}. "
+            if effects
+            else "With that limb nothing explains the rest. "
         )
 
     def to_json(self) -> dict[str, object]:

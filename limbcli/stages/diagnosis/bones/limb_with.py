@@ -71,8 +71,8 @@ def _mesh(case: Case, site: Site, *, out: Path, folder: Path, progress: Progress
     asked = meshed.data.get("asked", {})
     if meshed.data.get("layers") or "place" in asked:
         raise CaseError(
-            "the site's mesh has layers, or a place of its own", where=f"site {site.name}",
-            fix="mesh the site without them to have its bones questioned",
+            "the site's mesh has layers, or a separate place", where=f"site {site.name}",
+            fix="mesh the site without them to test its bones",
         )  # fmt: skip
     model = stage_folder(folder, "mesh", site.name) / "model.npz"
     segmented = read_result(folder, "segment")

@@ -124,7 +124,7 @@ def held_forces(trace: Trace, levels: Levels) -> tuple[HeldForces | None, str]:
     seen = [(a, b) for (a, b), last in zip(holds, before[:-1], strict=True) if read[last:a].all()]
     windows, means = _windows(seen, force)
     if not len(windows):
-        return None, "no hold carries a force to speak of"
+        return None, "no hold has an appreciable force"
     found = HeldForces(
         depth, windows, fall(force, windows), *_deviations(trace, windows, means, depth if recorded else None)
     )

@@ -206,8 +206,8 @@ class Changes:
             raise problem
         if len(places) < 2:
             raise SolveError(
-                f"no wave can run, or the law has no answer, with {p.name} near {p.start:g}",
-                where=f"effect {effect.name}", fix="look at the deepest level",
+                f"no wave can propagate, or the law has no solution, with {p.name} near {p.start:g}",
+                where=f"effect {effect.name}", fix="check the deepest level",
             )  # fmt: skip
         order = np.argsort(places)
         table = np.array(values)[order]
@@ -232,7 +232,7 @@ class Changes:
 
 def _spent(effect: Effect) -> SolveError:
     return SolveError(
-        "the simulations took all the work that a diagnosis may take",
+        "the simulations used up the diagnosis's work budget",
         where=f"effect {effect.name}", fix=f"name it: `--effects {effect.name}`",
     )  # fmt: skip
 

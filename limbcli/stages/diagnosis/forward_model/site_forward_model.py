@@ -258,11 +258,11 @@ class SiteForwardModel(Fits):
             if lacking:
                 if "bone" in lacking:
                     raise FitError(
-                        "it needs a bone under the probe, and there the model has none",
+                        "it requires a bone under the probe, where the model has none",
                         where=f"effect {name}",
-                        fix="look at the site's place, and at the bones' surfaces",
+                        fix="check the site's position and the bones' surfaces",
                     )
                 raise FitError(
-                    f"it needs what was not measured: {', '.join(lacking)}",
-                    where=f"effect {name}", fix="measure it, see the next measurement",
+                    f"it requires data that were not measured: {', '.join(lacking)}",
+                    where=f"effect {name}", fix="measure it; see the next measurement",
                 )  # fmt: skip
