@@ -83,8 +83,8 @@ def at_most(threads: int) -> int:
 
     A batch whose processes share the cores sets both for each of them.
     """
-    said = (os.environ.get(name, "").split(",")[0].strip() for name in (THREADS, "OMP_NUM_THREADS"))
-    allowed = next((int(each) for each in said if each.isdigit()), threads)
+    values = (os.environ.get(name, "").split(",")[0].strip() for name in (THREADS, "OMP_NUM_THREADS"))
+    allowed = next((int(each) for each in values if each.isdigit()), threads)
     return max(1, min(threads, allowed))
 
 

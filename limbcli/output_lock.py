@@ -99,7 +99,7 @@ def _made(folder: Path) -> None:
 
 def _locked(folder: Path, name: str, *, wait: bool, progress: Progress, alone: bool) -> TextIO:
     """The lock's file, held; a file that another has removed meanwhile does not count."""
-    is_told = False
+    is_announced = False
     while True:
         _made(folder)
         stream = (folder / name).open("a+", encoding="utf-8")
@@ -118,9 +118,9 @@ def _locked(folder: Path, name: str, *, wait: bool, progress: Progress, alone: b
                 where=str(folder),
                 fix="wait for it to finish (omit --no-wait), or give another --out",
             )
-        if not is_told:
+        if not is_announced:
             progress.event("note", text=f"waiting: {holder} is writing into {folder} (--no-wait refuses)")
-            is_told = True
+            is_announced = True
         time.sleep(_LOOK_S)
 
 

@@ -23,5 +23,5 @@ def side_of(direction: Array) -> str:
     ['right', 'head and anterior', 'posterior']
     """
     share = np.asarray(direction, dtype=float) / np.linalg.norm(direction)
-    told = [k for k in np.argsort(-np.abs(share), kind="stable") if abs(share[k]) > _ALSO]
-    return " and ".join(_SIDES[k][int(share[k] > 0)] for k in told)
+    axes = [k for k in np.argsort(-np.abs(share), kind="stable") if abs(share[k]) > _ALSO]
+    return " and ".join(_SIDES[k][int(share[k] > 0)] for k in axes)

@@ -23,12 +23,12 @@ class TemplateFolders(jinja2.FileSystemLoader):
 
     def __init__(self, folders: Sequence[Path]):
         super().__init__(folders)
-        self.asked: list[str] = []
+        self.requested: list[str] = []
 
     def get_source(
         self, environment: jinja2.Environment, template: str
     ) -> tuple[str, str, Callable[[], bool]]:
-        self.asked.append(template)
+        self.requested.append(template)
         return super().get_source(environment, template)
 
 
@@ -66,7 +66,7 @@ def refuse_unused(environment: jinja2.Environment, folder: Path, ours: Path, *, 
     known = {path.name for path in ours.iterdir() if path.suffix != _TOLD_IN}
     endings = {Path(name).suffix for name in known}
     for path in sorted(each for each in folder.glob("*.*") if each.suffix in endings):
-        if path.name not in known and f"{below}{path.name}" not in environment.loader.asked:
+        if path.name not in known and f"{below}{path.name}" not in environment.loader.requested:
             near = difflib.get_close_matches(path.name, sorted(known), n=1)
             raise CaseError(
                 f"the template {path.name} is not used",
@@ -83,7 +83,7 @@ def _place(error: Exception, environment: jinja2.Environment, template: str) -> 
         return f"{error.filename or error.name or template}, line {error.lineno}"
     if isinstance(error, UnicodeDecodeError):
         loader = environment.loader
-        return loader.asked[-1] if isinstance(loader, TemplateFolders) and loader.asked else template
+        return loader.requested[-1] if isinstance(loader, TemplateFolders) and loader.requested else template
     frames = [
         each for each in traceback.extract_tb(error.__traceback__) if Path(each.filename).suffix == ".j2"
     ]

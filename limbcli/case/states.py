@@ -36,9 +36,9 @@ def read_states(
     known = Stretch(*(None if values[key] is None else float(values[key]) for key in _UNLOADED))
     tables = values["state"]
     if tables is None:
-        told = [key for key in _UNLOADED if values[key] is not None]
+        given = [key for key in _UNLOADED if values[key] is not None]
         fix = "add [[site.state]] tables, or remove it"
-        return (), known, [Problem(f"{label} has {key} but no states", file, fix) for key in told]
+        return (), known, [Problem(f"{label} has {key} but no states", file, fix) for key in given]
     problems = _beside(values, label, file)
     states: list[StretchState] = []
     for k, table in enumerate(tables, 1):

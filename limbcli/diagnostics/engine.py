@@ -203,9 +203,9 @@ class _Run:
             why = "a residual remains that no candidate, alone or combined, explains"
             return self._finish("unexplained", why, None)
         best = min(kept, key=lambda refit: (len(refit.explanation), not refit.is_adequate, refit.state.chi2))
-        doubt = self._why_not_named(best, kept, promising)
-        if len(kept) == 1 and doubt is not None:
-            word, but = doubt
+        objection = self._why_not_named(best, kept, promising)
+        if len(kept) == 1 and objection is not None:
+            word, but = objection
             why = f"one explanation fits, but {but}"
             return self._finish(word, why, best if word == "ambiguous" else None, tuple(kept))
         if len(kept) == 1:
@@ -216,10 +216,10 @@ class _Run:
             why = f"{len(kept)} explanations fit the data, which cannot distinguish them"
             return self._finish("ambiguous", why, best, tuple(kept))
         has = f"every explanation that fits includes {' + '.join(best.explanation)}"
-        if doubt is None:
+        if objection is None:
             why = f"{has}; these data do not show whether a further effect is present"
             return self._finish("named", why, best, tuple(kept))
-        return self._finish("ambiguous", f"{has}, but {doubt[1]}", best, tuple(kept))
+        return self._finish("ambiguous", f"{has}, but {objection[1]}", best, tuple(kept))
 
     def _why_not_named(
         self, best: Refit, kept: Sequence[Refit], promising: list[str]

@@ -252,9 +252,9 @@ def check_complete(log: FebioLog, path: Path, *, end_time: float | None = None) 
 
 def _fail(log: FebioLog, path: Path, what: str, reached: float) -> NoReturn:
     messages = list(dict.fromkeys(log.errors))[-3:]
-    said = f"\nFEBio says: {'; '.join(messages)}" if messages else ""
+    reported = f"\nFEBio says: {'; '.join(messages)}" if messages else ""
     raise SolveError(
-        f"{what} after {log.n_iterations} iterations and {log.n_retries} retries.{said}\n"
+        f"{what} after {log.n_iterations} iterations and {log.n_retries} retries.{reported}\n"
         f"The log ends with:\n{quote(log.last_lines)}",
         where=str(path),
         fix="try a smaller first step or more steps in the model; `--solver reference` runs without FEBio",

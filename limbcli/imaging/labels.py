@@ -119,7 +119,7 @@ def segmentation_from(labels: Volume, *, side: Side | None = None) -> Segmentati
     side : which limb is meant, the patient's left or right, where the map holds two side by side
     """
     turned, _, _ = labels.along_limb()
-    turned, told = _of_one_limb(turned, side)
+    turned, notes = _of_one_limb(turned, side)
     limb = np.isin(turned.values, _LIMB)
     limb = filled_by_slice(largest(limb))
     bones, specks = _parts(turned.values == BONE, turned, least=_LEAST_BONE)
@@ -130,7 +130,7 @@ def segmentation_from(labels: Volume, *, side: Side | None = None) -> Segmentati
         bones=tuple(turned.with_values(each) for each in bones),
         fat=turned.with_values(turned.values == FAT) if (labels.values == FAT).any() else None,
         markers=markers,
-        notes=(*told, *_left_out(specks, "bone", turned), *_left_out(dots, "marker", turned)),
+        notes=(*notes, *_left_out(specks, "bone", turned), *_left_out(dots, "marker", turned)),
     )
 
 

@@ -43,15 +43,15 @@ def are_determined(columns: Array) -> NDArray[np.bool_]:
     ([False, False, True], [True, True])
     """
     lengths = np.linalg.norm(columns, axis=0)
-    told = np.asarray(lengths > 0.0)
-    seen = np.flatnonzero(told)
+    determined = np.asarray(lengths > 0.0)
+    seen = np.flatnonzero(determined)
     if not len(seen):
-        return told
+        return determined
     _, sizes, ways = np.linalg.svd(columns[:, seen] / lengths[seen])
     silent = np.ones(len(seen), dtype=bool)
     silent[: len(sizes)] = sizes <= _ALIKE * sizes[0]
-    told[seen[(np.abs(ways[silent]) > _TAKES_PART).any(axis=0)]] = False
-    return told
+    determined[seen[(np.abs(ways[silent]) > _TAKES_PART).any(axis=0)]] = False
+    return determined
 
 
 def log_covariance(

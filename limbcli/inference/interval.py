@@ -138,7 +138,7 @@ class _ForceProblem:
         gain = np.ones(len(self.parameters) - 1 - len(self.free))
         return [np.r_[self.stiffness.c, theta[list(self.free)], gain] for theta in thetas]
 
-    def doubt(self, theta: Array) -> float:
+    def uncertainty(self, theta: Array) -> float:
         shape = self.solved_at(theta)
         error = self.emulator.deviation(shape) * self.emulator(shape).values
         factor = (theta[0] / self.stiffness.c) ** self.share

@@ -283,8 +283,8 @@ def _errors(
     own = np.einsum("dn,dni->ni", weights, scores)
     lost = np.einsum("dn,dni,dnj->ij", weights, scores - own, scores - own)
     complete = _complete_information(apart, weights, precision, prior / np.outer(deviation, deviation))
-    told, ways = np.linalg.eigh(complete - lost)
-    errors = (ways / np.maximum(told, _LEAST_TOLD)) @ ways.T
+    information, ways = np.linalg.eigh(complete - lost)
+    errors = (ways / np.maximum(information, _LEAST_TOLD)) @ ways.T
     variance = np.diag(errors)
     if people is not None and len(set(people.tolist())) < len(people):
         _, number = np.unique(people.astype(str), return_inverse=True)
@@ -313,9 +313,9 @@ def _rows(
 ) -> Rows:
     middle, covariance = _moments(points, weights)
     taken = covariance @ _inverse(population.spread)  # of a shift of the population's mean
-    doubt = _mean_errors(population, points.shape, seed)
-    doubted = points + np.einsum("nij,dnj->dni", taken, doubt)
-    low, high = (_quantiles(doubted, weights, q) for q in (_LOW, _HIGH))
+    mean_errors = _mean_errors(population, points.shape, seed)
+    shifted = points + np.einsum("nij,dnj->dni", taken, mean_errors)
+    low, high = (_quantiles(shifted, weights, q) for q in (_LOW, _HIGH))
     variance = np.einsum("nii->ni", covariance)
     return Rows(
         middle,

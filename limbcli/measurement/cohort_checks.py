@@ -63,7 +63,7 @@ def checked_cohort(path: Path) -> tuple[CohortTable | None, list[Problem]]:
     if any(each.severity == "error" for each in problems):
         return None, problems
     table = replace(_table(raw, path).rows(complete), n_incomplete=n_left)
-    problems += _repeated(table) + _alike(table) + _sexes(table) + _partly_told(table)
+    problems += _repeated(table) + _alike(table) + _sexes(table) + _partly_given(table)
     problems += _grown(table, layer_noise(table.shortened))
     return (None if any(each.severity == "error" for each in problems) else table), problems
 
@@ -314,7 +314,7 @@ def _sexes(table: CohortTable) -> list[Problem]:
     ]
 
 
-def _partly_told(table: CohortTable) -> list[Problem]:
+def _partly_given(table: CohortTable) -> list[Problem]:
     """What is known of some people only, of which a prediction for all could make no column."""
     empty = {name: np.isnan(table.others[name]) for name in OF_PERSON if name in table.others}
     empty[SEX] = np.array([not each for each in table.sex])

@@ -60,7 +60,7 @@ def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
     decimal = form.decimal or _decimal(rows, separator)
     positions = {}
     for name in COLUMNS:
-        position = _position(header, form.columns.get(name, name), name, path, asked=name in form.columns)
+        position = _position(header, form.columns.get(name, name), name, path, requested=name in form.columns)
         if position is not None:
             positions[name] = position
     for name in ("time_s", "force_n"):
@@ -283,7 +283,7 @@ def _decimal(rows: list[list[str]], separator: str) -> str:
     return "," if separator != "," and commas > sum("." in cell for cell in sample) else "."
 
 
-def _position(header: list[str], wanted: str, name: str, path: Path, *, asked: bool) -> int | None:
+def _position(header: list[str], wanted: str, name: str, path: Path, *, requested: bool) -> int | None:
     places = [k for k, title in enumerate(header, 1) if title == wanted]
     if len(places) > 1 and wanted != _LVM_TIME:
         raise MeasurementError(
@@ -293,7 +293,7 @@ def _position(header: list[str], wanted: str, name: str, path: Path, *, asked: b
         )
     if wanted in header:
         return header.index(wanted)
-    if asked:
+    if requested:
         what = f"the record has no column {wanted!r}, which case.toml names for {name}"
         raise MeasurementError(what, where=str(path), fix=suggestion(wanted, header))
     return None

@@ -63,10 +63,10 @@ def put_back(
     curvature = best.jac.T @ best.jac + 1e-3 * np.eye(3)
     spread = np.linalg.inv(curvature)
     across = np.eye(3) - np.outer(search.axis, search.axis)
-    doubt = float(np.sqrt(np.linalg.eigvalsh(across @ spread @ across).max()))
-    if doubt > _DOUBT:
+    uncertainty = float(np.sqrt(np.linalg.eigvalsh(across @ spread @ across).max()))
+    if uncertainty > _DOUBT:
         return None
-    return PutBack(tuple(wrong), np.asarray(best.x, float), doubt)
+    return PutBack(tuple(wrong), np.asarray(best.x, float), uncertainty)
 
 
 class _Search:

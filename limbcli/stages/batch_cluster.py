@@ -69,18 +69,18 @@ def together(
     with connected(scheduler=scheduler, jobs=jobs, progress=progress) as client:
         n_workers = len(client.scheduler_info(n_workers=-1)["workers"])
         call = Call(
-            client=WorkerStanding.own(), asked=asked(sys.argv, [case for case, _ in cases]),
+            client=WorkerStanding.own(), typed_options=options_of_call(sys.argv, [case for case, _ in cases]),
             called=CALLED.get(), threads=threads_of(jobs) if scheduler is None else 1,
-            topic=f"limbcli-{uuid.uuid4().hex}", tell_s=max(_TELL_S, n_workers / 2), wait=wait,
+            topic=f"limbcli-{uuid.uuid4().hex}", event_interval_s=max(_TELL_S, n_workers / 2), wait=wait,
             options=options,
         )  # fmt: skip
         return _Together(client, call, cases, progress).all()
 
 
-def asked(command: Sequence[str], cases: Sequence[Path]) -> tuple[str, ...]:
+def options_of_call(command: Sequence[str], cases: Sequence[Path]) -> tuple[str, ...]:
     """Of a command line all but the cases and the output folder, which are a part's own.
 
-    >>> asked(["limbcli", "batch", "a", "b", "--out", "out", "--element", "tet4"], [Path("a"), Path("b")])
+    >>> options_of_call(["limbcli", "batch", "a", "--out", "out", "--element", "tet4"], [Path("a")])
     ('--element', 'tet4')
     """
     own = {str(each.absolute()) for each in cases}

@@ -29,7 +29,7 @@ from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.solvers.base import MODEL_FILE
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.provenance.chain_inputs import note_case, note_templates
-from limbcli.stages.provenance.requested_options import asked_of, asked_of_options
+from limbcli.stages.provenance.requested_options import requested_by_options, requested_of
 from limbcli.stages.site_model.indentation_model import (
     C_KPA,
     PROBE,
@@ -95,7 +95,7 @@ def build_feb(
     for site in case.selected(sites):
         progress.event("stage", name=STAGE, site=site.name)
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
-            writer.data["asked"] = {**asked_of_options(options), **asked_of({"templates": templates})}
+            writer.data["asked"] = {**requested_by_options(options), **requested_of({"templates": templates})}
             _build_site(case, site, out, writer, options, templates)
         assert writer.result is not None
         results.append(writer.result)
@@ -124,8 +124,8 @@ def _build_site(
     note_case(writer, case, [], site=site, own=["density_kg_per_m3", "layers"])
     note_templates(writer, templates)
     writer.warnings.extend(warnings_now(meshed, site))
-    if options.c_kpa is None and (doubt := no_level_0(levels, site)):
-        writer.warnings.append(doubt)
+    if options.c_kpa is None and (reason := no_level_0(levels, site)):
+        writer.warnings.append(reason)
     writer.data.update(c_source=c_source, f_kappa=options.f_kappa, m=options.m)
     _report(writer, model, plan, levels, site)
     _report_layers(writer, laws)

@@ -67,8 +67,8 @@ def check(folder: Path, *, progress: Progress = SILENT) -> CaseCheck:
         problems += reader(path)
     if case is not None:
         problems += _contradictions(case)
-        said = {each.what for each in problems}
-        problems += [each for each in instrument_problems(case) if each.what not in said]
+        reported = {each.what for each in problems}
+        problems += [each for each in instrument_problems(case) if each.what not in reported]
         problems += state_problems(case)
         problems += geometry_problems(case, problems)
     shown = [*layer_lines(case), *cycle_lines(case)] if case is not None else []

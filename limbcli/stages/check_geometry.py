@@ -29,8 +29,8 @@ def geometry_problems(case: Case, known: Sequence[Problem]) -> list[Problem]:
             found = _label_map(case) if case.imaging.labels is not None else _images(case)
     except LimbError as error:
         found = [Problem(error.what, error.where, error.fix)]
-    said = {each.what for each in known}
-    return [each for each in found if each.what not in said]
+    reported = {each.what for each in known}
+    return [each for each in found if each.what not in reported]
 
 
 def _surfaces(case: Case) -> list[Problem]:

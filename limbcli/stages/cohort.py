@@ -229,14 +229,14 @@ def read_cohort(out: Path) -> StageResult:
         )
     try:
         found = _result(out, json.loads(path.read_text(encoding="utf-8")))
-        told = {name: found.provenance["files_sha256"][name] for name in _TOLD_OF}
+        recorded = {name: found.provenance["files_sha256"][name] for name in _TOLD_OF}
     except UNLIKE_OURS as error:
         raise CaseError(
             f"the result of `cohort` cannot be read ({error})",
             where=str(path),
             fix=f"run `limbcli cohort TABLE --out {out}` again",
         ) from error
-    for name, digest in told.items():
+    for name, digest in recorded.items():
         if not (out / name).is_file() or sha256(out / name) != digest:
             raise CaseError(
                 f"{name} is not the file that `cohort` wrote together with {RESULT}",

@@ -52,7 +52,7 @@ from limbcli.stages.diagnosis.report import (
 from limbcli.stages.diagnosis.written_model import write_diagnosed
 from limbcli.stages.mesh import site_position
 from limbcli.stages.provenance.chain import check_earlier, note_earlier
-from limbcli.stages.provenance.requested_options import asked_of_options
+from limbcli.stages.provenance.requested_options import requested_by_options
 from limbcli.stages.site_model.cycle_words import cycle_facts
 from limbcli.stages.site_model.fibres import note_fibres
 from limbcli.stages.site_model.site_levels import all_levels_of
@@ -83,10 +83,10 @@ class DiagnoseOptions:
     solver: str = "auto"
     febio: Path | None = None
 
-    def asked(self) -> dict[str, Any]:
+    def requested(self) -> dict[str, Any]:
         """What another run needs to be given; the solver is chosen anew."""
         usual = type(self)()
-        return asked_of_options(replace(self, solver=usual.solver, febio=usual.febio))
+        return requested_by_options(replace(self, solver=usual.solver, febio=usual.febio))
 
     @property
     def mesh(self) -> WorkingMesh:
@@ -232,7 +232,9 @@ class _Diagnosed:
                 place.problems.append(f"effects on the limb {other.words} were not tried: {error.what}")
                 break
             evidence = replace(evidence, with_effects=theirs)
-            outcome = weighed(found, theirs, gain=gain, asked=evidence.asked, is_repair=other.is_repair)
+            outcome = weighed(
+                found, theirs, gain=gain, required=evidence.required_gain, is_repair=other.is_repair
+            )
             if outcome == "other bones":
                 return rival.instead_of(place, evidence), theirs
             if outcome == "either":
@@ -283,7 +285,7 @@ class _Diagnosed:
         forward_model, all_, mine = place.forward_model, place.prepared, place.prepared[k]
         found = with_bone_warnings(found, place.bones)
         with open_stage(self.out, STAGE, subject=self.case.subject, site=mine.site.name) as writer:
-            writer.data["asked"] = self.options.asked()
+            writer.data["asked"] = self.options.requested()
             for name, path in mine.notes.inputs.items():
                 writer.used(name, path)
             for each in all_:  # they were weighed together
@@ -296,8 +298,8 @@ class _Diagnosed:
                 writer.warnings.append(f"{name} was evaluated at the deformation without it: {why}")
             if forward_model.not_simulated:
                 writer.warnings.append(_not_simulated(forward_model.not_simulated))
-            doubt = large_uncertainty(mine.interventions)
-            writer.warnings.extend([doubt] if doubt else [])
+            warning = large_uncertainty(mine.interventions)
+            writer.warnings.extend([warning] if warning else [])
             writer.warnings.extend(place.problems)
             writer.warnings.extend(each.sentence for each in place.bones if each.stand != "not taken")
             content = self._content(found, place, mine)

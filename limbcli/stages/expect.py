@@ -122,8 +122,8 @@ def _table(
         result = read_result(out, stage, site=site)
     except LimbError as error:
         return [Comparison(label, f"no result ({error.what})", "a result", False)]
-    if doubt := _why_stale(chain, result):
-        return [Comparison(label, f"no up-to-date result ({doubt})", "a result", False)]
+    if reason := _why_stale(chain, result):
+        return [Comparison(label, f"no up-to-date result ({reason})", "a result", False)]
     return [_compare(f"{label}.{key}", *_looked_up(result.data, key), rule) for key, rule in rules.items()]
 
 

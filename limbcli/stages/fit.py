@@ -99,7 +99,7 @@ def fit(
     for site in case.selected(sites):
         progress.event("stage", name=STAGE, site=site.name)
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
-            writer.data["asked"] = options.asked()
+            writer.data["asked"] = options.requested()
             note_templates(writer, options.templates)
             _fit_site(case, site, out, writer, engine, options, progress)
         assert writer.result is not None
@@ -129,7 +129,7 @@ def _fit_site(
         share = _share_of_c(share_of_c, theta, writer) if held_layers(model) else None
         known = [replace(stiffness, gain_deviation=each, share=share) for each in gains]
         fitted = with_tissue(model, c=c, f_kappa=float(theta[0]), m=float(theta[1]))
-        doubt = site_geometry_uncertainty(
+        uncertainty = site_geometry_uncertainty(
             case, site, out, fitted, curve(theta).values, writer, progress=progress
         )
         intervals, of_noise, why_none = None, None, "no interval was requested"
@@ -143,19 +143,30 @@ def _fit_site(
             limit = options.max_interval_solves
             curve.expect(limit + _FIRST_SOLVES)
             intervals = of_noise = _intervals(curve, knots, data, known, steps, limit, progress)
-            if doubt is not None:
-                wide = _intervals(curve, knots, data, known, steps, limit, progress, doubt.modes)
+            if uncertainty is not None:
+                wide = _intervals(curve, knots, data, known, steps, limit, progress, uncertainty.modes)
                 intervals = (no_narrower(wide[0], of_noise[0]), no_narrower(wide[1], of_noise[1]))
         identified = Identified(
-            curve, knots, data, known[-1], c_source, START, steps, intervals, cold, why_none, doubt, gains
+            curve,
+            knots,
+            data,
+            known[-1],
+            c_source,
+            START,
+            steps,
+            intervals,
+            cold,
+            why_none,
+            uncertainty,
+            gains,
         )
         simulation = _write_fitted_run(fitted, solver, writer, options, progress)
         write_result(identified, fitted, simulation, writer, site, seconds=time.perf_counter() - clock)
         write_cycle(levels, site, writer)
         if site.states:
             writer.warnings.insert(0, one_state(site))
-        if doubt is not None:
-            write_geometry(identified, doubt, of_noise[-1] if of_noise else None, writer)
+        if uncertainty is not None:
+            write_geometry(identified, uncertainty, of_noise[-1] if of_noise else None, writer)
         if options.contact_check:
             harder = partial(forces_with_penalty, fitted, progress=progress)
             penalty = fitted.contacts[0].penalty

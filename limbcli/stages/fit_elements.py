@@ -82,7 +82,7 @@ def compare_elements(
     for site in case.selected(sites):
         progress.event("stage", name=STAGE, site=site.name)
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
-            writer.data["asked"] = options.asked(COMPARISON)
+            writer.data["asked"] = options.requested(COMPARISON)
             _compare_site(case, site, out, writer, options, progress)
         assert writer.result is not None
         results.append(writer.result)

@@ -33,7 +33,7 @@ from limbcli.stages.fitting.state_curve import StateCurve
 from limbcli.stages.fitting.state_plan import StretchPlan, stretch_plan
 from limbcli.stages.fitting.states_result import write_states
 from limbcli.stages.provenance.chain_inputs import note_case
-from limbcli.stages.provenance.requested_options import asked_of_options
+from limbcli.stages.provenance.requested_options import requested_by_options
 from limbcli.stages.site_model.site_layers import held_layers
 from limbcli.stages.site_model.site_states import MeasuredState, states_of
 
@@ -94,7 +94,7 @@ def fit_states(
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
             clock = time.perf_counter()
             _fit_site(case, site, out, writer, law, states, options, progress)
-            writer.data["asked"] = {**options.asked("states"), **asked_of_options(states)}
+            writer.data["asked"] = {**options.requested("states"), **requested_by_options(states)}
             writer.data["seconds"] = time.perf_counter() - clock
             write_mat_file(writer)
         assert writer.result is not None

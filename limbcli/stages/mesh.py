@@ -28,7 +28,7 @@ from limbcli.model_io import save_model
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.stages.provenance.chain import Chain
-from limbcli.stages.provenance.requested_options import asked_of
+from limbcli.stages.provenance.requested_options import requested_of
 from limbcli.stages.site_model.fibres import note_fibres, with_fibres, write_fibres
 from limbcli.stages.site_model.mesh_checks import geometry_warnings, layer_warnings, measured_skin_bone
 from limbcli.stages.site_model.mesh_inputs import MeshInputs
@@ -82,13 +82,13 @@ def mesh(
         chosen = (
             replace(chosen[0], position=(float(point[0]), float(point[1]), float(point[2])), marker=None),
         )
-    asked = asked_of(
+    requested = requested_of(
         {
             "element": element, "size": size, "far_size": far_size, "margin": margin,
             "skin_layer": skin_layer, "fat_layer": fat_layer, "place": place,
         }
     )  # fmt: skip
-    inputs = MeshInputs(case, segmented, asked, layered)
+    inputs = MeshInputs(case, segmented, requested, layered)
     results = []
     for site in chosen:
         layers, sources = thickness.of(site, segmented, size=options.sizes.under_probe)
@@ -176,7 +176,7 @@ def mesh_site(
             place_problems(limb.skin, {site.name: np.array(position)}, where=str(case.file)), CaseError
         )
     with open_stage(out, "mesh", subject=case.subject, site=site.name) as writer:
-        writer.data["asked"] = inputs.asked
+        writer.data["asked"] = inputs.requested
         writer.data.update(facts or {})
         inputs.note(writer, site)
         for path in sorted(each for each in map(segmented.path, segmented.files) if each.suffix == ".ply"):

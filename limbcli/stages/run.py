@@ -22,7 +22,7 @@ from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Solver
 from limbcli.solvers.reference import NAME as REFERENCE
 from limbcli.solvers.restart import RESTART_FILE
 from limbcli.stages.provenance.chain import Chain
-from limbcli.stages.provenance.requested_options import asked_of_options
+from limbcli.stages.provenance.requested_options import requested_by_options
 from limbcli.stages.running.files import write_simulation
 from limbcli.stages.running.vtu import write_series
 from limbcli.stages.site_model.site_levels import levels_of
@@ -138,7 +138,7 @@ def _run_site(
         writer.warnings.extend(built.warnings)
         writer.used_result(built, files=["feb"])
         writer.used("levels", site.levels, role=f"site/{site.name}/levels")
-        writer.data["asked"] = asked_of_options(options)
+        writer.data["asked"] = requested_by_options(options)
         _simulate(feb, read_outline(feb), writer, engine, options, progress, levels=levels, site=site)
     shutil.rmtree(stage_folder(out, STAGE, site.name + FAILED), ignore_errors=True)
     assert writer.result is not None

@@ -33,7 +33,7 @@ from limbcli.imaging.volume import Volume
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
 from limbcli.stages.provenance.chain_inputs import LIMB, note_case
-from limbcli.stages.provenance.requested_options import asked_of
+from limbcli.stages.provenance.requested_options import requested_of
 from limbcli.stages.segmenting.assumed import from_assumed
 from limbcli.stages.segmenting.places import report_places
 from limbcli.stages.segmenting.surfaces import check_limb, from_surfaces, write_surfaces
@@ -52,8 +52,8 @@ class _Options:
     threshold: float | None
     limb: Side | None
 
-    def asked(self) -> dict[str, Any]:
-        return asked_of({**vars(self), "seeds": self.seeds or None}, {"smooth": SMOOTH})
+    def requested(self) -> dict[str, Any]:
+        return requested_of({**vars(self), "seeds": self.seeds or None}, {"smooth": SMOOTH})
 
     def hints(self, limb: Side) -> SegmentationHints:
         """What the segmentation is told; limb : the case's, which holds where nothing else was asked."""
@@ -101,7 +101,7 @@ def segment(
     if edited is not None:
         _check_edited(case, out, edited)
     with open_stage(out, "segment", subject=case.subject) as writer:
-        writer.data["asked"] = options.asked()
+        writer.data["asked"] = options.requested()
         note_case(writer, case, ["imaging", LIMB])
         if edited is not None:
             _from_edited(case, edited, options, writer, progress)

@@ -20,8 +20,8 @@ def simulate(case: object, *, m: float = 1.0, progress: object = None) -> str:
 
 def test_a_result_of_a_call_says_the_call(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("sys.argv", ["/usr/lib/ipykernel_launcher.py", "-f", "kernel-1.json"])
-    said = simulate(Path("my limb"), m=2.5, progress=print)
-    assert said == "limbcli.simulate('my limb', m=2.5)"
+    message = simulate(Path("my limb"), m=2.5, progress=print)
+    assert message == "limbcli.simulate('my limb', m=2.5)"
     assert provenance()["command"].startswith("ipykernel_launcher.py"), "only while it is at work"
 
 

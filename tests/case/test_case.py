@@ -108,7 +108,7 @@ def test_position_and_marker_together_are_refused(folder: Path):
 
 
 @pytest.mark.parametrize(
-    ("table", "told"),
+    ("table", "given"),
     [
         ('[site.load_cell]\nfile = "p1/levels.csv"\nprobe_mass_kg = 0.3\n', "no tare_s"),
         ('[site.load_cell]\nfile = "p1/levels.csv"\nseparator = "; "\n', "not a single character"),
@@ -118,8 +118,8 @@ def test_position_and_marker_together_are_refused(folder: Path):
         ),
     ],
 )
-def test_values_of_an_instrument_that_are_at_odds_are_refused(folder: Path, table: str, told: str):
-    assert any(told in each for each in whats(write(folder, GOOD + table)))
+def test_values_of_an_instrument_that_are_at_odds_are_refused(folder: Path, table: str, given: str):
+    assert any(given in each for each in whats(write(folder, GOOD + table)))
 
 
 def test_two_sites_of_one_name_are_refused(folder: Path):

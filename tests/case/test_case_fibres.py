@@ -30,10 +30,10 @@ def test_nothing_told_is_nothing_given(tmp_path: Path):
 
 def test_a_direction_and_angles_are_kept(tmp_path: Path):
     opened = Case.open(case(tmp_path, AXIAL + ACROSS, second=TURNED + "fibre_direction = [0.0, 0.2, 1.0]\n"))
-    angles, told = (each.fibres for each in opened.sites)
+    angles, reported = (each.fibres for each in opened.sites)
     assert angles.pennation == (Pennation("axial", 12.0, 5.0), Pennation("transverse", -4.0, 2.0))
-    assert told.direction == (0.0, 0.2, 1.0)
-    assert told.given
+    assert reported.direction == (0.0, 0.2, 1.0)
+    assert reported.given
 
 
 def test_an_orientation_may_be_a_site_at_the_same_place(tmp_path: Path):
@@ -42,7 +42,7 @@ def test_an_orientation_may_be_a_site_at_the_same_place(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "message"),
     [
         ("fibre_direction = [0.0, 0.0, 0.0]\n", "fibre_direction has length zero"),
         ("fibre_direction = [0.0, 1.0]\n", "not three numbers"),
@@ -59,8 +59,8 @@ def test_an_orientation_may_be_a_site_at_the_same_place(tmp_path: Path):
         ("pennation = 12.0\n", "not a list of tables"),
     ],
 )
-def test_what_cannot_be_meant_is_refused_in_words(tmp_path: Path, text, says):
-    with pytest.raises(CaseError, match=says) as caught:
+def test_what_cannot_be_meant_is_refused_in_words(tmp_path: Path, text, message):
+    with pytest.raises(CaseError, match=message) as caught:
         Case.open(case(tmp_path, text))
     assert "fix:" in str(caught.value)
 
@@ -72,7 +72,7 @@ def test_an_orientation_of_another_place_is_refused(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("line", "says"),
+    ("line", "message"),
     [
         ('fibres = "v1.nii.gz"\n', "names a file that is not there"),
         ('fibres = "mri"\n', "is not a file"),
@@ -81,6 +81,6 @@ def test_an_orientation_of_another_place_is_refused(tmp_path: Path):
         ('fibres = "p1.csv"\nfibre_frame = "mni"\n', "fibre_frame is 'mni'"),
     ],
 )
-def test_a_fibre_map_that_cannot_be_is_refused(tmp_path: Path, line, says):
-    with pytest.raises(CaseError, match=says):
+def test_a_fibre_map_that_cannot_be_is_refused(tmp_path: Path, line, message):
+    with pytest.raises(CaseError, match=message):
         Case.open(case(tmp_path, "", head=HEAD.replace('mri = "mri"\n', 'mri = "mri"\n' + line)))

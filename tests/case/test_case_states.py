@@ -47,7 +47,7 @@ def test_a_stretch_may_be_unknown_by_word_or_by_silence(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("states", "site", "says"),
+    ("states", "site", "message"),
     [
         (state("relaxed"), SITE, "has only one state"),
         (ALL + state("bent", levels="levels"), SITE, "two states named 'bent'"),
@@ -68,10 +68,10 @@ def test_a_stretch_may_be_unknown_by_word_or_by_silence(tmp_path: Path):
         (ALL, SITE + "unloaded_stretch_along = 3.0\n", "plausible values are 0.5 to 2"),
     ],
 )
-def test_what_cannot_be_meant_is_said(tmp_path: Path, states: str, site: str, says: str):
+def test_what_cannot_be_meant_is_said(tmp_path: Path, states: str, site: str, message: str):
     with pytest.raises(CaseError) as raised:
         Case.open(case(tmp_path, states, site=site))
-    assert says in str(raised.value) or says in str(raised.value.facts)
+    assert message in str(raised.value) or message in str(raised.value.facts)
 
 
 def test_layers_go_with_states(tmp_path: Path):

@@ -288,9 +288,9 @@ def test_that_no_worker_is_left_is_said_and_the_batch_goes_on_with_new_ones(
             )
         assert not stop.value.code
         coming.join()
-    told = capsys.readouterr().err
-    assert "no worker is left: waiting for one" in told
-    assert "workers are available again: 1" in told
+    reported = capsys.readouterr().err
+    assert "no worker is left: waiting for one" in reported
+    assert "workers are available again: 1" in reported
     assert left(tmp_path / "out") == ALL
 
 
@@ -378,9 +378,9 @@ def test_time_left_is_told_once_there_is_something_to_go_by(tmp_path: Path):
 
 
 def test_a_part_that_is_not_at_a_stage_yet_is_told_by_its_name(tmp_path: Path):
-    told, cases = [], [(tmp_path / "a", tmp_path)]
-    several = batch_cluster._Together(None, None, cases, Progress(lambda *e: told.append(e)))
+    reported, cases = [], [(tmp_path / "a", tmp_path)]
+    several = batch_cluster._Together(None, None, cases, Progress(lambda *e: reported.append(e)))
     for stage in ("", "mesh", ""):
         several._hear((0.0, {"part": "a", "stage": stage, "text": ""}))
-    assert [facts["name"] for _, facts in told] == ["cases, a", "cases, a: mesh", "cases, a"]
+    assert [facts["name"] for _, facts in reported] == ["cases, a", "cases, a: mesh", "cases, a"]
     assert several.stages == {"a": "mesh"}

@@ -22,14 +22,14 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("name", "values", "said"), CASES)
-def test_a_size_on_the_bound_of_the_search_is_told_and_one_at_a_laws_own_limit_is_not(name, values, said):
+@pytest.mark.parametrize(("name", "values", "message"), CASES)
+def test_a_size_on_the_bound_of_the_search_is_told_and_one_at_a_laws_own_limit_is_not(name, values, message):
     known = effect(name)
     slots = [Slot(each.name, each) for each in known.parameters]
     x = np.array([0.0, 0.0, *(values.get(each.name, each.start) for each in known.parameters)])
     found = on_bounds(x, slots, [known])
-    assert bool(found) == bool(said)
-    assert all(said in each for each in found)
+    assert bool(found) == bool(message)
+    assert all(message in each for each in found)
 
 
 def test_what_a_bound_holds_does_not_move_with_the_data():

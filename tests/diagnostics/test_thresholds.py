@@ -64,7 +64,7 @@ def test_the_table_is_used_whole():
 def test_the_method_page_says_what_speaks_for_other_bones():
     page = (PACKAGE.parents[1] / "docs" / "method.md").read_text(encoding="utf-8")
     seen, misplaced = thresholds.BONES_SEEN, thresholds.BONES_MISPLACED
-    told = (
+    reported = (
         f"lower by {seen:g} speaks against a bone that was seen, by {misplaced:g} for bones put back, and by"
     )
-    assert f"{told} {thresholds.BONES_REMESHED:g} a reading more" in " ".join(page.split())
+    assert f"{reported} {thresholds.BONES_REMESHED:g} a reading more" in " ".join(page.split())

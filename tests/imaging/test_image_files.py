@@ -108,7 +108,7 @@ def _two_places(made):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (_no_place, "does not say how it lies"),
         (_two_places, "two places .qform and sform., 52.0 mm apart"),
@@ -117,8 +117,8 @@ def _two_places(made):
     ],
     ids=["no place", "two places", "metres", "sizes"],
 )
-def test_a_place_that_is_not_sure_is_refused(image, tmp_path, change, said):
-    with pytest.raises(CaseError, match=said) as caught:
+def test_a_place_that_is_not_sure_is_refused(image, tmp_path, change, message):
+    with pytest.raises(CaseError, match=message) as caught:
         read_image(nifti(image, tmp_path / "a.nii", change=change))
     assert caught.value.fix
 
@@ -139,7 +139,7 @@ def test_several_volumes_colours_and_complex_numbers_are_refused_each_in_words(i
 
 
 @pytest.mark.parametrize(
-    ("fields", "said"),
+    ("fields", "message"),
     [
         ({"drop": "space"}, "no field `space`"),
         ({"drop": "space directions", "spacings": "1 1 1"}, "no field `space directions`"),
@@ -151,8 +151,8 @@ def test_several_volumes_colours_and_complex_numbers_are_refused_each_in_words(i
     ],
     ids=lambda each: str(each)[:20],
 )
-def test_nrrd_that_is_not_one_placed_volume_is_refused(image, tmp_path, fields, said):
-    with pytest.raises(CaseError, match=said) as caught:
+def test_nrrd_that_is_not_one_placed_volume_is_refused(image, tmp_path, fields, message):
+    with pytest.raises(CaseError, match=message) as caught:
         read_image(nrrd(image, tmp_path / "a.nrrd", **fields))
     assert "label map" not in str(caught.value)
 

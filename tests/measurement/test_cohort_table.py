@@ -131,8 +131,8 @@ def test_a_row_without_a_face_is_left_out_and_counted_as_others_without_a_readin
     table, problems = checked_cohort(written(tmp_path / "t.csv", changed(good(), face_mm2="")))
     assert table is not None
     assert len(table) == 11
-    (told,) = problems
-    assert (told.severity, told.what) == (
+    (warning,) = problems
+    assert (warning.severity, warning.what) == (
         "warning",
         "1 of 12 rows are missing a reading and are excluded (lines 5)",
     )
@@ -199,8 +199,8 @@ def test_fat_and_muscle_that_do_not_shorten_have_no_part_of_it(tmp_path, below):
 
 
 def test_what_is_known_of_some_people_only_is_told_not_to_be_used(tmp_path):
-    told = [{"age_years": 30 + k, "bmi_kg_per_m2": "", "sex": "fm"[k % 2]} for k in range(12)]
-    rows = [{**each, **own} for each, own in zip(good(), told, strict=True)]
+    reported = [{"age_years": 30 + k, "bmi_kg_per_m2": "", "sex": "fm"[k % 2]} for k in range(12)]
+    rows = [{**each, **own} for each, own in zip(good(), reported, strict=True)]
     changed(rows, age_years="")
     changed(rows, k=5, sex="")
     table, problems = checked_cohort(written(tmp_path / "t.csv", rows))

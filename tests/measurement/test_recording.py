@@ -54,8 +54,8 @@ def test_labview_times_that_begin_again_count_from_when_each_segment_was_begun(t
     form = RecordingFormat(columns={"time_s": "X_Value", "force_n": "Force"})
     days = ("2024/02/28", "2024/02/29" if clocks[1] < clocks[0] else "2024/02/28")
     segment = LVM[LVM.index("Channels") :]
-    told = [f"\nDate\t{day}\nTime\t{clock}0000000\n" for day, clock in zip(days, clocks, strict=True)]
-    parts = [segment.replace("\nSamples\t3\n", each) for each in told]
+    reported = [f"\nDate\t{day}\nTime\t{clock}0000000\n" for day, clock in zip(days, clocks, strict=True)]
+    parts = [segment.replace("\nSamples\t3\n", each) for each in reported]
     path.write_text(LVM[: LVM.index("Channels")] + "".join(parts))
     trace = read_recording(path, form)
     np.testing.assert_allclose(trace.time, [0, 0.017, 0.033, 3.25, 3.267, 3.283], atol=1e-6)

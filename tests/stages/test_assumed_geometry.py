@@ -233,9 +233,9 @@ def test_a_site_off_the_scan_is_refused(tmp_path):
         segment(case, out=tmp_path / "out")
 
 
-def wide_over(doubt: dict, name: str) -> float:
+def wide_over(found: dict, name: str) -> float:
     """Width of the interval with the geometry over that without, as ratios of the ends."""
-    (low, high), (narrow_low, narrow_high) = (doubt[k][name] for k in ("interval_95", "interval_95_noise"))
+    (low, high), (narrow_low, narrow_high) = (found[k][name] for k in ("interval_95", "interval_95_noise"))
     return (high / low) / (narrow_high / narrow_low)
 
 
@@ -255,27 +255,27 @@ def test_a_fit_recovers_the_tissue_and_allows_for_the_shape(chain, tmp_path):
     )
     (first,) = fit(case, out=out, solver="reference", options=wanted)
     found = first.data
-    doubt = found["geometry_uncertainty"]
+    uncertainty = found["geometry_uncertainty"]
     for name, true in (("f_kappa", 2.0), ("m", 5.0)):
-        narrow, wide = doubt["interval_95_noise"][name], doubt["interval_95"][name]
+        narrow, wide = uncertainty["interval_95_noise"][name], uncertainty["interval_95"][name]
         assert found["interval_95"][name] == wide
         assert wide[0] < true < wide[1]
         assert wide[0] <= narrow[0] < narrow[1] <= wide[1]
     # A flatter limb is stiffer as a whole: f_kappa makes up for it, not m.
-    assert np.log(wide_over(doubt, "f_kappa")) > 1.0
-    kinds = {each["kind"]: np.array(each["force_change_fraction"]) for each in doubt["variations"]}
+    assert np.log(wide_over(uncertainty, "f_kappa")) > 1.0
+    kinds = {each["kind"]: np.array(each["force_change_fraction"]) for each in uncertainty["variations"]}
     assert set(kinds) == {"radius", "depth", "slope", "side", "roundness", "taper"}
     assert (kinds["side"] > 0).all()  # less tissue beside the beam
     (unmade,) = [each for each in first.warnings if "second bone" in each]  # too coarse a mesh for it
     assert "was not evaluated" in unmade
     assert (kinds["depth"] < 0).all()  # more tissue is softer
     assert (kinds["roundness"] > 0).all()  # the last one is the flatter: more of the face at once
-    assert doubt["n_solves"] == 9
+    assert uncertainty["n_solves"] == 9
     brief = replace(wanted, intervals=False)
     again = fit(case, out=out, solver="reference", options=brief)[0].data["geometry_uncertainty"]
     assert again["n_solves"] == 0
-    assert again["variations"] == doubt["variations"]
-    assert assumed_gain(case, case.sites[0], out)[0] == doubt["gain_fraction"]
+    assert again["variations"] == uncertainty["variations"]
+    assert assumed_gain(case, case.sites[0], out)[0] == uncertainty["gain_fraction"]
     page = report(case, out=out)
     assert "uncertainty from the assumed geometry" in (page.folder / "report.html").read_text()
     assert json.loads((out / "fit" / "p1" / "geometry.json").read_text())["key"]
@@ -321,9 +321,9 @@ def test_a_bone_met_on_its_flank_is_within_the_interval_that_allows_for_it(tmp_p
     wanted = FitOptions(
         gain_deviation=0.02, c_kpa=8.0, c_deviation=0.02, contact_check=False, max_interval_solves=3
     )
-    doubt = fit(case, out=out, solver="reference", options=wanted)[0].data["geometry_uncertainty"]
-    (low, _), (alone, _) = doubt["interval_95"]["m"], doubt["interval_95_noise"]["m"]
+    uncertainty = fit(case, out=out, solver="reference", options=wanted)[0].data["geometry_uncertainty"]
+    (low, _), (alone, _) = uncertainty["interval_95"]["m"], uncertainty["interval_95_noise"]["m"]
     assert low < 5.0 < alone
-    moved = {each["kind"]: each["log_shift"]["m"] for each in doubt["variations"]}
+    moved = {each["kind"]: each["log_shift"]["m"] for each in uncertainty["variations"]}
     assert set(moved) == {"radius", "depth", "slope", "side", "scale"}  # the second bone: too coarse a mesh
     assert moved["side"] > 3 * max(abs(moved["radius"]), abs(moved["depth"]))

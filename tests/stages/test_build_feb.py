@@ -249,7 +249,7 @@ def test_c_without_a_level_0_is_named_for_what_it_is(case: Case, tmp_path: Path)
     result = build_feb(case, out=tmp_path / "out")[0]
     assert "SWE at level 0" not in result.data["c_source"]
     assert "2 N and 1.5 mm" in result.data["c_source"]
-    (doubt,) = [each for each in result.warnings if "no level 0" in each]
-    assert "6.48 kPa at 0 N" in doubt, "2 rho (1.8 m/s)^2"
+    (reason,) = [each for each in result.warnings if "no level 0" in each]
+    assert "6.48 kPa at 0 N" in reason, "2 rho (1.8 m/s)^2"
     given = build_feb(case, out=tmp_path / "out", options=TissueOptions(c_kpa=6.48))[0]
     assert not [each for each in given.warnings if "no level 0" in each]

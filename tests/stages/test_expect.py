@@ -60,7 +60,7 @@ def test_misspelt_rule_is_refused(tmp_path: Path, out: Path, rule: str):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "given"),
     [
         ("[sites.p1]\nm = { value = 2.0 }", "no expectations of 'sites'"),
         ('site = "p1"', "site is not a table"),
@@ -76,12 +76,12 @@ def test_misspelt_rule_is_refused(tmp_path: Path, out: Path, rule: str):
     ],
 )
 def test_what_could_not_fail_or_is_no_rule_is_refused_and_stops_no_batch(
-    tmp_path: Path, out: Path, text: str, told: str
+    tmp_path: Path, out: Path, text: str, given: str
 ):
     (tmp_path / "expected.toml").write_text(text)
     found, unlike = expectations(tmp_path, out)
     assert not found
-    assert told in unlike[0].error.what
+    assert given in unlike[0].error.what
     assert unlike[0].error.fix
 
 

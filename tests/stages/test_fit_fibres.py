@@ -197,7 +197,7 @@ def test_two_orientations_give_back_one_tissue(both):
 def test_what_a_doubtful_direction_changes_is_told(both):
     """Where the case states how well it is known: fibres 4 degrees off, against two simulations of that."""
     assert set(both.data["direction_uncertainty"]) == {"along"}
-    told, values = both.data["direction_uncertainty"]["along"], []
+    found, values = both.data["direction_uncertainty"]["along"], []
     c, shape = 1e-3 * both.data["c_kpa"], np.array([both.data[each.name] for each in LAW.shape])
     a = np.radians(4.0)
     for axis in ((1.0, 0.0, 0.0), (np.cos(a), 0.0, np.sin(a))):
@@ -205,8 +205,8 @@ def test_what_a_doubtful_direction_changes_is_told(both):
         values.append(curve(shape).values)
         curve.close()
     change = values[1] / values[0] - 1.0
-    assert told["force_change_fraction"] == pytest.approx(change[:4][np.abs(change[:4]).argmax()], abs=2e-3)
-    assert told["speed_change_fraction"] == pytest.approx(change[4:][np.abs(change[4:]).argmax()], abs=2e-3)
+    assert found["force_change_fraction"] == pytest.approx(change[:4][np.abs(change[:4]).argmax()], abs=2e-3)
+    assert found["speed_change_fraction"] == pytest.approx(change[4:][np.abs(change[4:]).argmax()], abs=2e-3)
 
 
 @pytest.mark.slow

@@ -144,7 +144,7 @@ ONLY_CELL = '[site.load_cell]\nfile = "cell.csv"\ncolumns = { time_s = "t", forc
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "message"),
     [
         (lambda time, force: (time, 102.0 * force), "spans .* to 6.. N"),
         (lambda time, force: (time, -force), "the sign reversed"),
@@ -154,8 +154,8 @@ ONLY_CELL = '[site.load_cell]\nfile = "cell.csv"\ncolumns = { time_s = "t", forc
     ],
     ids=["grams", "sign", "milliseconds", "one level", "no force"],
 )
-def test_a_record_that_cannot_be_meant_is_refused(folder: Path, tmp_path: Path, rng, change, says):
-    with pytest.raises(MeasurementError, match=says):
+def test_a_record_that_cannot_be_meant_is_refused(folder: Path, tmp_path: Path, rng, change, message):
+    with pytest.raises(MeasurementError, match=message):
         measure(cell_only(folder, tmp_path, *change(*times_and_forces(rng))), out=tmp_path / "out")
 
 
@@ -191,10 +191,10 @@ def test_a_level_whose_force_moved_is_told_where_it_is_found_as_two(rng):
     trace = record(rng, levels=(0, 2, 4), hold=14.0)
     moved = np.where(trace.time > 41.0, 0.3, 0.0)  # in the midst of the last hold
     holds = find_holds(replace(trace, force=trace.force + moved))
-    told = found_twice(holds, 2.0)
+    reported = found_twice(holds, 2.0)
     assert len(holds) == 4
-    assert len(told) == 1
-    assert "holds 2 and 3" in told[0]
+    assert len(reported) == 1
+    assert "holds 2 and 3" in reported[0]
     assert found_twice(find_holds(trace), 2.0) == []
 
 

@@ -391,8 +391,8 @@ def test_warnings_of_every_stage_stand_at_the_head(whole):
 
 
 def test_a_report_tells_which_fits_it_shows(whole):
-    told = read_result(whole[0], "report").data["fitted_utc"]
-    assert told["p1"] == read_result(whole[0], "fit", site="p1").provenance["finished_utc"]
+    reported = read_result(whole[0], "report").data["fitted_utc"]
+    assert reported["p1"] == read_result(whole[0], "fit", site="p1").provenance["finished_utc"]
 
 
 def test_speed_line_is_that_of_the_readings(whole):

@@ -43,9 +43,9 @@ ANY = (np.arange(4.0), 0.6 * np.arange(4.0), np.full(4, 1.8))  # readings that s
 ROWS = dict.fromkeys(state_case.TOLD, ANY)
 
 
-def cased(root: Path, told=state_case.TOLD, *, more: str = "") -> Case:
+def cased(root: Path, given=state_case.TOLD, *, more: str = "") -> Case:
     """A case with three states, its geometry a block that needs no imaging and no meshing."""
-    case = state_case.make_case(root / "case", root / "out", ROWS, told, more=more)
+    case = state_case.make_case(root / "case", root / "out", ROWS, given, more=more)
     with open_stage(root / "out", "segment", subject="B1") as writer:
         writer.summary.append("a block")
     return case
@@ -69,15 +69,15 @@ def test_every_state_has_its_levels_and_its_truth(measured):
     assert [each.name for each in case.sites[0].states] == list(state_case.TOLD)
     truth = made.truth["site"][0]
     assert truth["unloaded_stretch_around"] == 0.95
-    for state, told in zip(case.sites[0].states, truth["state"], strict=True):
+    for state, reported in zip(case.sites[0].states, truth["state"], strict=True):
         assert state.levels == case.folder / "p1" / state.name / "levels.csv"
         assert state.stretch.around == state_case.TOLD[state.name]
-        assert told["stretch_around"] == pytest.approx(state_case.TOLD[state.name] / 0.95)
-        assert told["stretch_along"] == 1.0
+        assert reported["stretch_around"] == pytest.approx(state_case.TOLD[state.name] / 0.95)
+        assert reported["stretch_along"] == 1.0
         levels = read_levels(state.levels)
         assert levels.force[0] == levels.depth[0] == 0.0
-        assert levels.force == pytest.approx(np.array(told["force_n"]), abs=0.3)
-        assert np.all(np.diff(told["depth_mm"]) > 0)
+        assert levels.force == pytest.approx(np.array(reported["force_n"]), abs=0.3)
+        assert np.all(np.diff(reported["depth_mm"]) > 0)
     assert not list(case.folder.rglob("*truth*"))
     assert truth_file(case.folder) == root / "new.truth.toml"
     rows = made.rows()
@@ -133,14 +133,14 @@ def test_fibres_in_the_tissue_can_be_hidden_and_a_tilted_probe_cannot():
             indent(block.block_model(), TISSUE, protocol=PROTOCOL, stretch=(1.1, 1.0), change=change)
 
 
-def states_of(root: Path, told, known: KnownStretches, *, more: str = ""):
-    return true_states(cased(root, told, more=more).sites[0], known)
+def states_of(root: Path, given, known: KnownStretches, *, more: str = ""):
+    return true_states(cased(root, given, more=more).sites[0], known)
 
 
 def test_told_stretches_are_over_that_at_which_the_tissue_is_unloaded(tmp_path):
-    told = {"middle": 0.9, "bent": None, "straight": 1.1}
+    reported = {"middle": 0.9, "bent": None, "straight": 1.1}
     known = known_stretches({}, {"bent": 0.8}, Stretch(around=0.95))
-    found = states_of(tmp_path, told, known)
+    found = states_of(tmp_path, reported, known)
     assert [each.around for each in found] == pytest.approx([0.9 / 0.95, 0.8, 1.1 / 0.95])
     assert [each.along for each in found] == [1.0, 1.0, 1.0]
 
@@ -151,7 +151,7 @@ def test_what_the_case_knows_as_unloaded_needs_no_option(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("told", "known", "more", "what", "fix"),
+    ("given", "known", "more", "what", "fix"),
     [
         (
             state_case.TOLD, KnownStretches(), "",
@@ -177,9 +177,9 @@ def test_what_the_case_knows_as_unloaded_needs_no_option(tmp_path):
         ),
     ],
 )  # fmt: skip
-def test_a_stretch_that_is_not_known_or_told_twice_is_said(tmp_path, told, known, more, what, fix):
+def test_a_stretch_that_is_not_known_or_told_twice_is_said(tmp_path, given, known, more, what, fix):
     with pytest.raises(CaseError) as caught:
-        states_of(tmp_path, told, known, more=more)
+        states_of(tmp_path, given, known, more=more)
     assert what in caught.value.what
     assert "site p1" in caught.value.where
     assert fix in caught.value.fix

@@ -88,8 +88,9 @@ class Account:
             form = whiten(whiten(self.baseline.form_error(fitted)).T)
             scale = self._scale_within(each.state)
             sizes = refitted_sizes(fitted, whiten(fitted.jacobian), scale, form, widening)
-            told = next((stage.estimates for stage in shrink if stage.explanation == each.explanation), None)
-            found[name] = sizes if told is None else sizes.hull_with(told.intervals)
+            found_by = (stage.estimates for stage in shrink if stage.explanation == each.explanation)
+            reported = next(found_by, None)
+            found[name] = sizes if reported is None else sizes.hull_with(reported.intervals)
         return found
 
     def sizes_95(

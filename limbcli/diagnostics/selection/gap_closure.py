@@ -29,8 +29,8 @@ class Closing:
             return False
         if not fell(before, after, data.blocks) or self.percentile(refit) <= thresholds.CLOSED_PERCENTILE:
             return False
-        asked = thresholds.CLOSED_PERCENTILE if n_effects == 1 else thresholds.CLOSED_BY_SEVERAL_PERCENTILE
-        return self._library_percentile(refit) > asked
+        required = thresholds.CLOSED_PERCENTILE if n_effects == 1 else thresholds.CLOSED_BY_SEVERAL_PERCENTILE
+        return self._library_percentile(refit) > required
 
     def percentile(self, refit: Refit) -> float:
         """Percent of arbitrary smooth directions, as many as were added, that explain less."""

@@ -74,8 +74,8 @@ def sensitivities(
             fix="difference whole solves, as a session does",
         )
     augmented = any(pair.contact.augmented for pair in system.pairs)
-    told_by_steps = system.start.time > 0.0 and system.model.goes_on_from_steps
-    if augmented or told_by_steps or any(h.any() for h in system.histories):
+    continues_step = system.start.time > 0.0 and system.model.goes_on_from_steps
+    if augmented or continues_step or any(h.any() for h in system.histories):
         raise SolveError(
             "the response depends on the loading path (augmented contact, steps of a viscoelastic law, "
             "or a step defined relative to the end of the previous one)",

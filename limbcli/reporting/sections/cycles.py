@@ -17,11 +17,11 @@ def repeated_loading(page: ReportData, site: SiteMaterial) -> Reportlet | None:
         return None
     key = f"cycles-{site.name}"
     outcome = page.outcomes.of("fit", site.name)
-    told = outcome.result.data.get("cycle") if outcome.result is not None else None
+    cycle = outcome.result.data.get("cycle") if outcome.result is not None else None
     warned = (found.contradiction,) if found.contradiction else ()
     notes = [*found.sentences]
-    if isinstance(told, dict) and "fitted" in told:
-        notes.append(f"The parameters on this page are of cycle {told['fitted']}.")
+    if isinstance(cycle, dict) and "fitted" in cycle:
+        notes.append(f"The parameters on this page are of cycle {cycle['fitted']}.")
     return Reportlet(
         key,
         TITLE,

@@ -131,15 +131,15 @@ def _shrunk(data: Mapping[str, Any]) -> PageTable:
 def _interval(stage: Mapping[str, Any], name: str) -> str:
     """Value and interval, without the ends that the data leave open; nothing where an older result has none.
 
-    >>> told = {"values": {"m": 3.9}, "intervals_95": {"m": [1.0, 6.2]}}
-    >>> _interval(told, "m"), _interval({**told, "not_told_by_the_data": ["m below"]}, "m")
+    >>> undetermined = {"values": {"m": 3.9}, "intervals_95": {"m": [1.0, 6.2]}}
+    >>> _interval(undetermined, "m"), _interval({**told, "not_told_by_the_data": ["m below"]}, "m")
     ('3.90 (1.00 to 6.20)', '3.90 (up to 6.20)')
     """
     ends = stage.get("intervals_95", {}).get(name)
     if ends is None:
         return DASH
-    symbol, told = name.partition("_")[0], stage.get("not_told_by_the_data", ())
-    below, above = f"{symbol} below" in told, f"{symbol} above" in told
+    symbol, undetermined = name.partition("_")[0], stage.get("not_told_by_the_data", ())
+    below, above = f"{symbol} below" in undetermined, f"{symbol} above" in undetermined
     reach = f"{ends[0]:.2f} to {ends[1]:.2f}"
     if below or above:
         reach = "open" if below and above else f"up to {ends[1]:.2f}" if below else f"from {ends[0]:.2f}"

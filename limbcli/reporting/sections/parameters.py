@@ -91,13 +91,13 @@ def _four(view: FitView | None, key: str, why: str) -> list[Cell]:
         return [Cell(DASH, reason=why, span=4)]
     return [
         cell(step.c_kpa),
-        said(cell(step.m), step.estimate("m")),
-        said(cell(step.kappa_kpa), step.kappa),
+        with_verdict(cell(step.m), step.estimate("m")),
+        with_verdict(cell(step.kappa_kpa), step.kappa),
         cell(step.r2, digits=4, reason="the measured force does not vary"),
     ]
 
 
-def said(shown: Cell, estimate: EstimateView | None) -> Cell:
+def with_verdict(shown: Cell, estimate: EstimateView | None) -> Cell:
     """A value that the data do not hold gives way to words, with the verdict below."""
     if estimate is None or estimate.is_sound:
         return shown
@@ -126,11 +126,11 @@ def estimate_cells(each: EstimateView) -> tuple[Cell, ...]:
     >>> [cell.text.replace("\u00a0", " ") for cell in estimate_cells(c)]
     ['c', 'not identifiable', '1.00 to 90.0 kPa', 'no influence']
     """
-    unit, said = f"\u00a0{each.unit}" if each.unit else "", each.headline.split(" (")[0]
+    unit, text = f"\u00a0{each.unit}" if each.unit else "", each.headline.split(" (")[0]
     return (
         Cell(each.name),
         cell(each.value, unit=each.unit) if each.is_sound else Cell(
-            said + unit * any(map(str.isdigit, said))
+            text + unit * any(map(str.isdigit, text))
         ),
         Cell(interval_text(each) + unit) if each.low is not None or each.high is not None else Cell(
             DASH, reason=each.interval_why

@@ -27,11 +27,11 @@ def states(page: ReportData, site: SiteMaterial) -> Reportlet | None:
         return placeholder(key, TITLE, outcome)
     data = result.data
     locks = "tet4" in str(data.get("element", ""))
-    told = not data.get("undetermined")
+    determined = not data.get("undetermined")
     return Reportlet(
         key,
         TITLE,
-        "fine" if told and not result.warnings else "warning",
+        "fine" if determined and not result.warnings else "warning",
         site.name,
         pictures=tuple(_pictures(result, site.name)),
         tables=(_parameters(data, locks=locks), _states(data)),
@@ -86,11 +86,11 @@ def _states(data: Mapping[str, Any]) -> PageTable:
     return PageTable("States, with their stretches over the unloaded tissue (95 %)", (names,), rows)
 
 
-def _stretch(told: Mapping[str, Any]) -> Cell:
-    value, low, high = told.get("value"), told.get("low"), told.get("high")
+def _stretch(stretch: Mapping[str, Any]) -> Cell:
+    value, low, high = stretch.get("value"), stretch.get("low"), stretch.get("high")
     if value is None:
         return Cell(DASH, reason="not in the result")
-    if told.get("known"):
+    if stretch.get("known"):
         return Cell(f"{significant(value)} (given)")
     if low is None and high is None:
         return Cell(DASH, reason="not determined by these data")

@@ -141,13 +141,14 @@ def _local(jobs: int, folder: str) -> LocalCluster:
     from distributed import LocalCluster
 
     environment = dict.fromkeys((THREADS, *_LIBRARY_THREADS), str(threads_of(jobs)))
-    asked = dask.config.get("distributed.worker.preload")
+    preload = dask.config.get("distributed.worker.preload")
     try:
         with dask.config.set(_LOCAL):
             return LocalCluster(
                 n_workers=jobs, threads_per_worker=1, processes=True, host="127.0.0.1",
                 dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL, env=environment,
-                local_directory=folder, preload=[*([asked] if isinstance(asked, str) else asked), __name__],
+                local_directory=folder,
+                preload=[*([preload] if isinstance(preload, str) else preload), __name__],
             )  # fmt: skip
     except RuntimeError as error:
         raise ToolError(

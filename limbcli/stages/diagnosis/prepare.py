@@ -279,7 +279,7 @@ class _Preparation:
     def _mark_layers(self, meshed: LimbModel) -> None:
         """Their borders in the working mesh; layers that do not fit into it are left out, and it is said."""
         layers = layer_readings(self.levels, self.site)
-        if layers is None or not layers.n_told:
+        if layers is None or not layers.n_counted:
             return
         borders = BorderLines(layers)
         try:

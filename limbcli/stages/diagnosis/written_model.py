@@ -90,8 +90,8 @@ def _contact_takes(
     # A penalty is taken for a facet of its size.
     meshed = read_result(out, "mesh", site=mine.site.name).data
     edge = float(meshed.get("size_under_probe_mm", mine.size))
-    asked = penalty * mine.size / edge / mine.simulations.model.contacts[0].penalty
-    taken = known.taken(curves, force, deep, penalty=asked)
+    required = penalty * mine.size / edge / mine.simulations.model.contacts[0].penalty
+    taken = known.taken(curves, force, deep, penalty=required)
     if taken <= _SOFT:
         return None
     return (

@@ -48,7 +48,7 @@ def write_cycle(levels: Levels, site: Site, writer: StageWriter, *, label: str =
     number = int(levels.cycle[0])
     study = cycles_of(site, every)
     against = study.contradicting(number)
-    told: dict[str, Any] = {
+    content: dict[str, Any] = {
         "fitted": number,
         "of": len(every.cycles),
         "zero_depth_mm": levels.zero_depth,
@@ -57,9 +57,9 @@ def write_cycle(levels: Levels, site: Site, writer: StageWriter, *, label: str =
         **_energy(study, number),
     }
     if label:
-        writer.data.setdefault("cycle", {})[label] = told
+        writer.data.setdefault("cycle", {})[label] = content
     else:
-        writer.data["cycle"] = told
+        writer.data["cycle"] = content
     before = f"site {label}: " if label else ""
     text = f"{before}fitted: the loading of cycle {number} of {len(every.cycles)}"
     if abs(levels.zero_depth) > _SAME_TOUCH:

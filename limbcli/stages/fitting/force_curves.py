@@ -181,15 +181,15 @@ class LawCurve:
         """Fibres that begin to be stretched come in over a band; waves feel the law as it is."""
         return softer_jumps(model, FIBRE_BAND) if self.law.has_fibres else model
 
-    def _solve(self, model: LimbModel, **asked: Any) -> SessionResult:
+    def _solve(self, model: LimbModel, **options: Any) -> SessionResult:
         """The eased model, from the levels there are; with fibres else from those of a wider band."""
         if not self.law.has_fibres:
-            return self._session.solve(model, **asked)
+            return self._session.solve(model, **options)
         if self._session.led is not None:
             with suppress(SolveError):
-                return self._session.solve(self._eased(model), patient=False, **asked)
+                return self._session.solve(self._eased(model), patient=False, **options)
         self._session.solve(softer_jumps(model))
-        return self._session.solve(self._eased(model), **asked)
+        return self._session.solve(self._eased(model), **options)
 
     def with_penalty(self, theta: Array, penalty: float) -> Array:
         """Forces (n_reached,) N with another penalty of the contact, from levels of these and with their law.

@@ -86,7 +86,7 @@ def _report(layers: LayerReadings, found: PredictedLayers, levels: Levels, write
     """data["layers"], a line of the summary, and a warning where the layers speak against the model."""
     used, k = layers.used(levels)[found.levels], found.levels
     deviance, n, reported = 0.0, 0, {}
-    for j, name in enumerate(layers.names[: layers.n_told]):
+    for j, name in enumerate(layers.names[: layers.n_counted]):
         rows = used[:, j]
         if not rows.any():
             continue

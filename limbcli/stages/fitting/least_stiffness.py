@@ -98,24 +98,24 @@ class LeastStiffness:
 
 def least_stiffness(
     problem: StatesProblem, found: Intervals, curve: StateCurve, plan: StretchPlan,
-    told: Callable[[str], Sequence[float | None]],
+    given: Callable[[str], Sequence[float | None]],
 ) -> list[LeastStiffness]:  # fmt: skip
     """For every way in which states are stretched.
 
-    told : way -> the stretches that the states tell
+    given : way -> the stretches that the states tell
     """
-    return [_of_way(problem, found, curve, plan, way, told(way)) for way in plan.ways]
+    return [_of_way(problem, found, curve, plan, way, given(way)) for way in plan.ways]
 
 
 def _of_way(
     problem: StatesProblem, found: Intervals, curve: StateCurve, plan: StretchPlan, way: str,
-    told: Sequence[float | None],
+    given: Sequence[float | None],
 ) -> LeastStiffness:  # fmt: skip
     column, names = plan.ways.index(way), [each.name for each in problem.parameters]
     searched = f"unloaded_stretch_{way}"
     place = names.index(searched) if searched in names else None
     zero = plan.unloaded.get(way, 1.0)
-    in_case = any(each is not None for each in told)
+    in_case = any(each is not None for each in given)
     grid = np.ones((len(_GRID), len(plan.ways)))
     grid[:, column] = np.exp(_GRID)
 
@@ -137,19 +137,21 @@ def _of_way(
         scale=found.scale, threshold=found.threshold,
     )  # fmt: skip
     values = problem.stretch_values(found.best)
-    logs = [counted(found.best) + np.log(plan.elastic(k, way, values)) for k in range(len(told))]
+    logs = [counted(found.best) + np.log(plan.elastic(k, way, values)) for k in range(len(given))]
     measured = (float(min(logs)), float(max(logs)))
-    return LeastStiffness(way, "case" if in_case else "unloaded", by_law, _of_states(problem, told), measured)
+    return LeastStiffness(
+        way, "case" if in_case else "unloaded", by_law, _of_states(problem, given), measured
+    )
 
 
-def _of_states(problem: StatesProblem, told: Sequence[float | None]) -> LowestPoint | None:
-    rows = [k for k, each in enumerate(told) if each is not None]
-    if len({told[k] for k in rows}) < 3:
+def _of_states(problem: StatesProblem, given: Sequence[float | None]) -> LowestPoint | None:
+    rows = [k for k, each in enumerate(given) if each is not None]
+    if len({given[k] for k in rows}) < 3:
         return None
     several = [problem.task.states[k].data for k in rows]
     at_rest = [int(np.argmin(each.speed_force)) for each in several]
     return lowest_of_points(
-        np.log([float(told[k] or 1.0) for k in rows]),
+        np.log([float(given[k] or 1.0) for k in rows]),
         np.array([each.log_speed[j] for each, j in zip(several, at_rest, strict=True)]),
         np.array([each.speed_deviation[j] for each, j in zip(several, at_rest, strict=True)]),
     )

@@ -9,7 +9,7 @@ from typing import Any
 
 from limbcli.errors import CaseError
 from limbcli.measurement.levels import LAST
-from limbcli.stages.provenance.requested_options import asked_of_options, in_words
+from limbcli.stages.provenance.requested_options import in_words, requested_by_options
 from limbcli.stages.site_model.indentation_model import C_KPA
 
 OBJECTIVES = ("force", "joint", "states")
@@ -54,14 +54,14 @@ class FitOptions:
     templates: Path | None = None
     time_limit_s: float | None = None
 
-    def asked(self, kind: str = "force") -> dict[str, Any]:
+    def requested(self, kind: str = "force") -> dict[str, Any]:
         """What another run of the same kind, an objective or `COMPARISON`, needs to be given.
 
-        >>> FitOptions(tolerance=0.01, contact_check=False).asked(COMPARISON)
+        >>> FitOptions(tolerance=0.01, contact_check=False).requested(COMPARISON)
         {'tolerance': 0.01}
         """
         unheard = _SAYS_NOTHING.get(kind, ())
-        return {key: value for key, value in asked_of_options(self).items() if key not in unheard}
+        return {key: value for key, value in requested_by_options(self).items() if key not in unheard}
 
 
 def check_choice(
@@ -125,13 +125,13 @@ def check_choice(
             where="--compare-laws, --objective states",
             fix="give one law (--law), or use --objective joint",
         )
-    asked = COMPARISON if compare_element else f"--objective {objective}"
+    choice = COMPARISON if compare_element else f"--objective {objective}"
     unheard = _SAYS_NOTHING.get(COMPARISON if compare_element else objective, ())
-    given = {key: value for key, value in (options.asked() if options else {}).items() if key in unheard}
+    given = {key: value for key, value in (options.requested() if options else {}).items() if key in unheard}
     if given:
         raise CaseError(
-            f"{in_words(given)} has no effect on {asked}",
-            where=asked,
+            f"{in_words(given)} has no effect on {choice}",
+            where=choice,
             fix="omit it, or fit the force alone (--objective force)",
         )
 

@@ -172,13 +172,13 @@ def _headline(name: str, content: Mapping[str, Any]) -> str:
     >>> _headline("m", {"headline": "above 3.30", "low": 3.3, "high": None, "flag": "at bound"})
     'm: above 3.30 (95 %): at bound'
     """
-    said, flag, ends = content["headline"], content["flag"], (content["low"], content["high"])
-    if not said[0].isdigit():
-        return f"{name}: {said}{' (95 %)' if ends != (None, None) else ''}: {flag}"
-    if "(" in said:  # its interval, or that it has none, is reported with it
-        return f"{name} = {said}: {flag}"
+    text, flag, ends = content["headline"], content["flag"], (content["low"], content["high"])
+    if not text[0].isdigit():
+        return f"{name}: {text}{' (95 %)' if ends != (None, None) else ''}: {flag}"
+    if "(" in text:  # its interval, or that it has none, is reported with it
+        return f"{name} = {text}: {flag}"
     interval = "no interval" if None in ends else f"95 %: {short(ends[0])} to {short(ends[1])}"
-    return f"{name} = {said} ({interval}): {flag}"
+    return f"{name} = {text} ({interval}): {flag}"
 
 
 def _element(model: LimbModel) -> str:

@@ -67,18 +67,18 @@ class StretchPlan:
 
 def stretch_plan(site: Site) -> StretchPlan:
     """The plan of a site's states. Raises as `plan_of`."""
-    told = {way: [getattr(each.stretch, way) for each in site.states] for way in WAYS}
+    given = {way: [getattr(each.stretch, way) for each in site.states] for way in WAYS}
     unloaded = {way: getattr(site.unloaded, way) for way in WAYS}
-    return plan_of(told, unloaded, [each.name for each in site.states], where=f"site {site.name}")
+    return plan_of(given, unloaded, [each.name for each in site.states], where=f"site {site.name}")
 
 
 def plan_of(
-    told: Mapping[str, Sequence[float | None]], known_unloaded: Mapping[str, float | None],
+    given: Mapping[str, Sequence[float | None]], known_unloaded: Mapping[str, float | None],
     states: Sequence[str], *, where: str = "the case",
 ) -> StretchPlan:  # fmt: skip
     """What is searched for.
 
-    told : by way, the stretch of every state, None where it is unknown; ways that are left out are not
+    given : by way, the stretch of every state, None where it is unknown; ways that are left out are not
     stretched
     known_unloaded : by way, the told stretch at which the tissue is known to be unloaded
 
@@ -93,7 +93,7 @@ def plan_of(
     entries: list[tuple[int, int, int, float]] = []  # state, way, parameter, factor
     unloaded: dict[str, float] = {}
     taken: list[str] = []
-    for way, stretches in told.items():
+    for way, stretches in given.items():
         known = [each for each in stretches if each is not None]
         zero = known_unloaded.get(way)
         if zero is None and len(set(known)) == 1:
@@ -124,17 +124,17 @@ def plan_of(
 
 
 def _searched(
-    states: Sequence[str], way: str, told: Sequence[float | None], zero: float | None, middle: float
+    states: Sequence[str], way: str, given: Sequence[float | None], zero: float | None, middle: float
 ) -> tuple[list[FitParameter], list[tuple[int, int, float]]]:
     """What is searched for in one way, and (state, number of the parameter, its power in the stretch)."""
     parameters, entries = [], []
-    known = [each for each in told if each is not None]
+    known = [each for each in given if each is not None]
     if zero is None and known:
         low, high = max(known) / HIGH, min(known) / LOW
         name = f"unloaded_stretch_{way}"
         parameters.append(FitParameter(name, middle, low, high, "log", step_factor=_STEP_FACTOR))
-        entries += [(k, 0, -1.0) for k, each in enumerate(told) if each is not None]
-    for k, each in enumerate(told):
+        entries += [(k, 0, -1.0) for k, each in enumerate(given) if each is not None]
+    for k, each in enumerate(given):
         if each is None:
             entries.append((k, len(parameters), 1.0))
             name = f"stretch_{way}_{states[k]}"

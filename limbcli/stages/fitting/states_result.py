@@ -142,9 +142,9 @@ def _report(
     for name, each in parameters.items():
         writer.summary.append(f"{name}: {each['headline']}; {each['words']}")
     writer.summary += [each.words() for each in lowest]
-    for way, told in writer.data["taken_as_unloaded"].items():
+    for way, stretch in writer.data["taken_as_unloaded"].items():
         writer.summary.append(
-            f"{way} the limb all states that give it have a stretch of {told:g}: taken as unloaded there"
+            f"{way} the limb all states that give it have a stretch of {stretch:g}: taken as unloaded there"
         )
     writer.summary.append(f"chi-square {found.chi_square:.1f} for {found.n_freedom} degrees of freedom")
     writer.warnings += writer.data["undetermined"]

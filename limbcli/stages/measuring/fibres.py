@@ -19,8 +19,8 @@ def write_pennation(
     image: UltrasoundImage, borders: Mapping[str, Sequence[BoneLine]], bone: BoneLine, writer: StageWriter
 ) -> None:
     """`pennation` of measure.json with its picture, and how to use it; why not, where none can be told."""
-    told = borders.get("fat")
-    top = told[0].distance if told else _SKIN_AND_FAT * bone.distance
+    fat = borders.get("fat")
+    top = fat[0].distance if fat else _SKIN_AND_FAT * bone.distance
     try:
         found = read_pennation(image, top=top, bottom=bone.distance - _ABOVE_BONE)
     except MeasurementError as error:

@@ -50,7 +50,7 @@ def write_simulation(
     if body is None:
         writer.warnings.append("no rigid body logs z and Fz, so there is no force-depth curve")
         return
-    writer.warnings.extend(doubts(simulation, body))
+    writer.warnings.extend(curve_warnings(simulation, body))
     curve = force_depth_rows(simulation, body)
     write_curve(writer.file("force_depth", "force-depth.csv"), curve)
     writer.data.update(
@@ -65,7 +65,7 @@ def write_simulation(
     )
 
 
-def doubts(simulation: Simulation, body: str) -> list[str]:
+def curve_warnings(simulation: Simulation, body: str) -> list[str]:
     """Warnings of a curve that may be another body's, or whose depth does not count from first touch."""
     found = []
     names = _with_curve(simulation)

@@ -103,9 +103,9 @@ def read_surfaces(case: Case) -> tuple[dict[str, ClosedSurface], dict[str, Path]
         return _bodies(surfaces[SKIN], case.imaging.skin), paths
     if names == numbered(len(names)):  # no file says which bone it holds
         triangles = triangles_of(surfaces)
-        told = [SKIN, *names_of_bodies(triangles[SKIN], [triangles[each] for each in names])]
-        surfaces = dict(zip(told, surfaces.values(), strict=True))
-        paths = dict(zip(told, paths.values(), strict=True))
+        bodies = [SKIN, *names_of_bodies(triangles[SKIN], [triangles[each] for each in names])]
+        surfaces = dict(zip(bodies, surfaces.values(), strict=True))
+        paths = dict(zip(bodies, paths.values(), strict=True))
     return surfaces, paths
 
 

@@ -125,9 +125,9 @@ def true_states(site: Site, known: KnownStretches) -> list[TrueState]:
 
 
 def _elastic(site: Site, state: StretchState, way: str, known: KnownStretches) -> float:
-    told, true = getattr(state.stretch, way), getattr(known.states.get(state.name, Stretch()), way)
+    given, true = getattr(state.stretch, way), getattr(known.states.get(state.name, Stretch()), way)
     where = f"site {site.name}, state {state.name}"
-    if told is None:
+    if given is None:
         if true is None:
             raise CaseError(
                 f"the case does not give the state's stretch {way} the limb, so its true value must be given",
@@ -137,11 +137,11 @@ def _elastic(site: Site, state: StretchState, way: str, known: KnownStretches) -
         return float(true)
     if true is not None:
         raise CaseError(
-            f"the case gives stretch_{way} = {told:g} for the state, and --stretch-{way} gives it again",
+            f"the case gives stretch_{way} = {given:g} for the state, and --stretch-{way} gives it again",
             where=where,
             fix=f'omit --stretch-{way} {state.name}=..., or set stretch_{way} = "unknown" in the case',
         )
-    return float(told) / _unloaded(site, way, known)
+    return float(given) / _unloaded(site, way, known)
 
 
 def _unloaded(site: Site, way: str, known: KnownStretches) -> float:
@@ -156,9 +156,9 @@ def _unloaded(site: Site, way: str, known: KnownStretches) -> float:
         )
     if of_case is not None or true is not None:
         return float(of_case if true is None else true)
-    told = {getattr(each.stretch, way) for each in site.states} - {None}
-    if len(told) == 1:
-        return float(told.pop())
+    given = {getattr(each.stretch, way) for each in site.states} - {None}
+    if len(given) == 1:
+        return float(given.pop())
     raise CaseError(
         f"the stretch {way} the limb at which the tissue is unloaded must be given, on the scale of the "
         f"given stretches",

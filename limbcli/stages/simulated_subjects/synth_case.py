@@ -124,11 +124,11 @@ def borders_at_rest(segmented: StageResult, site: Site) -> Array:
     CaseError
         If it tells none.
     """
-    told = (segmented.data.get("layers") or {}).get(site.name)
-    if told is None:
+    layers = (segmented.data.get("layers") or {}).get(site.name)
+    if layers is None:
         raise CaseError(
             "the geometry gives no thickness of skin and fat at this site, so layers cannot be simulated",
             where=f"site {site.name}",
             fix="omit --with-layers, or give a case whose images show fat, or [imaging] shape",
         )
-    return np.cumsum([float(told["skin_mm"]), float(told["fat_mm"])])
+    return np.cumsum([float(layers["skin_mm"]), float(layers["fat_mm"])])

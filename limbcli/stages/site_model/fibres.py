@@ -74,9 +74,10 @@ def _site_fibres(case: Case, site: Site, model: LimbModel) -> SiteFibres:
             )
             for each in site.fibres.pennation
         ]
-        told = direction_of_angles(angles, -normal, proximal=proximal, where=where)
+        direction = direction_of_angles(angles, -normal, proximal=proximal, where=where)
         planes = " and ".join(f"{p.angle_deg:g} deg ({p.orientation})" for p in site.fibres.pennation)
-        return _alike(rotation.T @ told.axis, n, f"pennation {planes}, {told.how}", told.deviation_deg)
+        source = f"pennation {planes}, {direction.how}"
+        return _alike(rotation.T @ direction.axis, n, source, direction.deviation_deg)
     if case.imaging.fibres is None:
         return SiteFibres(None, NOT_TOLD)
     return _of_map(case, site, model, to_patient, model.mesh.points[block.cells].mean(axis=1))
@@ -152,10 +153,10 @@ def write_fibres(
         "mean_direction": in_patient, "out_of_skin_deg": out_of_skin, "to_image_plane_deg": to_image,
         **(found.facts or {}),
     }  # fmt: skip
-    doubt = "" if found.deviation_deg is None else f", deviation {found.deviation_deg:.1f} deg"
+    deviation = "" if found.deviation_deg is None else f", deviation {found.deviation_deg:.1f} deg"
     writer.summary.append(
-        f"fibres: {found.source}{doubt}; {to_image:.0f} deg from the probe's long side, {out_of_skin:.0f} "
-        "deg out of the skin's plane"
+        f"fibres: {found.source}{deviation}; {to_image:.0f} deg from the probe's long side, "
+        f"{out_of_skin:.0f} deg out of the skin's plane"
     )
     if out_of_skin > _OUT_OF_SKIN_DEG:
         writer.warnings.append(

@@ -34,7 +34,7 @@ class LayerReadings:
     on_bone: bool
 
     @property
-    def n_told(self) -> int:
+    def n_counted(self) -> int:
         """Layers that are counted: all but the one on the bone."""
         return len(self.names) - self.on_bone
 
@@ -64,8 +64,8 @@ class LayerReadings:
         return np.diff(borders, axis=-1, prepend=0.0)
 
     def used(self, levels: Levels) -> NDArray[np.bool_]:
-        """(n_levels, n_told): readings under load that are counted."""
-        known = np.isfinite(self.thickness[:, : self.n_told])
+        """(n_levels, n_counted): readings under load that are counted."""
+        known = np.isfinite(self.thickness[:, : self.n_counted])
         under_load = levels.loading & (np.arange(len(levels)) > 0)
         return np.asarray(known & under_load[:, None])
 

@@ -90,7 +90,7 @@ class Layering:
 
     def is_from_images(self, site: Site) -> bool:
         """Whether a layer of this site has the thickness that the images show."""
-        return MRI in (_asked(site, "skin", self.skin), _asked(site, "fat", self.fat))
+        return MRI in (_requested(site, "skin", self.skin), _requested(site, "fat", self.fat))
 
     def of(
         self, site: Site, segmented: StageResult, *, size: float
@@ -125,14 +125,14 @@ def wanted_layers(
         If a thickness cannot be used, or the images do not tell it.
     """
     given = {"skin": skin, "fat": fat}
-    asked = {name: _asked(site, name, value) for name, value in given.items()}
-    seen = {name: _seen(site, segmented, name) for name, value in asked.items() if value == MRI}
+    requested = {name: _requested(site, name, value) for name, value in given.items()}
+    seen = {name: _seen(site, segmented, name) for name, value in requested.items() if value == MRI}
     shown = "MRI" if "geometry" not in segmented.data else "[imaging] shape"
     found, sources = {}, {}
-    for name, value in asked.items():
+    for name, value in requested.items():
         found[name] = seen[name] if value == MRI else float(value)
         sources[name] = shown if value == MRI else "given"
-    if asked["fat"] == MRI and found["skin"] == 0.0:
+    if requested["fat"] == MRI and found["skin"] == 0.0:
         above = float(segmented.data["layers"][site.name]["skin_mm"])
         found["fat"] += above
         sources["fat"] = f"{shown}: {seen['fat']:.1f} mm of fat under {above:.1f} mm of skin"
@@ -140,7 +140,7 @@ def wanted_layers(
     return layers, {each.name: sources[each.name] for each in layers}
 
 
-def _asked(site: Site, name: str, value: Thickness | None) -> Thickness:
+def _requested(site: Site, name: str, value: Thickness | None) -> Thickness:
     if value is None:
         value = site.layers.get(name, {}).get("thickness_mm", 0.0)
     assert value is not None

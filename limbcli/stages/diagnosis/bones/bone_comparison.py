@@ -27,17 +27,17 @@ def may_be_elsewhere(ours: Diagnosis) -> bool:
 
 
 def weighed(
-    ours: Diagnosis, theirs: Diagnosis, *, gain: float, asked: float, is_repair: bool = False
+    ours: Diagnosis, theirs: Diagnosis, *, gain: float, required: float, is_repair: bool = False
 ) -> Outcome:
     """Which limb explains the data with less, and which fits them better; where these disagree, either.
 
     theirs : the diagnosis on the limb with other bones; gain : of deviance, by its best explanation over
-    ours; asked : what it takes to count, either way; is_repair : the bones are wrong as segmented, so that
+    ours; required : what it takes to count, either way; is_repair : the bones are wrong as segmented, so that
     other ones are no further assumption; otherwise they count for an effect
     """
     here, there = _size(ours), _size(theirs) + (not is_repair)
     simpler = (here > there) - (here < there)
-    better = (gain >= asked) - (gain <= -asked)
+    better = (gain >= required) - (gain <= -required)
     for_them = simpler + better
     return "either" if not for_them else "other bones" if for_them > 0 else "as segmented"
 
@@ -67,9 +67,10 @@ def combined_diagnosis(ours: Diagnosis, theirs: Diagnosis, words: str) -> Diagno
     reason = (
         f"what fits with the limb as segmented and what fits with the limb {words} cannot be distinguished"
     )
-    told = _over(ours, theirs)
+    estimates = _over(ours, theirs)
     shrink = tuple(
-        replace(each, estimates=told) if each.explanation == ours.chosen else each for each in ours.shrink
+        replace(each, estimates=estimates) if each.explanation == ours.chosen else each
+        for each in ours.shrink
     )
     return replace(ours, verdict="ambiguous", closed=False, reason=reason, confidence_set=both, shrink=shrink)
 
@@ -94,5 +95,5 @@ def _union(ours: Sequence[Explanation], theirs: Sequence[Explanation]) -> tuple[
 
 def _over(ours: Diagnosis, theirs: Diagnosis) -> Reported:
     """Our estimates, with intervals that hold theirs."""
-    told = ours.estimates.whichever([theirs.estimates])
-    return replace(told, over=len(ours.confidence_set) + len(fitting(theirs)))
+    estimates = ours.estimates.whichever([theirs.estimates])
+    return replace(estimates, over=len(ours.confidence_set) + len(fitting(theirs)))

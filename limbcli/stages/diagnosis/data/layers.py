@@ -41,7 +41,7 @@ def layer_rows(layers: LayerReadings | None, keep: IntArray) -> Stacked:
     y: list[float] = []
     if layers is None:
         return rows, y, []
-    for layer in range(layers.n_told):
+    for layer in range(layers.n_counted):
         for level, number in enumerate(keep.tolist()):
             value = float(layers.thickness[number, layer])
             if number > 0 and np.isfinite(value):
@@ -107,7 +107,7 @@ class BorderLines:
     """
 
     def __init__(self, layers: LayerReadings):
-        self.rest = np.asarray(layers.rest[: layers.n_told])
+        self.rest = np.asarray(layers.rest[: layers.n_counted])
 
     def record(self, model: LimbModel) -> LogRecord:
         """What a simulation must write: of all nodes, as an effect may move the mesh under the beam."""

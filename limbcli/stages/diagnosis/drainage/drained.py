@@ -89,8 +89,8 @@ def drained(
     facts: dict[str, Any] = {}
     try:
         found = runs.all(depths)
-        told = [each.facts() for each in found]
-        facts = {"solver": solver.solver.name, "solver_version": runs.version, "runs": told}
+        reports = [each.facts() for each in found]
+        facts = {"solver": solver.solver.name, "solver_version": runs.version, "runs": reports}
         drainage = Drainage.through(_enough(found))
     except LimbError as error:
         return Drained(refused=error, facts=facts)

@@ -18,11 +18,11 @@ def assumed_gain(case: Case, site: Site, out: Path) -> tuple[float, str]:
     if not words:
         return 0.0, ""
     try:
-        doubt = read_result(out, "fit", site=site.name).data.get("geometry_uncertainty") or {}
+        uncertainty = read_result(out, "fit", site=site.name).data.get("geometry_uncertainty") or {}
     except LimbError:
-        doubt = {}
-    found = doubt.get("gain_fraction")
-    if doubt.get("words") != words or found is None:
+        uncertainty = {}
+    found = uncertainty.get("gain_fraction")
+    if uncertainty.get("words") != words or found is None:
         return USUAL, (
             f"{words}. No fit has varied it: its uncertainty is taken as {100 * USUAL:g} % of the force at "
             f"site {site.name}; run `limbcli fit`, then diagnose again"
