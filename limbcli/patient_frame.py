@@ -8,7 +8,7 @@ from limbcli.model import Array
 
 HEAD = np.array([0.0, 0.0, 1.0])
 _SIDES = (("right", "left"), ("anterior", "posterior"), ("foot", "head"))  # along -, + of patient LPS
-_ALSO = 0.5  # of a direction's length: a second side is told, too, beyond 30 degrees
+_ALSO = 0.5  # of a direction's length: a second side is named, too, beyond 30 degrees
 
 
 def toward_head(axis: Array) -> Array:

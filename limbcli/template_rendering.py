@@ -19,7 +19,7 @@ _TOLD_IN = ".md"  # a README beside the templates
 
 
 class TemplateFolders(jinja2.FileSystemLoader):
-    """Looks in one folder after the other. asked : names of what was loaded, in order"""
+    """Looks in one folder after the other. requested : names of what was loaded, in order"""
 
     def __init__(self, folders: Sequence[Path]):
         super().__init__(folders)

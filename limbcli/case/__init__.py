@@ -200,7 +200,7 @@ def _read_toml(folder: Path) -> tuple[dict[str, Any] | None, list[Problem]]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig")), []
     except tomllib.TOMLDecodeError as error:
-        return None, [Problem(f"case.toml is not valid TOML: {error}", str(path), "mend that line")]
+        return None, [Problem(f"case.toml is not valid TOML: {error}", str(path), "correct that line")]
     except UnicodeDecodeError as error:
         return None, [Problem(f"case.toml is not UTF-8 text: {error}", str(path), "save it as UTF-8")]
 

@@ -13,7 +13,7 @@ _NAMED = ("axial", "transverse")
 
 
 def read_fibres(values: Mapping[str, Any], label: str, file: str) -> tuple[Fibres, list[Problem]]:
-    """What a site says of its fibres; values : of its table, defaults filled in."""
+    """What a site gives for its fibres; values : of its table, defaults filled in."""
     direction, tables = values["fibre_direction"], values["pennation"]
     problems: list[Problem] = []
     found: list[Pennation] = []
@@ -75,6 +75,6 @@ def fibre_problems(sites: Sequence[Site], imaging: Imaging, file: str) -> list[P
 
 
 def _plane(orientation: str, sites: Sequence[Site]) -> object:
-    """By what two planes can be told to be one: the long axis."""
+    """By what two planes are recognised as one: the long axis."""
     named = next((one for one in sites if one.name == orientation), None)
     return orientation if orientation in _NAMED or named is None else named.long_axis

@@ -6,7 +6,7 @@
    stood out, to first order, and no refit bears that out, nothing is found.
 3. One left, or one that all others contain: named, and added. Several: ambiguous. None: pairs, then triples,
    else unexplained.
-4. Show what shrank, what stays invisible, and which measurement would tell the rest apart.
+4. Show what shrank, what stays invisible, and which measurement would distinguish the rest.
 """
 
 from __future__ import annotations
@@ -227,7 +227,7 @@ class _Run:
         """What to say instead of a name, and why ("it fits, but ..."); None: nothing speaks against it.
 
         What it leaves may be that of one effect more: then an explanation with both leaves nothing. An m on
-        its bound is a doubt only where it is told there: by a flat fit, the value that is told is another.
+        its bound is an objection only where it is reported there: by a flat fit, another value is reported.
         """
         if not self._speaks_for_itself(best):
             return "unexplained", "it is not significant by itself, and the significant ones do not fit"

@@ -62,7 +62,7 @@ class Drainage:
         Raises
         ------
         SolveError
-            If there is none, or one tells too little.
+            If there is none, or one carries too little information.
         """
         if not holds:
             raise SolveError("no held indentation was simulated", where="drainage", fix="see why in its log")

@@ -1,6 +1,6 @@
 """An effect of the user's own, out of a Python file: looked at before it is tried.
 
-What the file's functions raise later is told as the file's, with its line.
+What the file's functions raise later is reported as the file's, with its line.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def _run(path: Path) -> ModuleType:
     sys.modules[_MODULE] = module
     try:
         spec.loader.exec_module(module)
-    except Exception as error:  # whatever a file of the user's own raises is told as the file's
+    except Exception as error:  # whatever a file of the user's own raises is reported as the file's
         at = error.lineno if isinstance(error, SyntaxError) else _line(error, path)
         what = f"the effect file does not run ({_error_text(error)})"
         raise CaseError(what, where=f"{path}, line {at}" if at else str(path), fix=_FIX) from error
@@ -132,7 +132,7 @@ def _with_its_errors(function: Callable[..., Any], name: str, kind: type, path: 
             at = _line(error, path)
             where = f"{path}, line {at}" if at else str(path)
             what = f"{name} of the effect file fails ({_error_text(error)})"
-            raise CaseError(what, where=where, fix="mend that line") from error
+            raise CaseError(what, where=where, fix="correct that line") from error
         if not isinstance(found, kind):
             what = f"{name} of the effect file returns {type(found).__name__}, not a {kind.__name__}"
             raise CaseError(what, where=str(path), fix="return an altered copy of its argument")

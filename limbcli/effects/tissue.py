@@ -133,7 +133,7 @@ def limb_axis(model: LimbModel) -> tuple[float, float, float]:
 
 
 def fibre_direction(model: LimbModel) -> Value:
-    """Where the muscle's fibres run: as the case tells, cell by cell where they differ; else `limb_axis`."""
+    """Where the muscle's fibres run: as in the case, cell by cell where they differ; else `limb_axis`."""
     given = model.fibres
     if given is None:
         return limb_axis(model)

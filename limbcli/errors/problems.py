@@ -50,7 +50,7 @@ def raise_errors(
 ) -> None:
     """Raise one error that carries every problem of severity "error", if there is any.
 
-    then : what to do when several are mended
+    then : what to do when several are corrected
 
     >>> raise_errors([Problem("a", "b", "c", severity="warning")], LimbError)
     """

@@ -48,7 +48,7 @@ class Iteration:
 
 @dataclass(frozen=True)
 class FebioLog:
-    """What a log tells.
+    """What a log reports.
 
     ending : "normal" or "error" as FEBio says, "none" if the log stops before its end
     times : the converged steps' times (without 0)

@@ -1,4 +1,4 @@
-"""Proof that a log tells of the model file beside it, and of no other.
+"""Proof that a log is of the model file next to it, and of no other.
 
 A run is given a mark, made from the model file's content, as the name of its plot file; the log's list of
 files repeats it. A log without a mark is judged by what FEBio repeats of its input: the number of nodes and
@@ -91,7 +91,7 @@ def check_belongs(log: Path, feb: Path, outline: Outline, *, by_mark: bool = Fal
     Raises
     ------
     SolveError
-        If the log is of another model, or does not tell.
+        If the log is of another model, or does not say.
     """
     with log.open(encoding="utf-8", errors="replace") as stream:
         echo = read_echo(line.rstrip("\r\n") for line in itertools.islice(stream, _HEAD_LINES))

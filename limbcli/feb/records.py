@@ -36,7 +36,7 @@ def read_records(path: Path, *, n_columns: int | None = None, n_items: int | Non
 
     Parameters
     ----------
-    n_columns, n_items : what is expected, where known; else the first block tells
+    n_columns, n_items : what is expected, where known; else the first block shows it
 
     Raises
     ------

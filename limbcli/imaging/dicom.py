@@ -1,7 +1,7 @@
 """DICOM series to `Volume`: slices in order of position, in the patient's frame.
 
 Only geometry, signal and a few technical facts leave this module; nothing that
-could tell who the patient is.
+could identify the patient.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from limbcli.progress import SILENT, Progress
 
 _PIXELS = ("PixelData", *FLOAT_PIXELS)
 _PARALLEL = 1e-3  # largest change of a direction cosine between slices of one series
-_OWN_UIDS = 0.4  # more series UIDs than this share of the images: they tell nothing
+_OWN_UIDS = 0.4  # more series UIDs than this share of the images: they are uninformative
 _DOUBLED = 0.05  # slices nearer than this share of the spacing are the same place
 PIXEL_MM, STEP_MM = (0.05, 8.0), (0.05, 30.0)  # mm: what pixels and slices of a limb's image can be
 _MISSING = 1.5  # a gap wider than this many spacings lacks a slice
@@ -48,7 +48,7 @@ class Series:
 
     volume : signal after rescale slope and intercept, with its place in the patient
     facts : technical facts without identity (modality, spacing_mm, n_slices, ...)
-    notes : what was mended on the way in, one sentence each
+    notes : what was repaired on the way in, one sentence each
     """
 
     volume: Volume

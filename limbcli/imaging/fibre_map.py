@@ -2,7 +2,7 @@
 
 The principal direction of a diffusion tensor has no sign, so neighbouring voxels may point opposite ways.
 Between voxels the dyads v v' are interpolated, and the direction is the mean dyad's principal axis; its
-eigenvalues tell how far the neighbours agree.
+eigenvalues show how far the neighbours agree.
 Components are along the patient's axes (RAS as NIfTI has them, or LPS), or along the voxels' axes as
 FSL's dtifit writes them.
 Source: Basser & Pajevic 2000, Magn Reson Med 44:41 (the mean dyadic tensor); FSL FDT user guide (vector
@@ -38,7 +38,7 @@ _SAVE = "save the principal diffusion direction (V1) as NIfTI (.nii.gz)"
 class FibreMap:
     """dyads (n_i, n_j, n_k, 6): xx yy zz xy yz xz of v v' in patient LPS, 0 where there is no direction.
 
-    grid : where the voxels lie; its values tell where there is a direction
+    grid : where the voxels lie; its values show where there is a direction
     """
 
     dyads: Array
@@ -79,7 +79,7 @@ class FibreMap:
 
 @dataclass(frozen=True, eq=False)
 class FibreSample:
-    """axes (n, 3), unit, patient LPS, NaN where the map says nothing.
+    """axes (n, 3), unit, patient LPS, NaN where the map has no data.
 
     agreement (n,) : 1 where all neighbours point along the axis, 0 where they point anyhow
     covered, near (n,) : within the map's directions; taken from the nearest one, up to `REACH` mm away

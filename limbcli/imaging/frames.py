@@ -200,7 +200,7 @@ def should_be_image(dataset: Dataset) -> bool:
 
 
 def damaged(where: str, error: BaseException) -> CaseError:
-    """The error of a DICOM file that breaks off or contradicts itself; its values are not told."""
+    """The error of a DICOM file that breaks off or contradicts itself; its values are not shown."""
     return CaseError(
         f"the DICOM file is damaged ({type(error).__name__})",
         where=where,

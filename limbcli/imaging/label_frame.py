@@ -40,7 +40,7 @@ class Agreement:
 def compare_frames(labels: Volume, image: Volume, *, where: str) -> Agreement:
     """Place and size of a label map against its image's.
 
-    On the image's own grid nothing is asked. A grid of equal matrix at another place or of other voxels is
+    On the image's own grid nothing is checked. A grid of equal matrix at another place or of other voxels is
     an error. Any other grid is taken by its place in the patient, and must cover what is bright in the image.
     """
     if _same_grid(labels, image):

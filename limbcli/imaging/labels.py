@@ -27,7 +27,7 @@ _LIMB = (SOFT_TISSUE, BONE, FAT)
 _SECOND_LIMB = 0.35  # of the largest part: a second one this large is a second limb
 _KNOWN = (0, SOFT_TISSUE, BONE, MARKER, FAT)
 _LEAST_BONE = 150.0  # mm^3: smaller specks of bone are left out
-_STRAIGHT = 1e-4  # cosine: a qform, which knows right angles only, would tell another place beyond
+_STRAIGHT = 1e-4  # cosine: a qform, which knows right angles only, would give another place beyond
 _LEAST_MARKER = 0.1  # of the largest marker's volume: smaller ones are specks
 
 
@@ -135,7 +135,7 @@ def segmentation_from(labels: Volume, *, side: Side | None = None) -> Segmentati
 
 
 def _of_one_limb(turned: Volume, side: Side | None) -> tuple[Volume, tuple[str, ...]]:
-    """The labels without the other limb of two side by side, and what is said of it."""
+    """The labels without the other limb of two side by side, and the note on it."""
     parts, n_parts = ndimage.label(np.isin(turned.values, _LIMB))
     sizes = np.bincount(parts.ravel(), minlength=n_parts + 1)[1:]
     limbs = np.flatnonzero(sizes > _SECOND_LIMB * sizes.max(initial=0)) + 1
@@ -157,7 +157,7 @@ def _of_one_limb(turned: Volume, side: Side | None) -> tuple[Volume, tuple[str, 
 
 
 def _left_out(places: Array, kind: str, volume: Volume) -> tuple[str, ...]:
-    """What is said of specks, by the voxel indices (n, 3) of their middles."""
+    """The note on specks, by the voxel indices (n, 3) of their middles."""
     if not len(places):
         return ()
     x, y, z = volume.to_patient(places[:1])[0]

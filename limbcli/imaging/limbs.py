@@ -21,7 +21,7 @@ _AROUND = 6.0  # mm beside the other limb that go with it
 
 
 def upright(volume: Volume) -> tuple[Volume, tuple[str, ...]]:
-    """The image with dark air; one with bright air is turned over, and that is said."""
+    """The image with dark air; one with bright air is inverted, with a note."""
     values = volume.values
     rim = np.concatenate([values[0].ravel(), values[-1].ravel(), values[:, 0].ravel(), values[:, -1].ravel()])
     split = otsu(values[::2, ::2, ::2].ravel())

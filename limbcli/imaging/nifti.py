@@ -109,7 +109,7 @@ def require_placement(image: object, path: Path, *, noun: str, fix: str) -> None
 
 
 def one_geometry(image: object, path: Path, *, noun: str) -> None:
-    """A NIfTI header tells voxel sizes and places twice or thrice; they must agree, and be in mm.
+    """A NIfTI header gives voxel sizes and places twice or thrice; they must agree, and be in mm.
 
     noun : what the file is, for the messages ("image", "label map")
 

@@ -1,7 +1,7 @@
 """How far a segmentation can be trusted: figures, and a verdict in words.
 
 "good" passes without remark, "check" comes with warnings to look at, "poor" says that
-later stages should not be believed before the segmentation has been mended.
+later stages are not reliable before the segmentation has been corrected.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _IN_SLICE = ndimage.generate_binary_structure(2, 1)[:, :, None]
 _END = 0.4  # of the largest section: a smaller one at the first or last slice is a rounded end's
 _TWO_LIMBS = (0.1, 0.3)  # share of the sections that fall into two
 _APART, _COMPARABLE = 0.6, 0.35  # of a section's depth, at which it falls apart; of the larger part's area
-_COARSE = 2.0  # mm: a grid as coarse as this tells how a section falls apart
+_COARSE = 2.0  # mm: a grid as coarse as this shows how a section falls apart
 _EVERY = 5.0  # mm along the limb over which a jump is measured
 
 

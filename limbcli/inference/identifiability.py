@@ -73,7 +73,7 @@ def log_covariance(
     nuisance : (n,) or (n, k) d prediction / d ln of the quantities held fixed (c)
     nuisance_deviation : standard deviation of their ln, or (k,)
 
-    Entries of a parameter that the data do not tell (`are_determined`) are NaN.
+    Entries of a parameter that the data do not determine (`are_determined`) are NaN.
     """
     p = sensitivity.shape[1]
     covariance = np.full((p, p), np.nan)

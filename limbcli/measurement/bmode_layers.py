@@ -1,7 +1,7 @@
 """Borders of skin, fat and muscle on B-mode images, followed through the force levels as the bone line is.
 
 Where a border is at the first level is read by a person: which of several bright lines in fat is the fascia
-cannot be determined from one image without doubt. From there the strip around it is sought in the next image.
+cannot be determined reliably from one image. From there the strip around it is sought in the next image.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ LAYERS = ("skin", "fat", "muscle")
 PERSON, SITE, TRIAL, SEX = "subject", "location", "trial", "sex"
 _ALSO = {"person": PERSON, "site": SITE}
 FACE, PRESSURE = "face_mm2", "max_pressure_mpa"
-OF_PERSON = ("age_years", "bmi_kg_per_m2")  # used by a second prediction, where every row tells them
+OF_PERSON = ("age_years", "bmi_kg_per_m2")  # used by a second prediction, where every row gives them
 
 REQUIRED: Mapping[str, str] = {
     "max_force_n": "largest normal force of the probe",
@@ -146,7 +146,7 @@ def read_cohort(path: Path) -> tuple[RawTable | None, list[Problem]]:
     spare = {each for each in header if each and each not in known | set(_ALSO)}
     texts = {*TEXTS, *_ALSO, *spare}
     optional = {*OPTIONAL, *(_MAY_BE_EMPTY & set(header))}
-    required = [] if header else [*REQUIRED]  # what a header lacks is told with what it holds
+    required = [] if header else [*REQUIRED]  # what a header lacks is reported with what it holds
     table, problems = read_table(path, required=required, optional=optional, texts=texts)
     problems = [*_lacking(header, path), *problems] if header else problems
     for name in sorted(spare):
@@ -160,7 +160,7 @@ def read_cohort(path: Path) -> tuple[RawTable | None, list[Problem]]:
 
 
 def _header(path: Path) -> list[str]:
-    """The header line's names; none where the file cannot be read (which `read_table` then tells)."""
+    """The header line's names; none where the file cannot be read (which `read_table` then reports)."""
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError):

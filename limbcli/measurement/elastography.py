@@ -219,7 +219,7 @@ def check_width(swe: SweMap, probe_length: float) -> list[Problem]:
 def check_mean(swe: SweMap, mean_m_per_s: float) -> list[Problem]:
     """Whether a level's map and the mean that levels.csv states can belong to the same reading.
 
-    mean_m_per_s : m/s, NaN where levels.csv has none; one that is not positive is told with levels.csv
+    mean_m_per_s : m/s, NaN where levels.csv has none; one that is not positive is reported with levels.csv
     """
     if not np.isfinite(mean_m_per_s) or mean_m_per_s <= 0:
         return []

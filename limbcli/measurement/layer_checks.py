@@ -126,7 +126,7 @@ def _growing(levels: Levels, path: Path, lines: list[int], noise: LayerNoise | N
 
 
 def _first_touch(levels: Levels, path: Path, lines: list[int], _: LayerNoise | None) -> list[Problem]:
-    """Layers tell how they move against what they were at first touch."""
+    """Layers show how they move against what they were at first touch."""
     lacking = [name for name, values in levels.layers.items() if not np.isfinite(values[0])]
     if not lacking and levels.begins_at_zero:
         return []

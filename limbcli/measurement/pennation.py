@@ -1,9 +1,9 @@
 """The pennation angle of muscle fibres in a B-mode image, by its structure tensor.
 
 Fascicles and the septa between them are lines longer than speckle is wide; across them the brightness
-changes most. The tensor of brightness gradients, summed over a tile, tells the direction of least change and
+changes most. The tensor of brightness gradients, summed over a tile, gives the direction of least change and
 how far one direction stands out (coherence). The angle is the mean over tiles by doubled angles, weighted by
-coherence. Its doubt is how far tiles differ, not what their number makes of that: speckle pulls all of
+coherence. Its uncertainty is how far tiles differ, not what their number makes of that: speckle pulls all of
 them the same way (a vastus lateralis whose septa lie at 20 degrees by eye is read as 14, tiles spread by 7).
 Speckle itself is longer across the beam than along it and would be read as 0 degrees; so the image is
 smoothed over a speckle's length first, and what little direction is left in it is below the coherence

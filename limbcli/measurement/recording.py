@@ -146,7 +146,7 @@ def _lvm_table(lines: list[str], path: Path, form: RecordingFormat) -> tuple[lis
 
 
 def _clock(own: Mapping[str, list[str]]) -> float | None:
-    """When a segment was begun, s, by its header's Date and Time; None where they do not tell."""
+    """When a segment was begun, s, by its header's Date and Time; None where they do not give it."""
     day, time = (own.get(key, [""])[0].strip() for key in ("Date", "Time"))
     minute, _, seconds = time.replace(",", ".").rpartition(":")
     try:

@@ -3,7 +3,7 @@
 A DICOM ultrasound image may hold several regions (B-mode, colour box, Doppler
 trace); each states its corners and what a pixel means (PS3.3 C.8.5.5). A region
 whose deltas are zero or whose unit is not cm is not calibrated and is not used.
-Depth 0 is the probe face: the row that the region's reference pixel tells, else its top.
+Depth 0 is the probe face: the row that the region's reference pixel gives, else its top.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class UltrasoundImage:
 
     @property
     def is_whole(self) -> bool:
-        """Whether nothing tells where in the image the ultrasound picture lies."""
+        """Whether nothing shows where in the image the ultrasound picture lies."""
         rows, columns = self.rgb.shape[:2]
         return all((r.left, r.top, r.right, r.bottom) == (0, 0, columns - 1, rows - 1) for r in self.regions)
 
@@ -158,7 +158,7 @@ def read_image(
     """Read one frame.
 
     mm_per_pixel : overrides, or stands in for, the file's own calibration; where the picture lies in the
-        image stays as the file tells it, else the whole image is taken.
+        image stays as the file gives it, else the whole image is taken.
     box_pixels : left, top, right, bottom of the ultrasound image within the screen shot;
         its top is the probe face.
     frame : which one of a file that holds several (a cine loop), from 1
@@ -166,7 +166,7 @@ def read_image(
     Raises
     ------
     MeasurementError
-        If the file is no image, it holds several frames and nobody says which, or a scale is neither in it
+        If the file is no image, it holds several frames and none is selected, or a scale is neither in it
         nor given.
     """
     rgb, regions, number = _read_dicom(path, frame) if is_dicom(path) else _read_picture(path, frame)
@@ -252,7 +252,7 @@ def _read_picture(path: Path, frame: int | None) -> _Frame:
 
 
 def _read_dicom(path: Path, frame: int | None) -> _Frame:
-    """Pixels and regions; the error of a damaged file tells no value of it, which may be the patient's."""
+    """Pixels and regions; the error of a damaged file shows no value of it, which may be the patient's."""
     from pydicom.errors import BytesLengthException, InvalidDicomError
 
     try:

@@ -49,7 +49,7 @@ def limb_check(surfaces: Mapping[str, Triangles], *, limb: str, where: str) -> L
     """What is wrong with the skin and the bones of one limb, and the bones that lie elsewhere.
 
     surfaces : "skin" and the bones by name, mm, patient LPS; open or closed
-    limb : "left" or "right"; the fibula tells it where two bones are so named
+    limb : "left" or "right"; the fibula shows it where two bones are so named
 
     Raises
     ------
@@ -135,7 +135,7 @@ def _in_holes(
 
 
 def _left_out(problem: Problem) -> Problem:
-    """What is wrong with a small bone: the others still make a limb, which is said."""
+    """What is wrong with a small bone: the others still make a limb, with a warning."""
     if problem.severity == "warning":
         return problem
     what = f"{problem.what}: the model omits the part outside, and is too soft there"

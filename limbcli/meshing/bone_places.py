@@ -45,7 +45,7 @@ class PutBack:
 def put_back(
     skin: Triangles, right: Mapping[str, Triangles], wrong: Mapping[str, Triangles], *, limb: str
 ) -> PutBack | None:
-    """The shift that puts the bones `wrong` back beside those that are `right`; None where nothing tells it.
+    """The shift that puts the bones `wrong` back beside those that are `right`; None if undetermined.
 
     skin, right, wrong : closed surfaces, mm, patient LPS, bones by name; limb : "left" or "right"
 

@@ -30,7 +30,7 @@ class ImageAngle:
 
 @dataclass(frozen=True, eq=False)
 class FibreDirection:
-    """axis (3,), unit; deviation_deg : one standard deviation of what was told of it; how : in words."""
+    """axis (3,), unit; deviation_deg : one standard deviation of what was given; how : in words."""
 
     axis: Array
     deviation_deg: float

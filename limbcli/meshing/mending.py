@@ -1,6 +1,6 @@
 """Surfaces from anywhere made fit for meshing, and an account of what was done to them.
 
-What is mended here is what can be told from the triangles: bodies sorted, stray
+What is repaired here is what can be recognised from the triangles: bodies sorted, stray
 pieces dropped, orientation, holes closed, flat ends of a scan found. Overlaps,
 self-intersections and clearances are settled on the distance grid (`domain`).
 """
@@ -18,7 +18,7 @@ from limbcli.meshlab import open_pymeshlab
 from limbcli.model import Array
 from limbcli.patient_frame import HEAD
 
-_ELONGATED = 1.5  # length against width: a body below does not tell which way the limb runs
+_ELONGATED = 1.5  # length against width: a body below does not show which way the limb runs
 ENDS = ("open", "flat")  # names of the planes where the limb itself was cut
 _STRAY_EXTENT = 0.05  # of the largest body's diagonal: smaller open pieces are stray
 _CAP_SHARE = 0.6  # of the cross-section 5 mm further in: flat area that makes an end a cap
@@ -47,7 +47,7 @@ class Plane:
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """Closed skin and bones in one frame, the planes where the limb was cut, and what was mended."""
+    """Closed skin and bones in one frame, the planes where the limb was cut, and what was repaired."""
 
     skin: Triangles
     bones: tuple[Triangles, ...]
@@ -72,7 +72,7 @@ def mend(
     with a fan; where the limb was cut open, or ends flat as a scan does, a plane
     just inside the end takes the place of the closure.
 
-    beside : bodies that are no part of the limb made, but tell which way it runs
+    beside : bodies that are no part of the limb made, but show which way it runs
 
     Raises
     ------

@@ -12,7 +12,7 @@ from limbcli.meshing.frame import nearest_skin_point
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 
-MOVED_MM = 3.0  # a site further from the skin than this was moved, and that is said
+MOVED_MM = 3.0  # a site further from the skin than this was moved, with a warning
 MOST_MOVED_MM = 5.0  # further than this it is not the place that was measured
 TURNED = np.array([-1.0, -1.0, 1.0])  # RAS to LPS and back
 

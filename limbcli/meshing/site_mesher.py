@@ -69,7 +69,7 @@ def mesh_volume(domain: TissueDomain, probe: ProbeShape, sizes: Sizes) -> Volume
     ------
     MeshError
         If no way leads to cells of positive volume with dihedral angles of at
-        least 4 degrees (8 under the probe); it tells what each way came to.
+        least 4 degrees (8 under the probe); it reports what each way came to.
     """
     tale: list[str] = []
     ways: list[Callable[[], VolumeMesh]] = [

@@ -1,4 +1,4 @@
-"""What a headline says of a parameter: its value where the data hold it, else words."""
+"""A parameter's headline: its value where the data determine it, else words."""
 
 from __future__ import annotations
 

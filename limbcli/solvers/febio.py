@@ -71,7 +71,7 @@ class FebioSolver:
         return self.path() is not None
 
     def version(self) -> str:
-        """As FEBio prints it ("4.11.0"); "unknown" if it prints none within 5 s. A run's log tells it too.
+        """As FEBio prints it ("4.11.0"); "unknown" if it prints none within 5 s. A run's log reports it too.
 
         Raises
         ------
@@ -107,7 +107,7 @@ class FebioSolver:
         return reader.version or "unknown"
 
     def identity(self) -> str:
-        """By the binary's content, and by the version that it tells: its libraries are files of their own.
+        """By the binary's content, and by the version that it reports: its libraries are files of their own.
 
         Raises
         ------

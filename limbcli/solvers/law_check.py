@@ -24,7 +24,7 @@ _CELLS = 200  # with the largest stresses
 _TOLERANCE = 0.03  # of the stress: tet10's mean over a cell leaves 0.7 % even where it is pressed deep
 _LOADED = 0.05  # of the largest stress: less is round-off where a cell is at rest
 _SHEARED = 1e-3  # of the whole stress: under pressure alone there is nothing to compare
-_STRAIN = 0.08  # of the cells looked at, at most: beyond, means over curved cells tell less
+_STRAIN = 0.08  # of the cells looked at, at most: beyond, means over curved cells are less informative
 
 
 def can_be_checked(elements: Mapping[str, Table]) -> bool:

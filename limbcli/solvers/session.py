@@ -61,8 +61,8 @@ class SessionResult:
     field_gradient : d(field)/d(parameter) there, tables by record file (of bodies by name), if asked for
     levels : the states at the levels, which other solves may start from
     differenced : the gradients are central differences of whole solves, because the response
-        depends on the way the load went (viscoelastic law, friction, augmented contact, a step that is told
-        from the end of the one before)
+        depends on the way the load went (viscoelastic law, friction, augmented contact, a step that is
+        defined from the end of the one before)
     """
 
     simulation: Simulation

@@ -30,7 +30,7 @@ def read_finished(solver: str, feb: Path) -> Simulation:
     Raises
     ------
     SolveError
-        If the log tells of no complete run or of another model, or a record file is not whole.
+        If the log reports no complete run or another model, or a record file is not whole.
     """
     outline = read_outline(feb)
     path = feb.parent / LOG_FILE

@@ -263,7 +263,7 @@ class CaseRun:
         """Stages that cannot run say so, and results of an earlier run no longer count."""
         for stage in stages:
             memory = self._memory(stage, site)
-            if not self.options.defaults:  # the result that tells what was asked by hand goes
+            if not self.options.defaults:  # the result that holds what was requested by hand goes
                 memory.keep_requested(stage, site, memory.requested(stage, site))
             error = CaseError(
                 f"`{stage}` was not run, because `{because}` failed",

@@ -64,7 +64,7 @@ def one_case(
 
 
 def _readable(folder: Path) -> Case | None:
-    """The case; None where it cannot be read, which the batch itself tells."""
+    """The case; None where it cannot be read, which the batch itself reports."""
     try:
         return Case.open(folder)
     except CaseError:

@@ -118,7 +118,7 @@ class _Together:
                 running.update(self._next(future))
         finally:
             over.set()
-            with contextlib.suppress(Exception):  # where the scheduler is gone, there is nobody to tell
+            with contextlib.suppress(Exception):  # where the scheduler is gone, there is nobody to notify
                 self.client.cancel(list(self.parts), force=True)
                 self.client.unsubscribe_topic(self.call.topic)
         lost = lost_workers(self.client) - before
@@ -165,7 +165,7 @@ class _Together:
         except WorkerRefused as error:
             self._refuse(error)
             return [self._submit(way, part)]
-        except Exception as error:  # the part itself tells what it foresaw
+        except Exception as error:  # the part itself reports what it foresaw
             done = self._without_answer(way, part, error)
         future.release()
         self.n_done += 1
@@ -265,7 +265,7 @@ class _Together:
     # ------------------------------------------------------------ progress
 
     def _hear(self, event: tuple[float, dict[str, Any]]) -> None:
-        """What a worker tells (in Dask's own thread)."""
+        """What a worker reports (in Dask's own thread)."""
         facts = event[1]
         part, stage = facts["part"], facts["stage"]
         if facts["text"]:
@@ -277,7 +277,7 @@ class _Together:
 
     def _watch(self, over: threading.Event) -> None:
         """Say when the last worker has gone, and when one is there again (in a thread of its own)."""
-        there = True  # at the beginning that is told by `connected`
+        there = True  # at the beginning that is reported by `connected`
         while not over.wait(_LOOK_S):
             try:
                 n_workers = len(self.client.scheduler_info(n_workers=-1)["workers"])

@@ -54,7 +54,7 @@ from limbcli.units import kpa_from_mpa, mpa_from_kpa
 
 STAGE = "build-feb"
 _WIDE_GAP = 0.25  # mm: about the deviation of a depth reading
-_LINE_NEEDS = 3  # speeds, to tell c at 0 N by a line
+_LINE_NEEDS = 3  # speeds, to estimate c at 0 N by a line
 __all__ = ["PROBE", "TISSUE", "TissueOptions", "build_feb", "indentation_model", "tissue_stiffness"]
 
 

@@ -234,7 +234,7 @@ def _too_few(site: Site) -> list[Problem]:
     try:
         levels = levels_of(site) if site.levels.is_file() else None
     except LimbError:
-        return []  # the file's own problems are told
+        return []  # the file's own problems are reported
     n = FEWEST_LOADING if levels is None else int((levels.loading & (levels.depth > 0.0)).sum())
     if n >= FEWEST_LOADING:
         return []

@@ -17,7 +17,7 @@ _EDGE = 4.0  # mm: triangles of a label map's surfaces, coarse, only to be looke
 def geometry_problems(case: Case, known: Sequence[Problem]) -> list[Problem]:
     """Bones outside the skin, a label map elsewhere than its series, sites off the skin.
 
-    known : problems found so far; what is among them already is not said again, and a file that cannot be
+    known : problems found so far; what is among them already is not reported again, and a file that cannot be
         read is left to them
     """
     try:

@@ -1,4 +1,4 @@
-"""diagnose: where model and measurement disagree, what is missing, and what the data cannot tell.
+"""diagnose: where model and measurement disagree, what is missing, and what the data cannot determine.
 
 Numerical effects first, by intervention on the mesh; then candidate effects on a working mesh
 (coarse, quadratic), corrected to the site's own mesh where that was run. Measurements of the same place
@@ -129,7 +129,7 @@ def diagnose(
 def places(case: Case, sites: Sequence[Site], *, out: Path, separate: bool = False) -> list[list[Site]]:
     """Sites that share a place, together; in the order of the case.
 
-    One whose place cannot be told (a marker that was not found) stands alone: its own diagnosis says why.
+    One whose place is not known (a marker that was not found) stands alone: its own diagnosis says why.
     """
     if separate or len(sites) < 2:
         return [[site] for site in sites]

@@ -88,7 +88,9 @@ def compare(folder: Path, out: Path, *, case: Case | None = None) -> list[Compar
         fix = f"write one, e.g.: [site.p1] m = {{ value = 2.0, tolerance = 0.1 }} ({EXPECTED_FILE})"
         raise CaseError(f"the case has no {EXPECTED_FILE}", where=str(folder), fix=fix) from None
     except (ValueError, OSError) as error:
-        raise CaseError(f"{EXPECTED_FILE} cannot be read: {error}", where=str(path), fix="mend it") from error
+        raise CaseError(
+            f"{EXPECTED_FILE} cannot be read: {error}", where=str(path), fix="correct it"
+        ) from error
     chain = None if case is None else Chain(case, out)
     found: list[Comparison] = []
     for name, table in content.items():
@@ -128,7 +130,7 @@ def _table(
 
 
 def _why_stale(chain: Chain | None, result: StageResult) -> str:
-    """Why a result says nothing of the case as it is today; nothing where it does."""
+    """Why a result is out of date with the case; empty where it is not."""
     if chain is None:
         return ""
     sites = {each.name: each for each in chain.case.sites}

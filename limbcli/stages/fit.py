@@ -180,7 +180,7 @@ def _intervals(
     curve: SolvedPoints, knots: Array, data: ForceDepth, known: Sequence[Stiffness],
     steps: Sequence[FittedStep], limit: int, progress: Progress, modes: Array | None = None,
 ) -> tuple[Intervals, Intervals]:  # fmt: skip
-    """Of both steps, `known`: what is at each; `modes`: with the doubt of the geometry."""
+    """Of both steps, `known`: what is at each; `modes`: with the uncertainty of the geometry."""
     theta = steps[-1].theta
     full = force_intervals(
         curve, knots, data, known[-1], theta, max_solves=limit, shape_modes=modes, progress=progress

@@ -119,7 +119,7 @@ def mesh_options(
 
 
 def read_limb(segmented: StageResult) -> Limb:
-    """The surfaces that `segment` left, mended."""
+    """The surfaces that `segment` left, repaired."""
     paths = sorted(segmented.path(name) for name in segmented.files if name.startswith("bone_"))
     skin = read_surface(segmented.folder / "skin.ply")
     return mend(skin, [read_surface(each) for each in paths], where=str(segmented.folder))

@@ -62,7 +62,7 @@ class PhantomOptions:
 
 
 def refuse_unheard(plan: SynthOptions) -> None:
-    """Tissue and measurement are told only where there is something to measure.
+    """Tissue and measurement are given only where there is something to measure.
 
     Raises
     ------

@@ -56,7 +56,7 @@ class _Options:
         return requested_of({**vars(self), "seeds": self.seeds or None}, {"smooth": SMOOTH})
 
     def hints(self, limb: Side) -> SegmentationHints:
-        """What the segmentation is told; limb : the case's, which holds where nothing else was asked."""
+        """Hints for the segmentation; limb : the case's, which holds where no other was requested."""
 
         def points(kind: str) -> np.ndarray | None:
             found = [place for name, place in self.seeds if name == kind]
@@ -137,7 +137,7 @@ def _checked(seeds: Sequence[Seed], case: Case) -> tuple[Seed, ...]:
 def edited_labels(out: Path) -> Path | None:
     """The label map in the output folder, if the user has changed it since it was written.
 
-    So has, as far as anybody knows, one without a result beside it that could tell.
+    So has, as far as anybody knows, one without a result next to it that could show it.
     """
     path = out / "segment" / LABELS
     if not path.is_file():

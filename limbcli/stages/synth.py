@@ -69,7 +69,7 @@ def synth(
     ------
     CaseError
         If `out_case` is there already and `force` is not given, or is the case itself; if layers are to be
-        read and `segment` tells none; if a state's true stretch is not told.
+        read and `segment` found none; if a state's true stretch is not given.
     MeshError, SolveError
         If a site cannot be meshed or simulated.
     """
@@ -127,7 +127,7 @@ def measure_sites(
     Raises
     ------
     CaseError
-        If the mesh that is fitted is to be taken, and another element or other sizes are told.
+        If the mesh that is fitted is to be taken, and another element or other sizes are given.
     """
     _refuse_unheard(options)
     numbers = {each.name: k for k, each in enumerate(case.sites)}

@@ -44,7 +44,7 @@ def test_an_orientation_may_be_a_site_at_the_same_place(tmp_path: Path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("fibre_direction = [0.0, 0.0, 0.0]\n", "fibre_direction has length zero"),
+        ("fibre_direction = [0.0, 0.0, 0.0]\n", "fibre_direction has zero length"),
         ("fibre_direction = [0.0, 1.0]\n", "not three numbers"),
         ("fibre_direction = [0.0, nan, 1.0]\n", "not three numbers"),
         ("fibre_direction = [0.0, 0.0, 1.0]\n" + AXIAL, "both fibre_direction and"),
@@ -74,7 +74,7 @@ def test_an_orientation_of_another_place_is_refused(tmp_path: Path):
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ('fibres = "v1.nii.gz"\n', "names a file that is not there"),
+        ('fibres = "v1.nii.gz"\n', "names a file that was not found"),
         ('fibres = "mri"\n', "is not a file"),
         ('fibres = "p1.csv"\n', "is not a NIfTI file"),
         ('fibre_frame = "ras"\n', "fibre_frame but no `fibres`"),

@@ -79,7 +79,7 @@ def test_imaged_limbs_assume_nothing(tmp_path: Path):
         ("320", "130", "is 41.4 mm across: less than its layers (26 mm) and the bone (28 mm)"),
         ("muscle_mm = 18", "muscle_mm = -1", "imaging.shape.muscle_mm is -1 mm; plausible values are"),
         ("fat_mm = 6.5, muscle_mm = 18", "fat_mm = 0.5, muscle_mm = 0.5", "leave 2.5 mm from skin to bone"),
-        ("circumference_mm = 320, ", "", "[imaging.shape] lacks 'circumference_mm' (mm)"),
+        ("circumference_mm = 320, ", "", "[imaging.shape] is missing 'circumference_mm' (mm)"),
         ("muscle_mm", "muscel_mm", "unknown key 'muscel_mm'"),
         (SHAPE, "shape = 3", "is 3, not a table"),
         (SHAPE, f'{SHAPE}\nskin = "scan.stl"', "both `shape` and `skin`"),

@@ -58,11 +58,11 @@ def test_a_stretch_may_be_unknown_by_word_or_by_silence(tmp_path: Path):
         (ALL.replace("0.9", '"short"'), SITE, "stretch_along is 'short', not a number"),
         (ALL.replace("stretch_along", "strech_along"), SITE, "did you mean 'stretch_along'?"),
         (ALL.replace("bent.csv", "gone.csv"), SITE, "names a file that was not found: gone.csv"),
-        (ALL.replace('levels = "bent.csv"\n', ""), SITE, "lacks 'levels'"),
+        (ALL.replace('levels = "bent.csv"\n', ""), SITE, "is missing 'levels'"),
         (ALL, SITE + 'levels = "levels.csv"\n', "has its own levels as well as [[site.state]]"),
         (ALL, SITE + 'trace = "levels.csv"\n', "has trace together with [[site.state]]"),
-        (ALL, SITE + 'swe_maps = "mri"\n', "has swe_maps beside [[site.state]]"),
-        (ALL + '[site.load_cell]\nfile = "levels.csv"\n', SITE, "has load_cell beside [[site.state]]"),
+        (ALL, SITE + 'swe_maps = "mri"\n', "has swe_maps together with [[site.state]]"),
+        (ALL + '[site.load_cell]\nfile = "levels.csv"\n', SITE, "has load_cell together with [[site.state]]"),
         ("state = 3\n", SITE, "not a list of tables"),
         ("", SITE + 'levels = "levels.csv"\nunloaded_stretch_along = 1.0\n', "but no states"),
         (ALL, SITE + "unloaded_stretch_along = 3.0\n", "plausible values are 0.5 to 2"),
@@ -80,5 +80,5 @@ def test_layers_go_with_states(tmp_path: Path):
 
 
 def test_without_states_levels_are_needed_as_ever(tmp_path: Path):
-    with pytest.raises(CaseError, match=r"lacks 'levels' \(file\)"):
+    with pytest.raises(CaseError, match=r"is missing 'levels' \(file\)"):
         Case.open(case(tmp_path, ""))

@@ -117,7 +117,8 @@ def test_a_fifth_dimension_of_three_is_read(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("code", "message"), [(0, "does not say how it lies"), (3, "Talairach"), (4, "another frame: MNI space")]
+    ("code", "message"),
+    [(0, "does not define its orientation"), (3, "Talairach"), (4, "another frame: MNI space")],
 )
 def test_a_map_of_another_frame_is_refused(tmp_path: Path, code, message):
     with pytest.raises(CaseError, match=message):

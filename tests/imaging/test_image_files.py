@@ -110,12 +110,12 @@ def _two_places(made):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (_no_place, "does not say how it lies"),
-        (_two_places, "two places .qform and sform., 52.0 mm apart"),
+        (_no_place, "does not define its orientation"),
+        (_two_places, "two positions .qform and sform., 52.0 mm apart"),
         (lambda made: made.header.set_xyzt_units("meter"), "unit of length is meter"),
-        (lambda made: made.set_sform(made.affine * 1000, code=1), "two voxel sizes|two places"),
+        (lambda made: made.set_sform(made.affine * 1000, code=1), "two voxel sizes|two positions"),
     ],
-    ids=["no place", "two places", "metres", "sizes"],
+    ids=["no place", "two positions", "metres", "sizes"],
 )
 def test_a_place_that_is_not_sure_is_refused(image, tmp_path, change, message):
     with pytest.raises(CaseError, match=message) as caught:
@@ -147,7 +147,7 @@ def test_several_volumes_colours_and_complex_numbers_are_refused_each_in_words(i
         ({"kinds": "RGB-color domain domain"}, "colours"),
         ({"sizes": "7 6 5 2", "dimension": "4"}, "several volumes"),
         ({"space": "scanner-xyz"}, "scanner-xyz"),
-        ({"data_file": "a.raw"}, "in another file"),
+        ({"data_file": "a.raw"}, "in a separate file"),
     ],
     ids=lambda each: str(each)[:20],
 )

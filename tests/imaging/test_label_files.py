@@ -120,7 +120,7 @@ def test_a_nrrd_label_map_that_does_not_say_how_it_lies_or_in_what_unit_is_refus
     path = nrrd(tmp_path / "a.nrrd", truth)
     content = path.read_bytes()
     path.write_bytes(content.replace(b"space: left-posterior-superior", b"space dimension: 3"))
-    with pytest.raises(CaseError, match="the label map does not say how it lies"):
+    with pytest.raises(CaseError, match="the label map does not define its orientation"):
         read_label_file(path)
     in_cm = nrrd(tmp_path / "b.nrrd", truth, extra='space units: "cm" "cm" "cm"\n')
     with pytest.raises(CaseError, match="the label map's unit of length is cm"):

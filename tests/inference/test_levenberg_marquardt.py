@@ -102,7 +102,7 @@ def test_no_answer_at_the_start_is_an_error():
 
 def test_a_fit_that_does_not_settle_says_so():
     data, _ = decay((7.0, 1.3))
-    with pytest.raises(FitError, match="did not settle in 2 iterations") as caught:
+    with pytest.raises(FitError, match="did not converge in 2 iterations") as caught:
         levenberg_marquardt(objective_for(data), parameters(start=(0.02, 9.0)), max_iterations=2)
     assert "force-depth.png" in str(caught.value), "fit.png is of a fit that ended"
 

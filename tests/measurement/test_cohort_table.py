@@ -145,7 +145,7 @@ def test_lengths_that_are_all_in_centimetres(tmp_path):
     for name in ("thickness_mm", "skin_mm", "fat_mm", "muscle_mm"):
         scaled(rows, name, 0.1)
     scaled(rows, "stiffness_mpa_per_mm", 10.0)
-    assert "the skin is 0.15 mm thick in the middle of all rows" in reported(tmp_path, rows)
+    assert "the skin is 0.15 mm thick in the median of all rows" in reported(tmp_path, rows)
 
 
 def test_names_that_hardly_differ_and_more_than_two_sexes_are_doubted(tmp_path):
@@ -157,7 +157,7 @@ def test_names_that_hardly_differ_and_more_than_two_sexes_are_doubted(tmp_path):
     assert [each.what for each in problems if each.severity == "warning"] == [
         "people whose names barely differ are treated as different: 'P1' and 'p1'",
         "sites whose names barely differ are treated as different: 'LL_P' and 'll p'",
-        "sex holds 3 words ('F', 'M', 'female'), so it is not used",
+        "sex contains 3 different words ('F', 'M', 'female'), so it is not used",
     ]
 
 

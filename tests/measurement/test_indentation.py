@@ -121,7 +121,7 @@ def test_wrong_row_is_named_with_its_line(tmp_path: Path, row: str, expected: st
         (HEADER.replace("force_n", "force_N"), "did you mean 'force_n'"),
         (HEADER.replace("depth_mm", "depth_cm"), "did you mean 'depth_mm'? Then convert the values"),
         (HEADER.replace("force_n,", ""), "its name includes the unit (N)"),
-        (HEADER.replace("swe_pixels", "depth_mm"), "stands twice"),
+        (HEADER.replace("swe_pixels", "depth_mm"), "appears twice"),
         (HEADER.replace(",", ";"), "not separated by commas"),
     ],
 )
@@ -168,7 +168,7 @@ def test_trace_needs_growing_time_and_all_axes(tmp_path: Path):
     path.write_text("time_s,force_n,accel_x_g\n0,0,0\n0.02,0.1,0\n0.01,0.1,0\n")
     with pytest.raises(MeasurementError) as caught:
         read_trace(path)
-    assert "does not grow" in str(caught.value)
+    assert "does not increase" in str(caught.value)
     assert "accel_y_g, accel_z_g is missing" in str(caught.value)
     path.write_text("time_s,force_n\n0,0\n0.02,0.1\n")
     np.testing.assert_array_equal(read_trace(path).time, [0, 0.02])
@@ -253,7 +253,7 @@ def test_a_level_0_that_stands_elsewhere_than_at_0_mm_is_told(
     warnings = level_warnings(write(tmp_path, "force_n,depth_mm", rows), noise=LayerNoise(0.2, 0.3))
     found = [each for each in warnings if "depth_mm counts from level 0" in each]
     assert bool(found) == given
-    assert not given or f"take {moved:.3g} mm from every depth" in found[0]
+    assert not given or f"subtract {moved:.3g} mm from every depth" in found[0]
 
 
 @pytest.mark.parametrize("depths", [(12.2, 9.0, 5.0, 0.0), (47.9, 42.9, 40.6, 39.2), (3.0, 4.0, 2.0, 1.0)])

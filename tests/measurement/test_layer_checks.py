@@ -85,7 +85,7 @@ def test_layers_without_skin_are_refused(tmp_path: Path):
 def test_without_a_bone_distance_the_sum_is_held_against_the_depth(tmp_path: Path):
     header, rows = without("skin_bone_mm")
     rows[3] = "6,4.8,1.3,4.3,22"
-    assert "less depth_mm leave 25.2 mm" in reported(write(tmp_path, rows, header))
+    assert "minus depth_mm leaves 25.2 mm" in reported(write(tmp_path, rows, header))
 
 
 def test_layers_that_end_beyond_the_bone_cross_it(tmp_path: Path):

@@ -73,7 +73,7 @@ def test_too_little_muscle_is_said(top, bottom):
     image = image_of(speckle(np.random.default_rng(7)))
     with pytest.raises(MeasurementError, match="too small to detect fibres in") as caught:
         read_pennation(image, top=top, bottom=bottom)
-    assert "by hand" in caught.value.fix
+    assert "manually" in caught.value.fix
 
 
 def test_an_image_without_a_scale_is_refused():

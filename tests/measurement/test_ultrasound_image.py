@@ -142,7 +142,7 @@ def loop(path: Path, n_frames: int = 4) -> Path:
 @pytest.mark.parametrize("name", ["cine.dcm", "cine.tif"])
 def test_of_a_loop_the_frame_is_read_that_is_told_and_none_that_is_not(tmp_path, name):
     path = loop(tmp_path / name)
-    with pytest.raises(MeasurementError, match="holds 4 frames, and nothing says which") as found:
+    with pytest.raises(MeasurementError, match="contains 4 frames, and it is not stated which") as found:
         read_image(path, mm_per_pixel=0.1)
     assert "frame = 12" in found.value.fix
     image = read_image(path, mm_per_pixel=0.1, frame=3)

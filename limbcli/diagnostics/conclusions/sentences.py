@@ -126,7 +126,7 @@ def _whichever(estimates: Reported) -> str:
 
 
 def _tissue(estimates: Reported) -> str:
-    """c and m with it, and what the data do not tell of them.
+    """c and m with it, and what the data do not determine of them.
 
     >>> _tissue(Reported({"c_kpa": 6.0, "m": 3.5}, {}, {"c_kpa": (5.5, 6.5), "m": (1.0, 5.0)}, ("m below",)))
     '; then c 6.00 kPa (5.50 to 6.50), m 3.50 (up to 5.00: no lower limit from these data)'
@@ -142,7 +142,7 @@ def _reach(estimates: Reported, symbol: str, name: str, unit: str = "") -> str:
     """An interval in words, with the ends that the data leave open.
 
     >>> _reach(Reported({}, {}, {"c_kpa": (0.4, 9.0)}, ("c below", "c above")), "c", "c_kpa")
-    'the data do not tell it'
+    'not determined by the data'
     """
     low, high = estimates.intervals[name]
     below, above = f"{symbol} below" in estimates.open, f"{symbol} above" in estimates.open

@@ -55,6 +55,6 @@ class Closing:
         return self.baseline.state.chi2 - refit.state.chi2
 
     def _added(self, refit: Refit) -> int:
-        """Parameters of the effects that tell there, whether m is free or on its bound."""
+        """Parameters of the effects that matter there, whether m is free or on its bound."""
         columns = refit.fitted.jacobian[:, len(refit.fitted.base_names) :]
         return max(int(np.any(columns != 0.0, axis=0).sum()), 1)

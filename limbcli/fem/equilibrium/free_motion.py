@@ -1,6 +1,6 @@
 """Parts of the tissue that nothing holds: found by their rigid motions, before any load.
 
-A factor in single precision cannot tell a stiffness of nothing from round-off, so the motions themselves
+A factor in single precision cannot distinguish zero stiffness from round-off, so the motions themselves
 are tried: of every connected part, those that leave its given displacements alone.
 """
 

@@ -20,7 +20,7 @@ _SYMBOLS = {"f_kappa": r"$f_\kappa$", "m": "m", "c": "c"}
 class ProfileCurve:
     """values (n,) of a parameter; deviance (n,) fall of twice the log likelihood; the fit's value; `limit`
     of the deviance at the ends of the 95 % interval; interval: its ends where they are not those of the curve
-    (one that holds a fit found otherwise, or a doubt that the curve has not), None: where it crosses."""
+    (one that holds a fit found otherwise, or an uncertainty that the curve lacks), None: where it crosses."""
 
     name: str
     values: Array

@@ -40,7 +40,7 @@ class StatesPanel:
 
     counted : "case", on the stretch scale of the case, or "unloaded"
     stretch, speed (n,) : the fitted law's curve; unloaded : the stretch at which its tissue is unloaded
-    lowest : the stretch of the least speed with its 95 % ends; None where the data do not tell it
+    lowest : the stretch of the least speed with its 95 % ends; None where the data do not determine it
     """
 
     way: str

@@ -53,7 +53,7 @@ def _section(key: str, site: SiteMaterial, result: StageResult) -> Reportlet:
 
 
 def in_short(page: ReportData, site: SiteMaterial) -> str | None:
-    """One line: what is missing, and the gap before and after; None where `diagnose` left nothing to tell."""
+    """One line: what is missing, and the gap before and after; None if `diagnose` left none."""
     outcome = page.outcomes.maybe("diagnose", site.name)
     if outcome is None or outcome.usable is None:
         return None

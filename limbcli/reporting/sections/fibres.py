@@ -1,4 +1,4 @@
-"""Which way do the muscle fibres run, and who says so?"""
+"""Which way do the muscle fibres run, and on what evidence?"""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ def connected(*, scheduler: str | None, jobs: int, progress: Progress) -> Iterat
     import dask
     from distributed import Client
 
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is said by the batch
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is reported by the batch
     with contextlib.ExitStack() as stack:
         if scheduler is None:
             folder = str(stack.enter_context(scratch_folder()))
@@ -232,7 +232,7 @@ def refuse_other(client: WorkerStanding) -> None:
 
 @contextlib.contextmanager
 def as_called(command: Sequence[str], threads: int) -> Iterator[None]:
-    """On a worker: results tell the command that was given, and nothing takes more threads than these."""
+    """On a worker: results record the command that was given, and nothing takes more threads than these."""
     from threadpoolctl import threadpool_limits
 
     environment = dict.fromkeys((THREADS, *_LIBRARY_THREADS), str(threads))

@@ -69,7 +69,7 @@ _LAYERS, _FINEST, _COARSEST = 3.0, 2.5, 5.0  # of elements between skin and bone
 
 @dataclass
 class Notes:
-    """What preparing a site has to tell: written with its results."""
+    """What preparing a site has to report: written with its results."""
 
     data: dict[str, Any] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
@@ -88,7 +88,7 @@ class WorkingMesh:
 
 @dataclass
 class Prepared:
-    """One site, ready: its curves beside its data, what was tried on its mesh, and what to tell.
+    """One site, ready: its curves beside its data, what was tried on its mesh, and what to report.
 
     size : mm, of the working mesh's edges under the probe
     """
@@ -127,7 +127,7 @@ def prepare(
 def depth_misfit(case: Case, site: Site, *, out: Path, mesh: WorkingMesh, progress: Progress) -> float:
     """mm (root mean square): how far measured depths are from a limb's best force curve, whatever its c.
 
-    Its simulations are kept for `prepare`. NaN where the levels do not tell.
+    Its simulations are kept for `prepare`. NaN where the levels do not determine it.
 
     Raises
     ------
@@ -277,7 +277,7 @@ class _Preparation:
         return float(2.0 ** np.ceil(np.log2(at_usual)))
 
     def _mark_layers(self, meshed: LimbModel) -> None:
-        """Their borders in the working mesh; layers that do not fit into it are left out, and it is said."""
+        """Their borders in the working mesh; layers that do not fit into it are excluded, with a warning."""
         layers = layer_readings(self.levels, self.site)
         if layers is None or not layers.n_counted:
             return

@@ -180,8 +180,8 @@ def candidates_picture(found: Diagnosis, path: Path) -> None:
     right.axvline(1.0, color="#22303c", lw=0.8, ls="--")
     right.set_xlim(0.0, _MOST_SIZES)
     right.set_xlabel(
-        f"size detected with 80 % power\n(in plausible sizes; right of dashed: "
-        f"undetectable;\n{_MOST_SIZES:g}: or more)"
+        "size detected with 80 % power\n(in plausible sizes; right of dashed:\n"
+        f"undetectable; {_MOST_SIZES:g}: or more)"
     )
     save_figure(figure, path, dpi=150)
 

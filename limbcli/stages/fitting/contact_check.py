@@ -19,7 +19,7 @@ from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.site_model.indentation_model import with_penalty
 
 HARDER = 4.0  # times the model's penalty
-MATTERS = 0.05  # of the force; below it a mesh's own doubt is larger
+MATTERS = 0.05  # of the force; below it a mesh's own uncertainty is larger
 _TOLERANCE = 1e-4
 # Of the forces at play: what will do where iterations go round, as they do where fibres begin to be
 # stretched. On a limb with fibres it moved the force of one level of eight by 0.06 %.

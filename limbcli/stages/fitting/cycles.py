@@ -40,7 +40,7 @@ def through_cycle(model: LimbModel, levels: Levels, site: Site) -> LimbModel:
 def write_cycle(levels: Levels, site: Site, writer: StageWriter, *, label: str = "") -> None:
     """`cycle` of fit.json where there are several; a warning where later cycles contradict the fitted one.
 
-    label : the site's name, where several sites are fitted together; then `cycle` is told by site
+    label : the site's name, where several sites are fitted together; then `cycle` is given by site
     """
     every = all_levels_of(site)
     if len(every.cycles) == 1:
@@ -77,7 +77,7 @@ def write_cycle(levels: Levels, site: Site, writer: StageWriter, *, label: str =
 
 
 def contradiction(difference: Difference) -> str:
-    """What a later loading says to an earlier one."""
+    """How a later loading compares with an earlier one."""
     k = difference.largest
     return (
         f"cycle {difference.later} contradicts the fitted cycle {difference.earlier}: at "

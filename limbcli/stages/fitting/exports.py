@@ -69,7 +69,7 @@ def write_mat_file(writer: StageWriter) -> None:
 
 
 def write_mat(path: Path, content: Mapping[str, Any]) -> None:
-    """A MATLAB 5 file with one struct `fit`; names that MATLAB forbids are mended."""
+    """A MATLAB 5 file with one struct `fit`; names that MATLAB forbids are changed."""
     savemat(path, {"fit": _for_matlab(content)}, do_compression=True, long_field_names=True)
 
 

@@ -1,4 +1,4 @@
-"""fit with fibres: how the images lie to them, and what the orientations measured can tell, in words."""
+"""fit with fibres: how the images lie to them, and what the orientations measured can determine, in words."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def share_along(model: LimbModel) -> float:
 def write_orientations(
     models: Sequence[tuple[str, LimbModel]], has_speeds: Sequence[bool], writer: StageWriter
 ) -> None:
-    """`orientations` of fit-joint.json, and in words what they cannot tell.
+    """`orientations` of fit-joint.json, and in words what they cannot determine.
 
     models : site name and model; has_speeds : whether the site's speeds were read
     """

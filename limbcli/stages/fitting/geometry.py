@@ -78,7 +78,7 @@ def site_geometry_uncertainty(
     case: Case, site: Site, out: Path, fitted: LimbModel, forces: Array, writer: StageWriter, *,
     progress: Progress = SILENT,
 ) -> GeometryUncertainty | None:  # fmt: skip
-    """The doubt of a site's geometry, where it was assumed; None where it was imaged.
+    """The uncertainty of a site's geometry, where it was assumed; None where it was imaged.
 
     forces : (n_levels,) N of the fitted model at its levels
 

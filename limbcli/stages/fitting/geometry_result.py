@@ -1,4 +1,4 @@
-"""What `fit` tells of an assumed geometry: every variation, and both parts of the intervals."""
+"""What `fit` reports of an assumed geometry: every variation, and both parts of the intervals."""
 
 from __future__ import annotations
 

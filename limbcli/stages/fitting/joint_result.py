@@ -137,7 +137,7 @@ def parameter_table(problem: EstimationProblem, found: Intervals) -> dict[str, d
 
 
 def judge_given_c(c: dict[str, Any], task: JointTask, scale: float) -> None:
-    """c is called fixed where it was given and the data tell less of it than that does.
+    """c is called fixed where it was given and the data determine it less precisely.
 
     c : its row of the table; scale : of the noise's variance, by which that of what was given counts too
     """

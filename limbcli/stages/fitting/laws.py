@@ -22,7 +22,9 @@ from limbcli.materials.ogden import ogden_type
 from limbcli.model import Array, Material, Value
 
 _STEP = 1e-6
-FIBRE_F_KAPPA = 100.0  # held fixed: quadratic elements do not tell it (forces change by 1 to 3 % above 50)
+FIBRE_F_KAPPA = (
+    100.0  # held fixed: quadratic elements do not determine it (forces change by 1 to 3 % above 50)
+)
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,8 @@ _AT_END = 0.01
 
 @dataclass(frozen=True, eq=False)
 class LeastStiffness:
-    """Of one way. by_law: of ln stretch, in the case's count where it tells stretches; of_states: of the
-    same, None where fewer than three states tell theirs. counted : "case" or "unloaded"; measured : ln of
+    """Of one way. by_law: of ln stretch, in the case's count where it gives stretches; of_states: of the
+    same, None where fewer than three states give theirs. counted : "case" or "unloaded"; measured : ln of
     the least and the greatest stretch of the states, at the best fit
     """
 
@@ -46,7 +46,7 @@ class LeastStiffness:
         return not (self.by_law.open_low or self.by_law.open_high)
 
     def words(self) -> str:
-        """One sentence, that says so where the data tell nothing."""
+        """One sentence, which says so where the data do not determine it."""
         frame = (
             "on the stretch scale of the case"
             if self.counted == "case"
@@ -102,7 +102,7 @@ def least_stiffness(
 ) -> list[LeastStiffness]:  # fmt: skip
     """For every way in which states are stretched.
 
-    given : way -> the stretches that the states tell
+    given : way -> the stretches that the states give
     """
     return [_of_way(problem, found, curve, plan, way, given(way)) for way in plan.ways]
 
@@ -120,7 +120,7 @@ def _of_way(
     grid[:, column] = np.exp(_GRID)
 
     def counted(theta: Array) -> float:
-        """ln of the told stretch that is unloaded."""
+        """ln of the given stretch that is unloaded."""
         return float(np.log(theta[place] if place is not None else zero)) if in_case else 0.0
 
     def quantity(theta: Array) -> float:

@@ -15,8 +15,8 @@ from limbcli.stages.site_model.indentation_model import C_KPA
 OBJECTIVES = ("force", "joint", "states")
 COMPARISON = "--compare-element"
 
-# Fields of FitOptions that say nothing to what is asked for. The likelihoods of `joint` and `states` search
-# on a surrogate to its own end, always with intervals; a comparison of elements is of the two fits alone.
+# Fields of FitOptions that have no effect on what is requested. The likelihoods of `joint` and `states`
+# search on a surrogate to its own end, always with intervals; a comparison of elements is of two fits alone.
 _OF_FORCE = ("tolerance", "max_iterations", "intervals", "templates", "time_limit_s")
 _SAYS_NOTHING: Mapping[str, Sequence[str]] = {
     "joint": _OF_FORCE,
@@ -38,7 +38,7 @@ class FitOptions:
     gain_deviation : numerical error of the force, relative, that intervals allow for (None: from
         `mesh --study` where it was run, else by element and edge length)
     cycle : whose loading is fitted, a number or "last" (the last one with three levels of loading)
-    contact_check : solve the fitted model once more with a harder contact, and tell what that changes
+    contact_check : solve the fitted model once more with a harder contact, and report what that changes
     """
 
     c_kpa: float | None = None
@@ -77,13 +77,13 @@ def check_choice(
     """Whether these options go together.
 
     joint_only : options given that speak to the joint fit (or that of states) alone
-    options : the others, of which none may be given that says nothing to what is asked for
+    options : the others, of which none may be given that has no effect on what is requested
 
     Raises
     ------
     CaseError
         If the objective is unknown, FEBio is asked for what only the reference solver does, a
-        stiffness map for what takes one c, or an option says nothing to what was asked for.
+        stiffness map for what takes one c, or an option has no effect on what was requested.
     """
     if objective not in OBJECTIVES:
         fix = f"use {', '.join(OBJECTIVES[:-1])} or {OBJECTIVES[-1]}"

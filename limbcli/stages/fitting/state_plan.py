@@ -1,8 +1,8 @@
 """What of the states' stretches is known, what is searched for, and where each state lies by that.
 
 Told stretches count from lengths that the user chose. Of each way (along, around) the tissue is unloaded at
-one of them: it is given, or, where all states tell the same, that one; else it is searched for. A state's
-elastic stretch is what it tells over that. Stretches that nobody told are searched for as they are.
+one of them: it is given, or, where all states give the same, that one; else it is searched for. A state's
+elastic stretch is what it gives over that. Stretches that are not given are searched for as they are.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ class StretchPlan:
     """ways : those in which any state is stretched; parameters : what is searched for
     offsets (n_states, n_ways), factors (n_states, n_ways, n_parameters) : ln of the elastic stretches is
     offset + factor . ln parameters
-    unloaded : by way, the told stretch that is unloaded where that is not searched for
-    taken : ways in which that was taken, because all states tell the same
+    unloaded : by way, the given stretch that is unloaded where that is not searched for
+    taken : ways in which that was taken, because all states give the same
     """
 
     ways: tuple[str, ...]
@@ -80,12 +80,12 @@ def plan_of(
 
     given : by way, the stretch of every state, None where it is unknown; ways that are left out are not
     stretched
-    known_unloaded : by way, the told stretch at which the tissue is known to be unloaded
+    known_unloaded : by way, the given stretch at which the tissue is known to be unloaded
 
     Raises
     ------
     CaseError
-        If the states do not differ, or tell stretches too far apart to be searched.
+        If the states do not differ, or give stretches too far apart to be searched.
     """
     ways: list[str] = []
     columns: list[Array] = []

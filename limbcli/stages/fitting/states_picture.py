@@ -66,7 +66,7 @@ def _panel(
 def _reading(
     k: int, site: Site, way: str, zero: float, plan: StretchPlan, problem: StatesProblem, found: Intervals
 ) -> StateReading:
-    """Where it was told, a stretch has no interval: what is sure of it is the count of the case."""
+    """Where it was given, a stretch has no interval: it is exact on the case's scale."""
     state, data = site.states[k], problem.task.states[k].data
     rest = int(np.argmin(data.speed_force))
     speed = float(np.exp(data.log_speed[rest]))

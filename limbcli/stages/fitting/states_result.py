@@ -74,7 +74,7 @@ def _stated(site: Site, way: str) -> list[float | None]:
 
 
 def _with_stretches_judged(table: dict[str, dict[str, Any]], plan: StretchPlan) -> dict[str, dict[str, Any]]:
-    """A stretch is known to a few hundredths or not at all: a factor of three tells nothing of it."""
+    """A stretch is known to a few hundredths or not at all: a factor of three means that it is unknown."""
     for parameter in plan.parameters:
         each = table[parameter.name]
         low, high = each["low"], each["high"]
@@ -88,7 +88,7 @@ def _with_stretches_judged(table: dict[str, dict[str, Any]], plan: StretchPlan) 
 def _state(
     k: int, site: Site, plan: StretchPlan, curve: StateCurve, problem: StatesProblem, found: Intervals
 ) -> dict[str, Any]:
-    """One state: what it told, its elastic stretches with their intervals, its speed at rest."""
+    """One state: what it gave, its elastic stretches with their intervals, its speed at rest."""
     data, seen = problem.task.states[k].data, problem.predict(k, found.best)
     values, out = problem.stretch_values(found.best), {}
     for way in WAYS:

@@ -18,7 +18,7 @@ _SKIN_AND_FAT = 0.25  # of the depth to bone, where no border of the fat was rea
 def write_pennation(
     image: UltrasoundImage, borders: Mapping[str, Sequence[BoneLine]], bone: BoneLine, writer: StageWriter
 ) -> None:
-    """`pennation` of measure.json with its picture, and how to use it; why not, where none can be told."""
+    """`pennation` of measure.json with its picture, and how to use it; or why not."""
     fat = borders.get("fat")
     top = fat[0].distance if fat else _SKIN_AND_FAT * bone.distance
     try:

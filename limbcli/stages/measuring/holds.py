@@ -1,4 +1,4 @@
-"""measure: the load cell's record becomes holds: their forces, cycles and phases, and doubts about them."""
+"""measure: the load cell's record becomes holds: their forces, cycles and phases, and warnings about them."""
 
 from __future__ import annotations
 

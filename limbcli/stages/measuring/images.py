@@ -30,7 +30,7 @@ _OFF_BONE = 1.5  # mm above the bone line in which its blur is left out
 class TissueBetween:
     """Where muscle lies below the probe face, mm: from the fat's lower side to the bone, level by level.
 
-    top : None where the images told no layers; bottom : (n_levels,) or None without B-mode
+    top : None where the images gave no layers; bottom : (n_levels,) or None without B-mode
     """
 
     top: float | None
@@ -71,7 +71,7 @@ def tissue_between(
 def images_of(table: Mapping[str, Any], *, box_pixels: Box | None = None) -> list[UltrasoundImage]:
     """One image a level, in the order of their names; numbers in them count as numbers (9 before 10).
 
-    Of files that hold several frames, those that `frame` tells: a list takes all from the only file.
+    Of files that hold several frames, those that `frame` gives: a list takes all from the only file.
     """
     folder: Path = table["path"]
     paths = sorted(filter(_is_image, folder.iterdir()), key=lambda each: _by_numbers(each.name))

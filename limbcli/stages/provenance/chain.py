@@ -3,7 +3,7 @@
 A result carries hashes of its inputs and of its own files, the values of the case that it used, and
 what it took of earlier results (`made_from` and `files_sha256` in its provenance). Before a stage uses
 a result, the whole chain behind it is looked at again; the first link that does not hold, from the
-images on, is named with the commands that mend it.
+images on, is named with the commands that update it.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Chain:
         Raises
         ------
         CaseError
-            If there is none, or a link of the chain does not hold; with the commands that mend it.
+            If there is none, or a link of the chain does not hold; with the commands that update it.
         """
         found = self._read(stage, site)
         broken = found if isinstance(found, BrokenLink) else self.broken(found, about=about)

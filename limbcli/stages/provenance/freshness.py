@@ -54,7 +54,7 @@ _ASKED, _SUBJECT = "asked", "subject"
 class Memory:
     """What the last batch into this output folder did: a key and an output hash per stage.
 
-    And what stages were asked for by hand before it (see `asked`). What was done for another subject
+    And what was requested of stages by hand before it (see `requested`). What was done for another subject
     is forgotten.
 
     site : whose stages are meant; each has a file of its own, as sites may be worked on side by side

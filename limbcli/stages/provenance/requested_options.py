@@ -1,8 +1,8 @@
 """The options a stage was called with, so that a batch calls it in the same way again.
 
-A stage leaves what it was asked for beyond its defaults as `requested` in its JSON. What was
-asked by hand holds for every later batch, until the stage is called by hand without it or the batch
-is told `--defaults`.
+A stage leaves the options requested beyond its defaults as `asked` in its JSON. What was
+requested by hand holds for every later batch, until the stage is called by hand without it or the batch
+is given `--defaults`.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def requested_by_options(options: Any) -> dict[str, Any]:
 
 
 def options_of(kind: type, requested: Requested) -> Any:
-    """A dataclass of options with what was asked; keys that it does not know are left out."""
+    """A dataclass of options with what was requested; unknown keys are ignored."""
     names = {each.name for each in fields(kind)}
     known = {key: value for key, value in requested.items() if key in names}
     if "effects" in known:

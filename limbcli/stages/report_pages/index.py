@@ -96,7 +96,7 @@ _OF_CASE, _OF_SITES = ("segment", "report"), ("mesh", "build-feb", "run", "fit")
 def _is_output(folder: Path) -> bool:
     """A subject's output folder holds a stage's own result, or that its first stage failed.
 
-    Nothing else tells: a subject's folder in `folder` may be named as a stage's is.
+    Nothing else shows it: a subject's folder in `folder` may be named as a stage's is.
     """
     if not folder.is_dir() or folder.name.startswith("."):
         return False

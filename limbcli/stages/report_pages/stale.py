@@ -11,7 +11,7 @@ from limbcli.stages.provenance.commands import commands
 
 
 def stale_results(case: Case, out: Path, outcomes: Outcomes) -> list[str]:
-    """What changed since, the results that it puts in doubt, and the commands that mend them."""
+    """What changed since, the results that are out of date, and the commands that update them."""
     chain = Chain(case, out)
     causes: dict[str, list[tuple[str, BrokenLink]]] = {}
     for outcome in outcomes.done:

@@ -86,7 +86,7 @@ def assumed_limb(case: Case) -> AssumedLimb:
     Raises
     ------
     CaseError
-        With everything that hinders it: layers that do not add up, a site that tells no distance to the bone.
+        With everything that hinders it: layers that do not add up, a site that gives no distance to the bone.
     """
     raise_errors(assumed_problems(case), CaseError)
     return _of_numbers(case.imaging.shape, case) if case.imaging.shape is not None else _of_a_scan(case)

@@ -95,7 +95,7 @@ def check_beside_layers(hidden: Sequence[Hidden], layers: Sequence[str]) -> None
     Raises
     ------
     CaseError
-        They are told by the depth below the skin, where the tissue is not.
+        They are identified by the depth below the skin, where the tissue is not.
     """
     found = [each.name for each in hidden if each.name in _BELOW_SKIN]
     if layers and found:

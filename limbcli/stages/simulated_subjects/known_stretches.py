@@ -16,7 +16,7 @@ from limbcli.stages.site_model.prestretch import WAYS
 @dataclass(frozen=True)
 class KnownStretches:
     """unloaded : stretches, counted as the case's states are, at which the tissue is truly unloaded
-    states : by the state's name, true stretches over the unloaded tissue, where the case tells none
+    states : by the state's name, true stretches over the unloaded tissue, where the case gives none
     """
 
     unloaded: Stretch = field(default_factory=Stretch)
@@ -60,7 +60,7 @@ def parse_stretches(texts: list[str], *, option: str) -> dict[str, float]:
                 where=option, fix=f"for example {option} {name or 'bent'}=0.8",
             )  # fmt: skip
         if name in found:
-            raise CaseError(f"{option} gives state {name} twice", where=option, fix="tell each state once")
+            raise CaseError(f"{option} gives state {name} twice", where=option, fix="give each state once")
         found[name] = value
     return found
 
@@ -78,7 +78,7 @@ def check_stretches(case: Case, sites: tuple[Site, ...], known: KnownStretches) 
     Raises
     ------
     CaseError
-        If stretches are told of states that no site has, or any of a site's states lacks its own.
+        If stretches are given for states that no site has, or any of a site's states lacks its own.
     """
     names = {each.name for site in sites for each in site.states}
     if known.given and not names:
@@ -101,13 +101,13 @@ def check_stretches(case: Case, sites: tuple[Site, ...], known: KnownStretches) 
 def true_states(site: Site, known: KnownStretches) -> list[TrueState]:
     """Every state of a site with its true stretches; none where the site has no states.
 
-    A stretch that the case tells counts from lengths of the user's choice: it is divided by that at which
-    the tissue is unloaded, of the case or of `known`; states that all tell the same are unloaded there.
+    A stretch that the case gives counts from lengths of the user's choice: it is divided by that at which
+    the tissue is unloaded, of the case or of `known`; states that all give the same are unloaded there.
 
     Raises
     ------
     CaseError
-        If a stretch is not known, is told both ways, or is beyond what a fit of states searches.
+        If a stretch is not known, is given both ways, or is beyond what a fit of states searches.
     """
     ways = [[_elastic(site, each, way, known) for each in site.states] for way in WAYS]
     states = [TrueState(each.name, *pair) for each, *pair in zip(site.states, *ways, strict=True)]
@@ -145,7 +145,7 @@ def _elastic(site: Site, state: StretchState, way: str, known: KnownStretches) -
 
 
 def _unloaded(site: Site, way: str, known: KnownStretches) -> float:
-    """The told stretch at which the tissue is unloaded."""
+    """The given stretch at which the tissue is unloaded."""
     of_case, true = getattr(site.unloaded, way), getattr(known.unloaded, way)
     if of_case is not None and true is not None and of_case != true:
         raise CaseError(

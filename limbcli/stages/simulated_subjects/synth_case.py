@@ -22,7 +22,7 @@ _FILES = ("mri", "labels", "skin", "fibres")  # of [imaging]
 
 
 def check_orientations(sites: Sequence[Site]) -> None:
-    """Refuse sites whose pennation is told in the image of a site that will not be in the new case.
+    """Refuse sites whose pennation is given in the image of a site that will not be in the new case.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def _measured_site(raw: Mapping[str, Any], noise: Mapping[str, float]) -> dict[s
 
 
 def borders_at_rest(segmented: StageResult, site: Site) -> Array:
-    """mm (2,) below the skin of skin's and fat's lower borders, as `segment` tells them at a site.
+    """mm (2,) below the skin of skin's and fat's lower borders, as `segment` found them at a site.
 
     Raises
     ------

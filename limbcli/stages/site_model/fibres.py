@@ -1,4 +1,4 @@
-"""The muscle fibres of a site's model, from what its case tells: a direction an element of the tissue."""
+"""The muscle fibres of a site's model, from what its case gives: a direction per element of the tissue."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NOT_TOLD = "no fibre direction is given: along the limb, within the skin"
 
 @dataclass(frozen=True, eq=False)
 class SiteFibres:
-    """axes (n_cells, 3) of the tissue's block, unit, in the site's frame; None: nothing is told.
+    """axes (n_cells, 3) of the tissue's block, unit, in the site's frame; None: nothing is given.
 
     source : in words; deviation_deg : one standard deviation, None where unknown
     facts : for JSON
@@ -42,7 +42,7 @@ class SiteFibres:
 
 
 def with_fibres(case: Case, site: Site, model: LimbModel) -> tuple[LimbModel, SiteFibres]:
-    """The meshed model with the fibres that the case tells, and where they come from.
+    """The meshed model with the fibres that the case gives, and where they come from.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def note_fibres(writer: StageWriter, case: Case, site: Site) -> None:
 def write_fibres(
     found: SiteFibres, model: LimbModel, probe: ProbeShape, site: Site, writer: StageWriter
 ) -> None:
-    """What mesh.json says of the fibres, doubts, and their picture."""
+    """What mesh.json holds of the fibres, warnings, and their picture."""
     near = np.array([limb_axis(model)]) if found.axes is None else found.axes
     axis, _ = mean_axis(near)
     to_patient = patient_from_model(model)[:3, :3]

@@ -1,7 +1,7 @@
 """The layers of a site as they are compared with a simulation: what was read, where it lies, its noise.
 
 A thickness is determined by the two borders of its layer, material lines that were marked at first touch. The
-border at the bone tells nothing beyond the depth, so the layer that lies on it is shown, but not counted.
+border at the bone adds nothing beyond the depth, so the layer that lies on it is shown, but not counted.
 The reading at first touch errs as the others do, and where it says that a line begins decides where it
 is later: with that, readings of one layer have covariance s^2 (1 + g g'), g = thickness over that at
 first touch.

@@ -29,7 +29,7 @@ def skin_bone_of_levels(site: Site) -> float | None:
     try:
         levels = read_levels(site.levels)
     except MeasurementError:
-        return None  # build-feb reads the file again and tells what is wrong with it
+        return None  # build-feb reads the file again and reports what is wrong with it
     value = float(levels.skin_bone[0])
     if np.isnan(value) and "muscle" in levels.layers:
         value = float(sum(each[0] for each in levels.layers.values()))

@@ -122,7 +122,7 @@ def wanted_layers(
     Raises
     ------
     CaseError
-        If a thickness cannot be used, or the images do not tell it.
+        If a thickness cannot be used, or the images do not give it.
     """
     given = {"skin": skin, "fat": fat}
     requested = {name: _requested(site, name, value) for name, value in given.items()}
@@ -151,7 +151,7 @@ def _seen(site: Site, segmented: StageResult, name: str) -> float:
     """What `segment` found at the site (mm)."""
     found = (segmented.data.get("layers") or {}).get(site.name, {}).get(f"{name}_mm")
     if found is None or found < _THINNEST:
-        what = "tell no" if found is None else f"show only {found:.1f} mm as"
+        what = "give no" if found is None else f"show only {found:.1f} mm as"
         raise CaseError(
             f"the images {what} thickness of the {name} at this site",
             where=f"site {site.name}",

@@ -22,7 +22,7 @@ Outcome = Literal["as segmented", "other bones", "either"]
 
 
 def may_be_elsewhere(ours: Diagnosis) -> bool:
-    """Whether other bones could still change what is said: something is missing on the limb as segmented."""
+    """Whether other bones could still change the verdict: something is missing on the limb as segmented."""
     return ours.verdict not in ("adequate", "untestable")
 
 

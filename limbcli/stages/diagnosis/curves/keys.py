@@ -1,4 +1,4 @@
-"""By what a kept simulation is told from others."""
+"""By what a kept simulation is distinguished from others."""
 
 from __future__ import annotations
 

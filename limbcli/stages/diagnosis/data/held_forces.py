@@ -1,4 +1,4 @@
-"""What a load-cell record says of relaxation: how the force falls within each hold.
+"""What a load-cell record shows of relaxation: how the force falls within each hold.
 
 Two numbers a hold, not thousands of samples: ln of the force at its start over that in its first
 third, and of that over its end. They are compared with the elastic force at the recorded depth, relaxed and

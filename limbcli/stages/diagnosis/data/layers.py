@@ -1,6 +1,6 @@
 """Layers as a channel of the diagnosis: rows, slopes, noise, and the lines of a model.
 
-A datum is the thickness of a layer at a level under load; the layer on the bone tells nothing beyond the
+A datum is the thickness of a layer at a level under load; the layer on the bone adds nothing beyond the
 depth and is left out. The models carry the layers' borders as material lines, marked where they were read at
 first touch.
 """

@@ -47,7 +47,7 @@ from limbcli.stages.diagnosis.data.windows import Windows, pitch_of
 from limbcli.stages.site_model.layer_readings import LayerReadings
 
 USUAL_THICKNESS = 25.0  # mm, where the beam meets no bone
-_LEAST_N = 0.2  # below it a force tells no depth
+_LEAST_N = 0.2  # below it a force determines no depth
 
 
 @dataclass(frozen=True, eq=False)

@@ -151,7 +151,7 @@ class _Runs:
                 break
             except SolveError as error:
                 problem = problem or error.what
-            except LimbError as error:  # shorter steps will not mend that
+            except LimbError as error:  # shorter steps will not help
                 problem = error.what
                 break
         if hold is None:

@@ -123,7 +123,7 @@ class Changes:
     """Of one site's simulations.
 
     m : the exponent whose kept deformation is used
-    not_simulated : effects that spread the load -> why their simulation, which tells that, has no answer
+    not_simulated : effects that spread the load -> why their simulation, which shows that, has no solution
     """
 
     def __init__(self, simulations: CurveSource, *, progress: Progress):
@@ -195,7 +195,7 @@ class Changes:
             theta = {**effect.null, **point, p.name: value}
             try:
                 moved = shifted(self.simulations, self.m, ((effect, theta),))
-            except SolveError as error:  # too large a step; smaller ones tell the change
+            except SolveError as error:  # too large a step; smaller ones give the change
                 problem = error
                 continue
             moved = filled(np.where(known, moved, 0.0))
@@ -216,7 +216,7 @@ class Changes:
         return CubicSpline(np.array(places)[order], table)
 
     def _missed(self, effect: Effect, point: Theta, p: Parameter) -> Array:
-        """What the kept deformation does not tell of a change: from one solve at the start value."""
+        """What the kept deformation does not show of a change: from one solve at the start value."""
         m, theta = self.m, {**effect.null, **point, p.name: p.start}
         try:
             if self.simulations.spent:

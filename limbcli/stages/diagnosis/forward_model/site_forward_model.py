@@ -107,8 +107,8 @@ class SiteForwardModel(Fits):
         return self.plausible(fitted, deviance, points)
 
     def reported(self, fitted: Fitted, *, scale: float = 1.0, besides: Array | None = None) -> Reported:
-        """Values with their intervals, from the profile over m; those of c and m wider where maps tell them
-        (`thresholds.MAP_DOUBT`)."""
+        """Values with their intervals, from the profile over m; those of c and m wider where maps determine
+        them (`thresholds.MAP_DOUBT`)."""
         whiten = self.whiten if besides is None else Whitener.of(self.data.noise.covariance + besides)
 
         def walk(m: float, start: Mapping[str, float]) -> Conditional:

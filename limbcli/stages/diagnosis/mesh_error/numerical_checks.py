@@ -62,7 +62,7 @@ INCOMPRESSIBILITY = Effect(
 class Intervention:
     """A numerical effect tried: ln of the force's change at the levels, and its largest in deviations.
 
-    left : the share of the change that is still in doubt
+    left : the share of the change that is still uncertain
     """
 
     name: str
@@ -193,7 +193,7 @@ class NumericalChecks:
 
 
 def large_uncertainty(interventions: Sequence[Intervention]) -> str | None:
-    """A warning where numerical doubt is a large part of the force: over thin tissue, mostly."""
+    """A warning where numerical uncertainty is a large part of the force: over thin tissue, mostly."""
     worst = {
         each.name: each.left * float(np.max(np.abs(each.log_force)))
         for each in interventions
