@@ -13,8 +13,8 @@ Standard errors come from the curvature of the likelihood with the prior: the in
 less what is lost as their parameters are not seen. Rows of one person are not independent: where there are
 any, errors are no smaller than by the scatter of the people's own scores. Few people leave more uncertainty
 than a Gaussian of that error has: a mean is that of Student's t for as many people less one, the upper end
-of a deviation that of chi-square. What a row takes from the mean, it takes with the mean's uncertainty (Morris
-1983, J Am Stat Assoc 78:47).
+of a deviation that of chi-square. What a row takes from the mean, it takes with the mean's uncertainty
+(Morris 1983, J Am Stat Assoc 78:47).
 
 Source: Dempster, Laird and Rubin 1977, J R Stat Soc B 39:1; Gelman et al. 2013, Bayesian Data Analysis,
 sections 10.4 (importance sampling) and 13.6 (EM for a hierarchical model); Louis 1982, J R Stat Soc B 44:226

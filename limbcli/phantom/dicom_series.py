@@ -101,7 +101,7 @@ def _describe(dataset: pydicom.Dataset, *, subject: str) -> None:
         "PatientBirthDate": "",
         "PatientSex": "O",
         "PatientIdentityRemoved": "YES",
-        "DeidentificationMethod": "not a person: made by limbcli phantom",
+        "DeidentificationMethod": "never a person: made by limbcli phantom",
         "BodyPartExamined": "LEG",
         "PatientPosition": "FFS",
         "StudyID": "1",

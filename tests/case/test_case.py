@@ -74,7 +74,7 @@ def test_unknown_key_suggests_the_nearest(folder: Path):
     ("old", "new", "expected"),
     [
         ("format = 1", "format = 2", "format"),
-        ("format = 1", "", "lacks 'format'"),
+        ("format = 1", "", "is missing 'format'"),
         ('mri = "mri"', "", "specifies no geometry"),
         ('mri = "mri"', 'mri = "nowhere"', "not found"),
         ('mri = "mri"', 'mri = "case.toml"', "is neither a folder nor a volume"),

@@ -227,7 +227,7 @@ def test_any_measured_depths_get_exact_short_times(seed: int) -> None:
 
 def test_depths_that_do_not_grow_are_refused() -> None:
     for depths in ([], [1.0, 1.0], [2.0, 1.0], [0.01, 1.0]):
-        with pytest.raises(CaseError, match="do not grow"):
+        with pytest.raises(CaseError, match="do not increase"):
             schedule(depths)
 
 
@@ -238,7 +238,7 @@ def test_a_depth_that_the_tissue_does_not_have_is_refused(case: Case, tmp_path: 
         found["data"] |= {"checks": {"skin_bone_mm": thick}, "measured_skin_bone_mm": None}
         path.write_text(json.dumps(found))
         if is_refused:
-            with pytest.raises(MeasurementError, match=r"goes to 3.25 mm, .* has 3.25 mm"):
+            with pytest.raises(MeasurementError, match=r"reaches 3.25 mm, .* has 3.25 mm"):
                 build_feb(case, out=tmp_path / "out")
         else:
             build_feb(case, out=tmp_path / "out")

@@ -148,7 +148,7 @@ def test_a_distance_to_the_bone_that_the_levels_contradict_is_told(folder: Path)
     for stated, reported in ((20, True), (47, False)):
         (folder / "case.toml").write_text(f"{ONE_SITE}skin_bone_mm = {stated}\n")
         whats = [each.what for each in check(folder).problems]
-        assert any("level 0 of its levels says 48.0" in each for each in whats) is reported
+        assert any("level 0 of its levels gives 48.0" in each for each in whats) is reported
 
 
 def test_a_distance_that_only_the_site_states_is_held_against_the_mesh(folder: Path):
@@ -163,11 +163,11 @@ def test_readings_that_two_sites_share_are_told(folder: Path):
     (folder / "levels.csv").write_text("force_n,depth_mm\n0,0\n2,1\n4,2\n6,3\n")
     second = SITE.format(name="p2", levels="./levels.csv")
     (folder / "case.toml").write_text(ONE_SITE + second)
-    (reported,) = [each for each in check(folder).problems if "name the same" in each.what]
-    assert (reported.what, reported.severity) == ("sites p1 and p2 name the same levels.csv", "warning")
+    (reported,) = [each for each in check(folder).problems if "use the same" in each.what]
+    assert (reported.what, reported.severity) == ("sites p1 and p2 use the same levels.csv", "warning")
     (folder / "second.csv").write_text("force_n,depth_mm\n0,0\n2,1\n4,2\n6,3\n")
     (folder / "case.toml").write_text(ONE_SITE + second.replace("./levels.csv", "second.csv"))
-    assert not any("name the same" in each.what for each in check(folder).problems)
+    assert not any("use the same" in each.what for each in check(folder).problems)
 
 
 def test_exit_code_is_that_of_the_measurement_where_only_that_is_wrong(folder: Path):
@@ -239,7 +239,7 @@ def test_layers_are_shown_and_judged_by_the_noise_of_the_case(tmp_path):
 
 
 def test_the_command_counts_what_is_to_be_mended(tmp_path: Path, capsys):
-    for text, count in (("format = 1\n", "4 errors to mend"), (ONE_SITE, "1 error to mend")):
+    for text, count in (("format = 1\n", "4 errors to correct"), (ONE_SITE, "1 error to correct")):
         (tmp_path / "case.toml").write_text(text)
         (tmp_path / "levels.csv").write_text("force_n,depth_mm\n0,0\n2,1\n4,2\n6,3\n")
         with pytest.raises(SystemExit):

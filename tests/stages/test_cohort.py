@@ -75,7 +75,7 @@ def test_twelve_rows_end_in_a_page_a_table_and_a_json(twelve):
     assert page.count("data:image") == 4
     assert "Who stands out?" in page
     assert re.findall(r"<h(\d)", page) == ["1", *("2" for _ in range(6))], "no level of headings is left out"
-    assert f"from {low:.1f} to {high:.1f} % (95 %)" in page
+    assert f"between {low:.1f} and {high:.1f} % (95 %)" in page
     assert {each.suffix for each in (out / "pictures").iterdir()} == {".png", ".svg", ".csv"}
     assert result.summary[0] == "12 rows of 12 people"
 

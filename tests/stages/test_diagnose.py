@@ -81,7 +81,7 @@ def test_a_users_effect_is_tried_beside_those_named_and_numerical_ones_cannot_be
     path.write_text(OWN)
     chosen = chosen_effects(DiagnoseOptions(effect_file=path, effects=("force-zero",)))
     assert [each.name for each in chosen] == ["force-zero", "slip"]
-    with pytest.raises(CaseError, match="'locking' cannot be named"):
+    with pytest.raises(CaseError, match="'locking' cannot be selected"):
         chosen_effects(DiagnoseOptions(effects=("locking",)))
 
 

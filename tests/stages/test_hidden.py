@@ -183,7 +183,7 @@ def test_skin_and_fat_are_not_hidden_in_tissue_below_layers_of_its_mesh():
     hidden = [hide("contraction"), hide("skin-layer")]
     check_beside_layers(hidden, ())
     check_beside_layers(hidden[:1], ("fat",))
-    with pytest.raises(CaseError, match="skin-layer cannot be hidden where the mesh has fat"):
+    with pytest.raises(CaseError, match="skin-layer cannot be hidden where the mesh has separate fat"):
         check_beside_layers(hidden, ("fat",))
 
 

@@ -321,7 +321,7 @@ def test_a_poor_fit_is_told_before_anything_else(tmp_path):
     assert glance.sentence.startswith("Poor fit at p1")
     assert glance.mood == "failed"
     assert glance.sites[0].facts[0].remark.startswith("poor fit")
-    assert glance.sites[0].sentence.startswith("Poor fit: it misses")
+    assert glance.sites[0].sentence.startswith("Poor fit: it differs")
 
 
 def test_page_of_a_case_that_cannot_be_read_has_a_paragraph_a_problem(tmp_path):
@@ -336,7 +336,7 @@ def test_page_of_a_case_that_cannot_be_read_has_a_paragraph_a_problem(tmp_path):
     assert n > 3
     assert len([each for each in page.all("div") if each.get("class") == "problem"]) == n
     assert f"{n} problems:" in page.text
-    assert page.text.count("[subject] lacks 'id'") == 1, "not once more in one long line"
+    assert page.text.count("[subject] is missing 'id'") == 1, "not once more in one long line"
     assert f"limbcli check '{folder}'" in page.text
     assert "CASE" not in page.text
 
@@ -359,7 +359,7 @@ def test_summary_says_what_to_measure_next(tmp_path):
         powers = {"power_for_its_worst_pair": 0.05, "power_for_its_best_pair": 0.92}
         writer.data["next_measurement"] = {"recommended": "larger", **powers, "menu": menu}
     (several,) = [each.next_steps for each in overview(gather(case, out=out)).sites]
-    assert "apart in 5 to 92 of 100 cases" in several[0]
+    assert "explanations in 5 to 92 of 100 cases" in several[0]
     assert not any("limbcli diagnose" in each for each in steps)
 
 
@@ -622,7 +622,7 @@ def test_a_template_of_the_users_that_nothing_uses_is_refused(tmp_path):
     (tmp_path / "report" / "own.j2").write_text("mine")
     assert render("index.html.j2", {}, templates=tmp_path) == "mine"
     (tmp_path / "report" / "styles.css").write_text("body { color: red }")
-    with pytest.raises(CaseError, match=r"styles\.css is used by nothing") as caught:
+    with pytest.raises(CaseError, match=r"styles\.css is not used") as caught:
         render("index.html.j2", {}, templates=tmp_path)
     assert "did you mean style.css" in caught.value.fix
 

@@ -183,7 +183,7 @@ def test_a_map_of_diffusion_mri_gives_every_element_its_axis(made, model):
 def test_a_map_outside_the_limb_is_refused(made, model):
     limb_map(made[0] / "v1.nii.gz", shift=200.0)
     case = case_with(made[0], imaging='fibres = "v1.nii.gz"\n')
-    with pytest.raises(CaseError, match=r"says nothing about 100 % of the tissue.*outside the limb"):
+    with pytest.raises(CaseError, match=r"has no data for 100 % of the tissue.*outside the limb"):
         with_fibres(case, case.sites[0], replace(model, fibres=None))
 
 

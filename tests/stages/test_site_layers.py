@@ -109,7 +109,7 @@ def test_case_file_holds_layers(case: Case) -> None:
     assert (law.law, law.c, law.assumed) == ("neo_hooke", pytest.approx(0.0012), ("f_kappa",))
     for wrong, message in (
         ('[site.layers.fat]\nthickness_mm = "thick"\n', "not a number"),
-        ("[site.layers.fat]\nc_kpa = 1.0\n", "lacks 'thickness_mm'"),
+        ("[site.layers.fat]\nc_kpa = 1.0\n", "is missing 'thickness_mm'"),
         ("[site.layers.tendon]\nthickness_mm = 1.0\n", "unknown layer 'tendon'"),
     ):
         case.file.write_text(text + wrong)
@@ -120,8 +120,8 @@ def test_case_file_holds_layers(case: Case) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("bone:c_kpa=2", "not understood"),
-        ("fat", "not understood"),
+        ("bone:c_kpa=2", "not valid"),
+        ("fat", "not valid"),
         ("fat:c_kpa=soft", "not a number"),
         ("fat:stiffness=2", "unknown key 'stiffness'"),
         ("fat:f_kappa=1e9", "plausible"),

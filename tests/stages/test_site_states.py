@@ -110,7 +110,7 @@ def test_told_and_unknown_stretches_and_both_ways_go_together():
     [
         ({"along": [1.0, 1.0], "around": [1.0, 1.0]}, {}, "do not differ in their stretch"),
         ({"along": [0.9, 1.9]}, {"along": 1.0}, "a state's stretch along the limb is 1.9"),
-        ({"along": [0.5, 2.0]}, {}, "0.6 to 1.6 is possible"),
+        ({"along": [0.5, 2.0]}, {}, "possible values are 0.6 to 1.6"),
     ],
 )
 def test_states_that_tell_nothing_or_too_much_are_errors(given, known, message):

@@ -160,7 +160,7 @@ def test_what_the_case_knows_as_unloaded_needs_no_option(tmp_path):
         ),
         (
             {"middle": 0.9, "bent": None}, KnownStretches(), "",
-            "does not know the state's stretch around the limb", "--stretch-around bent=1.0",
+            "does not give the state's stretch around the limb", "--stretch-around bent=1.0",
         ),
         (
             state_case.TOLD, known_stretches({}, {"bent": 0.8}, Stretch(around=0.95)), "",
@@ -173,7 +173,7 @@ def test_what_the_case_knows_as_unloaded_needs_no_option(tmp_path):
         ),
         (
             state_case.TOLD, KnownStretches(Stretch(around=0.6)), "",
-            "state straight would stretch the tissue around the limb to 1.83 of unloaded", "correct",
+            "state straight would stretch the tissue around the limb to 1.83 of its unloaded", "correct",
         ),
     ],
 )  # fmt: skip
@@ -190,7 +190,7 @@ def test_a_stretch_of_the_command_line_names_its_state(text):
     with pytest.raises(CaseError, match="not a state's name and its stretch") as caught:
         parse_stretches([text], option="--stretch-along")
     assert caught.value.where == "--stretch-along"
-    with pytest.raises(CaseError, match="tells state bent twice"):
+    with pytest.raises(CaseError, match="gives state bent twice"):
         parse_stretches(["bent=0.8", "bent=0.9"], option="--stretch-along")
 
 
