@@ -77,13 +77,13 @@ def command(
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
 ) -> None:
-    """All stages of one or more cases, from images to report; redoes only what changed.
+    """Run all stages of one or more cases, from images to report; only what changed is redone.
 
-    A stage that was called by hand with options is called with them again, and that is said.
+    A stage last called by hand with options is called with them again, with a note.
     With one CASE, --out is its output folder; with several, the folder that holds
-    one output folder a case, and an index page. The last line printed is the report
-    (of several cases, the index). A case that fails does not stop the others: who failed,
-    where and why is listed at the end.
+    one output folder per case, and an index page. The last line printed is the report
+    (of several cases, the index). A case that fails does not stop the others: the failed ones
+    are listed at the end, with place and reason.
     """
     from limbcli.config import default_out
     from limbcli.stages.batch_cases import n_processes, output_folders

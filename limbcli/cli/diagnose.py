@@ -77,7 +77,7 @@ def command(
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
 ) -> None:
-    """Where model and measurement disagree, what is missing, and what to measure next."""
+    """Find where model and measurement disagree, what is missing, and what to measure next."""
     from limbcli.case import Case
     from limbcli.config import default_out
     from limbcli.stages.diagnose import DiagnoseOptions, diagnose

@@ -15,9 +15,9 @@ _MARKS = {"good": "  ", "note": "- ", "missing": "! "}
 def command(
     febio: FebioOpt = None, json: JsonOpt = False, quiet: QuietOpt = False, verbose: VerboseOpt = 0
 ) -> None:
-    """What this machine has of what limbcli needs: versions, libraries, solvers with a self test, memory.
+    """Check this machine for limbcli's requirements: versions, libraries, solvers with a self test, memory.
 
-    Exit code 4 where something needed is missing; every such line says what to do.
+    Exit code 4 if a requirement is missing; every such line gives the fix.
     """
     from limbcli.stages.doctor import doctor
 

@@ -25,7 +25,7 @@ def command(
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
 ) -> None:
-    """Load-cell record, B-mode and elastography images to the rows of levels.csv."""
+    """Convert the load-cell record, B-mode and elastography images to the rows of levels.csv."""
     from limbcli.case import Case
     from limbcli.config import default_out
     from limbcli.stages.measure import measure

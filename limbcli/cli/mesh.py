@@ -95,7 +95,7 @@ def command(
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
 ) -> None:
-    """Surfaces and site to the local finite-element model."""
+    """Build the local finite-element model of a site from the surfaces."""
     from limbcli.case import Case
     from limbcli.config import default_out
     from limbcli.stages.mesh import mesh

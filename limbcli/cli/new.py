@@ -32,9 +32,9 @@ def command(
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
 ) -> None:
-    """A case folder to fill in: commented case.toml, levels.csv, and where to put things.
+    """Create a case folder to fill in: commented case.toml, levels.csv, and a README that says where data go.
 
-    Nothing that is there is changed: a folder that holds anything is refused.
+    Existing files are never changed: a folder that is not empty is rejected.
     """
     from limbcli.stages.new import new
 

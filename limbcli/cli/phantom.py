@@ -45,7 +45,7 @@ def command(
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
 ) -> None:
-    """A synthetic subject whose truth is known: MRI, measurements, truth."""
+    """Create a synthetic subject with known truth: MRI, measurements, truth."""
     from limbcli.stages.phantom import USUAL_SITES, PhantomOptions, phantom, refuse_unheard
 
     if no_measurement:

@@ -58,10 +58,10 @@ def command(
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
 ) -> None:
-    """MRI or CT series to label map, closed surfaces and markers.
+    """Segment an MRI or CT series into a label map, closed surfaces and markers.
 
-    A label map edited by hand in the output folder (labels.nii.gz) wins over the automatic one.
-    A site that does not lie on the skin ends it with an error after everything is written.
+    A label map edited by hand in the output folder (labels.nii.gz) takes precedence over the automatic one.
+    If a site is not on the skin, the command ends with an error after everything is written.
     """
     if limb not in (None, "left", "right"):
         raise typer.BadParameter("left or right", param_hint="--limb")

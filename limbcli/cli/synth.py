@@ -76,7 +76,7 @@ def command(
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
 ) -> None:
-    """Measurements with known parameters on the geometry of an existing case, as a new case."""
+    """Simulate measurements with known parameters on the geometry of an existing case, as a new case."""
     from limbcli.case import Case
     from limbcli.case.parts import Stretch
     from limbcli.config import default_out

@@ -165,7 +165,7 @@ def _rule(name: str, rule: object, path: Path) -> Mapping[str, Any]:
     wrong = ""
     if not isinstance(rule, dict) or not rule or set(rule) - _RULES:
         fix = suggestion(str(next(iter(set(rule) - _RULES), "") if isinstance(rule, dict) else rule), _RULES)
-        wrong = "is not understood"
+        wrong = "is not valid"
     elif "is" in rule:
         wrong = "has `is` together with other keys" if len(rule) > 1 else ""
         fix = "remove the others: `is` means equal"

@@ -117,7 +117,7 @@ def test_a_layer_beside_the_tissue_is_no_error_of_a_mesh(ran, tmp_path):
     assert not correction.log_force.any()
     assert correction.mesh_error.max() < 0.2
     assert "has layers (fat) as well as the tissue" in notes.warnings[0]
-    with pytest.raises(CaseError, match="has fat beside the tissue"):
+    with pytest.raises(CaseError, match="has fat as well as the tissue"):
         own_run(site, layered, c=C)
     mine, reported = SimpleNamespace(site=site), SimpleNamespace(warnings=[])
     written.write_diagnosed(None, None, mine, reported, out=layered, number=0)

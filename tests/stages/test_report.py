@@ -478,7 +478,7 @@ def test_figures_are_files_too(whole):
 
 def test_every_caption_says_what_bad_looks_like(whole):
     _, page = whole
-    assert page.text.count("Look for:") == page.text.count("Bad is:") >= 8
+    assert page.text.count("Look for:") == page.text.count("Warning signs:") >= 8
 
 
 def test_a_report_of_nothing_is_a_page_of_gaps(tmp_path):
