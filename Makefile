@@ -37,7 +37,7 @@ demo: env        ## the main job: a synthetic subject through every stage, to a 
 	$(LIMBCLI) mesh $(DEMO)/subject --out $(DEMO)/results --size-mm 4 --far-size-mm 12
 	$(LIMBCLI) batch $(DEMO)/subject --out $(DEMO)/results --diagnose
 	@echo "hidden in the measurements:  $$(sed -n 's/^effect = "\(.*\)"/\1/p' $(DEMO)/subject/truth/truth.toml)"
-	@sed -n 's/^ *"p1: the diagnosis says: \(.*\)",*$$/the diagnosis says:         \1/p' $(DEMO)/results/report/report.json
+	@sed -n 's/^ *"p1: diagnosis: \(.*\)",*$$/diagnosis:                 \1/p' $(DEMO)/results/report/report.json
 	@echo "the whole of it, to be opened in a browser: $(DEMO)/results/report/report.html"
 
 lint: env        ## style and format

@@ -131,7 +131,7 @@ def clear_partial(folder: Path) -> None:
 
 
 def _maker() -> str:
-    """This process, as the names of its partial files tell it: its number, and the computer."""
+    """This process, as the names of its partial files show it: its number, and the computer."""
     return f"{os.getpid()}@{_computer()}"
 
 
@@ -206,7 +206,7 @@ def sha256(path: Path) -> str:
 
 def _file_hash(path: Path) -> str:
     """Remembered while size, inode and both time stamps stay; not of a file changed a moment ago, whose
-    stamps need not tell of a change that follows at once."""
+    stamps need not show a change that follows at once."""
     stamp = _stamp(path)
     if stamp in _known:
         return _known[stamp]

@@ -29,13 +29,14 @@ def templates_folder(override: Path | None = None) -> Path:
             raise ToolError(
                 f"the template folder {override} does not exist",
                 where="--templates",
-                fix="name a folder that holds feb/*.j2, or leave the option out",
+                fix="give a folder that contains feb/*.j2, or omit the option",
             )
         if not any((override / each).is_dir() for each in ("feb", "report")):
             raise ToolError(
-                f"the template folder {override} holds neither feb/ nor report/",
+                f"the template folder {override} contains neither feb/ nor report/",
                 where="--templates",
-                fix="put your templates into feb/ (of the model file) or report/ (of the pages) below it",
+                fix="put your templates into its subfolders feb/ (for the model file) or report/ (for the "
+                "pages)",
             )
         return override
     for folder in (PACKAGE.parent / "templates", PACKAGE / "_templates"):
@@ -70,7 +71,9 @@ def at_home(path: Path) -> Path:
         return path.expanduser()
     except RuntimeError as error:
         raise CaseError(
-            f"it is not known which folder {path.parts[0]} means", where=str(path), fix="give the whole path"
+            f"cannot determine which folder {path.parts[0]} refers to",
+            where=str(path),
+            fix="give the whole path",
         ) from error
 
 
@@ -80,8 +83,8 @@ def at_most(threads: int) -> int:
 
     A batch whose processes share the cores sets both for each of them.
     """
-    said = (os.environ.get(name, "").split(",")[0].strip() for name in (THREADS, "OMP_NUM_THREADS"))
-    allowed = next((int(each) for each in said if each.isdigit()), threads)
+    values = (os.environ.get(name, "").split(",")[0].strip() for name in (THREADS, "OMP_NUM_THREADS"))
+    allowed = next((int(each) for each in values if each.isdigit()), threads)
     return max(1, min(threads, allowed))
 
 

@@ -28,11 +28,11 @@ def keep_kernels(package: Path) -> Path | None:
 
     None where that is beside the sources; else the folder, which goes to child processes, too.
     """
-    said = os.environ.get(VARIABLE, "")
-    if not said and _is_writable(package):
+    given = os.environ.get(VARIABLE, "")
+    if not given and _is_writable(package):
         return None
     name = _BEGIN + digest(package.rglob("*.py"))[:_LETTERS]
-    folder = _first_usable([_besides(Path(said)) / name] if said else [])
+    folder = _first_usable([_besides(Path(given)) / name] if given else [])
     if folder is None and not _is_writable(package):
         folder = _first_usable(_places(name))
     if folder is None:
@@ -49,9 +49,9 @@ def digest(sources: Iterable[Path]) -> str:
     return hashlib.sha256(b"".join(each for each in texts if any(w in each for w in _COMPILED))).hexdigest()
 
 
-def _besides(said: Path) -> Path:
+def _besides(given: Path) -> Path:
     """The folder that was named, also where the process that started this one took a part of it already."""
-    return said.parent if said.name.startswith(_BEGIN) else said
+    return given.parent if given.name.startswith(_BEGIN) else given
 
 
 def _is_writable(package: Path) -> bool:

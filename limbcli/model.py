@@ -239,7 +239,7 @@ class LimbModel:
     `info` carries plain facts for pictures and checks (site, probe size, the
     transform `patient_from_model` as 16 numbers row by row, ...).
     `fibres`: the direction of muscle fibres in every cell of the tissue, unit vectors (n_cells, 3) in the
-    site's frame, sign without meaning; None where nobody told them. A law uses them only where it says so.
+    site's frame, sign without meaning; None where they were not given. A law uses them only where it says so.
     """
 
     mesh: Mesh

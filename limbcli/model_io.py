@@ -82,7 +82,7 @@ def load_model(path: Path) -> LimbModel:
             raise ValueError(f"format {described['format']} where {FORMAT} was expected")
         found = _decode(described["model"], arrays)
         if not isinstance(found, LimbModel):
-            raise ValueError("it holds no model")
+            raise ValueError("it contains no model")
         return found
     except _DAMAGED as error:
         raise CaseError(

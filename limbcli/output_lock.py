@@ -91,7 +91,7 @@ def _made(folder: Path) -> None:
         if in_words(error, folder) is not None:
             raise
         raise CaseError(
-            f"the output folder cannot be made ({error.strerror})",
+            f"the output folder cannot be created ({error.strerror})",
             where=str(folder),
             fix="name another --out",
         ) from error
@@ -99,7 +99,7 @@ def _made(folder: Path) -> None:
 
 def _locked(folder: Path, name: str, *, wait: bool, progress: Progress, alone: bool) -> TextIO:
     """The lock's file, held; a file that another has removed meanwhile does not count."""
-    is_told = False
+    is_announced = False
     while True:
         _made(folder)
         stream = (folder / name).open("a+", encoding="utf-8")
@@ -116,11 +116,11 @@ def _locked(folder: Path, name: str, *, wait: bool, progress: Progress, alone: b
             raise CaseError(
                 f"{holder} is writing into this output folder",
                 where=str(folder),
-                fix="wait for it to end (leave --no-wait out), or name another --out",
+                fix="wait for it to finish (omit --no-wait), or give another --out",
             )
-        if not is_told:
+        if not is_announced:
             progress.event("note", text=f"waiting: {holder} is writing into {folder} (--no-wait refuses)")
-            is_told = True
+            is_announced = True
         time.sleep(_LOOK_S)
 
 

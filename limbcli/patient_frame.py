@@ -8,7 +8,7 @@ from limbcli.model import Array
 
 HEAD = np.array([0.0, 0.0, 1.0])
 _SIDES = (("right", "left"), ("anterior", "posterior"), ("foot", "head"))  # along -, + of patient LPS
-_ALSO = 0.5  # of a direction's length: a second side is told, too, beyond 30 degrees
+_ALSO = 0.5  # of a direction's length: a second side is named, too, beyond 30 degrees
 
 
 def toward_head(axis: Array) -> Array:
@@ -23,5 +23,5 @@ def side_of(direction: Array) -> str:
     ['right', 'head and anterior', 'posterior']
     """
     share = np.asarray(direction, dtype=float) / np.linalg.norm(direction)
-    told = [k for k in np.argsort(-np.abs(share), kind="stable") if abs(share[k]) > _ALSO]
-    return " and ".join(_SIDES[k][int(share[k] > 0)] for k in told)
+    axes = [k for k in np.argsort(-np.abs(share), kind="stable") if abs(share[k]) > _ALSO]
+    return " and ".join(_SIDES[k][int(share[k] > 0)] for k in axes)

@@ -127,9 +127,10 @@ def _refuse_foreign(target: Path, work: Path, stage: str) -> None:
             return
     if target.exists():
         raise CaseError(
-            f"what lies where `{stage}` leaves its result is none of limbcli's, and would be replaced",
+            f"the path to which `{stage}` writes its result holds something not made by limbcli, which "
+            f"would be replaced",
             where=str(target),
-            fix="move it away, or name another --out",
+            fix="move it away, or give another --out",
             foreign=str(target),
         )
 
@@ -229,7 +230,7 @@ def read_result(out: Path, stage: str, *, site: str | None = None) -> StageResul
         content = json.loads(path.read_text(encoding="utf-8"))
         for name in ("files", "data", "provenance"):
             if not isinstance(content[name], dict):
-                raise ValueError(f"`{name}` is no table")
+                raise ValueError(f"`{name}` is not a table")
         found = StageResult(
             stage=content["stage"],
             subject=content["subject"],

@@ -19,16 +19,16 @@ _TOLD_IN = ".md"  # a README beside the templates
 
 
 class TemplateFolders(jinja2.FileSystemLoader):
-    """Looks in one folder after the other. asked : names of what was loaded, in order"""
+    """Looks in one folder after the other. requested : names of what was loaded, in order"""
 
     def __init__(self, folders: Sequence[Path]):
         super().__init__(folders)
-        self.asked: list[str] = []
+        self.requested: list[str] = []
 
     def get_source(
         self, environment: jinja2.Environment, template: str
     ) -> tuple[str, str, Callable[[], bool]]:
-        self.asked.append(template)
+        self.requested.append(template)
         return super().get_source(environment, template)
 
 
@@ -44,9 +44,9 @@ def filled(environment: jinja2.Environment, template: str, facts: Mapping[str, A
         return environment.get_template(template).render(facts)
     except (jinja2.TemplateError, *_OF_EXPRESSIONS) as error:
         raise CaseError(
-            f"a template is faulty: {error or type(error).__name__}",
+            f"a template is invalid: {error or type(error).__name__}",
             where=_place(error, environment, template),
-            fix=f"compare it with limbcli's own {ours}, or leave --templates out",
+            fix=f"compare it with limbcli's own {ours}, or omit --templates",
         ) from error
 
 
@@ -66,14 +66,14 @@ def refuse_unused(environment: jinja2.Environment, folder: Path, ours: Path, *, 
     known = {path.name for path in ours.iterdir() if path.suffix != _TOLD_IN}
     endings = {Path(name).suffix for name in known}
     for path in sorted(each for each in folder.glob("*.*") if each.suffix in endings):
-        if path.name not in known and f"{below}{path.name}" not in environment.loader.asked:
+        if path.name not in known and f"{below}{path.name}" not in environment.loader.requested:
             near = difflib.get_close_matches(path.name, sorted(known), n=1)
             raise CaseError(
-                f"the template {path.name} is used by nothing",
+                f"the template {path.name} is not used",
                 where=str(path),
                 fix=f"did you mean {near[0]}?"
                 if near
-                else f"include it, or call it one of {', '.join(sorted(known))}",
+                else f"include it, or rename it to one of {', '.join(sorted(known))}",
             )
 
 
@@ -83,7 +83,7 @@ def _place(error: Exception, environment: jinja2.Environment, template: str) -> 
         return f"{error.filename or error.name or template}, line {error.lineno}"
     if isinstance(error, UnicodeDecodeError):
         loader = environment.loader
-        return loader.asked[-1] if isinstance(loader, TemplateFolders) and loader.asked else template
+        return loader.requested[-1] if isinstance(loader, TemplateFolders) and loader.requested else template
     frames = [
         each for each in traceback.extract_tb(error.__traceback__) if Path(each.filename).suffix == ".j2"
     ]

@@ -44,10 +44,10 @@ def read_triangles(path: Path) -> tuple[_Points, _Faces]:
     except _DAMAGED as error:
         raise OSError(str(error) or type(error).__name__) from error
     if points.ndim != 2 or points.shape[1] < 3:
-        raise OSError("its points have no three coordinates")
+        raise OSError("its points do not have three coordinates")
     faces = np.concatenate([np.zeros((0, 3), np.int64), *(_fans(each) for each in polygons if each.size)])
     if len(faces) and not 0 <= faces.min() <= faces.max() < len(points):
-        raise OSError(f"a triangle names a point that is not there (of {len(points)})")
+        raise OSError(f"a triangle refers to a point that does not exist (of {len(points)})")
     return points[:, :3], faces
 
 
@@ -97,7 +97,7 @@ def _ply(path: Path) -> tuple[_Points, list[_Faces]]:
     content = path.read_bytes()
     end = content[:_HEAD].find(b"end_header")
     if not content.startswith(b"ply") or end < 0:
-        raise OSError("its header does not end" if end < 0 else "it does not begin with `ply`")
+        raise OSError("its header is not terminated" if end < 0 else "it does not begin with `ply`")
     body = content[content.find(b"\n", end) + 1 :]
     lines = [each.split() for each in content[:end].decode("ascii", "replace").splitlines()]
     form = next(words[1] for words in lines if words[:1] == ["format"])

@@ -18,8 +18,8 @@ def test_threads_are_at_most_those_that_the_environment_allows(monkeypatch: pyte
     monkeypatch.delenv(THREADS, raising=False)
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     assert at_most(2) == 2
-    for said, allowed in (("1", 1), ("8", 2), ("0", 1), ("many", 2), ("", 2)):
-        monkeypatch.setenv(THREADS, said)
+    for values, allowed in (("1", 1), ("8", 2), ("0", 1), ("many", 2), ("", 2)):
+        monkeypatch.setenv(THREADS, values)
         assert at_most(2) == allowed
     monkeypatch.setenv(THREADS, "1")
     assert available_cores() == 1
@@ -27,8 +27,8 @@ def test_threads_are_at_most_those_that_the_environment_allows(monkeypatch: pyte
 
 def test_what_is_said_to_all_programs_holds_where_this_one_is_told_nothing(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.delenv(THREADS, raising=False)
-    for said, allowed in (("1", 1), ("1,4", 1), ("8", 2), ("0", 1), ("FALSE", 2), ("", 2)):
-        monkeypatch.setenv("OMP_NUM_THREADS", said)
+    for values, allowed in (("1", 1), ("1,4", 1), ("8", 2), ("0", 1), ("FALSE", 2), ("", 2)):
+        monkeypatch.setenv("OMP_NUM_THREADS", values)
         assert at_most(2) == allowed
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     monkeypatch.setenv(THREADS, "2")

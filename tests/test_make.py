@@ -51,7 +51,7 @@ def test_the_demo_says_at_its_end_what_was_hidden_and_what_was_named(tmp_path: P
     (tmp_path / "subject/truth/truth.toml").write_text('[[hidden]]\neffect = "skin-layer"\n')
     summary = [
         "p1: fine",
-        "p1: the diagnosis says: skin-layer (named); the gap went from 1.47 to 0.92",
+        "p1: diagnosis: skin-layer (named); the gap went from 1.47 to 0.92",
         "page: x",
     ]
     report = StageResult("report", "S1", tmp_path, summary=tuple(summary))

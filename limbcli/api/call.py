@@ -92,9 +92,9 @@ def at_work(
 def _still_there(case: Case) -> Case:
     if not case.file.is_file():
         raise CaseError(
-            f"the case that was opened from {case.folder} is not there, seen from {Path.cwd()}",
+            f"the case that was opened from {case.folder} was not found from {Path.cwd()}",
             where=str(case.file),
-            fix="open it by its whole path, or open it again where it is now",
+            fix="open it by its full path, or open it again at its present location",
         )
     return case
 
@@ -129,7 +129,7 @@ def listening(progress: Heard) -> Progress:
         raise CaseError(
             f"progress is {progress!r}, which cannot be called",
             where="progress",
-            fix="give a function of (kind, facts), or leave it out for silence",
+            fix="give a function of (kind, facts), or omit it for no output",
         )
     return Progress(progress)
 
@@ -168,5 +168,5 @@ def names_of(sites: str | Iterable[str] | None, name: str = "sites") -> list[str
     found = [sites] if isinstance(sites, str) else list(sites) if isinstance(sites, Iterable) else [sites]
     if not found or not all(isinstance(each, str) for each in found):
         what = f"{name} is {sites!r}, " + ("not a name or several" if found else "which names nothing")
-        raise CaseError(what, where=name, fix="give a name or several, or leave it out: all")
+        raise CaseError(what, where=name, fix="give one or several names, or omit it for all")
     return found

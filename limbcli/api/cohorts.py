@@ -165,9 +165,9 @@ class CohortResult(Result):
 
         if site is not None:
             raise CaseError(
-                "a cohort is not one site's",
+                "a cohort is not a result of one site",
                 where=f"read(site={site!r})",
-                fix="leave the site out: `sites` has all",
+                fix="omit the site: `sites` has all",
             )
         return cls.of(read_cohort(folder_of(out)))
 

@@ -1,4 +1,4 @@
-"""diagnose and report: what the model lacks, and the page that tells everything."""
+"""diagnose and report: what the model lacks, and the page that reports everything."""
 
 from __future__ import annotations
 

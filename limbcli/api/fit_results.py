@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Estimate:
-    """One parameter, as far as the data tell it.
+    """One parameter, as far as the data determine it.
 
     Attributes
     ----------

@@ -111,7 +111,7 @@ def synth(
     element, size_mm, far_size_mm, margin_mm : mesh simulated on (None: the case's)
     same_mesh : simulate on the very mesh that is fitted
     contact_penalty : times the skin's stiffness at rest; None: 20
-    with_layers : read skin, fat and muscle too, as thick at first touch as the geometry tells them
+    with_layers : read skin, fat and muscle too, as thick at first touch as in the geometry
     stretch_along, stretch_around : true stretches over unloaded tissue, by state, where the case knows none
     unloaded_stretch_along, unloaded_stretch_around : stretch, as the case counts, of unloaded tissue
 

@@ -49,11 +49,11 @@ class CheckResult(Tabular):
         return all(each.severity != "error" for each in self.problems)
 
     def __str__(self) -> str:
-        told = (
+        problems = (
             f"{each.severity}: {each.what}\n  where: {each.where}\n  fix:   {each.fix}"
             for each in self.problems
         )
-        return "\n".join(told) or f"{self.folder}: the case is complete"
+        return "\n".join(problems) or f"{self.folder}: the case is complete"
 
     def rows(self) -> list[dict[str, Any]]:
         """A row a problem: severity, what, where, fix."""

@@ -75,7 +75,7 @@ def to_frame(table: Table) -> pandas.DataFrame:
         raise ToolError(
             f"pandas is not installed ({error})",
             where="to_frame()",
-            fix="pip install pandas, or use table(), a numpy array with a field a column",
+            fix="pip install pandas, or use table(), a numpy array with one field per column",
         ) from error
     return pandas.DataFrame({name: table[name] for name in table.dtype.names or ()})
 

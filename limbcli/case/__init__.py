@@ -135,7 +135,7 @@ def _read_tables(
     problems: list[Problem] = []
     for name, keys in tables.items():
         if name not in raw and name not in ("model", "files"):
-            problems.append(Problem(f"case.toml lacks the table [{name}]", file, f"add [{name}]"))
+            problems.append(Problem(f"case.toml has no table [{name}]", file, f"add [{name}]"))
         parts[name], found = schema.check_table(raw.get(name, {}), keys, name=name, file=file)
         problems += found if name in raw else []
     return parts, problems
@@ -191,16 +191,16 @@ def _read_toml(folder: Path) -> tuple[dict[str, Any] | None, list[Problem]]:
     if (refused := not_in_utf8(folder)) is not None:
         return None, [Problem(refused.what, refused.where, refused.fix)]
     if not folder.is_dir():
-        fix = "name a folder that holds a case.toml"
+        fix = "give a folder that contains a case.toml"
         return None, [Problem(f"there is no case folder {folder}", str(folder), fix)]
     if not path.is_file():
         subject = shlex.quote(str(folder / "subject"))
-        fix = f"name the folder that holds it; `limbcli new {subject}` writes one to fill in"
-        return None, [Problem("the folder holds no case.toml", str(folder), fix)]
+        fix = f"give the folder that contains it; `limbcli new {subject}` writes one to fill in"
+        return None, [Problem("the folder contains no case.toml", str(folder), fix)]
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig")), []
     except tomllib.TOMLDecodeError as error:
-        return None, [Problem(f"case.toml is not valid TOML: {error}", str(path), "mend that line")]
+        return None, [Problem(f"case.toml is not valid TOML: {error}", str(path), "correct that line")]
     except UnicodeDecodeError as error:
         return None, [Problem(f"case.toml is not UTF-8 text: {error}", str(path), "save it as UTF-8")]
 

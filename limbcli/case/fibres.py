@@ -13,7 +13,7 @@ _NAMED = ("axial", "transverse")
 
 
 def read_fibres(values: Mapping[str, Any], label: str, file: str) -> tuple[Fibres, list[Problem]]:
-    """What a site says of its fibres; values : of its table, defaults filled in."""
+    """What a site gives for its fibres; values : of its table, defaults filled in."""
     direction, tables = values["fibre_direction"], values["pennation"]
     problems: list[Problem] = []
     found: list[Pennation] = []
@@ -26,12 +26,12 @@ def read_fibres(values: Mapping[str, Any], label: str, file: str) -> tuple[Fibre
             )
     names = [each.orientation for each in found]
     for name in sorted({each for each in names if names.count(each) > 1}):
-        what = f"{label} tells the pennation in the image plane of {name!r} twice"
-        fix = "keep one [[site.pennation]] an orientation (their mean, where both were measured)"
+        what = f"{label} gives the pennation in the image plane of {name!r} twice"
+        fix = "keep one [[site.pennation]] per orientation (their mean, where both were measured)"
         problems.append(Problem(what, file, fix))
     if len(set(names)) > 2:
-        what = f"{label} tells the pennation in {len(set(names))} image planes"
-        problems.append(Problem(what, file, "two planes tell a direction; keep the two best"))
+        what = f"{label} gives the pennation in {len(set(names))} image planes"
+        problems.append(Problem(what, file, "two planes determine a direction; keep the two best"))
     if direction is not None and tables:
         what = f"{label} has both fibre_direction and [[site.pennation]]"
         problems.append(Problem(what, file, "keep the one that was measured"))
@@ -59,21 +59,22 @@ def fibre_problems(sites: Sequence[Site], imaging: Imaging, file: str) -> list[P
                 problems.append(Problem(f"{where} is that of another place", file, fix))
         if [_plane(each.orientation, sites) for each in site.fibres.pennation] == ["transverse"]:
             what = (
-                f"site {site.name}: the pennation is told in an image across the limb alone; fibres cross it"
+                f"site {site.name}: the pennation is given only in an image across the limb, which the "
+                f"fibres cross"
             )
             fix = 'add one with orientation = "axial", or give fibre_direction'
             problems.append(Problem(what, file, fix))
         planes = {_plane(each.orientation, sites) for each in site.fibres.pennation}
         if len(planes) < len(site.fibres.pennation):
-            what = f"site {site.name}: the two pennation angles are of one image plane, named twice"
-            problems.append(Problem(what, file, "keep one of them, or name the plane across to it"))
+            what = f"site {site.name}: the two pennation angles are in the same image plane, given twice"
+            problems.append(Problem(what, file, "keep one of them, or give the plane perpendicular to it"))
     if imaging.fibres is None and imaging.fibre_frame is not None:
-        fix = 'add `fibres = "v1.nii.gz"`, or leave fibre_frame out'
-        problems.append(Problem("[imaging] has fibre_frame but no fibres that it is of", file, fix))
+        fix = 'add `fibres = "v1.nii.gz"`, or remove fibre_frame'
+        problems.append(Problem("[imaging] has fibre_frame but no `fibres` it refers to", file, fix))
     return problems
 
 
 def _plane(orientation: str, sites: Sequence[Site]) -> object:
-    """By what two planes can be told to be one: the long axis."""
+    """By what two planes are recognised as one: the long axis."""
     named = next((one for one in sites if one.name == orientation), None)
     return orientation if orientation in _NAMED or named is None else named.long_axis

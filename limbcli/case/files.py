@@ -48,7 +48,7 @@ class CaseFiles:
         if self.may_use(name):
             return self.folder / name, []
         problem = Problem(
-            f"{label} leads out of the case folder: {name}",
+            f"{label} points outside the case folder: {name}",
             str(self.folder / "case.toml"),
             "copy it into the case folder, or, if you trust this case, add a table [files] with "
             "`allow_outside = true`",
@@ -69,4 +69,4 @@ class CaseFiles:
         if path.exists():
             return None, [Problem(f"{label} is not a {kind}: {name}", str(path), f"name a {kind}")]
         fix = f"put the {kind} there, or correct the name (it is relative to {self.folder})"
-        return None, [Problem(f"{label} names a {kind} that is not there: {name}", str(path), fix)]
+        return None, [Problem(f"{label} names a {kind} that was not found: {name}", str(path), fix)]

@@ -33,16 +33,16 @@ def read_imaging(
     problems = _contradictions(table, file)
     if present and not any(table.get(key) for key in _WAYS):
         fix = 'add `mri = "folder or file"`, `labels = "file"`, `skin` and `bones`, or `shape`'
-        problems.append(Problem("[imaging] names no geometry", file, fix))
+        problems.append(Problem("[imaging] specifies no geometry", file, fix))
     paths: dict[str, Path | None] = {}
     for key, is_folder in (("mri", None), ("labels", False), ("skin", False), ("fibres", False)):
         paths[key], found = files.existing(table.get(key), f"imaging.{key}", is_folder=is_folder)
         problems += found
     mri = paths["mri"]
     if mri and mri.is_file() and not mri.name.lower().endswith(schema.VOLUME_ENDINGS):
-        what = f"imaging.mri: {mri.name!r} is not a folder, and no volume that is read here"
+        what = f"imaging.mri: {mri.name!r} is neither a folder nor a volume in a supported format"
         fix = (
-            f"name a folder with one DICOM series, or a file that ends in {', '.join(schema.VOLUME_ENDINGS)}"
+            f"give a folder with one DICOM series, or a file that ends in {', '.join(schema.VOLUME_ENDINGS)}"
         )
         problems.append(Problem(what, file, fix))
     bones = []
@@ -57,7 +57,7 @@ def read_imaging(
         shape = _FAULTY  # its sites still need no place
     fibres, frame = paths["fibres"], table.get("fibre_frame")
     if fibres is not None and not fibres.name.lower().endswith((".nii", ".nii.gz")):
-        what = f"imaging.fibres: {fibres.name!r} is no NIfTI file"
+        what = f"imaging.fibres: {fibres.name!r} is not a NIfTI file"
         problems.append(Problem(what, file, "save the principal directions as .nii or .nii.gz"))
     sources = (paths["mri"], paths["labels"], paths["skin"], tuple(bones), radius, shape)
     stated = table.get("skin_scale_fraction")
@@ -71,16 +71,18 @@ def _contradictions(table: Mapping[str, Any], file: str) -> list[Problem]:
     if table.get("bones") and not table.get("skin"):
         found.append(Problem("[imaging] has bones but no skin", file, 'add `skin = "file"`'))
     if table.get("mri") and table.get("skin"):
-        found.append(Problem("[imaging] names both `mri` and `skin`", file, "keep one of the two"))
+        found.append(Problem("[imaging] has both `mri` and `skin`", file, "keep one of the two"))
     if table.get("bone") and not table.get("skin"):
         fix = 'add `skin = "scan.stl"`, or give the whole limb in numbers: `shape = { ... }`'
         found.append(Problem("[imaging] has a bone from ultrasound but no skin", file, fix))
     if table.get("bone_radius_mm") and not table.get("bone"):
-        fix = 'add `bone = "from-ultrasound"`, or leave it out; in numbers only it stands within `shape`'
-        found.append(Problem("[imaging] has bone_radius_mm but no `bone` that it is of", file, fix))
+        fix = (
+            'add `bone = "from-ultrasound"`, or remove it; for a limb given in numbers, it belongs in `shape`'
+        )
+        found.append(Problem("[imaging] has bone_radius_mm but no `bone` it refers to", file, fix))
     if table.get("skin_scale_fraction") is not None and not table.get("bone"):
-        what = "[imaging] has skin_scale_fraction, which counts only beside a bone from ultrasound"
-        fix = 'add `bone = "from-ultrasound"`, or leave it out'
+        what = "[imaging] has skin_scale_fraction, which applies only with a bone from ultrasound"
+        fix = 'add `bone = "from-ultrasound"`, or remove it'
         found.append(Problem(what, file, fix))
     if table.get("bone") and table.get("bones"):
         what = "[imaging] has both `bones` and a bone from ultrasound"
@@ -88,7 +90,7 @@ def _contradictions(table: Mapping[str, Any], file: str) -> list[Problem]:
     others = [key for key in ("mri", "labels", "skin", "bones", "bone") if table.get(key)]
     if table.get("shape") is not None and others:
         what = f"[imaging] has both `shape` and `{others[0]}`"
-        found.append(Problem(what, file, "keep what was imaged; `shape` is for a limb of numbers only"))
+        found.append(Problem(what, file, "keep what was imaged; `shape` is only for a limb given in numbers"))
     return found
 
 
@@ -105,7 +107,7 @@ def read_shape(raw: object, file: str) -> tuple[Shape | None, list[Problem]]:
     if isinstance(raw, dict) and "skin_mm" not in raw and {"fat_mm", "muscle_mm"} & set(raw):
         given = " and ".join(key for key in ("fat_mm", "muscle_mm") if key in raw)
         what = f"[{name}] has layers without skin: {given}, but no skin_mm"
-        fix = "add skin_mm (1 to 2 mm where it is not told apart: take it off fat_mm)"
+        fix = "add skin_mm (1 to 2 mm if it was not measured separately: subtract it from fat_mm)"
         return None, [Problem(what, file, fix)]
     values, problems = schema.check_table(raw, SHAPE, name=name, file=file)
     if problems:
@@ -117,11 +119,11 @@ def read_shape(raw: object, file: str) -> tuple[Shape | None, list[Problem]]:
             f"a limb of {shape.circumference:g} mm circumference is {across:.1f} mm across: less than its "
             f"layers ({shape.skin_bone:g} mm) and the bone ({2 * shape.bone_radius:g} mm)"
         )
-        fix = "circumference_mm is once round the limb, with a tape; layers and bone_radius_mm are mm, too"
+        fix = "circumference_mm is measured with a tape round the limb; layers, bone_radius_mm are also in mm"
         problems.append(Problem(what, file, fix))
     if shape.skin_bone < _LEAST_DEPTH:
         what = f"the layers of [{name}] leave {shape.skin_bone:g} mm from skin to bone"
-        fix = f"at least {_LEAST_DEPTH:g} mm can be modelled; muscle_mm goes down to the bone"
+        fix = f"at least {_LEAST_DEPTH:g} mm can be modelled; muscle_mm extends to the bone"
         problems.append(Problem(what, file, fix))
     return (None if problems else shape), problems
 
@@ -133,12 +135,10 @@ def place_of(
     if imaging.shape is not None and not given:
         return []
     if imaging.assumed and "marker" in given:
-        what = f"{label} is given by marker {values.get('marker')}, and there are no images to show one"
-        fix = (
-            "leave position_mm and marker out: the site lies in front"
-            if imaging.shape
-            else "give position_mm"
+        what = (
+            f"{label} is given by marker {values.get('marker')}, and there are no images that could show one"
         )
+        fix = "remove position_mm and marker: the site is anterior" if imaging.shape else "give position_mm"
         return [Problem(what, file, fix)]
     if len(given) != 1:
         what = "has neither position_mm nor marker" if not given else "has both position_mm and marker"

@@ -39,9 +39,11 @@ def _at_odds(name: str, table: Mapping[str, Any], title: str, file: str) -> list
     """What two values of one table make impossible together."""
     found = []
     if name == "load_cell" and table.get("probe_mass_kg") and table.get("tare_s") is None:
-        fix = "add `tare_s = [from, to]`, seconds in which the probe hung free; or leave probe_mass_kg out"
+        fix = "add `tare_s = [from, to]`, the seconds in which the probe hung free; or remove probe_mass_kg"
         found.append(
-            Problem(f"[{title}] has probe_mass_kg, and no tare_s to count its weight from", file, fix)
+            Problem(
+                f"[{title}] has probe_mass_kg but no tare_s, which its weight is measured from", file, fix
+            )
         )
     low, high = table.get("low_m_per_s"), table.get("high_m_per_s")
     if low is not None and high is not None and low >= high:

@@ -99,8 +99,8 @@ class Imaging:
         if self.bone_radius is None:
             return ""
         return (
-            f"{NOT_IMAGED}: the bone is a straight round rod of {self.bone_radius:g} mm radius, as deep "
-            "below each site as ultrasound shows it; the skin is a scan"
+            f"{NOT_IMAGED}: the bone is a straight round rod of {self.bone_radius:g} mm radius, at "
+            "the depth measured by ultrasound below each site; the skin is a scan"
         )
 
 
@@ -120,7 +120,7 @@ class Pennation:
 
 @dataclass(frozen=True)
 class Fibres:
-    """What a case says of the fibres at a site: a direction (patient LPS, any length), or image angles."""
+    """What a case gives for the fibres at a site: a direction (patient LPS, any length), or image angles."""
 
     direction: tuple[float, float, float] | None = None
     pennation: tuple[Pennation, ...] = ()
@@ -172,7 +172,7 @@ class StatedNoise:
     def of_mean_speed(self, pixels: Array) -> Array:
         """One deviation of ln of a level's mean speed (n,), by its number of pixels (n,).
 
-        Where that is not told, the pixels' own share is left out beside one common to them all; without
+        Where that is not given, the pixels' own share is left out beside one common to them all; without
         such it is that of one pixel: a reading is never exact for want of a count.
 
         >>> StatedNoise().of_mean_speed(np.array([100.0, np.nan])).round(4)
@@ -197,7 +197,7 @@ class Site:
         levels.csv and the folder of SWE maps may be missing
     layers : tables "skin" and "fat": `thickness_mm` (or "mri") and the law; what is not given is None
     skin_bone : mm from skin to bone along the beam at first touch, where it is given by hand
-    fibres : of the muscle, as far as the case tells them
+    fibres : of the muscle, as far as the case gives them
     states : where it was measured in several; `levels` is then that of the first, whose shape the images show
     unloaded : stretches, counted as those of the states, at which the tissue is known to be unloaded
     """

@@ -45,20 +45,20 @@ def number(low: float, high: float, unit: str) -> Check:
             return f"is {value!r}, not a number"
         if not low <= value <= high:  # type: ignore[operator]
             in_unit = f" {unit}" if unit else ""
-            return f"is {value:g}{in_unit}; plausible is {low:g} to {high:g}{in_unit}"
+            return f"is {value:g}{in_unit}; plausible values are {low:g} to {high:g}{in_unit}"
         return None
 
     return check
 
 
 def text(value: object) -> str | None:
-    return None if isinstance(value, str) and value.strip() else f"is {value!r}, not a text"
+    return None if isinstance(value, str) and value.strip() else f"is {value!r}, not text"
 
 
 def one_mark(value: object) -> str | None:
     """What stands between the columns of a table: one character, no quotation mark and no line end."""
     good = isinstance(value, str) and len(value) == 1 and value not in '"\r\n'
-    return None if good else f'is {value!r}, not one mark such as ";", "," or "\\t"'
+    return None if good else f'is {value!r}, not a single character such as ";", "," or "\\t"'
 
 
 def plain_name(value: object) -> str | None:
@@ -80,7 +80,7 @@ def site_name(value: object) -> str | None:
     """
     wrong, (site, ending, rest) = plain_name(value), str(value).rpartition(FAILED)
     if wrong is None and ending and not rest:
-        wrong = f"is {value!r}; what failed at site {site!r} is left under that name"
+        wrong = f"is {value!r}; that name is reserved for the failure record of site {site!r}"
     return wrong
 
 
@@ -96,7 +96,7 @@ def one_of(*choices: str) -> Check:
 
 def texts(value: object) -> str | None:
     good = isinstance(value, list) and value and all(text(each) is None for each in value)
-    return None if good else f"is {value!r}, not a list of texts"
+    return None if good else f"is {value!r}, not a list of strings"
 
 
 def vector(value: object) -> str | None:
@@ -117,11 +117,11 @@ def direction(value: object) -> str | None:
     """A vector that has a length.
 
     >>> direction([0, 0, 0]), direction([0, 0, 1])
-    ('has length zero, so no direction', None)
+    ('has zero length and therefore no direction', None)
     """
     wrong = vector(value)
     if wrong is None and not any(value):  # type: ignore[arg-type]
-        wrong = "has length zero, so no direction"
+        wrong = "has zero length and therefore no direction"
     return wrong
 
 
@@ -148,7 +148,7 @@ def table(value: object) -> str | None:
 
 def table_of_texts(value: object) -> str | None:
     good = isinstance(value, dict) and all(text(each) is None for each in value.values())
-    return None if good else f"is {value!r}, not a table of texts"
+    return None if good else f"is {value!r}, not a table of strings"
 
 
 def numbers(count: int) -> Check:
@@ -346,7 +346,9 @@ def check_table(
             values[key] = rule.default
             if rule.required:
                 problems.append(
-                    Problem(f"[{name}] lacks {key!r} ({rule.kind})", file, f"add `{key} = ...` to [{name}]")
+                    Problem(
+                        f"[{name}] is missing {key!r} ({rule.kind})", file, f"add `{key} = ...` to [{name}]"
+                    )
                 )
             continue
         values[key] = table[key]

@@ -36,9 +36,9 @@ def read_states(
     known = Stretch(*(None if values[key] is None else float(values[key]) for key in _UNLOADED))
     tables = values["state"]
     if tables is None:
-        told = [key for key in _UNLOADED if values[key] is not None]
-        fix = "add [[site.state]] tables, or leave it out"
-        return (), known, [Problem(f"{label} has {key} but no states", file, fix) for key in told]
+        given = [key for key in _UNLOADED if values[key] is not None]
+        fix = "add [[site.state]] tables, or remove it"
+        return (), known, [Problem(f"{label} has {key} but no states", file, fix) for key in given]
     problems = _beside(values, label, file)
     states: list[StretchState] = []
     for k, table in enumerate(tables, 1):
@@ -70,12 +70,12 @@ def _number(value: object) -> float | None:
 def _beside(values: Mapping[str, Any], label: str, file: str) -> list[Problem]:
     problems = []
     if values["levels"] is not None:
-        what = f"{label} has levels of its own beside [[site.state]]"
-        problems.append(Problem(what, file, "move that file into the state it was measured in"))
+        what = f"{label} has its own levels as well as [[site.state]]"
+        problems.append(Problem(what, file, "move that file to the state it was measured in"))
     for key in _NOT_BESIDE:
         if values[key] is not None:
-            what = f"{label} has {key} beside [[site.state]], which it does not go with"
-            fix = "make each state's levels.csv in a case of its own (limbcli measure), and name it here"
+            what = f"{label} has {key} together with [[site.state]], which is not supported"
+            fix = "create each state's levels.csv in a separate case (limbcli measure), and enter it here"
             problems.append(Problem(what, file, fix))
     return problems
 
@@ -84,7 +84,9 @@ def _alone(tables: list[object], label: str, file: str) -> list[Problem]:
     if len(tables) >= 2:
         return []
     fix = "add the states it is to be compared with, or give the site `levels` instead of a state"
-    return [Problem(f"{label} has one state; what is unloaded is found by comparing states", file, fix)]
+    return [
+        Problem(f"{label} has only one state; the unloaded state is found by comparing states", file, fix)
+    ]
 
 
 def _twice(states: list[StretchState], label: str, file: str) -> list[Problem]:
@@ -94,5 +96,5 @@ def _twice(states: list[StretchState], label: str, file: str) -> list[Problem]:
         problems.append(Problem(f"{label} has two states named {name!r}", file, "give each its own name"))
     for path in sorted({each for each in paths if paths.count(each) > 1}):
         what = f"{label} has two states with the levels of {path.name}"
-        problems.append(Problem(what, file, "name each state's own file"))
+        problems.append(Problem(what, file, "give each state its own file"))
     return problems

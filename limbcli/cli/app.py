@@ -69,7 +69,7 @@ def _root(
             "--version",
             callback=_print_version,
             is_eager=True,
-            help="Print the versions, of the solvers too.",
+            help="Print the versions, including those of the solvers.",
         ),
     ] = False,
 ) -> None:

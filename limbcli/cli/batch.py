@@ -30,12 +30,15 @@ CasesArg = Annotated[list[Path], typer.Argument(metavar="CASE...", help="Case fo
 ElementOpt = Annotated[
     str | None, typer.Option("--element", help="tet10 | tet4; default: the case's own.", show_default=False)
 ]
-ForceOpt = Annotated[bool, typer.Option("--force", help="Redo every stage, also where nothing changed.")]
+ForceOpt = Annotated[bool, typer.Option("--force", help="Redo every stage, even where nothing changed.")]
 DefaultsOpt = Annotated[
-    bool, typer.Option("--defaults", help="Forget the options that stages were called with by hand.")
+    bool,
+    typer.Option(
+        "--defaults", help="Use default options instead of those that stages were last called with by hand."
+    ),
 ]
 DiagnoseOpt = Annotated[
-    bool, typer.Option("--diagnose", help="Diagnose every place, too (minutes each), once it is fitted.")
+    bool, typer.Option("--diagnose", help="Also diagnose every place (minutes each), once it is fitted.")
 ]
 ExpectOpt = Annotated[
     bool, typer.Option("--expect", help="Compare with the expected.toml of each case that has one.")
@@ -44,14 +47,14 @@ JobsOpt = Annotated[
     int | None,
     typer.Option(
         "--jobs", "-j", min=1, metavar="N", show_default=False,
-        help="Processes side by side; default: of several cases as many as cores and memory allow.",
+        help="Number of parallel processes; default for several cases: as many as cores and memory allow.",
     ),
 ]  # fmt: skip
 SchedulerOpt = Annotated[
     str | None,
     typer.Option(
         "--scheduler", metavar="ADDRESS", show_default=False,
-        help="A running Dask cluster does the work, such as tcp://10.0.0.5:8786.",
+        help="Run on an existing Dask cluster, such as tcp://10.0.0.5:8786.",
     ),
 ]  # fmt: skip
 
@@ -74,13 +77,13 @@ def command(
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
 ) -> None:
-    """All stages of one or more cases, from images to report; redoes only what changed.
+    """Run all stages of one or more cases, from images to report; only what changed is redone.
 
-    A stage that was called by hand with options is called with them again, and that is said.
+    A stage last called by hand with options is called with them again, with a note.
     With one CASE, --out is its output folder; with several, the folder that holds
-    one output folder a case, and an index page. The last line printed is the report
-    (of several cases, the index). A case that fails does not stop the others: who failed,
-    where and why is listed at the end.
+    one output folder per case, and an index page. The last line printed is the report
+    (of several cases, the index). A case that fails does not stop the others: the failed ones
+    are listed at the end, with place and reason.
     """
     from limbcli.config import default_out
     from limbcli.stages.batch_cases import n_processes, output_folders

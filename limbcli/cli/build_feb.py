@@ -54,7 +54,7 @@ def command(
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
 ) -> None:
-    """The mesh and the measurement as a FEBio model, through templates."""
+    """Write the mesh and the measurement as a FEBio model, using templates."""
     from limbcli.case import Case
     from limbcli.config import default_out
     from limbcli.stages.build_feb import TissueOptions, build_feb

@@ -23,6 +23,6 @@ def command(case: CaseArg, json: JsonOpt = False, quiet: QuietOpt = False, verbo
         for k, problem in enumerate(result.problems, 1):
             print(f"{k}. {problem.severity}: {pasted_text(str(problem), case)}")
         n_errors = sum(each.severity == "error" for each in result.problems)
-        to_mend = f"{n_errors} error{'s' if n_errors > 1 else ''} to mend"
-        print(to_mend if n_errors else "the case is complete")
+        to_correct = f"{n_errors} error{'s' if n_errors > 1 else ''} to correct"
+        print(to_correct if n_errors else "the case is complete")
     raise typer.Exit(result.exit_code)

@@ -12,7 +12,7 @@ from limbcli.cli.terminal import emit, terminal
 from limbcli.output_lock import one_writer
 
 TableArg = Annotated[
-    Path, typer.Argument(metavar="TABLE.csv", help="A row a person and site.", show_default=False)
+    Path, typer.Argument(metavar="TABLE.csv", help="One row per person and site.", show_default=False)
 ]
 OutOpt = Annotated[
     Path | None,
@@ -20,7 +20,7 @@ OutOpt = Annotated[
         "--out", "-o", metavar="DIR", help="Output folder; default: out/<name of TABLE>.", show_default=False
     ),
 ]
-SeedOpt = Annotated[int, typer.Option("--seed", min=0, help="Of the folds and of the sampling.")]
+SeedOpt = Annotated[int, typer.Option("--seed", min=0, help="Random seed of the folds and of the sampling.")]
 
 
 def command(
@@ -33,17 +33,17 @@ def command(
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
 ) -> None:
-    """Tissue of many people from layers, force and slope: no limb, no MRI, no wave speeds needed.
+    """Estimate the tissue of many people from layers, force and slope; no MRI or wave speeds needed.
 
-    Every row is identified with a layered slab whose solves ship with limbcli; the population of each site is
-    estimated, and the compliance of people left out is predicted from thicknesses, in ten folds by person.
+    Every row is fitted with a layered slab whose simulations ship with limbcli; the population of each site
+    is estimated, and the compliance of held-out people is predicted from thicknesses, in ten folds by person.
 
-    Columns that must be there: subject, location, max_force_n, max_pressure_mpa (or face_mm2), thickness_mm,
+    Required columns: subject, location, max_force_n, max_pressure_mpa (or face_mm2), thickness_mm,
     skin_mm, fat_mm, muscle_mm, total_strain, skin_strain, fat_strain, muscle_strain, stiffness_mpa_per_mm.
     Optional: trial, circumference_mm, age_years, sex, bmi_kg_per_m2, r2_line, r2_parabola. docs/cohort.md
-    says what each holds. Strains are shortening over thickness at the largest force.
+    describes each. Strains are shortening over thickness at the largest force.
 
-    Leaves cohort.json, rows.csv, cohort.html and pictures/ in DIR.
+    Writes cohort.json, rows.csv, cohort.html and pictures/ in DIR.
     """
     from limbcli.config import default_out
     from limbcli.stages.cohort import cohort

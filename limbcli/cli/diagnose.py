@@ -34,14 +34,16 @@ def command(
         typer.Option(
             "--effects",
             metavar="NAME",
-            help="Only this effect (may be repeated), and that of --effect-file; default: all.",
+            help="Try only this effect (may be repeated), and that of --effect-file; default: all.",
         ),
     ] = None,
     effect_file: Annotated[
         Path | None,
         typer.Option("--effect-file", metavar="FILE", help="An effect of your own.", show_default=False),
     ] = None,
-    max_effects: Annotated[int, typer.Option(min=1, max=3, help="Effects added in turn, at most.")] = 3,
+    max_effects: Annotated[
+        int, typer.Option(min=1, max=3, help="Maximum number of effects added in turn.")
+    ] = 3,
     seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 7,
     size_mm: Annotated[
         float | None,
@@ -59,14 +61,14 @@ def command(
         bool, typer.Option(help="Try crop and contact first (a few more simulations).")
     ] = True,
     separate: Annotated[
-        bool, typer.Option("--separate", help="Each site alone, also those that share a place.")
+        bool, typer.Option("--separate", help="Diagnose each site separately, also those that share a place.")
     ] = False,
     measured: Annotated[
         list[str] | None,
         typer.Option(
             "--measured",
             metavar="KEY=VALUE",
-            help="A number measured besides: tare_n, force_gain, first_depth_mm, rate_ratio.",
+            help="A separately measured number: tare_n, force_gain, first_depth_mm, rate_ratio.",
         ),
     ] = None,
     templates: TemplatesOpt = None,
@@ -75,7 +77,7 @@ def command(
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
 ) -> None:
-    """Where model and measurement disagree, what is missing, and what to measure next."""
+    """Find where model and measurement disagree, what is missing, and what to measure next."""
     from limbcli.case import Case
     from limbcli.config import default_out
     from limbcli.stages.diagnose import DiagnoseOptions, diagnose

@@ -15,9 +15,9 @@ _MARKS = {"good": "  ", "note": "- ", "missing": "! "}
 def command(
     febio: FebioOpt = None, json: JsonOpt = False, quiet: QuietOpt = False, verbose: VerboseOpt = 0
 ) -> None:
-    """What this machine has of what limbcli needs: versions, libraries, solvers with a self test, memory.
+    """Check this machine for limbcli's requirements: versions, libraries, solvers with a self test, memory.
 
-    Exit code 4 where something needed is missing; every such line says what to do.
+    Exit code 4 if a requirement is missing; every such line gives the fix.
     """
     from limbcli.stages.doctor import doctor
 
@@ -32,5 +32,5 @@ def command(
                 if each.fix:
                     print(f"    fix: {each.fix}")
         n = len(result.missing)
-        print("all that is needed is there" if not n else f"{n} missing or broken, marked with !")
+        print("all requirements are met" if not n else f"{n} missing or broken, marked with !")
     raise typer.Exit(result.exit_code)

@@ -17,11 +17,11 @@ CDeviationOpt = Annotated[
 StiffnessMapOpt = Annotated[
     bool, typer.Option("--stiffness-map", help="c element by element, from the SWE map of level 0.")
 ]
-ToleranceOpt = Annotated[float, typer.Option(help="Of cost and parameters, relative.")]
+ToleranceOpt = Annotated[float, typer.Option(help="Relative tolerance of cost and parameters.")]
 MaxIterationsOpt = Annotated[int, typer.Option(min=1, help="Of each step.")]
 IntervalsOpt = Annotated[bool, typer.Option(help="95 % intervals by profile likelihood.")]
 TimeLimitOpt = Annotated[
-    float | None, typer.Option("--time-limit-s", help="Of each FEBio run.", show_default=False)
+    float | None, typer.Option("--time-limit-s", help="Time limit of each FEBio run.", show_default=False)
 ]
 ObjectiveOpt = Annotated[
     str,
@@ -33,11 +33,12 @@ ObjectiveOpt = Annotated[
 LawOpt = Annotated[
     str,
     typer.Option(
-        help="Joint, states: ogden | mooney-rivlin | neo-hooke | two-term-ogden | holmes-mow | fibres."
+        help="Law for joint and states: ogden | mooney-rivlin | neo-hooke | two-term-ogden | holmes-mow | "
+        "fibres."
     ),
 ]
 CompareLawsOpt = Annotated[
-    bool, typer.Option("--compare-laws", help="Joint only: every law, by the error of left-out levels.")
+    bool, typer.Option("--compare-laws", help="Joint only: compare all laws by the error of held-out levels.")
 ]
 GainDeviationOpt = Annotated[
     float | None,
@@ -48,11 +49,14 @@ GainDeviationOpt = Annotated[
     ),
 ]
 CycleOpt = Annotated[
-    str, typer.Option("--cycle", help="Whose loading is fitted, where there are several: a number, or last.")
+    str, typer.Option("--cycle", help="Loading cycle to fit, if there are several: a number, or last.")
 ]
 ContactCheckOpt = Annotated[
-    bool, typer.Option(help="The fitted model once more with a harder contact: how far the probe sinks in.")
+    bool,
+    typer.Option(
+        help="Also solve the fitted model with a stiffer contact, to quantify the probe's penetration."
+    ),
 ]
 CompareElementOpt = Annotated[
-    bool, typer.Option("--compare-element", help="tet4 and tet10 side by side on the same mesh.")
+    bool, typer.Option("--compare-element", help="Compare tet4 and tet10 on the same mesh.")
 ]

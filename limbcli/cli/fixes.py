@@ -25,8 +25,8 @@ def for_command_line(error: AnyError, arguments: Sequence[str], options: Options
     if not strangers:
         return shown
     place = typed(case) if case else "CASE"
-    said = [f"{each} is an option of `limbcli {owner_of(each, options)} {place}`" for each in strangers]
-    return type(shown)(shown.what, where=shown.where, fix=f"{shown.fix} ({'; '.join(said)})", **shown.facts)
+    hints = [f"{each} is an option of `limbcli {owner_of(each, options)} {place}`" for each in strangers]
+    return type(shown)(shown.what, where=shown.where, fix=f"{shown.fix} ({'; '.join(hints)})", **shown.facts)
 
 
 def case_of(arguments: Sequence[str]) -> Path | None:

@@ -3,4 +3,4 @@
 from __future__ import annotations
 
 INTERRUPTED = 130  # exit code of Ctrl-C: 128 and the number of SIGINT; that of a polite kill is 143
-MESSAGE = "interrupted; nothing half-written was kept. The same command finishes the job."
+MESSAGE = "interrupted; no incomplete file was kept. Repeat the same command to finish."

@@ -11,7 +11,7 @@ from limbcli.cli.terminal import emit, terminal
 from limbcli.output_lock import one_writer
 
 WriteOpt = Annotated[
-    bool, typer.Option("--write", help="Also write levels.csv where case.toml names it (if absent).")
+    bool, typer.Option("--write", help="Also write levels.csv to the path given in case.toml (if absent).")
 ]
 
 
@@ -25,7 +25,7 @@ def command(
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
 ) -> None:
-    """Load-cell record, B-mode and elastography images to the rows of levels.csv."""
+    """Convert the load-cell record, B-mode and elastography images to the rows of levels.csv."""
     from limbcli.case import Case
     from limbcli.config import default_out
     from limbcli.stages.measure import measure

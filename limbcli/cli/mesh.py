@@ -55,7 +55,7 @@ FatOpt = Annotated[
     str | None,
     typer.Option(
         "--fat-mm", metavar="MM|mri",
-        help="Thickness of a fat layer below the skin, 0 for none; mri: as segment found it at the site; "
+        help="Thickness of a fat layer below the skin, 0 for none; mri: as segmented at the site; "
         "default: the case's.",
         show_default=False,
     ),
@@ -71,7 +71,10 @@ AtOpt = Annotated[
     ),
 ]
 StudyOpt = Annotated[
-    bool, typer.Option("--study", help="Also solve finer, coarser, nearer and farther cut models (minutes).")
+    bool,
+    typer.Option(
+        "--study", help="Also solve finer and coarser meshes and smaller and larger models (minutes)."
+    ),
 ]
 
 
@@ -92,7 +95,7 @@ def command(
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
 ) -> None:
-    """Surfaces and site to the local finite-element model."""
+    """Build the local finite-element model of a site from the surfaces."""
     from limbcli.case import Case
     from limbcli.config import default_out
     from limbcli.stages.mesh import mesh

@@ -11,7 +11,7 @@ from limbcli.cli.options import JsonOpt, QuietOpt, VerboseOpt
 from limbcli.cli.terminal import emit
 
 FolderArg = Annotated[
-    Path, typer.Argument(metavar="DIR", help="Case folder to make; absent or empty.", show_default=False)
+    Path, typer.Argument(metavar="DIR", help="Case folder to create; absent or empty.", show_default=False)
 ]
 PlaceOpt = Annotated[
     list[str] | None,
@@ -19,7 +19,7 @@ PlaceOpt = Annotated[
         "--site",
         "-s",
         metavar="NAME",
-        help="A place that was measured (may be repeated); default: p1.",
+        help="Name of a measured site (may be repeated); default: p1.",
         show_default=False,
     ),
 ]
@@ -32,9 +32,9 @@ def command(
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
 ) -> None:
-    """A case folder to fill in: commented case.toml, levels.csv, and where to put things.
+    """Create a case folder to fill in: commented case.toml, levels.csv, and a README that says where data go.
 
-    Nothing that is there is changed: a folder that holds anything is refused.
+    Existing files are never changed: a folder that is not empty is rejected.
     """
     from limbcli.stages.new import new
 

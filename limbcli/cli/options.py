@@ -22,20 +22,28 @@ SiteOpt = Annotated[
 ]
 NoWaitOpt = Annotated[
     bool,
-    typer.Option("--no-wait", help="Refuse at once where another limbcli writes into the output folder."),
+    typer.Option("--no-wait", help="Fail immediately if another limbcli is writing into the output folder."),
 ]
-JsonOpt = Annotated[bool, typer.Option("--json", help="Print the result as JSON, for machines.")]
+JsonOpt = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 QuietOpt = Annotated[bool, typer.Option("--quiet", "-q", help="No progress; only the result.")]
-VerboseOpt = Annotated[int, typer.Option("--verbose", "-v", count=True, help="Say more; twice: all.")]
+VerboseOpt = Annotated[
+    int, typer.Option("--verbose", "-v", count=True, help="More output; twice: all of it.")
+]
 SolverOpt = Annotated[str, typer.Option("--solver", help="auto | febio | reference")]
 FebioOpt = Annotated[
     Path | None, typer.Option("--febio", metavar="FILE", help="The FEBio binary.", show_default=False)
 ]
 TemplatesOpt = Annotated[
     Path | None,
-    typer.Option("--templates", metavar="DIR", help="Your own templates, used before ours."),
+    typer.Option(
+        "--templates",
+        metavar="DIR",
+        help="Folder of your own templates, which take precedence over limbcli's.",
+    ),
 ]
 CKpaOpt = Annotated[
     float | None,
-    typer.Option("--c-kpa", help="c = 2 mu by hand; default: from SWE at level 0.", show_default=False),
+    typer.Option(
+        "--c-kpa", help="c = 2 mu, entered by hand; default: from SWE at level 0.", show_default=False
+    ),
 ]

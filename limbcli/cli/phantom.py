@@ -12,8 +12,10 @@ from limbcli.cli.options import JsonOpt, QuietOpt, VerboseOpt
 from limbcli.cli.synth_options import with_synth_options
 from limbcli.cli.terminal import emit, terminal
 
-FolderArg = Annotated[Path, typer.Argument(metavar="DIR", help="Case folder to make.", show_default=False)]
-SeedOpt = Annotated[int, typer.Option("--seed", min=0, help="Another seed is another subject.")]
+FolderArg = Annotated[Path, typer.Argument(metavar="DIR", help="Case folder to create.", show_default=False)]
+SeedOpt = Annotated[
+    int, typer.Option("--seed", min=0, help="Random seed; another seed gives another subject.")
+]
 ForceOpt = Annotated[bool, typer.Option("--force", help="Replace DIR if it is a synthetic subject.")]
 NameOpt = Annotated[str, typer.Option("--id", metavar="NAME", help="The subject's id.")]
 PlaceOpt = Annotated[
@@ -43,7 +45,7 @@ def command(
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
 ) -> None:
-    """A synthetic subject whose truth is known: MRI, measurements, truth."""
+    """Create a synthetic subject with known truth: MRI, measurements, truth."""
     from limbcli.stages.phantom import USUAL_SITES, PhantomOptions, phantom, refuse_unheard
 
     if no_measurement:

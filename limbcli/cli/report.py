@@ -39,11 +39,11 @@ def command(
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
 ) -> None:
-    """One self-contained page of what the stages found, for people; or an index of many."""
+    """Write one self-contained page of the stages' results, or an index of many subjects."""
     if (case is None) == (index is None):
         raise typer.BadParameter("give either CASE or --index DIR")
     if index is not None and (out is not None or no_wait):
-        raise typer.BadParameter("the index is written into DIR itself: leave --out and --no-wait out")
+        raise typer.BadParameter("the index is written into DIR itself: omit --out and --no-wait")
     progress = terminal(quiet=quiet, verbose=verbose)
     if index is not None:
         page = _index(index, templates, progress, as_json=json)

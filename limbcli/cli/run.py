@@ -34,7 +34,7 @@ def command(
         typer.Option(
             "--time-limit-s",
             min=0,
-            help="Of each simulation; default: by the model's size.",
+            help="Time limit of each simulation; default: by the model's size.",
             show_default=False,
         ),
     ] = None,
@@ -54,7 +54,7 @@ def command(
     if file is not None and (case is None or file == case):
         if site:
             raise CaseError(
-                "a model file has no sites", where="--site", fix="leave --site out, or name a case folder"
+                "a model file has no sites", where="--site", fix="omit --site, or give a case folder"
             )
         target = out or default_out(Path(model_name(file)))
         with one_writer(target, wait=not no_wait, progress=progress):

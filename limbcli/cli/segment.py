@@ -15,8 +15,8 @@ SeedOpt = Annotated[
     typer.Option(
         "--seed",
         metavar="KIND=X,Y,Z",
-        help="A point (patient LPS, mm) in the marrow of a bone that was missed (bone=...), "
-        "or in what was taken for bone and is none (soft=...). May be repeated.",
+        help="A point (patient LPS, mm) in the marrow of a missed bone (bone=...), "
+        "or in soft tissue wrongly labelled as bone (soft=...). May be repeated.",
     ),
 ]
 SmoothOpt = Annotated[
@@ -36,12 +36,12 @@ LimbOpt = Annotated[
     typer.Option(
         "--limb",
         metavar="left|right",
-        help="Which limb, where two are in view; default: the case's.",
+        help="Which limb, if two are in view; default: the case's.",
         show_default=False,
     ),
 ]
 FreshOpt = Annotated[
-    bool, typer.Option("--fresh", help="Leave a label map that was edited by hand aside; start anew.")
+    bool, typer.Option("--fresh", help="Discard a label map that was edited by hand and start anew.")
 ]
 
 
@@ -58,10 +58,10 @@ def command(
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
 ) -> None:
-    """MRI or CT series to label map, closed surfaces and markers.
+    """Segment an MRI or CT series into a label map, closed surfaces and markers.
 
-    A label map edited by hand in the output folder (labels.nii.gz) wins over the automatic one.
-    A site that does not lie on the skin ends it with an error after everything is written.
+    A label map edited by hand in the output folder (labels.nii.gz) takes precedence over the automatic one.
+    If a site is not on the skin, the command ends with an error after everything is written.
     """
     if limb not in (None, "left", "right"):
         raise typer.BadParameter("left or right", param_hint="--limb")

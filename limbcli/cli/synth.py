@@ -14,18 +14,22 @@ from limbcli.cli.terminal import emit, terminal
 from limbcli.output_lock import one_writer
 
 OutCaseOpt = Annotated[
-    Path, typer.Option("--out-case", metavar="DIR", help="Case folder to make.", show_default=False)
+    Path, typer.Option("--out-case", metavar="DIR", help="Case folder to create.", show_default=False)
 ]
-SeedOpt = Annotated[int, typer.Option("--seed", min=0, help="Of the measurement noise.")]
+SeedOpt = Annotated[int, typer.Option("--seed", min=0, help="Random seed of the measurement noise.")]
 LayersOpt = Annotated[
     bool,
-    typer.Option("--with-layers", help="Read skin, fat and muscle too, as thick as the geometry tells them."),
+    typer.Option(
+        "--with-layers",
+        help="Also simulate readings of the skin, fat and muscle thickness, as in the geometry.",
+    ),
 ]
 StretchAlongOpt = Annotated[
     list[str] | None,
     typer.Option(
         "--stretch-along", metavar="STATE=STRETCH", show_default=False,
-        help="Of a state whose stretch the case does not know, over unloaded tissue (may be repeated).",
+        help="Stretch, relative to unloaded tissue, of a state whose stretch the case does not give (may be "
+            "repeated).",
     ),
 ]  # fmt: skip
 StretchAroundOpt = Annotated[
@@ -39,7 +43,7 @@ UnloadedAlongOpt = Annotated[
     float | None,
     typer.Option(
         "--unloaded-stretch-along", min=0.5, max=2.0, show_default=False,
-        help="Stretch, as the case counts, at which the tissue is unloaded.",
+        help="Stretch, on the scale of the case, at which the tissue is unloaded.",
     ),
 ]  # fmt: skip
 UnloadedAroundOpt = Annotated[
@@ -72,7 +76,7 @@ def command(
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
 ) -> None:
-    """Measurements with known parameters on the geometry of an existing case, as a new case."""
+    """Simulate measurements with known parameters on the geometry of an existing case, as a new case."""
     from limbcli.case import Case
     from limbcli.case.parts import Stretch
     from limbcli.config import default_out

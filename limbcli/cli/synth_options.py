@@ -32,8 +32,8 @@ EffectOpt = Annotated[
     typer.Option(
         "--effect",
         metavar="ID[=SIZE]",
-        help="Hide this effect in the data (may be repeated). SIZE is the value of its first parameter, as "
-        "the list of effects has it, such as skin-layer=2.3; default: its typical one.",
+        help="Hide this effect in the data (may be repeated). SIZE is the value of its first "
+        "parameter, as in the list of effects, such as skin-layer=2.3; default: its typical one.",
         show_default=False,
     ),
 ]
@@ -58,7 +58,9 @@ MaxStrainOpt = Annotated[
 SynthElementOpt = Annotated[
     str | None,
     typer.Option(
-        "--element", help="Of the mesh simulated on: tet10 | tet4; default: the case's.", show_default=False
+        "--element",
+        help="Elements of the mesh simulated on: tet10 | tet4; default: the case's.",
+        show_default=False,
     ),
 ]
 SynthSizeOpt = Annotated[
@@ -91,7 +93,7 @@ SynthMarginOpt = Annotated[
 ]
 SameMeshOpt = Annotated[
     bool,
-    typer.Option("--same-mesh", help="Simulate on the very mesh that is fitted."),
+    typer.Option("--same-mesh", help="Simulate on the same mesh that is fitted."),
 ]
 ContactPenaltyOpt = Annotated[
     float | None,

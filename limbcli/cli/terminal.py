@@ -58,7 +58,7 @@ class _Lines:
     def alive(self) -> None:
         """Say that the work told of last goes on, and for how long now."""
         with self._lock:
-            text = f"  {self._doing[:_LONGEST]} ... still at it, {time.monotonic() - self._begun:.0f} s"
+            text = f"  {self._doing[:_LONGEST]} ... still running, {time.monotonic() - self._begun:.0f} s"
             self._rewrite(text) if self._live else self._line(text)
 
     def _rewrite(self, text: str) -> None:

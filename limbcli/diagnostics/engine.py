@@ -6,7 +6,7 @@
    stood out, to first order, and no refit bears that out, nothing is found.
 3. One left, or one that all others contain: named, and added. Several: ambiguous. None: pairs, then triples,
    else unexplained.
-4. Show what shrank, what stays invisible, and which measurement would tell the rest apart.
+4. Show what shrank, what stays invisible, and which measurement would distinguish the rest.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class _Run:
         if self._is_borne_out_by_none(singles):
             names = ", ".join(each.name for each in self._significant)
             return self._nothing_found(
-                f"; what stood out to first order ({names}) is not borne out by a refit"
+                f"; what was significant to first order ({names}) is not confirmed by a refit"
             )
         kept = self._explanations(candidates, promising, self.refits, singles)
         return self._conclude(kept, promising)
@@ -185,33 +185,41 @@ class _Run:
     def _nothing_found(self, but: str = "") -> Diagnosis:
         """but : what was looked at and dismissed"""
         if not self.baseline.relative:
-            return self._finish("adequate", f"nothing is left beyond the stated noise{but}", None)
+            return self._finish("adequate", f"no residual remains beyond the stated noise{but}", None)
         if self.baseline.data.noise.is_assumed:
-            why = "the noise is assumed: the fit cannot be judged in absolute terms, and no shape stands out"
+            why = (
+                "the noise is assumed: the fit cannot be judged in absolute terms, and no residual "
+                "pattern is significant"
+            )
         else:
-            why = "the data scatter more than their stated noise; no shape stands out of the scatter"
+            why = (
+                "the data scatter more than their stated noise; no residual pattern is significant "
+                "against the scatter"
+            )
         return self._finish("untestable", f"{why}{but}", None)
 
     def _conclude(self, kept: list[Refit], promising: list[str]) -> Diagnosis:
         if not kept:
-            why = "something is left that no candidate, alone or together, explains"
+            why = "a residual remains that no candidate, alone or combined, explains"
             return self._finish("unexplained", why, None)
         best = min(kept, key=lambda refit: (len(refit.explanation), not refit.is_adequate, refit.state.chi2))
-        doubt = self._why_not_named(best, kept, promising)
-        if len(kept) == 1 and doubt is not None:
-            word, but = doubt
+        objection = self._why_not_named(best, kept, promising)
+        if len(kept) == 1 and objection is not None:
+            word, but = objection
             why = f"one explanation fits, but {but}"
             return self._finish(word, why, best if word == "ambiguous" else None, tuple(kept))
         if len(kept) == 1:
-            return self._finish("named", "one explanation fits, no other that was tried does", best, (best,))
+            return self._finish(
+                "named", "one explanation fits, and no other that was tried does", best, (best,)
+            )
         if not all(set(best.explanation) <= set(each.explanation) for each in kept):
-            why = f"{len(kept)} explanations fit the data and cannot be told apart with them"
+            why = f"{len(kept)} explanations fit the data, which cannot distinguish them"
             return self._finish("ambiguous", why, best, tuple(kept))
-        has = f"all that fits has {' + '.join(best.explanation)}"
-        if doubt is None:
-            why = f"{has}; whether one effect more is there, these data do not say"
+        has = f"every explanation that fits includes {' + '.join(best.explanation)}"
+        if objection is None:
+            why = f"{has}; these data do not show whether a further effect is present"
             return self._finish("named", why, best, tuple(kept))
-        return self._finish("ambiguous", f"{has}, but {doubt[1]}", best, tuple(kept))
+        return self._finish("ambiguous", f"{has}, but {objection[1]}", best, tuple(kept))
 
     def _why_not_named(
         self, best: Refit, kept: Sequence[Refit], promising: list[str]
@@ -219,28 +227,30 @@ class _Run:
         """What to say instead of a name, and why ("it fits, but ..."); None: nothing speaks against it.
 
         What it leaves may be that of one effect more: then an explanation with both leaves nothing. An m on
-        its bound is a doubt only where it is told there: by a flat fit, the value that is told is another.
+        its bound is an objection only where it is reported there: by a flat fit, another value is reported.
         """
         if not self._speaks_for_itself(best):
-            return "unexplained", "it is not significant by itself, and what is significant does not fit"
+            return "unexplained", "it is not significant by itself, and the significant ones do not fit"
         if not Closing(self.baseline, self._n_candidates).is_closed(best):
-            return "unexplained", "it is no better than any smooth curve, or does not predict"
+            return "unexplained", (
+                "it fits no better than an arbitrary smooth curve, or does not predict held-out data"
+            )
         larger = [each for each in kept if set(best.explanation) <= set(each.explanation)]
         if max(each.left_p for each in larger) < thresholds.LEFT:
-            return "ambiguous", "it leaves something; it may not be all"
+            return "ambiguous", "a residual remains; it may not be the full explanation"
         chance = self._chance_of(best, times=thresholds.NAMED_BY_GAIN)
         if chance >= thresholds.NAMED:
-            return "ambiguous", f"its own evidence is weak for a name (p {chance:.2g})"
+            return "ambiguous", f"its own evidence is too weak to name it (p {chance:.2g})"
         if best.fitted.notes and not Account(self.baseline).estimates(best.fitted, best.state).is_pulled:
             return "ambiguous", f"with it {best.fitted.notes[0]}"
         failed = [name for name in promising if name in self.not_evaluated]
         if failed:
-            return "ambiguous", f"{', '.join(failed)} could not be evaluated and may fit, too"
+            return "ambiguous", f"{', '.join(failed)} could not be evaluated and may also fit"
         rivals = [
             label for label, refit in self._at_bounds() if len(refit.explanation) == len(best.explanation)
         ]
         if rivals:
-            return "ambiguous", f"{', '.join(rivals)} would fit, too, with a size on its bound"
+            return "ambiguous", f"{', '.join(rivals)} would also fit, with a size at its bound"
         return None
 
     def _at_bounds(self) -> list[tuple[str, Refit]]:

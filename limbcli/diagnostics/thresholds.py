@@ -151,7 +151,7 @@ IMAGE_ALIKE: Final = 0.97
 
 LEFT: Final = ALPHA
 """p of what the only explanation leaves, below which it is not named: a name leaves nothing that would be
-detected, or what one effect more explains, which is told beside it."""
+detected, or what one effect more explains, which is reported beside it."""
 
 NAMED: Final = 0.02
 """Adjusted p of an effect's own evidence, from which on it is not named though nothing else fits: ALPHA lets
@@ -180,7 +180,7 @@ N_PLACEBOS: Final = 1000
 
 TOO_WIDE: Final = 1.0
 """Deviation of a prediction over that of its reading, beyond which a held-out block tests nothing: what such
-a prediction is off by is mostly that the rest does not tell the parameters. Chosen."""
+a prediction is off by is mostly that the rest does not determine the parameters. Chosen."""
 
 # ------------------------------------------------ what is reported
 
@@ -189,10 +189,10 @@ WITHIN: Final = 3.84
 Convention (chi2 with one degree of freedom)."""
 
 MAP_DOUBT: Final = 1.35
-"""Times which the intervals of c and m (in ln) and of effects' sizes are widened where maps tell them: the
-model's error in maps is taken at its likeliest, and by so much what was missed of c and m exceeded what was
-told, root mean square, at sites that another solver made (`tests/benchmarks/figures/diagnosis-febio.md`).
-Chosen."""
+"""Times which the intervals of c and m (in ln) and of effects' sizes are widened where maps determine them:
+the model's error in maps is taken at its likeliest, and by so much the errors of c and m exceeded the
+reported ones, root mean square, at sites that another solver made
+(`tests/benchmarks/figures/diagnosis-febio.md`). Chosen."""
 
 SIZE_WITHIN: Final = 1.96
 """Deviations of the interval of an effect's size: 95 %. Convention (normal law)."""
@@ -212,14 +212,14 @@ NEXT_SIGNIFICANT: Final = 0.95
 NEXT_POWER: Final = 0.5
 """Power from which a next measurement is proposed. Chosen."""
 
-# ------------------------------------------------ doubts of the simulation and of the readings
+# ------------------------------------------------ uncertainty of the simulation and of the readings
 
 MATTERS_SD: Final = 0.3
 """Deviations that a change of mesh, cut, contact or compressibility may move the data before the report says
 that it matters. Chosen."""
 
 DOUBTFUL: Final = 0.15
-"""ln force by which such a doubt, as it enters the noise, makes a verdict doubtful. Chosen."""
+"""ln force by which such an uncertainty, as it enters the noise, makes a verdict uncertain. Chosen."""
 
 ON_BOUND: Final = 1e-3
 """Share of a parameter's range within which it stands on its bound. Numerical."""

@@ -4,7 +4,7 @@ Psi += Psi_f(I4) with Cauchy stress (1/J) [2 ksi (I4 - 1) N + mu_f sym(N (b - 1)
 N = (F a0)(F a0)', where I4 > 1. At small strain mu_along = mu_across + mu_f/2, and the fibre adds
 4 ksi + 2 mu_f along it. The transverse image reads the speed across, while a probe across the limb
 squeezes tissue along the fibres: the force is larger than c = 2 mu_SWE promises.
-a0: the fibres' direction as the case tells it, else the limb's long axis.
+a0: the fibres' direction as the case gives it, else the limb's long axis.
 FEBio: `solid mixture` with `fiber-exp-pow` (alpha 0, beta 2).
 Tell-tale: with the probe turned by 90 degrees speeds rise and force falls.
 Source: Criscione et al. 2001, J Mech Phys Solids 49:871 (shear moduli of fibred tissue);
@@ -50,5 +50,5 @@ EFFECT = Effect(
     apply=apply,
     grid=({EXPONENT: 0.0}, {EXPONENT: 3.0}),
     solves=True,
-    tell_tale="force higher than the transverse speeds promise; rotating the probe by 90 degrees reverses it",
+    tell_tale="force higher than the transverse speeds predict; rotating the probe by 90 degrees reverses it",
 )

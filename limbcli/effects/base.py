@@ -102,7 +102,7 @@ def same_reading(reading: Reading, theta: Theta) -> Reading:
 class Effect:
     """One candidate missing effect.
 
-    needs : channels without which nothing can be said of it: "force", "swe", "map", "travel",
+    needs : channels without which it cannot be judged: "force", "swe", "map", "travel",
         "skin-bone", "hold"; "bone": one under the probe, in the model
     grid : values of parameters that mean nothing at the null (a time constant, a place), tried in turn;
         of those with a `shape` a fit only begins there
@@ -175,7 +175,7 @@ def applied(model: LimbModel, effects: Iterable[tuple[Effect, Theta]], *, waves:
     """The model with these effects in it, in whatever order they come; as the shear waves in the scanner's
     window meet it, on request.
 
-    Factors on all stiffnesses come last: the others are told in terms of the tissue's c, and are stiffened
+    Factors on all stiffnesses come last: the others are given in terms of the tissue's c, and are stiffened
     and softened with it.
     """
     for effect, theta in sorted(effects, key=lambda each: each[0].stiffness is not None):

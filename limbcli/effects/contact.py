@@ -29,7 +29,7 @@ def apply(model: LimbModel, theta: Theta) -> LimbModel:
 
 EFFECT = Effect(
     name="contact",
-    sentence="the contact is too soft: the probe sinks into the skin of the model",
+    sentence="the contact is too soft: the probe penetrates the skin of the model",
     kind="numerical",
     source="Wriggers 2006, Computational Contact Mechanics, section 6.3",
     parameters=(FACTOR,),

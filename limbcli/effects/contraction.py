@@ -31,7 +31,7 @@ def apply(model: LimbModel, theta: Theta) -> LimbModel:
 
 EFFECT = Effect(
     name="contraction",
-    sentence="the muscle was tensed",
+    sentence="the muscle was contracted",
     kind="tissue",
     source="Zajac 1989, Crit Rev Biomed Eng 17:359",
     parameters=(TENSION,),

@@ -2,7 +2,7 @@
 
 A side fixed 10 mm from the face doubles the force, 20 mm adds a quarter, 40 mm a few per cent.
 The bound that needs no new mesh: with the cut free instead of fixed the force is too low, so
-that the truth lies between; how far apart the two are is the size of the doubt.
+that the truth lies between; how far apart the two are is the size of the uncertainty.
 Tell-tale: stiff, and stiffer late; deep speeds low, superficial ones high.
 Source: Saint-Venant's principle; Hayes et al. 1972, J Biomech 5:541 for the layer without sides.
 """
@@ -43,5 +43,5 @@ EFFECT = Effect(
     parameters=(FREED,),
     apply=apply,
     solves=True,
-    tell_tale="too stiff, and stiffer late",
+    tell_tale="too stiff, increasingly at larger depth",
 )

@@ -53,7 +53,7 @@ class Curves:
         highest = np.maximum.accumulate(self.force)
         rising = np.flatnonzero(np.diff(highest, prepend=0.0) > _LARGER * highest)
         x, y = np.log(self.force[rising]), np.log(np.maximum(self.depth[rising], 1e-9))
-        if len(rising) < 2:  # too few to tell: force as depth to the power of 1.5, through what there is
+        if len(rising) < 2:  # too few to fit: force as depth to the power of 1.5, through what there is
             x0, y0 = (x[0], y[0]) if len(rising) else (0.0, 0.0)
             x, y = np.array([x0, x0 + 1.5]), np.array([y0, y0 + 1.0])
         return Monotone.through(x, y)

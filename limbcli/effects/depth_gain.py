@@ -2,7 +2,7 @@
 
 The scanner assumes 1540 m/s; fat has about 1450, muscle 1580: g 0.94 to 1.03.
 Every distance along the beam is misread alike, so that from skin to bone too.
-Tell-tale: stretches force and speed over depth alike.
+Tell-tale: stretches both force and speed over depth.
 Source: Goss et al. 1978, J Acoust Soc Am 64:423 (speeds of sound in tissue).
 """
 
@@ -36,5 +36,5 @@ EFFECT = Effect(
     parameters=(GAIN,),
     needs=("force",),
     observe=observe,
-    tell_tale="stretches force and speed over depth alike",
+    tell_tale="stretches both force and speed over depth",
 )

@@ -62,7 +62,7 @@ class Drainage:
         Raises
         ------
         SolveError
-            If there is none, or one tells too little.
+            If there is none, or one carries too little information.
         """
         if not holds:
             raise SolveError("no held indentation was simulated", where="drainage", fix="see why in its log")
@@ -98,7 +98,7 @@ def _shares(hold: HeldIndentation) -> Array:
     if used.sum() < _ENOUGH_POINTS or not np.all(force > 0):
         raise SolveError(
             f"the hold at {hold.depth:g} mm has {int(used.sum())} usable times",
-            where="drainage", fix="look at the log of the run",
+            where="drainage", fix="check the log of the run",
         )  # fmt: skip
     gone = 1.0 - held_memory(hold, SPREADS)[used]
     table = np.column_stack([np.ones(len(force)), -gone]) / force[:, None]
@@ -109,9 +109,9 @@ def _shares(hold: HeldIndentation) -> Array:
     worst = float(_misfit(table[fair], found).max())
     if found[0] <= 0 or worst > _MISFIT or fair.mean() < _MOST_FAIR:
         raise SolveError(
-            f"the force of the hold at {hold.depth:g} mm does not fall as that of draining tissue does "
-            f"({100 * float(off.max()):.0f} % off)",
-            where="drainage", fix="look at the log of the run, and at the site's mesh",
+            f"the force of the hold at {hold.depth:g} mm does not decay like that of "
+            f"draining tissue ({100 * float(off.max()):.0f} % off)",
+            where="drainage", fix="check the log of the run and the site's mesh",
         )  # fmt: skip
     return np.asarray(found[1:] / found[0])
 

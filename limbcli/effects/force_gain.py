@@ -2,7 +2,7 @@
 
 Load cells of this kind are good to 5 %. Not separable from the scale of c unless the
 shear-wave speeds tie c.
-Tell-tale: the force scale differs from what the wave speeds say.
+Tell-tale: the force scale differs from what the wave speeds indicate.
 Source: calibration of load cells.
 """
 
@@ -30,5 +30,5 @@ EFFECT = Effect(
     parameters=(GAIN,),
     needs=("force",),
     observe=observe,
-    tell_tale="the force scale differs from what the wave speeds say",
+    tell_tale="the force scale differs from what the wave speeds indicate",
 )

@@ -41,5 +41,5 @@ EFFECT = Effect(
     needs=("force", "map"),
     apply=apply,
     solves=True,
-    tell_tale="next to none in force and mean speed",
+    tell_tale="almost none in force and mean speed",
 )

@@ -170,8 +170,8 @@ class SolvedDeformation:
 def frozen_force(
     model: LimbModel, kinematics: SolvedDeformation, stiffness: Sequence[Stiffness] = ()
 ) -> Array:
-    """dE/d(depth) (n,) N; 0 at depth 0 plus what a law that is stressed at rest gives; NaN where the law
-    leaves the range of numbers.
+    """dE/d(depth) (n,) N; 0 at depth 0 plus what a law that is stressed at rest gives; NaN where the
+    law overflows.
 
     stiffness : fields that all of the model's stiffnesses are multiplied with
     """

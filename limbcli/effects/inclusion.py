@@ -77,5 +77,5 @@ EFFECT = Effect(
     grid=_PLACES,
     needs=("force", "map"),
     solves=True,
-    tell_tale="a spot in the speed map at every load, there at rest already",
+    tell_tale="a spot in the speed map at every load, present already at rest",
 )

@@ -72,7 +72,7 @@ def _record(record: LogRecord, n_added: int, mesh: Mesh) -> LogRecord:
 
 EFFECT = Effect(
     name="locking",
-    sentence="the linear elements lock: the mesh, not the tissue, makes the force",
+    sentence="the linear elements lock: the mesh, not the tissue, determines the force",
     kind="numerical",
     source="Hughes 2000, The Finite Element Method, section 4.4",
     parameters=(MENDED,),

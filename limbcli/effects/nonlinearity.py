@@ -33,7 +33,7 @@ def apply(model: LimbModel, theta: Theta) -> LimbModel:
 
 EFFECT = Effect(
     name="nonlinearity",
-    sentence="the tissue stiffens along another curve than one pair of exponents allows",
+    sentence="the tissue stiffens along a different curve than one pair of exponents allows",
     kind="tissue",
     source="Destrade & Ogden 2010, J Acoust Soc Am 128:3334",
     parameters=(WEIGHT, SECOND),

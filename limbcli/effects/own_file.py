@@ -1,6 +1,6 @@
 """An effect of the user's own, out of a Python file: looked at before it is tried.
 
-What the file's functions raise later is told as the file's, with its line.
+What the file's functions raise later is reported as the file's, with its line.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def effect_of_file(path: Path, known: Sequence[Effect]) -> Effect:
     """
     found = getattr(_run(path), "EFFECT", None)
     if not isinstance(found, Effect):
-        raise CaseError("the effect file holds no EFFECT", where=str(path), fix=_FIX)
+        raise CaseError("the effect file defines no EFFECT", where=str(path), fix=_FIX)
     guarded = _guarded(found, path)
     for wrong, fix in _wrong(guarded, known):
         raise CaseError(f"the effect of the file cannot be tried: {wrong}", where=str(path), fix=fix)
@@ -51,13 +51,13 @@ def effect_of_file(path: Path, known: Sequence[Effect]) -> Effect:
 def _run(path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(_MODULE, path) if path.is_file() else None
     if spec is None or spec.loader is None:
-        what = "is no Python file (.py)" if path.is_file() else "is not there"
+        what = "is not a Python file (.py)" if path.is_file() else "is not there"
         raise CaseError(f"the effect file {path} {what}", where="--effect-file", fix=_FIX)
     module = importlib.util.module_from_spec(spec)
     sys.modules[_MODULE] = module
     try:
         spec.loader.exec_module(module)
-    except Exception as error:  # whatever a file of the user's own raises is told as the file's
+    except Exception as error:  # whatever a file of the user's own raises is reported as the file's
         at = error.lineno if isinstance(error, SyntaxError) else _line(error, path)
         what = f"the effect file does not run ({_error_text(error)})"
         raise CaseError(what, where=f"{path}, line {at}" if at else str(path), fix=_FIX) from error
@@ -79,13 +79,13 @@ def _wrong(effect: Effect, known: Sequence[Effect]) -> Iterator[tuple[str, str]]
         for name, value in {"null": p.null, "start": p.start, "typical": p.typical}.items():
             if not p.low <= value <= p.high:
                 what = f"{name} of {p.name} is {value:g}, outside of its bounds {p.low:g} to {p.high:g}"
-                yield what, "let low and high hold null, start and typical"
+                yield what, "choose low and high so that they include null, start and typical"
         if p.start == p.null and not p.shape:
-            yield f"start of {p.name} is its null, {p.null:g}", "let a fit begin where the effect is there"
+            yield f"start of {p.name} is its null, {p.null:g}", "start a fit where the effect is present"
         if p.typical == p.null and not p.shape:
             yield (
                 f"typical of {p.name} is its null, {p.null:g}",
-                "give a size that is plausible if it is there",
+                "give a size that is plausible if the effect is present",
             )
         taken = [each.name for each in known if p.name in {other.name for other in each.parameters}]
         if taken:
@@ -97,13 +97,13 @@ def _wrong(effect: Effect, known: Sequence[Effect]) -> Iterator[tuple[str, str]]
     elif effect.observe is same_reading and not effect.solves:
         yield (
             "its apply would never be called",
-            "say solves=True, as an effect of the model has to be simulated",
+            "set solves=True, as an effect of the model has to be simulated",
         )
     for point in effect.grid:
         if effect.observe(Reading(), {**effect.null, **point}) != Reading():
             yield (
                 "its null value changes the reading",
-                "let observe give the reading back where theta is null",
+                "let observe return the reading unchanged where theta is null",
             )
         effect.observe(Reading(), {**effect.start, **point})
 
@@ -132,10 +132,10 @@ def _with_its_errors(function: Callable[..., Any], name: str, kind: type, path: 
             at = _line(error, path)
             where = f"{path}, line {at}" if at else str(path)
             what = f"{name} of the effect file fails ({_error_text(error)})"
-            raise CaseError(what, where=where, fix="mend that line") from error
+            raise CaseError(what, where=where, fix="correct that line") from error
         if not isinstance(found, kind):
             what = f"{name} of the effect file returns {type(found).__name__}, not a {kind.__name__}"
-            raise CaseError(what, where=str(path), fix="return an altered copy of what it is given")
+            raise CaseError(what, where=str(path), fix="return an altered copy of its argument")
         return found
 
     return called

@@ -3,7 +3,7 @@
 sigma = -p I + sigma_e, div(v - k grad p) = 0, over a time L^2/((lambda + 2 mu) k): the drained solid is
 compressible (f_kappa 0.3 to 20), the fluid supplies incompressibility at first.
 FEBio: module `biphasic`; the reference solver refuses it, so that without FEBio it is not evaluated. With it
-a few held indentations tell what drains (`drainage`), and the force follows for any permeability and history.
+a few held indentations give what drains (`drainage`), and the force follows for any permeability and history.
 Skin, probe and bone let nothing through; through the cuts, beyond which the tissue goes on, it flows freely.
 Shear waves are those of the skeleton, whose shear modulus the fluid's pressure leaves as it is; that drained
 tissue is squeezed a little otherwise is of second order for them, and left out.
@@ -77,7 +77,7 @@ def with_drainage(drainage: Drainage) -> Effect:
 
 EFFECT = Effect(
     name="poroelasticity",
-    sentence="fluid drains out of the squeezed tissue",
+    sentence="fluid drains out of the compressed tissue",
     kind="tissue",
     source="Mow et al. 1980, J Biomech Eng 102:73",
     parameters=(PERMEABILITY,),

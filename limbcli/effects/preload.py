@@ -4,7 +4,7 @@ F_shown(d) = F(d + d0) - F0, with F(d0) = F0, 0 to 2 N. The tissue is stretched 
 there is not that of the tissue at rest, and c = 2 rho v0^2 is too high. It had come to rest under F0: what
 relaxes and drains later is what the levels add. In a model file the load begins at d0; resident stretch of
 the tissue itself would be a `prestrain elastic`.
-Tell-tale: the toe is missing; the speed at level 0 is that of squeezed tissue.
+Tell-tale: the toe is missing; the speed at level 0 is that of compressed tissue.
 Source: Gennisson et al. 2007, J Acoust Soc Am 122:3211 (stretched tissue carries waves faster).
 """
 
@@ -32,12 +32,12 @@ def observe(reading: Reading, theta: Theta) -> Reading:
 
 EFFECT = Effect(
     name="preload",
-    sentence="the probe already pressed when force and depth were set to zero",
+    sentence="the probe was already pressing when force and depth were zeroed",
     kind="tissue",
     source="Gennisson et al. 2007, J Acoust Soc Am 122:3211 (stretched tissue carries waves faster)",
     parameters=(PRELOAD,),
     needs=("force",),
     observe=observe,
     each_time=True,
-    tell_tale="the toe is missing; the speed at level 0 is that of squeezed tissue",
+    tell_tale="the toe is missing; the speed at level 0 is that of compressed tissue",
 )

@@ -65,7 +65,7 @@ class Reading:
     log_speed_shift : of every speed; speed_slope 1/mm : relative loss per depth beyond the window's middle
     guided : 1e4 Hz^2 / f^2 of the shear waves, guided by probe and bone
     prony : (share, time constant s) of relaxing stress beside the lasting one
-    c : MPa, of the tissue that is read, which its draining needs; 0: not told
+    c : MPa, of the tissue that is read, which its draining needs; 0: not given
     draining : (what drains at the site, permeability times c in mm^2/s)
     after : further changes of the readout, by effects of a user's own
     """

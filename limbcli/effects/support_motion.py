@@ -50,7 +50,7 @@ def observe(reading: Reading, theta: Theta) -> Reading:
 
 EFFECT = Effect(
     name="support-motion",
-    sentence="limb and bone give way under the load",
+    sentence="limb and bone move under the load",
     kind="measurement",
     source="Pathak et al. 1998, IEEE Trans Rehabil Eng 6:12",
     parameters=(COMPLIANCE,),

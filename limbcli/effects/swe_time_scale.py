@@ -2,7 +2,7 @@
 
 Kelvin-Voigt: rho v^2 = 2 (mu^2 + w^2 eta^2)/(mu + sqrt(mu^2 + w^2 eta^2)); tissue is stiffer at high
 frequency, so that s < 1. All speeds are off by one factor, their shape is right.
-Tell-tale: force and speeds want different c, the shape of speed over depth fits.
+Tell-tale: force and speeds require different c, the shape of speed over depth fits.
 Source: Klatt et al. 2010, Phys Med Biol 55:6445.
 """
 
@@ -33,11 +33,11 @@ def observe(reading: Reading, theta: Theta) -> Reading:
 
 EFFECT = Effect(
     name="swe-time-scale",
-    sentence="shear waves see another stiffness than slow loading does: one factor on all speeds",
+    sentence="shear waves measure a different stiffness than slow loading: one factor on all speeds",
     kind="swe",
     source="Klatt et al. 2010, Phys Med Biol 55:6445",
     parameters=(SCALE,),
     needs=("force", "swe"),
     observe=observe,
-    tell_tale="force and speeds want different c, the shape of speed over depth fits",
+    tell_tale="force and speeds require different c, the shape of speed over depth fits",
 )

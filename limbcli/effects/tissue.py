@@ -133,14 +133,14 @@ def limb_axis(model: LimbModel) -> tuple[float, float, float]:
 
 
 def fibre_direction(model: LimbModel) -> Value:
-    """Where the muscle's fibres run: as the case tells, cell by cell where they differ; else `limb_axis`."""
-    told = model.fibres
-    if told is None:
+    """Where the muscle's fibres run: as in the case, cell by cell where they differ; else `limb_axis`."""
+    given = model.fibres
+    if given is None:
         return limb_axis(model)
-    first = told.values[0]
-    if np.array_equal(told.values, np.broadcast_to(first, told.values.shape)):
+    first = given.values[0]
+    if np.array_equal(given.values, np.broadcast_to(first, given.values.shape)):
         return float(first[0]), float(first[1]), float(first[2])
-    return told
+    return given
 
 
 def thickness(model: LimbModel) -> float:

@@ -17,9 +17,9 @@ _IN_THE_WAY = (errno.EEXIST, errno.ENOTDIR, errno.EISDIR)
 _BROKEN = (errno.EIO, errno.ESTALE, errno.EMFILE, errno.ENFILE, errno.ENAMETOOLONG, errno.ELOOP)
 
 NO_MEMORY = ToolError(
-    "the memory does not suffice",
+    "not enough memory",
     where="this computer",
-    fix="close other programs, mesh coarser (--size-mm, --far-size-mm), or use a computer with more memory",
+    fix="close other programs, use a coarser mesh (--size-mm, --far-size-mm), or a computer with more memory",
 )
 
 
@@ -31,7 +31,7 @@ def in_words(error: OSError, place: Path | None = None) -> LimbError | None:
     >>> print(in_words(OSError(errno.ENOSPC, "No space left on device"), Path("out/mesh")))
     the disk is full (No space left on device)
       where: out/mesh
-      fix:   free space there, or name another output folder; the same command then goes on
+      fix:   free space there, or give another output folder; then repeat the same command
     """
     named = str(error.filename or "")
     where = str(place) if place is not None and (not named or PARTIAL in named) else named or "unknown"
@@ -40,31 +40,31 @@ def in_words(error: OSError, place: Path | None = None) -> LimbError | None:
         return ToolError(
             f"the disk with the temporary files is full {why}",
             where=str(Path(named[: named.index(SCRATCH)])),
-            fix="free space there, or let TMPDIR name a folder with more; the same command then goes on",
+            fix="free space there, or set TMPDIR to a folder with more; then repeat the same command",
         )
     if error.errno in _FULL:
         return ToolError(
             f"the disk is full {why}",
             where=where,
-            fix="free space there, or name another output folder; the same command then goes on",
+            fix="free space there, or give another output folder; then repeat the same command",
         )
     if error.errno in _REFUSED:
         return CaseError(
-            f"a file or folder may not be read or written {why}",
+            f"permission denied to read or write a file or folder {why}",
             where=where,
-            fix="give yourself the right to it (chmod, chown), or name another output folder",
+            fix="change its permissions (chmod, chown), or give another output folder",
         )
     if error.errno in _IN_THE_WAY:
         return CaseError(
-            f"there is a file where a folder is needed, or a folder where a file is {why}",
+            f"a file was found where a folder is needed, or a folder where a file is needed {why}",
             where=where,
-            fix="move it away, or name another output folder",
+            fix="move it away, or give another output folder",
         )
     if error.errno in _BROKEN:
         return ToolError(
             f"the system could not read or write {why}",
             where=where,
-            fix="look at the disk or the network drive, then call the same command again",
+            fix="check the disk or the network drive, then repeat the same command",
         )
     return None
 

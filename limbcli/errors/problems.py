@@ -50,7 +50,7 @@ def raise_errors(
 ) -> None:
     """Raise one error that carries every problem of severity "error", if there is any.
 
-    then : what to do when several are mended
+    then : what to do when several are corrected
 
     >>> raise_errors([Problem("a", "b", "c", severity="warning")], LimbError)
     """
@@ -65,7 +65,7 @@ def raise_errors(
     raise family(
         f"{len(found)} problems:{listed}",
         where=first.where,
-        fix=f"mend them all, {then}",
+        fix=f"correct them all, {then}",
         **facts,
     )
 

@@ -18,16 +18,14 @@ from limbcli.version import __version__
 def unforeseen(error: BaseException, folder: Path | None) -> UnforeseenError:
     """The message, after the whole story was left in `folder`, else in the temporary folder."""
     kind = type(error).__name__
-    fix = "send that file to those who maintain limbcli; it holds paths and the command, but no images"
+    fix = "send that file to the maintainers of limbcli; it contains paths and the command, but no images"
     try:
         where = str(_left(_story(error), folder))
     except OSError as why:
         last = traceback.extract_tb(error.__traceback__)[-1:]
         where = ", ".join(f"{Path(each.filename).name} line {each.lineno}" for each in last)
-        fix = f"send this message to those who maintain limbcli (no file could be written: {why.strerror})"
-    return UnforeseenError(
-        f"something happened that limbcli did not foresee ({kind}: {error})", where=where, fix=fix
-    )
+        fix = f"send this message to the maintainers of limbcli (no file could be written: {why.strerror})"
+    return UnforeseenError(f"an unexpected error occurred in limbcli ({kind}: {error})", where=where, fix=fix)
 
 
 def _story(error: BaseException) -> str:

@@ -89,7 +89,7 @@ def _must_curve(step: Step, start: float, curves: dict[str, Curve]) -> str | Non
     times = (0.0, *step.must_points)
     if any(later <= earlier for earlier, later in itertools.pairwise(times)):
         raise CaseError(
-            f"must-points {step.must_points} do not grow from 0",
+            f"must-points {step.must_points} do not increase from 0",
             where="model step",
             fix="sort them, each once",
         )

@@ -48,7 +48,7 @@ class Iteration:
 
 @dataclass(frozen=True)
 class FebioLog:
-    """What a log tells.
+    """What a log reports.
 
     ending : "normal" or "error" as FEBio says, "none" if the log stops before its end
     times : the converged steps' times (without 0)
@@ -207,9 +207,9 @@ def read_log(path: Path) -> FebioLog:
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError as error:
         raise SolveError(
-            f"there is no log to judge the run by ({error.strerror})",
+            f"there is no log of the run ({error.strerror})",
             where=str(path),
-            fix="run the simulation again; if it recurs, start FEBio by hand on the model file",
+            fix="run the simulation again; if it recurs, start FEBio manually on the model file",
         ) from error
     log = read_lines(lines)
     if not log.version:
@@ -241,7 +241,10 @@ def check_complete(log: FebioLog, path: Path, *, end_time: float | None = None) 
         _fail(log, path, f"FEBio stopped with an error at time {reached:g}", reached)
     if log.ending == "none":
         _fail(
-            log, path, f"FEBio's log breaks off at time {reached:g}: the run was stopped or crashed", reached
+            log,
+            path,
+            f"FEBio's log ends abruptly at time {reached:g}: the run was stopped or crashed",
+            reached,
         )
     if end_time is not None and abs(reached - end_time) > _TIME_TOLERANCE * max(1.0, end_time):
         _fail(log, path, f"FEBio ended at time {reached:g} and not at {end_time:g}", reached)
@@ -249,9 +252,9 @@ def check_complete(log: FebioLog, path: Path, *, end_time: float | None = None) 
 
 def _fail(log: FebioLog, path: Path, what: str, reached: float) -> NoReturn:
     messages = list(dict.fromkeys(log.errors))[-3:]
-    said = f"\nFEBio says: {'; '.join(messages)}" if messages else ""
+    reported = f"\nFEBio says: {'; '.join(messages)}" if messages else ""
     raise SolveError(
-        f"{what} after {log.n_iterations} iterations and {log.n_retries} retries.{said}\n"
+        f"{what} after {log.n_iterations} iterations and {log.n_retries} retries.{reported}\n"
         f"The log ends with:\n{quote(log.last_lines)}",
         where=str(path),
         fix="try a smaller first step or more steps in the model; `--solver reference` runs without FEBio",

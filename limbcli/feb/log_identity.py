@@ -1,4 +1,4 @@
-"""Proof that a log tells of the model file beside it, and of no other.
+"""Proof that a log is of the model file next to it, and of no other.
 
 A run is given a mark, made from the model file's content, as the name of its plot file; the log's list of
 files repeats it. A log without a mark is judged by what FEBio repeats of its input: the number of nodes and
@@ -91,32 +91,32 @@ def check_belongs(log: Path, feb: Path, outline: Outline, *, by_mark: bool = Fal
     Raises
     ------
     SolveError
-        If the log is of another model, or does not tell.
+        If the log is of another model, or does not say.
     """
     with log.open(encoding="utf-8", errors="replace") as stream:
         echo = read_echo(line.rstrip("\r\n") for line in itertools.islice(stream, _HEAD_LINES))
     if echo.mark and echo.mark != mark_of(feb):
-        _refuse(log, f"the log tells of another model file than {feb.name} beside it (mark {echo.mark})")
+        _refuse(log, f"the log is of another model file than the {feb.name} next to it (mark {echo.mark})")
     if echo.mark:
         return
     if by_mark:
-        _refuse(log, "the log does not repeat the mark that the run was given: it is of another run")
+        _refuse(log, "the log does not contain the mark of this run: it is of another run")
     if echo.n_nodes is None or not echo.materials:
-        _refuse(log, f"the log does not tell which model it is of, so it is not taken for {feb.name}")
+        _refuse(log, f"the log does not state which model it is of, so it cannot be attributed to {feb.name}")
     _compare(echo, outline, log)
 
 
 def _compare(echo: Echo, outline: Outline, log: Path) -> None:
     n_nodes = int(np.count_nonzero(outline.nodes >= 0))
     if echo.n_nodes != n_nodes:
-        _refuse(log, f"the log tells of {echo.n_nodes} nodes, the model file has {n_nodes}")
+        _refuse(log, f"the log reports {echo.n_nodes} nodes, the model file has {n_nodes}")
     for number, parameters in outline.materials.items():
         other = echo.materials.get(number)
         if other is None:
-            _refuse(log, f"the log does not tell of material {number} of the model file")
+            _refuse(log, f"the log does not report material {number} of the model file")
         if found := _first_difference(parameters, other):
             name, ours = found
-            _refuse(log, f"the log tells of another material: {name} is {other[name]:g}, not {ours:g}")
+            _refuse(log, f"the log reports a different material: {name} is {other[name]:g}, not {ours:g}")
 
 
 def _first_difference(ours: Mapping[str, float], other: Mapping[str, float]) -> tuple[str, float] | None:
@@ -130,5 +130,6 @@ def _refuse(log: Path, what: str) -> NoReturn:
     raise SolveError(
         what,
         where=str(log),
-        fix="run the simulation again, in a folder of its own (`limbcli run`); check what --febio names",
+        fix="run the simulation again, in a separate folder (`limbcli run`); check which program --febio "
+        "names",
     )

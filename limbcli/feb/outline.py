@@ -96,7 +96,7 @@ def check_output(outline: Outline, path: Path) -> None:
     raise CaseError(
         f"<output_level>: {_OUTPUT_LEVELS[_MINOR if _MINOR in levels else _NEVER]} {what}",
         where=str(path),
-        fix=f"give {_OUTPUT_LEVELS[_MAJOR]}, or leave it out",
+        fix=f"give {_OUTPUT_LEVELS[_MAJOR]}, or omit it",
     )
 
 

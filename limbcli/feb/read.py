@@ -155,7 +155,7 @@ def _refuse_other_maps(tag: Tag, block: str, material: Material) -> None:
         if isinstance(value, ElementMap) and value.block != block:
             raise tag.problem(
                 f"its material has a map over {value.block!r}",
-                fix=f"give the map over {block!r}, or this part a material of its own",
+                fix=f"give the map over {block!r}, or give this part a separate material",
             )
     for part in material.parts:
         _refuse_other_maps(tag, block, part)

@@ -58,7 +58,7 @@ def read_steps(
         return (_step(control, None, context),), frozenset(context.must_curves)
     if control is not None:
         raise control.problem(
-            "a global <Control> beside <Step> is not supported", fix="keep the one in each step"
+            "a global <Control> together with <Step> is not supported", fix="keep the one in each step"
         )
     several.allow(many=("step",))
     steps: list[Step] = []

@@ -265,7 +265,7 @@ def refuse_unused(maps: Mapping[str, object], used: set[str] | frozenset[str], t
     for name in maps:
         if name not in used and tag is not None:
             raise CaseError(
-                f"the map {name!r} in <MeshData> is used by nothing",
+                f"the map {name!r} in <MeshData> is not used",
                 where=f"{tag.file}, line {tag.line}",
                 fix="remove it, or refer to it",
                 tag="MeshData",

@@ -36,7 +36,7 @@ def read_records(path: Path, *, n_columns: int | None = None, n_items: int | Non
 
     Parameters
     ----------
-    n_columns, n_items : what is expected, where known; else the first block tells
+    n_columns, n_items : what is expected, where known; else the first block shows it
 
     Raises
     ------
@@ -50,7 +50,7 @@ def read_records(path: Path, *, n_columns: int | None = None, n_items: int | Non
         raise SolveError(
             f"the record file {path.name} is missing ({error.strerror})",
             where=str(path),
-            fix="run the simulation again; if it recurs, look at the end of model.log",
+            fix="run the simulation again; if it recurs, check the end of model.log",
         ) from error
     blocks = [_block(part, path) for part in text.split("*Step")[1:]]
     whole = [block is not None and block.rows.size > 0 for block in blocks]
@@ -59,7 +59,7 @@ def read_records(path: Path, *, n_columns: int | None = None, n_items: int | Non
     if len(kept) < len(blocks) - truncated:
         raise _broken(path, "a block in its middle cannot be read")
     if not kept:
-        raise _broken(path, "it holds no complete step")
+        raise _broken(path, "it contains no complete step")
     shape = (n_items or len(kept[0].rows), (n_columns or kept[0].rows.shape[1] - 1) + 1)
     if not truncated and len(kept) > 1 and len(kept[-1].rows) < shape[0]:
         kept, truncated = kept[:-1], True
@@ -75,9 +75,9 @@ def read_records(path: Path, *, n_columns: int | None = None, n_items: int | Non
     times = np.array([block.time for block in kept])
     again = np.flatnonzero((np.diff(times) == 0) & (np.diff([block.step for block in kept]) == 0))
     if len(again):  # two steps may be closer than the digits of their times
-        raise _broken(path, f"the step at time {times[again[0]]:g} stands in it more than once: unconverged")
+        raise _broken(path, f"the step at time {times[again[0]]:g} appears more than once: unconverged")
     if not np.isfinite(times).all() or (np.diff(times) < 0).any():
-        raise _broken(path, "its times do not grow from step to step")
+        raise _broken(path, "its times do not increase from step to step")
     ids = kept[0].rows[:, 0]
     if not np.isfinite(ids).all() or (ids != np.rint(ids)).any() or ids.min() < 1 or ids.max() > _LARGEST:
         raise _broken(path, "an id in its first column is not a whole number from 1")
@@ -118,5 +118,5 @@ def _broken(path: Path, what: str) -> SolveError:
     return SolveError(
         f"the record file {path.name} cannot be used: {what}",
         where=str(path),
-        fix="run the simulation again; if it recurs, look at the end of model.log",
+        fix="run the simulation again; if it recurs, check the end of model.log",
     )

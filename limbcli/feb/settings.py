@@ -85,9 +85,9 @@ def schedule(depths: Sequence[float], *, start: float | None = None) -> Schedule
     growing = all(later > earlier for earlier, later in itertools.pairwise(depths))
     if not depths or depths[0] <= least_level() or not growing:
         raise CaseError(
-            f"the depths {list(depths)} mm do not grow from {least_level():g} mm on",
+            f"the depths {list(depths)} mm do not increase from {least_level():g} mm on",
             where="load schedule",
-            fix="give growing depths, each once",
+            fix="give increasing depths, each once",
         )
     times: list[float] = []
     for depth in depths:

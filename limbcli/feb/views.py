@@ -201,7 +201,7 @@ def _step(step: Step, must_curve: str | None, ids: Ids) -> dict[str, Any]:
     unknown = set(step.control) - known
     if unknown:
         raise CaseError(
-            f"FEBio's settings {sorted(unknown)} are not known here",
+            f"FEBio's settings {sorted(unknown)} are not supported here",
             where="model step",
             fix=f"use {sorted(known)}",
         )

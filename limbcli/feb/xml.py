@@ -133,7 +133,7 @@ class Tag:
             given = self.optional(key)
             if given is not None and key not in attributes and (key, given) != ("type", "const"):
                 raise self.problem(
-                    f"limbcli does not take the attribute {key}={given!r} here",
+                    f"limbcli does not accept the attribute {key}={given!r} here",
                     fix="give a plain value, or run the file with FEBio (--solver febio)",
                 )
         return self.text
@@ -248,7 +248,7 @@ def open_model(path: Path) -> Tag:
     tag = Tag(root, path)
     if next(root.iter(etree.Entity), None) is not None:
         raise tag.problem(
-            "limbcli and FEBio do not know entities of a file's own", fix="write out what they hold"
+            "limbcli and FEBio do not support entities defined in a file", fix="write out their content"
         )
     _take_out_comments(root)
     if tag.optional("version") != "4.0":
@@ -268,7 +268,7 @@ def _check_units(root: Tag) -> None:
     units = module.child("units") if module is not None else None
     if units is not None and units.text != UNITS:
         raise units.problem(
-            f"the unit system {units.text!r} is not ours", fix=f"convert the model to {UNITS}"
+            f"the unit system {units.text!r} is not supported", fix=f"convert the model to {UNITS}"
         )
 
 
@@ -278,7 +278,7 @@ def _refuse_other_files(root: Tag) -> None:
     for each in (*root, *(part for step in steps or () for part in step)):
         if each.name == "Include" or each.optional("from") is not None:
             raise each.problem(
-                f"it stands in another file ({each.optional('from') or each.text})",
+                f"it is in another file ({each.optional('from') or each.text})",
                 fix="put its content in this place, in one file",
             )
 
@@ -321,7 +321,9 @@ def _check_file_names(root: Tag) -> None:
         name = tag.attribute("file")
         fix = 'give a plain file name of its own, such as file="nodes.csv"'
         if not _PLAIN_NAME.fullmatch(name):
-            raise tag.problem(f"file={name!r} is no plain file name; it could be written anywhere", fix=fix)
+            raise tag.problem(
+                f"file={name!r} is not a plain file name; it could be written anywhere", fix=fix
+            )
         low = name.lower()
         if low in _TAKEN or low.endswith(_TAKEN_ENDINGS):
             raise tag.problem(f"file={name!r} is a name that the run itself needs", fix=fix)

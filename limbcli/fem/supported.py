@@ -47,7 +47,7 @@ def _refuse_no_contact(contact: Contact) -> None:
     """Numbers with which nothing would press, or friction would push."""
     what = ""
     if not contact.penalty > 0:
-        what = f"its penalty {contact.penalty:g} is not positive: nothing would press"
+        what = f"its penalty {contact.penalty:g} is not positive: there would be no contact force"
     elif contact.friction < 0:
         what = f"its fric_coeff {contact.friction:g} is below 0"
     if what:
@@ -77,7 +77,7 @@ def refuse_limp(model: LimbModel) -> None:
         if not least > _LEAST_STIFFNESS * stiffness.max():
             raise SolveError(
                 f"material {domain.material!r} does not resist deformation: "
-                f"its least stiffness at rest is {least:.3g} MPa",
+                f"its lowest stiffness at rest is {least:.3g} MPa",
                 where=f"material {domain.material!r}, cells of {domain.block!r}",
                 fix="correct its moduli: those of an Ogden law have a positive sum",
             )

@@ -15,7 +15,7 @@ _JOINT = 0.35  # overlap of heights up to this (of the shorter) is that of bones
 
 
 def name_bones(bones: tuple[Volume, ...]) -> tuple[str, ...]:
-    """tibia, fibula, femur, patella where size and place tell; else numbers (see `names_by_size_and_place`).
+    """tibia, fibula, femur, patella by size and place; else numbers (see `names_by_size_and_place`).
 
     bones : Volumes of bool, largest first, k along the limb towards proximal
     """
@@ -29,7 +29,7 @@ def name_bones(bones: tuple[Volume, ...]) -> tuple[str, ...]:
 def names_by_size_and_place(
     sizes: Array, spans: Sequence[tuple[float, float]], in_front: Callable[[int, int], bool]
 ) -> tuple[str, ...]:
-    """tibia, fibula, femur, patella where size and place tell; else numbers.
+    """tibia, fibula, femur, patella where size and place determine them; else numbers.
 
     Side by side along the limb are tibia (the larger) and fibula; a large bone above
     them (towards proximal) is the femur, a small one in front of the joint the patella. A

@@ -1,7 +1,7 @@
 """DICOM series to `Volume`: slices in order of position, in the patient's frame.
 
 Only geometry, signal and a few technical facts leave this module; nothing that
-could tell who the patient is.
+could identify the patient.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from limbcli.progress import SILENT, Progress
 
 _PIXELS = ("PixelData", *FLOAT_PIXELS)
 _PARALLEL = 1e-3  # largest change of a direction cosine between slices of one series
-_OWN_UIDS = 0.4  # more series UIDs than this share of the images: they tell nothing
+_OWN_UIDS = 0.4  # more series UIDs than this share of the images: they are uninformative
 _DOUBLED = 0.05  # slices nearer than this share of the spacing are the same place
 PIXEL_MM, STEP_MM = (0.05, 8.0), (0.05, 30.0)  # mm: what pixels and slices of a limb's image can be
 _MISSING = 1.5  # a gap wider than this many spacings lacks a slice
@@ -48,7 +48,7 @@ class Series:
 
     volume : signal after rescale slope and intercept, with its place in the patient
     facts : technical facts without identity (modality, spacing_mm, n_slices, ...)
-    notes : what was mended on the way in, one sentence each
+    notes : what was repaired on the way in, one sentence each
     """
 
     volume: Volume
@@ -89,7 +89,7 @@ def read_series(folder: Path, *, progress: Progress = SILENT) -> Series:
     volume, notes = stack(slices, heights, step)
     if turned_over(datasets[0][1]):
         volume = volume.with_values(volume.values - volume.values.min())
-        notes = (*notes, "Photometric Interpretation (0028,0004) is MONOCHROME1: the signal was turned over")
+        notes = (*notes, "Photometric Interpretation (0028,0004) is MONOCHROME1: the signal was inverted")
     return Series(volume=volume, facts=_facts(datasets[0][1], volume), notes=remarks + notes)
 
 
@@ -123,21 +123,21 @@ def _images(folder: Path, progress: Progress) -> list[tuple[str, Dataset]]:
             f"{len(cut)} of {len(found) + len(cut)} images end before their pixel data (7FE0,0010): "
             f"file {listed} in order of name",
             where=str(folder),
-            fix="the files are cut short: copy the series again",
+            fix="the files are truncated: copy the series again",
             n_cut=len(cut),
         )
     if found:
         return found
     if without_pixels:
         raise CaseError(
-            f"the {without_pixels} DICOM files hold no pixel data (7FE0,0010)",
+            f"the {without_pixels} DICOM files contain no pixel data (7FE0,0010)",
             where=str(folder),
             fix="export the images again, not only their headers or a DICOMDIR",
         )
     raise CaseError(
         f"there is no DICOM file among the {len(paths)} files" if paths else "the folder is still empty",
         where=str(folder),
-        fix="put the files of one DICOM series there; [imaging] mri names the folder",
+        fix="put the files of one DICOM series there; [imaging] mri gives the folder",
     )
 
 
@@ -175,7 +175,7 @@ def _one_series(datasets: list[tuple[str, Dataset]], folder: Path) -> tuple[str,
         return ()
     kinds = Counter(_kind(dataset) for _, dataset in datasets)
     if len(kinds) == 1 and len(uids) > _OWN_UIDS * len(datasets):
-        return ("every image has a Series Instance UID (0020,000E) of its own; taken as one series",)
+        return ("every image has its own Series Instance UID (0020,000E); treated as one series",)
     if len(uids) == len(datasets):
         listed = ", ".join(
             f"series {kind[0] or '?'} with {count} images" for kind, count in kinds.most_common()
@@ -188,9 +188,9 @@ def _one_series(datasets: list[tuple[str, Dataset]], folder: Path) -> tuple[str,
         listed = ", ".join(f"series {numbers[uid] or '?'} with {n} images" for uid, n in uids.most_common(6))
         n_series = len(uids)
     raise CaseError(
-        f"the folder holds {n_series} series: {listed}",
+        f"the folder contains {n_series} series: {listed}",
         where=str(folder),
-        fix="move every series but one (Series Instance UID, 0020,000E) to another folder",
+        fix="move all series except one (Series Instance UID, 0020,000E) to another folder",
         n_series=n_series,
     )
 
@@ -227,7 +227,7 @@ def _same_shape(slices: list[Slice], folder: Path) -> None:
         raise CaseError(
             f"{len(odd)} of {len(slices)} images differ in size or Pixel Spacing (0028,0030): {_some(odd)}",
             where=str(folder),
-            fix="remove the images that do not belong to the volume (localiser, screen shot)",
+            fix="remove the images that do not belong to the volume (localiser, screenshot)",
         )
 
 
@@ -258,9 +258,9 @@ def _slice_step(slices: list[Slice], heights: Array, folder: Path) -> float:
         pairs = np.flatnonzero(gaps < max(_DOUBLED * step, 1e-3))
         named = [f"{slices[n].name} = {slices[n + 1].name}" for n in pairs]
         raise CaseError(
-            f"{len(pairs)} slices lie at the same place as another: {_some(named)}",
+            f"{len(pairs)} slices lie at the same position as another: {_some(named)}",
             where=str(folder),
-            fix="remove the doubled files; several echoes or time points must be separate folders",
+            fix="remove the duplicate files; several echoes or time points must be separate folders",
             n_doubled=len(pairs),
         )
     wide = np.flatnonzero(gaps > _MISSING * step)
@@ -286,7 +286,7 @@ def _plausible(first: Slice, step: float, folder: Path) -> None:
             raise CaseError(
                 f"{what} ({tag}) is {value:g} mm; a limb's image has {low:g} to {high:g} mm",
                 where=str(folder),
-                fix="correct the tag (mm), or bring a label map or surfaces instead",
+                fix="correct the tag (mm), or use a label map or surfaces instead",
             )
 
 

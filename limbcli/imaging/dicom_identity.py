@@ -10,7 +10,7 @@ from pydicom.dataset import Dataset
 
 from limbcli.errors import CaseError
 
-_OWN = 0.4  # more values than this share of the images: they tell nothing
+_OWN = 0.4  # more values than this share of the images: they are uninformative
 _SHOWN = 4
 _WORD = 3  # letters: shorter parts of a patient's name or number are no clue in a file's name
 _TAGS = (
@@ -20,7 +20,7 @@ _TAGS = (
 
 
 def public_name(path: Path, dataset: Dataset, number: int) -> str:
-    """The file's name for messages, unless it tells who the patient is."""
+    """The file's name for messages, unless it identifies the patient."""
     private = f"{dataset.get('PatientName', '')} {dataset.get('PatientID', '')}".lower()
     words = [each for each in re.split(r"[^\w]+|_", private) if len(each) >= _WORD]
     reported = any(each in path.name.lower() for each in words)
@@ -28,9 +28,9 @@ def public_name(path: Path, dataset: Dataset, number: int) -> str:
 
 
 def one_body(datasets: list[tuple[str, Dataset]], folder: Path) -> tuple[str, ...]:
-    """Notes on tags that tell nothing.
+    """Notes on tags that are uninformative.
 
-    datasets : (name fit for messages, header) of every image; no value of a tag is ever told
+    datasets : (name fit for messages, header) of every image; no value of a tag is ever shown
 
     Raises
     ------
@@ -43,10 +43,10 @@ def one_body(datasets: list[tuple[str, Dataset]], folder: Path) -> tuple[str, ..
         counts = Counter(each for each in values if each)
         if len(counts) < 2:
             if counts and "" in values:
-                notes.append(f"{values.count('')} of {len(values)} images lack the {tag}")
+                notes.append(f"{values.count('')} of {len(values)} images have no {tag}")
             continue
         if keyword != "PatientID" and len(counts) > _OWN * len(datasets):
-            notes.append(f"every image has a {tag} of its own; it was not looked at")
+            notes.append(f"every image has its own {tag}; it was ignored")
             continue
         usual = counts.most_common(1)[0][0]
         odd = [name for (name, _), value in zip(datasets, values, strict=True) if value not in ("", usual)]

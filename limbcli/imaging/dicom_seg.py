@@ -44,12 +44,12 @@ def read_dicom_seg(path: Path) -> NamedMasks:
             warnings.simplefilter("ignore")
             dataset = pydicom.dcmread(path)
     except DICOM_DAMAGED as error:
-        raise CaseError("the label map is no DICOM file", where=str(path), fix=_FIX) from error
+        raise CaseError("the label map is not a DICOM file", where=str(path), fix=_FIX) from error
     if str(dataset.get("Modality", "")) != "SEG":
         raise CaseError(
             f"the DICOM file's Modality (0008,0060) is {dataset.get('Modality', 'absent')}, not SEG",
             where=str(path),
-            fix="[imaging] labels takes a DICOM SEG; an image series belongs into [imaging] mri",
+            fix="[imaging] labels takes a DICOM SEG; an image series belongs in [imaging] mri",
         )
     try:
         return _masks(dataset, path)

@@ -1,4 +1,4 @@
-"""Fat, told from muscle by its signal."""
+"""Fat, distinguished from muscle by its signal."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 The principal direction of a diffusion tensor has no sign, so neighbouring voxels may point opposite ways.
 Between voxels the dyads v v' are interpolated, and the direction is the mean dyad's principal axis; its
-eigenvalues tell how far the neighbours agree.
+eigenvalues show how far the neighbours agree.
 Components are along the patient's axes (RAS as NIfTI has them, or LPS), or along the voxels' axes as
 FSL's dtifit writes them.
 Source: Basser & Pajevic 2000, Magn Reson Med 44:41 (the mean dyadic tensor); FSL FDT user guide (vector
@@ -38,7 +38,7 @@ _SAVE = "save the principal diffusion direction (V1) as NIfTI (.nii.gz)"
 class FibreMap:
     """dyads (n_i, n_j, n_k, 6): xx yy zz xy yz xz of v v' in patient LPS, 0 where there is no direction.
 
-    grid : where the voxels lie; its values tell where there is a direction
+    grid : where the voxels lie; its values show where there is a direction
     """
 
     dyads: Array
@@ -79,7 +79,7 @@ class FibreMap:
 
 @dataclass(frozen=True, eq=False)
 class FibreSample:
-    """axes (n, 3), unit, patient LPS, NaN where the map says nothing.
+    """axes (n, 3), unit, patient LPS, NaN where the map has no data.
 
     agreement (n,) : 1 where all neighbours point along the axis, 0 where they point anyhow
     covered, near (n,) : within the map's directions; taken from the nearest one, up to `REACH` mm away
@@ -108,7 +108,7 @@ def read_fibre_map(path: Path, *, frame: str = "ras") -> FibreMap:
     except (ImageFileError, HeaderDataError, *DAMAGED, zlib.error) as error:
         raise CaseError(f"the fibre map cannot be read ({error})", where=str(path), fix=_SAVE) from error
     if not isinstance(image, nib.Nifti1Image) or image.get_data_dtype().kind not in "fiu":
-        raise CaseError("the fibre map is no NIfTI of numbers", where=str(path), fix=_SAVE)
+        raise CaseError("the fibre map is not a numeric NIfTI file", where=str(path), fix=_SAVE)
     shape = _shape(tuple(image.shape), path)
     _check_place(image, path)
     try:
@@ -136,15 +136,19 @@ def _shape(shape: tuple[int, ...], path: Path) -> tuple[int, int, int]:
         note = f" ({hint[components]})" if components in hint else ""
         raise CaseError(what + note, where=str(path), fix=_SAVE, components=components)
     if math.prod(shape[:3]) > MOST_VOXELS:
-        raise CaseError("the fibre map has more voxels than a limb's", where=str(path), fix="crop it")
+        raise CaseError(
+            "the fibre map has more voxels than a limb image can have", where=str(path), fix="crop it"
+        )
     return int(shape[0]), int(shape[1]), int(shape[2])
 
 
 def _check_place(image: nib.Nifti1Image, path: Path) -> None:
     code = int(image.header["sform_code"]) or int(image.header["qform_code"])
-    fix = "bring the directions in the frame of the limb's own images (scanner coordinates)"
+    fix = "give the directions in the frame of the limb's own images (scanner coordinates)"
     if code == 0:
-        what = "the fibre map does not say how it lies in the patient (qform_code and sform_code are 0)"
+        what = (
+            "the fibre map does not define its orientation in the patient (qform_code and sform_code are 0)"
+        )
         raise CaseError(what, where=str(path), fix=fix)
     if code in _TEMPLATES:
         what = f"the fibre map lies in another frame: {_TEMPLATES[code]}, not the patient's"

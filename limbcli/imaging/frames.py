@@ -16,7 +16,7 @@ from limbcli.imaging.volume import DAMAGED
 from limbcli.model import Array
 
 DICOM_DAMAGED = (*DAMAGED, BytesLengthException, InvalidDicomError)
-_EXPORT = "export the series again with its geometry, or bring a label map or surfaces instead"
+_EXPORT = "export the series again with its geometry, or use a label map or surfaces instead"
 _PLUGINS = "pip install pylibjpeg pylibjpeg-libjpeg pylibjpeg-openjpeg, or export it uncompressed"
 _STORAGE = ("Rows", "Columns", "BitsAllocated", "PixelRepresentation")
 FLOAT_PIXELS = ("FloatPixelData", "DoubleFloatPixelData")  # PS3.3 C.7.6.24: no sign, no bits stored
@@ -56,9 +56,9 @@ def slices_of(dataset: Dataset, name: str) -> list[Slice]:
     if pixels.ndim != 2:
         raise CaseError(
             f"the image has {pixels.shape[0]} frames, but no Per-Frame Functional Groups (5200,9230) that "
-            "tell where they lie",
+            "give their positions",
             where=name,
-            fix="export the series as enhanced MR or CT, or as one file a slice",
+            fix="export the series as enhanced MR or CT, or as one file per slice",
         )
     return [_plane(dataset, dataset, dataset, _rescaled(pixels, dataset, dataset, name), name)]
 
@@ -143,14 +143,14 @@ def _require_grey(dataset: Dataset, name: str) -> None:
         raise CaseError(
             f"Modality (0008,0060) is {modality}; the geometry needs MR or CT",
             where=name,
-            fix="[imaging] mri must name the folder of an MR or CT series; a SEG belongs into labels",
+            fix="[imaging] mri must give the folder of an MR or CT series; a SEG belongs in labels",
         )
     kind = str(dataset.get("PhotometricInterpretation", "MONOCHROME2"))
     if not kind.startswith("MONOCHROME"):
         raise CaseError(
             f"Photometric Interpretation (0028,0004) is {kind}; grey values are needed",
             where=name,
-            fix="remove screen shots and colour images from the folder",
+            fix="remove screenshots and colour images from the folder",
         )
 
 
@@ -167,7 +167,7 @@ def _decoded(dataset: Dataset, name: str) -> NDArray:
             "the pixel data (7FE0,0010) cannot be decoded "
             f"(Transfer Syntax 0002,0010: {getattr(syntax, 'name', 'unknown')})",
             where=name,
-            fix=_PLUGINS if packed else "the file is cut short or damaged: copy the series again",
+            fix=_PLUGINS if packed else "the file is truncated or damaged: copy the series again",
         ) from error
 
 
@@ -200,7 +200,7 @@ def should_be_image(dataset: Dataset) -> bool:
 
 
 def damaged(where: str, error: BaseException) -> CaseError:
-    """The error of a DICOM file that breaks off or contradicts itself; its values are not told."""
+    """The error of a DICOM file that breaks off or contradicts itself; its values are not shown."""
     return CaseError(
         f"the DICOM file is damaged ({type(error).__name__})",
         where=where,
@@ -218,7 +218,7 @@ def _complete(dataset: Dataset, name: str) -> None:
             raise CaseError(
                 f"{described} ({tag >> 16:04X},{tag & 0xFFFF:04X}) is missing, so the pixels cannot be read",
                 where=name,
-                fix="export the series again, or bring a label map or surfaces instead",
+                fix="export the series again, or use a label map or surfaces instead",
             )
     usual = {
         "SamplesPerPixel": 1,

@@ -36,9 +36,9 @@ def read_image(path: Path, *, progress: Progress = SILENT) -> Series:
     reader = next((each for end, each in ENDINGS.items() if path.name.lower().endswith(end)), None)
     if reader is None:
         raise CaseError(
-            f"{path.name} is of no kind of image that is read here",
+            f"{path.name} is not in a supported image format",
             where=str(path),
-            fix=f"name a folder with one DICOM series, or a volume that ends in {', '.join(ENDINGS)}",
+            fix=f"give a folder with one DICOM series, or a volume that ends in {', '.join(ENDINGS)}",
         )
     volume = _plausible(reader(path), path)
     progress.event("note", text=f"{path.name}: {' x '.join(map(str, volume.shape))} voxels")
@@ -48,10 +48,10 @@ def read_image(path: Path, *, progress: Progress = SILENT) -> Series:
         missing = 1.0 - float(finite.mean())
         least = float(volume.values[finite].min()) if finite.any() else 0.0
         volume = volume.with_values(np.where(finite, volume.values, least))
-        notes.append(f"{missing:.1%} of the voxels are no number; they were taken for air")
+        notes.append(f"{missing:.1%} of the voxels are not numbers; they were treated as air")
     is_ct = float(np.percentile(volume.values, _AIR_SHARE)) < _AIR_HU
     if is_ct:
-        notes.append("taken for CT (HU), because of values far below 0")
+        notes.append("treated as CT (HU), because of values far below 0")
     facts = {
         "modality": "CT" if is_ct else "MR",
         "n_slices": volume.shape[2],
@@ -65,7 +65,7 @@ def _plausible(volume: Volume, path: Path) -> Volume:
     """Enough voxels, at right angles, of sizes that a limb's image can have."""
     if min(volume.shape) < _LEAST:
         what = f"the image has {' x '.join(map(str, volume.shape))} voxels; a volume needs {_LEAST} each way"
-        raise CaseError(what, where=str(path), fix="bring the whole volume")
+        raise CaseError(what, where=str(path), fix="use the whole volume")
     sides = volume.affine[:3, :3]
     if not np.isfinite(volume.affine).all() or abs(np.linalg.det(sides)) < 1e-9:
         what = "the image's voxels have no volume: its affine is singular"

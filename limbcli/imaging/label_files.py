@@ -75,10 +75,10 @@ def by_name(segments: Sequence[tuple[str, NDArray[np.bool_]]], path: Path) -> ND
     unknown = [title for (kind, _), (title, _) in zip(kinds, segments, strict=True) if kind == 0]
     if unknown:
         raise CaseError(
-            f"the segment name(s) {', '.join(unknown[:5])} are not understood, or tell of several kinds of "
-            "tissue",
+            f"the segment name(s) {', '.join(unknown[:5])} are not recognised, or refer to several "
+            "kinds of tissue",
             where=str(path),
-            fix="name the segments soft tissue (or skin, muscle), fat, bone (or tibia, fibula ...), marker",
+            fix="call the segments soft tissue (or skin, muscle), fat, bone (or tibia, fibula ...), marker",
         )
     for value in _ORDER:
         for kind, mask in kinds:

@@ -40,7 +40,7 @@ class Agreement:
 def compare_frames(labels: Volume, image: Volume, *, where: str) -> Agreement:
     """Place and size of a label map against its image's.
 
-    On the image's own grid nothing is asked. A grid of equal matrix at another place or of other voxels is
+    On the image's own grid nothing is checked. A grid of equal matrix at another place or of other voxels is
     an error. Any other grid is taken by its place in the patient, and must cover what is bright in the image.
     """
     if _same_grid(labels, image):
@@ -48,19 +48,20 @@ def compare_frames(labels: Volume, image: Volume, *, where: str) -> Agreement:
     if sorted(labels.shape) == sorted(image.shape):
         off = np.linalg.norm(_middle(labels) - _middle(image))
         what = (
-            f"the label map has the MRI's matrix but lies elsewhere: voxels {_size(labels.spacing)} mm, "
+            f"the label map has the MRI's matrix but a different position: voxels {_size(labels.spacing)} "
+            f"mm, "
             f"not {_size(image.spacing)} mm; middle {off:.1f} mm off"
         )
         return Agreement(True, None, (Problem(what, where, _FIX),))
     limb = np.isin(labels.values, (SOFT_TISSUE, BONE, FAT))
     beyond = _share_beyond(labels, limb, image)
     if beyond > _BEYOND:
-        what = f"{beyond:.0%} of the label map's limb lies beyond the MRI series"
+        what = f"{beyond:.0%} of the label map's limb lies outside the MRI series"
         return Agreement(True, None, (Problem(what, where, _FIX),))
     overlap = _overlap(labels, limb, image)
     if overlap >= _AGREE[0]:
         return Agreement(True, overlap, ())
-    what = f"the label map's limb and the limb in the MRI overlap by {overlap:.0%} only (Dice)"
+    what = f"the label map's limb and the limb in the MRI overlap by only {overlap:.0%} (Dice)"
     severity = "error" if overlap < _AGREE[1] else "warning"
     return Agreement(True, overlap, (Problem(what, where, _FIX, severity=severity),))  # type: ignore[arg-type]
 

@@ -27,7 +27,7 @@ _LIMB = (SOFT_TISSUE, BONE, FAT)
 _SECOND_LIMB = 0.35  # of the largest part: a second one this large is a second limb
 _KNOWN = (0, SOFT_TISSUE, BONE, MARKER, FAT)
 _LEAST_BONE = 150.0  # mm^3: smaller specks of bone are left out
-_STRAIGHT = 1e-4  # cosine: a qform, which knows right angles only, would tell another place beyond
+_STRAIGHT = 1e-4  # cosine: a qform, which knows right angles only, would give another place beyond
 _LEAST_MARKER = 0.1  # of the largest marker's volume: smaller ones are specks
 
 
@@ -97,7 +97,7 @@ def checked_labels(labels: Volume, path: Path) -> Volume:
     unknown = [each for each in found if each not in _KNOWN]
     if unknown:
         raise CaseError(
-            f"the label map holds the value(s) {', '.join(f'{each:g}' for each in unknown[:6])}",
+            f"the label map contains the value(s) {', '.join(f'{each:g}' for each in unknown[:6])}",
             where=str(path),
             fix="use 0 outside, 1 soft tissue, 2 bone, 3 marker, 4 fat",
         )
@@ -119,7 +119,7 @@ def segmentation_from(labels: Volume, *, side: Side | None = None) -> Segmentati
     side : which limb is meant, the patient's left or right, where the map holds two side by side
     """
     turned, _, _ = labels.along_limb()
-    turned, told = _of_one_limb(turned, side)
+    turned, notes = _of_one_limb(turned, side)
     limb = np.isin(turned.values, _LIMB)
     limb = filled_by_slice(largest(limb))
     bones, specks = _parts(turned.values == BONE, turned, least=_LEAST_BONE)
@@ -130,12 +130,12 @@ def segmentation_from(labels: Volume, *, side: Side | None = None) -> Segmentati
         bones=tuple(turned.with_values(each) for each in bones),
         fat=turned.with_values(turned.values == FAT) if (labels.values == FAT).any() else None,
         markers=markers,
-        notes=(*told, *_left_out(specks, "bone", turned), *_left_out(dots, "marker", turned)),
+        notes=(*notes, *_left_out(specks, "bone", turned), *_left_out(dots, "marker", turned)),
     )
 
 
 def _of_one_limb(turned: Volume, side: Side | None) -> tuple[Volume, tuple[str, ...]]:
-    """The labels without the other limb of two side by side, and what is said of it."""
+    """The labels without the other limb of two side by side, and the note on it."""
     parts, n_parts = ndimage.label(np.isin(turned.values, _LIMB))
     sizes = np.bincount(parts.ravel(), minlength=n_parts + 1)[1:]
     limbs = np.flatnonzero(sizes > _SECOND_LIMB * sizes.max(initial=0)) + 1
@@ -151,17 +151,19 @@ def _of_one_limb(turned: Volume, side: Side | None) -> tuple[Volume, tuple[str, 
         ndimage.distance_transform_edt(parts != each, sampling=turned.spacing) for each in (other, wanted)
     )
     values = np.where((turned.values > 0) & (far < near), 0, turned.values)
-    return turned.with_values(values), (f"the label map holds two limbs: the patient's {side} one was taken",)
+    return turned.with_values(values), (
+        f"the label map contains two limbs: the patient's {side} one was taken",
+    )
 
 
 def _left_out(places: Array, kind: str, volume: Volume) -> tuple[str, ...]:
-    """What is said of specks, by the voxel indices (n, 3) of their middles."""
+    """The note on specks, by the voxel indices (n, 3) of their middles."""
     if not len(places):
         return ()
     x, y, z = volume.to_patient(places[:1])[0]
     several = "s" if len(places) > 1 else ""
     where = f"at ({x:.0f}, {y:.0f}, {z:.0f}) mm" + (" and elsewhere" if several else "")
-    return (f"{len(places)} speck{several} of {kind} in the label map, {where}, left out",)
+    return (f"{len(places)} speck{several} of {kind} in the label map, {where}, excluded",)
 
 
 def _parts(mask: NDArray[np.bool_], volume: Volume, *, least: float) -> tuple[list[NDArray[np.bool_]], Array]:

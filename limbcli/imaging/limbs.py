@@ -21,13 +21,13 @@ _AROUND = 6.0  # mm beside the other limb that go with it
 
 
 def upright(volume: Volume) -> tuple[Volume, tuple[str, ...]]:
-    """The image with dark air; one with bright air is turned over, and that is said."""
+    """The image with dark air; one with bright air is inverted, with a note."""
     values = volume.values
     rim = np.concatenate([values[0].ravel(), values[-1].ravel(), values[:, 0].ravel(), values[:, -1].ravel()])
     split = otsu(values[::2, ::2, ::2].ravel())
     if np.median(rim) <= split:
         return volume, ()
-    note = "the air is bright: the image's contrast was turned over"
+    note = "the air is bright: the image's contrast was inverted"
     return volume.with_values(values.max() - values), (note,)
 
 
@@ -59,9 +59,9 @@ def one_limb(volume: Volume, side: Side | None, *, threshold: float | None = Non
         raise CaseError(
             f"{len(limbs)} limbs are in view, at x = {places} mm",
             where="MRI series",
-            fix="say which one: limbcli segment CASE --limb left (or right)"
+            fix="state which one: limbcli segment CASE --limb left (or right)"
             if len(limbs) == 2
-            else "crop the series to one limb, or bring a label map ([imaging] labels)",
+            else "crop the series to one limb, or use a label map ([imaging] labels)",
             n_limbs=len(limbs),
         )
     order = np.argsort(to_the_left)  # LPS: x grows towards the patient's left

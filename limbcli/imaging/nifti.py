@@ -32,17 +32,17 @@ def read_nifti(path: Path) -> Volume:
     """
     image = _opened(path)
     if not isinstance(image, nib.Nifti1Image):
-        what = f"the file is {type(image).__name__}, whose place in the patient is not sure"
+        what = f"the file is {type(image).__name__}, whose position in the patient is not reliable"
         raise CaseError(what, where=str(path), fix=_SAVE)
     _scalar(image, path)
     shape = _one_volume(tuple(image.shape), path)
     if math.prod(shape) > MOST_VOXELS:
         raise CaseError(
-            f"the image has {' x '.join(map(str, shape))} voxels, more than a limb's",
+            f"the image has {' x '.join(map(str, shape))} voxels, more than a limb image can have",
             where=str(path),
             fix="crop it to the limb",
         )
-    fix = "convert the DICOM series again (dcm2niix writes both), or name the DICOM folder itself"
+    fix = "convert the DICOM series again (dcm2niix writes both), or give the DICOM folder itself"
     require_placement(image, path, noun="image", fix=fix)
     one_geometry(image, path, noun="image")
     try:
@@ -66,7 +66,10 @@ def _unreadable(path: Path, error: BaseException) -> CaseError:
 def _scalar(image: nib.Nifti1Image, path: Path) -> None:
     kind = image.get_data_dtype()
     if kind.names is not None:
-        what, fix = f"the image holds colours ({'/'.join(kind.names)}), no signal", "export the grey values"
+        what, fix = (
+            f"the image holds colours ({'/'.join(kind.names)}), not a signal",
+            ("export the grey values"),
+        )
         raise CaseError(what, where=str(path), fix=fix)
     if kind.kind == "c":
         what = "the image holds complex numbers"
@@ -79,14 +82,14 @@ def _one_volume(shape: tuple[int, ...], path: Path) -> tuple[int, int, int]:
         raise CaseError(
             f"the image holds {extra} volumes ({len(shape)}-D: echoes, time points, directions)",
             where=str(path),
-            fix="save the T1-weighted volume alone (fslroi, or 3D Slicer), and name that file",
+            fix="save only the T1-weighted volume (fslroi, or 3D Slicer), and give that file",
             n_volumes=extra,
         )
     if len(shape) < 3:
         raise CaseError(
-            f"the image has {len(shape)} dimensions, a slice and no volume",
+            f"the image has {len(shape)} dimensions: a slice, not a volume",
             where=str(path),
-            fix="bring the whole volume",
+            fix="use the whole volume",
         )
     return int(shape[0]), int(shape[1]), int(shape[2])
 
@@ -101,12 +104,12 @@ def require_placement(image: object, path: Path, *, noun: str, fix: str) -> None
     """
     header = getattr(image, "header", None)
     if isinstance(header, nib.Nifti1Header) and not header["qform_code"] and not header["sform_code"]:
-        what = f"the {noun} does not say how it lies in the patient (qform_code and sform_code are 0)"
+        what = f"the {noun} does not define its orientation in the patient (qform_code and sform_code are 0)"
         raise CaseError(what, where=str(path), fix=fix)
 
 
 def one_geometry(image: object, path: Path, *, noun: str) -> None:
-    """A NIfTI header tells voxel sizes and places twice or thrice; they must agree, and be in mm.
+    """A NIfTI header gives voxel sizes and places twice or thrice; they must agree, and be in mm.
 
     noun : what the file is, for the messages ("image", "label map")
 
@@ -129,17 +132,17 @@ def one_geometry(image: object, path: Path, *, noun: str) -> None:
     sides = np.linalg.norm(affine[:3, :3], axis=0)
     zooms = np.array(header.get_zooms()[:3], dtype=np.float64)
     if np.abs(zooms / np.maximum(sides, 1e-9) - 1).max() > _ZOOM:
-        what = f"the {noun} tells two voxel sizes: {zooms.round(3)} mm (pixdim), {sides.round(3)} mm (affine)"
+        what = f"the {noun} gives two voxel sizes: {zooms.round(3)} mm (pixdim), {sides.round(3)} mm (affine)"
         raise CaseError(what, where=str(path), fix=fix)
     try:
         qform, sform = header.get_qform(coded=True)[0], header.get_sform(coded=True)[0]
     except (ValueError, HeaderDataError) as error:
-        what = f"the {noun}'s place (qform) cannot be read ({error})"
+        what = f"the {noun}'s position (qform) cannot be read ({error})"
         raise CaseError(what, where=str(path), fix=fix) from error
     if qform is not None and sform is not None:
         ends = np.array([[i, j, k, 1] for i in (0, 1) for j in (0, 1) for k in (0, 1)], dtype=np.float64)
         ends[:, :3] *= np.array(header.get_data_shape()[:3]) - 1
         off = float(np.linalg.norm(ends @ (qform - sform).T, axis=1).max())
         if off > sides.max():
-            what = f"the {noun} tells two places (qform and sform), {off:.1f} mm apart"
+            what = f"the {noun} gives two positions (qform and sform), {off:.1f} mm apart"
             raise CaseError(what, where=str(path), fix=fix)

@@ -79,7 +79,7 @@ def read_nrrd_image(path: Path) -> Volume:
     colours = [each for each in kinds if "color" in each or each.startswith(("rgb", "hsv", "xyz"))]
     if colours:
         raise CaseError(
-            f"the image holds colours ({colours[0]}), no signal",
+            f"the image holds colours ({colours[0]}), not a signal",
             where=str(path),
             fix="export the grey values",
         )
@@ -87,7 +87,7 @@ def read_nrrd_image(path: Path) -> Volume:
         raise CaseError(
             f"the image holds several volumes ({fields['sizes']}: echoes, time points, directions)",
             where=str(path),
-            fix="save the T1-weighted volume alone from 3D Slicer, and name that file",
+            fix="save only the T1-weighted volume from 3D Slicer, and give that file",
         )
     found = read_nrrd(path, noun="image")
     return Volume(np.asarray(found.values, dtype=np.float32), found.affine)
@@ -98,9 +98,9 @@ def _check_geometry(fields: dict[str, str], path: Path, noun: str) -> None:
     if "space" not in fields or "space directions" not in fields:
         lacking = "space" if "space" not in fields else "space directions"
         raise CaseError(
-            f"the {noun} does not say how it lies in the patient (no field `{lacking}`)",
+            f"the {noun} does not define its orientation in the patient (no field `{lacking}`)",
             where=str(path),
-            fix="save it again from 3D Slicer" + (", or name the DICOM folder itself" * (noun == "image")),
+            fix="save it again from 3D Slicer" + (", or give the DICOM folder itself" * (noun == "image")),
         )
     units = {each.strip('" ').lower() for each in fields.get("space units", "mm").split()}
     if not units <= {"mm", "millimeter", "millimeters"}:
@@ -118,10 +118,10 @@ def _parts(path: Path, noun: str) -> tuple[dict[str, str], dict[str, str], bytes
     if b"\r\n\r\n" in content[:65536] and (end < 0 or content.find(b"\r\n\r\n") < end):
         end, skip = content.find(b"\r\n\r\n"), 4
     if not content.startswith(b"NRRD000") or end < 0:
-        raise _refusal(path, "is no NRRD file", noun)
+        raise _refusal(path, "is not a NRRD file", noun)
     fields, pairs = _header(content[:end].decode("utf-8", "replace"))
     if "data file" in fields or "datafile" in fields:
-        raise _refusal(path, "keeps its data in another file", noun)
+        raise _refusal(path, "has its data in a separate file", noun)
     return fields, pairs, content[end + skip :]
 
 

@@ -70,10 +70,10 @@ def contact_sheet(
 
 def _outlined(found: Segmentation, names: Sequence[str], markers: NDArray[np.bool_]) -> list[tuple[str, str]]:
     """What has an outline, and its colour."""
-    told = [("skin", _SKIN)]
-    told += [(name, _BONES[k % len(_BONES)]) for k, name in enumerate(names)]
-    told += [("fat", _FAT)] if found.fat is not None else []
-    return told + ([("marker", _MARKER)] if markers.any() else [])
+    entries = [("skin", _SKIN)]
+    entries += [(name, _BONES[k % len(_BONES)]) for k, name in enumerate(names)]
+    entries += [("fat", _FAT)] if found.fat is not None else []
+    return entries + ([("marker", _MARKER)] if markers.any() else [])
 
 
 def _label_sides(axes: Axes, grey: Volume) -> None:

@@ -1,7 +1,7 @@
 """How far a segmentation can be trusted: figures, and a verdict in words.
 
 "good" passes without remark, "check" comes with warnings to look at, "poor" says that
-later stages should not be believed before the segmentation has been mended.
+later stages are not reliable before the segmentation has been corrected.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _IN_SLICE = ndimage.generate_binary_structure(2, 1)[:, :, None]
 _END = 0.4  # of the largest section: a smaller one at the first or last slice is a rounded end's
 _TWO_LIMBS = (0.1, 0.3)  # share of the sections that fall into two
 _APART, _COMPARABLE = 0.6, 0.35  # of a section's depth, at which it falls apart; of the larger part's area
-_COARSE = 2.0  # mm: a grid as coarse as this tells how a section falls apart
+_COARSE = 2.0  # mm: a grid as coarse as this shows how a section falls apart
 _EVERY = 5.0  # mm along the limb over which a jump is measured
 
 
@@ -56,15 +56,15 @@ def assess(found: Segmentation, names: tuple[str, ...]) -> ImageQuality:
             remarks.append((grade, text.format(value)))
 
     limb = found.skin
-    judge("limb_jump_share", _jump(limb), _JUMP, "the limb's section changes by {:.0%} within 5 mm")
+    judge("limb_jump_share", _jump(limb), _JUMP, "the limb's cross-section changes by {:.0%} within 5 mm")
     judge("limb_cut_share", _cut_off(limb.values), _BORDER, "the image's side cuts off {:.0%} of the limb")
     judge("limb_holes_mm3", _holes(limb), _HOLE, "the limb has holes of {:.0f} mm3")
     turned = _ends_proximally(limb)
     judge("limb_ends_proximally", turned, (0, 2), "the limb ends towards the head: upside down?")
     judge(
         "limb_in_two_share", _in_two(limb), _TWO_LIMBS,
-        "{:.0%} of the limb's sections are two that touch: two limbs? Crop the image to one, or part them in "
-        "the label map",
+        "{:.0%} of the limb's sections are two that touch: two limbs? Crop the image to one, or separate "
+        "them in the label map",
     )  # fmt: skip
     figures["n_bones"] = len(names)
     if len(names) == 1:
@@ -76,11 +76,19 @@ def assess(found: Segmentation, names: tuple[str, ...]) -> ImageQuality:
         gaps = _gaps(bone.values)
         is_ = f"bone {name} "
         judge(
-            f"{name}_jump_share", _jump(bone), _BONE_JUMP, is_ + "changes its section by {:.0%} within 5 mm"
+            f"{name}_jump_share",
+            _jump(bone),
+            _BONE_JUMP,
+            is_ + "changes its cross-section by {:.0%} within 5 mm",
         )
-        judge(f"{name}_at_skin_share", at_skin, _AT_SKIN, is_ + "lies on the skin with {:.0%} of its face")
+        judge(f"{name}_at_skin_share", at_skin, _AT_SKIN, is_ + "has {:.0%} of its surface on the skin")
         judge(f"{name}_holes_mm3", _holes(bone), _HOLE, is_ + "has holes of {:.0f} mm3")
-        judge(f"{name}_half_thickness_mm", _thinnest(bone), _THIN, is_ + "is only {:.1f} mm to its middle")
+        judge(
+            f"{name}_half_thickness_mm",
+            _thinnest(bone),
+            _THIN,
+            is_ + "has a half-thickness of only {:.1f} mm",
+        )
         judge(f"{name}_gaps", gaps, (0, 2), is_ + "is missing in {:.0f} slice(s) between its ends")
     share = _largest_share(allowed, limb.values)
     judge("bone_section_share", share, _SECTION, "bone fills {:.0%} of a section of the limb (a leak?)")

@@ -137,7 +137,9 @@ def segment_limb(
         bones=tuple(work.with_values(bone) for bone in bones),
         fat=None if masks.fat is None else work.with_values(masks.fat),
         markers=masks.markers,
-        notes=notes if masks.fat is not None else (*notes, "fat and muscle cannot be told apart; no label 4"),
+        notes=notes
+        if masks.fat is not None
+        else (*notes, "fat and muscle cannot be distinguished; no label 4"),
     )
 
 
@@ -168,7 +170,7 @@ def _seed_error(kind: str, seed: Array, what: str) -> CaseError:
     return CaseError(
         f"the seed {kind}={written} {what}",
         where="--seed",
-        fix="write the point in patient LPS, mm (a program that shows RAS has x and y with the other sign)",
+        fix="write the point in patient LPS, mm (programs that show RAS have x and y with the opposite sign)",
     )
 
 
@@ -221,9 +223,9 @@ def _useless(
     """Seeds that changed nothing."""
     found = []
     if modality == "CT" and hints.bone_seeds is not None:
-        found.append("--seed bone has no effect on CT, where bone is what its HU say")
+        found.append("--seed bone has no effect on CT, where bone is defined by its HU")
     if hints.soft_seeds is not None and len(after) == len(before):
-        found.append("--seed soft lies in nothing that was taken for bone, and has no effect")
+        found.append("--seed soft does not lie in anything labelled as bone, and has no effect")
     return tuple(found)
 
 

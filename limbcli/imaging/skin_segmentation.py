@@ -40,7 +40,7 @@ def rough_outline(volume: Volume, *, threshold: float | None = None) -> NDArray[
     stands_out = large and enough_air and np.median(inside) > _CONTRAST * np.median(outside)
     if not stands_out:
         raise CaseError(
-            f"no limb stands out from the background (largest part {size / 1e3:.0f} cm3)",
+            f"no limb can be separated from the background (largest part {size / 1e3:.0f} cm3)",
             where="MRI series",
             fix="check that the series shows the limb; else give --threshold, a label map or surfaces",
         )

@@ -48,7 +48,7 @@ def stack(slices: list[Slice], heights: Array, step: float) -> tuple[Volume, tup
         direction = (positions[-1] - positions[0]) / (len(slices) - 1)
     gaps = np.diff(heights)
     if np.abs(gaps / step - 1).max() > _UNEVEN:
-        notes.append(f"slice distances vary from {gaps.min():.2f} to {gaps.max():.2f} mm; made even")
+        notes.append(f"slice distances vary from {gaps.min():.2f} to {gaps.max():.2f} mm; resampled evenly")
         values = _even(values, heights)
     affine = np.eye(4)
     affine[:3, 0] = first.along_row * pixel[0]
@@ -65,9 +65,9 @@ def _within_a_picture(slices: list[Slice], offset: Array) -> None:
     if steps.max() > 1.0:
         k = int(np.argmax(steps.max(axis=1)))
         raise CaseError(
-            "two neighbouring slices lie beside one another: their pictures do not overlap",
+            "two neighbouring slices do not overlap in their plane",
             where=f"{slices[k].name} and {slices[k + 1].name}",
-            fix="put each series into a folder of its own",
+            fix="put each series into a separate folder",
         )
 
 

@@ -84,7 +84,7 @@ def surface_of(mask: Volume, *, edge: float, smooth: float = SMOOTH, where: str 
     (True, True)
     """
     if not mask.values.any():
-        raise MeshError("the mask is empty", where=where, fix="look at the label map")
+        raise MeshError("the mask is empty", where=where, fix="check the label map")
     raw = _marching_cubes(mask, edge=0.8 * edge, smooth=smooth, where=where)
     surface = remeshed(raw, edge=edge)
     if not (surface.is_closed and surface.volume > 0):
@@ -93,7 +93,7 @@ def surface_of(mask: Volume, *, edge: float, smooth: float = SMOOTH, where: str 
         raise MeshError(
             "the surface of the label map is not closed",
             where=where,
-            fix="smooth the label map (--smooth) or mend it in 3D Slicer",
+            fix="smooth the label map (--smooth) or repair it in 3D Slicer",
         )
     return surface
 
@@ -200,7 +200,9 @@ def read_surface(path: Path) -> ClosedSurface:
         raise CaseError(f"the surface cannot be read ({error})", where=str(path), fix=fix) from error
     if not len(faces) or not np.isfinite(points).all():
         what = (
-            "the surface holds no triangles" if not len(faces) else "a point of the surface is not a number"
+            "the surface contains no triangles"
+            if not len(faces)
+            else "a point of the surface is not a number"
         )
         raise CaseError(what, where=str(path), fix=fix)
     surface = joined(ClosedSurface(points, faces))

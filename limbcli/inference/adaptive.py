@@ -50,7 +50,7 @@ class EstimationProblem(Protocol):
 
     def starts(self) -> list[Array]: ...
 
-    def doubt(self, theta: Array) -> float:
+    def uncertainty(self, theta: Array) -> float:
         """Error of the surrogates there, in standard deviations of the data."""
         ...
 
@@ -151,20 +151,20 @@ class _Work:
     def least_certain(self, found: Intervals) -> tuple[Array, str, int] | None:
         """Where to simulate next: (theta, parameter whose profile asks, side), or None."""
         near = self.problem.within_reach
-        asked = [(near(found.best), "", 0)]
+        candidates = [(near(found.best), "", 0)]
         for name, profile in found.profiles.items():
             inside = profile.deviance <= found.threshold
-            asked += [(near(theta), name, 0) for theta in profile.thetas[inside]]
-            asked += [(near(end), name, side) for side, end in zip((-1, 1), profile.ends, strict=True)]
-        worth = [(self.problem.doubt(theta), theta, name, side) for theta, name, side in asked]
+            candidates += [(near(theta), name, 0) for theta in profile.thetas[inside]]
+            candidates += [(near(end), name, side) for side, end in zip((-1, 1), profile.ends, strict=True)]
+        worth = [(self.problem.uncertainty(theta), theta, name, side) for theta, name, side in candidates]
         worth = [each for each in worth if each[0] > _PRECISE and self._is_new(each[1])]
         if worth:
             _, theta, name, side = max(worth, key=lambda each: each[0])
             return theta, name, side
-        return self._unproved(asked)
+        return self._unproved(candidates)
 
-    def _unproved(self, asked: Sequence[tuple[Array, str, int]]) -> tuple[Array, str, int] | None:
-        for theta, name, side in asked:
+    def _unproved(self, candidates: Sequence[tuple[Array, str, int]]) -> tuple[Array, str, int] | None:
+        for theta, name, side in candidates:
             limit = _NEAR if not name else _END_NEAR if side else np.inf
             if self.problem.distance(theta) > limit and self._is_new(theta):
                 return theta, name, side

@@ -35,7 +35,7 @@ C_MUSCLE, C_FAT, M = range(3)
 # A first mean, and the deviation that the weak prior on the spread expects: c of some kPa, within a factor 2.
 START = np.log(np.array([0.008, 0.008, 3.0]))
 PRIOR_DEVIATION = np.array([0.5, 0.7, 0.4])
-ASSUMED_EDGE = 0.1  # mm, one deviation of an edge, where no table tells
+ASSUMED_EDGE = 0.1  # mm, one deviation of an edge, where no table gives it
 FORCE_NOISE = 0.02  # of the force, one deviation: transducer and hold
 _STEEPNESS = 1.4  # d ln force / d ln depth, typically: what an error of the depth makes of the force
 _LEAST_NEAR_LINE, _NEAR_LINE, _ASSUMED_SLOPE = 20, 0.003, 0.05
@@ -137,7 +137,7 @@ def row_modes_of(
 ) -> Array:
     """The most likely tissue (n, 3) of each row under the weak prior alone: no row knows of another.
 
-    layer_deviation (3,) mm; None: what is assumed where no table tells
+    layer_deviation (3,) mm; None: what is assumed where no table gives it
     """
     deviation = np.full(3, 2 * ASSUMED_EDGE) if layer_deviation is None else layer_deviation
     noise = reading_noise(shortened, deviation, slope_deviation, family.error)
@@ -145,7 +145,7 @@ def row_modes_of(
 
 
 def slope_noise(convexity: Array, r2_line: Array | None, r2_parabola: Array | None) -> tuple[float, bool]:
-    """Deviation of the ln of stiffness, and whether the table tells it.
+    """Deviation of the ln of stiffness, and whether the table determines it.
 
     Where a parabola fits no better than the line, the line's slope must be the secant's: what the two differ
     by is noise. convexity (n,): ln of secant over slope.

@@ -44,7 +44,7 @@ def lowest_of_points(x: Array, y: Array, deviation: Array) -> LowestPoint:
     """Of the parabola y = a + b x + c x^2 through measured points (n,), whose y have these deviations.
 
     The interval holds every x at which the slope b + 2 c x may be 0. It is bounded just where c differs from
-    0 by more than its noise; else nothing is told.
+    0 by more than its noise; else nothing is reported.
 
     Source: Fieller 1954, J R Stat Soc B 16:175.
 

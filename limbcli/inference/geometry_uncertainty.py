@@ -1,4 +1,4 @@
-"""What a doubt about the model's shape adds to a force fit: modes of the simulated force, one deviation each.
+"""What uncertainty of the model's shape adds to a force fit: modes of the simulated force, a deviation each.
 
 Each mode is ln of the force of a varied model over that of the fitted one, at the depths that were simulated.
 A mode moves all levels together, so it adds covariance to the residuals: V = diag(noise) + U U', U the
@@ -53,10 +53,10 @@ def shifts(columns: Array, moved: Array) -> Array:
 
 
 def no_narrower(wide: Intervals, narrow: Intervals) -> Intervals:
-    """The intervals with the shape's doubt, none of them within those of the noise alone.
+    """The intervals with the shape's uncertainty, none of them within those of the noise alone.
 
     Where data scatter beyond their noise, modes may explain that, and the factor by which the noise was
-    widened falls: the answer must not get surer by a doubt.
+    widened falls: an uncertainty must not narrow the result.
     """
     profiles = {name: _hull(each, narrow.profiles[name]) for name, each in wide.profiles.items()}
     return replace(wide, profiles=profiles)

@@ -43,15 +43,15 @@ def are_determined(columns: Array) -> NDArray[np.bool_]:
     ([False, False, True], [True, True])
     """
     lengths = np.linalg.norm(columns, axis=0)
-    told = np.asarray(lengths > 0.0)
-    seen = np.flatnonzero(told)
+    determined = np.asarray(lengths > 0.0)
+    seen = np.flatnonzero(determined)
     if not len(seen):
-        return told
+        return determined
     _, sizes, ways = np.linalg.svd(columns[:, seen] / lengths[seen])
     silent = np.ones(len(seen), dtype=bool)
     silent[: len(sizes)] = sizes <= _ALIKE * sizes[0]
-    told[seen[(np.abs(ways[silent]) > _TAKES_PART).any(axis=0)]] = False
-    return told
+    determined[seen[(np.abs(ways[silent]) > _TAKES_PART).any(axis=0)]] = False
+    return determined
 
 
 def log_covariance(
@@ -73,7 +73,7 @@ def log_covariance(
     nuisance : (n,) or (n, k) d prediction / d ln of the quantities held fixed (c)
     nuisance_deviation : standard deviation of their ln, or (k,)
 
-    Entries of a parameter that the data do not tell (`are_determined`) are NaN.
+    Entries of a parameter that the data do not determine (`are_determined`) are NaN.
     """
     p = sensitivity.shape[1]
     covariance = np.full((p, p), np.nan)
@@ -151,7 +151,8 @@ def verdict(
     partner = max(correlations, key=lambda each: abs(each[1]), default=("", 0.0))
     if wide and abs(partner[1]) > _TRADES_OFF:
         text = (
-            f"{name} trades off with {partner[0]} (correlation {partner[1]:+.2f}): the data fix a combination"
+            f"{name} trades off with {partner[0]} (correlation {partner[1]:+.2f}): the data determine a "
+            f"combination"
         )
         return Verdict(f"trades off with {partner[0]}", f"{text} of the two; {excluded}.")
     if profile.is_open:
@@ -167,7 +168,7 @@ def verdict(
 def _without_profile(name: str, value: float, log_deviation: float, why: str) -> Verdict:
     """By the standard error alone, or, where there is none, without a claim."""
     if not np.isfinite(log_deviation):
-        return Verdict("weak", f"{name} = {short(value, 4)}; how sure that is cannot be determined: {why}.")
+        return Verdict("weak", f"{name} = {short(value, 4)}; its uncertainty cannot be determined: {why}.")
     reach = float(np.exp(min(2 * _TWO_SIDED * log_deviation, 50.0)))
     flag = "identified" if reach <= _WEAK_RATIO else "weak"
     share = 100.0 * log_deviation

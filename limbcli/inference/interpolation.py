@@ -62,7 +62,7 @@ def _check(knots: Array, values: Array, places: Array) -> None:
         raise FitError(
             "the simulated curve's depths do not increase",
             where=f"{len(knots)} points",
-            fix="look at force-depth.csv of the run: it must hold every depth level once",
+            fix="check force-depth.csv of the run: it must contain every depth level once",
         )
     slack = 1e-9 * max(1.0, float(np.abs(knots).max()))
     if np.any(places < knots[0] - slack) or np.any(places > knots[-1] + slack):

@@ -82,7 +82,7 @@ def force_intervals(
     `curve`. `best` of the result is (c, the parameters in `free`), beside layers then the mesh's gain.
 
     theta : (f_kappa, m) of the fit
-    shape_modes : (n_modes, n_knots) of ln force, one deviation each, by doubts of the model's shape
+    shape_modes : (n_modes, n_knots) of ln force, one deviation each, by uncertainty of the model's shape
     """
     problem = _ForceProblem(curve, knots, data, stiffness, theta, tuple(free), shape_modes)
     estimate = problem.starts()[0]
@@ -138,7 +138,7 @@ class _ForceProblem:
         gain = np.ones(len(self.parameters) - 1 - len(self.free))
         return [np.r_[self.stiffness.c, theta[list(self.free)], gain] for theta in thetas]
 
-    def doubt(self, theta: Array) -> float:
+    def uncertainty(self, theta: Array) -> float:
         shape = self.solved_at(theta)
         error = self.emulator.deviation(shape) * self.emulator(shape).values
         factor = (theta[0] / self.stiffness.c) ** self.share

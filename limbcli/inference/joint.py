@@ -163,7 +163,7 @@ class JointProblem:
     def starts(self) -> list[Array]:
         return [np.r_[each, np.ones(len(self.gained))] for each in self._starts]
 
-    def doubt(self, theta: Array) -> float:
+    def uncertainty(self, theta: Array) -> float:
         total = 0.0
         for k, data in enumerate(self.task.data):
             n, deviation = len(data.knots), self.emulators[k].deviation(self.place(k, theta))

@@ -134,7 +134,7 @@ def layered_family(path: Path = FILE) -> LayeredFamily:
     solved = read_solved(path, _MESH)
     if len(set(solved.member.tolist())) < _FOLDS:
         raise ToolError(
-            "too few solves lie behind the cohort's emulator",
+            "the cohort's emulator has too few simulations",
             where=str(path),
             fix="install limbcli again: pip install --force-reinstall limbcli",
         )

@@ -51,7 +51,7 @@ def read_solved(path: Path, mesh: str) -> SolvedMember:
         parts = [_member(number, each) for number, each in members.items() if len(each) > 1]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ToolError(
-            f"the solves behind the cohort's emulator cannot be read ({error})",
+            f"the simulations behind the cohort's emulator cannot be read ({error})",
             where=str(path),
             fix="install limbcli again: pip install --force-reinstall limbcli",
         ) from error

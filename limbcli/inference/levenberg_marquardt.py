@@ -98,9 +98,9 @@ def levenberg_marquardt(
     if not must_settle:
         return search.finish(max_iterations, "iterations used up")
     raise FitError(
-        f"the fit did not settle in {max_iterations} iterations (cost {search.now.cost:.4g})",
+        f"the fit did not converge in {max_iterations} iterations (cost {search.now.cost:.4g})",
         where=", ".join(f"{p.name} {t:.4g}" for p, t in zip(parameters, search.theta, strict=True)),
-        fix="look at the measurement (force-depth.png of `limbcli run`); raise --max-iterations if the cost "
+        fix="check the measurement (force-depth.png of `limbcli run`); raise --max-iterations if the cost "
         "was still falling",
         cost=search.now.cost,
     )
@@ -231,7 +231,7 @@ class _Search:
         try:
             trial = self.objective(theta, False)
         except SolveError as error:
-            self.progress.event("note", text=f"no answer at a trial point, stepping back: {error.what}")
+            self.progress.event("note", text=f"no solution at a trial point, stepping back: {error.what}")
             return None
         return trial if np.isfinite(trial.cost) else None
 

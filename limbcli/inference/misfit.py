@@ -35,18 +35,18 @@ class Misfit:
     @property
     def words(self) -> str:
         """
-        >>> Misfit(2.0, 0.5, float("nan")).words
-        'poor fit: it misses the measured force by 2 N (RMSE under load), 4 times what its noise explains'
-        >>> Misfit(0.5, 0.5, 0.8).words.removeprefix("poor fit: it misses the measured force by ")
-        '0.5 N (RMSE under load), 1 times what its noise explains; R2 0.80'
+        >>> Misfit(2.0, 0.5, float("nan")).words.removeprefix("poor fit: it differs from the measured ")
+        'force by 2 N (RMSE under load), 4 times what the noise explains'
+        >>> Misfit(0.5, 0.5, 0.8).words.removeprefix("poor fit: it differs from the measured force by ")
+        '0.5 N (RMSE under load), 1 times what the noise explains; R2 0.80'
         >>> Misfit(0.5, 0.5, 0.99).words
         ''
         """
         if not self.poor:
             return ""
-        text = f"poor fit: it misses the measured force by {short(self.rmse, 2)} N (RMSE under load)"
+        text = f"poor fit: it differs from the measured force by {short(self.rmse, 2)} N (RMSE under load)"
         if np.isfinite(self.times_noise):
-            text += f", {short(self.times_noise, 2)} times what its noise explains"
+            text += f", {short(self.times_noise, 2)} times what the noise explains"
         return text + (f"; R2 {self.r2:.2f}" if np.isfinite(self.r2) else "")
 
 

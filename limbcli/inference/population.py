@@ -9,12 +9,12 @@ expectation-maximisation: first with Laplace's approximation of every row's dist
 importance sampling from wider t distributions round it and round the population, which is right where the
 row's distribution is not Gaussian. The effective number of draws says whether the sampling can be trusted.
 
-Standard errors come from the curvature of the likelihood with the prior: what complete rows would tell, less
-what is lost as their parameters are not seen. Rows of one person are not independent: where there are any,
-errors are no smaller than by the scatter of the people's own scores. Few people leave more doubt than a
-Gaussian of that error has: a mean is that of Student's t for as many people less one, the upper end of a
-deviation that of chi-square. What a row takes from the mean, it takes with the mean's doubt (Morris 1983,
-J Am Stat Assoc 78:47).
+Standard errors come from the curvature of the likelihood with the prior: the information of complete rows,
+less what is lost as their parameters are not seen. Rows of one person are not independent: where there are
+any, errors are no smaller than by the scatter of the people's own scores. Few people leave more uncertainty
+than a Gaussian of that error has: a mean is that of Student's t for as many people less one, the upper end
+of a deviation that of chi-square. What a row takes from the mean, it takes with the mean's uncertainty
+(Morris 1983, J Am Stat Assoc 78:47).
 
 Source: Dempster, Laird and Rubin 1977, J R Stat Soc B 39:1; Gelman et al. 2013, Bayesian Data Analysis,
 sections 10.4 (importance sampling) and 13.6 (EM for a hierarchical model); Louis 1982, J R Stat Soc B 44:226
@@ -85,8 +85,8 @@ class Population:
 @dataclass(frozen=True, eq=False)
 class Rows:
     """Of every row: posterior mean and deviation under the population found (n, p), low and high of the 95 %
-    interval with the doubt of the population's mean (n, p), the mode (n, p), effective draws (n,), and how
-    much of the population's variance was left unlearnt (n, p), 0 to 1.
+    interval with the uncertainty of the population's mean (n, p), the mode (n, p), effective draws (n,), and
+    how much of the population's variance was left unlearnt (n, p), 0 to 1.
 
     misfit (n,): distance of the readings from those of the population's middle, squared, in deviations of
     both population and noise; as many degrees of freedom as readings.
@@ -283,8 +283,8 @@ def _errors(
     own = np.einsum("dn,dni->ni", weights, scores)
     lost = np.einsum("dn,dni,dnj->ij", weights, scores - own, scores - own)
     complete = _complete_information(apart, weights, precision, prior / np.outer(deviation, deviation))
-    told, ways = np.linalg.eigh(complete - lost)
-    errors = (ways / np.maximum(told, _LEAST_TOLD)) @ ways.T
+    information, ways = np.linalg.eigh(complete - lost)
+    errors = (ways / np.maximum(information, _LEAST_TOLD)) @ ways.T
     variance = np.diag(errors)
     if people is not None and len(set(people.tolist())) < len(people):
         _, number = np.unique(people.astype(str), return_inverse=True)
@@ -313,9 +313,9 @@ def _rows(
 ) -> Rows:
     middle, covariance = _moments(points, weights)
     taken = covariance @ _inverse(population.spread)  # of a shift of the population's mean
-    doubt = _mean_errors(population, points.shape, seed)
-    doubted = points + np.einsum("nij,dnj->dni", taken, doubt)
-    low, high = (_quantiles(doubted, weights, q) for q in (_LOW, _HIGH))
+    mean_errors = _mean_errors(population, points.shape, seed)
+    shifted = points + np.einsum("nij,dnj->dni", taken, mean_errors)
+    low, high = (_quantiles(shifted, weights, q) for q in (_LOW, _HIGH))
     variance = np.einsum("nii->ni", covariance)
     return Rows(
         middle,

@@ -68,7 +68,7 @@ def best_of(objective: Objective, parameters: Sequence[FitParameter], starts: Se
         raise FitError(
             f"none of {len(starts)} starts led to a fit",
             where=", ".join(p.name for p in parameters),
-            fix="look at the measurement (force-depth.png of `limbcli run`) and the noise in case.toml",
+            fix="check the measurement (force-depth.png of `limbcli run`) and the noise in case.toml",
         )
     return min(fits, key=lambda fit: fit.cost)
 

@@ -181,10 +181,10 @@ class StatesProblem:
     def starts(self) -> list[Array]:
         return [np.r_[each, np.ones(int(self.gained))] for each in self._starts]
 
-    def doubt(self, theta: Array) -> float:
-        return float(np.sqrt(sum(self._doubt_of(k, theta) ** 2 for k in range(len(self.task.states)))))
+    def uncertainty(self, theta: Array) -> float:
+        return float(np.sqrt(sum(self._uncertainty_of(k, theta) ** 2 for k in range(len(self.task.states)))))
 
-    def _doubt_of(self, k: int, theta: Array) -> float:
+    def _uncertainty_of(self, k: int, theta: Array) -> float:
         """Error of the surrogate in state k, in standard deviations of its data."""
         data, found = self.task.states[k].data, self.predict(k, theta)
         deviation, n = self.emulator.deviation(self.place(k, theta)), len(data.knots)
@@ -203,9 +203,9 @@ class StatesProblem:
     def solve(self, theta: Array) -> None:
         """Simulate the states about which the surrogate is not sure, or the one that lies furthest off."""
         several = range(len(self.task.states))
-        asked = [k for k in several if self._doubt_of(k, theta) > _SURE]
-        asked = asked or [max(several, key=lambda each: self._distance_of(each, theta))]
-        for x in [self.place(k, theta) for k in asked]:
+        uncertain = [k for k in several if self._uncertainty_of(k, theta) > _SURE]
+        uncertain = uncertain or [max(several, key=lambda each: self._distance_of(each, theta))]
+        for x in [self.place(k, theta) for k in uncertain]:
             self.task.curve(x, tuple(range(len(x))))
         self.emulator.refresh()
 
@@ -243,7 +243,7 @@ def states_fit(
         raise FitError(
             f"{n_levels} loaded levels and {n_speeds} speeds for {n_parameters} parameters",
             where=", ".join(each.data.name for each in task.states),
-            fix="measure more levels, or tell more of the states' stretches",
+            fix="measure more levels, or give more of the states' stretches",
         )
     problem = StatesProblem(task, starts)
     for _ in range(_FOR_THE_BEST):

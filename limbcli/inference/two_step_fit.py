@@ -98,7 +98,7 @@ def two_step(
     """
     if int(data.loaded.sum()) < 3:
         raise FitError(
-            f"{int(data.loaded.sum())} levels lie deeper than first touch; a fit needs at least three",
+            f"{int(data.loaded.sum())} levels are deeper than first touch; a fit needs at least three",
             where="levels.csv, column depth_mm",
             fix="measure more force levels, or mark loading rows `load` in the column phase",
         )

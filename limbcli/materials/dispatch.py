@@ -2,7 +2,7 @@
 
 A program is `ops` (n_leaves, 3) int64, each row (the kernel's number, offset of its numbers in the
 parameter row, extra), with one row of numbers `par` per cell (or one for all). Sums of laws (mixtures) are
-several rows. What a number means is told in `kernel`; it holds in one process.
+several rows. What a number means is stated in `kernel`; it holds in one process.
 """
 
 from __future__ import annotations

@@ -87,7 +87,9 @@ class Compiled:
             )
         if name == "fiber":
             raise _problem(
-                self.name, "a fibre's direction is no number to differentiate by", "difference whole solves"
+                self.name,
+                "a fibre direction is not a number to differentiate with respect to",
+                "difference whole solves",
             )
         return found[0], name
 
@@ -194,7 +196,7 @@ def _checked(material: Material, law: Law, name: str) -> dict[str, Value]:
     missing = [key for key, default in law.parameters.items() if default is None and key not in given]
     missing += ["fiber"] if law.fiber and "fiber" not in given else []
     if missing:
-        raise _problem(name, f"law {material.law!r} misses {', '.join(missing)}", "give a value")
+        raise _problem(name, f"law {material.law!r} is missing {', '.join(missing)}", "give a value")
     optional = {k: value for k, value in law.parameters.items() if value is not None and not law.terms}
     if (wrong := law.check(given)) is not None:
         raise _problem(name, *wrong)

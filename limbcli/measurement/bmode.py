@@ -130,7 +130,7 @@ def _stated(images: Sequence[UltrasoundImage], bone: Sequence[float]) -> list[Bo
         raise MeasurementError(
             f"bone_mm states {len(bone)} distances, there are {len(images)} images",
             where=str(images[0].path.parent),
-            fix="state one distance an image, or only that of the first",
+            fix="state one distance per image, or only that of the first",
         )
     for image, each in zip(images, bone, strict=True):
         _check_inside(image, each)
@@ -170,7 +170,7 @@ def follow_line(
         raise MeasurementError(
             f"the scale changes from {old_step:.4f} to {step:.4f} mm per pixel",
             where=image.where,
-            fix=f"give every level the same depth setting, or measure this one by hand ({by_hand})",
+            fix=f"give every level the same depth setting, or measure this one manually ({by_hand})",
         )
     shifts, correlations, beyond = [], [], []
     for a, b in zip(_bands(old), _bands(new), strict=True):
@@ -181,18 +181,18 @@ def follow_line(
     best = float(np.median(correlations))
     if best < _WORST_CORRELATION:
         raise MeasurementError(
-            f"the {name} is lost: the best match correlates {best:.2f} only",
+            f"the {name} is lost: the best match has a correlation of only {best:.2f}",
             where=image.where,
-            fix=f"measure this level by hand ({by_hand}), or leave the image out",
+            fix=f"measure this level manually ({by_hand}), or omit the image",
             correlation=best,
         )
     keep = np.array(correlations) >= min(best, 0.5)
     if np.mean(np.array(beyond)[keep]) > 0.5:
         raise MeasurementError(
-            f"the {name} is lost: it moved by {largest_change:.1f} mm or more from the image before, beyond "
-            "what is searched",
+            f"the {name} is lost: it moved by {largest_change:.1f} mm or more from the previous image, "
+            "outside the search range",
             where=image.where,
-            fix=f"add the images of levels between, or measure by hand, level by level ({by_hand})",
+            fix=f"add images of intermediate levels, or measure manually, level by level ({by_hand})",
         )
     moved = np.array(shifts)[keep]
     sd = float(np.hypot(_spread(moved.tolist()), line.sd if len(moved) < 2 else 0.0))
@@ -207,7 +207,7 @@ def _strip(image: UltrasoundImage) -> tuple[Array, float]:
     left, right = max(region.left, int(centre - half)), min(region.right, int(centre + half))
     strip = image.grey[region.top : region.bottom + 1, left : right + 1]
     if min(strip.shape) < 2 * _BANDS:
-        what = f"the calibrated region is {strip.shape[1]} by {strip.shape[0]} pixels only"
+        what = f"the calibrated region is only {strip.shape[1]} by {strip.shape[0]} pixels"
         raise MeasurementError(what, where=image.where, fix="export the frame in full resolution")
     return strip, region.mm_per_pixel_y
 

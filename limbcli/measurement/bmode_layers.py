@@ -1,7 +1,7 @@
 """Borders of skin, fat and muscle on B-mode images, followed through the force levels as the bone line is.
 
 Where a border is at the first level is read by a person: which of several bright lines in fat is the fascia
-cannot be determined from one image without doubt. From there the strip around it is sought in the next image.
+cannot be determined reliably from one image. From there the strip around it is sought in the next image.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def follow_borders(
     if stated and next(iter(stated)) != "skin":
         raise MeasurementError(
             "fat_mm is stated without skin_mm", where="[site.b_mode]",
-            fix="state skin_mm too: the fat begins where the skin ends",
+            fix="also state skin_mm: the fat begins where the skin ends",
         )  # fmt: skip
     found: dict[str, list[BoneLine]] = {}
     above: list[float] = [0.0] * len(images)
@@ -71,7 +71,7 @@ def _by_hand(
     if len(thickness) != len(images):
         raise MeasurementError(
             f"{name}_mm states {len(thickness)} thicknesses, there are {len(images)} images",
-            where=str(images[0].path.parent), fix="state one an image, or only that of the first",
+            where=str(images[0].path.parent), fix="state one per image, or only that of the first",
         )  # fmt: skip
     return [BoneLine(top + float(each), _BY_HAND, 1.0) for top, each in zip(above, thickness, strict=True)]
 

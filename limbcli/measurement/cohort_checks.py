@@ -53,8 +53,8 @@ def checked_cohort(path: Path) -> tuple[CohortTable | None, list[Problem]]:
     problems += _without_skin(raw, complete, path)
     n_left = int((~complete).sum())
     if n_left:
-        words = f"{n_left} of {len(lines)} rows lack a reading and are left out{_at(lines[~complete])}"
-        problems.append(problem(words, path, "fill the empty cells, or leave it so", warning=True))
+        words = f"{n_left} of {len(lines)} rows are missing a reading and are excluded{_at(lines[~complete])}"
+        problems.append(problem(words, path, "fill the empty cells, or ignore this", warning=True))
     if not complete.any():
         problems.append(problem("no row is complete", path, "fill the empty cells"))
     if any(each.severity == "error" for each in problems):
@@ -63,7 +63,7 @@ def checked_cohort(path: Path) -> tuple[CohortTable | None, list[Problem]]:
     if any(each.severity == "error" for each in problems):
         return None, problems
     table = replace(_table(raw, path).rows(complete), n_incomplete=n_left)
-    problems += _repeated(table) + _alike(table) + _sexes(table) + _partly_told(table)
+    problems += _repeated(table) + _alike(table) + _sexes(table) + _partly_given(table)
     problems += _grown(table, layer_noise(table.shortened))
     return (None if any(each.severity == "error" for each in problems) else table), problems
 
@@ -117,8 +117,8 @@ def _without_skin(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
         complete & others & (~np.isfinite(skin) | (skin == 0.0)),
         np.array(raw.lines),
         path,
-        lambda k: "there are layers below the skin, but no skin: skin_mm is empty or 0",
-        "mark the border of skin and fat too: without it the fat's thickness holds the skin's",
+        lambda k: "there are layers below the skin, but no skin thickness: skin_mm is empty or 0",
+        "also mark the border between skin and fat: without it the fat's thickness includes the skin's",
     )
 
 
@@ -143,7 +143,7 @@ def _units(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
     skin = columns["skin_mm"]
     middle = float(np.median(skin[complete])) if np.isfinite(skin[complete]).all() else np.nan
     if 0 < middle < _THINNEST_SKIN:
-        what = f"the skin is {middle:.2g} mm thick in the middle of all rows: the unit of lengths looks wrong"
+        what = f"the skin is {middle:.2g} mm thick in the median of all rows: the unit of lengths looks wrong"
         found.append(problem(what, path, "give skin_mm and all other lengths in millimetres"))
     found += _listed(
         complete & ~((force >= _FORCE[0]) & (force <= _FORCE[1])),
@@ -174,8 +174,8 @@ def _units(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
         lines,
         path,
         lambda k: (
-            f"stiffness_mpa_per_mm is {table.slope[k]:g} where pressure over displacement is "
-            f"{secant[k]:.3g}: "
+            f"stiffness_mpa_per_mm is {table.slope[k]:g} but pressure over "
+            f"displacement is {secant[k]:.3g}: "
             "its unit looks wrong"
         ),
         "give the slope of pressure (MPa) over displacement (mm)",
@@ -203,7 +203,7 @@ def _contradictions(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
         lines,
         path,
         lambda k: f"the layers add up to {table.whole[k]:.2f} mm, thickness_mm is {whole[k]:.2f}",
-        "the borders of a layer must be those of its neighbours; correct thickness_mm or a layer",
+        "adjacent layers must share their borders; correct thickness_mm or a layer",
     )
     crossing = (table.shortened >= table.thickness) & (table.thickness > 0)
     found += _listed(
@@ -221,14 +221,14 @@ def _contradictions(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
         complete & (missed > _SUM_MM + 0.02 * np.abs(depth)),
         lines,
         path,
-        lambda k: f"the layers shorten by {table.depth[k]:.2f} mm, the whole by {depth[k]:.2f}",
+        lambda k: f"the layers shorten by {table.depth[k]:.2f} mm, the total by {depth[k]:.2f}",
         "correct total_strain or a layer's strain",
     )
     found += _listed(
         complete & (depth <= 0),
         lines,
         path,
-        lambda k: f"the whole grows under load: total_strain is {columns['total_strain'][k]:g}",
+        lambda k: f"the total thickness increases under load: total_strain is {columns['total_strain'][k]:g}",
         "shortening counts positive; mark both images again",
     )
     below = table.shortened[:, 1:].sum(axis=1)
@@ -263,8 +263,8 @@ def _repeated(table: CohortTable) -> list[Problem]:
     found = []
     for k, key in enumerate(zip(table.person, table.site, table.trial, strict=True)):
         if key in first:
-            words = f"person {key[0]}, site {key[1]} stands in line {table.lines[first[key]]} already"
-            fix = "remove one of them, or number repetitions in a column `trial`"
+            words = f"person {key[0]}, site {key[1]} is already in line {table.lines[first[key]]}"
+            fix = "remove one of them, or number the repetitions in a column `trial`"
             found.append(problem(words, table.path, fix, line=int(table.lines[k])))
         else:
             first[key] = k
@@ -282,8 +282,8 @@ def _alike(table: CohortTable) -> list[Problem]:
         if twice:
             listed = "; ".join(" and ".join(map(repr, each)) for each in twice[:_SHOWN])
             more = " and others" if len(twice) > _SHOWN else ""
-            words = f"{noun} whose names hardly differ are taken as different: {listed}{more}"
-            fix = "write a name alike in all rows, if they are the same"
+            words = f"{noun} whose names barely differ are treated as different: {listed}{more}"
+            fix = "write the name the same way in all rows, if they are the same"
             found.append(problem(words, table.path, fix, warning=True))
     return found
 
@@ -303,11 +303,18 @@ def _sexes(table: CohortTable) -> list[Problem]:
     words = sorted({each for each in table.sex.tolist() if each})
     if len(words) <= 2:
         return []
-    what = f"sex holds {len(words)} words ({', '.join(map(repr, words[:_SHOWN]))}), so it is not used"
-    return [problem(what, table.path, "write one word for each of two, alike in all rows", warning=True)]
+    what = (
+        f"sex contains {len(words)} different words ({', '.join(map(repr, words[:_SHOWN]))}), so it is "
+        f"not used"
+    )
+    return [
+        problem(
+            what, table.path, "write one word for each of two, spelled the same in all rows", warning=True
+        )
+    ]
 
 
-def _partly_told(table: CohortTable) -> list[Problem]:
+def _partly_given(table: CohortTable) -> list[Problem]:
     """What is known of some people only, of which a prediction for all could make no column."""
     empty = {name: np.isnan(table.others[name]) for name in OF_PERSON if name in table.others}
     empty[SEX] = np.array([not each for each in table.sex])
@@ -315,7 +322,7 @@ def _partly_told(table: CohortTable) -> list[Problem]:
         problem(
             f"{name} is empty in {int(rows.sum())} of {len(rows)} rows, so it is not used"
             f"{_at(table.lines[rows])}",
-            table.path, "fill the empty cells, or leave it so", warning=True,
+            table.path, "fill the empty cells, or ignore this", warning=True,
         )
         for name, rows in empty.items() if rows.any() and not rows.all()
     ]  # fmt: skip

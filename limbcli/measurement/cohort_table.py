@@ -23,7 +23,7 @@ LAYERS = ("skin", "fat", "muscle")
 PERSON, SITE, TRIAL, SEX = "subject", "location", "trial", "sex"
 _ALSO = {"person": PERSON, "site": SITE}
 FACE, PRESSURE = "face_mm2", "max_pressure_mpa"
-OF_PERSON = ("age_years", "bmi_kg_per_m2")  # used by a second prediction, where every row tells them
+OF_PERSON = ("age_years", "bmi_kg_per_m2")  # used by a second prediction, where every row gives them
 
 REQUIRED: Mapping[str, str] = {
     "max_force_n": "largest normal force of the probe",
@@ -39,7 +39,7 @@ REQUIRED: Mapping[str, str] = {
 }
 OPTIONAL: Mapping[str, str] = {
     FACE: "area of the probe's face; or max_pressure_mpa",
-    PRESSURE: "largest force over the face: tells the face where face_mm2 is missing",
+    PRESSURE: "largest force over the face: gives the face where face_mm2 is missing",
     "circumference_mm": "of the limb at the site (checked against the layers)",
     "age_years": "used in a second prediction of compliance",
     "bmi_kg_per_m2": "used in a second prediction of compliance",
@@ -140,18 +140,18 @@ def read_cohort(path: Path) -> tuple[RawTable | None, list[Problem]]:
     Columns that nobody asked for are left aside, with a warning that names the nearest known one.
     """
     if not path.is_file():
-        return None, [problem("there is no such table", path, "name a CSV file with the documented columns")]
+        return None, [problem("the table was not found", path, "give a CSV file with the documented columns")]
     known = {*REQUIRED, *OPTIONAL, *TEXTS}
     header = _header(path)
     spare = {each for each in header if each and each not in known | set(_ALSO)}
     texts = {*TEXTS, *_ALSO, *spare}
     optional = {*OPTIONAL, *(_MAY_BE_EMPTY & set(header))}
-    required = [] if header else [*REQUIRED]  # what a header lacks is told with what it holds
+    required = [] if header else [*REQUIRED]  # what a header lacks is reported with what it holds
     table, problems = read_table(path, required=required, optional=optional, texts=texts)
     problems = [*_lacking(header, path), *problems] if header else problems
     for name in sorted(spare):
         hint = suggestion(name, known)
-        fix = hint if hint.startswith("did you mean") else "nothing, if that is meant"
+        fix = hint if hint.startswith("did you mean") else "none needed, if this is intended"
         problems.append(problem(f"column {name!r} is not used", path, fix, line=1, warning=True))
     if table is None:
         return None, problems
@@ -160,7 +160,7 @@ def read_cohort(path: Path) -> tuple[RawTable | None, list[Problem]]:
 
 
 def _header(path: Path) -> list[str]:
-    """The header line's names; none where the file cannot be read (which `read_table` then tells)."""
+    """The header line's names; none where the file cannot be read (which `read_table` then reports)."""
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError):
@@ -181,5 +181,5 @@ def _lacking(header: list[str], path: Path) -> list[Problem]:
             found.append(problem(f"column {name!r} is missing", path, f"add it: {REQUIRED[name]}", line=1))
     if FACE not in header and PRESSURE not in header:
         fix = f"add {FACE}, the area of the probe's face, or {PRESSURE}, the force over it"
-        found.append(problem("the probe's face is not known", path, fix, line=1))
+        found.append(problem("the probe's face area is not known", path, fix, line=1))
     return sorted(found, key=lambda each: each.what)

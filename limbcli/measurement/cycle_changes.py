@@ -4,7 +4,7 @@ At one force the later depth differs by
   a (constant)            depth that did not come back, or a shift of the depth's zero
   b times the depth       tissue that has become softer or stiffer: preconditioning
   f times d depth/d force an offset of the force: drift of the load cell
-Each alone is fitted by generalised least squares; they are told apart by what each leaves (BIC).
+Each alone is fitted by generalised least squares; they are compared by what each leaves (BIC).
 Depth is the loss of skin-bone distance, so a limb that moves as a whole does not enter it; that shows
 where the probe's own travel was read too.
 Source: Schwarz 1978, Ann Stat 6:461 (BIC).
@@ -64,7 +64,7 @@ def _fitted(name: str, column: Array, difference: Difference) -> CycleChange:
 
 
 def change_text(difference: Difference) -> str:
-    """One sentence: what the difference looks like, or that it cannot be told."""
+    """One sentence: what the difference looks like, or that it is undetermined."""
     pair = f"from cycle {difference.earlier} to {difference.later}"
     if difference.is_noise:
         return f"{pair} nothing changed beyond noise"
@@ -75,13 +75,13 @@ def change_text(difference: Difference) -> str:
     words = [_WORDS[each.name](each) for each in able]
     if len(words) == 1:
         return f"{pair} {words[0]}"
-    return f"{pair} either {', or '.join(words)}: these levels do not tell which"
+    return f"{pair} either {', or '.join(words)}: these levels cannot distinguish them"
 
 
 def _residual(change: CycleChange) -> str:
     way = "deeper" if change.size > 0 else "less deep"
     size = f"{short(abs(change.size), 2)} mm (deviation {short(change.deviation, 1)})"
-    return f"all depths are {size} {way}: deformation that did not come back, or the depth's zero moved"
+    return f"all depths are {size} {way}: deformation that did not recover, or a shift of the depth's zero"
 
 
 def _compliance(change: CycleChange) -> str:

@@ -18,7 +18,7 @@ from scipy.special import log_ndtr
 
 from limbcli.model import Array
 
-ASSUMED_EDGE = 0.1  # mm, one deviation of an edge, where no layer tells
+ASSUMED_EDGE = 0.1  # mm, one deviation of an edge, where no layer gives it
 _FEWEST_NEGATIVE = 5
 _FIRST_SIMPLEX = np.array([[0.0, 0.0], [0.3, 0.0], [0.0, -0.3]])  # of ln deviation and ln mean
 _EDGES = 2.0  # root of the four marks, two an image, behind a shortening

@@ -59,7 +59,7 @@ def shear_modulus_from_wave_speed(wave_speed_m_per_s: Array, *, density_kg_per_m
         raise MeasurementError(
             f"the shear-wave speed of sample {wrong[0]} is {value:g} m/s, not a positive number",
             where="shear-wave speeds",
-            fix="leave the sample out, or correct it (m/s)",
+            fix="omit the sample, or correct it (m/s)",
             index=int(wrong[0]),
             value_m_per_s=value,
         )
@@ -114,7 +114,7 @@ def statistics(swe: SweMap) -> SweStatistics:
         raise MeasurementError(
             "the shear-wave map has no pixels in the region of interest",
             where=str(swe.path or "shear-wave map"),
-            fix="widen the region of interest, or leave the level's map out",
+            fix="enlarge the region of interest, or omit the level's map",
         )
     speed = swe.speed_m_per_s
     q1, q2, q3 = (float(each) for each in np.quantile(speed, [0.25, 0.5, 0.75]))
@@ -175,8 +175,8 @@ def check_maps(folder: Path, n_levels: int | None = None) -> tuple[list[SweMap],
     for path in expected:
         if not path.is_file():
             fix = (
-                "write a file a row of levels.csv (its header alone where nothing was read), or leave "
-                "swe_maps out of the site"
+                "write one file per row of levels.csv (the header only where nothing was "
+                "read), or remove swe_maps from the site"
             )
             problems.append(problem(f"the map {path.name} is missing", folder, fix))
             continue
@@ -185,11 +185,11 @@ def check_maps(folder: Path, n_levels: int | None = None) -> tuple[list[SweMap],
         if swe is not None:
             maps.append(swe)
     if maps and not any(map(len, maps)):
-        fix = "export the maps again, or leave swe_maps out of the site"
-        problems.append(problem("no map has a pixel", folder, fix))
+        fix = "export the maps again, or remove swe_maps from the site"
+        problems.append(problem("no map has any pixels", folder, fix))
     for path in sorted(folder.glob("*")):
         if path not in expected and not path.name.startswith("."):
-            fix = f"{n_levels} levels have their maps in level_00.csv to {expected[-1].name}"
+            fix = f"{n_levels} levels need the maps level_00.csv to {expected[-1].name}"
             problems.append(problem(f"{path.name} belongs to no level", folder, fix))
     return maps, problems
 
@@ -219,19 +219,19 @@ def check_width(swe: SweMap, probe_length: float) -> list[Problem]:
 def check_mean(swe: SweMap, mean_m_per_s: float) -> list[Problem]:
     """Whether a level's map and the mean that levels.csv states can belong to the same reading.
 
-    mean_m_per_s : m/s, NaN where levels.csv has none; one that is not positive is told with levels.csv
+    mean_m_per_s : m/s, NaN where levels.csv has none; one that is not positive is reported with levels.csv
     """
     if not np.isfinite(mean_m_per_s) or mean_m_per_s <= 0:
         return []
     if not len(swe):
-        what = f"the map has no pixel, but levels.csv a mean speed of {mean_m_per_s:.2f} m/s"
-        fix = "export it again; the header alone stands for a level at which nothing was read"
+        what = f"the map has no pixels, but levels.csv has a mean speed of {mean_m_per_s:.2f} m/s"
+        fix = "export it again; a file with only the header means a level at which nothing was read"
         return [problem(what, swe.path or Path("shear-wave map"), fix, warning=True)]
     own = float(swe.speed_m_per_s.mean())
     if 1 / _AT_ODDS <= own / mean_m_per_s <= _AT_ODDS:
         return []
     what = f"the map's mean speed is {own:.2f} m/s, that of levels.csv {mean_m_per_s:.2f} m/s"
-    fix = "one of them is not in m/s, of another level, or of another region of interest"
+    fix = "one of them is not in m/s, or is of another level or another region of interest"
     return [problem(what, swe.path or Path("shear-wave map"), fix, warning=True)]
 
 
@@ -251,14 +251,14 @@ def _check_ranges(swe: SweMap, table: RawTable, path: Path) -> list[Problem]:
     rules: Sequence[tuple[str, Array, float, float, str]] = (
         ("lateral_mm", swe.lateral, -_MAX_LATERAL, _MAX_LATERAL, "mm from the probe's centre, not pixels"),
         ("depth_mm", swe.depth, 0.0, _MAX_DEPTH, "mm below the probe face, downwards positive, not pixels"),
-        ("speed_m_per_s", swe.speed_m_per_s, SPEED_LOW_M_PER_S, SPEED_HIGH_M_PER_S, "m/s, not cm/s or kPa; "
-         "leave pixels without a reading out"),
+        ("speed_m_per_s", swe.speed_m_per_s, SPEED_LOW_M_PER_S, SPEED_HIGH_M_PER_S, "m/s, not cm/s or "
+         "kPa; omit pixels without a reading"),
     )  # fmt: skip
     problems = []
     for name, values, low, high, fix in rules:
         rows = np.flatnonzero((values < low) | (values > high))
         for k in rows[:_SHOWN]:
-            what = f"{name} is {values[k]:g}; possible is {low:g} to {high:g}"
+            what = f"{name} is {values[k]:g}; possible values are {low:g} to {high:g}"
             problems.append(problem(what, path, f"it is in {fix}", line=table.lines[k]))
         if len(rows) > _SHOWN:
             what = f"and {len(rows) - _SHOWN} more values of {name} like these"
@@ -274,5 +274,5 @@ def _check_repeats(swe: SweMap, table: RawTable, path: Path) -> list[Problem]:
         return []
     k = int(again[0])
     first_pixel = f"lateral {swe.lateral[k]:g}, depth {swe.depth[k]:g}"
-    what = f"{len(again)} pixels stand more than once (first: {first_pixel})"
-    return [problem(what, path, "keep one reading a pixel", line=table.lines[k])]
+    what = f"{len(again)} pixels appear more than once (first: {first_pixel})"
+    return [problem(what, path, "keep one reading per pixel", line=table.lines[k])]

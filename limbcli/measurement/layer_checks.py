@@ -53,7 +53,7 @@ def _without_skin(levels: Levels, path: Path, lines: list[int], _: LayerNoise | 
     skin = levels.layer("skin")
     below = [name for name in LAYERS[1:] if name in levels.layers]
     other = np.any([np.isfinite(levels.layers[name]) for name in below], axis=0) if below else np.array([])
-    fix = "add skin_mm (a skin that is not told apart counts to the fat: write what is above the fat)"
+    fix = "add skin_mm (the thickness above the fat, even if the skin is hard to distinguish from it)"
     if below and not np.isfinite(skin).any():
         names = " and ".join(f"{name}_mm" for name in below)
         return [problem(f"there are layers without skin: {names}, but no skin_mm", path, fix)]
@@ -68,8 +68,8 @@ def _crossing(levels: Levels, path: Path, lines: list[int], _: LayerNoise | None
     found = []
     for name, values in levels.layers.items():
         for k in np.flatnonzero(values <= 0):
-            what = f"interfaces cross: {name}_mm is {values[k]:g}, so the {name} ends above its beginning"
-            fix = "mark the interfaces in their order; leave the cell empty where a layer is not seen"
+            what = f"interfaces cross: {name}_mm is {values[k]:g}, so the {name} ends above where it begins"
+            fix = "mark the interfaces in order; leave the cell empty where a layer is not visible"
             found.append(problem(what, path, fix, line=lines[k]))
     if "muscle" in levels.layers:
         return found
@@ -94,7 +94,7 @@ def _sum_against_bone(
     for k in np.flatnonzero(np.abs(total - levels.skin_bone) > allowed):
         what = f"the layers do not add up to the thickness: {_sum_words(levels, int(k))}, "
         what += f"but skin_bone_mm is {levels.skin_bone[k]:g}"
-        fix = "read layers and bone on one image; muscle_mm goes down to the bone"
+        fix = "read layers and bone on one image; muscle_mm extends to the bone"
         found.append(problem(what, path, fix, line=lines[k]))
     if np.isfinite(levels.skin_bone).any() or not np.isfinite(total[0]):
         return found
@@ -102,8 +102,10 @@ def _sum_against_bone(
     off = total[0] - levels.depth - total
     for k in np.flatnonzero(np.abs(off) > allowed):
         what = f"the layers do not add up to the thickness: {_sum_words(levels, int(k))}, but "
-        what += f"{total[0]:g} mm at the first level less depth_mm leave {total[0] - levels.depth[k]:.3g} mm"
-        fix = "depth_mm is the loss of skin-bone distance since level 0, muscle_mm goes down to the bone"
+        what += (
+            f"{total[0]:g} mm at the first level minus depth_mm leaves {total[0] - levels.depth[k]:.3g} mm"
+        )
+        fix = "depth_mm is the decrease in skin-bone distance since level 0, muscle_mm extends to the bone"
         found.append(problem(what, path, fix, line=lines[k]))
     return found
 
@@ -118,13 +120,13 @@ def _growing(levels: Levels, path: Path, lines: list[int], noise: LayerNoise | N
         for k in np.flatnonzero((values - values[0] > max(allowed, 1e-9)) & levels.loading):
             what = f"the {name} grows under load, from {values[0]:g} to {values[k]:g} mm; layer_mm of "
             what += f"[site.noise] allows {allowed:.2g} mm"
-            fix = "look at the marks of this level; state a larger layer_mm if edges are that hard to see"
+            fix = "check the marks of this level; state a larger layer_mm if the edges are that hard to see"
             found.append(problem(what, path, fix, line=lines[k]))
     return found
 
 
 def _first_touch(levels: Levels, path: Path, lines: list[int], _: LayerNoise | None) -> list[Problem]:
-    """Layers tell how they move against what they were at first touch."""
+    """Layers show how they move against what they were at first touch."""
     lacking = [name for name, values in levels.layers.items() if not np.isfinite(values[0])]
     if not lacking and levels.begins_at_zero:
         return []

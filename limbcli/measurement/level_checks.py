@@ -43,7 +43,7 @@ def check_count(levels: Levels, path: Path) -> list[Problem]:
     n = int(levels.loading.sum())
     if len(levels) == 1:
         fix = "measure in steps of about 2 N; a curve needs at least three levels"
-        return [problem("there is one level only", path, fix)]
+        return [problem("there is only one level", path, fix)]
     if n < FEWEST_LOADING:
         fix = "a curve with two parameters needs at least three levels of loading"
         return [problem(f"there are {n} levels of loading only", path, fix)]
@@ -104,9 +104,9 @@ def _skipped(before: int, now: int) -> str:
 # What no level can have: column, least, most, what it is and the usual slip.
 _POSSIBLE: tuple[tuple[str, float, float, str], ...] = (
     ("force_n", MIN_FORCE, MAX_FORCE,
-     "N, compression positive; is it in grams (divide by 102), the sign turned, "
-     "or a tare missing?"),
-    ("depth_mm", -1.0, _MAX_DEPTH, "mm; is it in micrometres, or the sign turned?"),
+     "N, compression positive; is it in grams (divide by 102), the sign "
+     "reversed, or a tare missing?"),
+    ("depth_mm", -1.0, _MAX_DEPTH, "mm; is it in micrometres, or the sign reversed?"),
     ("swe_sd_m_per_s", 0.0, _SPEED_HIGH_M_PER_S, "m/s; is it in cm/s?"),
     ("swe_pixels", 1.0, 1e7, "pixels"),
     ("hold_s", 0.0, 3600.0, "s; is the time in milliseconds?"),
@@ -129,7 +129,7 @@ def check_values(
     for name, low, high, meaning in _POSSIBLE:
         values = np.asarray(columns.get(name, ()), dtype=float)
         for k in np.flatnonzero((values < low) | (values > high)):
-            what = f"{name} is {values[k]:g}; possible is {low:g} to {high:g}"
+            what = f"{name} is {values[k]:g}; possible values are {low:g} to {high:g}"
             what += "" if lines else f" (level {k})"
             problems.append(problem(what, path, f"correct it ({meaning})", line=lines[k] if lines else None))
     return problems
@@ -156,8 +156,13 @@ def check_order(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
         force, depth = sign * levels.force[rows], sign * levels.depth[rows]
         lines = [table.lines[k] for k in rows]
         if sign > 0 and len(rows) >= FEWEST_LOADING and _runs_backwards(force, depth):
-            what = f"depth_mm falls while force_n grows (lines {lines[0]} to {lines[-1]}, phase {phase})"
-            fix = "is the column reversed, or a distance instead of a loss? It is what skin to bone has lost "
+            what = (
+                f"depth_mm decreases while force_n increases (lines {lines[0]} to {lines[-1]}, phase {phase})"
+            )
+            fix = (
+                "is the column reversed, or a distance instead of a decrease? It is the decrease in "
+                "skin-bone distance "
+            )
             problems.append(problem(what, path, f"{fix}since level 0", line=lines[0]))
             continue
         for k in range(1, len(rows)):
@@ -166,14 +171,17 @@ def check_order(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
                 problems.append(problem(f"the level of {place} is repeated", path, "keep one", line=lines[k]))
             elif force[k] < force[k - 1] - _TOLERATED_FORCE_DROP and depth[k] > depth[k - 1]:
                 fix = f"write the {_AGAIN}"
-                what = f"the force falls while the depth grows ({place}, phase {phase})"
+                what = f"the force decreases while the depth increases ({place}, phase {phase})"
                 problems.append(problem(what, path, fix, line=lines[k]))
             elif force[k] < force[k - 1] - _TOLERATED_FORCE_DROP:
                 fix = f"sort the {_AGAIN}"
                 what = f"the levels are not in order of force ({place}, phase {phase})"
                 problems.append(problem(what, path, fix, line=lines[k]))
             elif sign > 0 and force[k] < force[k - 1] - _SILENT_FORCE_DROP and depth[k] > depth[k - 1]:
-                what = f"the force falls by {force[k - 1] - force[k]:.2g} N while the depth grows ({place})"
+                what = (
+                    f"the force decreases by {force[k - 1] - force[k]:.2g} N while the depth increases "
+                    f"({place})"
+                )
                 fix = "check the reading, or measure this level again"
                 problems.append(problem(what, path, fix, line=lines[k], warning=True))
             elif depth[k] < depth[k - 1]:
@@ -215,7 +223,7 @@ def check_distance(
         k = int(beyond[0])
         what = f"depth_mm is {levels.depth[k]:g}, but the bone lies {distance:g} mm below the skin "
         what += f"(skin_bone_mm, line {table.lines[first]})"
-        fix = "depth_mm is the loss of skin_bone_mm; are both in mm, and is neither another column's?"
+        fix = "depth_mm is the decrease in skin_bone_mm; are both in mm, and are the columns not swapped?"
         return [problem(what, path, fix, line=table.lines[k])]
     deviation = (noise or LayerNoise()).depth
     allowed = max(_DISTANCE_OFF, _DISTANCE_SIGMAS * np.sqrt(2) * deviation)
@@ -225,7 +233,7 @@ def check_distance(
     k, several = int(off[0]), f"{len(off)} levels: here" if len(off) > 1 else "one level:"
     what = f"skin_bone_mm and depth_mm contradict each other at {several} the distance has "
     what += f"become {distance - levels.skin_bone[k]:.3g} mm shorter, the depth {lost[k]:.3g} mm larger"
-    fix = "one of the columns is of another unit or level; are force_n and depth_mm swapped?"
+    fix = "one of the columns has another unit or level; are force_n and depth_mm swapped?"
     if len(off) == 1:
         fix = "check both readings of this level"
     return [problem(what, path, fix, line=table.lines[k], warning=True)]
@@ -246,8 +254,8 @@ def check_zero(
     unsure = _ZERO_SIGMAS * (noise or LayerNoise()).depth
     if -unsure <= at <= unsure + _SOFTER_AT_FIRST * force * span_depth / span_force:
         return []
-    what = f"level 0 stands at {at:.3g} mm and {levels.force[0]:.3g} N, but depth_mm counts from level 0"
-    fix = f"take {at:.3g} mm from every depth if this is first touch; otherwise measure first touch, too"
+    what = f"level 0 is at {at:.3g} mm and {levels.force[0]:.3g} N, but depth_mm counts from level 0"
+    fix = f"subtract {at:.3g} mm from every depth if this is first touch; otherwise also measure first touch"
     return [problem(what, path, fix, line=table.lines[0], warning=True)]
 
 
@@ -256,7 +264,9 @@ def check_tare(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
     force = float(levels.force[0])
     if force >= -_PULL:
         return []
-    what = f"force_n is {force:.3g} N at the first level: tissue does not pull, the load cell's zero is off"
+    what = (
+        f"force_n is {force:.3g} N at the first level: tissue does not pull, so the load cell's zero is off"
+    )
     return [problem(what, path, _TARE, line=table.lines[0], warning=True)]
 
 
@@ -267,12 +277,15 @@ def check_plausible(levels: Levels, path: Path, *, speed_is_possible: bool) -> l
     span_force = float(np.ptp(levels.force[levels.loading]))
     if span_force <= 0 or span_depth <= 0:
         fix = "check both columns; the depth is counted from level 0"
-        return [problem("force or depth does not grow over the levels", path, fix)]
+        return [problem("force or depth does not increase over the levels", path, fix)]
     stiffness = span_force / span_depth
     expected = _expected_stiffness(levels) if speed_is_possible else np.nan
     problems += _check_stiffness(stiffness, expected, path)
     if not levels.begins_at_zero:
-        fix = "level 0 is first touch: about 0 N and 0 mm; c is taken from the first row's speed as it stands"
+        fix = (
+            "level 0 is first touch: about 0 N and 0 mm; c is taken from the first row's speed without "
+            "correction"
+        )
         fix += f"; if the load cell was not tared, {_TARE}" if levels.depth[0] <= 0 < levels.force[0] else ""
         what = f"there is no level 0: the first row is at {levels.force[0]:g} N and {levels.depth[0]:g} mm"
         what += "" if levels.phase[0] == "load" else ", unloading"
@@ -295,7 +308,7 @@ def _check_stiffness(stiffness: float, expected: float, path: Path) -> list[Prob
         return [problem(f"{text}; no limb{_than(ratio)} is that soft", path, soft_fix)]
     unusual = not _STIFFNESS_UNUSUAL_LOW <= stiffness <= _STIFFNESS_UNUSUAL_HIGH
     if unusual or ratio > _RATIO_UNUSUAL_HIGH or ratio < _RATIO_UNUSUAL_LOW:
-        fix = "check the units (N, mm, m/s); kgf, cm and kPa are the usual slips"
+        fix = "check the units (N, mm, m/s); kgf, cm and kPa are common mistakes"
         return [problem(f"{text}, which is unusual{_than(ratio)}", path, fix, warning=True)]
     return []
 
@@ -311,14 +324,14 @@ def _expected_stiffness(levels: Levels) -> float:
 
 
 def _than(ratio: float) -> str:
-    return f" ({ratio:.2g} times what its shear-wave speed lets expect)" if np.isfinite(ratio) else ""
+    return f" ({ratio:.2g} times what its shear-wave speed implies)" if np.isfinite(ratio) else ""
 
 
 def check_swe(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
     speed = levels.swe_mean_m_per_s
     problems = []
     if not levels.has_swe:
-        fix = "add swe_mean_m_per_s, or give the stiffness by hand: --c-kpa to both `build-feb` and `fit`"
+        fix = "add swe_mean_m_per_s, or enter the stiffness: --c-kpa to both `build-feb` and `fit`"
         return [problem("there is no shear-wave speed at any level", path, fix, warning=True)]
     for k in np.flatnonzero((speed < _SPEED_LOW_M_PER_S) | (speed > _SPEED_HIGH_M_PER_S)):
         too_fast = speed[k] > _SPEED_HIGH_M_PER_S
@@ -340,5 +353,5 @@ def check_swe(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
     if 0 < n_missing < len(needed):
         way = "" if len(needed) == len(speed) else " of loading"
         what = f"{n_missing} of {len(needed)} levels{way} have no shear-wave speed"
-        problems.append(problem(what, path, "they are left out of the SWE figures", warning=True))
+        problems.append(problem(what, path, "they are excluded from the SWE figures", warning=True))
     return problems

@@ -1,4 +1,4 @@
-"""Where the colour bar and the colour box lie in an elastography image, where nobody said.
+"""Where the colour bar and the colour box lie in an elastography image, where they are not stated.
 
 A bar is a narrow coloured strip, of one colour across and of many along. The box is the largest
 coloured area beside it. Where either is not plain to see nothing is guessed.
@@ -34,7 +34,7 @@ def find_bar(image: UltrasoundImage) -> Box:
     Raises
     ------
     MeasurementError
-        If there is none, or two that are as good, or its end cannot be told from what lies beside it.
+        If there is none, or two that are as good, or its end is not distinct from what lies beside it.
     """
     rgb = image.rgb.astype(np.float64)
     marks, _ = ndimage.label(np.ptp(rgb, axis=2) >= _BAR_COLOUR)
@@ -71,9 +71,9 @@ def _to_its_ends(rgb: Array, box: Box, image: UltrasoundImage) -> Box:
         end += 1
     if max(first - begin, end - last) > most:
         raise MeasurementError(
-            f"the colour bar at {list(box)} fades into what lies beside it: its end is not plain",
+            f"the colour bar at {list(box)} blends into its surroundings: its end is not clear",
             where=image.where,
-            fix="state bar_pixels = [left, top, right, bottom] of the elastography bar, to its very ends",
+            fix="state bar_pixels = [left, top, right, bottom] of the elastography bar, from end to end",
         )
     return (left, begin, right, end) if upright else (begin, top, end, bottom)
 

@@ -1,9 +1,9 @@
 """The pennation angle of muscle fibres in a B-mode image, by its structure tensor.
 
 Fascicles and the septa between them are lines longer than speckle is wide; across them the brightness
-changes most. The tensor of brightness gradients, summed over a tile, tells the direction of least change and
+changes most. The tensor of brightness gradients, summed over a tile, gives the direction of least change and
 how far one direction stands out (coherence). The angle is the mean over tiles by doubled angles, weighted by
-coherence. Its doubt is how far tiles differ, not what their number makes of that: speckle pulls all of
+coherence. Its uncertainty is how far tiles differ, not what their number makes of that: speckle pulls all of
 them the same way (a vastus lateralis whose septa lie at 20 degrees by eye is read as 14, tiles spread by 7).
 Speckle itself is longer across the beam than along it and would be read as 0 degrees; so the image is
 smoothed over a speckle's length first, and what little direction is left in it is below the coherence
@@ -67,8 +67,8 @@ def read_pennation(image: UltrasoundImage, *, top: float, bottom: float) -> Penn
     height = (last - first) * region.mm_per_pixel_y
     where = image.where
     if height < 2 * TILE or width < 2 * TILE:
-        what = f"{max(height, 0.0):.1f} mm of muscle by {width:.1f} mm are too little to tell fibres in"
-        raise MeasurementError(what, where=where, fix="tell the angle by hand ([[site.pennation]])")
+        what = f"{max(height, 0.0):.1f} mm of muscle by {width:.1f} mm are too small to detect fibres in"
+        raise MeasurementError(what, where=where, fix="enter the angle manually ([[site.pennation]])")
     grey = image.grey[first:last, region.left : region.right + 1]
     shape = (max(2, round(height / STEP)), max(2, round(width / STEP)))
     alike = resize(grey, shape, order=1, anti_aliasing=True)
@@ -78,9 +78,9 @@ def read_pennation(image: UltrasoundImage, *, top: float, bottom: float) -> Penn
     keep = found[3] >= LEAST_COHERENCE
     if keep.sum() < max(FEWEST_TILES, LEAST_SHARE * len(keep)):
         raise MeasurementError(
-            f"no fibres can be told: {int(keep.sum())} of {len(keep)} tiles show a direction",
+            f"no fibres can be detected: {int(keep.sum())} of {len(keep)} tiles show a direction",
             where=where,
-            fix="choose a frame along the fibres, or tell the angle by hand ([[site.pennation]])",
+            fix="choose a frame along the fibres, or enter the angle manually ([[site.pennation]])",
         )
     rows, columns, angle, coherence = found[:, keep]
     mean, agreement = _axial_mean(angle, coherence)
@@ -88,7 +88,7 @@ def read_pennation(image: UltrasoundImage, *, top: float, bottom: float) -> Penn
         raise MeasurementError(
             f"the fibres show no common direction (agreement {agreement:.2f} of 1)",
             where=where,
-            fix="name the depths of one muscle, or tell the angle by hand ([[site.pennation]])",
+            fix="give the depths of one muscle, or enter the angle manually ([[site.pennation]])",
         )
     off = _difference(angle, mean)
     spread = float(np.degrees(np.sqrt(np.average(off**2, weights=coherence))))

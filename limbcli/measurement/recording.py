@@ -60,12 +60,12 @@ def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
     decimal = form.decimal or _decimal(rows, separator)
     positions = {}
     for name in COLUMNS:
-        position = _position(header, form.columns.get(name, name), name, path, asked=name in form.columns)
+        position = _position(header, form.columns.get(name, name), name, path, requested=name in form.columns)
         if position is not None:
             positions[name] = position
     for name in ("time_s", "force_n"):
         if name not in positions:
-            fix = f'say which one it is: columns = {{ {name} = "..." }}; ' + suggestion(name, header)
+            fix = f'state which one it is: columns = {{ {name} = "..." }}; ' + suggestion(name, header)
             raise MeasurementError(f"the record has no column {name!r}", where=str(path), fix=fix)
     if header[positions["time_s"]] == _LVM_TIME and header.count(_LVM_TIME) > 1:
         positions["time_s"] = _time_of_force(header, rows, positions, path)
@@ -92,7 +92,7 @@ def _table(path: Path, form: RecordingFormat) -> tuple[list[str], list[list[str]
     if any(line.startswith(LVM_END_OF_HEADER) for line in lines):
         return _lvm_table(lines, path, form)
     if len(lines) < 2:
-        fix = "name the file that the load cell's program wrote"
+        fix = "give the file that the load cell's program wrote"
         raise MeasurementError("the record has no rows", where=str(path), fix=fix)
     separator = form.separator or max(("\t", ";", ","), key=lambda mark: lines[0].count(mark))
     cells = checked(*csv_rows("\n".join(text), path, separator=separator), MeasurementError)
@@ -135,18 +135,18 @@ def _lvm_table(lines: list[str], path: Path, form: RecordingFormat) -> tuple[lis
             titles, segment = _with_times(titles, segment, own, path, form.decimal)
         if header and titles != header:
             what = f"the segments have different columns: {', '.join(header)}; then {', '.join(titles)}"
-            raise MeasurementError(what, where=str(path), fix="export one segment a file")
+            raise MeasurementError(what, where=str(path), fix="export one segment per file")
         header = titles
         clocks.append(_clock(own))
         rows += _after(rows, segment, header, clocks, comma=_has_comma(segment, form.decimal))
     if not rows:
-        fix = "name the file that the load cell's program wrote"
+        fix = "give the file that the load cell's program wrote"
         raise MeasurementError("the record has no rows", where=str(path), fix=fix)
     return header, rows, mark
 
 
 def _clock(own: Mapping[str, list[str]]) -> float | None:
-    """When a segment was begun, s, by its header's Date and Time; None where they do not tell."""
+    """When a segment was begun, s, by its header's Date and Time; None where they do not give it."""
     day, time = (own.get(key, [""])[0].strip() for key in ("Date", "Time"))
     minute, _, seconds = time.replace(",", ".").rpartition(":")
     try:
@@ -248,9 +248,9 @@ def _time_of_force(header: list[str], rows: list[list[str]], positions: Mapping[
         pairs = ((_cell(row, own), _cell(row, k)) for row in rows)
         if k != own and any(a != b for a, b in pairs if a and b):
             raise MeasurementError(
-                f"force_n and {name} were sampled at other times (columns {own + 1} and {k + 1})",
+                f"force_n and {name} were sampled at different times (columns {own + 1} and {k + 1})",
                 where=str(path),
-                fix="export both at one rate (X_Columns One), or take the column out of the file",
+                fix="export both at one rate (X_Columns One), or remove the column from the file",
             )
     return own
 
@@ -283,17 +283,17 @@ def _decimal(rows: list[list[str]], separator: str) -> str:
     return "," if separator != "," and commas > sum("." in cell for cell in sample) else "."
 
 
-def _position(header: list[str], wanted: str, name: str, path: Path, *, asked: bool) -> int | None:
+def _position(header: list[str], wanted: str, name: str, path: Path, *, requested: bool) -> int | None:
     places = [k for k, title in enumerate(header, 1) if title == wanted]
     if len(places) > 1 and wanted != _LVM_TIME:
         raise MeasurementError(
             f"{len(places)} columns of the record are called {wanted!r} ({', '.join(map(str, places))})",
             where=str(path),
-            fix="rename those that are not meant, or export the record without them",
+            fix="rename the others, or export the record without them",
         )
     if wanted in header:
         return header.index(wanted)
-    if asked:
+    if requested:
         what = f"the record has no column {wanted!r}, which case.toml names for {name}"
         raise MeasurementError(what, where=str(path), fix=suggestion(wanted, header))
     return None

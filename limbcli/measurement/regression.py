@@ -55,9 +55,9 @@ def straight_line(x: Array, y: Array) -> Line:
     x, y = x[there], y[there]
     if x.size < 2 or np.ptp(x) == 0.0:
         raise MeasurementError(
-            f"a line needs readings at two different places; there are {np.unique(x).size}",
+            f"a line needs readings at two different positions; there are {np.unique(x).size}",
             where="straight_line",
-            fix="give more levels, or leave the line out",
+            fix="give more levels, or omit the line",
             n_points=int(x.size),
         )
     dx, dy = x - x.mean(), y - y.mean()

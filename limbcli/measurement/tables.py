@@ -59,7 +59,7 @@ def read_table(
         return None, problems
     body = numbered[1:]
     if not body and not may_be_empty:
-        fix = "add the measured rows; if it is a levels.csv that `limbcli measure CASE --write` is to make, "
+        fix = "add the measured rows; if it is a levels.csv that `limbcli measure CASE --write` will create, "
         return None, [problem("the table has a header but no rows", path, f"{fix}remove the file")]
     cells, found = _check_width(body, len(header), path)
     problems += found
@@ -74,7 +74,7 @@ def read_table(
         more = len(found) - _SHOWN_PER_FILE
         found = [
             *found[:_SHOWN_PER_FILE],
-            problem(f"and {more} more cells like these", path, "mend them all"),
+            problem(f"and {more} more cells like these", path, "correct them all"),
         ]
     columns = {name: [row[j].strip() for _, row in cells] for j, name in enumerate(header) if name in texts}
     return RawTable(numbers, columns, [line for line, _ in cells]), problems + found
@@ -125,10 +125,12 @@ def _read_text(path: Path) -> tuple[str | None, list[Problem]]:
     except UnicodeDecodeError:
         return None, [problem("the file is not UTF-8 text", path, "save it as CSV in UTF-8")]
     except FileNotFoundError:
-        fix = "put it there; `limbcli measure CASE --write` makes levels.csv from the instruments' files"
-        return None, [problem("the file is not there", path, fix)]
+        fix = "put it there; `limbcli measure CASE --write` creates levels.csv from the instruments' files"
+        return None, [problem("the file was not found", path, fix)]
     except OSError as error:
-        return None, [problem(f"the file cannot be read ({error.strerror})", path, "check name and rights")]
+        return None, [
+            problem(f"the file cannot be read ({error.strerror})", path, "check its name and permissions")
+        ]
     if "\0" in content:
         return None, [problem("the file is binary, not CSV", path, "export it as comma-separated text")]
     return content, []
@@ -146,11 +148,11 @@ def _check_header(
             what = f"unknown column {name!r}" if name else "a column without a name"
             problems.append(problem(what, path, suggestion(name, known), line=1))
     for name in sorted({each for each in header if header.count(each) > 1}):
-        problems.append(problem(f"column {name!r} stands twice", path, "keep one of them", line=1))
+        problems.append(problem(f"column {name!r} appears twice", path, "keep one of them", line=1))
     for name in required:
         if name not in header:
             unit = next((each for end, each in _UNITS.items() if name.endswith(end)), None)
-            fix = "add it" if unit is None else f"add it; its name carries the unit ({unit})"
+            fix = "add it" if unit is None else f"add it; its name includes the unit ({unit})"
             problems.append(problem(f"column {name!r} is missing", path, fix, line=1))
     return problems
 
@@ -163,7 +165,7 @@ def _check_width(
         if len(row) == width:
             good.append((line, row))
             continue
-        fix = "one cell a column; write decimals with a point, not a comma"
+        fix = "give one cell per column; write decimals with a point, not a comma"
         what = f"the row has {len(row)} cells, the header {width}"
         problems.append(problem(what, path, fix, line=line))
     return good, problems[:_SHOWN_PER_FILE]

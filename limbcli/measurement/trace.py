@@ -54,7 +54,7 @@ def check_trace(path: Path) -> tuple[Trace | None, list[Problem]]:
         return None, problems
     time = table.numbers["time_s"]
     for k in np.flatnonzero(np.diff(time) <= 0)[:3]:
-        what = f"time_s does not grow ({time[k]:g} then {time[k + 1]:g} s)"
+        what = f"time_s does not increase ({time[k]:g} then {time[k + 1]:g} s)"
         problems.append(problem(what, path, "sort by time; remove repeated samples", line=table.lines[k + 1]))
     if np.abs(table.numbers["force_n"]).max() > MAX_FORCE:
         what = f"force_n reaches {np.abs(table.numbers['force_n']).max():g} N"

@@ -3,7 +3,7 @@
 A DICOM ultrasound image may hold several regions (B-mode, colour box, Doppler
 trace); each states its corners and what a pixel means (PS3.3 C.8.5.5). A region
 whose deltas are zero or whose unit is not cm is not calibrated and is not used.
-Depth 0 is the probe face: the row that the region's reference pixel tells, else its top.
+Depth 0 is the probe face: the row that the region's reference pixel gives, else its top.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class UltrasoundImage:
 
     @property
     def is_whole(self) -> bool:
-        """Whether nothing tells where in the image the ultrasound picture lies."""
+        """Whether nothing shows where in the image the ultrasound picture lies."""
         rows, columns = self.rgb.shape[:2]
         return all((r.left, r.top, r.right, r.bottom) == (0, 0, columns - 1, rows - 1) for r in self.regions)
 
@@ -105,7 +105,7 @@ class UltrasoundImage:
             raise MeasurementError(
                 "the image has no calibrated region",
                 where=self.where,
-                fix="state mm_per_pixel (read it off the depth scale), or export DICOM with regions",
+                fix="state mm_per_pixel (from the depth scale), or export DICOM with regions",
             )
         return self.regions
 
@@ -115,7 +115,7 @@ class UltrasoundImage:
                 f"the picture begins {region.cut_off:.1f} mm below the probe face (Reference Pixel Y0, "
                 "0018,6022): depths cannot be counted from its top",
                 where=self.where,
-                fix="export the frame without zoom; if the face is in the picture, say where: its box "
+                fix="export the frame without zoom; if the face is in the image, state where: its box "
                 "(box_pixels of [site.b_mode], image_pixels of [site.swe_images]), whose top is the face",
             )
         return region
@@ -137,7 +137,8 @@ class UltrasoundImage:
             raise MeasurementError(
                 f"the box {list(box)} lies in none of the image's calibrated regions ({places})",
                 where=self.where,
-                fix="correct box_pixels, or state the picture that it lies in: image_pixels = [left, top, "
+                fix="correct box_pixels, or state the image region that contains it: image_pixels = [left, "
+                "top, "
                 "right, bottom], its top the probe face",
             )
         return self._from_the_face(max(holding, key=_area))
@@ -157,7 +158,7 @@ def read_image(
     """Read one frame.
 
     mm_per_pixel : overrides, or stands in for, the file's own calibration; where the picture lies in the
-        image stays as the file tells it, else the whole image is taken.
+        image stays as the file gives it, else the whole image is taken.
     box_pixels : left, top, right, bottom of the ultrasound image within the screen shot;
         its top is the probe face.
     frame : which one of a file that holds several (a cine loop), from 1
@@ -165,7 +166,7 @@ def read_image(
     Raises
     ------
     MeasurementError
-        If the file is no image, it holds several frames and nobody says which, or a scale is neither in it
+        If the file is no image, it holds several frames and none is selected, or a scale is neither in it
         nor given.
     """
     rgb, regions, number = _read_dicom(path, frame) if is_dicom(path) else _read_picture(path, frame)
@@ -182,7 +183,7 @@ def _frame_of(path: Path, count: int, wanted: int | None) -> int | None:
     """The number of the frame that is meant, from 1; None in a file of one."""
     if count > 1 and wanted is None:
         raise MeasurementError(
-            f"the file holds {count} frames, and nothing says which one shows the level",
+            f"the file contains {count} frames, and it is not stated which one shows the level",
             where=str(path),
             fix="state it in the table that names the folder: frame = 12 (counted from 1) for every file, or "
             "a list, one a level (all of one file where it is the only one); or export still frames",
@@ -190,7 +191,7 @@ def _frame_of(path: Path, count: int, wanted: int | None) -> int | None:
         )
     if wanted is not None and not 1 <= wanted <= count:
         raise MeasurementError(
-            f"frame {wanted} is asked for; the file holds {count}",
+            f"frame {wanted} was requested; the file contains {count}",
             where=str(path),
             fix="correct frame, counted from 1",
             n_frames=count,
@@ -225,7 +226,7 @@ def _within(image: UltrasoundImage, box: tuple[int, int, int, int]) -> Ultrasoun
 def is_dicom(path: Path) -> bool:
     """By how the file begins, or by its ending. Raises MeasurementError where there is no file."""
     if not path.is_file():
-        raise MeasurementError("the image is not there", where=str(path), fix="correct its name")
+        raise MeasurementError("the image was not found", where=str(path), fix="correct its name")
     with path.open("rb") as stream:
         head = stream.read(132)
     return head[128:] == b"DICM" or path.suffix.lower() in {".dcm", ".dicom"}
@@ -251,7 +252,7 @@ def _read_picture(path: Path, frame: int | None) -> _Frame:
 
 
 def _read_dicom(path: Path, frame: int | None) -> _Frame:
-    """Pixels and regions; the error of a damaged file tells no value of it, which may be the patient's."""
+    """Pixels and regions; the error of a damaged file shows no value of it, which may be the patient's."""
     from pydicom.errors import BytesLengthException, InvalidDicomError
 
     try:

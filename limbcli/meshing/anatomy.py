@@ -49,7 +49,7 @@ def limb_check(surfaces: Mapping[str, Triangles], *, limb: str, where: str) -> L
     """What is wrong with the skin and the bones of one limb, and the bones that lie elsewhere.
 
     surfaces : "skin" and the bones by name, mm, patient LPS; open or closed
-    limb : "left" or "right"; the fibula tells it where two bones are so named
+    limb : "left" or "right"; the fibula shows it where two bones are so named
 
     Raises
     ------
@@ -86,14 +86,14 @@ def _sizes(volume: float, bones: Mapping[str, Triangles], where: str) -> list[Pr
     found = []
     low, high = _SKIN_CM3
     if not low <= volume / 1e3 <= high:
-        what = f"the skin encloses {volume / 1e3:.3g} cm3; a limb in view has {low:g} to {high:g} cm3"
+        what = f"the skin encloses {volume / 1e3:.3g} cm3; an imaged limb has {low:g} to {high:g} cm3"
         severe = volume / 1e3 > 2 * high
         found.append(_problem(what, where, "save the surfaces in mm (patient LPS)", error=severe))
     volumes = {name: abs(each.volume) for name, each in bones.items()}
     for name, each in volumes.items():
         if each / 1e3 < _LEAST_BONE_CM3:
-            what = f"{name} encloses {each / 1e3:.2g} cm3 only"
-            found.append(_problem(what, where, "leave it out, or bring the whole bone"))
+            what = f"{name} encloses only {each / 1e3:.2g} cm3"
+            found.append(_problem(what, where, "remove it, or give the whole bone"))
     share = sum(volumes.values()) / max(volume, 1e-9)
     if share > _BONE_SHARE[0]:
         what = f"the bones fill {share:.0%} of the skin's volume"
@@ -109,7 +109,7 @@ def _second_wall(skin: Triangles, volume: float, where: str) -> list[Problem]:
     if share <= _BONE_SHARE[0]:
         return []
     what = f"the skin's file holds a second body, which would be a bone, of {share:.0%} of the skin's volume"
-    fix = "bring the skin as one wall (its outer surface), not as a sheet with a thickness"
+    fix = "give the skin as one surface (the outer one), not as a sheet with a thickness"
     return [_problem(what, where, fix, error=True)]
 
 
@@ -128,19 +128,17 @@ def _in_holes(
         out = float((above_skin.of(deep) > 0).mean()) if len(deep) else 0.0
         surface = float((above_skin.of(_some(bone.points)) > _OUT_MM).mean())
         if out > _HOLLOW and surface < _OUT_SHARE[1]:
-            what = f"{name} lies in a hole of the skin: the inside of the bone is outside of the limb"
-            fix = (
-                "bring the skin as the limb's outer surface, bones included; not the soft tissue around them"
-            )
+            what = f"{name} lies in a hole of the skin: the inside of the bone is outside the limb"
+            fix = "give the skin as the limb's outer surface, bones included; not the soft tissue around them"
             found.append(_problem(what, where, fix, error=True))
     return found
 
 
 def _left_out(problem: Problem) -> Problem:
-    """What is wrong with a small bone: the others still make a limb, which is said."""
+    """What is wrong with a small bone: the others still make a limb, with a warning."""
     if problem.severity == "warning":
         return problem
-    what = f"{problem.what}: the model is made without what lies outside, and too soft where it belongs"
+    what = f"{problem.what}: the model omits the part outside, and is too soft there"
     return replace(problem, what=what, severity="warning")
 
 
@@ -191,7 +189,7 @@ def _twice(bones: Mapping[str, Triangles], above: Mapping[str, Heights], where: 
             share = float((above[name].of(points) < 0.5).mean())
             if share > _TWICE:
                 what = f"{other} lies within {name} ({share:.0%} of it): the same bone twice?"
-                fix = "name each bone once, each with a file of its own"
+                fix = "give each bone once, each in a separate file"
                 found.append(_problem(what, where, fix, error=True))
     return found
 
@@ -207,7 +205,8 @@ def _side(bones: Mapping[str, Triangles], limb: str, where: str) -> list[Problem
         return []
     other = "right" if limb == "left" else "left"
     what = (
-        f"the fibula lies {-lateral:.0f} mm medial of the tibia: that is a {other} leg, the case says {limb}"
+        f"the fibula lies {-lateral:.0f} mm medial of the tibia: that is a {other} leg, but the case states "
+        f"{limb}"
     )
     fix = "correct [subject] limb, or the frame of the images or surfaces (LPS: +x is the patient's left)"
     return [_problem(what, where, fix)]
@@ -221,8 +220,8 @@ def _across(skin: Triangles, bones: Mapping[str, Triangles], where: str) -> list
         return []
     along = "xyz"[int(np.abs(axis).argmax())]
     what = (
-        f"the limb lies along {along}; in the patient frame it lies along z, with the head at +z, so that "
-        'which end is proximal is not known ("axial", "transverse" and images may be turned over)'
+        f"the limb lies along {along}; in the patient frame it lies along z, with the head at +z, so "
+        'it is not known which end is proximal ("axial", "transverse" and images may be reversed)'
     )
     fix = "save the surfaces, or the label map, in patient LPS (x left, y posterior, z to the head), mm"
     return [_problem(what, where, fix)]

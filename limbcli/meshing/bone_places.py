@@ -45,7 +45,7 @@ class PutBack:
 def put_back(
     skin: Triangles, right: Mapping[str, Triangles], wrong: Mapping[str, Triangles], *, limb: str
 ) -> PutBack | None:
-    """The shift that puts the bones `wrong` back beside those that are `right`; None where nothing tells it.
+    """The shift that puts the bones `wrong` back beside those that are `right`; None if undetermined.
 
     skin, right, wrong : closed surfaces, mm, patient LPS, bones by name; limb : "left" or "right"
 
@@ -63,10 +63,10 @@ def put_back(
     curvature = best.jac.T @ best.jac + 1e-3 * np.eye(3)
     spread = np.linalg.inv(curvature)
     across = np.eye(3) - np.outer(search.axis, search.axis)
-    doubt = float(np.sqrt(np.linalg.eigvalsh(across @ spread @ across).max()))
-    if doubt > _DOUBT:
+    uncertainty = float(np.sqrt(np.linalg.eigvalsh(across @ spread @ across).max()))
+    if uncertainty > _DOUBT:
         return None
-    return PutBack(tuple(wrong), np.asarray(best.x, float), doubt)
+    return PutBack(tuple(wrong), np.asarray(best.x, float), uncertainty)
 
 
 class _Search:

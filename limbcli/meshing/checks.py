@@ -1,4 +1,4 @@
-"""What a site's geometry says about the measurement taken there."""
+"""What a site's geometry implies for the measurement taken there."""
 
 from __future__ import annotations
 

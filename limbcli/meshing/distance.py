@@ -1,4 +1,4 @@
-"""Signed distance to a surface on a regular grid: the form in which any surface can be mended.
+"""Signed distance to a surface on a regular grid: the form in which any surface can be repaired.
 
 A grid knows inside from outside by counting, with their direction, the faces
 that rays along x, y and z pass; two of three directions decide. Gaps, overlaps

@@ -74,7 +74,9 @@ def make_domain(limb: Limb, planes: tuple[Plane, ...], *, spacing: float = 1.0) 
     inside = within(limb.skin.points, planes, slack=2 * spacing)
     if not inside.any():
         raise MeshError(
-            "the crop leaves nothing of the limb", where="site", fix="check position_mm and the surfaces"
+            "nothing of the limb is left after the crop",
+            where="site",
+            fix="check position_mm and the surfaces",
         )
     grid = grid_over(*_reach(limb.skin, planes, 4.0 * spacing), spacing)
     notes: list[str] = []
@@ -226,5 +228,5 @@ def manifold_of(surface: Triangles, name: str, *, must: bool = True) -> manifold
     raise MeshError(
         f"the {name} surface is not a closed body ({solid.status()})",
         where=name,
-        fix="smooth the segmentation a little, or bring a closed surface",
+        fix="smooth the segmentation slightly, or give a closed surface",
     )

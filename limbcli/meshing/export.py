@@ -20,7 +20,7 @@ def write_vtu(mesh: Mesh, path: Path, *, fibres: ElementMap | None = None) -> No
     """All blocks as cells; every node set and surface as a point array of 0 and 1.
 
     Cell arrays: `block` (its number), one of 0 and 1 for each block by name, `min_dihedral_deg`, and,
-    where they are told, `fibre` (3 components in the site's frame; 0 outside of the tissue).
+    where they are given, `fibre` (3 components in the site's frame; 0 outside of the tissue).
     """
     import meshio
 

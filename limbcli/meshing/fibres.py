@@ -30,7 +30,7 @@ class ImageAngle:
 
 @dataclass(frozen=True, eq=False)
 class FibreDirection:
-    """axis (3,), unit; deviation_deg : one standard deviation of what was told of it; how : in words."""
+    """axis (3,), unit; deviation_deg : one standard deviation of what was given; how : in words."""
 
     axis: Array
     deviation_deg: float
@@ -57,12 +57,12 @@ def direction_of_angles(
         only = angles[0]
         if abs(float(only.lateral @ proximal)) < np.cos(np.radians(45.0)):
             raise CaseError(
-                "the pennation is told in an image across the limb alone; fibres cross that plane, so it "
-                "does not tell their direction",
+                "the pennation is given only in an image across the limb; fibres cross that "
+                "plane, so it does not determine their direction",
                 where=where,
                 fix='add one with orientation = "axial", or give fibre_direction',
             )
-        how = "in one image plane; how far the fibres leave it is not told, and taken as 0"
+        how = "in one image plane; the angle of the fibres out of it is not given, and taken as 0"
         return FibreDirection(_in_plane(only, beam), only.deviation_deg, how)
     steps = [ImageAngle(a.lateral, a.angle_deg + _STEP_DEG, a.deviation_deg) for a in angles]
     axis = _crossing(angles, beam, where)
@@ -87,9 +87,9 @@ def _crossing(angles: Sequence[ImageAngle], beam: Array, where: str) -> Array:
     size = float(np.linalg.norm(crossed))
     if size < np.sin(np.radians(_LEAST_ANGLE_DEG)):
         raise CaseError(
-            "the two pennation angles do not fix a direction: fibres lie nearly alike in both images",
+            "the two pennation angles do not determine a direction: both give nearly the same plane",
             where=where,
-            fix="tell them in planes further apart (axial and transverse)",
+            fix="give them in planes further apart (axial and transverse)",
         )
     axis = crossed / size
     first = angles[0].lateral

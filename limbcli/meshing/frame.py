@@ -19,7 +19,7 @@ from limbcli.patient_frame import side_of, toward_head
 
 FAR_FROM_SKIN = 30.0  # mm from the skin: such a site is a mistake
 # Degrees by which a long axis that was given may leave the skin and yet be the probe's: what hands do (the
-# prior of a tilt). One that leaves it further tells the direction in the skin alone.
+# prior of a tilt). One that leaves it further gives only the direction in the skin.
 LARGEST_SLOPE_DEG = 10.0
 
 
@@ -62,7 +62,7 @@ def site_frame(
     *,
     where: str = "site",
 ) -> SiteFrame:
-    """The frame of a site on a mended limb in the patient frame.
+    """The frame of a site on a repaired limb in the patient frame.
 
     The nearest skin point is the site; the face's height is that of first touch. The probe stands upright on
     the skin: along its area-weighted mean normal over the footprint. A long axis that is given as a vector is

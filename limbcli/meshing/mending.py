@@ -1,6 +1,6 @@
 """Surfaces from anywhere made fit for meshing, and an account of what was done to them.
 
-What is mended here is what can be told from the triangles: bodies sorted, stray
+What is repaired here is what can be recognised from the triangles: bodies sorted, stray
 pieces dropped, orientation, holes closed, flat ends of a scan found. Overlaps,
 self-intersections and clearances are settled on the distance grid (`domain`).
 """
@@ -19,7 +19,7 @@ from limbcli.meshlab import open_pymeshlab
 from limbcli.model import Array
 from limbcli.patient_frame import HEAD
 
-_ELONGATED = 1.5  # length against width: a body below does not tell which way the limb runs
+_ELONGATED = 1.5  # length against width: a body below does not show which way the limb runs
 ENDS = ("open", "flat")  # names of the planes where the limb itself was cut
 _STRAY_EXTENT = 0.05  # of the largest body's diagonal: smaller open pieces are stray
 _CAP_SHARE = 0.6  # of the cross-section 5 mm further in: flat area that makes an end a cap
@@ -49,7 +49,7 @@ class Plane:
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """Closed skin and bones in one frame, the planes where the limb was cut, and what was mended."""
+    """Closed skin and bones in one frame, the planes where the limb was cut, and what was repaired."""
 
     skin: Triangles
     bones: tuple[Triangles, ...]
@@ -74,7 +74,7 @@ def mend(
     with a fan; where the limb was cut open, or ends flat as a scan does, a plane
     just inside the end takes the place of the closure.
 
-    beside : bodies that are no part of the limb made, but tell which way it runs
+    beside : bodies that are no part of the limb made, but show which way it runs
 
     Raises
     ------
@@ -101,7 +101,7 @@ def mend(
         raise MeshError(
             f"the skin surface encloses {outer.volume / 1e3:.2f} cm3",
             where=where,
-            fix="bring the skin as a surface in mm, nearly closed; check the unit of its coordinates",
+            fix="give the skin as a nearly closed surface in mm; check the unit of its coordinates",
             volume_mm3=outer.volume,
         )
     inner = _bones_in_reach(outer, inner, notes, where)
@@ -142,7 +142,7 @@ def _without_strays(pieces: list[Triangles], notes: list[str], name: str) -> lis
         if len(each.faces) >= 4 and extent > _STRAY_EXTENT * size:
             kept.append(each)
     if not kept:
-        raise MeshError("the surface has no body", where=name, fix="bring a nearly closed triangle surface")
+        raise MeshError("the surface has no body", where=name, fix="give a nearly closed triangle surface")
     dropped = sum(len(each.faces) for each in pieces) - sum(len(each.faces) for each in kept)
     if dropped:
         notes.append(f"{name}: {len(pieces) - len(kept)} stray pieces ({dropped} triangles) removed")
@@ -213,7 +213,7 @@ def _coherent(body: Triangles, notes: list[str], name: str) -> Triangles:
     meshes.meshing_repair_non_manifold_edges()
     meshes.meshing_re_orient_faces_coherently()
     mesh = meshes.current_mesh()
-    notes.append(f"{name}: non-manifold edges parted, faces turned to agree")
+    notes.append(f"{name}: non-manifold edges split, faces oriented consistently")
     return Triangles(mesh.vertex_matrix().astype(float), mesh.face_matrix().astype(np.int64))
 
 
@@ -222,7 +222,7 @@ def _bones_in_reach(skin: Triangles, bones: list[Triangles], notes: list[str], w
     low, high = skin.points.min(0), skin.points.max(0)
     kept = [b for b in bones if (b.points.max(0) > low).all() and (b.points.min(0) < high).all()]
     if len(kept) < len(bones):
-        notes.append(f"{len(bones) - len(kept)} bones lie outside the skin altogether and are left out")
+        notes.append(f"{len(bones) - len(kept)} bones lie entirely outside the skin and are excluded")
     if bones and not kept:
         raise MeshError(
             f"all {len(bones)} bones lie outside the skin",

@@ -24,7 +24,7 @@ from limbcli.model import Array, IntArray
 from limbcli.temporary_folders import end_with_parent, scratch_folder
 
 _NO_ROOM = 75  # exit status of the process where the disk is full: no mesher's own
-_FIX = "ask for another size (--size-mm), or mend the surfaces"
+_FIX = "use another size (--size-mm), or repair the surfaces"
 
 
 def in_process(
@@ -54,7 +54,7 @@ def in_process(
                 raise ToolError(
                     f"{mesher} is not installed ({text})", where="volume mesh", fix=f"pip install {mesher}"
                 )
-            raise MeshError(f"{mesher} refuses the surface: {text}", where="volume mesh", fix=_FIX)
+            raise MeshError(f"{mesher} rejected the surface: {text}", where="volume mesh", fix=_FIX)
         if status == _NO_ROOM:  # as above: another way would need more of it, or be another mesh
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
         if status or not (folder / "out.npz").is_file():

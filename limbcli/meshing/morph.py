@@ -52,8 +52,8 @@ def morphed(mesh: Mesh, moves: Mapping[str, Array]) -> Mesh:
     if least < LEAST_VOLUME:
         raise MeshError(
             f"a cell would keep {100 * least:.0f} % of its volume",
-            where="a varied shape of the limb",
-            fix="bring the bone's surface, or mesh finer (--size-mm)",
+            where="a varied geometry of the limb",
+            fix="give the bone's surface, or use a finer mesh (--size-mm)",
         )
     return replace(mesh, points=points)
 

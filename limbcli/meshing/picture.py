@@ -121,7 +121,7 @@ def _outline(probe: ProbeShape) -> Array:
 def _histogram(axes: Any, mesh: Mesh, figures: MeshQuality) -> None:
     lowest = [dihedral_angles_deg(mesh.points, each.cells).min(axis=1) for each in mesh.solid_blocks]
     axes.hist(np.concatenate(lowest), bins=np.arange(0, 72, 2), color="#7f9db9", edgecolor="white")
-    axes.axvline(4, color="#a33", linewidth=1, linestyle="--", label="4°: least asked for")
+    axes.axvline(4, color="#a33", linewidth=1, linestyle="--", label="4°: required minimum")
     axes.axvline(8, color="#d90", linewidth=1, linestyle="--", label="8°: least under the probe")
     axes.set_xlabel("smallest dihedral angle of a tetrahedron [°]")
     axes.set_ylabel("tetrahedra")

@@ -12,7 +12,7 @@ from limbcli.meshing.frame import nearest_skin_point
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 
-MOVED_MM = 3.0  # a site further from the skin than this was moved, and that is said
+MOVED_MM = 3.0  # a site further from the skin than this was moved, with a warning
 MOST_MOVED_MM = 5.0  # further than this it is not the place that was measured
 TURNED = np.array([-1.0, -1.0, 1.0])  # RAS to LPS and back
 
@@ -44,18 +44,19 @@ def judged(
     about : a word before the nearest point, where the skin is known roughly only
 
     >>> print(judged(np.array([9.0, 0, 0]), np.array([2.0, 0, 0]), 7.0, 30.0).fix)
-    write position_mm = [2.0, 0.0, 0.0], the nearest point of the skin, if that is the place
+    write position_mm = [2.0, 0.0, 0.0], the nearest point of the skin, if that is the intended site
     >>> print(judged(np.array([9.0, 50.0, 0]), np.array([9.0, 10.0, 0]), 40.0, 1.0).fix)
-    write position_mm = [-9.0, -50.0, 0.0]: the same place in LPS
+    write position_mm = [-9.0, -50.0, 0.0]: the same point in LPS
     """
     x, y, z = (float(each) for each in nearest)
     if far <= min(MOVED_MM, most):
         return None
     if far > most and turned <= most:
         what = (
-            f"lies {far:.0f} mm from the skin; with the signs of x and y turned it lies on it: RAS, not LPS?"
+            f"lies {far:.0f} mm from the skin; with the signs of x and y reversed it lies on the skin: RAS, "
+            f"not LPS?"
         )
-        fix = f"write position_mm = {triple(TURNED * place)}: the same place in LPS"
+        fix = f"write position_mm = {triple(TURNED * place)}: the same point in LPS"
         return PlaceFault(what, fix, False, (x, y, z), far)
     there, here = triple(nearest), triple(place)
     what = f"lies {far:.1f} mm from the skin: {here} is given, {about}{there} is the skin's nearest point"
@@ -65,7 +66,7 @@ def judged(
 
 
 def _write(there: str) -> str:
-    return f"write position_mm = {there}, the nearest point of the skin, if that is the place"
+    return f"write position_mm = {there}, the nearest point of the skin, if that is the intended site"
 
 
 def place_problems(skin: Triangles, places: Mapping[str, Array], *, where: str) -> list[Problem]:

@@ -315,5 +315,5 @@ def _check_closed(surface: Triangles) -> None:
         raise MeshError(
             f"the remeshed surface is open or branched at {int((counts != 2).sum())} edges",
             where="surface remeshing",
-            fix="ask for a finer mesh (--size-mm), or smooth the segmentation",
+            fix="use a finer mesh (--size-mm), or smooth the segmentation",
         )

@@ -103,7 +103,7 @@ class BoneHit:
 def limb_axis(limb: Limb, points: Array, proximal: Array) -> Array:
     """Unit vector along the limb near skin points (n, 3): through the middles of its sections there.
 
-    proximal : (3,) unit, roughly along it; where the limb is too short, its longest body tells
+    proximal : (3,) unit, roughly along it; where the limb is too short, its longest body decides
     """
     along = limb.skin.points @ proximal
     reach = points @ proximal

@@ -69,7 +69,7 @@ def mesh_volume(domain: TissueDomain, probe: ProbeShape, sizes: Sizes) -> Volume
     ------
     MeshError
         If no way leads to cells of positive volume with dihedral angles of at
-        least 4 degrees (8 under the probe); it tells what each way came to.
+        least 4 degrees (8 under the probe); it reports what each way came to.
     """
     tale: list[str] = []
     ways: list[Callable[[], VolumeMesh]] = [
@@ -89,13 +89,13 @@ def mesh_volume(domain: TissueDomain, probe: ProbeShape, sizes: Sizes) -> Volume
         score = _score(found, probe)
         if score >= 1.0:
             return VolumeMesh(found.points, found.cells, found.faces, found.labels, found.maker, tuple(tale))
-        tale.append(f"{name}: smallest dihedral angle only {score:.2f} of what is asked for")
+        tale.append(f"{name}: smallest dihedral angle only {score:.2f} of the required one")
         if best is None or score > best[0]:
             best = score, found
     raise MeshError(
-        "no volume mesh of good quality could be made: " + "; ".join(tale),
+        "no volume mesh of sufficient quality could be generated: " + "; ".join(tale),
         where="volume mesh",
-        fix="ask for another size (--size-mm), move the site a little, or smooth the segmentation there",
+        fix="use another size (--size-mm), move the site slightly, or smooth the segmentation there",
         best_score=best[0] if best else 0.0,
     )
 
@@ -134,7 +134,7 @@ def _with_tetgen(domain: TissueDomain, probe: ProbeShape, sizes: Sizes, tale: li
         if score >= 1.15:
             break
     if best is None:
-        raise MeshError(tale.pop(), where="volume mesh", fix="ask for a finer mesh (--size-mm)")
+        raise MeshError(tale.pop(), where="volume mesh", fix="use a finer mesh (--size-mm)")
     return best[1]
 
 

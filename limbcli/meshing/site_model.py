@@ -128,10 +128,10 @@ def _require_tissue_to_the_edge(planes: tuple[Plane, ...], probe: ProbeShape, na
     reach = to_cut(planes, probe)
     if reach is not None and reach < 0:
         raise CaseError(
-            f"the images end {-reach:.0f} mm inside the probe's face: part of it lies over nothing that is "
-            "known",
+            f"the images end {-reach:.0f} mm inside the probe's face: part of it is not covered "
+            "by the images",
             where=f"site {name}",
-            fix="move position_mm away from the end, check long_axis, or bring images that reach beyond it",
+            fix="move position_mm away from the end, check long_axis, or use images that extend beyond it",
             to_cut_mm=reach,
         )
 

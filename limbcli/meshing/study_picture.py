@@ -37,7 +37,7 @@ def study_picture(
     )
     left.set_xlim(left=0)
     _curve(right, margins, used[1], "tissue kept beyond the probe face [mm]", depth)
-    right.set_title("where it is flat, the cut is far enough")
+    right.set_title("where it is flat, the cut is far enough away")
     put_title(figure, title)
     save_figure(figure, path, dpi=120)
 

@@ -90,7 +90,7 @@ def read_surface(path: Path) -> Triangles:
     MeshError
         If the file is absent, holds no triangles, or a coordinate is not a number.
     """
-    fix = f"bring a triangle surface as one of {', '.join(SUFFIXES)}"
+    fix = f"give a triangle surface in one of the formats {', '.join(SUFFIXES)}"
     if not path.is_file():
         raise MeshError("the surface file does not exist", where=str(path), fix=fix)
     try:
@@ -98,7 +98,7 @@ def read_surface(path: Path) -> Triangles:
     except OSError as error:
         raise MeshError(f"the surface cannot be read ({error})", where=str(path), fix=fix) from error
     if not len(faces):
-        raise MeshError("the surface holds no triangles", where=str(path), fix=fix)
+        raise MeshError("the surface contains no triangles", where=str(path), fix=fix)
     if not np.isfinite(points).all():
         bad = int(np.argwhere(~np.isfinite(points))[0, 0])
         raise MeshError(f"point {bad} of the surface is not a number", where=str(path), fix=fix)

@@ -120,7 +120,7 @@ def checked(
         raise MeshError(
             f"{maker} filled {inside / 1e3:.1f} cm3 of {expected / 1e3:.1f} cm3",
             where="volume mesh",
-            fix="ask for a finer mesh (--size-mm)",
+            fix="use a finer mesh (--size-mm)",
             filled_mm3=inside,
             expected_mm3=expected,
         )

@@ -72,7 +72,7 @@ def depth_at_force(depth: Array, force: Array, targets: Array) -> Array:
     if np.any(growth <= 0):
         k = int(np.argmin(growth))
         raise SolveError(
-            f"the simulated force does not grow between {depth[k]:.2f} and {depth[k + 1]:.2f} mm",
+            f"the simulated force does not increase between {depth[k]:.2f} and {depth[k + 1]:.2f} mm",
             where="simulated measurement",
             fix="choose another mesh or smaller depth",
             depth_mm=float(depth[k]),
@@ -81,7 +81,7 @@ def depth_at_force(depth: Array, force: Array, targets: Array) -> Array:
         raise SolveError(
             f"the simulation reaches {force[-1]:.2f} N at {depth[-1]:.2f} mm, not {targets.max():g} N",
             where="simulated measurement",
-            fix="ask for a smaller force or a larger depth",
+            fix="request a smaller force or a larger depth",
         )
     curve = PchipInterpolator(depth, force)
     low = np.full(len(targets), depth[0])

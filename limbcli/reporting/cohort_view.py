@@ -59,10 +59,10 @@ def population(data: Data) -> Reportlet:
     names = (
         "site",
         "parameter",
-        "middle of the people",
-        "95 % interval of the middle",
+        "geometric mean of the people",
+        "95 % interval of the mean",
         "spread between people",
-        "left to the population",
+        "determined by the population",
     )
     table = PageTable(
         "Population of every site: geometric means and spreads as factors",
@@ -72,7 +72,7 @@ def population(data: Data) -> Reportlet:
     )
     return Reportlet(
         "population",
-        "Which tissue have these people?",
+        "What are the tissue properties of these people?",
         pictures=(
             Picture(
                 "distributions",
@@ -83,10 +83,10 @@ def population(data: Data) -> Reportlet:
         tables=(table,),
         look_for="dots (people, with their 95 % intervals) that spread beyond their intervals: people "
         "differ. The bar at the "
-        "right of each site is the population’s middle (line) and spread (pale)",
-        bad="intervals as long as the pale bar, and a high share “left to the population”: the readings "
-        "tell little of that "
-        "parameter, and a person’s value is mostly the population’s",
+        "right of each site is the population’s geometric mean (line) and spread (pale)",
+        bad="intervals as long as the pale bar, and a high share “determined by the population”: "
+        "the readings carry little "
+        "information about that parameter, and a person’s value is mostly the population’s",
     )
 
 
@@ -127,7 +127,7 @@ def standing_out(data: Data) -> Reportlet:
     if rows:
         tables.append(
             PageTable(
-                f"Rows that their site’s population does not expect{_first(found['rows'])}",
+                f"Rows outside what their site’s population predicts{_first(found['rows'])}",
                 (head("person", "site", "line", "p, adjusted"),),
                 rows,
             )
@@ -144,8 +144,8 @@ def standing_out(data: Data) -> Reportlet:
         "warning" if tables else "fine",
         tables=tuple(tables),
         notes=(counts,),
-        look_for="the lines named here: first a slip of the pen or a bad image, then a person unlike the "
-        "others",
+        look_for="the rows named here: consider a transcription error or a bad image first, then a person "
+        "unlike the others",
         bad="a list as long as the table: then the model is wrong for this site, not the people",
     )
 
@@ -165,7 +165,7 @@ def misfits(data: Data) -> Reportlet:
         pictures=(
             Picture(
                 "misfits",
-                "measured and predicted part of fat and of skin in the shortening, a dot a row",
+                "measured and predicted share of fat and of skin in the shortening, one dot per row",
                 figure=drawn.misfits(data["rows"]),
             ),
         ),
@@ -187,10 +187,10 @@ def one_tissue(data: Data) -> Reportlet:
         )
         for site, own in data["sites"].items()
     )
-    names = ("site", "median", "median, sign aside", "rows beyond 2", "c of fat / c of muscle")
+    names = ("site", "median", "median of the absolute value", "rows beyond 2", "c of fat / c of muscle")
     return Reportlet(
         "one-tissue",
-        "Would one tissue do?",
+        "Would one homogeneous tissue suffice?",
         pictures=(
             Picture(
                 "one-tissue",
@@ -201,20 +201,21 @@ def one_tissue(data: Data) -> Reportlet:
         ),
         tables=(
             PageTable(
-                "Fat’s shortening over that of one tissue, in deviations of the edges’ noise",
+                "Fat’s shortening in excess of that of one tissue, in standard deviations of the edges’ "
+                "noise",
                 (head(*names),),
                 rows,
             ),
         ),
         look_for="dots within the band: fat and muscle move like one tissue. Below it, fat is the "
         "stiffer layer; above it, the softer",
-        bad="most dots outside: a homogeneous model moves its material lines otherwise than the tissue does",
+        bad="most dots outside: a homogeneous model deforms differently from the tissue",
     )
 
 
 def left_out(data: Data) -> Reportlet:
     found = data["compliance_left_out"]
-    key, title = "left-out", "How well is compliance predicted of people left out?"
+    key, title = "left-out", "How well is the compliance of held-out people predicted?"
     if found["mean_absolute_difference_percent"] is None:
         return Reportlet(key, title, "warning", warned=(found["reason"],))
     same = found["same_folds"]
@@ -228,15 +229,15 @@ def left_out(data: Data) -> Reportlet:
     if person:
         rows.insert(1, (f"with {', '.join(person['columns'])}", person["mean_absolute_difference_percent"]))
     repeat = found["repeatability"]
-    rows.append(("of it marks and slope alone", repeat["percent_from_marks_and_slope_alone"]))
+    rows.append(("of which marks and slope alone", repeat["percent_from_marks_and_slope_alone"]))
     if repeat["percent_from_trials"] is not None:
-        rows.append(("of it repeatability (trials)", repeat["percent_from_trials"]))
+        rows.append(("of which repeatability (trials)", repeat["percent_from_trials"]))
     low, high = found["interval_95_percent"]
     worst = found["largest_row"]
     table = PageTable(
-        "Mean of |predicted − measured| / measured, ten folds by person. With other people the first would "
-        f"lie from {low:.1f} to {high:.1f} % (95 %); one row alone ({worst['subject']}, "
-        f"{worst['location']}, {worst['difference_percent']:.0f} % off) makes "
+        "Mean of |predicted − measured| / measured, ten folds by person. With other people the first "
+        f"would be between {low:.1f} and {high:.1f} % (95 %); one row alone ({worst['subject']}, "
+        f"{worst['location']}, {worst['difference_percent']:.0f} % off) contributes "
         f"{worst['share_of_the_mean_percent']:.1f} points of it",
         (head("model", "percent"),),
         tuple((Cell(name, lead=True), cell(value)) for name, value in rows),
@@ -247,13 +248,13 @@ def left_out(data: Data) -> Reportlet:
         pictures=(
             Picture(
                 "left-out",
-                "predicted over measured compliance of people left out, by site",
+                "predicted against measured compliance of held-out people, by site",
                 figure=drawn.compliance(found["rows"]),
             ),
         ),
         tables=(table,),
         look_for="dots along the line, within the grey band",
-        bad="one site beside the line (its tissue differs), or a flat cloud (thickness tells nothing there)",
+        bad="one site off the line (its tissue differs), or a flat cloud (thickness is not predictive there)",
         notes=(repeat["reason"],) if repeat.get("reason") else (),
     )
 
@@ -276,24 +277,24 @@ def grounds(data: Data) -> Reportlet:
             "from this table" if noise["ln_stiffness_from_data"] else "assumed",
         ),
         (
-            "solves behind the emulator",
+            "simulations behind the emulator",
             str(emulator["n_solves"]),
             f"and {emulator['n_solves_on_finer_mesh']} on a finer mesh",
         ),
         (
             "emulator’s error of the force",
             f"{error['force_percent']:.1f} %",
-            "one deviation, members left out",
+            "one standard deviation, held-out members",
         ),
         (
-            "emulator’s error of muscle’s part (logit)",
+            "emulator’s error of muscle’s share (logit)",
             significant(error["logit_muscle_part"], 2),
-            "one deviation, members left out",
+            "one standard deviation, held-out members",
         ),
     ]
     return Reportlet(
         "grounds",
-        "What do these numbers rest on?",
+        "What are these numbers based on?",
         tables=(
             PageTable(
                 "Noise and emulator",
@@ -303,11 +304,11 @@ def grounds(data: Data) -> Reportlet:
             ),
         ),
         look_for="noise well below a layer’s shortening, and an emulator error below it",
-        bad="an assumed noise: the intervals are as good as that guess",
+        bad="an assumed noise: the intervals are only as reliable as that assumption",
         notes=(
             "The model is a flat layered slab on a rigid base under a face four times as long as wide: "
             "the limb’s shape is not "
-            "known. c is what this shape makes of the force; compare people of one site, and sites with "
-            "care.",
+            "known. c depends on this assumed shape; compare people at one site, and sites "
+            "only with care.",
         ),
     )

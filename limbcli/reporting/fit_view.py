@@ -165,7 +165,7 @@ OF_THE_MESH = "of this tet4 mesh, not of the tissue"
 
 
 def _estimate(name: str, content: Mapping[str, Any], *, locks: bool) -> EstimateView:
-    """`locks`: with four-node tetrahedra even a narrow f_kappa tells of the mesh."""
+    """`locks`: with four-node tetrahedra even a narrow f_kappa describes the mesh."""
     symbol, unit = _UNITS.get(name, (name, ""))
     flag = str(content.get("flag") or DASH)
     if locks and name == "f_kappa" and flag == "identified":

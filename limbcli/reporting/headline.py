@@ -1,4 +1,4 @@
-"""What a headline says of a parameter: its value where the data hold it, else words."""
+"""A parameter's headline: its value where the data determine it, else words."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def headline(
 
 def _bound(why: str) -> str:
     """
-    >>> _bound("f_kappa ended on its upper bound 1000; no interval was asked for.")
+    >>> _bound("f_kappa ended on its upper bound 1000; no interval was requested.")
     'at the upper bound of the search'
     """
     side = next((each for each in ("lower ", "upper ") if f"{each}bound" in why), "")

@@ -12,7 +12,7 @@ from limbcli.reporting.fit_view import FitView
 from limbcli.reporting.numbers import DASH, cell
 from limbcli.reporting.outcome import Failure
 from limbcli.reporting.reportlet import Cell, Mood
-from limbcli.reporting.sections.parameters import interval_text, said
+from limbcli.reporting.sections.parameters import interval_text, with_verdict
 
 
 @dataclass(frozen=True)
@@ -54,9 +54,9 @@ class IndexRow:
             interval = Cell(interval_text(m))
         return (
             cell(step.c_kpa),
-            said(cell(step.m), m),
+            with_verdict(cell(step.m), m),
             interval,
-            said(cell(step.kappa_kpa), step.kappa),
+            with_verdict(cell(step.kappa_kpa), step.kappa),
             cell(step.r2, digits=4),
             cell(step.rmse_n, digits=2),
         )

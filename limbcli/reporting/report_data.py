@@ -17,7 +17,7 @@ from limbcli.reporting.outcome import Outcomes
 
 @dataclass(frozen=True, eq=False)
 class CycleMaterial:
-    """A record's loading cycles and what is said of them.
+    """A record's loading cycles and the remarks on them.
 
     settled : whether the last loading repeats the one before it within noise
     contradiction : a sentence where later cycles contradict the one that was fitted

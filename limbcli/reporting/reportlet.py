@@ -121,7 +121,7 @@ def placeholder(key: str, title: str, outcome: Outcome) -> Reportlet:
         return Reportlet(key, title, "failed", outcome.site, failure=outcome.failure, command=outcome.command)
     notes = [f"There is no result of “{outcome.stage}” yet, so this cannot be shown."]
     if outcome.held_by:
-        notes.append(f"“{outcome.held_by}” failed before it; mend that first.")
+        notes.append(f"“{outcome.held_by}” failed before it; resolve that first.")
     return Reportlet(key, title, "missing", outcome.site, notes=tuple(notes), command=outcome.command)
 
 

@@ -158,7 +158,8 @@ def _not_recorded(what: str) -> MeasurementError:
     return MeasurementError(
         f"the simulation did not record {what}",
         where="shear-wave prediction",
-        fix="run it again with our templates: they ask for elements under the probe, and all displacements",
+        fix="run it again with limbcli's templates: they request elements under the probe, and all "
+        "displacements",
     )
 
 

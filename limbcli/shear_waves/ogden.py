@@ -156,10 +156,10 @@ def _check_invertible(F: Array) -> None:
     wrong = np.flatnonzero(~(determinant > 0))
     if len(wrong):
         raise MeasurementError(
-            f"{len(wrong)} deformation gradients are not those of a material (the first has det F = "
+            f"{len(wrong)} deformation gradients are not physical (the first has det F = "
             f"{determinant[wrong[0]]:.3g})",
             where=f"shear-wave prediction, point {wrong[0]}",
-            fix="the simulation holds inverted elements; run it with smaller steps or a better mesh",
+            fix="the simulation contains inverted elements; run it with smaller steps or a better mesh",
             count=len(wrong),
         )
 

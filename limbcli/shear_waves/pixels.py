@@ -136,7 +136,7 @@ def pixel_averages(
 
 def _no_pixel(face_height: float) -> MeasurementError:
     return MeasurementError(
-        "the scanner's window holds no tissue of the model",
+        "the scanner's window contains no tissue of the model",
         where=f"shear-wave prediction, probe face at z = {face_height:.1f} mm",
         fix="check that the positions are in the site's frame and in mm",
     )

@@ -1,6 +1,6 @@
 """What every solver answers: five verbs, each callable alone, and one result.
 
-`found` and `version` tell what is there; `write` leaves the input file; `run`
+`found` and `version` report what is there; `write` leaves the input file; `run`
 computes and leaves the result files; `read` turns result files, whoever made
 them, into a `Simulation`.
 """

@@ -71,7 +71,7 @@ class FebioSolver:
         return self.path() is not None
 
     def version(self) -> str:
-        """As FEBio prints it ("4.11.0"); "unknown" if it prints none within 5 s. A run's log tells it too.
+        """As FEBio prints it ("4.11.0"); "unknown" if it prints none within 5 s. A run's log reports it too.
 
         Raises
         ------
@@ -107,7 +107,7 @@ class FebioSolver:
         return reader.version or "unknown"
 
     def identity(self) -> str:
-        """By the binary's content, and by the version that it tells: its libraries are files of their own.
+        """By the binary's content, and by the version that it reports: its libraries are files of their own.
 
         Raises
         ------
@@ -170,11 +170,11 @@ class FebioSolver:
             named = self._named()
             what = f"FEBio was not found at {named}" if named else "FEBio was not found"
             if named is not None and named.exists():
-                what = f"{named} is a folder" if named.is_dir() else f"{named} may not be executed"
+                what = f"{named} is a folder" if named.is_dir() else f"{named} is not executable"
             raise ToolError(
                 what,
                 where=f"--febio, {VARIABLE}, then {' and '.join(BINARIES)} on PATH",
-                fix="install FEBio 4 (https://febio.org) and name its binary with --febio FILE, "
+                fix="install FEBio 4 (https://febio.org) and give its binary with --febio FILE, "
                 "or use --solver reference",
             )
         return path
@@ -212,7 +212,7 @@ def _not_startable(binary: Path, error: OSError) -> ToolError:
     return ToolError(
         f"FEBio cannot be started ({error.strerror})",
         where=str(binary),
-        fix="check that the file is FEBio for this machine and may be executed",
+        fix="check that the file is FEBio for this machine and is executable",
     )
 
 
@@ -250,7 +250,7 @@ def _watch(process: subprocess.Popen[bytes], watcher: LogWatcher, limit_s: float
                 f"FEBio was stopped after {limit_s:g} s{whose}, at time {watcher.reached():g} "
                 f"and iteration {watcher.reader.result().n_iterations}",
                 where=str(watcher.log),
-                fix="give more time with --time-limit-s, or use --element tet4 or --solver reference",
+                fix="allow more time with --time-limit-s, or use --element tet4 or --solver reference",
                 time_reached=watcher.reached(),
             )
         time.sleep(_POLL_S)
@@ -267,6 +267,6 @@ def _judge(log: Path, outline: Outline, status: int | None, screen: TextIO) -> N
     raise SolveError(
         f"FEBio ended with status {status} and wrote no log. It printed:\n{quote(lines)}",
         where=str(log),
-        fix="start FEBio by hand on the model file beside it; check its installation and licence",
+        fix="start FEBio manually on the model file next to it; check its installation and licence",
         status=status,
     )

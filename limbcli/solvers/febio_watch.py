@@ -28,7 +28,7 @@ def default_limit_s(outline: Outline) -> float:
 
 
 class LogWatcher:
-    """Follows a growing log and tells its listeners of every iteration."""
+    """Follows a growing log and notifies its listeners of every iteration."""
 
     def __init__(self, log: Path, outline: Outline, progress: Progress):
         self.log, self.reader = log, LogReader()
@@ -59,7 +59,7 @@ class LogWatcher:
         return last is not None
 
     def alive(self, seconds: float, limit_s: float) -> None:
-        """A sign of life: FEBio still runs, though its log tells nothing new."""
+        """A sign of life: FEBio still runs, though its log shows nothing new."""
         self._progress.event(
             "alive",
             name="FEBio",

@@ -10,7 +10,7 @@ from limbcli.fem.elements.element import reference_gradients, shape
 from limbcli.fem.elements.quadrature import rule
 from limbcli.model import Array, Block, IntArray
 
-# F is linear in a straight tet10, so that four points tell all of it; other kinds have their usual rule.
+# F is linear in a straight tet10, so that four points determine it; other kinds have their usual rule.
 _RULES = {"tet10": "TET10G4"}
 
 

@@ -24,7 +24,7 @@ _CELLS = 200  # with the largest stresses
 _TOLERANCE = 0.03  # of the stress: tet10's mean over a cell leaves 0.7 % even where it is pressed deep
 _LOADED = 0.05  # of the largest stress: less is round-off where a cell is at rest
 _SHEARED = 1e-3  # of the whole stress: under pressure alone there is nothing to compare
-_STRAIN = 0.08  # of the cells looked at, at most: beyond, means over curved cells tell less
+_STRAIN = 0.08  # of the cells looked at, at most: beyond, means over curved cells are less informative
 
 
 def can_be_checked(elements: Mapping[str, Table]) -> bool:
@@ -49,11 +49,11 @@ def check_first_step(model: LimbModel, elements: Mapping[str, Table], folder: Pa
         off = _deviation(table, laws) if _has_stress(table) else None
         if off is not None and off > _TOLERANCE:
             raise SolveError(
-                f"the stresses in {name} are not those of the model's material: "
+                f"the stresses in {name} do not match the model's material: "
                 f"{100 * off:.0f} % off its law in the first step",
                 where=str(folder / name),
-                fix="run the simulation again, in a folder of its own (`limbcli run`); "
-                "check what --febio names",
+                fix="run the simulation again, in a separate folder (`limbcli "
+                "run`); check which program --febio names",
                 deviation=off,
             )
 

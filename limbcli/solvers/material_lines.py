@@ -205,5 +205,6 @@ def _no_record() -> MeasurementError:
     return MeasurementError(
         "the simulation recorded no displacements below the probe",
         where="layers on the beam",
-        fix="run it again with our templates: they ask for the displacements of all nodes of the tissue",
+        fix="run it again with limbcli's templates: they request the displacements of all nodes of the "
+        "tissue",
     )

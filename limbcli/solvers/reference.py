@@ -96,7 +96,7 @@ class ReferenceSolver:
         )
         started = time.monotonic()
         if restart.n_stored:
-            progress.event("note", text=f"going on from level {restart.n_stored} of the stopped run")
+            progress.event("note", text=f"resuming from level {restart.n_stored} of the stopped run")
 
         end = sum(step.n_steps * step.step_size for step in model.steps)
 
@@ -109,7 +109,7 @@ class ReferenceSolver:
                 raise SolveError(
                     f"the reference solver was stopped after {time_limit_s:g} s, at time {reached:g}",
                     where=str(files.folder / LOG_FILE),
-                    fix="run again to go on from there, with a longer --time-limit-s, or use --element tet4",
+                    fix="run again to resume from there, with a longer --time-limit-s, or use --element tet4",
                     time_reached=reached,
                 )
 

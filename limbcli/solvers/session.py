@@ -26,7 +26,7 @@ from limbcli.solvers.session_parameters import (
     nudged,
     parameter_values,
 )
-from limbcli.solvers.session_watch import Rows, StateObserver, is_asked, key_of
+from limbcli.solvers.session_watch import Rows, StateObserver, is_requested, key_of
 from limbcli.version import __version__
 
 if TYPE_CHECKING:
@@ -61,8 +61,8 @@ class SessionResult:
     field_gradient : d(field)/d(parameter) there, tables by record file (of bodies by name), if asked for
     levels : the states at the levels, which other solves may start from
     differenced : the gradients are central differences of whole solves, because the response
-        depends on the way the load went (viscoelastic law, friction, augmented contact, a step that is told
-        from the end of the one before)
+        depends on the way the load went (viscoelastic law, friction, augmented contact, a step that is
+        defined from the end of the one before)
     """
 
     simulation: Simulation
@@ -190,9 +190,9 @@ class ReferenceSession:
         if afresh:
             self._analysis.forget()
         started = time.monotonic()
-        asked = self._records(model, records or bool(field_gradients))
+        requested = self._records(model, records or bool(field_gradients))
         parameters = {(each[0], each[1]): law_parameter(each, moved.get(each), model) for each in wrt}
-        watch = StateObserver(asked, parameters, self.body, of_fields=field_gradients)
+        watch = StateObserver(requested, parameters, self.body, of_fields=field_gradients)
         snapshots = self._analysis.run(
             watch, guesses=partial(self._guess, led), required=required, hoped=hoped, last=last,
             patient=patient,
@@ -207,7 +207,7 @@ class ReferenceSession:
         )
         if leads:
             self._warm.keep(levels)
-        simulation = self._simulation(snapshots, asked, watch.rows, time.monotonic() - started)
+        simulation = self._simulation(snapshots, requested, watch.rows, time.monotonic() - started)
         must = np.array([s.must for s in snapshots])
         points = MustPoints(
             simulation.times[must],
@@ -282,7 +282,7 @@ class ReferenceSession:
         leads: bool,
         enough_force: float | None,
         led_by: Solved | None,
-        **asked: Any,
+        **options: Any,
     ) -> SessionResult:
         """The solve, with gradients by central differences of 1e-3 of each parameter.
 
@@ -290,7 +290,7 @@ class ReferenceSession:
         """
         found = self.solve(
             model, records=records or bool(fields), last=last, leads=leads, enough_force=enough_force,
-            led_by=led_by, **asked,
+            led_by=led_by, **options,
         )  # fmt: skip
         n = len(found.must_points.times)
         ends: dict[Parameter, tuple[SessionResult, SessionResult, float]] = {}
@@ -301,7 +301,7 @@ class ReferenceSession:
                     changed, step = nudged(model, name, sign * _DIFFERENCE, along=weights.get(name))
                     pair.append(
                         self.solve(
-                            changed, records=bool(fields), last=n, leads=False, led_by=found.levels, **asked
+                            changed, records=bool(fields), last=n, leads=False, led_by=found.levels, **options
                         )
                     )
                     n = min(n, len(pair[-1].must_points.times))
@@ -335,13 +335,13 @@ class ReferenceSession:
     def _simulation(
         self,
         snapshots: list[Snapshot],
-        asked: list[LogRecord],
+        requested: list[LogRecord],
         rows: dict[str, Rows],
         seconds: float,
     ) -> Simulation:
         times = np.array([s.state.time for s in snapshots])
         tables: dict[str, dict[str, Table]] = {"rigid_body": {}, "node": {}, "element": {}}
-        for record in asked:
+        for record in requested:
             key = key_of(record)
             values = np.stack([each for _, each in rows[record.file]])
             items = np.zeros(1, dtype=np.int64) if record.kind == "rigid_body" else rows[record.file][0][0]
@@ -374,7 +374,7 @@ def _table_differences(
     found: dict[str, Table] = {}
     for kind in ("rigid", "nodes", "elements"):
         for key, one in getattr(up.simulation, kind).items():
-            if not is_asked(_BODY_FILE.format(key) if kind == "rigid" else key, files):
+            if not is_requested(_BODY_FILE.format(key) if kind == "rigid" else key, files):
                 continue
             other = getattr(down.simulation, kind)[key]
             mine, theirs = np.isin(one.times, times), np.isin(other.times, times)

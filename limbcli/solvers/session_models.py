@@ -27,8 +27,8 @@ def check_same_set_up(model: LimbModel, other: LimbModel) -> None:
         raise CaseError(
             f"this model differs in its {' and '.join(different)} from the one of the session",
             where="ReferenceSession.solve",
-            fix="give it a session of its own; one session solves a model with other materials, load curves, "
-            "steps and records",
+            fix="use a separate session; one session only solves variants in materials, load "
+            "curves, steps and records",
         )
 
 

@@ -51,7 +51,7 @@ def law_parameter(key: Parameter, weights: Array | None, model: LimbModel) -> La
         if name.startswith(_GRADIENT):
             if weights is None or np.size(weights) != 9:
                 raise SolveError(
-                    f"how the nine numbers of {name} move is not told",
+                    f"how the nine numbers of {name} vary is not given",
                     where="derivative with respect to a prestrain",
                     fix="give `weights` of nine numbers",
                 )

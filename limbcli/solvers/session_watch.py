@@ -28,25 +28,26 @@ class StateObserver:
 
     def __init__(
         self,
-        asked: list[LogRecord],
+        requested: list[LogRecord],
         parameters: Mapping[Parameter, Differentiable],
         body: str,
         *,
         of_fields: bool | Collection[str],
     ):
-        self.asked, self.parameters, self.body = asked, parameters, body
-        self.rows: dict[str, Rows] = {each.file: [] for each in asked}
+        self.requested, self.parameters, self.body = requested, parameters, body
+        self.rows: dict[str, Rows] = {each.file: [] for each in requested}
         self.forces: dict[Parameter, list[float]] = {name: [] for name in parameters}
         self.slopes: dict[float, dict[Parameter, Array]] = {}
         self._fields: dict[Parameter, dict[str, list[Array]]] = {
-            name: {each.file: [] for each in asked if is_asked(each.file, of_fields)} for name in parameters
+            name: {each.file: [] for each in requested if is_requested(each.file, of_fields)}
+            for name in parameters
         }
         self._times: list[float] = []
 
     def __call__(self, running: Analysis, snapshot: Snapshot) -> None:
         from limbcli.fem.record_fields import record_rows
 
-        for record in self.asked:
+        for record in self.requested:
             rows = record_rows(running.system, snapshot.state, snapshot.forces, record)
             self.rows[record.file].append(rows)
         if self.parameters and snapshot.must:
@@ -54,7 +55,7 @@ class StateObserver:
 
     def force(self) -> float:
         """N on the body at the last converged time, compression positive."""
-        record = next(each for each in self.asked if each.items == self.body)
+        record = next(each for each in self.requested if each.items == self.body)
         _, values = self.rows[record.file][-1]
         return -float(np.asarray(values).ravel()[record.fields.index("Fz")])
 
@@ -69,7 +70,7 @@ class StateObserver:
         for (name, parameter), each in zip(self.parameters.items(), found, strict=True):
             self.forces[name].append(-float(each.bodies[b, 2]))
             self.slopes.setdefault(state.time, {})[name] = each.displacement
-            for record in self.asked:
+            for record in self.requested:
                 if record.file in self._fields[name]:
                     _, values = record_derivatives(system, state, record, parameter, each)
                     self._fields[name][record.file].append(values)
@@ -82,14 +83,14 @@ class StateObserver:
                 key_of(record): Table(
                     record.fields, times, self.rows[record.file][0][0], np.stack(found[record.file])
                 )
-                for record in self.asked
+                for record in self.requested
                 if found.get(record.file)
             }
             for name, found in self._fields.items()
         }
 
 
-def is_asked(file: str, of_fields: bool | Collection[str]) -> bool:
+def is_requested(file: str, of_fields: bool | Collection[str]) -> bool:
     """Whether the fields of a file are to be differentiated."""
     return of_fields if isinstance(of_fields, bool) else file in of_fields
 

@@ -30,7 +30,7 @@ def read_finished(solver: str, feb: Path) -> Simulation:
     Raises
     ------
     SolveError
-        If the log tells of no complete run or of another model, or a record file is not whole.
+        If the log reports no complete run or another model, or a record file is not whole.
     """
     outline = read_outline(feb)
     path = feb.parent / LOG_FILE
@@ -68,9 +68,9 @@ def read_tables(outline: Outline, folder: Path) -> Tables:
         path = folder / record.file
         records = read_records(path, n_columns=len(record.fields))
         if records.truncated:
-            raise _broken(path, "it breaks off in the middle of a step")
+            raise _broken(path, "it is truncated in the middle of a step")
         if times is not None and not np.array_equal(records.times, times):
-            raise _broken(path, "its times are not those of the other record files")
+            raise _broken(path, "its times differ from those of the other record files")
         times = records.times
         table = _table(record, records, outline, path)
         if record.kind == "rigid_body":
@@ -94,12 +94,12 @@ def _side_by_side(one: Table, other: Table) -> Table:
 def _table(record: LogRecord, records: Records, outline: Outline, path: Path) -> Table:
     if record.kind == "rigid_body":
         if len(records.ids) != 1:
-            raise _broken(path, f"it holds {len(records.ids)} rigid bodies where one was asked for")
+            raise _broken(path, f"it holds {len(records.ids)} rigid bodies where one was requested")
         items = np.zeros(1, dtype=np.int64)
     else:
         numbers = outline.nodes if record.kind == "node" else outline.cells
         if records.ids.max() >= len(numbers) or (numbers[records.ids] < 0).any():
-            raise _broken(path, f"it names {record.kind}s that the model does not have")
+            raise _broken(path, f"it contains {record.kind}s that the model does not have")
         items = numbers[records.ids]
     return Table(fields=record.fields, times=records.times, items=items, values=records.values)
 
@@ -108,5 +108,5 @@ def _broken(path: Path, what: str) -> SolveError:
     return SolveError(
         f"the record file {path.name} cannot be used: {what}",
         where=str(path),
-        fix="run the simulation again; if it recurs, look at the end of model.log",
+        fix="run the simulation again; if it recurs, check the end of model.log",
     )

@@ -106,7 +106,7 @@ class CaseRun:
         raw, images = self.case.raw, self.case.imaging
         paths = [p for p in (images.mri, images.labels, images.skin, *images.bones) if p]
         edited = [path for path in [edited_labels(self.out)] if path]
-        hints = self._asked("segment", None, without=("seeds", "threshold") if edited else ())
+        hints = self._requested("segment", None, without=("seeds", "threshold") if edited else ())
         key = key_of(
             code_hash(), raw.get("imaging"), raw["subject"], *paths, *edited, *parts_of(hints), *self._seen()
         )
@@ -137,9 +137,9 @@ class CaseRun:
         from limbcli.stages.diagnose import DiagnoseOptions, diagnose
 
         own = ("templates",) if self.options.templates else ()
-        asked = self._asked(DIAGNOSE, names[0], without=own)
-        files = [path for path in map(path_of, map(asked.get, ("effect_file", "templates"))) if path]
-        key = key_of(DIAGNOSE, *names, *keys, *parts_of(asked), *files)
+        requested = self._requested(DIAGNOSE, names[0], without=own)
+        files = [path for path in map(path_of, map(requested.get, ("effect_file", "templates"))) if path]
+        key = key_of(DIAGNOSE, *names, *keys, *parts_of(requested), *files)
         for failure in self.outcome.failures:
             if failure.site in names and failure.stage not in (SITE_STAGES[-1], FIT_STATES):
                 for name in names:
@@ -155,7 +155,7 @@ class CaseRun:
         of_batch = {"solver": self.options.solver, "febio": self.options.febio}
         if self.options.templates:
             of_batch["templates"] = self.options.templates
-        options = options_of(DiagnoseOptions, {**asked, **of_batch})
+        options = options_of(DiagnoseOptions, {**requested, **of_batch})
 
         def work() -> object:
             return diagnose(self.case, sites=list(names), options=options, **self._common())
@@ -169,8 +169,8 @@ class CaseRun:
         made = [self._extra(each, keys) for each in extras(self.case, self.out, progress=self.progress)]
         shown = [sha256(path) for path in shown_only(self.case, self.out)]
         failed = [str(each.error) for each in self.outcome.failures]
-        asked = self._asked("report", None, without=("templates",) if self.options.templates else ())
-        templates = self.options.templates or path_of(asked.get("templates"))
+        requested = self._requested("report", None, without=("templates",) if self.options.templates else ())
+        templates = self.options.templates or path_of(requested.get("templates"))
         own = [templates] if templates else []
         everything = key_of(first, *keys, *made, *shown, self.case.raw, failed, *own)
 
@@ -215,22 +215,23 @@ class CaseRun:
             self._of_sites[site] = Memory(self.out, self.case.subject, site=site)
         return self._of_sites[site]
 
-    def _asked(self, stage: str, site: str | None, *, without: Sequence[str] = ()) -> dict[str, Any]:
+    def _requested(self, stage: str, site: str | None, *, without: Sequence[str] = ()) -> dict[str, Any]:
         """Options of the stage's last call by hand; kept, and said.
 
         without : those that something stronger stands in for (the batch's own option)
         """
         memory = self._memory(stage, site)
-        asked = {} if self.options.defaults else memory.asked(stage, site)
-        memory.keep_asked(stage, site, asked)
-        asked = {key: value for key, value in asked.items() if key not in without}
-        if asked:
-            label, words = f"{stage} {site}" if site else stage, in_words(asked)
+        requested = {} if self.options.defaults else memory.requested(stage, site)
+        memory.keep_requested(stage, site, requested)
+        requested = {key: value for key, value in requested.items() if key not in without}
+        if requested:
+            label, words = f"{stage} {site}" if site else stage, in_words(requested)
             self.outcome.kept[label] = words
             self.progress.event(
-                "note", text=f"{label}: as it was called by hand, with {words} (--defaults: without)"
+                "note",
+                text=f"{label}: with the options of the last manual call, {words} (--defaults: without)",
             )
-        return asked
+        return requested
 
     def _common(self) -> dict[str, Any]:
         return {"out": self.out, "progress": self.progress}
@@ -240,8 +241,8 @@ class CaseRun:
         own = ("templates",) if self.options.templates else ()
         without = {"mesh": ("element",) if self.options.element else ()}
         stages = (*SITE_STAGES, *([FIT_STATES] if self.case.site(name).states else []))
-        asked = {each: self._asked(each, name, without=without.get(each, own)) for each in stages}
-        steps = site_steps(self.case, name, self.options, asked, out=self.out, progress=self.progress)
+        requested = {each: self._requested(each, name, without=without.get(each, own)) for each in stages}
+        steps = site_steps(self.case, name, self.options, requested, out=self.out, progress=self.progress)
         for k, step in enumerate(steps):
             stage, key = step.stage, key_of(key, *step.parts)
             if stage == "fit" and self._fit_is_there(name):
@@ -262,12 +263,12 @@ class CaseRun:
         """Stages that cannot run say so, and results of an earlier run no longer count."""
         for stage in stages:
             memory = self._memory(stage, site)
-            if not self.options.defaults:  # the result that tells what was asked by hand goes
-                memory.keep_asked(stage, site, memory.asked(stage, site))
+            if not self.options.defaults:  # the result that holds what was requested by hand goes
+                memory.keep_requested(stage, site, memory.requested(stage, site))
             error = CaseError(
                 f"`{stage}` was not run, because `{because}` failed",
                 where=f"site {site}" if site else str(self.case.folder),
-                fix=f"mend what `{because}` says, then run the batch again",
+                fix=f"resolve what `{because}` reports, then run the batch again",
             )
             keep_error(self.out, stage, site, error, keep_result=keep_result)
 

@@ -34,7 +34,7 @@ def output_folders(cases: Iterable[Path], out: Path | None) -> list[tuple[Path, 
             raise CaseError(
                 f"{taken[own]} and {case} would have the same output folder {own}",
                 where="CASE...",
-                fix="call batch once for each folder that holds cases, with an --out of its own",
+                fix="run batch once for each folder that contains cases, each with its own --out",
             )
         taken[own] = case
     return [(case, own) for own, case in taken.items()]
@@ -64,7 +64,7 @@ def one_case(
 
 
 def _readable(folder: Path) -> Case | None:
-    """The case; None where it cannot be read, which the batch itself tells."""
+    """The case; None where it cannot be read, which the batch itself reports."""
     try:
         return Case.open(folder)
     except CaseError:
@@ -83,7 +83,7 @@ def expectations(
         found = compare(case, out, case=_readable(case))
     except LimbError as error:
         return [], [StepFailure(EXPECTED_FILE, None, error)]
-    fix = "look at the report; if the new value is right, write it there; correct a name that is not there"
+    fix = "check the report; if the new value is right, enter it there; correct any name that was not found"
     unlike = [
         StepFailure(
             "", None,

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 _TELL_S = 4.0  # between two signs of life of a part; more where there are many workers
 _LOOK_S = 10.0  # between two looks whether any worker is left
-_SAME = "call the same batch again: what is done is not done again"
+_SAME = "call the same batch again: finished work is not repeated"
 
 
 @dataclass
@@ -69,18 +69,18 @@ def together(
     with connected(scheduler=scheduler, jobs=jobs, progress=progress) as client:
         n_workers = len(client.scheduler_info(n_workers=-1)["workers"])
         call = Call(
-            client=WorkerStanding.own(), asked=asked(sys.argv, [case for case, _ in cases]),
+            client=WorkerStanding.own(), typed_options=options_of_call(sys.argv, [case for case, _ in cases]),
             called=CALLED.get(), threads=threads_of(jobs) if scheduler is None else 1,
-            topic=f"limbcli-{uuid.uuid4().hex}", tell_s=max(_TELL_S, n_workers / 2), wait=wait,
+            topic=f"limbcli-{uuid.uuid4().hex}", event_interval_s=max(_TELL_S, n_workers / 2), wait=wait,
             options=options,
         )  # fmt: skip
         return _Together(client, call, cases, progress).all()
 
 
-def asked(command: Sequence[str], cases: Sequence[Path]) -> tuple[str, ...]:
+def options_of_call(command: Sequence[str], cases: Sequence[Path]) -> tuple[str, ...]:
     """Of a command line all but the cases and the output folder, which are a part's own.
 
-    >>> asked(["limbcli", "batch", "a", "b", "--out", "out", "--element", "tet4"], [Path("a"), Path("b")])
+    >>> options_of_call(["limbcli", "batch", "a", "--out", "out", "--element", "tet4"], [Path("a")])
     ('--element', 'tet4')
     """
     own = {str(each.absolute()) for each in cases}
@@ -118,13 +118,13 @@ class _Together:
                 running.update(self._next(future))
         finally:
             over.set()
-            with contextlib.suppress(Exception):  # where the scheduler is gone, there is nobody to tell
+            with contextlib.suppress(Exception):  # where the scheduler is gone, there is nobody to notify
                 self.client.cancel(list(self.parts), force=True)
                 self.client.unsubscribe_topic(self.call.topic)
         lost = lost_workers(self.client) - before
         if lost > 0:
             self._publish(
-                "note", text=f"worker processes lost on the way: {lost}; their work was done by others"
+                "note", text=f"worker processes lost during the run: {lost}; their work was done by others"
             )
         return [way.outcome for way in self.ways]
 
@@ -150,9 +150,9 @@ class _Together:
         there = set(self.client.scheduler_info(n_workers=-1)["workers"]) - self.refused
         if not there:
             raise ToolError(
-                f"all workers refused the work: {', '.join(sorted(self.refused))}",
+                f"all workers rejected the work: {', '.join(sorted(self.refused))}",
                 where=str(self.client.scheduler.address) if self.client.scheduler else "--scheduler",
-                fix="give them the limbcli of this computer (the same files), and start them anew",
+                fix="install this computer's limbcli on them (the same files), and restart them",
             )
         return sorted(there)
 
@@ -165,7 +165,7 @@ class _Together:
         except WorkerRefused as error:
             self._refuse(error)
             return [self._submit(way, part)]
-        except Exception as error:  # the part itself tells what it foresaw
+        except Exception as error:  # the part itself reports what it foresaw
             done = self._without_answer(way, part, error)
         future.release()
         self.n_done += 1
@@ -226,7 +226,7 @@ class _Together:
         address = str(error.facts["worker"])
         if address not in self.refused:
             self.refused.add(address)
-            self._publish("note", text=f"{error.what} ({error.where}); others do it. {error.fix}")
+            self._publish("note", text=f"{error.what} ({error.where}); other workers take over. {error.fix}")
 
     def _without_answer(self, way: CaseProgress, part: BatchTask, error: Exception) -> PartOutcome:
         """The part as failed, where Dask gave it up.
@@ -245,11 +245,11 @@ class _Together:
             reported = ToolError(
                 f"every process that worked on it was lost ({1 + error.allowed_failures} in turn)",
                 where=part.name,
-                fix="look whether the memory suffices (fewer --jobs, more memory a worker); " + _SAME,
+                fix="check whether the memory is sufficient (fewer --jobs, more memory per worker); " + _SAME,
             )
         else:
-            text = f"the cluster gave it up ({type(error).__name__}: {error})"
-            reported = ToolError(text, where=part.name, fix=f"look at the workers' logs; {_SAME}")
+            text = f"the cluster abandoned it ({type(error).__name__}: {error})"
+            reported = ToolError(text, where=part.name, fix=f"check the workers' logs; {_SAME}")
         stage = self.stages.get(part.name, FIRST_STAGE[part.kind])
         outcome = CaseOutcome(part.case, part.out, failures=[StepFailure(stage, part.site, reported)])
         return PartOutcome(outcome, is_all=part.kind == LAST)
@@ -259,13 +259,13 @@ class _Together:
             f"the scheduler was lost when {self.n_cases_done} of {len(self.ways)} cases were done "
             f"({type(error).__name__})",
             where="--scheduler",
-            fix=f"look at its log, start it anew, and {_SAME}",
+            fix=f"check its log, restart it, and {_SAME}",
         )
 
     # ------------------------------------------------------------ progress
 
     def _hear(self, event: tuple[float, dict[str, Any]]) -> None:
-        """What a worker tells (in Dask's own thread)."""
+        """What a worker reports (in Dask's own thread)."""
         facts = event[1]
         part, stage = facts["part"], facts["stage"]
         if facts["text"]:
@@ -277,16 +277,16 @@ class _Together:
 
     def _watch(self, over: threading.Event) -> None:
         """Say when the last worker has gone, and when one is there again (in a thread of its own)."""
-        there = True  # at the beginning that is told by `connected`
+        there = True  # at the beginning that is reported by `connected`
         while not over.wait(_LOOK_S):
             try:
                 n_workers = len(self.client.scheduler_info(n_workers=-1)["workers"])
             except Exception:  # the scheduler is gone: the main thread hears of it
                 return
             if there and not n_workers:
-                self._publish("note", text="no worker is left: waiting for one (start jobs that ended anew)")
+                self._publish("note", text="no worker is left: waiting for one (restart jobs that ended)")
             elif n_workers and not there:
-                self._publish("note", text=f"workers are there again: {n_workers}")
+                self._publish("note", text=f"workers are available again: {n_workers}")
             there = bool(n_workers)
 
     def _count(self, now: str) -> None:

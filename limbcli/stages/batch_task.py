@@ -28,17 +28,17 @@ Tell = Callable[[str, dict[str, Any]], None]
 class Call:
     """What all parts of a batch share.
 
-    client : the code that calls; asked : the options as they were typed; called : the call from Python,
-        where it was one; threads : of each process
-    topic : of Dask's events, for progress, of which one comes every `tell_s` at least
+    client : the code that calls; typed_options : the options as they were typed; called : the call from
+        Python, where it was one; threads : of each process
+    topic : of Dask's events, for progress, of which one comes every `event_interval_s` at least
     """
 
     client: WorkerStanding
-    asked: tuple[str, ...]
+    typed_options: tuple[str, ...]
     called: str
     threads: int
     topic: str
-    tell_s: float
+    event_interval_s: float
     wait: bool
     options: BatchOptions
 
@@ -94,8 +94,8 @@ def work(part: BatchTask, call: Call) -> PartOutcome:
     refuse_other(call.client)
     worker = get_worker()
 
-    event_log = _EventLog(part.name, call.tell_s, lambda event: worker.log_event(call.topic, event))
-    command = ["limbcli", "batch", str(part.case), "--out", str(part.out), *call.asked]
+    event_log = _EventLog(part.name, call.event_interval_s, lambda event: worker.log_event(call.topic, event))
+    command = ["limbcli", "batch", str(part.case), "--out", str(part.out), *call.typed_options]
     with as_called(command, call.threads):
         before = CALLED.set(call.called)
         try:
@@ -122,10 +122,10 @@ class _EventLog:
             self._send({"part": self._part, "stage": self._stage, "text": text})
 
 
-def done(part: BatchTask, call: Call, tell: Tell) -> PartOutcome:
-    """The same in this process; `tell` hears of its progress."""
+def done(part: BatchTask, call: Call, listener: Tell) -> PartOutcome:
+    """The same in this process; `listener` hears of its progress."""
     heard = _Heard("check" if part.kind == FIRST else FIRST_STAGE[part.kind])
-    progress = Progress(heard, tell)
+    progress = Progress(heard, listener)
     outcome = CaseOutcome(part.case, part.out)
     try:
         return _KINDS[part.kind](part, call, progress)

@@ -29,7 +29,7 @@ from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.solvers.base import MODEL_FILE
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.provenance.chain_inputs import note_case, note_templates
-from limbcli.stages.provenance.requested_options import asked_of, asked_of_options
+from limbcli.stages.provenance.requested_options import requested_by_options, requested_of
 from limbcli.stages.site_model.indentation_model import (
     C_KPA,
     PROBE,
@@ -54,7 +54,7 @@ from limbcli.units import kpa_from_mpa, mpa_from_kpa
 
 STAGE = "build-feb"
 _WIDE_GAP = 0.25  # mm: about the deviation of a depth reading
-_LINE_NEEDS = 3  # speeds, to tell c at 0 N by a line
+_LINE_NEEDS = 3  # speeds, to estimate c at 0 N by a line
 __all__ = ["PROBE", "TISSUE", "TissueOptions", "build_feb", "indentation_model", "tissue_stiffness"]
 
 
@@ -95,7 +95,7 @@ def build_feb(
     for site in case.selected(sites):
         progress.event("stage", name=STAGE, site=site.name)
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
-            writer.data["asked"] = {**asked_of_options(options), **asked_of({"templates": templates})}
+            writer.data["asked"] = {**requested_by_options(options), **requested_of({"templates": templates})}
             _build_site(case, site, out, writer, options, templates)
         assert writer.result is not None
         results.append(writer.result)
@@ -124,8 +124,8 @@ def _build_site(
     note_case(writer, case, [], site=site, own=["density_kg_per_m3", "layers"])
     note_templates(writer, templates)
     writer.warnings.extend(warnings_now(meshed, site))
-    if options.c_kpa is None and (doubt := no_level_0(levels, site)):
-        writer.warnings.append(doubt)
+    if options.c_kpa is None and (reason := no_level_0(levels, site)):
+        writer.warnings.append(reason)
     writer.data.update(c_source=c_source, f_kappa=options.f_kappa, m=options.m)
     _report(writer, model, plan, levels, site)
     _report_layers(writer, laws)
@@ -145,7 +145,7 @@ def tissue_stiffness(levels: Levels, site: Site, *, c_kpa: float | None = None) 
         low, high = C_KPA
         if not low <= c_kpa <= high:
             raise MeasurementError(
-                f"c is {c_kpa:g} kPa; possible is {low:g} to {high:g}",
+                f"c is {c_kpa:g} kPa; possible values are {low:g} to {high:g}",
                 where="--c-kpa",
                 fix="give c = 2 mu in kPa, e.g. 8; soft tissue has 2 to 50",
             )
@@ -159,7 +159,7 @@ def tissue_stiffness(levels: Levels, site: Site, *, c_kpa: float | None = None) 
             "`limbcli build-feb CASE --c-kpa VALUE`, `limbcli fit CASE --c-kpa VALUE`; `batch` keeps it",
         )
     modulus = shear_modulus_from_wave_speed(np.array([speed]), density_kg_per_m3=site.density_kg_per_m3)
-    level = "level 0" if levels.begins_at_zero else f"{_first_level(levels)}, for want of a level 0"
+    level = "level 0" if levels.begins_at_zero else f"{_first_level(levels)}, as there is no level 0"
     return 2 * float(modulus[0]), f"2 mu from SWE at {level} ({speed:.3f} m/s)"
 
 
@@ -171,7 +171,7 @@ def no_level_0(levels: Levels, site: Site) -> str | None:
     """A warning where c comes from loaded tissue, with c at 0 N by the line through the speeds of loading."""
     if levels.begins_at_zero:
         return None
-    why = f"there is no level 0: c is that of SWE at {_first_level(levels)}, of tissue under load already"
+    why = f"there is no level 0: c is that of SWE at {_first_level(levels)}, of tissue that is already loaded"
     rows = levels.loading
     try:
         line = speed_against_force(levels.force[rows], levels.swe_mean_m_per_s[rows])
@@ -202,7 +202,7 @@ def simulated_depths(levels: Levels) -> Array:
         raise MeasurementError(
             f"no loading level is deeper than {least_level():g} mm",
             where=str(levels.path),
-            fix="check the column depth_mm: it grows from 0 with the load, in mm",
+            fix="check the column depth_mm: it increases from 0 with the load, in mm",
         )
     return np.array(apart(depths.tolist()))
 
@@ -217,8 +217,8 @@ def _report_layers(writer: StageWriter, laws: Mapping[str, LayerLaw]) -> None:
         writer.summary.append(f"layer {name}: {law.law}, {values}{assumed}; held fixed in a fit")
         if "c_kpa" in law.assumed:
             writer.warnings.append(
-                f"the stiffness of the {name} is assumed (c = {given['c_kpa']:g} kPa); a fit puts what it "
-                f"is off by into the tissue. Give it: --layer {name}:c_kpa=VALUE, or [site.layers.{name}]"
+                f"the stiffness of the {name} is assumed (c = {given['c_kpa']:g} kPa); a fit attributes "
+                f"its error to the tissue. State it: --layer {name}:c_kpa=VALUE, or [site.layers.{name}]"
             )
     writer.warnings.extend(locking_warning(laws, str(writer.data["element"])))
 
@@ -254,10 +254,10 @@ def _report(writer: StageWriter, model: LimbModel, plan: Schedule, levels: Level
     gap = facet_gap(model)
     if gap > _WIDE_GAP:
         writer.warnings.append(
-            f"the skin's facets begin {gap:.2f} mm below first touch, too coarse for its bend there: "
-            "the force sets in that much late; mesh finer (--size-mm)"
+            f"the skin's facets begin {gap:.2f} mm below first touch, too coarse for its curvature "
+            "there: the force begins too late by that depth; use a finer mesh (--size-mm)"
         )
     if not np.array_equal(np.sort(levels.depth[levels.loading]), levels.depth[levels.loading]):
         writer.warnings.append(
-            "the loading depths do not grow with the levels; they are simulated in sorted order"
+            "the loading depths do not increase with the levels; they are simulated in sorted order"
         )

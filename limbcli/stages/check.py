@@ -67,8 +67,8 @@ def check(folder: Path, *, progress: Progress = SILENT) -> CaseCheck:
         problems += reader(path)
     if case is not None:
         problems += _contradictions(case)
-        said = {each.what for each in problems}
-        problems += [each for each in instrument_problems(case) if each.what not in said]
+        reported = {each.what for each in problems}
+        problems += [each for each in instrument_problems(case) if each.what not in reported]
         problems += state_problems(case)
         problems += geometry_problems(case, problems)
     shown = [*layer_lines(case), *cycle_lines(case)] if case is not None else []
@@ -189,7 +189,7 @@ def _contradictions(case: Any) -> list[Problem]:
                 Problem(
                     f"the noise of site {site.name} is assumed, not measured",
                     str(case.file),
-                    'repeat a level and state the spread in [site.noise] with source = "repeats"',
+                    'repeat a level and state its standard deviation in [site.noise] with source = "repeats"',
                     severity="warning",
                 )
             )
@@ -205,9 +205,10 @@ def _shared_files(case: Any) -> list[Problem]:
         for path in (*own, site.trace, site.swe_maps):
             first = owner.setdefault(path.resolve(), site.name) if path is not None else site.name
             if first != site.name:
-                what = f"sites {first} and {site.name} name the same {path.name}"
+                what = f"sites {first} and {site.name} use the same {path.name}"
                 fix = (
-                    "a measurement belongs to one site: give each its own, or it counts twice in a joint fit"
+                    "a measurement belongs to one site: give each site its own file, or it counts twice in "
+                    "a joint fit"
                 )
                 problems.append(Problem(what, str(path), fix, severity="warning"))
     return problems
@@ -233,11 +234,11 @@ def _too_few(site: Site) -> list[Problem]:
     try:
         levels = levels_of(site) if site.levels.is_file() else None
     except LimbError:
-        return []  # the file's own problems are told
+        return []  # the file's own problems are reported
     n = FEWEST_LOADING if levels is None else int((levels.loading & (levels.depth > 0.0)).sum())
     if n >= FEWEST_LOADING:
         return []
-    what = f"only {n} levels of loading lie deeper than first touch"
+    what = f"only {n} levels of loading are deeper than first touch"
     fix = f"`fit` needs at least {FEWEST_LOADING} with depth_mm above 0: measure more force levels"
     return [Problem(what, str(site.levels), fix, family="measurement")]
 
@@ -249,8 +250,11 @@ def _other_distance(site: Site, file: str) -> list[Problem]:
     seen = skin_bone_of_levels(site)
     if site.skin_bone is None or seen is None or abs(site.skin_bone / seen - 1) <= SKIN_BONE_TOLERANCE:
         return []
-    what = f"skin_bone_mm of site {site.name} is {site.skin_bone:g} mm, level 0 of its levels says {seen:.1f}"
-    return [Problem(what, file, "correct one of the two, or leave the site's out", severity="warning")]
+    what = (
+        f"skin_bone_mm of site {site.name} is {site.skin_bone:g} mm, but level 0 of its levels gives "
+        f"{seen:.1f}"
+    )
+    return [Problem(what, file, "correct one of the two, or remove the site's", severity="warning")]
 
 
 def _missing_maps(site: Any, probe_length: float) -> list[Problem]:

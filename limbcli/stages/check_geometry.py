@@ -17,7 +17,7 @@ _EDGE = 4.0  # mm: triangles of a label map's surfaces, coarse, only to be looke
 def geometry_problems(case: Case, known: Sequence[Problem]) -> list[Problem]:
     """Bones outside the skin, a label map elsewhere than its series, sites off the skin.
 
-    known : problems found so far; what is among them already is not said again, and a file that cannot be
+    known : problems found so far; what is among them already is not reported again, and a file that cannot be
         read is left to them
     """
     try:
@@ -29,8 +29,8 @@ def geometry_problems(case: Case, known: Sequence[Problem]) -> list[Problem]:
             found = _label_map(case) if case.imaging.labels is not None else _images(case)
     except LimbError as error:
         found = [Problem(error.what, error.where, error.fix)]
-    said = {each.what for each in known}
-    return [each for each in found if each.what not in said]
+    reported = {each.what for each in known}
+    return [each for each in found if each.what not in reported]
 
 
 def _surfaces(case: Case) -> list[Problem]:
@@ -80,8 +80,11 @@ def _images(case: Case) -> list[Problem]:
             found.append(problem_of(name, fault, where=str(case.file)))
         elif not is_inside(image, place):
             low, high = (triple(each) for each in reach_of(image))
-            what = f"site {name} lies outside the images, which reach from {low} to {high} (LPS, mm)"
-            fix = f"write position_mm = {triple(near)}, about the skin's nearest point, if that is the place"
+            what = f"site {name} is outside the images, which extend from {low} to {high} (LPS, mm)"
+            fix = (
+                f"write position_mm = {triple(near)}, approximately the nearest point of the skin, if "
+                f"that is the intended site"
+            )
             found.append(Problem(what, str(case.file), fix))
     return found
 

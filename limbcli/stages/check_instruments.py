@@ -38,8 +38,8 @@ def _of_site(site: Site, file: str) -> list[Problem]:
             found.append(Problem(error.what, error.where, error.fix, severity, "measurement"))
     if len(set(counts.values())) > 1:
         listed = ", ".join(f"{kind} {n}" for kind, n in counts.items())
-        fix = "give one image a hold; change hold_s or hold_tolerance_n; remove surplus images"
-        what = f"the instruments of site {site.name} do not have as many levels: {listed}"
+        fix = "give one image per hold; change hold_s or hold_tolerance_n; remove surplus images"
+        what = f"the instruments of site {site.name} have different numbers of levels: {listed}"
         found.append(Problem(what, file, fix, severity, "measurement"))
     return found
 

@@ -68,9 +68,9 @@ def cohort(
     noise = noise_of(rows)
     estimates = estimate_sites(rows, family, noise, seed=seed, progress=progress)
     seconds = time.process_time() - started
-    progress.event("task", name="compliance of people left out", done=0, total=1)
+    progress.event("task", name="compliance of held-out people", done=0, total=1)
     predicted, words = compliance_left_out(rows, family, noise.slope, noise.layers.shortened, seed=seed)
-    progress.event("task", name="compliance of people left out", done=1, total=1)
+    progress.event("task", name="compliance of held-out people", done=1, total=1)
     warnings += words + _trust(estimates, family)
     data = _data(rows, family, noise, estimates, predicted, seconds)
     return _written(out, table, data, warnings, templates)
@@ -89,7 +89,7 @@ def _refuse_foreign(out: Path, table: Path) -> None:
     ]  # fmt: skip
     if found:
         raise CaseError(
-            f"{found[0].name} is none of what `cohort` left, and would be replaced",
+            f"{found[0].name} was not written by `cohort`, and would be replaced",
             where=str(found[0]),
             fix="name another --out",
         )
@@ -104,13 +104,13 @@ def _with_enough(table: CohortTable) -> tuple[CohortTable, list[str]]:
             f"no site has complete rows of {FEWEST_PEOPLE} people "
             f"({', '.join(f'{k}: {n}' for k, n in counts.items())})",
             where=str(table.path),
-            fix="a population needs people: bring rows of more, or `limbcli fit` one case",
+            fix="a population needs more people: add their rows, or run `limbcli fit` on one case",
         )
     if not few:
         return table, []
     keep = ~np.isin(table.site.astype(str), few)
     return table.rows(keep), [
-        f"{', '.join(few)}: complete rows of fewer than {FEWEST_PEOPLE} people, left out of everything"
+        f"{', '.join(few)}: complete rows of fewer than {FEWEST_PEOPLE} people, excluded from everything"
     ]
 
 
@@ -127,17 +127,17 @@ def _trust(estimates: list[SiteEstimate], family: LayeredFamily) -> list[str]:
     stiff = ", ".join(each.name for each in estimates if c_fat_beyond(each.population.mean))
     force_error = family.error[FORCE]
     words = (
-        (outside, f"{outside} rows have a shape or a strain outside the family of solves; they are answered "
-         "by its nearest member and marked outside_family in rows.csv"),
-        (beyond, f"{beyond}: the curves are straighter or more bent than any m of the family makes them, so "
-         "that m is known on one side only; slopes and largest forces do not tell more"),
-        (stiff, f"{stiff}: the layers move otherwise than with any c_fat of the family, so that c_fat is "
-         "known on one side only"),
-        (ends, f"{ends} rows' tissue lies at an end of the family ({family_ends()})"),
-        (thin, f"{thin} rows: fewer than {FEWEST_DRAWS} effective draws behind their interval; do not rely "
-         "on it"),
+        (outside, f"{outside} rows have a shape or a strain outside the family of simulations; its nearest "
+         "member is used for them, and they are marked outside_family in rows.csv"),
+        (beyond, f"{beyond}: the curves are straighter or more curved than for any m of the family, so "
+         "that m is bounded on one side only; slopes and largest forces give no more information"),
+        (stiff, f"{stiff}: the layers move differently than with any c_fat of the family, so that "
+         "c_fat is bounded on one side only"),
+        (ends, f"{ends} rows' tissue is at an end of the family ({family_ends()})"),
+        (thin, f"{thin} rows: fewer than {FEWEST_DRAWS} effective draws for their interval; it "
+         "is not reliable"),
         (force_error > _MUCH_MISSED,
-         f"the emulator misses the solver's force by {force_error:.0%} (one deviation)"),
+         f"the emulator differs from the solver's force by {force_error:.0%} (one deviation)"),
     )  # fmt: skip
     return [text for holds, text in words if holds]
 
@@ -229,18 +229,19 @@ def read_cohort(out: Path) -> StageResult:
         )
     try:
         found = _result(out, json.loads(path.read_text(encoding="utf-8")))
-        told = {name: found.provenance["files_sha256"][name] for name in _TOLD_OF}
+        recorded = {name: found.provenance["files_sha256"][name] for name in _TOLD_OF}
     except UNLIKE_OURS as error:
         raise CaseError(
             f"the result of `cohort` cannot be read ({error})",
             where=str(path),
             fix=f"run `limbcli cohort TABLE --out {out}` again",
         ) from error
-    for name, digest in told.items():
+    for name, digest in recorded.items():
         if not (out / name).is_file() or sha256(out / name) != digest:
             raise CaseError(
-                f"{name} is not what `cohort` left together with {RESULT}",
+                f"{name} is not the file that `cohort` wrote together with {RESULT}",
                 where=str(out / name),
-                fix=f"run `limbcli cohort TABLE --out {out}` again: a run may have been cut off at its end",
+                fix=f"run `limbcli cohort TABLE --out {out}` again: a run may have been interrupted at its "
+                f"end",
             )
     return found

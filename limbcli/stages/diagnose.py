@@ -1,4 +1,4 @@
-"""diagnose: where model and measurement disagree, what is missing, and what the data cannot tell.
+"""diagnose: where model and measurement disagree, what is missing, and what the data cannot determine.
 
 Numerical effects first, by intervention on the mesh; then candidate effects on a working mesh
 (coarse, quadratic), corrected to the site's own mesh where that was run. Measurements of the same place
@@ -52,7 +52,7 @@ from limbcli.stages.diagnosis.report import (
 from limbcli.stages.diagnosis.written_model import write_diagnosed
 from limbcli.stages.mesh import site_position
 from limbcli.stages.provenance.chain import check_earlier, note_earlier
-from limbcli.stages.provenance.requested_options import asked_of_options
+from limbcli.stages.provenance.requested_options import requested_by_options
 from limbcli.stages.site_model.cycle_words import cycle_facts
 from limbcli.stages.site_model.fibres import note_fibres
 from limbcli.stages.site_model.site_levels import all_levels_of
@@ -83,10 +83,10 @@ class DiagnoseOptions:
     solver: str = "auto"
     febio: Path | None = None
 
-    def asked(self) -> dict[str, Any]:
+    def requested(self) -> dict[str, Any]:
         """What another run needs to be given; the solver is chosen anew."""
         usual = type(self)()
-        return asked_of_options(replace(self, solver=usual.solver, febio=usual.febio))
+        return requested_by_options(replace(self, solver=usual.solver, febio=usual.febio))
 
     @property
     def mesh(self) -> WorkingMesh:
@@ -129,7 +129,7 @@ def diagnose(
 def places(case: Case, sites: Sequence[Site], *, out: Path, separate: bool = False) -> list[list[Site]]:
     """Sites that share a place, together; in the order of the case.
 
-    One whose place cannot be told (a marker that was not found) stands alone: its own diagnosis says why.
+    One whose place is not known (a marker that was not found) stands alone: its own diagnosis says why.
     """
     if separate or len(sites) < 2:
         return [[site] for site in sites]
@@ -157,7 +157,8 @@ def chosen_effects(options: DiagnoseOptions) -> tuple[Effect, ...]:
     for each in named:
         if each.kind == NUMERICAL:
             raise CaseError(
-                f"{each.name!r} cannot be named: what mesh, cut and contact do is always looked at first",
+                f"{each.name!r} cannot be selected: the effects of mesh, cut and contact are always "
+                f"assessed first",
                 where="--effects",
                 fix="leave it out",
             )
@@ -231,7 +232,9 @@ class _Diagnosed:
                 place.problems.append(f"effects on the limb {other.words} were not tried: {error.what}")
                 break
             evidence = replace(evidence, with_effects=theirs)
-            outcome = weighed(found, theirs, gain=gain, asked=evidence.asked, is_repair=other.is_repair)
+            outcome = weighed(
+                found, theirs, gain=gain, required=evidence.required_gain, is_repair=other.is_repair
+            )
             if outcome == "other bones":
                 return rival.instead_of(place, evidence), theirs
             if outcome == "either":
@@ -273,7 +276,7 @@ class _Diagnosed:
                 self.case, prepared, out=folder, mesh=self.options.mesh, progress=self.progress
             )
         except LimbError as error:
-            text = f"the probe turned by 90 degrees is not on the menu of measurements: {error.what}"
+            text = f"the probe turned by 90 degrees is not among the proposed measurements: {error.what}"
             prepared.notes.warnings.append(text)
             raise
 
@@ -282,7 +285,7 @@ class _Diagnosed:
         forward_model, all_, mine = place.forward_model, place.prepared, place.prepared[k]
         found = with_bone_warnings(found, place.bones)
         with open_stage(self.out, STAGE, subject=self.case.subject, site=mine.site.name) as writer:
-            writer.data["asked"] = self.options.asked()
+            writer.data["asked"] = self.options.requested()
             for name, path in mine.notes.inputs.items():
                 writer.used(name, path)
             for each in all_:  # they were weighed together
@@ -292,11 +295,11 @@ class _Diagnosed:
             if mine.simulations.in_part:
                 writer.warnings.append(_in_part(mine.simulations.in_part))
             for name, why in mine.curves.changes.not_simulated.items():
-                writer.warnings.append(f"{name} was judged at the deformation without it: {why}")
+                writer.warnings.append(f"{name} was evaluated at the deformation without it: {why}")
             if forward_model.not_simulated:
                 writer.warnings.append(_not_simulated(forward_model.not_simulated))
-            doubt = large_uncertainty(mine.interventions)
-            writer.warnings.extend([doubt] if doubt else [])
+            warning = large_uncertainty(mine.interventions)
+            writer.warnings.extend([warning] if warning else [])
             writer.warnings.extend(place.problems)
             writer.warnings.extend(each.sentence for each in place.bones if each.stand != "not taken")
             content = self._content(found, place, mine)
@@ -343,7 +346,7 @@ class _Diagnosed:
             if i.name == "locking" and i.deviations > thresholds.MATTERS_SD
         ]
         if moved:
-            lines.insert(2, f"Numerical doubt counted as noise: {', '.join(moved)} (see `numerical`).")
+            lines.insert(2, f"Numerical uncertainty counted as noise: {', '.join(moved)} (see `numerical`).")
         lines[1:1] = [*(each.sentence for each in place.bones if each.sentence), *place.given_up]
         content["sentences"] = lines
         return content
@@ -358,19 +361,20 @@ def _best_gain(found: Diagnosis) -> float:
 
 def _not_simulated(several: Iterable[Explanation]) -> str:
     names = ", ".join(sorted(" + ".join(each) for each in several))
-    return (
-        f"the simulations took all the work that a diagnosis may take; fitted by sensitivities only: {names}"
-    )
+    return f"the simulations used up the diagnosis's work budget; fitted by sensitivities only: {names}"
 
 
 def _in_part(reached: Mapping[str, float]) -> str:
     parts = "; ".join(f"{name}: {depth:.1f} mm" for name, depth in reached.items())
-    return f"not solved as deep as the readings, their curves go on beside others from there: {parts}"
+    return (
+        f"not solved to the depth of the readings; their curves were extrapolated along those of others: "
+        f"{parts}"
+    )
 
 
 def _locked(found: Intervention) -> str:
     times = float(np.exp(-np.min(found.log_force)))
     return (
         f"LOCKING: with the linear elements of the site's own run the force is up to {times:.2f} times too "
-        "high; that is the mesh, not tissue. Diagnosed with quadratic ones."
+        "high; this is due to the mesh, not the tissue. Diagnosed with quadratic elements."
     )

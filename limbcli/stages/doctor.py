@@ -102,7 +102,7 @@ def _packages() -> list[Finding]:
     try:
         named = metadata.requires("limbcli") or []
     except metadata.PackageNotFoundError:
-        what = "limbcli is not installed as a package, so what it needs is not listed"
+        what = "limbcli is not installed as a package, so its requirements are not listed"
         return [Finding("packages", "limbcli", "note", what, "pip install limbcli (or -e of its sources)")]
     wanted = [Requirement(each) for each in named]
     return [_package(each) for each in wanted if each.marker is None or each.marker.evaluate({"extra": ""})]
@@ -135,7 +135,7 @@ def _solvers(febio: Path | None, progress: Progress) -> list[Finding]:
         choose("febio", febio)
     except ToolError as error:
         needed: State = "missing" if is_named(febio) else "note"
-        words = "" if needed == "missing" else "; the reference solver takes its place"
+        words = "" if needed == "missing" else "; the reference solver is used instead"
         return [*found, Finding("solvers", "febio", needed, error.what + words, error.fix)]
     return [*found, _tested("febio", febio, progress)]
 
@@ -152,8 +152,8 @@ def _tested(kind: str, febio: Path | None, progress: Progress) -> Finding:
     except LimbError as error:
         return Finding("solvers", kind, "missing", f"the self test failed: {error.what}", error.fix)
     words = (
-        f"{test.version}; a block pressed by 2 mm answers with {test.force:.6g} N, "
-        f"in closed form {test.expected:.6g} N ({test.seconds:.1f} s)"
+        f"{test.version}; a block compressed by 2 mm gives {test.force:.6g} "
+        f"N, in closed form {test.expected:.6g} N ({test.seconds:.1f} s)"
     )
     if test.passed:
         return Finding("solvers", kind, "good", words)
@@ -166,10 +166,10 @@ def _computer() -> list[Finding]:
     findings = [Finding("computer", "cores", "good", str(cores))]
     memory = memory_bytes()
     if memory is None:
-        return [*findings, Finding("computer", "memory", "note", "the system does not tell")]
+        return [*findings, Finding("computer", "memory", "note", "not reported by the system")]
     words = f"{memory / _GB:.1f} GB"
     if memory < _USUAL_MEMORY_GB * _GB:
-        fix = "mesh coarser (limbcli mesh --size-mm 4), or use a computer with more memory"
+        fix = "use a coarser mesh (limbcli mesh --size-mm 4), or a computer with more memory"
         state: State = "missing" if memory < _LEAST_MEMORY_GB * _GB else "note"
         return [
             *findings,

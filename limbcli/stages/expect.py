@@ -88,7 +88,9 @@ def compare(folder: Path, out: Path, *, case: Case | None = None) -> list[Compar
         fix = f"write one, e.g.: [site.p1] m = {{ value = 2.0, tolerance = 0.1 }} ({EXPECTED_FILE})"
         raise CaseError(f"the case has no {EXPECTED_FILE}", where=str(folder), fix=fix) from None
     except (ValueError, OSError) as error:
-        raise CaseError(f"{EXPECTED_FILE} cannot be read: {error}", where=str(path), fix="mend it") from error
+        raise CaseError(
+            f"{EXPECTED_FILE} cannot be read: {error}", where=str(path), fix="correct it"
+        ) from error
     chain = None if case is None else Chain(case, out)
     found: list[Comparison] = []
     for name, table in content.items():
@@ -107,7 +109,7 @@ def compare(folder: Path, out: Path, *, case: Case | None = None) -> list[Compar
 
 def _as_table(content: object, name: str, path: Path) -> Mapping[str, Any]:
     if not isinstance(content, dict):
-        fix = f"write it as [{name}], with a line a key below it"
+        fix = f"write it as [{name}], with one key per line below it"
         raise CaseError(f"{name} is not a table: {content!r}", where=str(path), fix=fix)
     return content
 
@@ -122,13 +124,13 @@ def _table(
         result = read_result(out, stage, site=site)
     except LimbError as error:
         return [Comparison(label, f"no result ({error.what})", "a result", False)]
-    if doubt := _why_stale(chain, result):
-        return [Comparison(label, f"no result of today's case ({doubt})", "a result", False)]
+    if reason := _why_stale(chain, result):
+        return [Comparison(label, f"no up-to-date result ({reason})", "a result", False)]
     return [_compare(f"{label}.{key}", *_looked_up(result.data, key), rule) for key, rule in rules.items()]
 
 
 def _why_stale(chain: Chain | None, result: StageResult) -> str:
-    """Why a result says nothing of the case as it is today; nothing where it does."""
+    """Why a result is out of date with the case; empty where it is not."""
     if chain is None:
         return ""
     sites = {each.name: each for each in chain.case.sites}
@@ -163,14 +165,14 @@ def _rule(name: str, rule: object, path: Path) -> Mapping[str, Any]:
     wrong = ""
     if not isinstance(rule, dict) or not rule or set(rule) - _RULES:
         fix = suggestion(str(next(iter(set(rule) - _RULES), "") if isinstance(rule, dict) else rule), _RULES)
-        wrong = "is not understood"
+        wrong = "is not valid"
     elif "is" in rule:
-        wrong = "asks for `is` and more" if len(rule) > 1 else ""
-        fix = "leave the rest out: `is` means equal"
+        wrong = "has `is` together with other keys" if len(rule) > 1 else ""
+        fix = "remove the others: `is` means equal"
     elif no_numbers := [key for key, each in rule.items() if not _is_number(each)]:
         wrong, fix = f"has no number as its {no_numbers[0]}", "give a number, or `is` of anything else"
     elif "value" not in rule and {"tolerance", "relative"} & set(rule):
-        wrong, fix = "has a tolerance of nothing", "add the value, such as value = 2.0"
+        wrong, fix = "has a tolerance but no value", "add the value, such as value = 2.0"
     elif min(rule.get("tolerance", 0.0), rule.get("relative", 0.0)) < 0.0:
         wrong, fix = "has a tolerance below 0", "give 0 or more"
     if wrong:

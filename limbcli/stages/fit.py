@@ -99,7 +99,7 @@ def fit(
     for site in case.selected(sites):
         progress.event("stage", name=STAGE, site=site.name)
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
-            writer.data["asked"] = options.asked()
+            writer.data["asked"] = options.requested()
             note_templates(writer, options.templates)
             _fit_site(case, site, out, writer, engine, options, progress)
         assert writer.result is not None
@@ -129,33 +129,44 @@ def _fit_site(
         share = _share_of_c(share_of_c, theta, writer) if held_layers(model) else None
         known = [replace(stiffness, gain_deviation=each, share=share) for each in gains]
         fitted = with_tissue(model, c=c, f_kappa=float(theta[0]), m=float(theta[1]))
-        doubt = site_geometry_uncertainty(
+        uncertainty = site_geometry_uncertainty(
             case, site, out, fitted, curve(theta).values, writer, progress=progress
         )
-        intervals, of_noise, why_none = None, None, "no interval was asked for"
+        intervals, of_noise, why_none = None, None, "no interval was requested"
         if not (site.noise.force > 0 or site.noise.depth > 0):
             why_none = "the case states no noise of force or depth"
             writer.warnings.append(
-                f"site {site.name}: {why_none} (force_n and depth_mm of [site.noise] are 0), so how sure the "
-                "parameters are cannot be determined"
+                f"site {site.name}: {why_none} (force_n and depth_mm of [site.noise] are 0), so the "
+                "uncertainty of the parameters cannot be determined"
             )
         elif options.intervals:
             limit = options.max_interval_solves
             curve.expect(limit + _FIRST_SOLVES)
             intervals = of_noise = _intervals(curve, knots, data, known, steps, limit, progress)
-            if doubt is not None:
-                wide = _intervals(curve, knots, data, known, steps, limit, progress, doubt.modes)
+            if uncertainty is not None:
+                wide = _intervals(curve, knots, data, known, steps, limit, progress, uncertainty.modes)
                 intervals = (no_narrower(wide[0], of_noise[0]), no_narrower(wide[1], of_noise[1]))
         identified = Identified(
-            curve, knots, data, known[-1], c_source, START, steps, intervals, cold, why_none, doubt, gains
+            curve,
+            knots,
+            data,
+            known[-1],
+            c_source,
+            START,
+            steps,
+            intervals,
+            cold,
+            why_none,
+            uncertainty,
+            gains,
         )
         simulation = _write_fitted_run(fitted, solver, writer, options, progress)
         write_result(identified, fitted, simulation, writer, site, seconds=time.perf_counter() - clock)
         write_cycle(levels, site, writer)
         if site.states:
             writer.warnings.insert(0, one_state(site))
-        if doubt is not None:
-            write_geometry(identified, doubt, of_noise[-1] if of_noise else None, writer)
+        if uncertainty is not None:
+            write_geometry(identified, uncertainty, of_noise[-1] if of_noise else None, writer)
         if options.contact_check:
             harder = partial(forces_with_penalty, fitted, progress=progress)
             penalty = fitted.contacts[0].penalty
@@ -169,7 +180,7 @@ def _intervals(
     curve: SolvedPoints, knots: Array, data: ForceDepth, known: Sequence[Stiffness],
     steps: Sequence[FittedStep], limit: int, progress: Progress, modes: Array | None = None,
 ) -> tuple[Intervals, Intervals]:  # fmt: skip
-    """Of both steps, `known`: what is at each; `modes`: with the doubt of the geometry."""
+    """Of both steps, `known`: what is at each; `modes`: with the uncertainty of the geometry."""
     theta = steps[-1].theta
     full = force_intervals(
         curve, knots, data, known[-1], theta, max_solves=limit, shape_modes=modes, progress=progress
@@ -191,7 +202,7 @@ def _tissue_c(
         raise CaseError(
             "c is given twice: by hand and as a map",
             where="--c-kpa, --stiffness-map",
-            fix="leave one of the two out",
+            fix="omit one of the two",
         )
     found = tissue_map(model, site, row=int(levels.rows[0]))
     write_tissue_map(found, model, levels, site, writer)
@@ -265,8 +276,8 @@ def _share_of_c(share_of_c: Callable[[Array], Array], theta: Array, writer: Stag
         share = share_of_c(theta)
     except SolveError as error:
         writer.warnings.append(
-            f"how much of c's uncertainty reaches the force was not evaluated: {error.what}; "
-            "all of it is taken to"
+            "how much of c's uncertainty propagates to the force was not evaluated: "
+            f"{error.what}; full propagation is assumed"
         )
         return None
     writer.data["c_share_of_force"] = share

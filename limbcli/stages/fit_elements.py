@@ -82,7 +82,7 @@ def compare_elements(
     for site in case.selected(sites):
         progress.event("stage", name=STAGE, site=site.name)
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
-            writer.data["asked"] = options.asked(COMPARISON)
+            writer.data["asked"] = options.requested(COMPARISON)
             _compare_site(case, site, out, writer, options, progress)
         assert writer.result is not None
         results.append(writer.result)
@@ -173,12 +173,12 @@ def _write(
     )
     if np.isfinite(share):
         writer.summary.append(
-            f"with the parameters that tet4 gave, tet10 answers with {share:.2f} times the last force: "
-            "the rest was the mesh"
+            f"with the parameters fitted with tet4, tet10 gives {share:.2f} times the last "
+            "force: the rest was due to the mesh"
         )
     writer.summary.append(
         f"f_kappa 10 to 650 raises the last force {rise['tet4']:.2f} times with tet4, "
-        f"{rise['tet10']:.2f} times with tet10: that much of tet4's f_kappa is the mesh"
+        f"{rise['tet10']:.2f} times with tet10: this part of tet4's f_kappa is due to the mesh"
     )
 
 

@@ -114,8 +114,8 @@ def fit_joint(
             check_noise(each.site, speeds=each.levels.has_swe)
         _report_free(measured, options, writer)
         models = [(each.site.name, each.model) for each in measured]
-        told = any(model.fibres is not None for _, model in models)
-        others = [each for each in LAWS if each != law.name and (told or not LAWS[each].has_fibres)]
+        have_fibres = any(model.fibres is not None for _, model in models)
+        others = [each for each in LAWS if each != law.name and (have_fibres or not LAWS[each].has_fibres)]
         names = [law.name, *(others if joint.compare_laws else [])]
         if law.has_fibres:
             write_orientations(models, [each.levels.has_swe for each in measured], writer)
@@ -141,7 +141,7 @@ def fit_joint(
                         _check_contacts(writer, measured, curves, problem, found, progress)
         if joint.compare_laws:
             write_comparison(writer, table)
-        writer.data["asked"] = {**options.asked("joint"), "gain_deviation": joint.gain_deviation}
+        writer.data["asked"] = {**options.requested("joint"), "gain_deviation": joint.gain_deviation}
         writer.data["seconds"] = time.perf_counter() - clock
         write_mat_file(writer)
     assert writer.result is not None
@@ -169,12 +169,12 @@ def _measured(case: Case, site: Site, out: Path, writer: StageWriter, options: F
 def _report_free(measured: Sequence[Measured], options: FitOptions, writer: StageWriter) -> None:
     """What was given of c by hand holds nothing fixed where every site has speeds."""
     given = in_words(
-        {key: value for key, value in options.asked().items() if key in ("c_kpa", "c_deviation")}
+        {key: value for key, value in options.requested().items() if key in ("c_kpa", "c_deviation")}
     )
     if given and all(each.levels.has_swe for each in measured):
         writer.warnings.append(
-            f"{given}: the shear-wave speeds tell c, which is free in a joint fit; a value given by hand is "
-            "only where the search begins"
+            f"{given}: the shear-wave speeds determine c, which is free in a joint fit; a value "
+            "given by hand is only the start value"
         )
 
 
@@ -280,11 +280,11 @@ def _layer_data(measured: Measured) -> LayerData:
     if layers is None or measured.lines is None:
         return NO_LAYERS
     used = layers.used(levels)
-    parts = [np.flatnonzero(used[:, j]) for j in range(layers.n_told)]
+    parts = [np.flatnonzero(used[:, j]) for j in range(layers.n_counted)]
     rows = np.concatenate([np.zeros(0, dtype=np.int64), *parts])
     if not len(rows):
         return NO_LAYERS
-    layer = np.repeat(np.arange(layers.n_told), [len(each) for each in parts])
+    layer = np.repeat(np.arange(layers.n_counted), [len(each) for each in parts])
     thickness = layers.thickness[rows, layer]
     blocks = [layers.covariance(layers.thickness[each, j], j) for j, each in enumerate(parts)]
     force = np.maximum(levels.force[rows], 0.0)
@@ -299,8 +299,8 @@ def check_noise(site: Site, *, speeds: bool) -> None:
         none += ["swe_level_fraction", "swe_pixel_fraction"]
     if none:
         raise CaseError(
-            f"site {site.name} states no noise ({', '.join(none)} are 0); a joint fit weighs depth against "
-            "speed by it",
+            f"site {site.name} states no noise ({', '.join(none)} are 0); a joint fit weights depth "
+            "against speed by it",
             where="case.toml, [site.noise]",
             fix="state one standard deviation each, or fit with --objective force",
         )

@@ -33,7 +33,7 @@ from limbcli.stages.fitting.state_curve import StateCurve
 from limbcli.stages.fitting.state_plan import StretchPlan, stretch_plan
 from limbcli.stages.fitting.states_result import write_states
 from limbcli.stages.provenance.chain_inputs import note_case
-from limbcli.stages.provenance.requested_options import asked_of_options
+from limbcli.stages.provenance.requested_options import requested_by_options
 from limbcli.stages.site_model.site_layers import held_layers
 from limbcli.stages.site_model.site_states import MeasuredState, states_of
 
@@ -84,7 +84,7 @@ def fit_states(
     selected = [site for site in case.selected(sites) if site.states]
     if not selected:
         raise CaseError(
-            "no site that was asked for has states",
+            "no requested site has states",
             where="--objective states",
             fix="add [[site.state]] tables to the site, or use --objective force",
         )
@@ -94,7 +94,7 @@ def fit_states(
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
             clock = time.perf_counter()
             _fit_site(case, site, out, writer, law, states, options, progress)
-            writer.data["asked"] = {**options.asked("states"), **asked_of_options(states)}
+            writer.data["asked"] = {**options.requested("states"), **requested_by_options(states)}
             writer.data["seconds"] = time.perf_counter() - clock
             write_mat_file(writer)
         assert writer.result is not None
@@ -113,8 +113,8 @@ def _fit_site(
     beside = held_layers(model)
     if beside:
         writer.warnings.append(
-            f"{' and '.join(beside)}: the stiffness is taken as known, and as unloaded where the tissue is, "
-            "with which it is stretched"
+            f"{' and '.join(beside)}: their stiffness is taken as known; they are stretched with "
+            "the tissue and unloaded where it is"
         )
     note_case(writer, case, [], site=site, own=["states"])
     for each in measured:
@@ -186,7 +186,7 @@ def knots(measured: Sequence[MeasuredState]) -> list[float]:
         raise MeasurementError(
             f"the deepest reading of all states is {deepest:.2f} mm",
             where=", ".join(str(each.state.levels) for each in measured),
-            fix="load deeper; check the column depth_mm: it grows from 0 with the load, in mm",
+            fix="load deeper; check the column depth_mm: it increases from 0 with the load, in mm",
         )
     return knots_to(deepest)
 

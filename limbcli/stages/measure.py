@@ -60,7 +60,7 @@ def measure(
     for site in case.selected(sites):
         if not site.instruments:
             raise CaseError(
-                f"site {site.name} names no instrument file",
+                f"site {site.name} specifies no instrument file",
                 where=str(case.file),
                 fix='add trace = "trace.csv", [site.load_cell], [site.b_mode] or [site.swe_images], or write '
                 "levels.csv by hand",
@@ -70,8 +70,8 @@ def measure(
             rows = _measure_site(case, site, out, writer, progress)
             if write and "swe_images" in site.instruments and site.swe_maps and site.swe_maps.exists():
                 writer.warnings.append(
-                    f"the maps in {site.swe_maps.name} were there already and stay as they are: if the new "
-                    "ones are meant, copy them there from the output folder (swe)"
+                    f"the maps in {site.swe_maps.name} already existed and are kept: to "
+                    "use the new ones, copy them there from the output folder (swe)"
                 )
         assert writer.result is not None
         if write:
@@ -140,8 +140,9 @@ def _depth(table: Mapping[str, Any], writer: StageWriter, progress: Progress) ->
     images = images_of(table, box_pixels=box_of(table["box_pixels"]) if table["box_pixels"] else None)
     if table["box_pixels"] is None and images[0].is_whole:
         writer.warnings.append(
-            "the top of the B-mode pictures is taken for the probe face: if a frame or text lies above it, "
-            "say where the ultrasound image lies with box_pixels of [site.b_mode]; the distances to bone and "
+            "the top of the B-mode images is taken as the probe face: if a frame or text is above "
+            "it, state where the ultrasound image lies with box_pixels of [site.b_mode]; the distances to "
+            "bone and "
             "layers depend on it, the depth of indentation does not"
         )
     lines: list[BoneLine] = follow_bone(images, bone=table["bone_mm"])
@@ -165,9 +166,9 @@ def _check_lengths(columns: Mapping[str, Sequence[Any]], site: Site) -> None:
     if len(set(counts.values())) > 1:
         listed = ", ".join(f"{name} {count}" for name, count in counts.items())
         raise MeasurementError(
-            f"the instruments do not have as many levels: {listed}",
+            f"the instruments have different numbers of levels: {listed}",
             where=f"site {site.name}",
-            fix="give one image a hold; change hold_s or hold_tolerance_n; remove surplus images",
+            fix="give one image per hold; change hold_s or hold_tolerance_n; remove surplus images",
             **counts,
         )
 
@@ -228,14 +229,14 @@ def _write_levels(site: Site, text: str, result: StageResult) -> None:
         raise MeasurementError(
             f"no levels.csv was written: the instruments gave no {' and no '.join(lacking)}",
             where=f"site {site.name}",
-            fix="add [site.load_cell] and [site.b_mode], or write these columns by hand; what was "
-            "read is in the output folder",
+            fix="add [site.load_cell] and [site.b_mode], or enter these columns manually; "
+            "the readings are in the output folder",
         )
     if site.levels.exists():
         raise CaseError(
-            "levels.csv is there already and is not overwritten",
+            "levels.csv already exists and is not overwritten",
             where=str(site.levels),
-            fix=f"if the new one is meant, copy it there: {result.path('levels')}",
+            fix=f"to use the new one, copy it there: {result.path('levels')}",
         )
     with atomic_file(site.levels) as path:
         path.write_text(text, encoding="utf-8")

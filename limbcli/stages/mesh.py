@@ -28,7 +28,7 @@ from limbcli.model_io import save_model
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.stages.provenance.chain import Chain
-from limbcli.stages.provenance.requested_options import asked_of
+from limbcli.stages.provenance.requested_options import requested_of
 from limbcli.stages.segmenting.places import warnings_of_limb
 from limbcli.stages.site_model.fibres import note_fibres, with_fibres, write_fibres
 from limbcli.stages.site_model.mesh_checks import (
@@ -81,20 +81,20 @@ def mesh(
     thickness = Layering(skin_layer, fat_layer, seen=place is None)
     layered = tuple(site.name for site in chosen if thickness.is_from_images(site))
     segmented = Chain(case, out).result("segment", about=layered)
-    progress.event("note", text="reading and mending the surfaces")
+    progress.event("note", text="reading and repairing the surfaces")
     limb = read_limb(segmented)
     if place is not None:
         point = skin_point_at(limb, *place, where=f"site {chosen[0].name}")
         chosen = (
             replace(chosen[0], position=(float(point[0]), float(point[1]), float(point[2])), marker=None),
         )
-    asked = asked_of(
+    requested = requested_of(
         {
             "element": element, "size": size, "far_size": far_size, "margin": margin,
             "skin_layer": skin_layer, "fat_layer": fat_layer, "place": place,
         }
     )  # fmt: skip
-    inputs = MeshInputs(case, segmented, asked, layered)
+    inputs = MeshInputs(case, segmented, requested, layered)
     results = []
     for site in chosen:
         layers, sources = thickness.of(site, segmented, size=options.sizes.under_probe)
@@ -125,7 +125,7 @@ def mesh_options(
 
 
 def read_limb(segmented: StageResult) -> Limb:
-    """The surfaces that `segment` left, mended."""
+    """The surfaces that `segment` left, repaired."""
     paths = sorted(segmented.path(name) for name in segmented.files if name.startswith("bone_"))
     skin = read_surface(segmented.folder / "skin.ply")
     return mend(skin, [read_surface(each) for each in paths], where=str(segmented.folder))
@@ -182,7 +182,7 @@ def mesh_site(
             place_problems(limb.skin, {site.name: np.array(position)}, where=str(case.file)), CaseError
         )
     with open_stage(out, "mesh", subject=case.subject, site=site.name) as writer:
-        writer.data["asked"] = inputs.asked
+        writer.data["asked"] = inputs.requested
         writer.data.update(facts or {})
         inputs.note(writer, site)
         for path in sorted(each for each in map(segmented.path, segmented.files) if each.suffix == ".ply"):
@@ -228,7 +228,7 @@ def _report_layers(
     if layers and low:
         writer.warnings.append(
             f"cells of the layers are flat (dihedral angles down to {figures.min_angle_deg:.1f} deg); "
-            "mesh finer (--size-mm) or with thicker layers if the solver stops"
+            "use a finer mesh (--size-mm) or thicker layers if the solver stops"
         )
 
 
@@ -288,6 +288,6 @@ def _report(
     writer.warnings.extend(moved_warnings(frame.moved, site))
     if abs(frame.slope_deg) > LARGEST_SLOPE_DEG:
         writer.warnings.append(
-            f"long_axis leaves the skin by {abs(frame.slope_deg):.0f} degrees, more than a probe is held: "
-            "it was laid into the skin"
+            f"long_axis leaves the skin by {abs(frame.slope_deg):.0f} degrees, more than a probe is "
+            "tilted: it was projected onto the skin"
         )

@@ -55,7 +55,7 @@ def new(folder: Path, *, sites: Sequence[str] = ("p1",)) -> StageResult:
         files={"case": CASE_FILE, "readme": README},
         data={"written": [*texts, f"{MRI}/"], "sites": list(names)},
         summary=(
-            f"{CASE_FILE}: put a value wherever it says {FILL_IN!r}",
+            f"{CASE_FILE}: enter a value at every {FILL_IN!r}",
             f"{MRI}/: the DICOM files of one series",
             *(f"{site}/{LEVELS}: force and depth of every level" for site in names),
             f"{README}: where everything else goes",
@@ -67,11 +67,15 @@ def new(folder: Path, *, sites: Sequence[str] = ("p1",)) -> StageResult:
 
 def _checked(sites: Sequence[str]) -> tuple[str, ...]:
     for site in sites:
-        taken = {MRI: "is the folder of the images", README: f"is {README}", CASE_FILE: f"is {CASE_FILE}"}
+        taken = {
+            MRI: "is reserved for the folder of the images",
+            README: f"is {README}",
+            CASE_FILE: f"is {CASE_FILE}",
+        }
         wrong = site_name(site) or taken.get(site)
         if wrong or list(sites).count(site) > 1:
             what = f"the site's name {wrong}" if wrong else f"two sites are named {site!r}"
-            raise CaseError(what, where="--site", fix="give every site a short name of its own, such as p1")
+            raise CaseError(what, where="--site", fix="give every site a unique short name, such as p1")
     return tuple(sites)
 
 
@@ -81,7 +85,7 @@ def _refuse_used(folder: Path) -> None:
     if folder.is_dir() and not any(folder.iterdir()):
         return
     what = f"{folder} holds something already" if folder.is_dir() else f"{folder} is a file"
-    raise CaseError(what, where=str(folder), fix="name a folder that is empty or not there yet")
+    raise CaseError(what, where=str(folder), fix="give a folder that is empty or does not exist yet")
 
 
 def _texts(subject: str, sites: tuple[str, ...]) -> dict[str, str]:

@@ -62,7 +62,7 @@ class PhantomOptions:
 
 
 def refuse_unheard(plan: SynthOptions) -> None:
-    """Tissue and measurement are told only where there is something to measure.
+    """Tissue and measurement are given only where there is something to measure.
 
     Raises
     ------
@@ -72,9 +72,9 @@ def refuse_unheard(plan: SynthOptions) -> None:
     usual = SynthOptions()
     if replace(plan, seed=usual.seed, element=None) != usual:
         raise CaseError(
-            "tissue, measurement or mesh are told, but nothing is to be measured",
+            "tissue, measurement or mesh options are given, but nothing is to be measured",
             where="--no-measurement",
-            fix="leave --no-measurement out, or the others: `limbcli synth` takes them later, on that case",
+            fix="omit --no-measurement, or the others: `limbcli synth` accepts them later, on that case",
         )
 
 
@@ -118,11 +118,14 @@ def _check_target(folder: Path, *, force: bool) -> None:
     if not folder.exists():
         return
     if not force:
-        fix = "add --force to replace it, or name another folder"
+        fix = "add --force to replace it, or give another folder"
         raise CaseError(f"{folder} is there already", where=str(folder), fix=fix)
     if folder.is_dir() and (not any(folder.iterdir()) or (folder / TRUTH / "truth.toml").is_file()):
         return
-    what = f"{folder} is not a synthetic subject (it holds no {TRUTH}/truth.toml); --force leaves it alone"
+    what = (
+        f"{folder} is not a synthetic subject (it contains no {TRUTH}/truth.toml); --force does not "
+        f"replace it"
+    )
     raise CaseError(what, where=str(folder), fix="name another folder")
 
 

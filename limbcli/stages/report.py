@@ -15,7 +15,7 @@ from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.sections.groups import groups
 from limbcli.reporting.sections.overview import Overview, overview
 from limbcli.results import StageResult, StageWriter, open_stage, provenance
-from limbcli.stages.provenance.requested_options import asked_of
+from limbcli.stages.provenance.requested_options import requested_of
 from limbcli.stages.report_pages.material import gather
 
 PAGE_FILE = "report.html"
@@ -44,7 +44,7 @@ def report(
         for site in case.sites:
             if site.levels.is_file():
                 writer.used(f"levels {site.name}", site.levels)
-        writer.data["asked"] = asked_of({"templates": templates})
+        writer.data["asked"] = requested_of({"templates": templates})
         if templates is not None:
             writer.used("templates", templates, role=str(templates.resolve()))
         _write_page(page, glance, writer, templates, progress)
@@ -52,7 +52,7 @@ def report(
         writer.summary.append(glance.sentence)
         writer.summary += [f"{site.name}: {site.sentence}" for site in glance.sites]
         diagnosed = [site for site in glance.sites if site.diagnosis]
-        writer.summary += [f"{site.name}: the diagnosis says: {site.diagnosis}" for site in diagnosed]
+        writer.summary += [f"{site.name}: diagnosis: {site.diagnosis}" for site in diagnosed]
         writer.summary.append(f"page: {writer.target / PAGE_FILE}")
         writer.warnings += [each.text for each in glance.warnings]
         writer.warnings += [f"site {site.name}: {site.why_not_deformed}" for site in _not_drawn(page)]

@@ -22,7 +22,7 @@ from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Solver
 from limbcli.solvers.reference import NAME as REFERENCE
 from limbcli.solvers.restart import RESTART_FILE
 from limbcli.stages.provenance.chain import Chain
-from limbcli.stages.provenance.requested_options import asked_of_options
+from limbcli.stages.provenance.requested_options import requested_by_options
 from limbcli.stages.running.files import write_simulation
 from limbcli.stages.running.vtu import write_series
 from limbcli.stages.site_model.site_levels import levels_of
@@ -112,7 +112,7 @@ def _refuse_results_of_a_case(out: Path, feb: Path) -> None:
         raise CaseError(
             "the output folder holds the results of a case, whose runs those of a file would replace",
             where=str(found[0]),
-            fix=f"name another folder: limbcli run {shlex.quote(str(feb))} --out FOLDER",
+            fix=f"give another folder: limbcli run {shlex.quote(str(feb))} --out FOLDER",
         )
 
 
@@ -138,7 +138,7 @@ def _run_site(
         writer.warnings.extend(built.warnings)
         writer.used_result(built, files=["feb"])
         writer.used("levels", site.levels, role=f"site/{site.name}/levels")
-        writer.data["asked"] = asked_of_options(options)
+        writer.data["asked"] = requested_by_options(options)
         _simulate(feb, read_outline(feb), writer, engine, options, progress, levels=levels, site=site)
     shutil.rmtree(stage_folder(out, STAGE, site.name + FAILED), ignore_errors=True)
     assert writer.result is not None
@@ -199,7 +199,7 @@ def _check_readable(feb: Path, source: Path) -> None:
 
 def _version(engine: Solver) -> str:
     version = engine.version()
-    return version if version != "unknown" else "of unknown version (asked, it told none; its log will)"
+    return version if version != "unknown" else "of unknown version (it reported none; its log will)"
 
 
 def _keep(writer: StageWriter, error: LimbError, engine: Solver) -> Path:

@@ -33,7 +33,7 @@ from limbcli.imaging.volume import Volume
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
 from limbcli.stages.provenance.chain_inputs import LIMB, note_case
-from limbcli.stages.provenance.requested_options import asked_of
+from limbcli.stages.provenance.requested_options import requested_of
 from limbcli.stages.segmenting.assumed import from_assumed
 from limbcli.stages.segmenting.places import report_places
 from limbcli.stages.segmenting.surfaces import check_limb, from_surfaces, write_surfaces
@@ -53,11 +53,11 @@ class _Options:
     threshold: float | None
     limb: Side | None
 
-    def asked(self) -> dict[str, Any]:
-        return asked_of({**vars(self), "seeds": self.seeds or None}, {"smooth": SMOOTH})
+    def requested(self) -> dict[str, Any]:
+        return requested_of({**vars(self), "seeds": self.seeds or None}, {"smooth": SMOOTH})
 
     def hints(self, limb: Side) -> SegmentationHints:
-        """What the segmentation is told; limb : the case's, which holds where nothing else was asked."""
+        """Hints for the segmentation; limb : the case's, which holds where no other was requested."""
 
         def points(kind: str) -> np.ndarray | None:
             found = [place for name, place in self.seeds if name == kind]
@@ -102,7 +102,7 @@ def segment(
     if edited is not None:
         _check_edited(case, out, edited)
     with open_stage(out, "segment", subject=case.subject) as writer:
-        writer.data["asked"] = options.asked()
+        writer.data["asked"] = options.requested()
         note_case(writer, case, ["imaging", LIMB])
         if edited is not None:
             _from_edited(case, edited, options, writer, progress)
@@ -116,7 +116,7 @@ def segment(
             _from_series(case, case.imaging.mri, options, writer, progress)
         else:
             raise CaseError(
-                "the case names no geometry",
+                "the case specifies no geometry",
                 where=str(case.folder / "case.toml"),
                 fix="set mri, labels, or skin and bones under [imaging]",
             )
@@ -128,7 +128,7 @@ def _checked(seeds: Sequence[Seed], case: Case) -> tuple[Seed, ...]:
     for name, place in seeds:
         if name not in ("bone", "soft") or not np.isfinite(place).all():
             raise CaseError(
-                f"the seed {name} = {place} is not understood",
+                f"the seed {name} = {place} is not valid",
                 where=f"{case.subject}, --seed",
                 fix="write bone=x,y,z or soft=x,y,z with patient LPS mm",
             )
@@ -138,7 +138,7 @@ def _checked(seeds: Sequence[Seed], case: Case) -> tuple[Seed, ...]:
 def edited_labels(out: Path) -> Path | None:
     """The label map in the output folder, if the user has changed it since it was written.
 
-    So has, as far as anybody knows, one without a result beside it that could tell.
+    So has, as far as anybody knows, one without a result next to it that could show it.
     """
     path = out / "segment" / LABELS
     if not path.is_file():
@@ -158,18 +158,19 @@ def _check_edited(case: Case, out: Path, path: Path) -> None:
         before = read_result(out, "segment")
     except CaseError as error:
         raise CaseError(
-            "there is a label map that may have been edited by hand, and no result beside it that tells",
+            "there is a label map that may have been edited by hand, and no result next to it that shows "
+            "whether it was",
             where=str(path),
-            fix=f"{aside} (to use it, name the copy as [imaging] labels)",
+            fix=f"{aside} (to use it, enter the copy as [imaging] labels)",
         ) from error
     drawn_on = before.provenance.get("made_from", {}).get("files", {}).get("imaging/mri")
     what = ""
     if before.subject != case.subject:
-        what = f"the label map that was edited by hand is of {before.subject}, the case of {case.subject}"
+        what = f"the manually edited label map is of {before.subject}, but the case is of {case.subject}"
     elif drawn_on and case.imaging.mri is not None and sha256(case.imaging.mri) != drawn_on:
-        what = "the label map was edited by hand on another series than the case names now"
+        what = "the label map was edited manually on another series than the one the case now refers to"
     if what:
-        raise CaseError(what, where=str(path), fix=f"{aside}, or name another --out")
+        raise CaseError(what, where=str(path), fix=f"{aside}, or give another --out")
 
 
 def _from_series(case: Case, path: Path, options: _Options, writer: StageWriter, progress: Progress) -> None:
@@ -213,7 +214,9 @@ def _image_of(case: Case, labels: Volume, path: Path, writer: StageWriter, progr
     raise_errors(agreement.problems, CaseError)
     writer.warnings.extend(f"{each.what}; {each.fix}" for each in agreement.problems)
     if agreement.own_grid:
-        writer.summary.append("the label map has a grid of its own; it is taken by its place in the patient")
+        writer.summary.append(
+            "the label map has a different grid; it is positioned by its patient coordinates"
+        )
     return labels if agreement.own_grid else in_order_of(labels, series)
 
 
@@ -222,7 +225,10 @@ def _from_edited(case: Case, path: Path, options: _Options, writer: StageWriter,
     writer.used("edited_labels", path)
     labels = read_label_file(path)
     writer.data["source"] = EDITED
-    text = f"the label map edited by hand in {path.parent} wins over the automatic one (--fresh starts anew)"
+    text = (
+        f"the label map edited by hand in {path.parent} takes precedence over the automatic one (--fresh "
+        f"starts anew)"
+    )
     writer.summary.append(text)
     writer.warnings.append(text)
     _ignored(options, writer)
@@ -304,7 +310,7 @@ def _report_layers(case: Case, found: Segmentation, skin: ClosedSurface, writer:
         found_layers = layers_at(np.array(position), skin, found.fat)
         if found_layers is None:
             writer.warnings.append(
-                f"site {site.name}: no fat was met under the skin, its thickness is unknown"
+                f"site {site.name}: no fat was found under the skin, its thickness is unknown"
             )
             continue
         layers[site.name] = {"skin_mm": found_layers.skin, "fat_mm": found_layers.fat}
@@ -319,5 +325,5 @@ def _report_quality(found: Segmentation, names: tuple[str, ...], writer: StageWr
     writer.data["quality"] = {"verdict": quality.verdict, **quality.figures}
     writer.summary.append(f"quality: {quality.verdict}")
     for finding in quality.findings:
-        writer.warnings.append(f"segmentation ({quality.verdict}): {finding}; look at contact-sheet.png")
+        writer.warnings.append(f"segmentation ({quality.verdict}): {finding}; check contact-sheet.png")
     return quality.verdict

@@ -69,7 +69,7 @@ def synth(
     ------
     CaseError
         If `out_case` is there already and `force` is not given, or is the case itself; if layers are to be
-        read and `segment` tells none; if a state's true stretch is not told.
+        read and `segment` found none; if a state's true stretch is not given.
     MeshError, SolveError
         If a site cannot be meshed or simulated.
     """
@@ -109,11 +109,11 @@ def _check_target(case: Case, out_case: Path, *, force: bool) -> None:
     if not out_case.exists() or (out_case.is_dir() and not any(out_case.iterdir())):
         return
     if not force:
-        fix = "add --force to replace it, or name another folder"
+        fix = "add --force to replace it, or give another folder"
         raise CaseError(f"{out_case} is there already", where=where, fix=fix)
     if not truth_file(out_case).is_file():
-        what = f"{out_case} was not made by synth ({truth_file(out_case).name} is not beside it)"
-        raise CaseError(what, where=where, fix="--force replaces only what synth made; name another folder")
+        what = f"{out_case} was not made by synth ({truth_file(out_case).name} was not found next to it)"
+        raise CaseError(what, where=where, fix="--force replaces only what synth made; give another folder")
 
 
 # ---------------------------------------------------------------- simulation and reading
@@ -127,7 +127,7 @@ def measure_sites(
     Raises
     ------
     CaseError
-        If the mesh that is fitted is to be taken, and another element or other sizes are told.
+        If the mesh that is fitted is to be taken, and another element or other sizes are given.
     """
     _refuse_unheard(options)
     numbers = {each.name: k for k, each in enumerate(case.sites)}
@@ -148,10 +148,10 @@ def _refuse_unheard(options: SynthOptions) -> None:
     usual, names = SynthOptions(), ("size", "far_size", "margin")
     if options.same_mesh and any(getattr(options, each) != getattr(usual, each) for each in names):
         raise CaseError(
-            "sizes are told of a mesh that is not made",
+            "mesh sizes are given, but no mesh is made",
             where="--same-mesh",
-            fix="leave --size-mm, --far-size-mm and --margin-mm out, or --same-mesh; `limbcli mesh` sets "
-            "those of the mesh that is fitted",
+            fix="omit --size-mm, --far-size-mm and --margin-mm, or omit --same-mesh; `limbcli "
+            "mesh` sets those of the mesh that is fitted",
         )
 
 
@@ -170,9 +170,9 @@ def _meshed(case: Case, site: Site, folder: Path, options: SynthOptions, progres
     there = Chain(case, folder).present("mesh", site=site.name)
     if there is not None and options.element not in (None, there.data.get("element")):
         raise CaseError(
-            f"the mesh that is fitted is of {there.data.get('element')}, not of {options.element}",
+            f"the mesh that is fitted has {there.data.get('element')}, not of {options.element}",
             where=f"site {site.name}",
-            fix="leave --element out, or --same-mesh",
+            fix="omit --element or --same-mesh",
         )
     if there is None:
         sizes: dict[str, Any] = {}
@@ -191,7 +191,7 @@ def _measure_site(
         raise CaseError(
             f"layers are not read in the states of site {site.name}",
             where="--with-layers",
-            fix="leave it out, or take a case without [[site.state]]",
+            fix="omit it, or use a case without [[site.state]]",
         )
     borders = borders_at_rest(read_result(folder, "segment"), site) if options.layers else None
     model = _meshed(case, site, folder, options, progress)

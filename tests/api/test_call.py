@@ -20,8 +20,8 @@ def simulate(case: object, *, m: float = 1.0, progress: object = None) -> str:
 
 def test_a_result_of_a_call_says_the_call(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("sys.argv", ["/usr/lib/ipykernel_launcher.py", "-f", "kernel-1.json"])
-    said = simulate(Path("my limb"), m=2.5, progress=print)
-    assert said == "limbcli.simulate('my limb', m=2.5)"
+    message = simulate(Path("my limb"), m=2.5, progress=print)
+    assert message == "limbcli.simulate('my limb', m=2.5)"
     assert provenance()["command"].startswith("ipykernel_launcher.py"), "only while it is at work"
 
 
@@ -72,7 +72,7 @@ def test_flags_of_numpy_and_numbers_are_flags(tmp_path: Path):
 def test_a_selection_that_names_nothing_is_not_everything(sites: object):
     with pytest.raises(CaseError, match="sites is") as caught:
         names_of(sites)  # type: ignore[arg-type]
-    assert caught.value.fix == "give a name or several, or leave it out: all"
+    assert caught.value.fix == "give one or several names, or omit it for all"
 
 
 def test_no_effects_are_the_usual_ones(tmp_path: Path):

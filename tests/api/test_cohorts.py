@@ -143,7 +143,7 @@ def test_a_cohort_comes_back_as_a_table(tmp_path: Path):
     back = limbcli.CohortResult.read(tmp_path / "out")
     assert back.rows() == found.rows()
     assert back.sites == found.sites
-    with pytest.raises(limbcli.CaseError, match="not one site's"):
+    with pytest.raises(limbcli.CaseError, match="not a result of one site"):
         limbcli.CohortResult.read(tmp_path / "out", "p1")
     with pytest.raises(limbcli.CaseError, match="no result of `cohort`"):
         limbcli.CohortResult.read(tmp_path)

@@ -74,7 +74,7 @@ def test_every_result_is_a_table_and_a_pandas_frame(chain: dict[str, Any]):
     rows = chain["fit"].to_frame().set_index("parameter")
     assert list(rows.index) == ["c_kpa", "f_kappa", "m"]
     assert rows.loc["m", "value"] == chain["fit"][0].m
-    assert np.isnan(rows.loc["m", "low_95"])  # no interval was asked for
+    assert np.isnan(rows.loc["m", "low_95"])  # no interval was requested
     assert (rows["subject"] == "S1").all()
     assert "stage" not in chain["mesh"].to_frame().columns
 
@@ -155,7 +155,7 @@ def test_errors_say_what_where_and_what_to_do(chain: dict[str, Any], tmp_path: P
         (lambda: limbcli.run(case, out=out, solver="abaqus"), "solver is 'abaqus'"),  # type: ignore[arg-type]
         (lambda: limbcli.fit(case, out=out, max_iterations=1.5), "not a whole number"),  # type: ignore
         (lambda: limbcli.fit(case, out=out, c_kpa=float("inf")), "not a finite number"),
-        (lambda: limbcli.fit(case, out=out, gain_deviation_fraction=5.0), "possible is 0 to 2"),
+        (lambda: limbcli.fit(case, out=out, gain_deviation_fraction=5.0), "possible values are 0 to 2"),
         (lambda: limbcli.fit_joint(case, out=out, law="hooke"), "hooke"),
         (lambda: limbcli.diagnose(case, out=out, effects="frction"), "there is no effect 'frction'"),
         (lambda: limbcli.diagnose(case, out=out, measured={"tare_n": True}), "tare_n is True"),
@@ -204,7 +204,7 @@ def test_results_hold_from_another_working_folder(
     assert built.feb.is_file()
     assert built.model().bodies
     assert len(fitted.curves()) == len(chain["fit"]["p1"].curves())
-    with pytest.raises(limbcli.CaseError, match="is not there, seen from"):
+    with pytest.raises(limbcli.CaseError, match="was not found from"):
         limbcli.build_feb(case)
 
 

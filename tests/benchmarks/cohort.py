@@ -45,7 +45,7 @@ def part_of(table: Path, locations: tuple[str, ...], folder: Path) -> Path:
 def show(title: str, data: dict[str, Any], seconds: float) -> None:
     print(f"\n### {title}: {data['n_rows']} rows, {data['n_people']} people, {seconds:.0f} processor s")
     print(
-        "\n| site | rows | c muscle kPa | c fat kPa | c fat / c muscle | m | left to the population (c "
+        "\n| site | rows | c muscle kPa | c fat kPa | c fat / c muscle | m | determined by the population (c "
         "muscle, c fat, m) |"
     )
     print("|-|-|-|-|-|-|-|")

@@ -84,16 +84,16 @@ def next_version(wanted: str, offered: str) -> str | None:
     return str(min(releases)) if releases else None
 
 
-def why_not(said: str) -> str:
+def why_not(answer: str) -> str:
     """What pip says of an installation that failed: who wants what, else its errors.
 
     >>> why_not("The conflict is caused by:\\n    a 1 depends on b>=2\\n\\nERROR: ResolutionImpossible")
     'conflict: a 1 depends on b>=2'
     """
-    _, found, after = said.partition("The conflict is caused by:")
+    _, found, after = answer.partition("The conflict is caused by:")
     if found:
         return "conflict: " + "; ".join(line.strip() for line in after.strip().split("\n\n")[0].splitlines())
-    return "; ".join(line for line in said.splitlines() if "ERROR" in line)[:400] or said[-400:]
+    return "; ".join(line for line in answer.splitlines() if "ERROR" in line)[:400] or answer[-400:]
 
 
 @dataclass
@@ -149,8 +149,10 @@ class End:
         self.versions = {canonicalize_name(name): version for name, version in pairs}
         for words in (("--version",), ("fit", "--help")):
             done = self.run("-P", self.python.parent / "limbcli", *words, limit_s=60)
-            said = (done.stdout if done.returncode == 0 else done.stderr).strip().splitlines() or ["nothing"]
-            self.note(" ".join(("limbcli", *words)), said[0].strip()[:200], failed=done.returncode != 0)
+            answer = (done.stdout if done.returncode == 0 else done.stderr).strip().splitlines() or [
+                "nothing"
+            ]
+            self.note(" ".join(("limbcli", *words)), answer[0].strip()[:200], failed=done.returncode != 0)
 
     def test(self, which: str) -> None:
         chosen = SMOKE if which == "smoke" else ()

@@ -156,14 +156,14 @@ def show(rows: list[dict[str, Any]]) -> None:
     for low, high in BANDS:
         for layers in (False, True):
             mine = [r for r in rows if low <= r["fat_mm"] < high and r["layers"] is layers]
-            told = [r for r in mine if "verdict" in r]
-            verdicts = [r["verdict"] for r in told]
-            with_fat = [r for r in told if any(FAT in each for each in r["set"])]
+            tested = [r for r in mine if "verdict" in r]
+            verdicts = [r["verdict"] for r in tested]
+            with_fat = [r for r in tested if any(FAT in each for each in r["set"])]
             counts = (
                 verdicts.count("untestable"), verdicts.count("adequate"),
                 sum(each in ("named", "ambiguous", "unexplained") for each in verdicts), len(with_fat),
                 sum(r["verdict"] == "named" for r in with_fat),
-                sum(r["p_fat"] is not None and r["p_fat"] < _ALPHA for r in told), len(mine) - len(told),
+                sum(r["p_fat"] is not None and r["p_fat"] < _ALPHA for r in tested), len(mine) - len(tested),
             )  # fmt: skip
             if mine:
                 band = f"{low:g} to {high:g} mm" if np.isfinite(high) else f"{low:g} mm and more"

@@ -276,9 +276,9 @@ def main() -> None:
         parser.error(f"the reference data are not at {SITES}; name their folder with LIMBCLI_SHARED")
     options.work.mkdir(parents=True, exist_ok=True)
     out = options.out or Path(tempfile.gettempdir()) / f"hard-solves-{options.mesh}.jsonl"
-    known, asked = read(out), sample(rows(site_names()), options.sample, options.seed)
-    asked = [each for each in asked if options.only in each.name]
-    for row in asked:
+    known, requested = read(out), sample(rows(site_names()), options.sample, options.seed)
+    requested = [each for each in requested if options.only in each.name]
+    for row in requested:
         if row.name in known:
             continue
         known[row.name] = solve(
@@ -289,7 +289,7 @@ def main() -> None:
         with out.open("a") as stream:
             stream.write(json.dumps(known[row.name]) + "\n")
         print(json.dumps(known[row.name]), flush=True)
-    found = [known[each.name] for each in asked if each.name in known]
+    found = [known[each.name] for each in requested if each.name in known]
     print(table(found))
     print("\n".join(summary(found, options.mesh)))
 

@@ -166,8 +166,8 @@ def main() -> None:
         found = load(options.cases, options.workers, options.seed, folder, together=options.together)
         for k, code in enumerate(found.codes):
             if code:
-                said = (folder / f"worker-{k}.log").read_text(errors="replace")
-                print(f"worker {k} ended with {code}:\n{said[-2000:]}", file=sys.stderr)
+                message = (folder / f"worker-{k}.log").read_text(errors="replace")
+                print(f"worker {k} ended with {code}:\n{message[-2000:]}", file=sys.stderr)
     print(found.table())
     for name in found.files:
         print(f"stays: {name}", file=sys.stderr)

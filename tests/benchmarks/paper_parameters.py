@@ -134,14 +134,14 @@ def main() -> None:
     )
     parser.add_argument("--write", action="store_true")
     parser.add_argument("--openlimb", action="store_true")
-    asked = parser.parse_args()
+    requested = parser.parse_args()
     case = Case.open(CASE)
-    if asked.write:
+    if requested.write:
         write_levels(case)
         return
     with tempfile.TemporaryDirectory() as folder:
         compare("shape of the case", next(models(case, Path(folder)))[1])
-    found = openlimb() if asked.openlimb else None
+    found = openlimb() if requested.openlimb else None
     if found is not None:
         compare(*found)
 

@@ -38,12 +38,12 @@ def measured(arguments: list[str]) -> Cost:
         If the command fails, with what it printed.
     """
     begun = time.perf_counter()
-    with tempfile.TemporaryFile() as said:
-        child = subprocess.Popen([sys.executable, "-m", "limbcli", *arguments], stdout=said, stderr=said)
+    with tempfile.TemporaryFile() as output:
+        child = subprocess.Popen([sys.executable, "-m", "limbcli", *arguments], stdout=output, stderr=output)
         _, status, usage = os.wait4(child.pid, 0)
         if status:
-            said.seek(0)
-            sys.exit(f"limbcli {' '.join(arguments)}:\n{said.read().decode()}")
+            output.seek(0)
+            sys.exit(f"limbcli {' '.join(arguments)}:\n{output.read().decode()}")
     wall = time.perf_counter() - begun
     return Cost(wall, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 2**20)
 

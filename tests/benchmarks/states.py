@@ -51,11 +51,11 @@ def state_curve(model, law, c, depths):
     return StateCurve(loaded, LAWS[law], ("along",), depths, c=c, density_kg_per_m3=DENSITY, threads=1)
 
 
-def true_levels(model, truth, told, forces, max_depth_mm):
+def true_levels(model, truth, given, forces, max_depth_mm):
     """Depth (mm) and speed (m/s) of each state at the protocol's forces, by the truth's mesh."""
     curve = state_curve(model, "ogden", truth["c"], np.linspace(0.5, max_depth_mm, 12))
     found = []
-    for each in told:
+    for each in given:
         theta = np.array([truth["f_kappa"], truth["m"], each / truth["unloaded_stretch_along"]])
         values, n = curve(theta).values, len(curve.depths)
         depths = np.r_[0.0, curve.depths]

@@ -74,10 +74,10 @@ def test_unknown_key_suggests_the_nearest(folder: Path):
     ("old", "new", "expected"),
     [
         ("format = 1", "format = 2", "format"),
-        ("format = 1", "", "lacks 'format'"),
-        ('mri = "mri"', "", "names no geometry"),
-        ('mri = "mri"', 'mri = "nowhere"', "not there"),
-        ('mri = "mri"', 'mri = "case.toml"', "is not a folder"),
+        ("format = 1", "", "is missing 'format'"),
+        ('mri = "mri"', "", "specifies no geometry"),
+        ('mri = "mri"', 'mri = "nowhere"', "not found"),
+        ('mri = "mri"', 'mri = "case.toml"', "is neither a folder nor a volume"),
         ("length_mm = 53.0", "length_mm = 5300", "plausible"),
         ("length_mm = 53.0", 'length_mm = "53"', "not a number"),
         ("length_mm = 53.0", "length_mm = nan", "not a number"),
@@ -87,9 +87,9 @@ def test_unknown_key_suggests_the_nearest(folder: Path):
         ('long_axis = "transverse"', 'long_axis = "across"', "one of"),
         ('long_axis = "transverse"', "long_axis = [0, 0, 0]", "length zero"),
         ('name = "p1"', 'name = "../p1"', "letters"),
-        ('name = "p1"', 'name = "p1-failed"', "what failed at site 'p1'"),
+        ('name = "p1"', 'name = "p1-failed"', "reserved for the failure record of site 'p1'"),
         ('name = "p1"', f'name = "{"p" * 101}"', "101 letters long"),
-        ('id = "S1"', "id = 7", "not a text"),
+        ('id = "S1"', "id = 7", "not text"),
         ("[probe]", "[prob]", "unknown key 'prob'"),
         ("[[site]]", "[site]", "no site"),
         ("format = 1", "format = 1\nformat = 1", "not valid TOML"),
@@ -108,18 +108,18 @@ def test_position_and_marker_together_are_refused(folder: Path):
 
 
 @pytest.mark.parametrize(
-    ("table", "told"),
+    ("table", "given"),
     [
         ('[site.load_cell]\nfile = "p1/levels.csv"\nprobe_mass_kg = 0.3\n', "no tare_s"),
-        ('[site.load_cell]\nfile = "p1/levels.csv"\nseparator = "; "\n', "not one mark"),
+        ('[site.load_cell]\nfile = "p1/levels.csv"\nseparator = "; "\n', "not a single character"),
         (
             '[site.swe_images]\nfolder = "p1"\nlow_m_per_s = 10\nhigh_m_per_s = 5\n',
             "low_m_per_s, 10, is not below high_m_per_s, 5",
         ),
     ],
 )
-def test_values_of_an_instrument_that_are_at_odds_are_refused(folder: Path, table: str, told: str):
-    assert any(told in each for each in whats(write(folder, GOOD + table)))
+def test_values_of_an_instrument_that_are_at_odds_are_refused(folder: Path, table: str, given: str):
+    assert any(given in each for each in whats(write(folder, GOOD + table)))
 
 
 def test_two_sites_of_one_name_are_refused(folder: Path):
@@ -131,7 +131,7 @@ def test_two_sites_of_one_name_are_refused(folder: Path):
 def test_missing_folder_and_missing_file_differ(tmp_path: Path):
     with pytest.raises(CaseError, match="there is no case folder"):
         Case.open(tmp_path / "nowhere")
-    with pytest.raises(CaseError, match=r"holds no case\.toml"):
+    with pytest.raises(CaseError, match=r"contains no case\.toml"):
         Case.open(tmp_path)
 
 

@@ -64,11 +64,11 @@ def test_what_leads_out_of_the_folder_is_refused_and_not_read(folder: Path, name
     old, new = OUTSIDE[name]
     assert old in HEAD + SITE_TEXT
     write(folder, (HEAD + SITE_TEXT).replace(old, new))
-    with pytest.raises(CaseError, match="leads out of the case folder") as caught:
+    with pytest.raises(CaseError, match="points outside the case folder") as caught:
         Case.open(folder)
     assert "allow_outside = true" in str(caught.value)
     problems = check(folder).problems
-    assert any("leads out of the case folder" in each.what for each in problems)
+    assert any("points outside the case folder" in each.what for each in problems)
     assert SECRET not in str(caught.value) + "".join(map(str, problems))
     assert not any("not there" in each.what for each in problems), "whether it is there is told to nobody"
 
@@ -89,7 +89,7 @@ def test_links_and_detours_within_the_folder_are_its_own(folder: Path):
 def test_nothing_is_written_outside(folder: Path, tmp_path: Path):
     text = (HEAD + SITE_TEXT).replace('levels = "p1.csv"', 'levels = "../new.csv"\ntrace = "p1.csv"')
     write(folder, text)
-    with pytest.raises(CaseError, match="leads out of the case folder"):
+    with pytest.raises(CaseError, match="points outside the case folder"):
         measure(Case.open(folder), out=tmp_path / "out", write=True)
     assert not (tmp_path / "new.csv").exists()
 
@@ -98,5 +98,5 @@ def test_nothing_is_written_outside(folder: Path, tmp_path: Path):
 def test_only_true_allows(folder: Path, value: str):
     text = HEAD + ALLOWED.replace("true", value) + SITE_TEXT.replace("p1.csv", "../other/good.csv")
     write(folder, text)
-    with pytest.raises(CaseError, match="leads out"):
+    with pytest.raises(CaseError, match="points outside"):
         Case.open(folder)

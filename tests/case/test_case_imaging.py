@@ -60,10 +60,10 @@ def test_a_scan_has_a_scale_that_may_be_stated(tmp_path: Path):
     assert Case.open(write(tmp_path, text)).imaging.skin_scale == 0.01
     stated = text.replace("[probe]", "skin_scale_fraction = 0.1\n[probe]")
     assert Case.open(write(tmp_path, stated)).imaging.skin_scale == 0.1
-    with pytest.raises(CaseError, match=r"skin_scale_fraction is 10; plausible is 0 to 0\.3"):
+    with pytest.raises(CaseError, match=r"skin_scale_fraction is 10; plausible values are 0 to 0\.3"):
         Case.open(write(tmp_path, stated.replace("= 0.1", "= 10")))
     alone = PLACED.replace("[probe]", "skin_scale_fraction = 0.1\n[probe]")
-    with pytest.raises(CaseError, match="counts only beside a bone from ultrasound"):
+    with pytest.raises(CaseError, match="applies only with a bone from ultrasound"):
         Case.open(write(tmp_path, alone))
 
 
@@ -77,9 +77,9 @@ def test_imaged_limbs_assume_nothing(tmp_path: Path):
     [
         ("skin_mm = 1.5, ", "", "[imaging.shape] has layers without skin: fat_mm and muscle_mm"),
         ("320", "130", "is 41.4 mm across: less than its layers (26 mm) and the bone (28 mm)"),
-        ("muscle_mm = 18", "muscle_mm = -1", "imaging.shape.muscle_mm is -1 mm; plausible is"),
+        ("muscle_mm = 18", "muscle_mm = -1", "imaging.shape.muscle_mm is -1 mm; plausible values are"),
         ("fat_mm = 6.5, muscle_mm = 18", "fat_mm = 0.5, muscle_mm = 0.5", "leave 2.5 mm from skin to bone"),
-        ("circumference_mm = 320, ", "", "[imaging.shape] lacks 'circumference_mm' (mm)"),
+        ("circumference_mm = 320, ", "", "[imaging.shape] is missing 'circumference_mm' (mm)"),
         ("muscle_mm", "muscel_mm", "unknown key 'muscel_mm'"),
         (SHAPE, "shape = 3", "is 3, not a table"),
         (SHAPE, f'{SHAPE}\nskin = "scan.stl"', "both `shape` and `skin`"),
@@ -92,8 +92,12 @@ def test_imaged_limbs_assume_nothing(tmp_path: Path):
             "both `bones` and a bone from ultrasound",
         ),
         (SHAPE, 'skin = "scan.stl"\nbone = "from-ultrasound"', "neither position_mm nor marker"),
-        ('name = "p1"', 'name = "p1"\nmarker = 1', "by marker 1, and there are no images to show one"),
-        ('name = "p1"', 'name = "p1"\nskin_bone_mm = 900', "plausible is 2 to 120 mm"),
+        (
+            'name = "p1"',
+            'name = "p1"\nmarker = 1',
+            "by marker 1, and there are no images that could show one",
+        ),
+        ('name = "p1"', 'name = "p1"\nskin_bone_mm = 900', "plausible values are 2 to 120 mm"),
     ],
 )
 def test_what_cannot_be_has_a_message_of_its_own(tmp_path: Path, old: str, new: str, expected: str):

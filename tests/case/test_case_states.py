@@ -47,31 +47,31 @@ def test_a_stretch_may_be_unknown_by_word_or_by_silence(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("states", "site", "says"),
+    ("states", "site", "message"),
     [
-        (state("relaxed"), SITE, "has one state"),
+        (state("relaxed"), SITE, "has only one state"),
         (ALL + state("bent", levels="levels"), SITE, "two states named 'bent'"),
         (ALL + state("other", levels="bent"), SITE, "two states with the levels of bent.csv"),
-        (ALL.replace("0.9", "0.3"), SITE, "stretch_along is 0.3; plausible is 0.5 to 2"),
-        (ALL.replace("0.9", "2.5"), SITE, "stretch_along is 2.5; plausible is 0.5 to 2"),
+        (ALL.replace("0.9", "0.3"), SITE, "stretch_along is 0.3; plausible values are 0.5 to 2"),
+        (ALL.replace("0.9", "2.5"), SITE, "stretch_along is 2.5; plausible values are 0.5 to 2"),
         (ALL.replace("0.9", "nan"), SITE, "stretch_along is nan, not a number"),
         (ALL.replace("0.9", '"short"'), SITE, "stretch_along is 'short', not a number"),
         (ALL.replace("stretch_along", "strech_along"), SITE, "did you mean 'stretch_along'?"),
-        (ALL.replace("bent.csv", "gone.csv"), SITE, "names a file that is not there: gone.csv"),
-        (ALL.replace('levels = "bent.csv"\n', ""), SITE, "lacks 'levels'"),
-        (ALL, SITE + 'levels = "levels.csv"\n', "has levels of its own beside [[site.state]]"),
-        (ALL, SITE + 'trace = "levels.csv"\n', "has trace beside [[site.state]]"),
-        (ALL, SITE + 'swe_maps = "mri"\n', "has swe_maps beside [[site.state]]"),
-        (ALL + '[site.load_cell]\nfile = "levels.csv"\n', SITE, "has load_cell beside [[site.state]]"),
+        (ALL.replace("bent.csv", "gone.csv"), SITE, "names a file that was not found: gone.csv"),
+        (ALL.replace('levels = "bent.csv"\n', ""), SITE, "is missing 'levels'"),
+        (ALL, SITE + 'levels = "levels.csv"\n', "has its own levels as well as [[site.state]]"),
+        (ALL, SITE + 'trace = "levels.csv"\n', "has trace together with [[site.state]]"),
+        (ALL, SITE + 'swe_maps = "mri"\n', "has swe_maps together with [[site.state]]"),
+        (ALL + '[site.load_cell]\nfile = "levels.csv"\n', SITE, "has load_cell together with [[site.state]]"),
         ("state = 3\n", SITE, "not a list of tables"),
         ("", SITE + 'levels = "levels.csv"\nunloaded_stretch_along = 1.0\n', "but no states"),
-        (ALL, SITE + "unloaded_stretch_along = 3.0\n", "plausible is 0.5 to 2"),
+        (ALL, SITE + "unloaded_stretch_along = 3.0\n", "plausible values are 0.5 to 2"),
     ],
 )
-def test_what_cannot_be_meant_is_said(tmp_path: Path, states: str, site: str, says: str):
+def test_what_cannot_be_meant_is_said(tmp_path: Path, states: str, site: str, message: str):
     with pytest.raises(CaseError) as raised:
         Case.open(case(tmp_path, states, site=site))
-    assert says in str(raised.value) or says in str(raised.value.facts)
+    assert message in str(raised.value) or message in str(raised.value.facts)
 
 
 def test_layers_go_with_states(tmp_path: Path):
@@ -80,5 +80,5 @@ def test_layers_go_with_states(tmp_path: Path):
 
 
 def test_without_states_levels_are_needed_as_ever(tmp_path: Path):
-    with pytest.raises(CaseError, match=r"lacks 'levels' \(file\)"):
+    with pytest.raises(CaseError, match=r"is missing 'levels' \(file\)"):
         Case.open(case(tmp_path, ""))

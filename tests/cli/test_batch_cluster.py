@@ -217,7 +217,7 @@ def test_an_interrupted_batch_ends_at_once_and_leaves_no_process(tmp_path: Path)
     os.killpg(process.pid, signal.SIGINT)
     reported = process.communicate(timeout=300)[1]  # nobody waits for the part to end
     assert process.returncode == 130
-    assert "interrupted; nothing half-written was kept" in reported
+    assert "interrupted; no incomplete file was kept" in reported
     assert "Traceback" not in reported
     assert ended(at.read_text())
     assert "run/p2" not in left(out)
@@ -288,9 +288,9 @@ def test_that_no_worker_is_left_is_said_and_the_batch_goes_on_with_new_ones(
             )
         assert not stop.value.code
         coming.join()
-    told = capsys.readouterr().err
-    assert "no worker is left: waiting for one" in told
-    assert "workers are there again: 1" in told
+    reported = capsys.readouterr().err
+    assert "no worker is left: waiting for one" in reported
+    assert "workers are available again: 1" in reported
     assert left(tmp_path / "out") == ALL
 
 
@@ -336,7 +336,7 @@ def test_a_worker_that_comes_later_with_other_code_refuses_and_the_others_do_it(
     several = cases(tmp_path, "a", "b")
     assert batch(workers, *several, "--out", tmp_path / "out") == 0
     reported = capsys.readouterr().err
-    assert reported.count("a worker refused the work: it has limbcli") == 1
+    assert reported.count("a worker rejected the work: it has limbcli") == 1
     assert [left(tmp_path / "out" / each.name) for each in several] == [ALL, ALL]
     processes = {line.split()[-1] for case in several for line in (case / "log.txt").read_text().splitlines()}
     assert len(processes) == 1
@@ -378,9 +378,9 @@ def test_time_left_is_told_once_there_is_something_to_go_by(tmp_path: Path):
 
 
 def test_a_part_that_is_not_at_a_stage_yet_is_told_by_its_name(tmp_path: Path):
-    told, cases = [], [(tmp_path / "a", tmp_path)]
-    several = batch_cluster._Together(None, None, cases, Progress(lambda *e: told.append(e)))
+    reported, cases = [], [(tmp_path / "a", tmp_path)]
+    several = batch_cluster._Together(None, None, cases, Progress(lambda *e: reported.append(e)))
     for stage in ("", "mesh", ""):
         several._hear((0.0, {"part": "a", "stage": stage, "text": ""}))
-    assert [facts["name"] for _, facts in told] == ["cases, a", "cases, a: mesh", "cases, a"]
+    assert [facts["name"] for _, facts in reported] == ["cases, a", "cases, a: mesh", "cases, a"]
     assert several.stages == {"a": "mesh"}

@@ -92,8 +92,8 @@ def test_a_folder_that_begins_with_a_dash_can_be_pasted(tmp_path: Path, monkeypa
     monkeypatch.chdir(tmp_path)
     case = two_sites(Path("-left"))
     assert case_of(["mesh", "--", "-left"]) == case
-    told = CommandStep("mesh", "p1", {}).command(case, Path("-out"))
-    assert told == "limbcli mesh ./-left --site p1 --out ./-out"
+    reported = CommandStep("mesh", "p1", {}).command(case, Path("-out"))
+    assert reported == "limbcli mesh ./-left --site p1 --out ./-out"
     outcome = read_outcomes(Path("out"), ("p1",), case_name=str(case)).of("mesh", "p1")
     assert outcome.command == "limbcli mesh ./-left --site p1 --out out"
     assert pasted_text("run `limbcli segment CASE` first", case) == "run `limbcli segment ./-left` first"

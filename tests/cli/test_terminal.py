@@ -111,7 +111,9 @@ def test_a_sign_of_life_names_the_work_and_how_long_it_has_taken():
     stream = io.StringIO()
     lines = module._Lines(stream, verbose=0, live=False)
     assert lines.silent_s() == 0.0, "before anything is told there is nothing to be silent about"
-    lines("note", {"text": "reading and mending the surfaces"})
+    lines("note", {"text": "reading and repairing the surfaces"})
     lines._begun -= 12.0
     lines.alive()
-    assert stream.getvalue().splitlines()[-1] == "  reading and mending the surfaces ... still at it, 12 s"
+    assert stream.getvalue().splitlines()[-1] == (
+        "  reading and repairing the surfaces ... still running, 12 s"
+    )

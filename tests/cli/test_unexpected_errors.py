@@ -57,7 +57,7 @@ def test_what_nobody_foresaw_is_a_message_with_a_file_to_send_in(tmp_path: Path,
     )  # fmt: skip
     assert done.returncode == 70
     assert "Traceback" not in done.stdout + done.stderr
-    assert "did not foresee (ZeroDivisionError: of all things)" in done.stderr
+    assert "unexpected error occurred in limbcli (ZeroDivisionError: of all things)" in done.stderr
     reported = json.loads(done.stdout)
     assert (reported["error"], reported["exit_code"]) == ("UnforeseenError", 70)
     story = Path(reported["where"])

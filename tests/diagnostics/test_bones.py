@@ -68,8 +68,8 @@ def test_the_page_says_what_came_of_a_limb_with_other_bones():
     model = model_of(y, covariance, rows)
     found = compared(SEEN, model, fit_of(np.full(5, 2.0)), model, fit_of(y))
     assert found.sentence == ""
-    assert "are not believed there" in replace(found, stand="taken").sentence
-    assert "these data do not say" in replace(found, stand="open").sentence
+    assert "are not accepted there" in replace(found, stand="taken").sentence
+    assert "these data do not show whether" in replace(found, stand="open").sentence
     assert replace(found, stand="taken").to_json()["taken"] is True
     back = OtherBones("with bone_2 put back", 4.0, moved={"bone_2": np.ones(3)})
     worse = compared(back, model, fit_of(y), model, fit_of(np.full(5, 2.0)))

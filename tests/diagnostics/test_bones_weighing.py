@@ -77,24 +77,24 @@ def test_nothing_missing_is_not_looked_for_on_another_limb():
 
 def test_either_limb_gives_all_that_fits_and_c_and_m_of_any():
     ours = found("named", TILT, m=(2.0, 3.0))
-    told = combined_diagnosis(
+    reported = combined_diagnosis(
         ours, found("ambiguous", ("fat", "preload"), TILT, m=(2.5, 4.0)), "without bone_2"
     )
-    assert told.verdict == "ambiguous"
-    assert "without bone_2" in told.reason
-    assert told.confidence_set == (TILT, ("fat", "preload"))
-    assert told.estimates.intervals["m"] == (2.0, 4.0)
-    assert told.estimates.values["m"] == 2.5
-    assert told.estimates.over == 3
-    assert told.shrink[0].estimates.intervals["m"] == (1.2, 1.8)
+    assert reported.verdict == "ambiguous"
+    assert "without bone_2" in reported.reason
+    assert reported.confidence_set == (TILT, ("fat", "preload"))
+    assert reported.estimates.intervals["m"] == (2.0, 4.0)
+    assert reported.estimates.values["m"] == 2.5
+    assert reported.estimates.over == 3
+    assert reported.shrink[0].estimates.intervals["m"] == (1.2, 1.8)
     same_pair = combined_diagnosis(found("ambiguous", PAIR), found("ambiguous", ("fat", "preload")), "x")
     assert same_pair.confidence_set == (PAIR,)
 
 
 def test_nothing_is_said_of_a_next_measurement_where_none_was_compared():
-    told = combined_diagnosis(found("named", TILT), found("named", ("preload",)), "without bone_2")
-    assert len(told.confidence_set) == 2
-    assert not any("Next measurement" in each for each in sentences(replace(told, not_evaluated={})))
+    reported = combined_diagnosis(found("named", TILT), found("named", ("preload",)), "without bone_2")
+    assert len(reported.confidence_set) == 2
+    assert not any("Next measurement" in each for each in sentences(replace(reported, not_evaluated={})))
 
 
 @pytest.mark.parametrize(
@@ -102,16 +102,16 @@ def test_nothing_is_said_of_a_next_measurement_where_none_was_compared():
 )
 def test_the_verdict_says_how_many_effects_it_names(effects, words):
     for more in ((), ((*effects, "friction"),)):
-        told = replace(found("named", effects, *more), not_evaluated={})
-        assert sentences(told)[0].startswith(f"NAMED: {words} the gap")
+        reported = replace(found("named", effects, *more), not_evaluated={})
+        assert sentences(reported)[0].startswith(f"NAMED: {words} the misfit")
 
 
 def test_what_explains_nothing_adds_nothing():
     ours = found("named", TILT)
     assert combined_diagnosis(ours, found("unexplained", PAIR), "x") is ours
-    told = combined_diagnosis(found("unexplained"), found("named", TILT), "x")
-    assert (told.verdict, told.confidence_set) == ("unexplained", ())
-    assert "see `bones`" in told.reason
+    reported = combined_diagnosis(found("unexplained"), found("named", TILT), "x")
+    assert (reported.verdict, reported.confidence_set) == ("unexplained", ())
+    assert "see `bones`" in reported.reason
 
 
 WITHOUT = OtherBones("without bone_2", 12.0, left_out=("bone_2",))
@@ -124,10 +124,10 @@ PUT_BACK = OtherBones("with bone_2 put back", 10.0, moved={"bone_2": np.ones(3)}
      (PUT_BACK, "taken", "ambiguous"), (PUT_BACK, "open", "ambiguous"), (PUT_BACK, "not taken", "named")],
 )  # fmt: skip
 def test_no_name_on_a_limb_whose_bones_were_moved(other, stand, verdict):
-    told = with_bone_warnings(found("named", TILT), [Evidence(other, 50.0, 20, True, stand)])
-    assert told.verdict == verdict
-    assert told.confidence_set == (TILT,)
-    assert ("(see `bones`)" in told.reason) == (verdict == "ambiguous")
+    reported = with_bone_warnings(found("named", TILT), [Evidence(other, 50.0, 20, True, stand)])
+    assert reported.verdict == verdict
+    assert reported.confidence_set == (TILT,)
+    assert ("(see `bones`)" in reported.reason) == (verdict == "ambiguous")
     assert (
         with_bone_warnings(found("adequate"), [Evidence(other, 50.0, 20, True, stand)]).verdict == "adequate"
     )

@@ -73,9 +73,9 @@ def test_look_alikes_of_a_pair_are_tried_though_their_rank_was_low(rng, monkeypa
 
 def test_no_effects_are_fitted_together_twice(rng):
     """Whatever the order that they come in."""
-    case, asked = toy.make(rng, {"offset": 9.0, "wave": 8.0}), []
+    case, requested = toy.make(rng, {"offset": 9.0, "wave": 8.0}), []
     fit = case.fit
-    case.fit = lambda explanation, start: asked.append(frozenset(explanation)) or fit(explanation, start)
+    case.fit = lambda explanation, start: requested.append(frozenset(explanation)) or fit(explanation, start)
     found = diagnose(case, seed=7, n_draws=1500, propose=False)
     assert ("offset", "wave") in found.confidence_set
-    assert max(Counter(each for each in asked if len(each) > 1).values()) == 1
+    assert max(Counter(each for each in requested if len(each) > 1).values()) == 1

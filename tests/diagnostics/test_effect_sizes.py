@@ -139,9 +139,9 @@ def test_of_a_refit_the_interval_is_that_of_least_squares_there(rng):
     low, high = found.intervals["tilt_about_short_axis_deg"]
     assert (low, high) == pytest.approx((6.0 - 1.96 * deviation, 6.0 + 1.96 * deviation))
     assert found.intervals["tilt_about_long_axis_deg"] == (-np.inf, np.inf)
-    told = reported_sizes(SLOTS, {}, 8.0, {"tilt": found})["tilt"]
-    assert told["about_short_axis_deg"] == pytest.approx((low, high))
-    assert told["about_long_axis_deg"] == (None, None)
+    reported = reported_sizes(SLOTS, {}, 8.0, {"tilt": found})["tilt"]
+    assert reported["about_short_axis_deg"] == pytest.approx((low, high))
+    assert reported["about_long_axis_deg"] == (None, None)
 
 
 def test_an_error_of_the_form_widens_what_a_refit_tells_by_its_own_size(rng):
@@ -171,9 +171,9 @@ def test_what_is_told_holds_the_first_order_and_the_refit_with_its_own_c():
         "contraction": {"active_stress_per_c": (0.1, 0.3)},
     }
     again = {"contraction": RefittedSizes({"c_kpa": 10.0}, {"active_stress_per_c": (0.2, 0.4)})}
-    told = reported_sizes(SLOTS, first, 8.0, again)
-    assert told["contraction"]["t0_kpa"] == pytest.approx((1.0, 4.0))
-    assert told["inclusion"]["stiffness_ratio"] == pytest.approx((np.exp(0.8), np.exp(0.9)))
+    reported = reported_sizes(SLOTS, first, 8.0, again)
+    assert reported["contraction"]["t0_kpa"] == pytest.approx((1.0, 4.0))
+    assert reported["inclusion"]["stiffness_ratio"] == pytest.approx((np.exp(0.8), np.exp(0.9)))
 
 
 @pytest.mark.parametrize("times", [1.0, 3.0])

@@ -53,8 +53,8 @@ def test_a_clear_effect_is_named_and_sized(rng, name, size):
     low, high = found.refitted_sizes[name].intervals[name]
     assert low < found.final.values[name] < high
     before, after = (stage.held_out["all"] for stage in found.shrink)
-    told = f"held-out error {before:.2f} to {after:.2f} deviations"
-    assert any(told in each for each in sentences(found)), "a sentence says what the table of the page says"
+    text = f"held-out error {before:.2f} to {after:.2f} deviations"
+    assert any(text in each for each in sentences(found)), "a sentence says what the table of the page says"
 
 
 def test_twins_are_never_told_apart(rng):
@@ -77,11 +77,11 @@ def test_what_needs_no_simulation_is_judged_whatever_else_was_simulated(rng, mon
 def test_c_and_m_of_several_that_fit_are_those_of_any(rng, monkeypatch):
     ends = {("toe",): (2.0, 3.0), ("twin-of-toe",): (2.5, 4.0)}
 
-    def told(self, fitted, *, scale=1.0, besides=None):
+    def reported(self, fitted, *, scale=1.0, besides=None):
         low, high = ends.get(fitted.explanation, (1.0, 9.0))
         return Reported({"m": 2.7}, {"m": 2.7}, {"m": (low, high), "toe": (0.0, 1.0)})
 
-    monkeypatch.setattr(toy.Toy, "reported", told)
+    monkeypatch.setattr(toy.Toy, "reported", reported)
     found = run(toy.make(rng, {"toe": 12.0}))
     assert set(found.confidence_set) == set(ends)
     first, last = (stage.estimates for stage in found.shrink)
@@ -259,7 +259,7 @@ def test_no_name_where_something_is_left(rng, monkeypatch):
     found = run(case)
     assert found.verdict == "ambiguous"
     assert found.confidence_set == (("wave",),)
-    assert "leaves something" in found.reason
+    assert "a residual remains" in found.reason
     assert sentences(found)[0].startswith("AMBIGUOUS: one explanation fits, but")
     assert not any(line.startswith("Next measurement") for line in sentences(found))
 
@@ -351,26 +351,27 @@ def test_what_barely_is_not_adequate_is_told_beside_a_member_only(adequate):
 
 
 @pytest.mark.parametrize(
-    ("several", "doubt", "word", "reason"),
-    [([("a",), ("a", "b")], None, "named", "all that fits has a; "),
-     ([("a",), ("a", "b")], ("ambiguous", "why"), "ambiguous", "all that fits has a, but why"),
+    ("several", "objection", "word", "reason"),
+    [([("a",), ("a", "b")], None, "named", "every explanation that fits includes a; "),
+     ([("a",), ("a", "b")], ("ambiguous", "why"), "ambiguous", "every explanation that fits includes a, but "
+         "why"),
      ([("a",), ("b",)], None, "ambiguous", "2 explanations fit"),
      ([("a",), ("b",)], ("ambiguous", "why"), "ambiguous", "2 explanations fit"),
      ([("a",), ("b", "c")], None, "ambiguous", "2 explanations fit"),
-     ([("a",)], None, "named", "one explanation fits, no other "),
+     ([("a",)], None, "named", "one explanation fits, and no other "),
      ([("a", "b"), ("a", "c")], None, "ambiguous", "2 explanations fit"),
      ([("a",)], ("unexplained", "why"), "unexplained", "one explanation fits, but why")],
 )  # fmt: skip
-def test_what_every_explanation_has_is_named_and_the_others_are_kept(several, doubt, word, reason):
+def test_what_every_explanation_has_is_named_and_the_others_are_kept(several, objection, word, reason):
     run = _Run(SimpleNamespace(), 3, False)
-    run._why_not_named = lambda best, kept, promising: doubt
-    run._finish = lambda said, why, best, kept=(): (said, why, [each.explanation for each in kept])
+    run._why_not_named = lambda best, kept, promising: objection
+    run._finish = lambda verdict, why, best, kept=(): (verdict, why, [each.explanation for each in kept])
     kept = [
         SimpleNamespace(explanation=each, is_adequate=True, state=SimpleNamespace(chi2=10.0 - len(each)))
         for each in several
     ]
-    said, why, told = run._conclude(kept, [])
-    assert (said, told) == (word, several)
+    verdict, why, explanations = run._conclude(kept, [])
+    assert (verdict, explanations) == (word, several)
     assert why.startswith(reason)
 
 
@@ -402,9 +403,9 @@ def test_what_a_name_leaves_one_effect_more_has_to_explain(monkeypatch, alone, w
     kept = [SimpleNamespace(explanation=("a",), left_p=alone, fitted=fitted)]
     if with_one_more is not None:
         kept.append(SimpleNamespace(explanation=("a", "b"), left_p=with_one_more, fitted=fitted))
-    doubt = run._why_not_named(kept[0], kept, [])
-    assert (doubt is None) == named
-    assert named or doubt[0] == "ambiguous"
+    objection = run._why_not_named(kept[0], kept, [])
+    assert (objection is None) == named
+    assert named or objection[0] == "ambiguous"
 
 
 @pytest.mark.parametrize(
@@ -423,9 +424,9 @@ def test_no_name_for_what_one_site_in_twenty_with_nothing_missing_shows(
         explanation=("a", "b")[:several], left_p=0.5, state=SimpleNamespace(nu=99, chi2=after),
         fitted=SimpleNamespace(notes=(), at_bound=(), effect_names=("size",)),
     )  # fmt: skip
-    doubt = run._why_not_named(best, [best], [])
-    assert (doubt is None) == named
-    assert named or doubt == ("ambiguous", "its own evidence is weak for a name (p 0.043)")
+    objection = run._why_not_named(best, [best], [])
+    assert (objection is None) == named
+    assert named or objection == ("ambiguous", "its own evidence is too weak to name it (p 0.043)")
 
 
 @pytest.mark.parametrize(
@@ -500,8 +501,8 @@ def test_what_a_refit_bears_out_is_the_same_whatever_level_was_assumed_of_noise_
     assert found[0] < 0.05
 
 
-@pytest.mark.parametrize(("told", "named"), [(20.0, False), (19.0, False), (12.0, True)])
-def test_no_name_where_the_tissue_would_stand_on_a_bound_with_it(rng, monkeypatch, told, named):
+@pytest.mark.parametrize(("given", "named"), [(20.0, False), (19.0, False), (12.0, True)])
+def test_no_name_where_the_tissue_would_stand_on_a_bound_with_it(rng, monkeypatch, given, named):
     """Unless the fit is so flat that its prior has m inside: then that is the value that is told."""
     fit = toy.Toy.fit
 
@@ -510,7 +511,7 @@ def test_no_name_where_the_tissue_would_stand_on_a_bound_with_it(rng, monkeypatc
         return replace(found, notes=("m ended on its bound 20",)) if explanation else found
 
     def reported(self, fitted, *, scale=1.0, besides=None):
-        return Reported({**fitted.values, "m": told}, {**fitted.values, "m": 20.0})
+        return Reported({**fitted.values, "m": given}, {**fitted.values, "m": 20.0})
 
     monkeypatch.setattr(toy.Toy, "fit", held)
     monkeypatch.setattr(toy.Toy, "reported", reported)
@@ -531,12 +532,12 @@ class Told(toy.Toy):
 def test_intervals_know_that_few_data_tell_the_level_of_the_noise(rng, times):
     """By F(1, nu): with 1.96 deviations, 5 data more than parameters would hold the truth in 89 %."""
     made = toy.make(rng, sd=times)
-    told = Told(made.y)
-    found = diagnose(told, n_draws=300, propose=False)
+    reported = Told(made.y)
+    found = diagnose(reported, n_draws=300, propose=False)
     assert found.relative is (times > 1.0)
     base = found.shrink[0]
     expected = base.chi2_per_nu * stats.f.ppf(0.95, 1, base.nu) / 3.84 if times > 1.0 else 1.0
-    assert told.scales[0] == pytest.approx(expected, rel=1e-3)
+    assert reported.scales[0] == pytest.approx(expected, rel=1e-3)
 
 
 def test_draws_go_on_until_an_adjusted_p_is_clear_of_all_by_which_something_is_decided(rng, monkeypatch):

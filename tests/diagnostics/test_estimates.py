@@ -63,11 +63,11 @@ def test_noise_of_unknown_level_widens_the_interval():
 
 def test_an_interval_that_ends_where_the_search_ends_is_open():
     """Fibres and c can trade places for ever: the interval of c then had 59 digits."""
-    told = Reported({}, {}, {"c_kpa": (1e-40, 1e59), "m": (1.0, 4.0)}, ("m below",))
-    found = told.within({"c_kpa": (0.4, 160.0)})
+    reported = Reported({}, {}, {"c_kpa": (1e-40, 1e59), "m": (1.0, 4.0)}, ("m below",))
+    found = reported.within({"c_kpa": (0.4, 160.0)})
     assert found.intervals == {"c_kpa": (0.4, 160.0), "m": (1.0, 4.0)}
     assert found.open == ("m below", "c below", "c above")
-    assert told.within({"c_kpa": (0.0, 1e60)}).open == ("m below",)
+    assert reported.within({"c_kpa": (0.0, 1e60)}).open == ("m below",)
 
 
 @pytest.mark.parametrize("short", [0.0, 1e-6, 5e-4])
@@ -80,9 +80,9 @@ def test_an_interval_is_open_where_a_fit_ended_just_short_of_its_bound(short, bo
 
 
 def test_a_wider_interval_has_its_ends_as_much_farther_from_the_value():
-    told = Reported({"c_kpa": 8.0, "m": 4.0, "tilt_deg": 5.0}, {},
+    reported = Reported({"c_kpa": 8.0, "m": 4.0, "tilt_deg": 5.0}, {},
                     {"c_kpa": (4.0, 16.0), "m": (4.0, 19.0), "tilt_deg": (3.0, 7.0)})  # fmt: skip
-    found = told.widened(2.0)
+    found = reported.widened(2.0)
     assert found.intervals["c_kpa"] == pytest.approx((2.0, 32.0))
     assert found.intervals["m"] == pytest.approx((4.0, 90.25))
     assert found.intervals["tilt_deg"] == (3.0, 7.0)

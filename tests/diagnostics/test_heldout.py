@@ -24,14 +24,14 @@ def data(rng) -> Data:
     return Data(y, ("map",) * 2 * N, np.arange(2.0 * N), noise, blocks={"first": first, "second": ~first})
 
 
-def fitted(told: Data, jacobian: np.ndarray) -> Fitted:
+def fitted(given: Data, jacobian: np.ndarray) -> Fitted:
     """Least squares: what a full fit leaves."""
-    return Fitted((), jacobian @ np.linalg.lstsq(jacobian, told.y, rcond=None)[0], jacobian, ("c",), {})
+    return Fitted((), jacobian @ np.linalg.lstsq(jacobian, given.y, rcond=None)[0], jacobian, ("c",), {})
 
 
 def test_what_the_rest_tells_well_is_predicted_to_its_own_noise(rng):
-    told = data(rng)
-    found = held_out_error(told, fitted(told, np.ones((2 * N, 1))))
+    reported = data(rng)
+    found = held_out_error(reported, fitted(reported, np.ones((2 * N, 1))))
     assert set(found) == {"first", "second", "all"}
     assert found["all"] == pytest.approx(1.0, abs=0.25)
 
@@ -42,10 +42,10 @@ def test_the_error_is_a_root_mean_square_over_data():
     block = np.repeat(np.arange(3), sizes)
     noise, n = Noise((NoisePart("own", np.eye(50), "repeats"),)), np.arange(50.0)
     blocks = {name: block == k for k, name in enumerate("abc")}
-    told = Data(6.0 * (block == 2), ("map",) * 50, n, noise, blocks=blocks)
-    found = held_out_error(told, fitted(told, np.ones((50, 1))))
+    reported = Data(6.0 * (block == 2), ("map",) * 50, n, noise, blocks=blocks)
+    found = held_out_error(reported, fitted(reported, np.ones((50, 1))))
     assert found == pytest.approx({"a": 2.0, "b": 2.0, "c": 6.0, "all": np.sqrt(sizes @ [4, 4, 36] / 50)})
-    wider = replace(told, noise=Noise((NoisePart("own", 4.0 * np.eye(50), "repeats"),)))
+    wider = replace(reported, noise=Noise((NoisePart("own", 4.0 * np.eye(50), "repeats"),)))
     assert held_out_error(wider, fitted(wider, np.ones((50, 1))))["all"] == pytest.approx(found["all"] / 2)
 
 
@@ -54,29 +54,29 @@ def test_a_block_that_tells_a_parameter_itself_says_nothing_of_the_model(rng, gr
     """A parameter that moves the first block `grows` times as far as the second: known from the second alone
     to 1 / sqrt(30), the first is predicted to `grows` / sqrt(30) of its own deviation."""
     column = np.where(np.arange(2 * N) < N, grows, 1.0)[:, None]
-    told = data(rng)
-    found = held_out_error(told, fitted(told, column))
+    reported = data(rng)
+    found = held_out_error(reported, fitted(reported, column))
     assert ("first" in found) == tested
     assert "second" in found
 
 
 def test_a_part_is_not_told_to_be_predicted_by_a_rest_that_does_not_tell_a_parameter(rng):
     """The second half does not depend on the first parameter: what it predicts of the first is anything."""
-    told = data(rng)
-    told = replace(told, groups=told.blocks)
-    alone, shared = np.where(told.groups["first"], np.arange(2.0 * N), 1e-12), np.ones(2 * N)
-    model = fitted(told, np.stack([alone, shared], axis=1))
-    account = Account(BaselineFit(SimpleNamespace(data=told), model, seed=7, n_draws=10))
+    reported = data(rng)
+    reported = replace(reported, groups=reported.blocks)
+    alone, shared = np.where(reported.groups["first"], np.arange(2.0 * N), 1e-12), np.ones(2 * N)
+    model = fitted(reported, np.stack([alone, shared], axis=1))
+    account = Account(BaselineFit(SimpleNamespace(data=reported), model, seed=7, n_draws=10))
     assert set(account.held_out_z()) == {"second"}
 
 
 def test_an_error_that_the_rest_shows_is_not_held_against_the_model(rng):
     """Both blocks have a gain in common, ten deviations large: off by that, they are predicted from one
     another to their own noise."""
-    told = data(rng)
+    reported = data(rng)
     both = np.ones(2 * N)
-    noise = Noise((*told.noise.parts, NoisePart("gain", 100.0 * np.outer(both, both), "assumed")))
-    shifted = replace(told, y=told.y + 10.0, noise=noise)
+    noise = Noise((*reported.noise.parts, NoisePart("gain", 100.0 * np.outer(both, both), "assumed")))
+    shifted = replace(reported, y=reported.y + 10.0, noise=noise)
     column = np.linspace(-1.0, 1.0, 2 * N)[:, None]
     model = Fitted((), np.zeros(2 * N), column, ("m",), {})
     found = held_out_error(shifted, model)

@@ -82,8 +82,8 @@ def test_what_changes_each_time_has_a_size_for_each_measurement(rng):
     ]  # fmt: skip
     found = {"force-zero": {"force_zero_n@a": (0.8, 1.2), "force_zero_n@b": (-0.2, 0.2)}}
     for each, ends in zip(both.sites, ((0.8, 1.2), (-0.2, 0.2)), strict=True):
-        told = reported_sizes(sizes_of(both, each.site), found, 6.0)
-        assert told["force-zero"] == {"f0_n": pytest.approx(ends)}
+        reported = reported_sizes(sizes_of(both, each.site), found, 6.0)
+        assert reported["force-zero"] == {"f0_n": pytest.approx(ends)}
     values = {"force_zero_n@a": 1.0, "force_zero_n@b": 2.0}
     assert both.theta(values, ("force-zero",), 1) == {"force_zero_n": 2.0}
 

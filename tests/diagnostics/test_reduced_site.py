@@ -381,10 +381,10 @@ def test_intervals_of_the_tissue_are_wider_where_maps_tell_it(rng):
     )
     tiny = ModelError(IN_MAPS, np.zeros(n), np.full((n, 1 + n_parts), 1e-6), correlation=0.0)
     plain, mapped = (bench(measured, errors=errors) for errors in ([], [tiny]))
-    told = plain.reported(plain.fit((), {}))
+    reported = plain.reported(plain.fit((), {}))
     wider = mapped.reported(mapped.fit((), {}))
     for name in ("c_kpa", "m"):
-        ends = np.log(np.array(told.intervals[name]) / told.values[name])
+        ends = np.log(np.array(reported.intervals[name]) / reported.values[name])
         assert np.log(np.array(wider.intervals[name]) / wider.values[name]) == pytest.approx(
             thresholds.MAP_DOUBT * ends, rel=1e-2
         )

@@ -152,8 +152,8 @@ def test_the_case_of_the_page_is_valid_but_for_its_files(tmp_path: Path):
 def test_every_key_and_column_of_a_case_is_explained_by_hand_too():
     """The generated list has a key's type and default; what it means stands in the page's own text."""
     page = (DOCS / "case-format.md").read_text(encoding="utf-8")
-    told = page + (DOCS / "states.md").read_text(encoding="utf-8") + (DOCS / "fibres.md").read_text("utf-8")
-    assert [name for name in case_keys() if not re.search(rf"\b{name}\b", told)] == []
+    pages = page + (DOCS / "states.md").read_text(encoding="utf-8") + (DOCS / "fibres.md").read_text("utf-8")
+    assert [name for name in case_keys() if not re.search(rf"\b{name}\b", pages)] == []
     columns = {*indentation.REQUIRED, *indentation.OPTIONAL, *indentation.TEXTS}
     template = (REPOSITORY / "templates/case/levels.csv.j2").read_text(encoding="utf-8")
     for text in (page, template):

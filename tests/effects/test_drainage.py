@@ -73,7 +73,7 @@ def test_a_force_that_does_not_fall_as_drainage_does_is_refused():
     """A contact that slipped, say: the force grows in the hold."""
     made = hold(2.0, np.zeros(len(SPREADS)))
     grown = replace(made, force=made.force * np.where(made.spread > 10.0, 1.2, 1.0))
-    with pytest.raises(SolveError, match="does not fall as that of draining tissue"):
+    with pytest.raises(SolveError, match="does not decay like that of draining tissue"):
         Drainage.through([grown])
 
 

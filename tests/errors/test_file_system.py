@@ -24,8 +24,8 @@ from tests.stages.chain_case import write_case
     [
         (errno.ENOSPC, ToolError, "the disk is full"),
         (errno.EDQUOT, ToolError, "the disk is full"),
-        (errno.EROFS, CaseError, "may not be read or written"),
-        (errno.EACCES, CaseError, "may not be read or written"),
+        (errno.EROFS, CaseError, "permission denied"),
+        (errno.EACCES, CaseError, "permission denied"),
         (errno.EIO, ToolError, "could not read or write"),
     ],
 )
@@ -56,7 +56,10 @@ def test_the_place_told_is_the_results_not_that_of_its_half(tmp_path: Path):
 def test_a_file_in_the_way_of_the_output_folder_is_told(tmp_path: Path):
     (tmp_path / "out").write_text("mine")
     for target in (tmp_path / "out" / "mesh", tmp_path / "out" / "mesh" / "p1"):
-        with pytest.raises(CaseError, match="a file where a folder is needed"), atomic_folder(target):
+        with (
+            pytest.raises(CaseError, match="a file was found where a folder is needed"),
+            atomic_folder(target),
+        ):
             pass
     assert (tmp_path / "out").read_text() == "mine"
 

@@ -72,5 +72,5 @@ def test_a_log_without_a_mark_is_judged_by_the_input_it_repeats(folder: Path) ->
 
 
 def test_a_log_that_does_not_tell_is_refused(folder: Path) -> None:
-    with pytest.raises(SolveError, match="does not tell which model"):
+    with pytest.raises(SolveError, match="does not state which model"):
         check(folder, "version 4.11.0\n")

@@ -118,8 +118,8 @@ def test_a_failure_tells_the_time_and_the_depth_there(monkeypatch: pytest.Monkey
     monkeypatch.setattr(relaxation, "_RELAXED", 0)
     with pytest.raises(SolveError) as caught:
         Analysis(model, QUICK).run()
-    told = re.search(r"\(time (\S+), depth (\S+) mm\)", str(caught.value))
-    assert told, str(caught.value)
-    time, depth = (float(each) for each in told.groups())
+    reported = re.search(r"\(time (\S+), depth (\S+) mm\)", str(caught.value))
+    assert reported, str(caught.value)
+    time, depth = (float(each) for each in reported.groups())
     assert time < 0.5
     assert depth == pytest.approx(0.05 + 0.95 * time, abs=0.006)

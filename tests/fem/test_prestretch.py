@@ -132,7 +132,7 @@ def test_weights_say_how_the_numbers_of_a_prestrain_move() -> None:
     values = parameter_values(model, [key], {key: along.ravel()})
     assert values[key] == pytest.approx(np.sum(F0 * along) / np.sum(along**2))
     assert values["tissue", "m1"] == M  # the law's own, though it is wrapped
-    with pytest.raises(SolveError, match=r"how the nine numbers of F0.along move is not told"):
+    with pytest.raises(SolveError, match=r"how the nine numbers of F0.along vary is not given"):
         law_parameter(key, None, model)
 
 

@@ -55,17 +55,17 @@ def test_it_comes_to_rest_where_newtons_method_ends(f_kappa: float) -> None:
 def test_a_march_goes_on_where_newtons_method_gives_up(monkeypatch: pytest.MonkeyPatch) -> None:
     model = punch("tet10", depth=0.6, levels=2, material=ogden_type(c=0.008, f_kappa=50.0, m=4.0))
     expected = Analysis(model, Settings(tolerance=1e-8, threads=1)).run()[-1].forces.bodies[0, 2]
-    solve, asked = Newton.equilibrate, [0]
+    solve, requested = Newton.equilibrate, [0]
 
     def fails_at_the_end(self, guess, level, **options):  # type: ignore[no-untyped-def]
         if level.number == 2:
-            asked[0] += 1
+            requested[0] += 1
             raise NotConverged("no", where="here", fix="none")
         return solve(self, guess, level, **options)
 
     monkeypatch.setattr(Newton, "equilibrate", fails_at_the_end)
     last = Analysis(model, Settings(tolerance=1e-8, threads=1)).run()[-1]
-    assert asked[0] >= 1
+    assert requested[0] >= 1
     assert last.forces.bodies[0, 2] == pytest.approx(expected, rel=1e-6)
 
 
@@ -118,7 +118,7 @@ def test_a_failure_says_what_gave_way_and_how_far_there_is_an_answer(monkeypatch
     monkeypatch.setattr(newton, "_NEARLY_FLAT", 2.0)  # any element
     with pytest.raises(SolveError) as caught:
         Analysis(model, Settings(threads=1)).run()
-    assert "is about to turn inside out: volume ratio" in caught.value.where
+    assert "is about to invert: volume ratio" in caught.value.where
     assert load_stepping._LOOSE < 0.1
 
 

@@ -204,6 +204,6 @@ def test_a_step_told_from_the_end_of_the_one_before_is_differenced(what: str) ->
     assert total == pytest.approx((up - found.must_points.forces) / 0.001, rel=5e-3, abs=1e-6)
     analysis = Analysis(model, TIGHT)
     end = analysis.run()[-1]
-    with pytest.raises(SolveError, match="told from the end of the one before"):
+    with pytest.raises(SolveError, match="relative to the end of the previous one"):
         sensitivities(analysis.newton, end.state, end.forces, [LawParameter("tissue", "c1")])
     analysis.close()

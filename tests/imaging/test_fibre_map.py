@@ -97,7 +97,7 @@ def test_beyond_the_muscle_the_nearest_direction_is_taken_a_little_way(tmp_path:
 
 
 @pytest.mark.parametrize(
-    ("shape", "says"),
+    ("shape", "message"),
     [
         ((*SHAPE, 4), "4 components, not 3"),
         ((*SHAPE, 6), r"6 components, not 3 \(the tensor itself"),
@@ -105,8 +105,8 @@ def test_beyond_the_muscle_the_nearest_direction_is_taken_a_little_way(tmp_path:
         ((*SHAPE, 2, 3), "6 components"),
     ],
 )
-def test_another_number_of_components_is_refused(tmp_path: Path, shape, says):
-    with pytest.raises(CaseError, match=says) as caught:
+def test_another_number_of_components_is_refused(tmp_path: Path, shape, message):
+    with pytest.raises(CaseError, match=message) as caught:
         read_fibre_map(write(tmp_path / "v1.nii", np.ones(shape)))
     assert "V1" in caught.value.fix
 
@@ -117,10 +117,11 @@ def test_a_fifth_dimension_of_three_is_read(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("code", "says"), [(0, "does not say how it lies"), (3, "Talairach"), (4, "another frame: MNI space")]
+    ("code", "message"),
+    [(0, "does not define its orientation"), (3, "Talairach"), (4, "another frame: MNI space")],
 )
-def test_a_map_of_another_frame_is_refused(tmp_path: Path, code, says):
-    with pytest.raises(CaseError, match=says):
+def test_a_map_of_another_frame_is_refused(tmp_path: Path, code, message):
+    with pytest.raises(CaseError, match=message):
         read_fibre_map(write(tmp_path / "v1.nii", np.ones((*SHAPE, 3)), code=code))
 
 

@@ -120,7 +120,7 @@ def test_a_nrrd_label_map_that_does_not_say_how_it_lies_or_in_what_unit_is_refus
     path = nrrd(tmp_path / "a.nrrd", truth)
     content = path.read_bytes()
     path.write_bytes(content.replace(b"space: left-posterior-superior", b"space dimension: 3"))
-    with pytest.raises(CaseError, match="the label map does not say how it lies"):
+    with pytest.raises(CaseError, match="the label map does not define its orientation"):
         read_label_file(path)
     in_cm = nrrd(tmp_path / "b.nrrd", truth, extra='space units: "cm" "cm" "cm"\n')
     with pytest.raises(CaseError, match="the label map's unit of length is cm"):
@@ -249,5 +249,5 @@ def test_whole_words_of_a_name_tell_what_a_segment_is(tmp_path, name):
 
 @pytest.mark.parametrize("name", ["tibialish", "non-bone", "bone and fat", "skin and bone", "muscle fat"])
 def test_a_name_of_several_kinds_or_none_is_refused(tmp_path, name):
-    with pytest.raises(CaseError, match="not understood, or tell of several"):
+    with pytest.raises(CaseError, match="not recognised, or refer to several"):
         by_name([(name, np.ones((1, 1, 1), bool))], tmp_path)

@@ -36,7 +36,7 @@ def test_the_file_places_voxels_in_ras_as_3d_slicer_expects(truth, tmp_path):
 def test_a_label_map_that_does_not_say_how_it_lies_is_refused(truth, tmp_path):
     """Its readers would take either side for the left."""
     nib.save(nib.Nifti1Image(truth.values, None), tmp_path / "labels.nii.gz")
-    with pytest.raises(CaseError, match="does not say how it lies"):
+    with pytest.raises(CaseError, match="does not define its orientation"):
         read_labels(tmp_path / "labels.nii.gz")
 
 

@@ -68,7 +68,7 @@ def test_bright_air_is_turned_over_and_said(plain):
     image, truth = plain
     turned = image.with_values(1200.0 - image.values)
     found = segment_limb(turned)
-    assert any("turned over" in note for note in found.notes)
+    assert any("inverted" in note for note in found.notes)
     assert dice(found.labels.values == 2, truth == 2) > 0.95
 
 

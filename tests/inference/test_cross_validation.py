@@ -61,10 +61,10 @@ def test_a_left_out_person_does_not_enter_their_own_prediction(rng):
 
 def test_the_slab_is_asked_for_training_rows_only_once_a_fold(rng):
     people, sites, features, compliance = cohort(rng, n=12)
-    asked = []
-    predict_left_out(people, sites, features, compliance, lambda train: asked.append(train) or no_slab(train))
-    assert len(asked) == FOLDS
-    assert np.sum([~each for each in asked], axis=0).tolist() == [1] * len(people)
+    calls = []
+    predict_left_out(people, sites, features, compliance, lambda train: calls.append(train) or no_slab(train))
+    assert len(calls) == FOLDS
+    assert np.sum([~each for each in calls], axis=0).tolist() == [1] * len(people)
 
 
 def test_springs_in_series_are_found_exactly(rng):

@@ -111,5 +111,5 @@ def test_a_damaged_file_is_told(tmp_path):
     with pytest.raises(ToolError, match="cannot be read"):
         layered_family(path)
     path.write_text("mesh,member\n")
-    with pytest.raises(ToolError, match="too few solves"):
+    with pytest.raises(ToolError, match="has too few simulations"):
         layered_family(path)

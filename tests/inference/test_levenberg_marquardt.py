@@ -102,22 +102,22 @@ def test_no_answer_at_the_start_is_an_error():
 
 def test_a_fit_that_does_not_settle_says_so():
     data, _ = decay((7.0, 1.3))
-    with pytest.raises(FitError, match="did not settle in 2 iterations") as caught:
+    with pytest.raises(FitError, match="did not converge in 2 iterations") as caught:
         levenberg_marquardt(objective_for(data), parameters(start=(0.02, 9.0)), max_iterations=2)
     assert "force-depth.png" in str(caught.value), "fit.png is of a fit that ended"
 
 
 def test_a_derivative_is_asked_for_only_at_accepted_points(rng):
     data = decay((7.0, 1.3))[0] + 0.3 * rng.standard_normal(len(TIMES))
-    asked = []
+    points = []
 
     def lazy(theta, derivative=True):
-        asked.append(derivative)
+        points.append(derivative)
         values, jacobian = decay(theta)
         return Residual(data - values, -jacobian if derivative else None)
 
     fit = levenberg_marquardt(lazy, parameters(start=(0.02, 9.0)), max_iterations=200)
-    assert sum(asked) == len(fit.history)
+    assert sum(points) == len(fit.history)
 
 
 def test_a_start_value_outside_its_bounds_is_an_error():

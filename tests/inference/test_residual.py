@@ -30,8 +30,8 @@ def test_jacobian_is_the_derivative_of_the_values(deviation, rng):
 
 def test_a_prior_counts_deviations_of_the_logarithm_from_its_mean():
     objective = with_prior(force_residual(predict, np.zeros(3)), 1, mean=2.0, log_deviation=0.3)
-    told = [objective(np.array([1.0, theta]), False).values[-1] for theta in (2.0, 2.0 * np.exp(0.6))]
-    assert told == pytest.approx([0.0, 2.0])
+    reported = [objective(np.array([1.0, theta]), False).values[-1] for theta in (2.0, 2.0 * np.exp(0.6))]
+    assert reported == pytest.approx([0.0, 2.0])
 
 
 def test_measured_forces_that_are_too_large_give_positive_residuals():

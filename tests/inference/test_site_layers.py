@@ -62,7 +62,7 @@ def test_layers_are_the_same_beside_speeds_that_were_left_out(simulated):
     seen = [each.predict(0, STARTS[0]) for each in problems]
     np.testing.assert_array_equal(seen[1].layers, seen[0].layers)
     np.testing.assert_array_equal(seen[1].layers_slope, seen[0].layers_slope)
-    assert problems[1].doubt(STARTS[0]) <= problems[0].doubt(STARTS[0])
+    assert problems[1].uncertainty(STARTS[0]) <= problems[0].uncertainty(STARTS[0])
 
 
 @pytest.mark.parametrize("speeds", [True, False])

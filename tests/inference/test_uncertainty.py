@@ -94,7 +94,7 @@ def test_without_an_interval_the_standard_error_decides_and_without_noise_nothin
     assert verdict(F_KAPPA, 100.0, None, influence=True, log_deviation=1e9).flag == "weak"
     unknown = verdict(F_KAPPA, 100.0, None, influence=True, why_no_profile="the case states no noise")
     assert unknown.flag == "weak"
-    assert unknown.words == "f_kappa = 100; how sure that is cannot be determined: the case states no noise."
+    assert unknown.words == "f_kappa = 100; its uncertainty cannot be determined: the case states no noise."
     bound = verdict(F_KAPPA, 1000.0, None, influence=True, why_no_profile="the case states no noise")
     assert bound.words.endswith("the case states no noise.")
 
@@ -102,22 +102,22 @@ def test_without_an_interval_the_standard_error_decides_and_without_noise_nothin
 @pytest.mark.parametrize(("value", "which"), [(0.01, "lower"), (1000.0, "upper")])
 def test_a_headline_without_an_interval_names_the_bound(value, which):
     found = verdict(F_KAPPA, value, None, influence=True)
-    said = headline(value, None, None, found.flag, why=found.words, computed=False)
-    assert said == f"at the {which} bound of the search"
+    message = headline(value, None, None, found.flag, why=found.words, computed=False)
+    assert message == f"at the {which} bound of the search"
 
 
 def test_the_words_of_a_parameter_with_a_unit_are_in_that_unit():
     c = FitParameter("c", 8.0, 0.8, 80.0, "log")
-    for low, high, is_open, said in (
+    for low, high, is_open, words in (
         (7.0, 9.0, (False, False), "c is identified: 7 to 9 kPa (95 %)."),
         (4.0, 13.3, (False, False), "values below 4 kPa and above 13.3 kPa (95 %)."),
         (5.0, 80.0, (False, True), "the data exclude only values below 5 kPa (95 %)."),
         (0.8, 80.0, (True, True), "the data exclude no value between 0.8 and 80 kPa."),
     ):
-        assert verdict(c, 8.0, profile(low, high, *is_open), influence=True, unit="kPa").words.endswith(said)
+        assert verdict(c, 8.0, profile(low, high, *is_open), influence=True, unit="kPa").words.endswith(words)
     at_bound = verdict(c, 0.8, profile(0.8, 2.0, True, False), influence=True, unit="kPa")
-    told = "c ended on its lower bound 0.8 kPa; the data exclude only values above 2 kPa (95 %)."
-    assert at_bound.words == told
+    reported = "c ended on its lower bound 0.8 kPa; the data exclude only values above 2 kPa (95 %)."
+    assert at_bound.words == reported
 
 
 @dataclass

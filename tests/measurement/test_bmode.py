@@ -138,7 +138,7 @@ def test_file_that_is_no_image_is_refused(tmp_path):
     (tmp_path / "a.png").write_text("no image")
     with pytest.raises(MeasurementError, match="cannot be read"):
         read_image(tmp_path / "a.png", mm_per_pixel=0.1)
-    with pytest.raises(MeasurementError, match="not there"):
+    with pytest.raises(MeasurementError, match="was not found"):
         read_image(tmp_path / "b.png", mm_per_pixel=0.1)
 
 

@@ -119,20 +119,23 @@ def test_every_missing_column_is_named_once_also_below_a_comment(tmp_path):
     assert table is None
     whats = [each.what for each in problems]
     assert len(set(whats)) == len(whats) == 9
-    assert not any("carries the unit" in each.fix for each in problems)
+    assert not any("includes the unit" in each.fix for each in problems)
 
 
 def test_a_missing_face(tmp_path):
     rows = [{key: value for key, value in each.items() if key != "face_mm2"} for each in good()]
-    assert "the probe's face is not known" in reported(tmp_path, rows)
+    assert "the probe's face area is not known" in reported(tmp_path, rows)
 
 
 def test_a_row_without_a_face_is_left_out_and_counted_as_others_without_a_reading(tmp_path):
     table, problems = checked_cohort(written(tmp_path / "t.csv", changed(good(), face_mm2="")))
     assert table is not None
     assert len(table) == 11
-    (told,) = problems
-    assert (told.severity, told.what) == ("warning", "1 of 12 rows lack a reading and are left out (lines 5)")
+    (warning,) = problems
+    assert (warning.severity, warning.what) == (
+        "warning",
+        "1 of 12 rows are missing a reading and are excluded (lines 5)",
+    )
     rows = [{**each, "face_mm2": ""} for each in good()]
     assert "no row is complete" in reported(tmp_path, rows)
 
@@ -142,7 +145,7 @@ def test_lengths_that_are_all_in_centimetres(tmp_path):
     for name in ("thickness_mm", "skin_mm", "fat_mm", "muscle_mm"):
         scaled(rows, name, 0.1)
     scaled(rows, "stiffness_mpa_per_mm", 10.0)
-    assert "the skin is 0.15 mm thick in the middle of all rows" in reported(tmp_path, rows)
+    assert "the skin is 0.15 mm thick in the median of all rows" in reported(tmp_path, rows)
 
 
 def test_names_that_hardly_differ_and_more_than_two_sexes_are_doubted(tmp_path):
@@ -152,9 +155,9 @@ def test_names_that_hardly_differ_and_more_than_two_sexes_are_doubted(tmp_path):
     table, problems = checked_cohort(written(tmp_path / "t.csv", rows))
     assert table is not None
     assert [each.what for each in problems if each.severity == "warning"] == [
-        "people whose names hardly differ are taken as different: 'P1' and 'p1'",
-        "sites whose names hardly differ are taken as different: 'LL_P' and 'll p'",
-        "sex holds 3 words ('F', 'M', 'female'), so it is not used",
+        "people whose names barely differ are treated as different: 'P1' and 'p1'",
+        "sites whose names barely differ are treated as different: 'LL_P' and 'll p'",
+        "sex contains 3 different words ('F', 'M', 'female'), so it is not used",
     ]
 
 
@@ -196,8 +199,8 @@ def test_fat_and_muscle_that_do_not_shorten_have_no_part_of_it(tmp_path, below):
 
 
 def test_what_is_known_of_some_people_only_is_told_not_to_be_used(tmp_path):
-    told = [{"age_years": 30 + k, "bmi_kg_per_m2": "", "sex": "fm"[k % 2]} for k in range(12)]
-    rows = [{**each, **own} for each, own in zip(good(), told, strict=True)]
+    reported = [{"age_years": 30 + k, "bmi_kg_per_m2": "", "sex": "fm"[k % 2]} for k in range(12)]
+    rows = [{**each, **own} for each, own in zip(good(), reported, strict=True)]
     changed(rows, age_years="")
     changed(rows, k=5, sex="")
     table, problems = checked_cohort(written(tmp_path / "t.csv", rows))
@@ -210,7 +213,7 @@ def test_what_is_known_of_some_people_only_is_told_not_to_be_used(tmp_path):
 
 def test_duplicated_rows_and_numbered_trials(tmp_path):
     rows = [*good(), dict(good()[3])]
-    assert "person P03, site LL_P stands in line 5 already" in reported(tmp_path, rows)
+    assert "person P03, site LL_P is already in line 5" in reported(tmp_path, rows)
     numbered = [{**each, "trial": "1"} for each in good()]
     assert reported(tmp_path, [*numbered, {**good()[3], "trial": "2"}]) == ""
 

@@ -70,9 +70,9 @@ def test_a_difference_is_largest_where_its_own_deviation_is_least():
 
 
 def test_deviation_of_the_energy_is_that_of_repeated_readings():
-    told = cycle_energy(repeated({}), 1, 0.1, 0.3).lost_deviation
+    reported = cycle_energy(repeated({}), 1, 0.1, 0.3).lost_deviation
     losses = [cycle_energy(repeated({}, seed=k), 1, 0.1, 0.3).lost for k in range(300)]
-    assert told == pytest.approx(np.std(losses), rel=0.15)  # 300 draws know a deviation to 4 %
+    assert reported == pytest.approx(np.std(losses), rel=0.15)  # 300 draws know a deviation to 4 %
 
 
 def test_equal_loadings_are_one_curve_at_the_stated_rate():
@@ -123,36 +123,36 @@ def test_what_changed_is_told_apart_and_measured(change, name, size):
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "message"),
     [({"softer": 0.5}, "became softer by 50 %"), ({"softer": -0.3}, "became stiffer by 30 %"),
      ({"left": 2.0}, r"depths are 2 mm \(.*\) deeper"), ({"left": -2.0}, r"depths are 2 mm \(.*\) less deep"),
      ({"drift": 3.0}, r"cell reads .* N \(.*\) less"), ({"drift": -3.0}, r"cell reads .* N \(.*\) more")],
 )  # fmt: skip
-def test_words_say_which_way_it_went(change, says):
-    told = change_text(compare(repeated({}, change, unload=False), 1, 2, 0.1, 0.3))
-    assert re.search(says, told), told
+def test_words_say_which_way_it_went(change, message):
+    reported = change_text(compare(repeated({}, change, unload=False), 1, 2, 0.1, 0.3))
+    assert re.search(message, reported), reported
 
 
 def test_words_name_the_cause_or_say_that_the_levels_do_not_tell():
-    told = change_text(compare(repeated({}, {"softer": 0.6}, unload=False, seed=7), 1, 2, 0.1, 0.3))
-    assert "preconditioning" in told
+    reported = change_text(compare(repeated({}, {"softer": 0.6}, unload=False, seed=7), 1, 2, 0.1, 0.3))
+    assert "preconditioning" in reported
     same = change_text(compare(repeated({}, {}, unload=False, seed=7), 1, 2, 0.1, 0.3))
     assert "nothing changed beyond noise" in same
     slight = [
         change_text(compare(repeated({}, {"left": 0.9}, unload=False, seed=k), 1, 2, 0.1, 0.3))
         for k in range(10)
     ]
-    assert any("do not tell which" in each for each in slight)
+    assert any("cannot distinguish them" in each for each in slight)
 
 
 def test_a_support_that_moved_shows_in_the_travel_only():
     moved = repeated({}, {"moved": 3.0}, unload=False, travel=True)
-    told = support_text(moved, study_cycles(moved, **NOISE), travel_deviation=0.3)
-    assert told.startswith("from cycle 1 to 2 the probe's travel grew by 3 mm more than the depth")
-    assert told.endswith("support moved")
+    reported = support_text(moved, study_cycles(moved, **NOISE), travel_deviation=0.3)
+    assert reported.startswith("from cycle 1 to 2 the probe's travel grew by 3 mm more than the depth")
+    assert reported.endswith("support moved")
     back = repeated({}, {}, {"moved": -3.0}, unload=False, travel=True)
-    told = support_text(back, study_cycles(back, **NOISE), travel_deviation=0.3)
-    assert told.startswith("from cycle 1 to 3 the probe's travel grew by 3 mm less than the depth")
+    reported = support_text(back, study_cycles(back, **NOISE), travel_deviation=0.3)
+    assert reported.startswith("from cycle 1 to 3 the probe's travel grew by 3 mm less than the depth")
     still = repeated({}, {}, unload=False, seed=7, travel=True)
     assert "did not move" in support_text(still, study_cycles(still, **NOISE), travel_deviation=0.3)
     silent = repeated({}, {}, unload=False, seed=7)
@@ -174,12 +174,12 @@ def test_a_cycle_that_begins_under_load_keeps_its_depths():
 
 
 @pytest.mark.parametrize(
-    ("asked", "says"),
+    ("requested", "message"),
     [("3", "there is no cycle 3"), ("0", "no cycle 0"), ("first", "no cycle first"), ("-1", "no cycle -1")],
 )
-def test_a_cycle_that_is_not_there_is_refused(asked, says):
-    with pytest.raises(CaseError, match=says) as caught:
-        repeated({}, {}).chosen_cycle(asked)
+def test_a_cycle_that_is_not_there_is_refused(requested, message):
+    with pytest.raises(CaseError, match=message) as caught:
+        repeated({}, {}).chosen_cycle(requested)
     assert "1, 2; or `last`" in caught.value.fix
 
 
@@ -197,7 +197,7 @@ GOOD = ["1,load,0,0", "1,load,2,1", "1,load,4,2", "1,unload,2,1.3", "2,load,0,0.
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "message"),
     [
         ({4: "1,load,0,0.2"}, "loaded again within cycle 1"),
         ({4: "3,load,0,0.2", 5: "3,load,2,1.1", 6: "3,load,4,2"}, "cycle 2 is without a row"),
@@ -208,14 +208,14 @@ GOOD = ["1,load,0,0", "1,load,2,1", "1,load,4,2", "1,unload,2,1.3", "2,load,0,0.
         ({1: ",load,2,1"}, "cycle is empty"),
         ({1: "1e30,load,2,1"}, "out of order"),
         ({3: "1,back,2,1.3"}, "phase is 'back'"),
-        ({6: "2,load,0.5,2"}, "force falls while the depth grows"),
+        ({6: "2,load,0.5,2"}, "force decreases while the depth increases"),
     ],
 )
-def test_cycles_that_cannot_be_meant_are_refused_with_their_line(tmp_path: Path, change, says):
+def test_cycles_that_cannot_be_meant_are_refused_with_their_line(tmp_path: Path, change, message):
     rows = [change.get(k, row) for k, row in enumerate(GOOD)]
     path = tmp_path / "levels.csv"
     path.write_text(HEADER + "\n".join(rows) + "\n")
-    with pytest.raises(MeasurementError, match=says) as caught:
+    with pytest.raises(MeasurementError, match=message) as caught:
         read_levels(path)
     assert "line" in str(caught.value)
 

@@ -90,7 +90,7 @@ def test_a_level_at_which_nothing_was_read_is_a_map_of_no_pixels(tmp_path):
 def test_maps_without_any_pixel_are_refused(tmp_path):
     for level in range(2):
         swe.map_file(tmp_path, level).write_text("lateral_mm,depth_mm,speed_m_per_s\n")
-    with pytest.raises(MeasurementError, match="no map has a pixel"):
+    with pytest.raises(MeasurementError, match="no map has any pixels"):
         swe.read_maps(tmp_path, 2)
 
 

@@ -105,7 +105,7 @@ def test_wrong_units_and_signs_are_refused(tmp_path: Path, force, depth, speed, 
         ('"4,0",3.9,2.0,0.3,85', "not a number"),
         ("4,3.9,2.0,0.3", "4 cells"),
         ("2,2.1,1.8,0.2,88", "repeated"),
-        ("0.2,3.9,2.0,0.3,85", "falls while the depth grows"),
+        ("0.2,3.9,2.0,0.3,85", "decreases while the depth increases"),
         ("4,-30,2.0,0.3,85", "depth_mm is -30"),
     ],
 )
@@ -120,8 +120,8 @@ def test_wrong_row_is_named_with_its_line(tmp_path: Path, row: str, expected: st
     [
         (HEADER.replace("force_n", "force_N"), "did you mean 'force_n'"),
         (HEADER.replace("depth_mm", "depth_cm"), "did you mean 'depth_mm'? Then convert the values"),
-        (HEADER.replace("force_n,", ""), "its name carries the unit (N)"),
-        (HEADER.replace("swe_pixels", "depth_mm"), "stands twice"),
+        (HEADER.replace("force_n,", ""), "its name includes the unit (N)"),
+        (HEADER.replace("swe_pixels", "depth_mm"), "appears twice"),
         (HEADER.replace(",", ";"), "not separated by commas"),
     ],
 )
@@ -168,7 +168,7 @@ def test_trace_needs_growing_time_and_all_axes(tmp_path: Path):
     path.write_text("time_s,force_n,accel_x_g\n0,0,0\n0.02,0.1,0\n0.01,0.1,0\n")
     with pytest.raises(MeasurementError) as caught:
         read_trace(path)
-    assert "does not grow" in str(caught.value)
+    assert "does not increase" in str(caught.value)
     assert "accel_y_g, accel_z_g is missing" in str(caught.value)
     path.write_text("time_s,force_n\n0,0\n0.02,0.1\n")
     np.testing.assert_array_equal(read_trace(path).time, [0, 0.02])
@@ -193,22 +193,23 @@ def test_a_modulus_in_the_column_of_speeds_is_doubted(tmp_path: Path):
 
 
 def test_a_probe_that_the_tissue_would_pull_was_not_tared(tmp_path: Path):
-    def told(zero: float) -> bool:
+    def is_reported(zero: float) -> bool:
         rows = [f"{zero + 2 * k},{k}" for k in range(4)]
-        doubts = level_warnings(write(tmp_path, "force_n,depth_mm", rows))
-        return any("tissue does not pull" in each for each in doubts)
+        warnings = level_warnings(write(tmp_path, "force_n,depth_mm", rows))
+        return any("tissue does not pull" in each for each in warnings)
 
-    assert told(-2.5)
-    assert not told(-0.3)
+    assert is_reported(-2.5)
+    assert not is_reported(-0.3)
 
 
 def test_a_force_that_falls_a_little_while_the_depth_grows_is_doubted(tmp_path: Path):
-    def doubts(force: str) -> list[str]:
+    def warnings(force: str) -> list[str]:
         rows = ["0,0", "2,2.1", f"{force},4", "6,5.5"]
-        return [text for text in level_warnings(write(tmp_path, "force_n,depth_mm", rows)) if "falls" in text]
+        found = level_warnings(write(tmp_path, "force_n,depth_mm", rows))
+        return [text for text in found if "decreases" in text]
 
-    assert "falls by 0.5 N" in doubts("1.5")[0]
-    assert not doubts("1.9"), "within the noise of a reading"
+    assert "decreases by 0.5 N" in warnings("1.5")[0]
+    assert not warnings("1.9"), "within the noise of a reading"
 
 
 @pytest.mark.parametrize(
@@ -227,32 +228,32 @@ def test_depths_that_do_not_grow_are_told(tmp_path: Path, rows: list[str], expec
 
 @pytest.mark.parametrize("first", ["2,1.6,1.7,0.2,90", "0.4,1.4,1.7,0.2,90"])
 def test_a_measurement_without_a_level_0_is_told(tmp_path: Path, first: str):
-    doubts = level_warnings(write(tmp_path, rows=[first, *ROWS[2:], "8,6,2.5,0.3,80"]))
-    assert any("there is no level 0" in each for each in doubts)
+    warnings = level_warnings(write(tmp_path, rows=[first, *ROWS[2:], "8,6,2.5,0.3,80"]))
+    assert any("there is no level 0" in each for each in warnings)
     assert not any("level 0" in each for each in level_warnings(write(tmp_path)))
 
 
-@pytest.mark.parametrize(("first", "is_told"), [("3.5,0,1.7,0.2,90", True), ("2,1.6,1.7,0.2,90", False)])
-def test_a_force_at_no_depth_may_be_a_missing_tare(tmp_path: Path, first: str, is_told: bool):
+@pytest.mark.parametrize(("first", "is_reported"), [("3.5,0,1.7,0.2,90", True), ("2,1.6,1.7,0.2,90", False)])
+def test_a_force_at_no_depth_may_be_a_missing_tare(tmp_path: Path, first: str, is_reported: bool):
     rows = [first, "5.5,2,1.9,0.2,90", "7.5,4,2.1,0.2,90", "9.5,6,2.3,0.2,90"]
     problems = check_levels(write(tmp_path, rows=rows))[1]
-    (doubt,) = [each for each in problems if "there is no level 0" in each.what]
-    assert ("if the load cell was not tared, take what it read in the air" in doubt.fix) == is_told
+    (uncertainty,) = [each for each in problems if "there is no level 0" in each.what]
+    assert ("if the load cell was not tared, take what it read in the air" in uncertainty.fix) == is_reported
 
 
 @pytest.mark.parametrize(
-    ("force", "moved", "told"),
+    ("force", "moved", "given"),
     [(0.0, 0.8, True), (0.0, -0.8, True), (0.0, 0.3, False), (0.5, 0.8, False), (0.0, 0.0, False)],
 )
 def test_a_level_0_that_stands_elsewhere_than_at_0_mm_is_told(
-    tmp_path: Path, force: float, moved: float, told: bool
+    tmp_path: Path, force: float, moved: float, given: bool
 ):
     """All depths would be off by it; a force that already presses explains some depth."""
     rows = [f"{force},{moved}", *(f"{2 * k},{depth + moved}" for k, depth in ((1, 2.1), (2, 3.9), (3, 5.2)))]
-    doubts = level_warnings(write(tmp_path, "force_n,depth_mm", rows), noise=LayerNoise(0.2, 0.3))
-    found = [each for each in doubts if "depth_mm counts from level 0" in each]
-    assert bool(found) == told
-    assert not told or f"take {moved:.3g} mm from every depth" in found[0]
+    warnings = level_warnings(write(tmp_path, "force_n,depth_mm", rows), noise=LayerNoise(0.2, 0.3))
+    found = [each for each in warnings if "depth_mm counts from level 0" in each]
+    assert bool(found) == given
+    assert not given or f"subtract {moved:.3g} mm from every depth" in found[0]
 
 
 @pytest.mark.parametrize("depths", [(12.2, 9.0, 5.0, 0.0), (47.9, 42.9, 40.6, 39.2), (3.0, 4.0, 2.0, 1.0)])
@@ -260,8 +261,10 @@ def test_depths_that_run_backwards_are_refused(tmp_path: Path, depths):
     rows = [f"{2 * k},{depth}" for k, depth in enumerate(depths)]
     _, problems = check_levels(write(tmp_path, "force_n,depth_mm", rows))
     errors = [each for each in problems if each.severity == "error"]
-    assert [each.what for each in errors] == ["depth_mm falls while force_n grows (lines 2 to 5, phase load)"]
-    assert "a distance instead of a loss" in errors[0].fix
+    assert [each.what for each in errors] == [
+        "depth_mm decreases while force_n increases (lines 2 to 5, phase load)"
+    ]
+    assert "a distance instead of a decrease" in errors[0].fix
 
 
 def distances(tmp_path: Path, rows: list[str], **noise: float) -> list[str]:
@@ -273,18 +276,18 @@ def distances(tmp_path: Path, rows: list[str], **noise: float) -> list[str]:
 
 def test_a_depth_beyond_the_bone_is_refused(tmp_path: Path):
     first_only = ["0,0,4.8", "2,2,", "4,4.8,", "6,5.5,"]
-    (told,) = distances(tmp_path, first_only)
-    assert told.startswith("error: depth_mm is 4.8, but the bone lies 4.8 mm below the skin")
+    (reported,) = distances(tmp_path, first_only)
+    assert reported.startswith("error: depth_mm is 4.8, but the bone lies 4.8 mm below the skin")
     assert not distances(tmp_path, [first_only[0].replace("4.8", "5.6"), *first_only[1:]])
     assert not distances(tmp_path, ["2,3,5", "4,5,3", "6,7,1"]), "5 mm are left at a depth of 3 mm"
 
 
 def test_a_distance_that_contradicts_the_depth_is_doubted(tmp_path: Path):
     swapped = ["0,0,48", "5,2,43", "7.3,4.1,40.7", "8.7,5.9,39.3", "10.4,8,37.6"]
-    (told,) = distances(tmp_path, swapped)
-    assert told.startswith("warning: skin_bone_mm and depth_mm contradict each other at 4 levels")
+    (reported,) = distances(tmp_path, swapped)
+    assert reported.startswith("warning: skin_bone_mm and depth_mm contradict each other at 4 levels")
     assert not distances(tmp_path, swapped, depth=1.0), "within four deviations"
-    (told,) = distances(tmp_path, ["0,0,48", "2,5,42.6", "4,7.3,41.2", "6,8.7,36"])
-    assert "contradict each other at one level: the distance has become 12 mm shorter" in told
+    (reported,) = distances(tmp_path, ["0,0,48", "2,5,42.6", "4,7.3,41.2", "6,8.7,36"])
+    assert "contradict each other at one level: the distance has become 12 mm shorter" in reported
     assert not distances(tmp_path, ["2,3,45", "4,5,43.2", "6,7,40.9"]), "depths that begin elsewhere"
     assert not distances(tmp_path, ["0,0,", "2,3,45", "4,5,43.2", "6,7,40.9"]), "not seen at level 0"

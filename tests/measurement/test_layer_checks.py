@@ -66,14 +66,14 @@ def test_good_layers_have_no_problems(tmp_path: Path):
         ("4,3.5,26.5,0,4.7,21.8", "interfaces cross: skin_mm is 0"),
         ("4,3.5,26.5,1.4,7.4,17.7", "the fat grows under load, from 6 to 7.4 mm"),
         ("4,3.5,26.5,,4.7,21.8", "has layers below the skin but no skin_mm"),
-        ("4,3.5,,1400,,", "skin_mm is 1400; possible is"),
+        ("4,3.5,,1400,,", "skin_mm is 1400; possible values are"),
     ],
 )
 def test_every_fault_has_its_own_message_with_its_line(tmp_path: Path, row, expected):
     message = reported(write(tmp_path, changed(2, row)))
     assert expected in message
     assert "line 4" in message
-    faults = ("add up", "cross", "grows", "no skin_mm", "possible is")
+    faults = ("add up", "cross", "grows", "no skin_mm", "possible values are")
     assert len([word for word in faults if word in message]) == 1
 
 
@@ -85,7 +85,7 @@ def test_layers_without_skin_are_refused(tmp_path: Path):
 def test_without_a_bone_distance_the_sum_is_held_against_the_depth(tmp_path: Path):
     header, rows = without("skin_bone_mm")
     rows[3] = "6,4.8,1.3,4.3,22"
-    assert "less depth_mm leave 25.2 mm" in reported(write(tmp_path, rows, header))
+    assert "minus depth_mm leaves 25.2 mm" in reported(write(tmp_path, rows, header))
 
 
 def test_layers_that_end_beyond_the_bone_cross_it(tmp_path: Path):

@@ -45,7 +45,7 @@ def test_a_bar_that_fades_into_a_black_screen_is_not_cut_where_its_colour_ends(r
     line = colormaps["CMRmap"](np.linspace(1, 0, bottom - top + 1))[:, None, :3]  # down to black
     rgb[:, BOX[2] + 1 :] = 0
     rgb[top : bottom + 1, left : right + 1] = 255 * line
-    with pytest.raises(MeasurementError, match="fades into"):
+    with pytest.raises(MeasurementError, match="blends into"):
         find_bar(UltrasoundImage(rgb, (), Path("x")))
 
 

@@ -44,7 +44,7 @@ def test_labview_segments_are_joined_and_different_columns_are_refused(tmp_path)
     with pytest.raises(MeasurementError, match="different columns"):
         read_recording(path, form)
     path.write_text(LVM + LVM[LVM.index("Channels") :])
-    with pytest.raises(MeasurementError, match="does not grow"):
+    with pytest.raises(MeasurementError, match="does not increase"):
         read_recording(path, form)
 
 
@@ -54,8 +54,8 @@ def test_labview_times_that_begin_again_count_from_when_each_segment_was_begun(t
     form = RecordingFormat(columns={"time_s": "X_Value", "force_n": "Force"})
     days = ("2024/02/28", "2024/02/29" if clocks[1] < clocks[0] else "2024/02/28")
     segment = LVM[LVM.index("Channels") :]
-    told = [f"\nDate\t{day}\nTime\t{clock}0000000\n" for day, clock in zip(days, clocks, strict=True)]
-    parts = [segment.replace("\nSamples\t3\n", each) for each in told]
+    reported = [f"\nDate\t{day}\nTime\t{clock}0000000\n" for day, clock in zip(days, clocks, strict=True)]
+    parts = [segment.replace("\nSamples\t3\n", each) for each in reported]
     path.write_text(LVM[: LVM.index("Channels")] + "".join(parts))
     trace = read_recording(path, form)
     np.testing.assert_allclose(trace.time, [0, 0.017, 0.033, 3.25, 3.267, 3.283], atol=1e-6)
@@ -84,7 +84,7 @@ def test_labview_channels_sampled_apart_have_each_its_own_time(tmp_path):
     rows = "X_Value\tTilt\tX_Value\tForce\tComment\n0,0\t5\t0,0\t0,1\n0,001\t5\t0,1\t1,5\n0,002\t5\n"
     path.write_text(LVM[: LVM.index("X_Value")] + rows)
     np.testing.assert_allclose(read_recording(path, form).time, [0.0, 0.1])
-    with pytest.raises(MeasurementError, match="depth_mm were sampled at other times"):
+    with pytest.raises(MeasurementError, match="depth_mm were sampled at different times"):
         read_recording(path, RecordingFormat(columns={**form.columns, "depth_mm": "Tilt"}))
     path.write_text(
         "LabVIEW Measurement\nSeparator\tTab\nX_Columns\tNo\n***End_of_Header***\nChannels\t2\n"
@@ -135,7 +135,7 @@ def test_a_labview_file_repeats_the_time_before_every_channel(tmp_path):
     [
         ("time_s,load\n0,1\n1,2\n", RecordingFormat(), "no column 'force_n'"),
         ("time_s,load\n0,1\n1,2\n", RecordingFormat(columns={"force_n": "Load"}), "did you mean 'load'"),
-        ("time_s,force_n\n0,1\n0,2\n", RecordingFormat(), "does not grow"),
+        ("time_s,force_n\n0,1\n0,2\n", RecordingFormat(), "does not increase"),
         ("time_s,force_n\n0,1\n1,x\n", RecordingFormat(), "not a number"),
         ("time_s,force_n,force_n\n0,1,9\n1,2,9\n", RecordingFormat(), "2 columns of the record are called"),
         ("time_s,force_n\n", RecordingFormat(), "no rows"),

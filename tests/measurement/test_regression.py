@@ -49,5 +49,5 @@ def test_an_impossible_speed_is_named_with_its_level(bad):
 
 @pytest.mark.parametrize(("x", "y"), [([1.0], [2.0]), ([1.0, 1.0], [2.0, 3.0]), ([1.0, 2.0], [2.0, np.nan])])
 def test_too_few_readings_are_refused(x, y):
-    with pytest.raises(MeasurementError, match="two different places"):
+    with pytest.raises(MeasurementError, match="two different positions"):
         straight_line(np.array(x), np.array(y))

@@ -142,12 +142,12 @@ def loop(path: Path, n_frames: int = 4) -> Path:
 @pytest.mark.parametrize("name", ["cine.dcm", "cine.tif"])
 def test_of_a_loop_the_frame_is_read_that_is_told_and_none_that_is_not(tmp_path, name):
     path = loop(tmp_path / name)
-    with pytest.raises(MeasurementError, match="holds 4 frames, and nothing says which") as found:
+    with pytest.raises(MeasurementError, match="contains 4 frames, and it is not stated which") as found:
         read_image(path, mm_per_pixel=0.1)
     assert "frame = 12" in found.value.fix
     image = read_image(path, mm_per_pixel=0.1, frame=3)
     assert (int(image.rgb[0, 0, 0]), image.where) == (30, f"{path}, frame 3")
-    with pytest.raises(MeasurementError, match="frame 5 is asked for; the file holds 4"):
+    with pytest.raises(MeasurementError, match="frame 5 was requested; the file contains 4"):
         read_image(path, mm_per_pixel=0.1, frame=5)
 
 
@@ -163,5 +163,5 @@ def test_greys_of_more_than_eight_bits_are_not_cut_off(tmp_path, ending, kind):
 def test_a_still_image_is_its_own_first_frame(tmp_path):
     path = stored(tmp_path / "a.dcm", screen().tobytes())
     assert read_image(path, frame=1).where == str(path)
-    with pytest.raises(MeasurementError, match="frame 2 is asked for; the file holds 1"):
+    with pytest.raises(MeasurementError, match="frame 2 was requested; the file contains 1"):
         read_image(path, frame=2)

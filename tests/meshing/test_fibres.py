@@ -33,7 +33,7 @@ def test_two_images_give_back_any_direction(rng):
 def test_the_deviation_is_that_of_drawn_angles(rng):
     axis = np.array([0.3, 0.4, 0.85]) / np.linalg.norm([0.3, 0.4, 0.85])
     laterals, sigma = (PROXIMAL, ACROSS), (1.5, 2.5)
-    told = direction_of_angles(
+    reported = direction_of_angles(
         [ImageAngle(each, seen(axis, each), s) for each, s in zip(laterals, sigma, strict=True)],
         BEAM, proximal=PROXIMAL,
     )  # fmt: skip
@@ -45,7 +45,7 @@ def test_the_deviation_is_that_of_drawn_angles(rng):
         ]
         drawn = direction_of_angles(angles, BEAM, proximal=PROXIMAL).axis
         off.append(np.degrees(np.arccos(min(1.0, abs(drawn @ axis)))))
-    assert told.deviation_deg == pytest.approx(np.sqrt(np.mean(np.square(off))), rel=0.1)
+    assert reported.deviation_deg == pytest.approx(np.sqrt(np.mean(np.square(off))), rel=0.1)
 
 
 def test_one_image_along_the_limb_takes_its_plane_and_says_so():
@@ -57,13 +57,13 @@ def test_one_image_along_the_limb_takes_its_plane_and_says_so():
 
 
 def test_one_image_across_the_limb_tells_no_direction():
-    with pytest.raises(CaseError, match="across the limb alone"):
+    with pytest.raises(CaseError, match="only in an image across the limb"):
         direction_of_angles([ImageAngle(ACROSS, 10.0, 3.0)], BEAM, proximal=PROXIMAL)
 
 
 def test_two_images_in_which_fibres_lie_flat_fix_no_direction():
     angles = [ImageAngle(PROXIMAL, 2.0, 2.0), ImageAngle(ACROSS, 1.0, 2.0)]
-    with pytest.raises(CaseError, match="do not fix a direction"):
+    with pytest.raises(CaseError, match="do not determine a direction"):
         direction_of_angles(angles, BEAM, proximal=PROXIMAL)
 
 

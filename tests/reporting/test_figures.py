@@ -147,8 +147,8 @@ def test_profile_is_shaded_to_where_it_crosses_the_limit():
         "f_kappa", values, np.where(values < 5.0, ((values - 5.0) / 2.0) ** 2, 0.0), 5.0
     )
     estimated = ProfileCurve("m", values, whole.deviance, 5.0, limit=2.25)
-    told = ProfileCurve("m", values, whole.deviance, 9.5, interval=(1.5, 9.5))
-    panels = profile_figure([whole, open_above, estimated, told]).axes
+    reported = ProfileCurve("m", values, whole.deviance, 9.5, interval=(1.5, 9.5))
+    panels = profile_figure([whole, open_above, estimated, reported]).axes
     ends_of = [(5.0 - crossing, 5.0 + crossing), (5.0 - crossing, 9.0), (2.0, 8.0), (1.5, 9.5)]
     for axes, ends in zip(panels, ends_of, strict=True):
         (shade,) = axes.patches
@@ -232,7 +232,7 @@ def test_tables_beside_figures_name_every_curve():
     middle = {"beyond_family": None, "geometric_mean": 2.0, "spread_factor": 1.2, "low": 1.8, "high": 2.2}
     names = ("c_muscle_kpa", "c_fat_kpa", "m")
     person = {"location": "thigh", **{f"{k}{end}": 2.0 for k in names for end in ("", "_low", "_high")}}
-    for figure, told in (
+    for figure, reported in (
         (force_depth(measured, [curve("start", 2.0), curve("ogden", 1.4)]), {"ogden", "ogden, unloading"}),
         (cycles(loops), {"cycle 2", "cycle 2, unloading"}),
         (study_figure(rows), {"A p1", "A p1, 95 %", "B p1, above"}),
@@ -240,7 +240,7 @@ def test_tables_beside_figures_name_every_curve():
          {"thigh", "thigh, 95 %", "thigh, spread between people"}),
     ):  # fmt: skip
         series = {row[4] for row in figure_data(figure)}
-        assert told <= series
+        assert reported <= series
         assert not [name for name in series if name.isdigit()]
     texts = [each.get_text() for each in cycles(loops).axes[0].get_legend().get_texts()]
     assert texts == ["cycle 1", "cycle 2"], "unloading is said in its title"
@@ -271,7 +271,7 @@ def test_long_names_leave_room_for_the_parameters_of_a_study():
     assert all(axes.bbox.width > 0.2 * figure.bbox.width for axes in figure.axes)
     labels = [each.get_window_extent() for each in figure.axes[0].get_yticklabels()]
     assert all(not one.overlaps(other) for one, other in pairwise(labels))
-    assert [each.get_text() for axes in figure.axes for each in axes.texts] == ["not told", "not told"]
+    assert [each.get_text() for axes in figure.axes for each in axes.texts] == ["not known", "not known"]
 
 
 @pytest.mark.parametrize("ends", [(4.0, 7.0), (3.0, 40.0), (0.02, 2000.0)])

@@ -81,8 +81,8 @@ def answers(binary: Path) -> dict[str, Any]:
             feb = solver.write(held_model(meshed, depth, c=HOLD_C, m=HOLD_M), folder / f"hold-{depth:g}")
             solver.run(feb, progress=SILENT)
             hold = hold_of(solver.read(feb), depth)
-            told = {"spread_mm2": hold.spread.tolist(), "force_n": hold.force.tolist()}
-            found["holds"].append({"depth_mm": depth, "ramp_mm2": hold.ramp, **told})
+            steps = {"spread_mm2": hold.spread.tolist(), "force_n": hold.force.tolist()}
+            found["holds"].append({"depth_mm": depth, "ramp_mm2": hold.ramp, **steps})
         for rate, stairs in STAIRS.items():
             time, force = stairs.by_febio(meshed, folder / f"stairs-{rate:g}", binary)
             found["stairs"].append(

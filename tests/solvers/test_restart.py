@@ -69,7 +69,7 @@ def test_stopped_run_goes_on_and_gives_the_same_records(feb: Path) -> None:
 
 
 def test_time_limit_leaves_a_level_to_go_on_from(feb: Path) -> None:
-    with pytest.raises(SolveError, match="run again to go on"):
+    with pytest.raises(SolveError, match="run again to resume"):
         ReferenceSolver(threads=1).run(feb, progress=SILENT, time_limit_s=0.0)
     assert worked(feb) == {2, 3}
 

@@ -66,23 +66,23 @@ def noisy(
     return found
 
 
-def case_text(told: Mapping[str, float | None], *, more: str = "") -> str:
+def case_text(given: Mapping[str, float | None], *, more: str = "") -> str:
     text = block.CASE_TOML.replace('levels = "levels.csv"\n', more)
     text = text.replace(
         'source = "assumed"', f'swe_level_fraction = {SPEED_SD}\nswe_pixel_fraction = 0.0\nsource = "spec"'
     )
     text = text.replace("depth_mm = 0.1", f"depth_mm = {DEPTH_SD}")
-    for name, stretch in told.items():
+    for name, stretch in given.items():
         known = "" if stretch is None else f"stretch_{WAY} = {stretch}\n"
         text += f'[[site.state]]\nname = "{name}"\n{known}stretch_along = 1.0\nlevels = "{name}.csv"\n'
     return text
 
 
 def make_case(folder: Path, out: Path, measured: Mapping[str, tuple[np.ndarray, ...]],
-              told: Mapping[str, float | None] = TOLD, *, more: str = "") -> Case:  # fmt: skip
+              given: Mapping[str, float | None] = TOLD, *, more: str = "") -> Case:  # fmt: skip
     """A case folder with these states; mesh and build-feb are done in `out`."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "case.toml").write_text(case_text(told, more=more))
+    (folder / "case.toml").write_text(case_text(given, more=more))
     for name in ("skin.stl", "bone.stl"):
         (folder / name).write_text("solid empty\nendsolid empty\n")
     for name, (force, depth, speed) in measured.items():

@@ -125,7 +125,7 @@ def test_every_stage_and_page_says_that_nobody_imaged_it(chain):
     page = report(case, out=out)
     html = (page.folder / "report.html").read_text()
     assert "Geometry assumed, not imaged: a straight round limb of 200 mm circumference" in html
-    assert "What is assumed of the limb" in html
+    assert "What is assumed about the limb" in html
     assert page.data["geometry_assumed"] == case.imaging.assumed
 
 
@@ -179,7 +179,7 @@ def test_what_was_seen_beside_the_front_is_compared_with_the_round_limb_there(tm
     aside = {"place": f"position_mm = [{RADIUS}, 0, 0]", "more": ",skin_bone_mm"}
     limb = assumed_limb(numbers(tmp_path / "case", **aside, first=f",{right:.2f}"))
     assert limb.sites["p1"].made == pytest.approx(right)
-    what = r"p1 does not lie in front, and the round limb is 27.4 mm thick there, but .* is 15 mm"
+    what = r"p1 is not anterior, and the round limb is 27.4 mm thick there, but .* is 15 mm"
     with pytest.raises(CaseError, match=what):
         assumed_limb(numbers(tmp_path / "case", **aside, first=",15"))
 
@@ -218,12 +218,12 @@ def test_a_site_without_a_distance_is_named(tmp_path):
 
 def test_without_sites_or_probe_ultrasound_saw_nothing(tmp_path):
     case = scanned(tmp_path / "case")
-    with pytest.raises(CaseError, match="no site yet under which ultrasound saw the bone"):
+    with pytest.raises(CaseError, match="no site yet with an ultrasound distance to the bone"):
         segment(replace(case, sites=(), raw={}), out=tmp_path / "out")
     with pytest.raises(CaseError, match=r"no \[\[site\]\] .* can be used yet(.|\n)*limbcli check"):
         segment(replace(case, sites=()), out=tmp_path / "out")
     unknown = replace(case.probe, length=float("nan"))
-    with pytest.raises(CaseError, match="the probe under which ultrasound saw the bone is unknown"):
+    with pytest.raises(CaseError, match="the probe that the bone's distance refers to is unknown"):
         segment(replace(case, probe=unknown), out=tmp_path / "out")
 
 
@@ -233,9 +233,9 @@ def test_a_site_off_the_scan_is_refused(tmp_path):
         segment(case, out=tmp_path / "out")
 
 
-def wide_over(doubt: dict, name: str) -> float:
+def wide_over(found: dict, name: str) -> float:
     """Width of the interval with the geometry over that without, as ratios of the ends."""
-    (low, high), (narrow_low, narrow_high) = (doubt[k][name] for k in ("interval_95", "interval_95_noise"))
+    (low, high), (narrow_low, narrow_high) = (found[k][name] for k in ("interval_95", "interval_95_noise"))
     return (high / low) / (narrow_high / narrow_low)
 
 
@@ -255,29 +255,29 @@ def test_a_fit_recovers_the_tissue_and_allows_for_the_shape(chain, tmp_path):
     )
     (first,) = fit(case, out=out, solver="reference", options=wanted)
     found = first.data
-    doubt = found["geometry_uncertainty"]
+    uncertainty = found["geometry_uncertainty"]
     for name, true in (("f_kappa", 2.0), ("m", 5.0)):
-        narrow, wide = doubt["interval_95_noise"][name], doubt["interval_95"][name]
+        narrow, wide = uncertainty["interval_95_noise"][name], uncertainty["interval_95"][name]
         assert found["interval_95"][name] == wide
         assert wide[0] < true < wide[1]
         assert wide[0] <= narrow[0] < narrow[1] <= wide[1]
     # A flatter limb is stiffer as a whole: f_kappa makes up for it, not m.
-    assert np.log(wide_over(doubt, "f_kappa")) > 1.0
-    kinds = {each["kind"]: np.array(each["force_change_fraction"]) for each in doubt["variations"]}
+    assert np.log(wide_over(uncertainty, "f_kappa")) > 1.0
+    kinds = {each["kind"]: np.array(each["force_change_fraction"]) for each in uncertainty["variations"]}
     assert set(kinds) == {"radius", "depth", "slope", "side", "roundness", "taper"}
     assert (kinds["side"] > 0).all()  # less tissue beside the beam
     (unmade,) = [each for each in first.warnings if "second bone" in each]  # too coarse a mesh for it
     assert "was not evaluated" in unmade
     assert (kinds["depth"] < 0).all()  # more tissue is softer
     assert (kinds["roundness"] > 0).all()  # the last one is the flatter: more of the face at once
-    assert doubt["n_solves"] == 9
+    assert uncertainty["n_solves"] == 9
     brief = replace(wanted, intervals=False)
     again = fit(case, out=out, solver="reference", options=brief)[0].data["geometry_uncertainty"]
     assert again["n_solves"] == 0
-    assert again["variations"] == doubt["variations"]
-    assert assumed_gain(case, case.sites[0], out)[0] == doubt["gain_fraction"]
+    assert again["variations"] == uncertainty["variations"]
+    assert assumed_gain(case, case.sites[0], out)[0] == uncertainty["gain_fraction"]
     page = report(case, out=out)
-    assert "what the assumed geometry adds" in (page.folder / "report.html").read_text()
+    assert "uncertainty from the assumed geometry" in (page.folder / "report.html").read_text()
     assert json.loads((out / "fit" / "p1" / "geometry.json").read_text())["key"]
 
 
@@ -321,9 +321,9 @@ def test_a_bone_met_on_its_flank_is_within_the_interval_that_allows_for_it(tmp_p
     wanted = FitOptions(
         gain_deviation=0.02, c_kpa=8.0, c_deviation=0.02, contact_check=False, max_interval_solves=3
     )
-    doubt = fit(case, out=out, solver="reference", options=wanted)[0].data["geometry_uncertainty"]
-    (low, _), (alone, _) = doubt["interval_95"]["m"], doubt["interval_95_noise"]["m"]
+    uncertainty = fit(case, out=out, solver="reference", options=wanted)[0].data["geometry_uncertainty"]
+    (low, _), (alone, _) = uncertainty["interval_95"]["m"], uncertainty["interval_95_noise"]["m"]
     assert low < 5.0 < alone
-    moved = {each["kind"]: each["log_shift"]["m"] for each in doubt["variations"]}
+    moved = {each["kind"]: each["log_shift"]["m"] for each in uncertainty["variations"]}
     assert set(moved) == {"radius", "depth", "slope", "side", "scale"}  # the second bone: too coarse a mesh
     assert moved["side"] > 3 * max(abs(moved["radius"]), abs(moved["depth"]))

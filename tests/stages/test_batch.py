@@ -17,26 +17,26 @@ from limbcli.stages import diagnose, fit_elements, fit_joint
 from limbcli.stages.batch import BatchOptions, batch
 from limbcli.stages.build_feb import TissueOptions
 from limbcli.stages.fit import FitOptions
-from limbcli.stages.provenance.requested_options import asked_of_options
+from limbcli.stages.provenance.requested_options import requested_by_options
 from limbcli.stages.run import RunOptions
 from tests.case.test_case_text import two_sites
 
 STAGES = ("mesh", "build-feb", "run", "fit")
 OPTIONS = {"FitOptions": FitOptions, "TissueOptions": TissueOptions, "RunOptions": RunOptions}
-TOLD: dict[str, list[dict]] = {}
+CALLED: dict[str, list[dict]] = {}
 
 
-def _told(options, given: dict) -> dict:
+def _options_of(options, given: dict) -> dict:
     """What a stage was called with beyond its defaults."""
-    own = asked_of_options(options) if options is not None else {}
+    own = requested_by_options(options) if options is not None else {}
     return {**own, **{k: v for k, v in given.items() if k not in ("progress", "solver", "febio") and v}}
 
 
-def by_hand(case: Path, out: Path, stage: str, site: str | None = "p1", **asked) -> None:
+def by_hand(case: Path, out: Path, stage: str, site: str | None = "p1", **requested) -> None:
     """A stage's result as its own command leaves it."""
     with open_stage(out, stage, subject="S1", site=site) as writer:
-        writer.file("text", "a.txt").write_text(f"by hand {asked}")
-        writer.data["asked"] = asked
+        writer.file("text", "a.txt").write_text(f"by hand {requested}")
+        writer.data["asked"] = requested
         if stage == "fit":
             writer.used("model", out / "build-feb" / "p1" / "model.feb")
             writer.used("levels", Case.open(case).site("p1").levels)
@@ -46,13 +46,14 @@ def by_hand(case: Path, out: Path, stage: str, site: str | None = "p1", **asked)
 def calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Every stage replaced by one that leaves a result; mesh fails for site p2."""
     made: list[str] = []
-    reported = TOLD
+    reported = CALLED
     reported.clear()
 
     def fake(stage: str):
         def work(case: Case, *, out: Path, sites=(None,), options=None, **given):
             for site in sites:
-                reported.setdefault(f"{stage} {site}" if site else stage, []).append(_told(options, given))
+                own = _options_of(options, given)
+                reported.setdefault(f"{stage} {site}" if site else stage, []).append(own)
                 made.append(f"{stage} {site}" if site else stage)
                 if (stage, site) == ("mesh", "p2") and (case.folder / "break").exists():
                     raise MeshError("no skin under the probe", where="site p2", fix="move it")
@@ -264,7 +265,7 @@ def on_demand(tmp_path: Path, calls: list[str], monkeypatch: pytest.MonkeyPatch)
     """A case after a batch, with a joint fit of both sites and elements compared at p2, made by hand."""
     case, out = two_sites(tmp_path / "case"), tmp_path / "out"
     batch(case, out=out)
-    asked: list[dict] = []
+    requested: list[dict] = []
 
     def leave(stage: str, site: str | None, data: dict, sites: tuple[str, ...]) -> None:
         opened = Case.open(case)
@@ -277,7 +278,7 @@ def on_demand(tmp_path: Path, calls: list[str], monkeypatch: pytest.MonkeyPatch)
 
     def joint(case: Case, *, out: Path, sites, joint, options, **_) -> None:
         calls.append("fit-joint")
-        asked.append({"law": joint.law, "compare": joint.compare_laws, "c_kpa": options.c_kpa})
+        requested.append({"law": joint.law, "compare": joint.compare_laws, "c_kpa": options.c_kpa})
         leave("fit-joint", None, JOINT, tuple(sites))
 
     def elements(case: Case, *, out: Path, sites, options, **_) -> None:
@@ -289,7 +290,7 @@ def on_demand(tmp_path: Path, calls: list[str], monkeypatch: pytest.MonkeyPatch)
     leave("fit-joint", None, JOINT, ("p1", "p2"))
     leave("fit-elements", "p2", {}, ("p2",))
     calls.clear()
-    return case, out, asked
+    return case, out, requested
 
 
 def test_fits_made_on_demand_are_taken_over_and_shown(on_demand, calls: list[str]):
@@ -302,13 +303,13 @@ def test_fits_made_on_demand_are_taken_over_and_shown(on_demand, calls: list[str
 
 
 def test_fits_made_on_demand_are_made_again_as_they_were_where_something_changed(on_demand, calls: list[str]):
-    case, out, asked = on_demand
+    case, out, requested = on_demand
     batch(case, out=out)
     calls.clear()
     (case / "p1.csv").write_text("force_n,depth_mm\n0,0\n2,1\n5,2\n")
     batch(case, out=out)
     assert calls == ["build-feb p1", "run p1", "fit p1", "fit-joint", "report"]
-    assert asked == [{"law": "holmes-mow", "compare": True, "c_kpa": 7.0}]
+    assert requested == [{"law": "holmes-mow", "compare": True, "c_kpa": 7.0}]
     calls.clear()
     assert batch(case, out=out).ran == []
 
@@ -345,7 +346,7 @@ def test_a_fit_made_by_hand_stays_until_something_changes_and_is_then_made_the_s
     (case / "p1.csv").write_text("force_n,depth_mm\n0,0\n2,1\n5,2\n")
     batch(case, out=out)
     assert calls == ["build-feb p1", "run p1", "fit p1", "report"]
-    assert TOLD["fit p1"][-1] == {"stiffness_map": True, "gain_deviation": 0.1}
+    assert CALLED["fit p1"][-1] == {"stiffness_map": True, "gain_deviation": 0.1}
     calls.clear()
     assert batch(case, out=out).kept
     assert calls == []
@@ -360,18 +361,18 @@ def test_options_by_hand_outlive_a_failure_and_end_with_a_plain_call_or_on_deman
     batch(case, out=out)
     (case / "break").unlink()
     batch(case, out=out)
-    assert TOLD["mesh p2"] == [{"fat_layer": 6.0, "element": "tet4"}] * 2
+    assert CALLED["mesh p2"] == [{"fat_layer": 6.0, "element": "tet4"}] * 2
     batch(case, out=out, options=BatchOptions(element="tet10"))
-    assert TOLD["mesh p2"][-1] == {"fat_layer": 6.0, "element": "tet10"}, "the batch's own option is stronger"
+    assert CALLED["mesh p2"][-1] == {"fat_layer": 6.0, "element": "tet10"}, "the batch's own option wins"
     batch(case, out=out)
-    assert TOLD["mesh p2"][-1]["element"] == "tet4"
+    assert CALLED["mesh p2"][-1]["element"] == "tet4"
     batch(case, out=out, options=BatchOptions(defaults=True))
-    assert TOLD["mesh p2"][-1] == {}
+    assert CALLED["mesh p2"][-1] == {}
     by_hand(case, out, "segment", None, seeds=[["bone", [1.0, 2.0, 3.0]]], smooth=0.5)
     assert batch(case, out=out).kept == {"segment": "--seed bone=1,2,3 --smooth 0.5"}
     by_hand(case, out, "segment", None)
     assert batch(case, out=out).kept == {}
-    assert TOLD["segment"][-1] == {}
+    assert CALLED["segment"][-1] == {}
 
 
 def test_the_page_is_made_with_the_templates_of_the_batch_or_of_its_last_call_by_hand(
@@ -386,10 +387,10 @@ def test_the_page_is_made_with_the_templates_of_the_batch_or_of_its_last_call_by
     calls.clear()
     batch(case, out=out, options=BatchOptions(templates=own))
     assert calls == ["report"], "templates of pages say nothing to a model"
-    assert TOLD["report"][-1] == {"templates": own}
+    assert CALLED["report"][-1] == {"templates": own}
     by_hand(case, out, "report", None, templates=str(another))
     assert batch(case, out=out).kept == {"report": f"--templates {another}"}
-    assert TOLD["report"][-1] == {"templates": another}
+    assert CALLED["report"][-1] == {"templates": another}
     (another / "report" / "style.css").write_text("p {}")
     text = (case / "case.toml").read_text()
     (case / "case.toml").write_text("format = 2")
@@ -398,34 +399,34 @@ def test_the_page_is_made_with_the_templates_of_the_batch_or_of_its_last_call_by
     calls.clear()
     batch(case, out=out)
     assert calls == ["report"]
-    assert TOLD["report"][-1] == {"templates": another}
+    assert CALLED["report"][-1] == {"templates": another}
 
 
 def test_a_diagnosis_is_made_again_as_it_was_asked_for_by_hand(
     tmp_path: Path, calls: list[str], monkeypatch: pytest.MonkeyPatch
 ):
     case, out = two_sites(tmp_path / "case"), tmp_path / "out"
-    asked = diagnose.DiagnoseOptions(effects=("tilt",), measured={"tare_n": 0.4}, solver="febio").asked()
-    told: list[dict] = []
+    given = diagnose.DiagnoseOptions(effects=("tilt",), measured={"tare_n": 0.4}, solver="febio").requested()
+    reported: list[dict] = []
 
     def diagnosed(of: Case, *, sites: list[str], options: diagnose.DiagnoseOptions, **_) -> None:
-        told.append(options.asked())
+        reported.append(options.requested())
         for site in sites:
-            by_hand(of.folder, out, "diagnose", site, **options.asked())
+            by_hand(of.folder, out, "diagnose", site, **options.requested())
 
     monkeypatch.setattr(diagnose, "places", lambda *_, **__: [[site] for site in Case.open(case).sites])
     monkeypatch.setattr(diagnose, "diagnose", diagnosed)
     batch(case, out=out)
     for site in ("p1", "p2"):
-        by_hand(case, out, "diagnose", site, **asked)
+        by_hand(case, out, "diagnose", site, **given)
     kept = batch(case, out=out, options=BatchOptions(diagnose=True)).kept
     assert kept["diagnose p1"] == "--effects tilt --measured tare_n=0.4"
-    assert told == [], "what was made by hand stays"
+    assert reported == [], "what was made by hand stays"
     (case / "p2.csv").write_text("force_n,depth_mm\n0,0\n2,1\n5,2\n")
     batch(case, out=out, options=BatchOptions(diagnose=True))
-    assert told == [asked]
+    assert reported == [given]
     batch(case, out=out, options=BatchOptions(diagnose=True, defaults=True))
-    assert told[1:] == [{}, {}]
+    assert reported[1:] == [{}, {}]
 
 
 def test_options_by_hand_outlive_a_failure_of_what_all_sites_share(
@@ -435,13 +436,13 @@ def test_options_by_hand_outlive_a_failure_of_what_all_sites_share(
     by_hand(case, out, "mesh", "p2", fat_layer=6.0)
 
     def fails(*_: object, **__: object) -> None:
-        raise CaseError("no limb stands out", where="MRI series", fix="look at it")
+        raise CaseError("no limb stands out", where="MRI series", fix="check it")
 
     with monkeypatch.context() as patch:
         patch.setattr(sys.modules["limbcli.stages.segment"], "segment", fails)
         assert [each.stage for each in batch(case, out=out).failures] == ["segment"]
     batch(case, out=out)
-    assert TOLD["mesh p2"] == [{"fat_layer": 6.0}]
+    assert CALLED["mesh p2"] == [{"fat_layer": 6.0}]
 
 
 def test_a_fit_by_hand_of_another_model_or_from_before_a_mesh_study_is_made_again(

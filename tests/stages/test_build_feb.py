@@ -145,7 +145,7 @@ def test_values_given_by_hand_win(case: Case, tmp_path: Path) -> None:
     assert (law["c1"], law["m1"], law["m2"]) == (0.004, 3.5, -3.5)
     assert law["kappa"] == pytest.approx(0.4)
     for c_kpa in (-1.0, 8000.0):
-        with pytest.raises(MeasurementError, match=r"possible is 0\.1 to 500"):
+        with pytest.raises(MeasurementError, match=r"possible values are 0\.1 to 500"):
             build_feb(case, out=tmp_path / "out", options=TissueOptions(c_kpa=c_kpa))
 
 
@@ -227,7 +227,7 @@ def test_any_measured_depths_get_exact_short_times(seed: int) -> None:
 
 def test_depths_that_do_not_grow_are_refused() -> None:
     for depths in ([], [1.0, 1.0], [2.0, 1.0], [0.01, 1.0]):
-        with pytest.raises(CaseError, match="do not grow"):
+        with pytest.raises(CaseError, match="do not increase"):
             schedule(depths)
 
 
@@ -238,7 +238,7 @@ def test_a_depth_that_the_tissue_does_not_have_is_refused(case: Case, tmp_path: 
         found["data"] |= {"checks": {"skin_bone_mm": thick}, "measured_skin_bone_mm": None}
         path.write_text(json.dumps(found))
         if is_refused:
-            with pytest.raises(MeasurementError, match=r"goes to 3.25 mm, .* has 3.25 mm"):
+            with pytest.raises(MeasurementError, match=r"reaches 3.25 mm, .* has 3.25 mm"):
                 build_feb(case, out=tmp_path / "out")
         else:
             build_feb(case, out=tmp_path / "out")
@@ -249,7 +249,7 @@ def test_c_without_a_level_0_is_named_for_what_it_is(case: Case, tmp_path: Path)
     result = build_feb(case, out=tmp_path / "out")[0]
     assert "SWE at level 0" not in result.data["c_source"]
     assert "2 N and 1.5 mm" in result.data["c_source"]
-    (doubt,) = [each for each in result.warnings if "no level 0" in each]
-    assert "6.48 kPa at 0 N" in doubt, "2 rho (1.8 m/s)^2"
+    (reason,) = [each for each in result.warnings if "no level 0" in each]
+    assert "6.48 kPa at 0 N" in reason, "2 rho (1.8 m/s)^2"
     given = build_feb(case, out=tmp_path / "out", options=TissueOptions(c_kpa=6.48))[0]
     assert not [each for each in given.warnings if "no level 0" in each]

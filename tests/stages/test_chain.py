@@ -193,7 +193,7 @@ def test_every_changed_input_stops_every_stage_that_rests_on_it(root: Path, chan
         assert words in caught.value.what, stage
         advice, _, rest = caught.value.fix.rpartition(": ")
         assert advice == (
-            "name another --out; to replace the results of S1 for good" if "S1" in words else ""
+            "give another --out; to replace the results of S1 permanently" if "S1" in words else ""
         )
         reported = [shlex.split(each) for each in rest.split(" && ")]
         assert [each[1] for each in reported] == list(ORDER[ORDER.index(first) : ORDER.index(last) + 1]), (

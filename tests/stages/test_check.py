@@ -59,9 +59,9 @@ def test_levels_that_are_still_to_be_measured_are_told(folder: Path):
     (folder / "levels.csv").unlink()
     (folder / "trace.csv").write_text("time_s,force_n\n0,0\n1,1\n")
     (folder / "case.toml").write_text(ONE_SITE + 'trace = "trace.csv"\n')
-    (told,) = [each for each in check(folder).problems if "no levels.csv yet" in each.what]
-    assert told.severity == "warning"
-    assert "limbcli measure" in told.fix
+    (reported,) = [each for each in check(folder).problems if "no levels.csv yet" in each.what]
+    assert reported.severity == "warning"
+    assert "limbcli measure" in reported.fix
 
 
 def test_the_command_that_measures_can_be_pasted(tmp_path: Path):
@@ -69,25 +69,25 @@ def test_the_command_that_measures_can_be_pasted(tmp_path: Path):
     (folder / "mri").mkdir(parents=True)
     (folder / "trace.csv").write_text("time_s,force_n\n0,0\n1,1\n")
     (folder / "case.toml").write_text(ONE_SITE + 'trace = "trace.csv"\n')
-    (told,) = [each for each in check(folder).problems if "no levels.csv yet" in each.what]
-    command = told.fix.split("`")[1]
+    (reported,) = [each for each in check(folder).problems if "no levels.csv yet" in each.what]
+    command = reported.fix.split("`")[1]
     assert shlex.split(command) == ["limbcli", "measure", str(folder), "--site", "p1", "--write"]
     assert "limbcli new '" in check(tmp_path / "my case" / "mri").problems[0].fix
 
 
 def test_two_levels_past_first_touch_are_too_few_for_a_fit(folder: Path):
     (folder / "case.toml").write_text(ONE_SITE)
-    for rows, told in (("2,1.9\n4,3.3\n", True), ("2,1.9\n4,3.3\n6,4.6\n", False)):
+    for rows, reported in (("2,1.9\n4,3.3\n", True), ("2,1.9\n4,3.3\n6,4.6\n", False)):
         (folder / "levels.csv").write_text("force_n,depth_mm\n0,0\n" + rows)
         whats = [each.what for each in check(folder).problems]
-        assert ("only 2 levels of loading lie deeper than first touch" in whats) is told
+        assert ("only 2 levels of loading are deeper than first touch" in whats) is reported
 
 
 @pytest.mark.parametrize(
-    ("table", "files", "told"),
+    ("table", "files", "given"),
     [
         ('[site.load_cell]\nfile = "cell.csv"\ncolumns = { force_n = "F" }\n', {}, "no column 'F'"),
-        ('[site.b_mode]\nfolder = "images"\n', {}, "holds no image"),
+        ('[site.b_mode]\nfolder = "images"\n', {}, "contains no image"),
         (
             '[site.swe_images]\nfolder = "images"\nhigh_m_per_s = 10\n',
             {"images/a.png": "x"},
@@ -95,7 +95,7 @@ def test_two_levels_past_first_touch_are_too_few_for_a_fit(folder: Path):
         ),
     ],
 )
-def test_what_the_instruments_left_is_read(folder: Path, table: str, files: dict[str, str], told: str):
+def test_what_the_instruments_left_is_read(folder: Path, table: str, files: dict[str, str], given: str):
     (folder / "images").mkdir()
     (folder / "cell.csv").write_text("time_s,force\n" + "".join(f"{k / 10},{k // 100}\n" for k in range(400)))
     for name, text in files.items():
@@ -105,7 +105,7 @@ def test_what_the_instruments_left_is_read(folder: Path, table: str, files: dict
         (folder / "levels.csv").unlink()
         if levels is not None:
             (folder / "levels.csv").write_text(levels)
-        (found,) = [each for each in check(folder).problems if told in each.what]
+        (found,) = [each for each in check(folder).problems if given in each.what]
         assert found.severity == severity
         (folder / "levels.csv").touch()
 
@@ -121,30 +121,34 @@ def test_as_many_images_as_holds_are_asked_for(folder: Path):
     tables = '[site.load_cell]\nfile = "cell.csv"\n[site.b_mode]\nfolder = "images"\nmm_per_pixel = 0.1\n'
     (folder / "case.toml").write_text(ONE_SITE + tables)
     whats = [each.what for each in check(folder).problems]
-    assert "the instruments of site p1 do not have as many levels: load_cell 4, b_mode 1" in whats
+    assert "the instruments of site p1 have different numbers of levels: load_cell 4, b_mode 1" in whats
 
 
 @pytest.mark.parametrize(
-    ("seconds", "newtons", "told"),
-    [(1, -2, "force_n is -4; possible is -3 to 150 (level 2)"), (1000, 2, "hold_s is"), (1, 0, "one level")],
+    ("seconds", "newtons", "given"),
+    [
+        (1, -2, "force_n is -4; possible values are -3 to 150 (level 2)"),
+        (1000, 2, "hold_s is"),
+        (1, 0, "one level"),
+    ],
 )
-def test_a_record_that_measure_would_refuse_is_not_complete(folder: Path, seconds, newtons, told):
+def test_a_record_that_measure_would_refuse_is_not_complete(folder: Path, seconds, newtons, given):
     """A sign that is turned, milliseconds, and no load at all."""
     (folder / "levels.csv").unlink()
     rows = (f"{k * seconds / 10},{newtons * (k // 100)}\n" for k in range(400))
     (folder / "cell.csv").write_text("time_s,force_n\n" + "".join(rows))
     (folder / "case.toml").write_text(ONE_SITE + '[site.load_cell]\nfile = "cell.csv"\nhold_s = 5\n')
-    found = [each for each in check(folder).problems if told in each.what]
+    found = [each for each in check(folder).problems if given in each.what]
     assert found
     assert {each.severity for each in found} == {"error"}
 
 
 def test_a_distance_to_the_bone_that_the_levels_contradict_is_told(folder: Path):
     (folder / "levels.csv").write_text("force_n,depth_mm,skin_bone_mm\n0,0,48\n2,1,47\n4,2,46\n6,3,45\n")
-    for stated, told in ((20, True), (47, False)):
+    for stated, reported in ((20, True), (47, False)):
         (folder / "case.toml").write_text(f"{ONE_SITE}skin_bone_mm = {stated}\n")
         whats = [each.what for each in check(folder).problems]
-        assert any("level 0 of its levels says 48.0" in each for each in whats) is told
+        assert any("level 0 of its levels gives 48.0" in each for each in whats) is reported
 
 
 def test_a_distance_that_only_the_site_states_is_held_against_the_mesh(folder: Path):
@@ -159,11 +163,11 @@ def test_readings_that_two_sites_share_are_told(folder: Path):
     (folder / "levels.csv").write_text("force_n,depth_mm\n0,0\n2,1\n4,2\n6,3\n")
     second = SITE.format(name="p2", levels="./levels.csv")
     (folder / "case.toml").write_text(ONE_SITE + second)
-    (told,) = [each for each in check(folder).problems if "name the same" in each.what]
-    assert (told.what, told.severity) == ("sites p1 and p2 name the same levels.csv", "warning")
+    (reported,) = [each for each in check(folder).problems if "use the same" in each.what]
+    assert (reported.what, reported.severity) == ("sites p1 and p2 use the same levels.csv", "warning")
     (folder / "second.csv").write_text("force_n,depth_mm\n0,0\n2,1\n4,2\n6,3\n")
     (folder / "case.toml").write_text(ONE_SITE + second.replace("./levels.csv", "second.csv"))
-    assert not any("name the same" in each.what for each in check(folder).problems)
+    assert not any("use the same" in each.what for each in check(folder).problems)
 
 
 def test_exit_code_is_that_of_the_measurement_where_only_that_is_wrong(folder: Path):
@@ -212,8 +216,8 @@ def test_a_label_map_of_other_geometry_than_its_series_is_told(tmp_path: Path):
     assert not [each.what for each in check(folder).problems if each.severity == "error"]
     half = replace(labels, affine=labels.affine @ np.diag([1.0, 1.0, 0.5, 1.0]))
     write_labels(folder / "labels.nii.gz", half)
-    assert any("lies elsewhere" in each.what for each in check(folder).problems)
-    with pytest.raises(CaseError, match="lies elsewhere"):
+    assert any("a different position" in each.what for each in check(folder).problems)
+    with pytest.raises(CaseError, match="a different position"):
         segment(Case.open(folder), out=tmp_path / "out")
 
 
@@ -235,7 +239,7 @@ def test_layers_are_shown_and_judged_by_the_noise_of_the_case(tmp_path):
 
 
 def test_the_command_counts_what_is_to_be_mended(tmp_path: Path, capsys):
-    for text, count in (("format = 1\n", "4 errors to mend"), (ONE_SITE, "1 error to mend")):
+    for text, count in (("format = 1\n", "4 errors to correct"), (ONE_SITE, "1 error to correct")):
         (tmp_path / "case.toml").write_text(text)
         (tmp_path / "levels.csv").write_text("force_n,depth_mm\n0,0\n2,1\n4,2\n6,3\n")
         with pytest.raises(SystemExit):

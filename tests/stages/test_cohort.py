@@ -42,13 +42,13 @@ def twelve(tmp_path_factory):
 def test_nothing_of_a_left_out_person_enters_the_slab(tmp_path):
     """Not by the noise of the marks either, which a layer that grows makes larger."""
     rows, _ = people(24, mean=MEAN, spread=SPREAD, rng=np.random.default_rng(7), noise_mm=0.4)
-    told, _ = checked_cohort(written(tmp_path / "t.csv", rows))
+    reported, _ = checked_cohort(written(tmp_path / "t.csv", rows))
     train = np.arange(24) > 0
-    shortened = told.shortened.copy()
+    shortened = reported.shortened.copy()
     shortened[0, 0] = -1.0
-    other = replace(told, shortened=shortened, slope=told.slope * np.where(train, 1.0, 2.0))
-    assert not np.allclose(noise_of(other).layers.shortened, noise_of(told).layers.shortened)
-    answers = [_Slab(each, layered_family())(train) for each in (told, other)]
+    other = replace(reported, shortened=shortened, slope=reported.slope * np.where(train, 1.0, 2.0))
+    assert not np.allclose(noise_of(other).layers.shortened, noise_of(reported).layers.shortened)
+    answers = [_Slab(each, layered_family())(train) for each in (reported, other)]
     np.testing.assert_array_equal(*answers)
 
 
@@ -75,7 +75,7 @@ def test_twelve_rows_end_in_a_page_a_table_and_a_json(twelve):
     assert page.count("data:image") == 4
     assert "Who stands out?" in page
     assert re.findall(r"<h(\d)", page) == ["1", *("2" for _ in range(6))], "no level of headings is left out"
-    assert f"from {low:.1f} to {high:.1f} % (95 %)" in page
+    assert f"between {low:.1f} and {high:.1f} % (95 %)" in page
     assert {each.suffix for each in (out / "pictures").iterdir()} == {".png", ".svg", ".csv"}
     assert result.summary[0] == "12 rows of 12 people"
 
@@ -149,14 +149,14 @@ def test_what_a_persons_sites_have_in_common_is_not_what_its_trials_have(tmp_pat
 def test_nobody_stands_out_where_all_are_alike_however_many_sites_each_has(alike):
     rng = np.random.default_rng(7)
     counts = [4] * 20 + [3] * 3 + [2] * 3 + [1] * 3
-    n_told = 0
+    n_counted = 0
     for _ in range(400):
         own = np.sqrt(alike) * rng.standard_normal(len(counts))
         scores = [
             each + np.sqrt(1 - alike) * rng.standard_normal(n) for each, n in zip(own, counts, strict=True)
         ]
-        n_told += bool((holm(2 * norm.sf(np.abs(person_scores(scores)))) < 0.05).any())
-    assert n_told / 400 < 0.08  # 5 % and three deviations of the count
+        n_counted += bool((holm(2 * norm.sf(np.abs(person_scores(scores)))) < 0.05).any())
+    assert n_counted / 400 < 0.08  # 5 % and three deviations of the count
     scores[22] = scores[22] + 6.0
     z = person_scores(scores)
     assert np.argmax(np.abs(z)) == 22
@@ -169,9 +169,9 @@ def test_the_command_tells_bad_rows_and_leaves_nothing(tmp_path, capsys):
     with pytest.raises(SystemExit) as stop:
         main(["cohort", str(table), "--out", str(tmp_path / "out"), "--quiet"])
     assert stop.value.code == 3
-    told = capsys.readouterr().err
-    assert "the layers add up to" in told
-    assert "limbcli check" not in told, "there is no case"
+    reported = capsys.readouterr().err
+    assert "the layers add up to" in reported
+    assert "limbcli check" not in reported, "there is no case"
     assert not (tmp_path / "out").exists()
 
 
@@ -200,7 +200,7 @@ def test_a_set_of_two_runs_is_refused(twelve, tmp_path, name):
     out = shutil.copytree(twelve[1], tmp_path / "out")
     assert read_cohort(out).data["n_rows"] == 12
     (out / name).write_text((out / name).read_text() + " ")
-    with pytest.raises(CaseError, match=f"{name} is not what `cohort` left together") as caught:
+    with pytest.raises(CaseError, match=f"{name} is not the file that `cohort` wrote together") as caught:
         read_cohort(out)
     assert caught.value.where == str(out / name)
 

@@ -72,4 +72,4 @@ def test_levels_that_a_harder_contact_does_not_reach_soon_are_left_out_and_it_is
     curve.close()
     found = writer.data["contact_check"]["p1"]
     assert len(found["depths_mm"]) == len(found["force_change_fraction"]) == 2
-    assert writer.summary[0].endswith("(looked at down to 1.2 mm)")
+    assert writer.summary[0].endswith("(evaluated down to 1.2 mm)")

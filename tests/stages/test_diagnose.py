@@ -40,14 +40,14 @@ def test_a_users_effect_is_one_file(tmp_path):
     assert load_effect(path).name == "slip"
     assert chosen_effects(DiagnoseOptions(effect_file=path, effects=("slip",)))[0].name == "slip"
     (tmp_path / "empty.py").write_text("x = 1")
-    with pytest.raises(CaseError, match="holds no EFFECT"):
+    with pytest.raises(CaseError, match="defines no EFFECT"):
         load_effect(tmp_path / "empty.py")
     with pytest.raises(CaseError, match="there is no effect 'frction'"):
         chosen_effects(DiagnoseOptions(effects=("frction",)))
 
 
 @pytest.mark.parametrize(
-    ("there", "instead", "told"),
+    ("there", "instead", "given"),
     [
         ("SLIP = ", "1 / 0\nSLIP = ", r"does not run \(ZeroDivisionError.*line 4"),
         ('theta["slip_mm"]', 'theta["slip"]', r"observe .* fails \(KeyError: 'slip'\).*line 6"),
@@ -62,10 +62,10 @@ def test_a_users_effect_is_one_file(tmp_path):
         ('theta["slip_mm"])', '0.3)', "its null value changes the reading"),
     ],
 )  # fmt: skip
-def test_an_effect_file_that_cannot_be_tried_is_told_as_the_users(tmp_path, there, instead, told):
+def test_an_effect_file_that_cannot_be_tried_is_told_as_the_users(tmp_path, there, instead, given):
     path = tmp_path / "slip.py"
     path.write_text(OWN.replace(there, instead))
-    with pytest.raises(CaseError, match=f"(?s){told}"):
+    with pytest.raises(CaseError, match=f"(?s){given}"):
         load_effect(path)
 
 
@@ -81,7 +81,7 @@ def test_a_users_effect_is_tried_beside_those_named_and_numerical_ones_cannot_be
     path.write_text(OWN)
     chosen = chosen_effects(DiagnoseOptions(effect_file=path, effects=("force-zero",)))
     assert [each.name for each in chosen] == ["force-zero", "slip"]
-    with pytest.raises(CaseError, match="'locking' cannot be named"):
+    with pytest.raises(CaseError, match="'locking' cannot be selected"):
         chosen_effects(DiagnoseOptions(effects=("locking",)))
 
 
@@ -141,14 +141,14 @@ def test_a_force_offset_on_the_block(tmp_path, rng):
     assert found.path("sizes").is_file()
 
 
-def written(folder: Path, monkeypatch: pytest.MonkeyPatch, told: list[str], *sites: str) -> StageResult:
+def written(folder: Path, monkeypatch: pytest.MonkeyPatch, given: list[str], *sites: str) -> StageResult:
     """What is left of the first of these sites, which share a place."""
     stage = "limbcli.stages.diagnose."
     for name in ("note_fibres", "gap_picture", "candidates_picture", "sizes_picture",
                  "sizes_of", "write_diagnosed", "all_levels_of"):  # fmt: skip
         monkeypatch.setattr(stage + name, lambda *_, **__: None)
     monkeypatch.setattr(stage + "with_bone_warnings", lambda found, bones: found)
-    monkeypatch.setattr(_Diagnosed, "_content", lambda *_: {"sentences": told, "sites": list(sites)})
+    monkeypatch.setattr(_Diagnosed, "_content", lambda *_: {"sentences": given, "sites": list(sites)})
     prepared = [
         SimpleNamespace(
             site=SimpleNamespace(name=name), notes=SimpleNamespace(inputs={}, warnings=[], data={}),
@@ -161,17 +161,17 @@ def written(folder: Path, monkeypatch: pytest.MonkeyPatch, told: list[str], *sit
         forward_model=SimpleNamespace(not_simulated=set()), prepared=prepared, bones=[], problems=[], out=None
     )
     case = SimpleNamespace(subject="B1")
-    asked = _Diagnosed(case, [each.site for each in prepared], folder, (), DiagnoseOptions(), None, SILENT)
-    return asked._write(None, place, 0)
+    run = _Diagnosed(case, [each.site for each in prepared], folder, (), DiagnoseOptions(), None, SILENT)
+    return run._write(None, place, 0)
 
 
 def test_the_command_prints_every_sentence_once(tmp_path, monkeypatch):
     """Also those of numerical doubt, of bones and of cycles, of which there may be a dozen together."""
-    told, of_cycles = [f"sentence {k}" for k in range(11)], ["All loadings are one curve within noise."]
+    lines, of_cycles = [f"sentence {k}" for k in range(11)], ["All loadings follow one curve within noise."]
     monkeypatch.setattr("limbcli.stages.diagnose.note_earlier", lambda *_: None)
     monkeypatch.setattr("limbcli.stages.diagnose.cycle_facts", lambda *_: {"sentences": of_cycles})
-    result = written(tmp_path, monkeypatch, told, "p1")
-    assert list(result.summary) == result.data["sentences"] == [*told, *of_cycles]
+    result = written(tmp_path, monkeypatch, lines, "p1")
+    assert list(result.summary) == result.data["sentences"] == [*lines, *of_cycles]
 
 
 def test_a_diagnosis_rests_on_all_sites_of_its_place_and_is_made_again_with_them(tmp_path, monkeypatch):

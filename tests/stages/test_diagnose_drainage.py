@@ -36,7 +36,7 @@ class Pretending:
     reach: float = 100.0
     longest: float = 100.0
     name: str = "febio"
-    asked: list[float] = field(default_factory=list)
+    requested: list[float] = field(default_factory=list)
 
     def found(self) -> bool:
         return True
@@ -52,7 +52,7 @@ class Pretending:
 
     def run(self, feb: Path, *, progress, time_limit_s=None) -> None:
         depth, first = map(float, (feb.parent / "depth").read_text().split())
-        self.asked.append(depth)
+        self.requested.append(depth)
         if depth > self.reach or first > self.longest:
             raise SolveError("FEBio stopped with an error", where=str(feb), fix="none")
 
@@ -77,7 +77,7 @@ def held(fall: float) -> HeldForces:
     return HeldForces(depth, np.array([[(24, 34), (84, 94)]] * 2), np.full(2, fall), np.full(2, 0.004))
 
 
-def asked(solver: Pretending, keep: Path, data: HeldForces | None, *, always: bool = True) -> Drained:
+def drained_by(solver: Pretending, keep: Path, data: HeldForces | None, *, always: bool = True) -> Drained:
     return drained(
         DrainageSolver(solver, always), data, "no trace", Book(), deepest=4.0, keep=keep, progress=SILENT
     )
@@ -85,43 +85,44 @@ def asked(solver: Pretending, keep: Path, data: HeldForces | None, *, always: bo
 
 def test_what_drains_is_simulated_once_and_kept(tmp_path):
     solver = Pretending()
-    found = asked(solver, tmp_path, held(0.1))
-    assert sorted(solver.asked) == pytest.approx([0.8, 1.8, 3.8], abs=0.21)
+    found = drained_by(solver, tmp_path, held(0.1))
+    assert sorted(solver.requested) == pytest.approx([0.8, 1.8, 3.8], abs=0.21)
     assert found.effect is not None
     assert not found.effect.febio_only
     assert not found.effect.solves
     assert [each["depth_mm"] for each in found.facts["runs"]] == [4.0, 2.0, 1.0]
     assert found.facts["solver_version"] == "4.0"
     again = Pretending()
-    assert asked(again, tmp_path, held(0.1)).effect is not None
-    assert again.asked == []
+    assert drained_by(again, tmp_path, held(0.1)).effect is not None
+    assert again.requested == []
 
 
 def test_what_fails_is_tried_again_in_shorter_steps(tmp_path):
     solver = Pretending(longest=0.2)
-    found = asked(solver, tmp_path, held(0.1))
+    found = drained_by(solver, tmp_path, held(0.1))
     assert found.effect is not None
     assert not found.warnings
-    assert len(solver.asked) == 6
+    assert len(solver.requested) == 6
     assert [each["problem"] for each in found.facts["runs"]] == [None] * 3
 
 
 def test_a_depth_without_an_answer_is_told_and_two_refuse(tmp_path):
-    found = asked(Pretending(reach=3.0), tmp_path, held(0.1))
+    found = drained_by(Pretending(reach=3.0), tmp_path, held(0.1))
     assert found.effect is not None
     assert "without FEBio's run at 4 mm: FEBio stopped with an error" in found.warnings[0]
-    refused = asked(Pretending(reach=1.5), tmp_path / "other", held(0.1))
+    refused = drained_by(Pretending(reach=1.5), tmp_path / "other", held(0.1))
     assert refused.effect is None
-    assert "at 1 of 3 depths only: FEBio stopped" in refused.refused.what
-    assert "at 0 of 3 depths" in asked(Pretending(reach=0.0), tmp_path / "none", held(0.1)).refused.what
+    assert "at only 1 of 3 depths: FEBio stopped" in refused.refused.what
+    none = drained_by(Pretending(reach=0.0), tmp_path / "none", held(0.1))
+    assert "at only 0 of 3 depths" in none.refused.what
 
 
 def test_without_holds_or_fall_nothing_is_simulated(tmp_path):
     solver = Pretending()
-    assert "hold (no trace)" in asked(solver, tmp_path, None).refused.what
-    assert "no force falls" in asked(solver, tmp_path, held(0.0), always=False).refused.what
-    assert solver.asked == []
-    assert asked(solver, tmp_path, held(0.1), always=False).effect is not None
+    assert "hold (no trace)" in drained_by(solver, tmp_path, None).refused.what
+    assert "no force decrease" in drained_by(solver, tmp_path, held(0.0), always=False).refused.what
+    assert solver.requested == []
+    assert drained_by(solver, tmp_path, held(0.1), always=False).effect is not None
 
 
 def test_febio_that_is_not_there_is_exit_code_4(capsys, tmp_path):

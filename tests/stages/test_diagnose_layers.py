@@ -78,6 +78,6 @@ def test_fat_is_named_by_its_layers_from_end_to_end(soft_fat, tmp_path):
 def test_layers_need_a_geometry_that_tells_them():
     segmented = StageResult("segment", "N1", Path(), data={"layers": {"p1": {"skin_mm": 1.5, "fat_mm": 4.5}}})
     np.testing.assert_allclose(borders_at_rest(segmented, SimpleNamespace(name="p1")), [1.5, 6.0])
-    with pytest.raises(CaseError, match="tells no thickness of skin and fat") as caught:
+    with pytest.raises(CaseError, match="gives no thickness of skin and fat") as caught:
         borders_at_rest(segmented, SimpleNamespace(name="p2"))
     assert "--with-layers" in caught.value.fix

@@ -157,14 +157,14 @@ def test_a_diagnosis_taken_up_again_allows_candidates_as_much_work_as_before(blo
 
 def test_a_diagnosis_taken_up_again_gives_the_very_same_numbers(block, tmp_path):
     """Wherever it was stopped: else what was close to a threshold is answered in another way."""
-    asked = [(8.0, ()), (4.0, ()), (4.0, THICKER), (5.0, ()), (5.0, SOFTER[0.30]), (5.1, SOFTER[0.33])]
+    requested = [(8.0, ()), (4.0, ()), (4.0, THICKER), (5.0, ()), (5.0, SOFTER[0.30]), (5.1, SOFTER[0.33])]
 
     def solved(folder, n_before: int):
         """Curves and kept deformation by one set of simulations, or by two with a stop in between."""
-        for some in (asked[:n_before], asked):
+        for some in (requested[:n_before], requested):
             simulations = SiteSimulations(block, DEPTHS, c=0.006, solving=ALONE, keep=folder)
             curves = [simulations.curves(m, ingredients) for m, ingredients in some]
-            gradient = simulations.kinematics(4.0).gradient if some is asked else None
+            gradient = simulations.kinematics(4.0).gradient if some is requested else None
             simulations.close()
         return curves, gradient, simulations.work.total
 
@@ -375,10 +375,10 @@ def test_a_law_that_fails_is_left_out_unless_all_do(reach, solved):
         c = 0.006
 
         def __init__(self):
-            self.asked = []
+            self.requested = []
 
         def curves(self, m, ingredients=()):
-            self.asked.append(m)
+            self.requested.append(m)
             if m not in reach:
                 raise SolveError(f"not at {m:g}", where="level", fix="none")
             return None
@@ -386,7 +386,7 @@ def test_a_law_that_fails_is_left_out_unless_all_do(reach, solved):
     site = SiteCurves(None, Book(), {})
     site.solve_nodes((2.0, 10.0, 5.0))
     assert sorted(site.nodes) == solved
-    assert site.simulations.asked[:3] == [10.0, 5.0, 2.0]
+    assert site.simulations.requested[:3] == [10.0, 5.0, 2.0]
     assert not site.solve_node(7.0)
     with pytest.raises(SolveError, match="not at 7"):
         SiteCurves(None, Book(), {}).solve_nodes((7.0,))

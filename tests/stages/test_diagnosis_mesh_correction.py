@@ -80,14 +80,14 @@ def test_a_penalty_in_proportion_to_the_edges_gives_meshes_the_same_contact(tmp_
     """The working mesh of twice the edges: with the same penalty its probe would sink in twice as far."""
     simulations = _simulations(tmp_path, counts=(6, 4, 2))
     fine = block.block_model("tet4", counts=(12, 8, 4))
-    asked = simulations.model.contacts[0].penalty
+    requested = simulations.model.contacts[0].penalty
     models = []
     for ratio in (0.5, 1.0):
         own = own_curves(fine, simulations, [2.0], size_ratio=ratio)[2.0]
         working = simulations.curves(2.0)
         models.append(own.force[-1] / np.interp(own.depth[-1], working.depth, working.force))
     simulations.close()
-    assert asked == 80.0
+    assert requested == 80.0
     assert models[1] > 1.02 * models[0]
 
 
@@ -116,12 +116,12 @@ def test_a_layer_beside_the_tissue_is_no_error_of_a_mesh(ran, tmp_path):
     simulations.close()
     assert not correction.log_force.any()
     assert correction.mesh_error.max() < 0.2
-    assert "has layers (fat) beside the tissue" in notes.warnings[0]
-    with pytest.raises(CaseError, match="has fat beside the tissue"):
+    assert "has layers (fat) as well as the tissue" in notes.warnings[0]
+    with pytest.raises(CaseError, match="has fat as well as the tissue"):
         own_run(site, layered, c=C)
-    mine, told = SimpleNamespace(site=site), SimpleNamespace(warnings=[])
-    written.write_diagnosed(None, None, mine, told, out=layered, number=0)
-    assert "no .feb was written: the site's mesh has fat" in told.warnings[0]
+    mine, reported = SimpleNamespace(site=site), SimpleNamespace(warnings=[])
+    written.write_diagnosed(None, None, mine, reported, out=layered, number=0)
+    assert "no .feb was written: the site's mesh has fat" in reported.warnings[0]
 
 
 def _comparison(out: Path, curves: dict[float, Curves], depth: np.ndarray, size: float) -> MeshComparison:

@@ -97,8 +97,8 @@ def test_febio_that_was_named_and_is_not_there_is_missing(tmp_path: Path, monkey
 @pytest.mark.slow
 def test_missing_library_is_named_with_its_debian_package(monkeypatch):
     """A trial that fails as a missing library makes it fail."""
-    said = "ImportError: libOpenGL.so.0: cannot open shared object file: No such file or directory"
-    monkeypatch.setattr(libraries, "TRIALS", {"pymeshlab": f"import sys; sys.exit({said!r})"})
+    message = "ImportError: libOpenGL.so.0: cannot open shared object file: No such file or directory"
+    monkeypatch.setattr(libraries, "TRIALS", {"pymeshlab": f"import sys; sys.exit({message!r})"})
     trial = libraries.end("pymeshlab", libraries.start("pymeshlab"))
     assert (trial.works, trial.missing) == (False, ("libOpenGL.so.0",))
     finding = module._library(trial)

@@ -148,7 +148,7 @@ def test_a_fit_that_misses_its_data_is_called_poor_first(tmp_path, forces):
     case = block.make_case(tmp_path / "case", tmp_path / "out", DEPTHS, odd, c=TRUTH["c"])
     options = FitOptions(intervals=False, contact_check=False, max_iterations=4)
     result = fit(case, out=tmp_path / "out", solver="reference", options=options)[0]
-    assert result.summary[0].startswith("poor fit: it misses the measured force by ")
+    assert result.summary[0].startswith("poor fit: it differs from the measured force by ")
     assert result.warnings[0].startswith("poor fit")
     assert result.data["misfit"]["times_noise"] > 2.0
     for name in ("f_kappa", "m"):
@@ -179,7 +179,7 @@ def test_without_speed_at_level_0_c_must_be_given(case, tmp_path, forces):
     given, source = initial_stiffness(silent, case.sites[0], FitOptions(c_kpa=6.0))
     assert given.c == pytest.approx(0.006)
     assert "--c-kpa" in source
-    with pytest.raises(MeasurementError, match=r"possible is 0\.1 to 500"):
+    with pytest.raises(MeasurementError, match=r"possible values are 0\.1 to 500"):
         initial_stiffness(silent, case.sites[0], FitOptions(c_kpa=-1.0))
 
 

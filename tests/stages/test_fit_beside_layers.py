@@ -95,7 +95,7 @@ def test_the_joint_fit_finds_the_tissue_beside_fat(tmp_path: Path) -> None:
     joint = JointOptions(max_solves=12, gain_deviation=1e-4)
     found = fit_joint(case, out=tmp_path / "out", joint=joint, options=options)
     assert found.data["c_kpa"] == pytest.approx(1000 * TRUE_C, rel=0.005)
-    assert any("the shear-wave speeds tell c" in each for each in found.warnings)
+    assert any("the shear-wave speeds determine c" in each for each in found.warnings)
     assert found.data["f_kappa"] == pytest.approx(SHAPE[0], rel=0.01)
     assert found.data["m"] == pytest.approx(SHAPE[1], rel=0.03)
     assert found.data["chi_square"] < 0.01
@@ -104,12 +104,12 @@ def test_the_joint_fit_finds_the_tissue_beside_fat(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_states_are_told_apart_beside_fat() -> None:
     true_c, c0, unloaded, shape = 0.0075, 0.006, 0.95, np.array([30.0, 6.0])
-    told, depths, forces = {"around": [0.9, 0.72, 1.1]}, [0.4, 1.0, 1.8, 2.8, 3.8], np.arange(0.0, 1.7, 0.4)
-    model, law, plan = beside_fat(c0, f_kappa=5.0), LAWS["ogden"], plan_of(told, {}, ["a", "b", "c"])
+    given, depths, forces = {"around": [0.9, 0.72, 1.1]}, [0.4, 1.0, 1.8, 2.8, 3.8], np.arange(0.0, 1.7, 0.4)
+    model, law, plan = beside_fat(c0, f_kappa=5.0), LAWS["ogden"], plan_of(given, {}, ["a", "b", "c"])
     ways = {"density_kg_per_m3": DENSITY, "threads": 1}
     truth = StateCurve(model, law, ("around",), depths, c=true_c, **ways)
     data = []
-    for name, stretch in zip("abc", told["around"], strict=True):
+    for name, stretch in zip("abc", given["around"], strict=True):
         theta, knots = np.r_[shape, stretch / unloaded], np.r_[0.0, depths]
         values, n = truth(theta).values, len(depths)
         depth = pchip_inverse(knots, np.r_[0.0, values[:n]], forces)

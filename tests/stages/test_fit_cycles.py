@@ -61,11 +61,11 @@ def test_the_last_loading_is_fitted_from_its_own_first_touch(built):
     found = fit(case, out=out, solver="reference", options=QUICK)[0]
     assert found.data["f_kappa"] == pytest.approx(150.0, rel=0.02)
     assert found.data["m"] == pytest.approx(3.0, rel=0.02)
-    told = found.data["cycle"]
-    assert (told["fitted"], told["of"], told["repeats_from"]) == (3, 3, 2)
-    assert told["zero_depth_mm"] == pytest.approx(LEFT)
-    assert told["contradicted_by"] is None
-    assert told["energy_lost_fraction"] > 0.2
+    reported = found.data["cycle"]
+    assert (reported["fitted"], reported["of"], reported["repeats_from"]) == (3, 3, 2)
+    assert reported["zero_depth_mm"] == pytest.approx(LEFT)
+    assert reported["contradicted_by"] is None
+    assert reported["energy_lost_fraction"] > 0.2
     assert not any("contradicts" in each for each in found.warnings)
 
 
@@ -84,7 +84,7 @@ def test_a_fit_on_a_first_cycle_that_later_ones_contradict_says_so(built):
     np.testing.assert_allclose(site.measured.depth[:5], np.r_[0.0, DEPTHS])
     page = report(case, out=out)
     text = page.path("page").read_text(encoding="utf-8")
-    assert "Does the tissue repeat itself" in text
+    assert "Is the response repeatable" in text
     assert "The parameters on this page are of cycle 1." in text
     assert (page.folder / "figures" / "cycles-p1.png").stat().st_size > 10_000
 
@@ -113,13 +113,13 @@ def test_a_cycle_whose_depths_were_not_built_is_simulated_at_its_own(built, forc
 
 
 @pytest.mark.parametrize(
-    ("cycle", "says"), [("4", "there is no cycle 4"), ("zero", "--cycle is 'zero'"), ("0", "--cycle is '0'")]
+    ("cycle", "text"), [("4", "there is no cycle 4"), ("zero", "--cycle is 'zero'"), ("0", "--cycle is '0'")]
 )
-def test_a_cycle_that_is_not_there_is_refused(built, cycle, says):
+def test_a_cycle_that_is_not_there_is_refused(built, cycle, text):
     case, out = built
-    with pytest.raises(CaseError, match=says):
+    with pytest.raises(CaseError, match=text):
         fit(case, out=out, solver="reference", options=FitOptions(cycle=cycle))
-    with pytest.raises(CaseError, match=says):
+    with pytest.raises(CaseError, match=text):
         limbcli.fit(case, out=out, cycle=cycle)
 
 

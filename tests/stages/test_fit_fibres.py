@@ -197,7 +197,7 @@ def test_two_orientations_give_back_one_tissue(both):
 def test_what_a_doubtful_direction_changes_is_told(both):
     """Where the case states how well it is known: fibres 4 degrees off, against two simulations of that."""
     assert set(both.data["direction_uncertainty"]) == {"along"}
-    told, values = both.data["direction_uncertainty"]["along"], []
+    found, values = both.data["direction_uncertainty"]["along"], []
     c, shape = 1e-3 * both.data["c_kpa"], np.array([both.data[each.name] for each in LAW.shape])
     a = np.radians(4.0)
     for axis in ((1.0, 0.0, 0.0), (np.cos(a), 0.0, np.sin(a))):
@@ -205,8 +205,8 @@ def test_what_a_doubtful_direction_changes_is_told(both):
         values.append(curve(shape).values)
         curve.close()
     change = values[1] / values[0] - 1.0
-    assert told["force_change_fraction"] == pytest.approx(change[:4][np.abs(change[:4]).argmax()], abs=2e-3)
-    assert told["speed_change_fraction"] == pytest.approx(change[4:][np.abs(change[4:]).argmax()], abs=2e-3)
+    assert found["force_change_fraction"] == pytest.approx(change[:4][np.abs(change[:4]).argmax()], abs=2e-3)
+    assert found["speed_change_fraction"] == pytest.approx(change[4:][np.abs(change[4:]).argmax()], abs=2e-3)
 
 
 @pytest.mark.slow
@@ -227,7 +227,7 @@ def test_one_orientation_is_told_what_it_leaves_open(case_and_out, both):
         case, out=out, sites=["across"], joint=JointOptions(law="fibres", max_solves=2), options=OPTIONS
     )
     assert any("all records are across the fibres" in each for each in alone.warnings)
-    assert any("turn the probe by 90 degrees" in each for each in alone.warnings)
+    assert any("with the probe turned by 90 degrees" in each for each in alone.warnings)
 
     def width(result: StageResult) -> float:
         low, high = result.data["interval_95"]["fibre_shear"]
@@ -238,14 +238,16 @@ def test_one_orientation_is_told_what_it_leaves_open(case_and_out, both):
 
 def test_words_of_orientations():
     assert not undetermined([0.02, 0.95], [True, True])
-    assert "one orientation only: fibre_shear rests on forces" in undetermined([0.02, 0.95], [True, False])[0]
-    assert "c (1 + fibre_shear) together" in undetermined([0.9, 0.95], [True, True])[0]
-    assert "one mixture" in undetermined([0.5], [True])[0]
+    assert ("one orientation only: fibre_shear is determined by forces") in undetermined(
+        [0.02, 0.95], [True, False]
+    )[0]
+    assert "only the product c (1 + fibre_shear)" in undetermined([0.9, 0.95], [True, True])[0]
+    assert "only a combination" in undetermined([0.5], [True])[0]
     assert share_along(fibred((0.6, 0.8, 0.0))) == pytest.approx(0.36)
 
 
 def test_the_law_speaks_to_the_joint_fit_alone_and_is_known_by_name():
-    with pytest.raises(CaseError, match="says nothing"):
+    with pytest.raises(CaseError, match="has no effect"):
         check_choice("force", compare_element=False, solver="auto", joint_only=["--law"])
     assert law_named("fibres") is LAW
     assert LAWS["ogden"].along((1.0, 0.0, 0.0)) is LAWS["ogden"]

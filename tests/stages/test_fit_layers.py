@@ -136,7 +136,7 @@ def test_soft_fat_is_told_by_the_fit(truth, tmp_path):
     assert reported["measured_less_predicted"]["fat"]["last_mm"] == pytest.approx(-0.6, abs=0.05)
     assert any("the layers do not move as in this model" in text for text in result.warnings)
     assert shown(result).mood == "warning"
-    assert any(text.startswith("fat: measured less predicted") for text in shown(result).notes)
+    assert any(text.startswith("fat: measured minus predicted") for text in shown(result).notes)
 
 
 @pytest.mark.slow

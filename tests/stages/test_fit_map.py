@@ -141,7 +141,7 @@ def test_the_result_tells_which_map_and_how_much_of_the_model_it_covers(fits):
 
 
 @pytest.mark.parametrize(
-    ("swe", "error", "says"),
+    ("swe", "error", "message"),
     [
         (None, CaseError, "no shear-wave maps"),
         (
@@ -159,9 +159,9 @@ def test_the_result_tells_which_map_and_how_much_of_the_model_it_covers(fits):
     ],
     ids=["no maps", "beside the model", "too wide", "all pixels masked", "few pixels"],
 )
-def test_a_map_that_cannot_serve_is_refused(model, tmp_path, swe, error, says):
+def test_a_map_that_cannot_serve_is_refused(model, tmp_path, swe, error, message):
     case = measured(tmp_path, np.array([1.0, 2.0, 3.0, 4.0]), swe)
-    with pytest.raises(error, match=says) as raised:
+    with pytest.raises(error, match=message) as raised:
         tissue_map(model, case.sites[0])
     assert raised.value.fix
 

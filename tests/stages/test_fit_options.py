@@ -19,7 +19,7 @@ CASE = SimpleNamespace(subject="S1", selected=lambda _: [SimpleNamespace(name="p
 
 @pytest.mark.parametrize("kind", ["force", "joint", "states", COMPARISON])
 def test_options_of_every_kind_of_fit_are_taken_again(kind):
-    given = ALL.asked(kind)
+    given = ALL.requested(kind)
     compared = kind == COMPARISON
     objective = "force" if compared else kind
     check_choice(objective, compare_element=compared, solver="auto", options=FitOptions(**given))
@@ -34,13 +34,13 @@ def test_states_fitted_after_the_force_remember_only_what_speaks_to_them(tmp_pat
 
 def test_a_comparison_made_from_python_does_too(tmp_path, monkeypatch):
     monkeypatch.setattr(fit_elements, "_compare_site", lambda *_: None)
-    asked = FitOptions(c_kpa=8.0, contact_check=False)
-    (made,) = fit_elements.compare_elements(CASE, out=tmp_path, options=asked)
+    requested = FitOptions(c_kpa=8.0, contact_check=False)
+    (made,) = fit_elements.compare_elements(CASE, out=tmp_path, options=requested)
     assert made.data["asked"] == {"c_kpa": 8.0}
 
 
 def test_a_comparison_of_laws_is_asked_for_again():
     data = {"law": "ogden", "laws": [{"law": "ogden"}], "sites": ["p1"], "asked": {"gain_deviation": None}}
     made = StageResult(stage="fit-joint", subject="S1", folder=Path("out"), data=data)
-    said = CommandStep.of(made).command(Path("limb"), Path("out"))
-    assert said == "limbcli fit limb --objective joint --site p1 --out out --law ogden --compare-laws"
+    message = CommandStep.of(made).command(Path("limb"), Path("out"))
+    assert message == "limbcli fit limb --objective joint --site p1 --out out --law ogden --compare-laws"

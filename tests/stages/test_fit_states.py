@@ -37,8 +37,8 @@ def levels() -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Depths and speeds of the three states, on a finer mesh than the fit's."""
     made = state_case.curve(counts=state_case.OTHER_MESH)
     found = {
-        name: state_case.true_levels(made, [told / state_case.UNLOADED])
-        for name, told in state_case.TOLD.items()
+        name: state_case.true_levels(made, [reported / state_case.UNLOADED])
+        for name, reported in state_case.TOLD.items()
     }
     made.close()
     return found
@@ -70,10 +70,10 @@ def test_three_states_give_back_the_law_and_where_it_is_unloaded(fitted):
         assert holds(data["interval_95"][name], value), name
         assert data[name] == pytest.approx(value, rel=0.15)
         assert data["flags"][name] == "identified"
-    for name, told in state_case.TOLD.items():
+    for name, reported in state_case.TOLD.items():
         stretch = data["states"][name][f"stretch_{WAY}"]
-        assert holds((stretch["low"], stretch["high"]), told / state_case.UNLOADED)
-        assert stretch["value"] == pytest.approx(told / data[UNLOADED])
+        assert holds((stretch["low"], stretch["high"]), reported / state_case.UNLOADED)
+        assert stretch["value"] == pytest.approx(reported / data[UNLOADED])
         assert data["states"][name]["stretch_along"] == {
             "told": 1.0, "value": 1.0, "low": 1.0, "high": 1.0, "known": True,
         }  # fmt: skip
@@ -98,16 +98,16 @@ def test_page_files_and_python_hold_the_states(case_and_out, fitted):
     case, out = case_and_out
     text = report(case, out=out).path("page").read_text(encoding="utf-8")
     assert "In which state is the tissue least stiff" in text
-    assert "the speed at rest is least at a stretch of" in text
+    assert "the speed at rest is lowest at a stretch of" in text
     assert "0.720" in text or "0.72" in text
     assert {"states", "picture", "profiles", "feb_bent", "levels_bent"} <= set(fitted.files)
     model = read_feb(fitted.path("feb_bent"))
-    told = fitted.data["states"]["bent"][f"stretch_{WAY}"]["value"]
+    reported = fitted.data["states"]["bent"][f"stretch_{WAY}"]["value"]
     F0 = np.reshape(model.materials["tissue"].parameters["F0"], (3, 3))
-    np.testing.assert_allclose(F0, np.diag([told, 1.0, 1 / told]), atol=1e-6)
+    np.testing.assert_allclose(F0, np.diag([reported, 1.0, 1 / reported]), atol=1e-6)
     read = limbcli.StatesFitResult.read(out, "p1")
     assert read.parameter(UNLOADED).flag == "identified"
-    assert read.states["bent"][f"stretch_{WAY}"]["value"] == told
+    assert read.states["bent"][f"stretch_{WAY}"]["value"] == reported
     assert read.least_stiffness[WAY]["told"]
     assert read.model("bent").materials["tissue"].law == "prestrain"
     rules = ["[states.p1]", "m = { value = 6.0, relative = 0.2 }"]
@@ -138,8 +138,8 @@ def test_states_on_one_slope_leave_the_lowest_point_open(levels, tmp_path):
     """Two stretched states close together, speeds of little weight: it says that it is not told."""
     few = {name: levels[name] for name in ("middle", "straight")}
     read = state_case.noisy(few, 3)
-    told = {name: state_case.TOLD[name] for name in few}
-    case = state_case.make_case(tmp_path / "case", tmp_path / "out", read, told)
+    reported = {name: state_case.TOLD[name] for name in few}
+    case = state_case.make_case(tmp_path / "case", tmp_path / "out", read, reported)
     text = case.file.read_text().replace("swe_level_fraction = 0.03", "swe_level_fraction = 0.3")
     case.file.write_text(text.replace("depth_mm = 0.05", "depth_mm = 1.0"))
     found = fit_states(
@@ -147,9 +147,9 @@ def test_states_on_one_slope_leave_the_lowest_point_open(levels, tmp_path):
     )[0]
     least = found.data["least_stiffness"][WAY]
     assert not least["told"]
-    assert "is not told by these data" in least["words"]
+    assert "is not determined by these data" in least["words"]
     assert least["by_parabola_through_states"] == {"stretch": None, "low": None, "high": None, "told": False}
-    assert any("not told by these data" in each for each in found.data["undetermined"])
+    assert any("not determined by these data" in each for each in found.data["undetermined"])
     assert set(found.data["undetermined"]) <= set(found.warnings)
 
 
@@ -163,14 +163,14 @@ def test_knots_reach_a_little_beyond_the_deepest_state(case_and_out):
 
 def test_states_are_asked_for_by_name_and_only_where_there_are_any(case_and_out, tmp_path):
     check_choice("states", compare_element=False, solver="auto", joint_only=["--law"])
-    with pytest.raises(CaseError, match="laws are compared by the joint fit alone"):
+    with pytest.raises(CaseError, match="laws are compared by the joint fit only"):
         check_choice("states", compare_element=False, solver="auto", joint_only=["--compare-laws"])
     with pytest.raises(CaseError, match="use force, joint or states"):
         check_choice("state", compare_element=False, solver="auto")
     plain = block.make_case(
         tmp_path / "case", tmp_path / "out", np.array([1.0, 2.0]), np.array([1.0, 2.5]), c=0.006, build=False
     )
-    with pytest.raises(CaseError, match="no site that was asked for has states"):
+    with pytest.raises(CaseError, match="no requested site has states"):
         fit_states(plain, out=tmp_path / "out", options=FitOptions())
 
 

@@ -83,18 +83,18 @@ def test_levels_at_first_touch_do_not_make_a_fit_look_better():
 
 def test_one_depth_read_three_times_does_not_identify_two_parameters():
     found = found_of(np.array([0.0, 6.0, 6.0, 6.0]), np.array([0.0, 14.7, 14.6, 14.8]))
-    told = step_table(found, 1)
-    assert set(told["flags"].values()) == {"fixed", "weak"}
-    assert np.isnan([told["standard_error"][name] for name in ("f_kappa", "m")]).all()
+    reported = step_table(found, 1)
+    assert set(reported["flags"].values()) == {"fixed", "weak"}
+    assert np.isnan([reported["standard_error"][name] for name in ("f_kappa", "m")]).all()
 
 
 def test_profiles_are_shaded_as_far_as_the_intervals_that_are_told(tmp_path, monkeypatch):
     """Also where the fit, or a doubt of the geometry, lies beyond where the curve crosses its limit."""
     values = np.array([1.0, 2.0, 3.0])
     one = Profile("f_kappa", values, (values - 2.0) ** 2, values[:, None], 1.2, 9.0, False, False, values)
-    told = SimpleNamespace(threshold=0.25, profiles={"f_kappa": one, "m": replace(one, name="m")})
+    reported = SimpleNamespace(threshold=0.25, profiles={"f_kappa": one, "m": replace(one, name="m")})
     depth = np.array([0.0, 3.0, 6.0, 9.0])
-    found = replace(found_of(depth, np.array([0.0, 6.2, 14.6, 28.0])), intervals=(told, told))
+    found = replace(found_of(depth, np.array([0.0, 6.2, 14.6, 28.0])), intervals=(reported, reported))
     drawn = []
     monkeypatch.setattr(profiles, "profile_figure", drawn.append)
     monkeypatch.setattr(fit_result, "save_figure", lambda *_: None)

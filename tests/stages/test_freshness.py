@@ -34,9 +34,9 @@ def test_sites_remember_side_by_side(tmp_path: Path):
     first, second = Memory(tmp_path, site="p1"), Memory(tmp_path, site="p2")
     assert first.is_fresh("mesh", "p1", "of an earlier version")
     first.remember("mesh", "p1", "key")
-    second.keep_asked("mesh", "p2", {"size": 3.0})
+    second.keep_requested("mesh", "p2", {"size": 3.0})
     assert Memory(tmp_path, site="p1").is_fresh("mesh", "p1", "key")
-    assert Memory(tmp_path, site="p2").asked("mesh", "p2") == {"size": 3.0}
+    assert Memory(tmp_path, site="p2").requested("mesh", "p2") == {"size": 3.0}
 
 
 @pytest.mark.parametrize(
@@ -49,16 +49,16 @@ def test_damaged_memory_only_means_more_work(tmp_path: Path, damaged: str):
     memory = Memory(tmp_path)
     assert not memory.is_fresh("mesh", "p1", "key")
     assert memory.made_since("mesh", "p1")
-    assert memory.asked("mesh", "p1") == {}
+    assert memory.requested("mesh", "p1") == {}
     memory.remember("mesh", "p1", "key")
-    assert Memory(tmp_path).asked("mesh", "p1") == {}
+    assert Memory(tmp_path).requested("mesh", "p1") == {}
 
 
-@pytest.mark.parametrize("asked", [None, 3, [], "x"])
-def test_damaged_options_of_a_result_are_none(tmp_path: Path, asked: object):
+@pytest.mark.parametrize("requested", [None, 3, [], "x"])
+def test_damaged_options_of_a_result_are_none(tmp_path: Path, requested: object):
     with open_stage(tmp_path, "mesh", subject="S1", site="p1") as writer:
-        writer.data["asked"] = asked
-    assert Memory(tmp_path, "S1").asked("mesh", "p1") == {}
+        writer.data["asked"] = requested
+    assert Memory(tmp_path, "S1").requested("mesh", "p1") == {}
     found = read_result(tmp_path, "mesh", site="p1")
     assert CommandStep.of(found).command(Path("c"), Path("o")) == "limbcli mesh c --site p1 --out o"
 
@@ -66,13 +66,13 @@ def test_damaged_options_of_a_result_are_none(tmp_path: Path, asked: object):
 def test_what_was_asked_for_another_subject_is_forgotten(tmp_path: Path):
     with open_stage(tmp_path, "mesh", subject="S1", site="p1") as writer:
         writer.data["asked"] = {"size": 3.0}
-    assert Memory(tmp_path, "S1").asked("mesh", "p1") == {"size": 3.0}
-    assert Memory(tmp_path, "S2").asked("mesh", "p1") == {}
+    assert Memory(tmp_path, "S1").requested("mesh", "p1") == {"size": 3.0}
+    assert Memory(tmp_path, "S2").requested("mesh", "p1") == {}
     memory = Memory(tmp_path, "S1")
-    memory.keep_asked("mesh", "p1", {"size": 3.0})
+    memory.keep_requested("mesh", "p1", {"size": 3.0})
     memory.remember("mesh", "p1", "key")
-    assert Memory(tmp_path, "S1").asked("mesh", "p1") == {"size": 3.0}
-    assert Memory(tmp_path, "S2").asked("mesh", "p1") == {}
+    assert Memory(tmp_path, "S1").requested("mesh", "p1") == {"size": 3.0}
+    assert Memory(tmp_path, "S2").requested("mesh", "p1") == {}
     assert not Memory(tmp_path, "S2").is_fresh("mesh", "p1", "key")
 
 

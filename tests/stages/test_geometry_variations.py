@@ -100,7 +100,7 @@ def test_a_second_bone_is_held_beside_the_first():
     np.testing.assert_allclose(np.abs(held[:, 0]), 20.55, atol=1.05)  # 3.5 + 16 + 1.05, of radius 1.05
     np.testing.assert_allclose(held[:, 2], -10.0, atol=1.05)
     assert set(before) < set(after)
-    with pytest.raises(MeshError, match="a second bone beside the first would hold 0 nodes"):
+    with pytest.raises(MeshError, match="a second bone next to the first would contain 0 nodes"):
         with_second_bone(block_with_fixed(), ROD)
 
 

@@ -157,8 +157,8 @@ def test_the_truth_tells_parameters_as_they_are_hidden_not_as_the_effects_own_mo
     left = 2.0 * times * -np.expm1(-1.0 / times) * np.exp(-held / times)  # of a step of 2 N in 1 s
     assert shown("viscoelasticity=0.3").force[1] == pytest.approx(2.0 + share @ left)
     model = block_model()
-    told = 1.0 + layer_share(model, 0.0, skin["skin_thickness_mm"]) * np.expm1(skin["log_skin_ratio"])
-    assert ground(hide("skin-layer=2.3").in_model(model)) == pytest.approx(ground(model) * told)
+    reported = 1.0 + layer_share(model, 0.0, skin["skin_thickness_mm"]) * np.expm1(skin["log_skin_ratio"])
+    assert ground(hide("skin-layer=2.3").in_model(model)) == pytest.approx(ground(model) * reported)
     (law,) = [each for each in _materials(hide("anisotropy").in_model(model)) if "alpha" in each.parameters]
     assert law.parameters["alpha"] == fibres["fibre_exponent"]
 
@@ -183,7 +183,7 @@ def test_skin_and_fat_are_not_hidden_in_tissue_below_layers_of_its_mesh():
     hidden = [hide("contraction"), hide("skin-layer")]
     check_beside_layers(hidden, ())
     check_beside_layers(hidden[:1], ("fat",))
-    with pytest.raises(CaseError, match="skin-layer cannot be hidden where the mesh has fat"):
+    with pytest.raises(CaseError, match="skin-layer cannot be hidden where the mesh has separate fat"):
         check_beside_layers(hidden, ("fat",))
 
 

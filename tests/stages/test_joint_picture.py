@@ -18,8 +18,8 @@ LAYER_DATA = type(SiteMeasurement.__dataclass_fields__["layers"].default)
 
 def site(name: str, *, speeds: bool, layers: bool) -> SiteMeasurement:
     n = 5 if speeds else 0
-    told = LAYER_DATA(FORCE, np.zeros(5, int), 6 - 0.1 * FORCE, 0.04 * np.eye(5), np.full(5, 6.0))
-    more = {"layers": told} if layers else {}
+    reported = LAYER_DATA(FORCE, np.zeros(5, int), 6 - 0.1 * FORCE, 0.04 * np.eye(5), np.full(5, 6.0))
+    more = {"layers": reported} if layers else {}
     return SiteMeasurement(
         name,
         FORCE,

@@ -91,9 +91,9 @@ def test_frames_of_one_loop_or_of_a_loop_a_level_are_the_levels_images(tmp_path:
     loop(tmp_path / "b.dcm")
     assert greys(3) == [30, 30]
     assert greys([2, 4]) == [20, 40]
-    with pytest.raises(MeasurementError, match="frame lists 3 frames, the folder holds 2 images"):
+    with pytest.raises(MeasurementError, match="frame lists 3 frames, the folder contains 2 images"):
         greys([1, 2, 3])
-    with pytest.raises(MeasurementError, match="nothing says which"):
+    with pytest.raises(MeasurementError, match="it is not stated which"):
         greys(None)
 
 
@@ -144,18 +144,18 @@ ONLY_CELL = '[site.load_cell]\nfile = "cell.csv"\ncolumns = { time_s = "t", forc
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "message"),
     [
         (lambda time, force: (time, 102.0 * force), "spans .* to 6.. N"),
-        (lambda time, force: (time, -force), "the sign turned"),
+        (lambda time, force: (time, -force), "the sign reversed"),
         (lambda time, force: (1000.0 * time, force), "milliseconds"),
-        (lambda time, force: (time, 0.0 * force), "one level only"),
+        (lambda time, force: (time, 0.0 * force), "only one level"),
         (lambda time, force: (time, np.full(len(force), np.nan)), "0 of .* samples"),
     ],
     ids=["grams", "sign", "milliseconds", "one level", "no force"],
 )
-def test_a_record_that_cannot_be_meant_is_refused(folder: Path, tmp_path: Path, rng, change, says):
-    with pytest.raises(MeasurementError, match=says):
+def test_a_record_that_cannot_be_meant_is_refused(folder: Path, tmp_path: Path, rng, change, message):
+    with pytest.raises(MeasurementError, match=message):
         measure(cell_only(folder, tmp_path, *change(*times_and_forces(rng))), out=tmp_path / "out")
 
 
@@ -165,7 +165,7 @@ def test_lost_samples_and_tiny_forces_are_doubted(folder: Path, tmp_path: Path, 
     assert any("kgf" in text for text in result.warnings)
     force[::5] = np.nan
     result = measure(cell_only(folder, tmp_path, time, force), out=tmp_path / "out")[0]
-    assert any("hold no force" in text for text in result.warnings)
+    assert any("contain no force" in text for text in result.warnings)
     assert not any("kgf" in text for text in result.warnings)
 
 
@@ -191,10 +191,10 @@ def test_a_level_whose_force_moved_is_told_where_it_is_found_as_two(rng):
     trace = record(rng, levels=(0, 2, 4), hold=14.0)
     moved = np.where(trace.time > 41.0, 0.3, 0.0)  # in the midst of the last hold
     holds = find_holds(replace(trace, force=trace.force + moved))
-    told = found_twice(holds, 2.0)
+    reported = found_twice(holds, 2.0)
     assert len(holds) == 4
-    assert len(told) == 1
-    assert "holds 2 and 3" in told[0]
+    assert len(reported) == 1
+    assert "holds 2 and 3" in reported[0]
     assert found_twice(find_holds(trace), 2.0) == []
 
 
@@ -260,7 +260,7 @@ def test_bar_and_box_are_found_and_the_same_speeds_come_out(folder: Path, tmp_pa
 @pytest.mark.slow
 def test_skin_fat_and_bone_are_left_out_of_the_speeds(folder: Path, tmp_path: Path):
     plain = measure(Case.open(folder), out=tmp_path / "a")[0]
-    assert any("skin and fat are left out" in text for text in plain.warnings)
+    assert any("skin and fat are excluded" in text for text in plain.warnings)
     with open_stage(tmp_path / "b", "segment", subject="S1") as writer:
         writer.data["layers"] = {"p1": {"skin_mm": 1.5, "fat_mm": 6.5}}
     result = measure(Case.open(folder), out=tmp_path / "b")[0]
@@ -389,5 +389,5 @@ def test_cycles_are_found_in_the_record(folder: Path, tmp_path: Path, rng):
     assert [row.split(",")[0] for row in rows[1:]] == ["1"] * 6 + ["2"] * 4
     assert [row.split(",")[1] for row in rows[1:]] == ["load"] * 4 + ["unload"] * 2 + ["load"] * 4
     assert found.data["cycles"] == 2
-    assert any("2 cycles found, 2 holds on the way back" in each for each in found.summary)
+    assert any("2 cycles found, 2 holds during unloading" in each for each in found.summary)
     assert not any("overshot" in each for each in found.warnings)

@@ -214,7 +214,7 @@ def checks(**changes: float | None) -> SiteChecks:
 
 
 @pytest.mark.parametrize(
-    ("found", "measured", "said"),
+    ("found", "measured", "message"),
     [
         (checks(), 20.5, None),
         (checks(), None, None),
@@ -224,15 +224,15 @@ def checks(**changes: float | None) -> SiteChecks:
         (checks(to_cut_mm=20.0), None, "end 20 mm beyond the probe"),
     ],
 )
-def test_model_is_checked_against_the_measurement(found, measured, said):
+def test_model_is_checked_against_the_measurement(found, measured, message):
     warnings = geometry_warnings(found, measured=measured, margin=40.0, site="p1")
-    assert [said in each for each in warnings] == ([True] if said else [])
+    assert [message in each for each in warnings] == ([True] if message else [])
 
 
 def test_layers_that_thin_out_over_bone_are_told_with_what_is_left():
     assert layer_warnings(LayersKept(centre=1.0, least=0.95), 7.5) == []
-    (said,) = layer_warnings(LayersKept(centre=0.8, least=0.72), 7.5)
-    assert "5.4 mm are left under the probe, 6.0 mm at its centre" in said
+    (message,) = layer_warnings(LayersKept(centre=0.8, least=0.72), 7.5)
+    assert "5.4 mm are left under the probe, 6.0 mm at its centre" in message
 
 
 def test_a_place_beside_the_skin_is_told_and_the_middle_of_a_marker_is_none():
@@ -246,7 +246,7 @@ def test_a_mesh_is_told_with_the_bones_depth_of_today(tmp_path):
     """Levels may be read after the mesh was made, or corrected: what is said of the mesh goes with them."""
     site = SimpleNamespace(levels=tmp_path / "levels.csv", skin_bone=None)
 
-    def told(then: float | None, now: float | None) -> list[str]:
+    def current_warnings(then: float | None, now: float | None) -> list[str]:
         warnings = ("a voxel is large", *geometry_warnings(checks(), measured=then, margin=40.0, site="p1"))
         data = {"checks": {"skin_bone_mm": checks().skin_bone_mm}, "measured_skin_bone_mm": then}
         head = "force_n,depth_mm,skin_bone_mm" if now else "force_n,depth_mm"
@@ -254,7 +254,8 @@ def test_a_mesh_is_told_with_the_bones_depth_of_today(tmp_path):
         site.levels.write_text("\n".join([head, *rows]) + "\n")
         return warnings_now(StageResult("mesh", "S1", Path(), warnings=warnings, data=data), site)
 
-    assert [len(told(*each)) for each in ((None, 23.0), (23.0, 23.0), (23.0, 20.5), (23.0, None))] == [
+    depths = ((None, 23.0), (23.0, 23.0), (23.0, 20.5), (23.0, None))
+    assert [len(current_warnings(*each)) for each in depths] == [
         2,
         2,
         1,

@@ -57,8 +57,8 @@ def test_the_same_seed_gives_the_same_folder_another_seed_another(folder, tmp_pa
     phantom(tmp_path / "again", options=BARE)
     assert sha256(tmp_path / "again") == sha256(folder)
     other = PhantomOptions(seed=4, voxel=BARE.voxel, synth=None)
-    told = phantom(tmp_path / "other one", options=other).summary[-1]
-    assert told == f"next: limbcli segment '{tmp_path / 'other one'}'", "it can be pasted"
+    reported = phantom(tmp_path / "other one", options=other).summary[-1]
+    assert reported == f"next: limbcli segment '{tmp_path / 'other one'}'", "it can be pasted"
     assert sha256(tmp_path / "other one" / "mri") != sha256(folder / "mri")
 
 

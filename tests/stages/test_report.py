@@ -314,14 +314,14 @@ def test_a_poor_fit_is_told_before_anything_else(tmp_path):
     add_fit(out, "p1")
     path = out / "fit" / "p1" / "fit.json"
     content = json.loads(path.read_text())
-    words = "poor fit: it misses the measured force by 3 N (RMSE under load); R2 0.61"
+    words = "poor fit: it differs from the measured force by 3 N (RMSE under load); R2 0.61"
     content["data"]["misfit"] = {"poor": True, "words": words}
     path.write_text(json.dumps(content))
     glance = overview(gather(case, out=out))
     assert glance.sentence.startswith("Poor fit at p1")
     assert glance.mood == "failed"
     assert glance.sites[0].facts[0].remark.startswith("poor fit")
-    assert glance.sites[0].sentence.startswith("Poor fit: it misses")
+    assert glance.sites[0].sentence.startswith("Poor fit: it differs")
 
 
 def test_page_of_a_case_that_cannot_be_read_has_a_paragraph_a_problem(tmp_path):
@@ -336,7 +336,7 @@ def test_page_of_a_case_that_cannot_be_read_has_a_paragraph_a_problem(tmp_path):
     assert n > 3
     assert len([each for each in page.all("div") if each.get("class") == "problem"]) == n
     assert f"{n} problems:" in page.text
-    assert page.text.count("[subject] lacks 'id'") == 1, "not once more in one long line"
+    assert page.text.count("[subject] is missing 'id'") == 1, "not once more in one long line"
     assert f"limbcli check '{folder}'" in page.text
     assert "CASE" not in page.text
 
@@ -354,12 +354,12 @@ def test_summary_says_what_to_measure_next(tmp_path):
             "recommended": "larger", "power_for_its_worst_pair": 0.83, "menu": menu
         }  # fmt: skip
     (steps,) = [each.next_steps for each in overview(gather(case, out=out)).sites]
-    assert steps[0].startswith("Press with a larger probe (it tells the explanations apart in 83 of 100")
+    assert steps[0].startswith("Press with a larger probe (it distinguishes the explanations in 83 of 100")
     with open_stage(out, "diagnose", subject="S1", site="p1") as writer:
         powers = {"power_for_its_worst_pair": 0.05, "power_for_its_best_pair": 0.92}
         writer.data["next_measurement"] = {"recommended": "larger", **powers, "menu": menu}
     (several,) = [each.next_steps for each in overview(gather(case, out=out)).sites]
-    assert "apart in 5 to 92 of 100 cases" in several[0]
+    assert "explanations in 5 to 92 of 100 cases" in several[0]
     assert not any("limbcli diagnose" in each for each in steps)
 
 
@@ -391,8 +391,8 @@ def test_warnings_of_every_stage_stand_at_the_head(whole):
 
 
 def test_a_report_tells_which_fits_it_shows(whole):
-    told = read_result(whole[0], "report").data["fitted_utc"]
-    assert told["p1"] == read_result(whole[0], "fit", site="p1").provenance["finished_utc"]
+    reported = read_result(whole[0], "report").data["fitted_utc"]
+    assert reported["p1"] == read_result(whole[0], "fit", site="p1").provenance["finished_utc"]
 
 
 def test_speed_line_is_that_of_the_readings(whole):
@@ -452,7 +452,7 @@ def test_a_broken_table_of_predicted_speeds_becomes_words(tmp_path):
 
 def test_provenance_names_solver_versions_hashes_and_units(whole):
     _, page = whole
-    tail = page.text[page.text.index("What made this page?") :]
+    tail = page.text[page.text.index("How was this page made?") :]
     for word in ("febio", "4.11.0", "pardiso", "numpy", "mm-N-s (MPa)", "case.toml", "limbcli"):
         assert word in tail, word
     assert re.search(r"\b[0-9a-f]{64}\b", tail)
@@ -478,7 +478,7 @@ def test_figures_are_files_too(whole):
 
 def test_every_caption_says_what_bad_looks_like(whole):
     _, page = whole
-    assert page.text.count("Look for:") == page.text.count("Bad is:") >= 8
+    assert page.text.count("Look for:") == page.text.count("Warning signs:") >= 8
 
 
 def test_a_report_of_nothing_is_a_page_of_gaps(tmp_path):
@@ -495,10 +495,10 @@ def test_weak_parameters_are_named_in_the_first_sentence(tmp_path):
     case, out = make_case(tmp_path / "case"), tmp_path / "out"
     add_fit(out, "p1")
     sentence = overview(gather(case, out=out)).sentence
-    assert "Not to be relied on as properties of the tissue: f_κ at p1." in sentence
+    assert "Not reliable as tissue properties: f_κ at p1." in sentence
     path = out / "fit" / "p1" / "fit.json"
     path.write_text(path.read_text().replace('"weak"', '"identified"'))
-    assert "Every parameter searched for is identified." in overview(gather(case, out=out)).sentence
+    assert "All fitted parameters are identified." in overview(gather(case, out=out)).sentence
 
 
 @pytest.mark.parametrize(
@@ -553,7 +553,7 @@ def test_a_damaged_force_depth_curve_becomes_words(tmp_path, content):
         writer.file("force_depth", "force-depth.csv").write_text("time_s,depth_mm,force_n\n1,2,3\n")
     (out / "run" / "p1" / "force-depth.csv").write_bytes(content)
     found = report(case, out=out)
-    assert any("force-depth.csv" in each and "not as it was left" in each for each in found.warnings)
+    assert any("force-depth.csv" in each and "was changed since" in each for each in found.warnings)
 
 
 def test_a_result_older_than_its_source_is_told(tmp_path):
@@ -622,7 +622,7 @@ def test_a_template_of_the_users_that_nothing_uses_is_refused(tmp_path):
     (tmp_path / "report" / "own.j2").write_text("mine")
     assert render("index.html.j2", {}, templates=tmp_path) == "mine"
     (tmp_path / "report" / "styles.css").write_text("body { color: red }")
-    with pytest.raises(CaseError, match=r"styles\.css is used by nothing") as caught:
+    with pytest.raises(CaseError, match=r"styles\.css is not used") as caught:
         render("index.html.j2", {}, templates=tmp_path)
     assert "did you mean style.css" in caught.value.fix
 
@@ -672,7 +672,10 @@ def test_what_was_made_on_demand_is_on_the_page(tmp_path):
 def test_a_joint_fit_that_misses_its_data_is_not_marked_as_fine(tmp_path):
     case, out = make_case(tmp_path / "S1"), tmp_path / "out"
     sound = {"c_kpa": {"value": 8.0, "low": 7.0, "high": 9.0, "flag": "identified"}}
-    for warnings, mood in (((), "fine"), (("the fit misses the data: chi-square 73",), "warning")):
+    for warnings, mood in (
+        ((), "fine"),
+        (("the fit does not reproduce the data: chi-square 73",), "warning"),
+    ):
         for stage, site in (("fit-joint", None), ("fit-states", "p1")):
             with open_stage(out, stage, subject="S1", site=site) as writer:
                 writer.data.update(parameters=sound, element="tet10", sites=["p1"])
@@ -718,7 +721,7 @@ def test_a_users_own_report_is_not_replaced(tmp_path, kind):
     own.parent.mkdir(parents=True)
     own.write_text("mine")
     for _ in range(2):
-        with pytest.raises(CaseError, match="none of limbcli's") as caught:
+        with pytest.raises(CaseError, match="not made by limbcli") as caught:
             report(case, out=out)
         assert caught.value.where == str(out / "report")
         keep_error(out, "report", None, caught.value)  # as a batch does

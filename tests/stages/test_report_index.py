@@ -79,7 +79,7 @@ def test_what_failed_beside_a_fit_does_not_take_its_numbers(tmp_path):
     add_subject(tmp_path, "A", failure="of another stage")
     path = tmp_path / "A" / "report" / "report.json"
     content = json.loads(path.read_text())
-    content["data"]["failures"] = [{"stage": "fit-joint", "site": None, "what": "it did not settle"}]
+    content["data"]["failures"] = [{"stage": "fit-joint", "site": None, "what": "it did not converge"}]
     for status, text in (
         ("done", "3.70\u00a0to\u00a04.50"),
         ("failed", "fit-joint failed: it did"),
@@ -95,7 +95,7 @@ def test_a_poor_fit_is_called_so_in_the_table(tmp_path):
     add_subject(tmp_path, "A")
     path = tmp_path / "A" / "fit" / "p1" / "fit.json"
     content = json.loads(path.read_text())
-    content["data"]["misfit"] = {"poor": True, "words": "poor fit: it misses"}
+    content["data"]["misfit"] = {"poor": True, "words": "poor fit: it differs"}
     path.write_text(json.dumps(content))
     html = report_index(tmp_path).page.read_text(encoding="utf-8")
     assert re.search(r'<span class="pill \w+">poor fit</span>', html)
@@ -107,7 +107,7 @@ def test_a_fit_that_its_report_does_not_show_is_told(tmp_path):
     path = tmp_path / "A" / "report" / "report.json"
     content = json.loads(path.read_text())
     fitted = read_result(tmp_path / "A", "fit", site="p1").provenance["finished_utc"]
-    for shown, words in ((fitted, ""), ("2020-01-01T00:00:00Z", "again, after its report was made")):
+    for shown, words in ((fitted, ""), ("2020-01-01T00:00:00Z", "again after its report was made")):
         content["data"]["fitted_utc"] = {"p1": shown}
         path.write_text(json.dumps(content))
         result = report_index(tmp_path)
@@ -116,7 +116,7 @@ def test_a_fit_that_its_report_does_not_show_is_told(tmp_path):
         assert words in result.page.read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("why", ["open to both bounds: nothing is excluded", ""])
+@pytest.mark.parametrize("why", ["open to both bounds: no value is excluded", ""])
 def test_an_interval_without_ends_says_why(tmp_path, why):
     """One that was looked for and excludes nothing was computed."""
     add_subject(tmp_path, "A")

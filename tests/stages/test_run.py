@@ -18,7 +18,7 @@ from limbcli.feb.read import read_feb
 from limbcli.results import open_stage, read_result
 from limbcli.solvers.base import Simulation, Table
 from limbcli.stages.run import RunOptions, run, run_file
-from limbcli.stages.running.files import doubts, write_simulation
+from limbcli.stages.running.files import curve_warnings, write_simulation
 from tests.stages.block_case import make_case
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "feb"
@@ -172,13 +172,13 @@ def test_a_curve_of_an_uncertain_body_or_depth_is_told() -> None:
         }
         return Simulation("febio", "4.11.0", times, tables)
 
-    assert doubts(simulated(probe=-0.05), "probe") == []
-    assert doubts(simulated(bone=0.0, probe=-0.2), "probe") == []
-    assert doubts(simulated(head=0.0), "head") == []
-    (other,) = doubts(simulated(bone=0.0, head=0.0), "bone")
+    assert curve_warnings(simulated(probe=-0.05), "probe") == []
+    assert curve_warnings(simulated(bone=0.0, probe=-0.2), "probe") == []
+    assert curve_warnings(simulated(head=0.0), "head") == []
+    (other,) = curve_warnings(simulated(bone=0.0, head=0.0), "bone")
     assert "the curve is that of bone" in other
-    (far,) = doubts(simulated(probe=20.0), "probe")
-    assert "-20.00 mm at the start; it goes 2.00 mm" in far
+    (far,) = curve_warnings(simulated(probe=20.0), "probe")
+    assert "-20.00 mm at the start; it moves 2.00 mm" in far
 
 
 def test_the_greatest_depth_is_not_the_last_where_the_probe_is_lifted(tmp_path: Path) -> None:

@@ -70,19 +70,19 @@ def test_a_series_leaves_labels_surfaces_markers_and_a_sheet(segmented):
     assert result.path("contact_sheet").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize(("asked", "side"), [(None, "right"), ("left", "left")])
+@pytest.mark.parametrize(("requested", "side"), [(None, "right"), ("left", "left")])
 def test_of_two_limbs_in_view_the_cases_own_is_wanted_unless_another_is_asked_for(
-    series, tmp_path, monkeypatch, asked, side
+    series, tmp_path, monkeypatch, requested, side
 ):
     wanted = []
 
-    def told(volume, *, modality, hints, progress):
+    def failing(volume, *, modality, hints, progress):
         wanted.append(hints.side)
         raise CaseError("enough", where="here", fix="none")
 
-    monkeypatch.setattr("limbcli.stages.segment.segment_limb", told)
+    monkeypatch.setattr("limbcli.stages.segment.segment_limb", failing)
     with pytest.raises(CaseError, match="enough"):
-        segment(replace(case_with(tmp_path, mri=series), limb="right"), out=tmp_path / "out", limb=asked)
+        segment(replace(case_with(tmp_path, mri=series), limb="right"), out=tmp_path / "out", limb=requested)
     assert wanted == [side]
 
 
@@ -185,7 +185,7 @@ def test_one_file_with_all_bodies_is_taken_apart(segmented, tmp_path):
     assert found["skin"] == pytest.approx(wanted["skin"], rel=1e-3)
     assert found["bone_tibia"] == pytest.approx(wanted["bone_tibia"], rel=1e-3)
     assert found["bone_fibula"] == pytest.approx(wanted["bone_fibula"], rel=1e-3)
-    with pytest.raises(CaseError, match="one body only"):
+    with pytest.raises(CaseError, match="only one body"):
         segment(case_with(tmp_path, skin=first.path("skin")), out=tmp_path / "alone")
 
 

@@ -86,15 +86,15 @@ def test_check_of_images_alone_refuses_sites_outside_and_turned_ones():
     skin = RoughSkin(image)
     on = skin.points[len(skin.points) // 2]
 
-    def said(place: np.ndarray) -> list[tuple[str, str]]:
+    def problems_at(place: np.ndarray) -> list[tuple[str, str]]:
         site = replace(case.sites[0], marker=None, position=tuple(map(float, place)))
         found = geometry_problems(replace(case, sites=(site,)), [])
         return [(each.what, each.fix) for each in found]
 
-    assert said(on) == []
-    (outside,) = said(on + np.array([500.0, 0.0, 0.0]))
+    assert problems_at(on) == []
+    (outside,) = problems_at(on + np.array([500.0, 0.0, 0.0]))
     assert "nearest point" in outside[0]
     assert "position_mm = [" in outside[1]
-    (turned,) = said(on * np.array([-1, -1, 1]))
+    (turned,) = problems_at(on * np.array([-1, -1, 1]))
     assert "RAS, not LPS" in turned[0]
     assert str(round(float(on[0]), 1)) in turned[1]

@@ -154,11 +154,11 @@ PENNATION = '[[site.pennation]]\norientation = "axial"\npennation_deg = 20.0\nde
 def test_pennation_goes_deeper_towards_proximal(made, model):
     """At (0, 30, 0) the skin's normal is +y: deeper is -y, and the axial image's lateral is +z."""
     case = case_with(made[0], PENNATION)
-    found, told = with_fibres(case, case.sites[0], replace(model, fibres=None))
+    found, reported = with_fibres(case, case.sites[0], replace(model, fibres=None))
     axis = in_patient(model, found.fibres.values)[0]
     a = np.radians(20.0)
     np.testing.assert_allclose(axis * np.sign(axis[2]), [0.0, -np.sin(a), np.cos(a)], atol=0.01)
-    assert told.deviation_deg == 3.0
+    assert reported.deviation_deg == 3.0
 
 
 def limb_map(path: Path, *, shift: float = 0.0) -> None:
@@ -173,17 +173,17 @@ def limb_map(path: Path, *, shift: float = 0.0) -> None:
 def test_a_map_of_diffusion_mri_gives_every_element_its_axis(made, model):
     limb_map(made[0] / "v1.nii.gz")
     case = case_with(made[0], imaging='fibres = "v1.nii.gz"\n')
-    found, told = with_fibres(case, case.sites[0], replace(model, fibres=None))
+    found, reported = with_fibres(case, case.sites[0], replace(model, fibres=None))
     axes = in_patient(model, found.fibres.values)
     np.testing.assert_allclose(np.abs(axes @ [0.6, 0.0, 0.8]), 1.0, atol=1e-6)
-    assert told.facts["from_mean_share"] < 0.1
+    assert reported.facts["from_mean_share"] < 0.1
     assert not [each for each in check(made[0]).problems if "fibre" in each.what]
 
 
 def test_a_map_outside_the_limb_is_refused(made, model):
     limb_map(made[0] / "v1.nii.gz", shift=200.0)
     case = case_with(made[0], imaging='fibres = "v1.nii.gz"\n')
-    with pytest.raises(CaseError, match=r"says nothing about 100 % of the tissue.*outside the limb"):
+    with pytest.raises(CaseError, match=r"has no data for 100 % of the tissue.*outside the limb"):
         with_fibres(case, case.sites[0], replace(model, fibres=None))
 
 
@@ -196,9 +196,9 @@ def test_check_names_a_map_of_four_components(made):
 def test_nothing_told_leaves_the_model_as_it_is(made, model):
     case = case_with(made[0])
     plain = replace(model, fibres=None)
-    found, told = with_fibres(case, case.sites[0], plain)
+    found, reported = with_fibres(case, case.sites[0], plain)
     assert found is plain
-    assert told.source == NOT_TOLD
+    assert reported.source == NOT_TOLD
 
 
 def test_vtu_and_page_show_them_and_they_turn_with_the_tissue(made, model, tmp_path: Path):

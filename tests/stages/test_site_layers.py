@@ -107,29 +107,29 @@ def test_case_file_holds_layers(case: Case) -> None:
     site = Case.open(case.folder).sites[0]
     law = layer_laws(site, ["fat"])["fat"]
     assert (law.law, law.c, law.assumed) == ("neo_hooke", pytest.approx(0.0012), ("f_kappa",))
-    for wrong, said in (
+    for wrong, message in (
         ('[site.layers.fat]\nthickness_mm = "thick"\n', "not a number"),
-        ("[site.layers.fat]\nc_kpa = 1.0\n", "lacks 'thickness_mm'"),
+        ("[site.layers.fat]\nc_kpa = 1.0\n", "is missing 'thickness_mm'"),
         ("[site.layers.tendon]\nthickness_mm = 1.0\n", "unknown layer 'tendon'"),
     ):
         case.file.write_text(text + wrong)
-        with pytest.raises(CaseError, match=said):
+        with pytest.raises(CaseError, match=message):
             Case.open(case.folder)
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
-        ("bone:c_kpa=2", "not understood"),
-        ("fat", "not understood"),
+        ("bone:c_kpa=2", "not valid"),
+        ("fat", "not valid"),
         ("fat:c_kpa=soft", "not a number"),
         ("fat:stiffness=2", "unknown key 'stiffness'"),
         ("fat:f_kappa=1e9", "plausible"),
         ("fat:law=rubber", "one of"),
     ],
 )
-def test_a_law_that_cannot_be_read_is_refused(text: str, said: str) -> None:
-    with pytest.raises(CaseError, match=said):
+def test_a_law_that_cannot_be_read_is_refused(text: str, message: str) -> None:
+    with pytest.raises(CaseError, match=message):
         parse_law(text)
 
 

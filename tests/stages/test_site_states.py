@@ -45,21 +45,21 @@ def test_every_state_has_its_own_levels(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("first", "says"),
+    ("first", "message"),
     [("0,0,", "has no shear-wave speed at rest"), ("1.5,0.4,1.7", "has no level at rest (0 N)")],
 )
-def test_a_state_without_rest_is_an_error_for_fit_and_check(tmp_path: Path, first: str, says: str):
+def test_a_state_without_rest_is_an_error_for_fit_and_check(tmp_path: Path, first: str, message: str):
     folder = written(tmp_path / "case")
     path = folder / "bent.csv"
     path.write_text(path.read_text().replace("0.0,0.0,1.6", first))
     with pytest.raises(MeasurementError) as raised:
         states_of(Case.open(folder).sites[0])
-    assert raised.value.what == f"state bent of site p1 {says}"
+    assert raised.value.what == f"state bent of site p1 {message}"
     assert "make its first row the reading at first touch" in raised.value.fix
-    told = check(folder)
-    assert [each.what for each in told.problems if "state bent" in each.what] == [raised.value.what]
-    assert "bent.csv" in told.looked_at
-    assert told.exit_code
+    reported = check(folder)
+    assert [each.what for each in reported.problems if "state bent" in each.what] == [raised.value.what]
+    assert "bent.csv" in reported.looked_at
+    assert reported.exit_code
 
 
 def test_a_broken_file_is_reported_once_by_check(tmp_path: Path):
@@ -106,22 +106,22 @@ def test_told_and_unknown_stretches_and_both_ways_go_together():
 
 
 @pytest.mark.parametrize(
-    ("told", "known", "says"),
+    ("given", "known", "message"),
     [
         ({"along": [1.0, 1.0], "around": [1.0, 1.0]}, {}, "do not differ in their stretch"),
         ({"along": [0.9, 1.9]}, {"along": 1.0}, "a state's stretch along the limb is 1.9"),
-        ({"along": [0.5, 2.0]}, {}, "0.6 to 1.6 is possible"),
+        ({"along": [0.5, 2.0]}, {}, "possible values are 0.6 to 1.6"),
     ],
 )
-def test_states_that_tell_nothing_or_too_much_are_errors(told, known, says):
-    with pytest.raises(CaseError, match=says):
-        plan_of(told, known, NAMES[:2], where="site p1")
+def test_states_that_tell_nothing_or_too_much_are_errors(given, known, message):
+    with pytest.raises(CaseError, match=message):
+        plan_of(given, known, NAMES[:2], where="site p1")
 
 
 def test_a_batch_fits_the_states_after_the_force_and_looks_at_every_file(tmp_path: Path):
     case = Case.open(written(tmp_path / "case"))
-    asked = {stage: {} for stage in ("mesh", "build-feb", "run", "fit", "fit-states")}
-    steps = site_steps(case, "p1", BatchOptions(), asked, out=tmp_path / "out", progress=SILENT)
+    requested = {stage: {} for stage in ("mesh", "build-feb", "run", "fit", "fit-states")}
+    steps = site_steps(case, "p1", BatchOptions(), requested, out=tmp_path / "out", progress=SILENT)
     assert [each.stage for each in steps] == ["mesh", "build-feb", "run", "fit", "fit-states"]
     assert {each.levels for each in case.sites[0].states} <= set(steps[-1].parts)
 

@@ -130,7 +130,7 @@ def test_depths_count_from_where_the_stretched_skin_is_touched(curve):
 
 def test_a_skin_that_sinks_out_of_reach_is_an_error_not_a_number(curve):
     """Compressible tissue that was shortened both ways gives way along z."""
-    with pytest.raises(SolveError, match="the stretched skin sinks so far"):
+    with pytest.raises(SolveError, match="the stretched skin recedes so far"):
         curve(np.array([0.5, 2.0, 0.75, 0.8]))
 
 
@@ -166,8 +166,8 @@ def test_axes_turn_with_the_limb():
 
 def test_residuals_of_states_have_the_slopes_of_their_differences(curve):
     """On the surrogate: c, the law's shape, both kinds of stretch, the gain."""
-    told = {"along": [0.9, 1.1], "around": [None, 1.0]}
-    plan = plan_of(told, {"around": 1.0}, ["a", "b"])
+    reported = {"along": [0.9, 1.1], "around": [None, 1.0]}
+    plan = plan_of(reported, {"around": 1.0}, ["a", "b"])
     memory, shape = SolvedPoints(curve), LAWS["ogden"].shape
     for theta in ([100, 2, 1, 1], [10, 2, 1, 1], [100, 4, 1, 1], [100, 2, 0.9, 1.02], [100, 2, 1.1, 1.05]):
         memory(np.array(theta, dtype=float), (0, 1, 2, 3))

@@ -109,12 +109,12 @@ def test_only_what_synth_made_is_replaced(limb, exact, tmp_path):
 @pytest.mark.slow
 def test_the_mesh_that_is_fitted_has_its_own_element_and_sizes(limb, tmp_path):
     case = Case.open(limb / "limb")
-    for told, words in (
+    for reported, words in (
         ({"size": 2.0}, "sizes are told"),
         ({"element": "tet10"}, "is of tet4, not of tet10"),
     ):
         with pytest.raises(CaseError, match=words):
-            synth(case, out=limb / "out", out_case=tmp_path / "new", options=replace(EXACT, **told))
+            synth(case, out=limb / "out", out_case=tmp_path / "new", options=replace(EXACT, **reported))
     assert not (tmp_path / "new").exists()
 
 

@@ -43,9 +43,9 @@ ANY = (np.arange(4.0), 0.6 * np.arange(4.0), np.full(4, 1.8))  # readings that s
 ROWS = dict.fromkeys(state_case.TOLD, ANY)
 
 
-def cased(root: Path, told=state_case.TOLD, *, more: str = "") -> Case:
+def cased(root: Path, given=state_case.TOLD, *, more: str = "") -> Case:
     """A case with three states, its geometry a block that needs no imaging and no meshing."""
-    case = state_case.make_case(root / "case", root / "out", ROWS, told, more=more)
+    case = state_case.make_case(root / "case", root / "out", ROWS, given, more=more)
     with open_stage(root / "out", "segment", subject="B1") as writer:
         writer.summary.append("a block")
     return case
@@ -69,15 +69,15 @@ def test_every_state_has_its_levels_and_its_truth(measured):
     assert [each.name for each in case.sites[0].states] == list(state_case.TOLD)
     truth = made.truth["site"][0]
     assert truth["unloaded_stretch_around"] == 0.95
-    for state, told in zip(case.sites[0].states, truth["state"], strict=True):
+    for state, reported in zip(case.sites[0].states, truth["state"], strict=True):
         assert state.levels == case.folder / "p1" / state.name / "levels.csv"
         assert state.stretch.around == state_case.TOLD[state.name]
-        assert told["stretch_around"] == pytest.approx(state_case.TOLD[state.name] / 0.95)
-        assert told["stretch_along"] == 1.0
+        assert reported["stretch_around"] == pytest.approx(state_case.TOLD[state.name] / 0.95)
+        assert reported["stretch_along"] == 1.0
         levels = read_levels(state.levels)
         assert levels.force[0] == levels.depth[0] == 0.0
-        assert levels.force == pytest.approx(np.array(told["force_n"]), abs=0.3)
-        assert np.all(np.diff(told["depth_mm"]) > 0)
+        assert levels.force == pytest.approx(np.array(reported["force_n"]), abs=0.3)
+        assert np.all(np.diff(reported["depth_mm"]) > 0)
     assert not list(case.folder.rglob("*truth*"))
     assert truth_file(case.folder) == root / "new.truth.toml"
     rows = made.rows()
@@ -133,14 +133,14 @@ def test_fibres_in_the_tissue_can_be_hidden_and_a_tilted_probe_cannot():
             indent(block.block_model(), TISSUE, protocol=PROTOCOL, stretch=(1.1, 1.0), change=change)
 
 
-def states_of(root: Path, told, known: KnownStretches, *, more: str = ""):
-    return true_states(cased(root, told, more=more).sites[0], known)
+def states_of(root: Path, given, known: KnownStretches, *, more: str = ""):
+    return true_states(cased(root, given, more=more).sites[0], known)
 
 
 def test_told_stretches_are_over_that_at_which_the_tissue_is_unloaded(tmp_path):
-    told = {"middle": 0.9, "bent": None, "straight": 1.1}
+    reported = {"middle": 0.9, "bent": None, "straight": 1.1}
     known = known_stretches({}, {"bent": 0.8}, Stretch(around=0.95))
-    found = states_of(tmp_path, told, known)
+    found = states_of(tmp_path, reported, known)
     assert [each.around for each in found] == pytest.approx([0.9 / 0.95, 0.8, 1.1 / 0.95])
     assert [each.along for each in found] == [1.0, 1.0, 1.0]
 
@@ -151,34 +151,35 @@ def test_what_the_case_knows_as_unloaded_needs_no_option(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("told", "known", "more", "what", "fix"),
+    ("given", "known", "more", "what", "fix"),
     [
         (
             state_case.TOLD, KnownStretches(), "",
-            "at which of the told stretches around the limb the tissue is unloaded must be told",
+            "the stretch around the limb at which the tissue is unloaded must be given",
             "--unloaded-stretch-around",
         ),
         (
             {"middle": 0.9, "bent": None}, KnownStretches(), "",
-            "does not know the state's stretch around the limb", "--stretch-around bent=1.0",
+            "does not give the state's stretch around the limb", "--stretch-around bent=1.0",
         ),
         (
             state_case.TOLD, known_stretches({}, {"bent": 0.8}, Stretch(around=0.95)), "",
-            "tells stretch_around = 0.72 of the state, and --stretch-around tells it again", "unknown",
+            "gives stretch_around = 0.72 for the state, and --stretch-around gives it again", "unknown",
         ),
         (
             state_case.TOLD, KnownStretches(Stretch(around=0.95)), "unloaded_stretch_around = 0.9\n",
-            "unloaded at a stretch of 0.9 around the limb, --unloaded-stretch-around says 0.95", "leave one",
+            "unloaded at a stretch of 0.9 around the limb, but --unloaded-stretch-around is 0.95", "remove "
+            "one",
         ),
         (
             state_case.TOLD, KnownStretches(Stretch(around=0.6)), "",
-            "state straight would stretch the tissue around the limb to 1.83 of unloaded", "correct",
+            "state straight would stretch the tissue around the limb to 1.83 of its unloaded", "correct",
         ),
     ],
 )  # fmt: skip
-def test_a_stretch_that_is_not_known_or_told_twice_is_said(tmp_path, told, known, more, what, fix):
+def test_a_stretch_that_is_not_known_or_told_twice_is_said(tmp_path, given, known, more, what, fix):
     with pytest.raises(CaseError) as caught:
-        states_of(tmp_path, told, known, more=more)
+        states_of(tmp_path, given, known, more=more)
     assert what in caught.value.what
     assert "site p1" in caught.value.where
     assert fix in caught.value.fix
@@ -189,7 +190,7 @@ def test_a_stretch_of_the_command_line_names_its_state(text):
     with pytest.raises(CaseError, match="not a state's name and its stretch") as caught:
         parse_stretches([text], option="--stretch-along")
     assert caught.value.where == "--stretch-along"
-    with pytest.raises(CaseError, match="tells state bent twice"):
+    with pytest.raises(CaseError, match="gives state bent twice"):
         parse_stretches(["bent=0.8", "bent=0.9"], option="--stretch-along")
 
 
@@ -202,7 +203,7 @@ def test_states_that_no_site_has_are_named_before_anything_is_simulated(tmp_path
     plain = block.make_case(
         tmp_path / "plain", tmp_path / "o2", np.array([1.0, 2.0]), np.array([1.0, 2.5]), c=0.006, build=False
     )
-    with pytest.raises(CaseError, match="no site that is simulated has states"):
+    with pytest.raises(CaseError, match="no simulated site has states"):
         synth(plain, out=tmp_path / "o2", out_case=tmp_path / "new", options=OPTIONS)
     with pytest.raises(CaseError, match="layers are not read in the states"):
         synth(case, out=tmp_path / "out", out_case=tmp_path / "new", options=replace(OPTIONS, layers=True))

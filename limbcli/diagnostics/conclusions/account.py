@@ -1,4 +1,4 @@
-"""What a diagnosis has to tell beside its verdict: what shrank, what stays unseen, what to measure next."""
+"""What a diagnosis reports besides its verdict: what shrank, what stays unseen, what to measure next."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class Account:
         )
 
     def refitted_sizes(self, refits: Refits | None, shrink: Sequence[Shrink]) -> dict[str, RefittedSizes]:
-        """Of every effect that alone was refitted within its bounds; with what `shrink` tells, where it is
+        """Of every effect that alone was refitted within its bounds; with what `shrink` gives, where it is
         there: its profile over m follows bends that the sensitivities do not."""
         found, whiten, widening = {}, self.baseline.whiten, self.baseline.forward_model.interval_widening
         for each in refits.known.values() if refits else ():
@@ -88,8 +88,9 @@ class Account:
             form = whiten(whiten(self.baseline.form_error(fitted)).T)
             scale = self._scale_within(each.state)
             sizes = refitted_sizes(fitted, whiten(fitted.jacobian), scale, form, widening)
-            told = next((stage.estimates for stage in shrink if stage.explanation == each.explanation), None)
-            found[name] = sizes if told is None else sizes.hull_with(told.intervals)
+            found_by = (stage.estimates for stage in shrink if stage.explanation == each.explanation)
+            reported = next(found_by, None)
+            found[name] = sizes if reported is None else sizes.hull_with(reported.intervals)
         return found
 
     def sizes_95(
@@ -103,7 +104,7 @@ class Account:
         return noise_scale(state.chi2, state.nu) if self.baseline.is_relative(state) else 1.0
 
     def _scale_within(self, state: LinearFit) -> float:
-        """The same for intervals about a fit, which reach further where few data tell the level."""
+        """The same for intervals about a fit, which reach further where few data determine the level."""
         if not self.baseline.is_relative(state):
             return 1.0
         return self._scale(state) * threshold_95(state.chi2, state.nu) / THRESHOLD_95
@@ -124,7 +125,7 @@ class Account:
         return tuple(sorted(spots, key=lambda spot: -spot.detectable_times_typical))
 
     def next_steps(self, kept: Sequence[Refit], not_evaluated: dict[str, str]) -> tuple[NextStep, ...]:
-        """Measurements that would tell the members of the set apart, those that there are being as sure as
+        """Measurements that would distinguish the members of the set, those that there are being as sure as
         their scatter about the best member says, where the noise's level is not known."""
         if len(kept) < 2:
             return ()

@@ -2,11 +2,11 @@
 
 To first order at the fit without effects, the tissue refitted: eta +- 1.96 deviations, within what the
 parameter's sign allows. Of an effect with a grid (places of a ball, onsets, times) the best point is picked
-by chance where nothing is there, and its size with it: what is told holds the intervals of all points that
-chance may put behind the best. Points at which not even a plausible size would show are left out, if others
-remain. An effect that was refitted has a second one, on the model with the effect in it: where the two
-disagree either may be off, and what is told holds both. Where an interval reaches a bound the data leave that
-side open.
+by chance where nothing is there, and its size with it: the reported one holds the intervals of all points
+that chance may put behind the best. Points at which not even a plausible size would show are left out, if
+others remain. An effect that was refitted has a second one, on the model with the effect in it: where the two
+disagree either may be off, and the reported one holds both. Where an interval reaches a bound the data leave
+that side open.
 
 Source: Davies 1987, Biometrika 74:33 (parameters present only off the null).
 """
@@ -54,7 +54,7 @@ def refitted_sizes(
 
     jacobian (n, p) : whitened, of all that was fitted, the effect's parameters last; scale : chi2/nu where
     the level of the noise is not known, else 1; form (n, n) : covariance of the form's error, whitened.
-    Infinite where the data do not tell a parameter.
+    Infinite where the data do not determine a parameter.
     """
     spread = _deviations(jacobian, scale * np.eye(len(jacobian)) + form)
     intervals = {}
@@ -69,7 +69,7 @@ def sizes_95(
     scale: float = 1.0, widening: float = 1.0,
 ) -> dict[str, dict[str, tuple[float, float]]]:  # fmt: skip
     """Of every candidate in the family that `facts` holds: by parameter, the interval of its distance from
-    the null value; infinite where the data do not tell it.
+    the null value; infinite where the data do not determine it.
 
     trials : of the candidates; scale : chi2/nu where the level of the noise is not known, else 1
     widening : times which deviations are taken

@@ -13,15 +13,16 @@ from limbcli.significant_digits import short
 
 _WORDS = {
     "adequate": "ADEQUATE: the model explains the measurement within its noise.",
-    "named": "NAMED: one missing effect explains the gap, and no other that could be tried does.",
-    "ambiguous": "AMBIGUOUS: several explanations fit, and these data cannot tell them apart.",
+    "named": "NAMED: one missing effect explains the misfit, and no other that could be tried does.",
+    "ambiguous": "AMBIGUOUS: several explanations fit, and these data cannot distinguish them.",
     "unexplained": "UNEXPLAINED: something is missing that no candidate explains.",
     "untestable": "UNTESTABLE: no absolute test can be made of these data.",
 }
 _AND_MORE = (
-    "NAMED: one missing effect explains the gap; one more may be there, which these data do not establish."
+    "NAMED: one missing effect explains the misfit; a further one may be present, which these data do not "
+    "establish."
 )
-_ALONE = "AMBIGUOUS: one explanation fits, but it may be another, or not all."
+_ALONE = "AMBIGUOUS: one explanation fits, but the cause may be another, or more than this one."
 
 
 def sentences(found: Diagnosis) -> list[str]:
@@ -64,7 +65,7 @@ def _where(found: Diagnosis) -> str:
     if not found.family.tests:
         return ""
     if not found.flagged:
-        return "Where: no part of the data stands out by itself."
+        return "Where: no part of the data is significant by itself."
     tests = {t.name.removeprefix("where: "): t.p_adjusted for t in found.family.tests}
     listed = [f"{name} (adjusted p {tests[name]:.3g})" for name in found.flagged[:3]]
     return "Where: " + "; ".join(listed) + "."
@@ -91,12 +92,12 @@ def _set(found: Diagnosis) -> str:
         estimates = found.estimates
         sizes = ", ".join(f"{name} {short(estimates.values[name])}" for name in found.final.effect_names)
         others = [" + ".join(each) for each in found.confidence_set if each != found.chosen]
-        over = "; c and m reach over all of these" if estimates.over > 1 else ""
-        more = f" Fits as well: {'; '.join(others)}{over}." if others else ""
+        over = "; the intervals of c and m cover all of these" if estimates.over > 1 else ""
+        more = f" Also fits: {'; '.join(others)}{over}." if others else ""
         return f"Added to the model: {' + '.join(found.chosen)} ({sizes}){_tissue(estimates)}.{more}"
     if found.verdict == "ambiguous":
         return f"It may be: {listed}.{_common(found.confidence_set)}{_whichever(found.estimates)}"
-    return f"Fits, but is not believed: {listed}."
+    return f"Fits, but is not accepted: {listed}."
 
 
 def _common(several: Sequence[Explanation]) -> str:
@@ -125,10 +126,10 @@ def _whichever(estimates: Reported) -> str:
 
 
 def _tissue(estimates: Reported) -> str:
-    """c and m with it, and what the data do not tell of them.
+    """c and m with it, and what the data do not determine of them.
 
     >>> _tissue(Reported({"c_kpa": 6.0, "m": 3.5}, {}, {"c_kpa": (5.5, 6.5), "m": (1.0, 5.0)}, ("m below",)))
-    '; then c 6.00 kPa (5.50 to 6.50), m 3.50 (up to 5.00: the data do not tell it from below)'
+    '; then c 6.00 kPa (5.50 to 6.50), m 3.50 (up to 5.00: no lower limit from these data)'
     """
     if "c_kpa" not in estimates.intervals or "m" not in estimates.intervals:
         return ""
@@ -141,16 +142,16 @@ def _reach(estimates: Reported, symbol: str, name: str, unit: str = "") -> str:
     """An interval in words, with the ends that the data leave open.
 
     >>> _reach(Reported({}, {}, {"c_kpa": (0.4, 9.0)}, ("c below", "c above")), "c", "c_kpa")
-    'the data do not tell it'
+    'not determined by the data'
     """
     low, high = estimates.intervals[name]
     below, above = f"{symbol} below" in estimates.open, f"{symbol} above" in estimates.open
     if below and above:
-        return "the data do not tell it"
+        return "not determined by the data"
     if below:
-        return f"up to {high:.2f}{unit}: the data do not tell it from below"
+        return f"up to {high:.2f}{unit}: no lower limit from these data"
     if above:
-        return f"from {low:.2f}{unit}: the data do not tell it from above"
+        return f"from {low:.2f}{unit}: no upper limit from these data"
     return f"{low:.2f} to {high:.2f}{unit}"
 
 
@@ -179,16 +180,16 @@ def _blind(found: Diagnosis) -> str:
         return ""
     if not hidden:
         return (
-            "No effect that was tried would at plausible size stay unseen and move c or m by more than one "
-            "deviation."
+            "No effect that was tried would, at plausible size, remain undetected and shift c or m by more "
+            "than one standard deviation."
         )
     listed = []
     for spot in sorted(hidden, key=lambda s: -max(abs(v) for v in s.bias_sd.values()))[:3]:
         name, bias = max(spot.bias_sd.items(), key=lambda item: abs(item[1]))
         listed.append(
-            f"{spot.name} (would move {name} by {bias:+.1f} deviations, {spot.bias_percent[name]:+.0f} %)"
+            f"{spot.name} (would shift {name} by {bias:+.1f} deviations, {spot.bias_percent[name]:+.0f} %)"
         )
-    return "These data could not reveal, at plausible size: " + "; ".join(listed) + "."
+    return "These data could not detect, at plausible size: " + "; ".join(listed) + "."
 
 
 def _next(found: Diagnosis) -> str:
@@ -196,10 +197,11 @@ def _next(found: Diagnosis) -> str:
         return ""
     useful = useful_steps(found.next_steps)
     if not useful:
-        return "Next measurement: nothing on the menu would tell the explanations apart."
+        return "Next measurement: none of the available ones would distinguish the explanations."
     best_pair, worst = useful[0], useful[-1]
     text = (
-        f"Next measurement: {best_pair.sentence}; it tells {best_pair.pair[0]} from {best_pair.pair[1]} with "
+        f"Next measurement: {best_pair.sentence}; it distinguishes {best_pair.pair[0]} from "
+        f"{best_pair.pair[1]} with "
         f"{100 * best_pair.power:.0f} % power"
     )
     if worst.pair != best_pair.pair:

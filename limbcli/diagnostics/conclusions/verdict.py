@@ -24,7 +24,7 @@ class Shrink:
 
     chi2_per_nu; rms : by channel, of residual / deviation; placebo_percentile : of what the last addition
     explains; held_out : by block, and "all" over those blocks that every stage predicts
-    told : its parameters with their intervals; chi2, rms and held_out are of the best fit
+    estimates : its parameters with their intervals; chi2, rms and held_out are of the best fit
     """
 
     explanation: Explanation
@@ -46,7 +46,7 @@ class Diagnosis:
 
     relative : the noise's level is not known (assumed, or contradicted by the scatter)
     chosen : the explanation that was added to the model (empty where none)
-    confidence_set : explanations that cannot be told apart with these data
+    confidence_set : explanations that these data cannot distinguish
     closed : the gap is closed: what flagged passes now, better than placebos, held-out error fell
     not_evaluated : candidate -> why
     left_out : refits dropped -> why

@@ -1,16 +1,16 @@
-"""What an explanation says of the tissue: an interval by profile, and one value out of it.
+"""What an explanation implies for the tissue: an interval by profile, and one value out of it.
 
-An effect that is added takes over part of what told a parameter: beside guided waves, for example, the
-speeds no longer tell m from below. The deviance is then flat, with two minima at times, and which of them
+An effect that is added takes over part of what determined a parameter: beside guided waves, for example, the
+speeds no longer bound m from below. The deviance is then flat, with two minima at times, and which of them
 is deeper is chance. So the whole profile over m is walked, every other parameter refitted at each place:
 
 - interval: all places within 3.84 deviances of the best (95 %); open where it runs to a bound;
 - value: the place of least deviance + ((ln m - ln 3.9) / 0.69)^2, a pseudo-observation of ln m whose 95 %
-  interval is 1 to 15, the exponents reported for muscle and limbs. Where the data tell m it moves
+  interval is 1 to 15, the exponents reported for muscle and limbs. Where the data determine m it moves
   nothing; where they do not it keeps m from a bound. No test and no verdict uses it.
 
 Source: Venzon & Moolgavkar 1988, Appl Stat 37:87 (profile intervals); Sengeh et al. 2016, J Mech Behav
-Biomed Mater 59:379 (m 4.7 in a residual limb); Oddes & Solav 2023 (m is hard to tell from indentation).
+Biomed Mater 59:379 (m 4.7 in a residual limb); Oddes & Solav 2023 (m is hard to identify from indentation).
 """
 
 from __future__ import annotations

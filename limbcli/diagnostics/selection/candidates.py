@@ -60,13 +60,13 @@ class Candidates:
         of them; the rest goes into `left_out`.
 
         All, where the fit without effects is grossly wrong: it may have ended anywhere, and what the
-        effects do to first order there tells little of what they do.
+        effects do to first order there shows little of what they do.
         """
         ranks = sorted((t for t in self.family.tests if t.name in self.trials), key=lambda t: t.p_adjusted)
         near = [t.name for t in ranks if t.p_adjusted < thresholds.REFIT_BELOW]
         if not any(t.p_adjusted < thresholds.ALPHA for t in ranks):
             # What a part of the data shows and no candidate does, one may explain that is strong: the first
-            # order tells little of it.
+            # order shows little of it.
             near = [t.name for t in ranks[: max(len(near), thresholds.GROWN)]]
         others = [name for name in self.trials if name not in near]
         alike = [name for name in others if is_gross(self.state) or any(self._alike(name, k) for k in near)]

@@ -29,8 +29,8 @@ class Closing:
             return False
         if not fell(before, after, data.blocks) or self.percentile(refit) <= thresholds.CLOSED_PERCENTILE:
             return False
-        asked = thresholds.CLOSED_PERCENTILE if n_effects == 1 else thresholds.CLOSED_BY_SEVERAL_PERCENTILE
-        return self._library_percentile(refit) > asked
+        required = thresholds.CLOSED_PERCENTILE if n_effects == 1 else thresholds.CLOSED_BY_SEVERAL_PERCENTILE
+        return self._library_percentile(refit) > required
 
     def percentile(self, refit: Refit) -> float:
         """Percent of arbitrary smooth directions, as many as were added, that explain less."""
@@ -55,6 +55,6 @@ class Closing:
         return self.baseline.state.chi2 - refit.state.chi2
 
     def _added(self, refit: Refit) -> int:
-        """Parameters of the effects that tell there, whether m is free or on its bound."""
+        """Parameters of the effects that matter there, whether m is free or on its bound."""
         columns = refit.fitted.jacobian[:, len(refit.fitted.base_names) :]
         return max(int(np.any(columns != 0.0, axis=0).sum()), 1)

@@ -18,8 +18,8 @@ def held_out_error(data: Data, fitted: Fitted) -> dict[str, float]:
     rest does not tell; block by block, and over all.
 
     Each block is left out in turn, the parameters (the effects' too) are refitted to the rest to first order
-    about the full fit, and the block is predicted, with what the rest tells of the errors it shares with it:
-    a level's or a scanner's gain is no part of what a model can predict. A block that holds what tells a
+    about the full fit, and the block is predicted, with what the rest shows of the errors it shares with it:
+    a level's or a scanner's gain is no part of what a model can predict. A block that holds what determines a
     parameter, so that the rest predicts it no better than it is read (`TOO_WIDE`), is skipped.
     """
     J = fitted.jacobian[:, np.any(fitted.jacobian != 0.0, axis=0)]  # what a bound holds does not move
@@ -84,7 +84,7 @@ def over_shared(errors: Sequence[Mapping[str, float]], blocks: Mapping[str, Mask
 
 
 def determined_by_the_rest(blocks: Mapping[str, Mask], J: Array) -> dict[str, Mask]:
-    """Those blocks without which the data still tell every parameter; J (n, p) : sensitivities."""
+    """Those blocks without which the data still determine every parameter; J (n, p) : sensitivities."""
     scale = np.where(np.linalg.norm(J, axis=0) > 0, np.linalg.norm(J, axis=0), 1.0)
     usable = {}
     for name, mask in blocks.items():

@@ -69,16 +69,16 @@ def sensitivities(
     system = newton.system
     if any(pair.contact.friction for pair in system.pairs):
         raise SolveError(
-            "a response with friction depends on the way to it: it has no derivative at a state",
+            "a response with friction depends on the loading path: it has no derivative at a state",
             where="derivatives",
             fix="difference whole solves, as a session does",
         )
     augmented = any(pair.contact.augmented for pair in system.pairs)
-    told_by_steps = system.start.time > 0.0 and system.model.goes_on_from_steps
-    if augmented or told_by_steps or any(h.any() for h in system.histories):
+    continues_step = system.start.time > 0.0 and system.model.goes_on_from_steps
+    if augmented or continues_step or any(h.any() for h in system.histories):
         raise SolveError(
-            "the response depends on the way to it (augmented contact, steps of a viscoelastic law, or a "
-            "step told from the end of the one before)",
+            "the response depends on the loading path (augmented contact, steps of a viscoelastic law, "
+            "or a step defined relative to the end of the previous one)",
             where="derivatives",
             fix="difference whole solves, as a session does",
         )
@@ -127,7 +127,7 @@ def _solve(newton: Newton, state: State, forces: Forces, rhs: Array) -> Array:
         if reached <= _ENOUGH:
             return step
     raise SolveError(
-        f"the linear system of a derivative was solved to {reached:.1e} only",
+        f"the linear system of a derivative was solved only to {reached:.1e}",
         where=f"time {state.time:g}",
         fix="the state is close to an instability: use smaller levels, or finite differences",
     )

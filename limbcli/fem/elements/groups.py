@@ -134,7 +134,7 @@ def make_groups(model: LimbModel) -> list[Group]:
         block = by_name.get(domain.block)
         if block is None or not block.is_solid:
             raise SolveError(
-                f"domain {domain.block!r} names no solid block",
+                f"domain {domain.block!r} is not a solid block",
                 where="domains of the model",
                 fix=f"use one of {[b.name for b in model.mesh.blocks if b.is_solid]}",
             )

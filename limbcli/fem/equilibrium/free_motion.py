@@ -1,6 +1,6 @@
 """Parts of the tissue that nothing holds: found by their rigid motions, before any load.
 
-A factor in single precision cannot tell a stiffness of nothing from round-off, so the motions themselves
+A factor in single precision cannot distinguish zero stiffness from round-off, so the motions themselves
 are tried: of every connected part, those that leave its given displacements alone.
 """
 
@@ -42,9 +42,9 @@ def check_held(tangent: Tangent, state: State) -> None:
                 continue
             middle = system.X[nodes].mean(axis=0)
             raise SingularMatrix(
-                f"a part of the tissue, {len(nodes)} nodes, can move freely {name}: nothing holds it",
+                f"a part of the tissue, {len(nodes)} nodes, can move freely {name}: it is not constrained",
                 where=f"around ({middle[0]:.1f}, {middle[1]:.1f}, {middle[2]:.1f}) mm",
-                fix="hold it: fix its nodes at the bone or at the cuts, or join its mesh to the rest",
+                fix="constrain it: fix its nodes at the bone or at the cuts, or join its mesh to the rest",
             )
 
 

@@ -149,7 +149,7 @@ class Linearised:
         self.counts.krylov += n
         self.stuck = reached > max(3 * tolerance, 1e-9)
         if reached > _NOWHERE and not self._is_old:
-            raise singular("no step takes the residual away")
+            raise singular("no step removes the residual")
         decades = max(-np.log10(max(reached, 1e-16)), 0.3)
         self.rate = n / decades
         wasted = max(n - _FRESH * decades, 0.0) / self.per_factor

@@ -300,12 +300,12 @@ class LoadStepping:
         place = load_step.at(time, newton.depth_at(time))
         what = error.what if isinstance(error, NotConverged) else f"{place}: {error.what}"
         depth = newton.depth(self._reached[-1])
-        reported = f"; there is an answer up to {depth:.2f} mm" if n_reached and depth else ""
+        reported = f"; there is a solution up to {depth:.2f} mm" if n_reached and depth else ""
         cause = "a part of the tissue, or a rigid body, can move freely"
         fix = error.fix
         if n_reached:
             cause = newton.weakness(self._reached[-1])
-            fix = "press less deep; look at the mesh there; or take a lower contact penalty"
+            fix = "reduce the depth; check the mesh there; or use a lower contact penalty"
         return SolveError(
             what + reported,
             where=f"{error.where}; {cause}",

@@ -109,7 +109,7 @@ class Newton:
         state = guess
         forces = forces if forces is not None else self.forces(guess)
         if forces.worst <= 0:
-            raise self.failure(state, forces, load_step, 0, "a cell was turned inside out by the first guess")
+            raise self.failure(state, forces, load_step, 0, "a cell was inverted by the first guess")
         sizes: list[float] = []
         self.nearest = np.inf, None
         renew, stagnation = True, Stagnation(settings.stalled)
@@ -151,7 +151,7 @@ class Newton:
         if worst <= 0:
             self.nearest = np.inf, None
             turned = replace(forces, worst=worst, place=place)
-            raise self.failure(state, turned, load_step, iteration, "a cell was turned inside out")
+            raise self.failure(state, turned, load_step, iteration, "a cell was inverted")
         return replace(state, hints=self.system.hints(), volumes=()), forces
 
     def note(self, stagnation: Stagnation, state: State, forces: Forces) -> None:
@@ -250,7 +250,7 @@ class Newton:
             f" stopped at residual {forces.error:.1e} after {iteration} iterations,"
             f" target {self.settings.tolerance:.0e}: {why}",
             where=f"{what}, at {_mm(place)}",
-            fix="use more load steps; look at the mesh quality there; lower the contact penalty",
+            fix="use more load steps; check the mesh quality there; lower the contact penalty",
             level=load_step.number,
             residual=forces.error,
             depth=load_step.depth,
@@ -274,14 +274,14 @@ class Newton:
         if forces.worst < _NEARLY_FLAT:
             k, cell = forces.place
             middle = (system.X + state.u)[system.groups[k].cells[cell]].mean(axis=0)
-            return f"an element at {_mm(middle)} is about to turn inside out: volume ratio {forces.worst:.2f}"
+            return f"an element at {_mm(middle)} is about to invert: volume ratio {forces.worst:.2f}"
         try:
             self.linearised.refresh(state, forces.nodal)
         except SolveError:
-            return "the tissue can take no load there"
+            return "the tissue cannot carry load there"
         n_soft = self.linearised.n_unstable
         if n_soft:
-            return f"the tissue is losing its stability: the skin folds ({n_soft} ways to give way)"
+            return f"the tissue is losing its stability: the skin folds ({n_soft} unstable modes)"
         return "contact changes from iteration to iteration"
 
     def close(self) -> None:

@@ -64,7 +64,7 @@ def relax(
         linearised.drag = 0.0
     if stagnation.will_do:
         return newton.accepted(*newton.least_of(stagnation), load_step, iteration)
-    raise newton.failure(state, forces, load_step, iteration, "the tissue does not come to rest")
+    raise newton.failure(state, forces, load_step, iteration, "the tissue does not reach equilibrium")
 
 
 def _after(newton: Newton, state: State, step: Array) -> tuple[State, Forces] | None:

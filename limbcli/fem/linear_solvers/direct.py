@@ -45,7 +45,7 @@ class LinearSolver(Protocol):
 def check_supported(solver: LinearSolver) -> None:
     """Raise where the last factor, of tissue at rest, was only had by making up for pivots that are zero."""
     if solver.n_perturbed:
-        raise singular(f"{solver.n_perturbed} pivots of nothing before any load")
+        raise singular(f"{solver.n_perturbed} zero pivots before any load")
 
 
 class Pardiso:

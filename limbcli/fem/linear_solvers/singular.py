@@ -13,5 +13,5 @@ def singular(detail: str) -> SingularMatrix:
     return SingularMatrix(
         f"the stiffness matrix is singular ({detail})",
         where="sparse factorisation",
-        fix="hold every part of the tissue: look for a region or a rigid body without support",
+        fix="constrain every part of the tissue: look for a region or a rigid body without support",
     )

@@ -117,7 +117,7 @@ class Kinematics:
                     f"{n} nodes of {support.node_set!r} have a prescribed displacement and move with "
                     f"the rigid body {body.name!r}",
                     where="supports",
-                    fix="take them out of the node set, or prescribe the body's motion",
+                    fix="remove them from the node set, or prescribe the body's motion",
                 )
 
     def spread(self, x: Array) -> Array:

@@ -48,10 +48,10 @@ def distributions(rows: Sequence[Row], sites: Mapping[str, Any]) -> Figure:
                 )
                 x = place + np.linspace(-0.33, 0.2, len(own))
                 values, low, high = (_column(own, f"{key}{end}") for end in ("", "_low", "_high"))
-                told = literal(name)
-                axes.vlines(x, low, high, color=BLUE, alpha=0.18, lw=1.2, label=f"{told}, 95 %")
-                axes.plot(x, values, ".", color=BLUE, ms=4, alpha=0.8, label=told)
-                _bar(axes, place + 0.34, sites[name]["population"][key], told)
+                site_label = literal(name)
+                axes.vlines(x, low, high, color=BLUE, alpha=0.18, lw=1.2, label=f"{site_label}, 95 %")
+                axes.plot(x, values, ".", color=BLUE, ms=4, alpha=0.8, label=site_label)
+                _bar(axes, place + 0.34, sites[name]["population"][key], site_label)
             axes.set(yscale="log", ylabel=label)
             plain_log(axes.yaxis)
             axes.grid(axis="x", visible=False)
@@ -68,7 +68,7 @@ def distributions(rows: Sequence[Row], sites: Mapping[str, Any]) -> Figure:
 def _marks() -> list[Line2D]:
     return [
         Line2D([], [], color=BLUE, marker=".", lw=1.2, label="a person, 95 %"),
-        Line2D([], [], color=VERMILION, marker="_", ms=14, mew=2, lw=0, label="middle of the people"),
+        Line2D([], [], color=VERMILION, marker="_", ms=14, mew=2, lw=0, label="geometric mean of the people"),
         Line2D([], [], color=VERMILION, lw=2, label="its 95 % interval"),
         Line2D([], [], color=VERMILION, lw=5, alpha=0.45, label="spread between people (×/÷ 1 SD)"),
     ]
@@ -82,8 +82,10 @@ def _bar(axes: Axes, x: float, own: Mapping[str, Any], name: str) -> None:
         [x, x], [middle / factor, middle * factor], color=VERMILION, lw=5, alpha=0.45, solid_capstyle="butt",
         label=f"{name}, spread between people",
     )  # fmt: skip
-    axes.plot([x, x], [own["low"], own["high"]], color=VERMILION, lw=2, label=f"{name}, 95 % of the middle")
-    axes.plot(x, middle, "_", color=VERMILION, ms=14, mew=2, label=f"{name}, middle of the people")
+    axes.plot(
+        [x, x], [own["low"], own["high"]], color=VERMILION, lw=2, label=f"{name}, 95 % interval of the mean"
+    )
+    axes.plot(x, middle, "_", color=VERMILION, ms=14, mew=2, label=f"{name}, geometric mean of the people")
 
 
 def misfits(rows: Sequence[Row]) -> Figure:
@@ -92,8 +94,8 @@ def misfits(rows: Sequence[Row]) -> Figure:
         figure = new_figure(7.4, 3.8)
         left, right = figure.subplots(1, 2)
         for axes, key, title in (
-            (left, "fat_part", "fat’s part of fat and muscle"),
-            (right, "skin_part", "skin’s part of the whole (not used)"),
+            (left, "fat_part", "fat’s share of fat and muscle"),
+            (right, "skin_part", "skin’s share of the whole (not used)"),
         ):
             measured, answered = _column(rows, key), _column(rows, f"{key}_predicted")
             ends = float(min(measured.min(), answered.min())), float(max(measured.max(), answered.max()))
@@ -157,7 +159,7 @@ def compliance(entries: Sequence[Row]) -> Figure:
             xlim=ends,
             ylim=ends,
             xlabel="measured compliance [mm/MPa]",
-            ylabel="predicted, person left out [mm/MPa]",
+            ylabel="predicted, person held out [mm/MPa]",
         )
         axes.set_aspect("equal")
         for axis in (axes.xaxis, axes.yaxis):

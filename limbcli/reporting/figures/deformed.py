@@ -123,7 +123,7 @@ def _shortening_panel(axes: Axes, state: DeformedState) -> None:
     axes.add_collection(drawn)
     axes.autoscale_view()
     _bar(axes, drawn, "largest shortening [%], element by element")
-    axes.set_title("how much it is squeezed")
+    axes.set_title("how much it is compressed")
 
 
 def _bar(axes: Axes, drawn: ScalarMappable, label: str) -> None:

@@ -20,7 +20,7 @@ _SYMBOLS = {"f_kappa": r"$f_\kappa$", "m": "m", "c": "c"}
 class ProfileCurve:
     """values (n,) of a parameter; deviance (n,) fall of twice the log likelihood; the fit's value; `limit`
     of the deviance at the ends of the 95 % interval; interval: its ends where they are not those of the curve
-    (one that holds a fit found otherwise, or a doubt that the curve has not), None: where it crosses."""
+    (one that holds a fit found otherwise, or an uncertainty that the curve lacks), None: where it crosses."""
 
     name: str
     values: Array
@@ -54,7 +54,7 @@ def profile_figure(profiles: Sequence[ProfileCurve]) -> Figure:
                 plain_log(axes.xaxis, few=len(profiles) > _ROOMY)
             symbol = _SYMBOLS.get(profile.name, profile.name)
             axes.set(xlabel=f"{symbol} [{profile.unit}]", title=symbol, ylim=(-0.3, 2 * profile.limit))
-        panels[0].set_ylabel("fall of the likelihood (deviance) [–]")
+        panels[0].set_ylabel("increase in deviance, −2 Δ ln L [–]")
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure

@@ -38,9 +38,9 @@ class StateReading:
 class StatesPanel:
     """One way of stretching.
 
-    counted : "case", as the case counts stretches, or "unloaded"
+    counted : "case", on the stretch scale of the case, or "unloaded"
     stretch, speed (n,) : the fitted law's curve; unloaded : the stretch at which its tissue is unloaded
-    lowest : the stretch of the least speed with its 95 % ends; None where the data do not tell it
+    lowest : the stretch of the least speed with its 95 % ends; None where the data do not determine it
     """
 
     way: str
@@ -74,10 +74,12 @@ def _draw(axes: Axes, panel: StatesPanel, columns: int) -> None:
     if panel.lowest is not None:
         at, low, high = panel.lowest
         axes.axvspan(low, high, color=VERMILION, alpha=0.15, lw=0)
-        axes.axvline(at, color=VERMILION, lw=1.2, ls="--", label="least speed (95 % shaded)")
+        axes.axvline(at, color=VERMILION, lw=1.2, ls="--", label="lowest speed (95 % shaded)")
     else:
-        axes.set_title("the state of least stiffness is not told by these data", fontsize=9, color=VERMILION)
-    counted = "as the case counts" if panel.counted == "case" else "of the unloaded length"
+        axes.set_title(
+            "these data do not determine the state of least stiffness", fontsize=9, color=VERMILION
+        )
+    counted = "on the scale of the case" if panel.counted == "case" else "of the unloaded length"
     axes.set(
         xlabel=f"stretch {panel.way} the limb, {counted} [–]", ylabel="shear-wave speed at rest [m/s]",
     )  # fmt: skip

@@ -44,7 +44,7 @@ def study_figure(rows: Sequence[StudyRow]) -> Figure:
                 plain_log(axes.xaxis, few=True)
             else:
                 axes.set_xticks([])
-                axes.text(0.5, 0.5, "not told", ha="center", transform=axes.transAxes, color=_OPEN)
+                axes.text(0.5, 0.5, "not known", ha="center", transform=axes.transAxes, color=_OPEN)
             axes.set(xlabel=label)
             axes.grid(True, axis="x", linewidth=0.4, alpha=0.5)
         panels[0].set_yticks(range(len(rows)), [literal(name) for name in names], fontsize=8.5)

@@ -17,39 +17,42 @@ def geometry_tables(site: str, data: Mapping[str, Any]) -> tuple[PageTable, ...]
 
     data : of fit.json
     """
-    doubt = data.get("geometry_uncertainty")
-    if not isinstance(doubt, Mapping):
+    uncertainty = data.get("geometry_uncertainty")
+    if not isinstance(uncertainty, Mapping):
         return ()
-    return _parts(site, doubt), _variations(site, doubt)
+    return _parts(site, uncertainty), _variations(site, uncertainty)
 
 
-def _parts(site: str, doubt: Mapping[str, Any]) -> PageTable:
+def _parts(site: str, uncertainty: Mapping[str, Any]) -> PageTable:
     rows = []
     for name, symbol in _NAMES.items():
         cells = [
-            Cell(_interval((doubt.get(key) or {}).get(name))) for key in ("interval_95_noise", "interval_95")
+            Cell(_interval((uncertainty.get(key) or {}).get(name)))
+            for key in ("interval_95_noise", "interval_95")
         ]
-        alone = number((doubt.get("standard_error_fraction") or {}).get(name))
+        alone = number((uncertainty.get("standard_error_fraction") or {}).get(name))
         share = DASH if alone is None else f"{short(100 * alone, 2)} %"
         rows.append((Cell(symbol, lead=True), *cells, Cell(share)))
     names = head(
-        "parameter", "95 %: noise and mesh alone", "95 %: with the geometry", "geometry alone, one deviation"
+        "parameter", "95 %: noise and mesh only", "95 %: with the geometry", "geometry only, one deviation"
     )
     return PageTable(
-        f"Site {site}: what the assumed geometry adds ({doubt.get('words')})", (names,), tuple(rows)
+        f"Site {site}: uncertainty from the assumed geometry ({uncertainty.get('words')})",
+        (names,),
+        tuple(rows),
     )
 
 
-def _variations(site: str, doubt: Mapping[str, Any]) -> PageTable:
+def _variations(site: str, uncertainty: Mapping[str, Any]) -> PageTable:
     rows = []
-    for each in doubt.get("variations") or ():
+    for each in uncertainty.get("variations") or ():
         changes = [known for value in each["force_change_fraction"] if (known := number(value)) is not None]
         shifts = [number(each["log_shift"].get(name)) for name in _NAMES]
         reach = f"{_signed(min(changes))} to {_signed(max(changes))} %" if changes else DASH
         reported = [Cell(DASH if known is None else f"{_signed(known)} %") for known in shifts]
         rows.append((Cell(str(each["words"]), lead=True), Cell(reach), *reported))
     names = head("varied", "force, over the levels", "f_κ (ln)", "m (ln)")
-    caption = f"Site {site}: the model in other shapes, and how far each would move the parameters"
+    caption = f"Site {site}: alternative geometries, and how far each would shift the parameters"
     return PageTable(caption, (names,), tuple(rows))
 
 

@@ -7,7 +7,7 @@ from limbcli.reporting.fit_view import read_fit_view
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Picture, Reportlet, placeholder
 
-TITLE = "Did the identification come to rest?"
+TITLE = "Did the identification converge?"
 
 
 def convergence(page: ReportData, site: SiteMaterial) -> Reportlet:
@@ -34,11 +34,11 @@ def convergence(page: ReportData, site: SiteMaterial) -> Reportlet:
         look_for="a misfit that falls and then stays flat, and parameters that settle",
         bad="a parameter that is still moving at the last iteration or runs to the edge of its panel, or "
         "a solver residual that stays above its target",
-        notes=() if pictures else ("The result holds no record of the iterations.",),
+        notes=() if pictures else ("The result contains no record of the iterations.",),
     )
 
 
-PROFILES_TITLE = "How firmly do the data hold each parameter?"
+PROFILES_TITLE = "How well do the data constrain each parameter?"
 
 
 def profiles(page: ReportData, site: SiteMaterial) -> Reportlet | None:
@@ -57,8 +57,8 @@ def profiles(page: ReportData, site: SiteMaterial) -> Reportlet | None:
         site.name,
         pictures=(Picture(f"profiles-{site.name}", alt, source=path, vector=False),),
         look_for="a valley with steep sides around the fitted value: the data exclude values beyond the "
-        "shaded range (the curve weighs the levels by their noise, the published fit weighs them alike, so "
-        "that the lowest point may lie beside the fit)",
-        bad="a curve that stays below the 95 % line to one side of its panel: in that direction the data "
-        "exclude nothing, and the fitted value is where the search happened to stop",
+        "shaded range (the curve weights the levels by their noise, the published fit weights them "
+        "equally, so the minimum may lie beside the fitted value)",
+        bad="a curve that stays below the 95 % line on one side of its panel: the data exclude "
+        "nothing in that direction, and the fitted value is where the search happened to stop",
     )

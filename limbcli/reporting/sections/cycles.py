@@ -1,4 +1,4 @@
-"""Does the tissue repeat itself when it is loaded again?"""
+"""Is the response repeatable over loading cycles?"""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from limbcli.reporting.numbers import DASH
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head
 
-TITLE = "Does the tissue repeat itself when it is loaded again?"
+TITLE = "Is the response repeatable over loading cycles?"
 
 
 def repeated_loading(page: ReportData, site: SiteMaterial) -> Reportlet | None:
@@ -17,11 +17,11 @@ def repeated_loading(page: ReportData, site: SiteMaterial) -> Reportlet | None:
         return None
     key = f"cycles-{site.name}"
     outcome = page.outcomes.of("fit", site.name)
-    told = outcome.result.data.get("cycle") if outcome.result is not None else None
+    cycle = outcome.result.data.get("cycle") if outcome.result is not None else None
     warned = (found.contradiction,) if found.contradiction else ()
     notes = [*found.sentences]
-    if isinstance(told, dict) and "fitted" in told:
-        notes.append(f"The parameters on this page are of cycle {told['fitted']}.")
+    if isinstance(cycle, dict) and "fitted" in cycle:
+        notes.append(f"The parameters on this page are of cycle {cycle['fitted']}.")
     return Reportlet(
         key,
         TITLE,
@@ -29,10 +29,10 @@ def repeated_loading(page: ReportData, site: SiteMaterial) -> Reportlet | None:
         site.name,
         pictures=(Picture(key, _alt(site.name, found.loops), figure=cycles(found.loops)),),
         tables=(_table(found.loops),),
-        look_for="loops that lie on each other from some cycle on, with the same energy lost each time: from "
-        "there the tissue is preconditioned and its curve is its own",
-        bad="a last loop that still moves, or a fit made on a cycle that later ones do not repeat: its "
-        "parameters belong to a state that the tissue leaves",
+        look_for="loops that coincide from some cycle on, with the same energy loss each time: from "
+        "there on the tissue is preconditioned and its curve is repeatable",
+        bad="a last loop that still shifts, or a fit to a cycle that later ones do not "
+        "repeat: its parameters describe a transient state",
         notes=tuple(notes),
         warned=warned,
     )
@@ -56,7 +56,7 @@ def _table(loops: tuple[Loop, ...]) -> PageTable:
     names = head(
         "cycle", "largest force [N]", "depth at its start [mm]", "energy lost [N mm]", "of the work [%]"
     )
-    return PageTable("Loading cycles (± one standard deviation by the stated noise)", (names,), rows)
+    return PageTable("Loading cycles (± one standard deviation from the stated noise)", (names,), rows)
 
 
 def _none(reason: str) -> Cell:

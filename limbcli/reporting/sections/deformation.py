@@ -1,4 +1,4 @@
-"""Does the model deform as a limb would?"""
+"""Does the model deform like a limb?"""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from limbcli.reporting.figures.skin import skin_figure
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Picture, Reportlet, placeholder
 
-TITLE = "Does the model deform as a limb would?"
+TITLE = "Does the model deform like a limb?"
 
 
 def deformation(page: ReportData, site: SiteMaterial) -> Reportlet:
@@ -47,9 +47,10 @@ def deformation(page: ReportData, site: SiteMaterial) -> Reportlet:
         site.name,
         pictures=pictures,
         look_for="a smooth bowl under the probe that fades before it reaches the cut faces, skin that "
-        "follows the probe's face, and the strongest squeeze between probe and bone",
-        bad="skin that passes through the probe, a checkerboard or spikes in the squeeze (locking, "
-        "or an element near collapse), or displacement that is still large at a cut face (the model is "
+        "follows the probe's face, and the largest compression between probe and bone",
+        bad="skin that penetrates the probe, a checkerboard or spikes in the compression "
+        "(locking, or a nearly collapsed element), or displacement that is still large at a cut face (the "
+        "model is "
         "too small)",
         notes=tuple(_notes(site, state)),
     )
@@ -58,7 +59,7 @@ def deformation(page: ReportData, site: SiteMaterial) -> Reportlet:
 def _notes(site: SiteMaterial, state: DeformedState) -> list[str]:
     notes = [f"Drawn from {site.deformed_source}, at {state.depth:.1f} mm depth."]
     if state.stretch is None:
-        notes.append("The run recorded no deformation gradients, so the squeeze is not shown.")
+        notes.append("The run recorded no deformation gradients, so the compression is not shown.")
     elif not np.isfinite(state.stretch).all():
-        notes.append("The squeeze is recorded around the scanner's window only; grey is not recorded.")
+        notes.append("The compression is recorded around the scanner's window only; grey is not recorded.")
     return notes

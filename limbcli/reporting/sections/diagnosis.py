@@ -42,10 +42,10 @@ def _section(key: str, site: SiteMaterial, result: StageResult) -> Reportlet:
         pictures=_pictures(result, site.name),
         tables=(_candidates(data),),
         more=(_shrunk(data), _blind(data), *_sizes(data)),
-        look_for="differences of the base model (grey) that swing beyond the band of two deviations, and "
-        "that the model with the addition (blue) brings back into it",
-        bad="one name where the verdict is ambiguous, a gap that stays, or a candidate right of the dashed "
-        "line in the lower picture: these data are blind to it",
+        look_for="residuals of the base model (grey) that leave the band of two standard deviations, "
+        "and that the model with the addition (blue) brings back into it",
+        bad="one name where the verdict is ambiguous, a misfit that remains, or a candidate right of "
+        "the dashed line in the lower panel: these data cannot detect it",
         notes=tuple(others),
         warned=result.warnings,
         answer=first,
@@ -53,7 +53,7 @@ def _section(key: str, site: SiteMaterial, result: StageResult) -> Reportlet:
 
 
 def in_short(page: ReportData, site: SiteMaterial) -> str | None:
-    """One line: what is missing, and the gap before and after; None where `diagnose` left nothing to tell."""
+    """One line: what is missing, and the gap before and after; None if `diagnose` left none."""
     outcome = page.outcomes.maybe("diagnose", site.name)
     if outcome is None or outcome.usable is None:
         return None
@@ -67,7 +67,7 @@ def in_words(data: Mapping[str, Any]) -> str:
     """
     >>> gap = [{"chi2_per_nu": 1.472}, {"chi2_per_nu": 0.92}]
     >>> in_words({"verdict": "named", "added": ["tilt"], "shrink": gap})
-    'tilt (named); the gap between model and measurement (chi2/nu) went from 1.47 to 0.92'
+    'tilt (named); the misfit between model and measurement (chi2/nu) went from 1.47 to 0.92'
     >>> in_words({"verdict": "adequate", "added": [], "shrink": gap[:1]})
     'adequate'
     """
@@ -76,8 +76,8 @@ def in_words(data: Mapping[str, Any]) -> str:
         return str(data.get("verdict", DASH))
     before, after = (each["chi2_per_nu"] for each in (shrink[0], shrink[-1]))
     return (
-        f"{' and '.join(added)} ({data['verdict']}); the gap between model and measurement (chi2/nu) "
-        f"went from {before:.2f} to {after:.2f}"
+        f"{' and '.join(added)} ({data['verdict']}); the misfit between model and measurement "
+        f"(chi2/nu) went from {before:.2f} to {after:.2f}"
     )
 
 
@@ -85,7 +85,7 @@ def _pictures(result: StageResult, name: str) -> tuple[Picture, ...]:
     texts = {
         "gap": "Measured minus predicted in deviations, before and after",
         "candidates": "Adjusted p and detectable size of every candidate",
-        "sizes": "How large each effect could be, in plausible sizes (95 %)",
+        "sizes": "Size of each effect, in units of its plausible size (95 %)",
     }
     return tuple(
         Picture(f"diagnosis-{key}-{name}", words, source=result.path(key))
@@ -102,8 +102,8 @@ def _candidates(data: Mapping[str, Any]) -> PageTable:
         rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
     for name, why in data["not_evaluated"].items():
         rows.append((Cell(name, lead=True), Cell(f"not evaluated: {why}"), Cell(DASH), Cell(DASH)))
-    titles = head("candidate", "what it says", "adjusted p", "first-order estimate")
-    return PageTable("Candidates, the most telling first", (titles,), tuple(rows), numeric=False)
+    titles = head("candidate", "interpretation", "adjusted p", "first-order estimate")
+    return PageTable("Candidates, the most significant first", (titles,), tuple(rows), numeric=False)
 
 
 def _shrunk(data: Mapping[str, Any]) -> PageTable:
@@ -125,21 +125,21 @@ def _shrunk(data: Mapping[str, Any]) -> PageTable:
     titles = head(
         "model", "chi2/nu", "held-out error (deviations)", "placebo percentile", "c (kPa), 95 %", "m, 95 %"
     )
-    return PageTable("How the gap shrank", (titles,), tuple(rows))
+    return PageTable("How the misfit decreased", (titles,), tuple(rows))
 
 
 def _interval(stage: Mapping[str, Any], name: str) -> str:
     """Value and interval, without the ends that the data leave open; nothing where an older result has none.
 
-    >>> told = {"values": {"m": 3.9}, "intervals_95": {"m": [1.0, 6.2]}}
-    >>> _interval(told, "m"), _interval({**told, "not_told_by_the_data": ["m below"]}, "m")
+    >>> undetermined = {"values": {"m": 3.9}, "intervals_95": {"m": [1.0, 6.2]}}
+    >>> _interval(undetermined, "m"), _interval({**told, "not_told_by_the_data": ["m below"]}, "m")
     ('3.90 (1.00 to 6.20)', '3.90 (up to 6.20)')
     """
     ends = stage.get("intervals_95", {}).get(name)
     if ends is None:
         return DASH
-    symbol, told = name.partition("_")[0], stage.get("not_told_by_the_data", ())
-    below, above = f"{symbol} below" in told, f"{symbol} above" in told
+    symbol, undetermined = name.partition("_")[0], stage.get("not_told_by_the_data", ())
+    below, above = f"{symbol} below" in undetermined, f"{symbol} above" in undetermined
     reach = f"{ends[0]:.2f} to {ends[1]:.2f}"
     if below or above:
         reach = "open" if below and above else f"up to {ends[1]:.2f}" if below else f"from {ends[0]:.2f}"
@@ -157,8 +157,10 @@ def _blind(data: Mapping[str, Any]) -> PageTable:
             bias,
         )
         rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
-    titles = head("effect", "visible share", "size seen (plausible sizes)", "bias if unseen (deviations)")
-    return PageTable("What these data can see", (titles,), tuple(rows))
+    titles = head(
+        "effect", "visible share", "detectable size (plausible sizes)", "bias if undetected (deviations)"
+    )
+    return PageTable("What these data can detect", (titles,), tuple(rows))
 
 
 def _sizes(data: Mapping[str, Any]) -> tuple[PageTable, ...]:
@@ -169,9 +171,7 @@ def _sizes(data: Mapping[str, Any]) -> tuple[PageTable, ...]:
             texts = (effect, name, *("open" if end is None else short(end) for end in (low, high)))
             rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
     titles = head("effect", "size", "from", "to (95 %)")
-    return (
-        (PageTable("How large each effect could be, it alone added", (titles,), tuple(rows)),) if rows else ()
-    )
+    return (PageTable("Size of each effect when it alone is added", (titles,), tuple(rows)),) if rows else ()
 
 
 def _number(value: float | None) -> str:

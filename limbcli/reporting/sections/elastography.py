@@ -1,4 +1,4 @@
-"""Does the tissue stiffen with load, as shear waves see it?"""
+"""Does the shear-wave speed rise with load?"""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head
 from limbcli.results import StageResult
 
-TITLE = "Does the tissue stiffen with load, as shear waves see it?"
+TITLE = "Does the shear-wave speed rise with load?"
 _LOOK = (
     "speeds that rise steadily with load; the speed at zero load gives the initial stiffness "
-    "c. Against depth the picture hardly depends on the force zero, on skin or on the mesh"
+    "c. Against depth the plot hardly depends on the force zero, on skin or on the mesh"
 )
 _BAD = (
     "a step or scatter larger than the bars, a speed that falls under load, or bars so tall that "
-    "the first level could mean half or double the stiffness (c goes with the square of the speed)"
+    "the first level could mean half or double the stiffness (c is proportional to the square of the speed)"
 )
 _LOOK_PREDICTED = (
-    ". The prediction knows the speed at zero load only: it should run through the other points too, and "
-    "the maps of the differences should be without pattern"
+    ". The prediction uses the speed at zero load only: it should pass through the other points "
+    "too, and the difference maps should show no pattern"
 )
 _BAD_PREDICTED = (
-    ". A prediction that starts with the wrong slope against depth is no matter of m (the slope is "
-    "kinematics alone: depth zero, anisotropy or a layer); one that bends too little or too much is"
+    ". A prediction that starts with the wrong slope against depth does not point to m (the slope "
+    "is purely kinematic: depth zero, anisotropy or a layer); one with too little or too much curvature does"
 )
 
 

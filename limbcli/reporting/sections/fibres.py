@@ -1,4 +1,4 @@
-"""Which way do the muscle fibres run, and who says so?"""
+"""Which way do the muscle fibres run, and on what evidence?"""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _USE = (
 def fibres(page: ReportData, site: SiteMaterial) -> Reportlet | None:
     """The picture and the words that `mesh` left; None where it was not run."""
     result = page.outcomes.of("mesh", site.name).usable
-    told = result.data.get("fibres") if result is not None else None
-    if result is None or not isinstance(told, Mapping):
+    found = result.data.get("fibres") if result is not None else None
+    if result is None or not isinstance(found, Mapping):
         return None
     key = f"fibres-{site.name}"
     path = result.folder / result.files.get("fibre_picture", "fibres.png")
@@ -32,16 +32,16 @@ def fibres(page: ReportData, site: SiteMaterial) -> Reportlet | None:
         site.name,
         pictures=pictures,
         look_for="lines that run as the muscle does: along the limb, or at its pennation angle",
-        bad="lines that stand out of the skin or cross the limb (another frame, a sign turned), or a "
-        "direction that nobody measured where a result depends on it",
-        notes=(*_words(told), _USE),
+        bad="lines that point out of the skin or cross the limb (wrong frame, flipped "
+        "sign), or an unmeasured direction where a result depends on it",
+        notes=(*_words(found), _USE),
     )
 
 
-def _words(told: Mapping[str, Any]) -> Sequence[str]:
-    lines = [f"Fibres: {told.get('source')}."]
+def _words(found: Mapping[str, Any]) -> Sequence[str]:
+    lines = [f"Fibres: {found.get('source')}."]
     deviation, out, beside = (
-        told.get(name) for name in ("deviation_deg", "out_of_skin_deg", "to_image_plane_deg")
+        found.get(name) for name in ("deviation_deg", "out_of_skin_deg", "to_image_plane_deg")
     )
     if isinstance(out, float) and isinstance(beside, float):
         lines.append(
@@ -50,11 +50,11 @@ def _words(told: Mapping[str, Any]) -> Sequence[str]:
         )
     if isinstance(deviation, float):
         lines.append(f"One standard deviation of that direction: {deviation:.1f}°.")
-    if isinstance(told.get("agreement_of_neighbours"), float):
+    if isinstance(found.get("agreement_of_neighbours"), float):
         lines.append(
-            f"{100 * told['covered_share']:.0f} % of the tissue's elements lie within the map, "
-            f"{100 * told['from_nearest_share']:.0f} % take the nearest direction, "
-            f"{100 * told['from_mean_share']:.0f} % the mean near the probe; neighbouring voxels agree to "
-            f"{told['agreement_of_neighbours']:.2f} (1: all along one axis)."
+            f"{100 * found['covered_share']:.0f} % of the tissue's elements lie within the map, "
+            f"{100 * found['from_nearest_share']:.0f} % take the nearest direction, "
+            f"{100 * found['from_mean_share']:.0f} % the mean near the probe; neighbouring voxels agree to "
+            f"{found['agreement_of_neighbours']:.2f} (1: all along one axis)."
         )
     return lines

@@ -12,11 +12,10 @@ from limbcli.reporting.reportlet import Picture, Reportlet, placeholder
 
 TITLE = "Does the model follow the measured force?"
 _NO_FIT = (
-    "There is no fit to draw: these are the measured levels, and the simulation with start values "
-    "if it was run."
+    "No fit is available: shown are the measured levels, and the simulation with start values if it was run."
 )
 _R2_CAVEAT = (
-    "R² is near 1 for any curve that rises as the data do; judge by the differences in the lower panel, in N."
+    "R² is near 1 for any curve that rises with the data; judge by the residuals in the lower panel, in N."
 )
 
 
@@ -39,10 +38,11 @@ def force_over_depth(page: ReportData, site: SiteMaterial) -> Reportlet:
         gap.mood if gap else "fine",
         site.name,
         pictures=(picture,),
-        look_for="the solid curve runs through the points and the differences scatter around zero, inside "
+        look_for="the solid curve passes through the points and the differences scatter around zero, inside "
         "the grey band of the force's standard deviation",
-        bad="differences that swing slowly from one side to the other (the model lacks something), a "
-        "curve that is right at one end only, or a start curve that already fits (the data do not decide)",
+        bad="differences that drift slowly from one side to the other (the model lacks something), "
+        "a curve that fits at one end only, or a start curve that already fits (the data are not "
+        "informative)",
         notes=tuple(notes) if not gap else (_NO_FIT, *gap.notes),
         warned=warned,
         failure=gap.failure if gap else None,

@@ -76,6 +76,6 @@ def _together(site: SiteMaterial, gaps: list[Reportlet]) -> Reportlet:
         )
         for each in gaps
     )
-    caption = f"Questions without an answer yet at site {site.name}"
+    caption = f"Sections not yet available at site {site.name}"
     table = PageTable(caption, (head("question", "why not", "made by"),), rows, numeric=False)
     return Reportlet(f"gaps-{site.name}", "What is still missing?", "missing", site.name, tables=(table,))

@@ -12,8 +12,8 @@ from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, hea
 from limbcli.reporting.sections.parameters import TET4_WORDS, estimate_cells
 from limbcli.results import StageResult
 
-TITLE = "What do depth and shear waves say together?"
-LAWS_TITLE = "Which law foretells best what it has not seen?"
+TITLE = "What do depth and shear waves show together?"
+LAWS_TITLE = "Which law predicts held-out levels best?"
 
 
 def joint(page: ReportData) -> Reportlet | None:
@@ -37,7 +37,7 @@ def joint(page: ReportData) -> Reportlet | None:
         look_for="curves through the points of both columns, chi-square near its degrees of freedom, and "
         "a c that agrees with the shear-wave reading at zero load: one tissue explains both",
         bad="a fit that follows one column and misses the other, or parameters that leave the intervals of "
-        "the fit to the force alone: then the model cannot have both right",
+        "the fit to the force alone: then the model cannot fit both",
         notes=tuple(_notes(data)),
         warned=(*result.warnings, *((TET4_WORDS,) if locks else ())),
     )
@@ -47,7 +47,7 @@ def _pictures(result: StageResult, sites: str) -> list[Picture]:
     texts = {
         "picture": ("joint-curves", f"Force over depth and shear-wave speed over force at {sites}, with the "
                     "joint fit."),
-        "profiles": ("joint-profiles", "Fall of the joint likelihood over c and the law's other parameters."),
+        "profiles": ("joint-profiles", "Joint profile likelihood over c and the law's other parameters."),
     }  # fmt: skip
     return [
         Picture(name, alt, source=result.path(key), vector=False)
@@ -65,8 +65,9 @@ def _table(estimates: tuple[EstimateView, ...], data: Mapping[str, Any], sites: 
 
 def _notes(data: Mapping[str, Any]) -> list[str]:
     notes = [
-        f"Depth residuals at the measured force and the logarithm of every level's speed, each against its "
-        f"stated noise: chi-square {quantity(data.get('chi_square'), '')} for {data.get('n_freedom', DASH)} "
+        f"Fitted to the depths at the measured forces and the logarithms of all levels' speeds, each "
+        f"weighted by its stated noise: chi-square {quantity(data.get('chi_square'), '')} for "
+        f"{data.get('n_freedom', DASH)} "
         "degrees of freedom."
     ]
     if data.get("mu_along_kpa") is not None:
@@ -77,18 +78,18 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
     for name, each in (data.get("orientations") or {}).items():
         notes.append(
             f"Site {name}: the image lies {quantity(each.get('fibre_to_image_deg'), '°', digits=2)} from the "
-            f"fibres" + ("." if each.get("fibres_told") else ", whose direction nobody told.")
+            f"fibres" + ("." if each.get("fibres_told") else ", whose direction was not stated.")
         )
     for name, each in (data.get("direction_uncertainty") or {}).items():
         force, speed = (100 * each[f"{key}_change_fraction"] for key in ("force", "speed"))
         notes.append(
             f"Site {name}: fibres one deviation ({each['deviation_deg']:.1f}°) further out of the skin "
-            f"change the force by up to {force:+.1f} %, the speeds by up to {speed:+.1f} %; intervals do not "
-            "hold that."
+            f"change the force by up to {force:+.1f} %, the speeds by up to {speed:+.1f} %; the intervals "
+            "do not include this."
         )
     gains, deviations = data.get("gains") or {}, data.get("gain_deviations") or {}
     notes += [
-        f"Site {site}: the simulated force was taken times {quantity(gain, '')} "
+        f"Site {site}: the simulated force was multiplied by {quantity(gain, '')} "
         f"(numerical error allowed: {quantity(100 * deviations[site], '%', digits=2)})."
         for site, gain in gains.items()
         if site in deviations
@@ -104,18 +105,18 @@ def laws(page: ReportData) -> Reportlet | None:
         return None
     rows = tuple(_law_row(each) for each in result.data["laws"])
     names = head(
-        "law", "parameters", "left-out depth [mm]", "left-out speed [%]", "chi-square", "c [kPa]", "its shape"
+        "law", "parameters", "held-out depth [mm]", "held-out speed [%]", "chi-square", "c [kPa]", "its shape"
     )
     return Reportlet(
         "laws",
         LAWS_TITLE,
         tables=(
-            PageTable("Laws, best first, by the root-mean-square error of left-out levels", (names,), rows),
+            PageTable("Laws, best first, by the root-mean-square error of held-out levels", (names,), rows),
         ),
-        look_for="a law that is better by more than the noise of the depth; among equals the one with fewer "
-        "parameters",
-        bad="laws compared by R²: every law that rises has it near 1. Where all laws miss by the same, the "
-        "tissue's law is not what is wrong",
+        look_for="a law that is better by more than the noise of the depth; among equally good laws the one "
+        "with fewer parameters",
+        bad="laws compared by R²: it is near 1 for any rising curve. Where all laws are off by "
+        "the same amount, the law is not the cause",
     )
 
 

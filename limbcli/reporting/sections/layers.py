@@ -29,7 +29,7 @@ def layers(page: ReportData, site: SiteMaterial) -> Reportlet | None:
         site.name,
         pictures=(Picture(f"layers-{site.name}", _alt(layers, site.name), source=path, vector=False),),
         look_for="points on the borders of the bands at every level: then one tissue moves as the layers do. "
-        "The layer on the bone tells nothing beyond the depth",
+        "The layer on the bone adds no information beyond the depth",
         bad="a layer that gets thinner much faster than its band (fat is softer than the rest), or hardly "
         "thinner at all (skin, or something stiff above the bone)",
         notes=_notes(layers),
@@ -45,7 +45,7 @@ def _alt(layers: dict[str, Any], site: str) -> str:
 def _notes(layers: dict[str, Any]) -> tuple[str, ...]:
     found = layers.get("measured_less_predicted") or {}
     notes = [
-        f"{name}: measured less predicted {quantity(each.get('last_mm'), 'mm', digits=2)} at the last level "
+        f"{name}: measured minus predicted {quantity(each.get('last_mm'), 'mm', digits=2)} at the last level "
         f"({quantity(each.get('last_deviations'), 'deviations', digits=2)})."
         for name, each in found.items()
         if isinstance(each, dict)

@@ -32,10 +32,10 @@ def mesh(page: ReportData, site: SiteMaterial) -> Reportlet:
         site.name,
         pictures=pictures,
         more=(table,) if rows else (),
-        look_for="small elements under the probe that grow smoothly outwards, bones as clean holes, and "
-        "the probe flat on the skin",
-        bad="slivers, sudden jumps in element size, a bone that touches the skin or the cut faces oddly, "
-        "or a probe that hangs over an edge of the model",
+        look_for="small elements under the probe whose size grows smoothly outwards, bones as clean "
+        "holes, and the probe flat on the skin",
+        bad="slivers, sudden jumps in element size, a bone that touches the skin or meets the cut faces "
+        "irregularly, or a probe that overhangs an edge of the model",
         notes=result.summary,
         warned=result.warnings,
     )

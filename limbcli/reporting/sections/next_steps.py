@@ -15,24 +15,24 @@ def next_steps(page: ReportData, site: SiteMaterial, view: FitView) -> tuple[str
     steps = []
     if view.poor:
         steps.append(
-            "Look at units, signs and zero of force and depth, then repeat the measurement: no curve of the "
-            "law meets these levels."
+            "Check the units, signs and zeros of force and depth, then repeat the measurement: no "
+            "curve of the law fits these levels."
         )
     diagnosed = page.outcomes.maybe("diagnose", site.name)
     if diagnosed is not None and diagnosed.usable is not None:
         steps += _proposed(diagnosed.usable.data.get("next_measurement"))
     else:
         command = page.outcomes.of("fit", site.name).command.replace("limbcli fit", "limbcli diagnose", 1)
-        steps.append(f"Let the diagnosis say what would tell most: {command}")
+        steps.append(f"Run the diagnosis to see which measurement would be most informative: {command}")
     if view.noise_source == "assumed":
         steps.append(
-            "Repeat one level three times or more and state the spread in [site.noise] with source = "
-            "“repeats”: all intervals rest on an assumed noise."
+            "Repeat one level three times or more and state its standard deviation in [site.noise] "
+            "with source = “repeats”: all intervals rest on an assumed noise."
         )
     steps += _of_the_parameters(site, view)
     if "by hand" in view.c_source or "--c-kpa" in view.c_source:
         steps.append(
-            "Measure the shear-wave speed at 0 N: c was given by hand, and everything scales with it."
+            "Measure the shear-wave speed at 0 N: c was entered by hand, and all results scale with it."
         )
     return tuple(steps)
 
@@ -47,7 +47,7 @@ def _proposed(found: object) -> list[str]:
     ends = [number(found.get(f"power_for_its_{which}_pair")) for which in ("worst", "best")]
     powers = [f"{100 * each:.0f}" for each in ends if each is not None]
     cases = " to ".join(dict.fromkeys(powers))
-    chance = f" (it tells the explanations apart in {cases} of 100 cases)" if powers else ""
+    chance = f" (it distinguishes the explanations in {cases} of 100 cases)" if powers else ""
     return [f"{sentence[0].upper()}{sentence[1:]}{chance}."]
 
 
@@ -59,5 +59,5 @@ def _of_the_parameters(site: SiteMaterial, view: FitView) -> list[str]:
     depth = site.measured.depth.max() if site.measured is not None and len(site.measured.depth) else None
     reached = f" than the {depth:.1f} mm reached" if depth is not None else ""
     return [
-        f"Press deeper{reached}, as far as it is borne: m shows in large strains, and is {m.headline} here."
+        f"Press deeper{reached}, as far as tolerated: m shows at large strains, and is {m.headline} here."
     ]

@@ -10,8 +10,8 @@ from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head, placeholder
 from limbcli.results import StageResult
 
-ELEMENTS_TITLE = "How much of f_κ is the element?"
-STUDY_TITLE = "How much of the force is mesh and crop?"
+ELEMENTS_TITLE = "How much of f_κ is due to the element type?"
+STUDY_TITLE = "How much of the force is due to mesh and crop?"
 _LARGE = 0.1  # numerical error of the force, relative
 
 
@@ -37,10 +37,10 @@ def elements(page: ReportData, site: SiteMaterial) -> Reportlet | None:
         site=site.name,
         pictures=_picture(result, f"elements-{site.name}", alt),
         tables=(PageTable(f"The same mesh in two elements at site {site.name}", (names,), rows),),
-        look_for="dotted curves that lie together and right-hand curves that are flat: then the element "
-        "does not matter",
-        bad="a tet4 curve that rises with f_κ where tet10's is flat. It locks, and the f_κ fitted with it "
-        "sets how stiff the mesh is, not how compressible the tissue",
+        look_for="dotted curves that coincide and right-hand curves that are flat: then the "
+        "element type does not matter",
+        bad="a tet4 curve that rises with f_κ where tet10's is flat. The element locks, and the f_κ fitted "
+        "with it reflects the stiffness of the mesh, not the compressibility of the tissue",
         notes=result.summary,
         warned=result.warnings,
     )
@@ -79,8 +79,9 @@ def mesh_study(page: ReportData, site: SiteMaterial) -> Reportlet | None:
         more=(PageTable(f"Mesh study at site {site.name}", (head("figure", "value"),), rows, numeric=False),),
         look_for="curves that level off towards small elements and wide margins, and a numerical error well "
         "below the noise of the measurement",
-        bad="a force that still moves at the mesh in use: that share of it is the mesh, and no parameter "
-        "found with it is better than that",
+        bad="a force that still moves at the mesh in use: that share of it is numerical error, and no "
+        "parameter "
+        "fitted with this mesh is more accurate than that",
         notes=result.summary,
         warned=result.warnings,
     )

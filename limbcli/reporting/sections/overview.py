@@ -109,14 +109,14 @@ def _sentence(sites: tuple[SiteGlance, ...], failures: tuple[Outcome, ...], n_wa
     fitted = [each for each in sites if each.facts]
     weak = [f"{', '.join(each.weak)} at {each.name}" for each in fitted if each.weak]
     poor = [each.name for each in fitted if each.poor]
-    text = f"Poor fit at {', '.join(poor)}: it misses the measured force. " if poor else ""
+    text = f"Poor fit at {', '.join(poor)}: it does not reproduce the measured force. " if poor else ""
     text += (
         f"The tissue was fitted at {len(fitted)} of {len(sites)} {'site' if len(sites) == 1 else 'sites'}."
     )
     if fitted and not weak and not poor:
-        text += " Every parameter searched for is identified."
+        text += " All fitted parameters are identified."
     if weak:
-        text += f" Not to be relied on as properties of the tissue: {'; '.join(weak)}."
+        text += f" Not reliable as tissue properties: {'; '.join(weak)}."
     if failures:
         text += f" Failed: {', '.join(each.label for each in failures)}."
     if n_warnings:
@@ -200,5 +200,5 @@ def _site_sentence(view: FitView) -> str:
     return (
         f"{poor}{step.label}, {view.element} elements, {view.solver}."
         if step
-        else "The fit left no parameters."
+        else "The fit produced no parameters."
     )

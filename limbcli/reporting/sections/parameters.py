@@ -11,7 +11,7 @@ from limbcli.reporting.report_data import ReportData
 from limbcli.reporting.reportlet import Cell, Mood, PageTable, Reportlet, head
 from limbcli.reporting.sections.assumed_geometry import geometry_tables
 
-KEY, TITLE = "parameters", "Which tissue parameters, and how sure are they?"
+KEY, TITLE = "parameters", "Which tissue parameters, and how certain are they?"
 _NOTABLE = 1.5  # times the stated noise
 TET4_WORDS = (
     "This model is made of four-node tetrahedra, which lock: they resist the change of shape of nearly "
@@ -37,7 +37,7 @@ def parameters(page: ReportData) -> Reportlet:
         _mood(outcomes, views),
         tables=(_paper_table(outcomes, views), *details),
         look_for="a narrow interval and the word “identified”. c comes from shear waves at zero load and "
-        "is held fixed; m says how fast the tissue stiffens; κ′ = f_κ c how it resists a change of volume",
+        "is held fixed; m describes how fast the tissue stiffens; κ′ = f_κ c how it resists volume change",
         bad="“at bound”, “no influence”, “trades off” or an interval open to one side: such a value is "
         "where the search stopped, not a property of the tissue",
         notes=tuple(notes),
@@ -91,13 +91,13 @@ def _four(view: FitView | None, key: str, why: str) -> list[Cell]:
         return [Cell(DASH, reason=why, span=4)]
     return [
         cell(step.c_kpa),
-        said(cell(step.m), step.estimate("m")),
-        said(cell(step.kappa_kpa), step.kappa),
+        with_verdict(cell(step.m), step.estimate("m")),
+        with_verdict(cell(step.kappa_kpa), step.kappa),
         cell(step.r2, digits=4, reason="the measured force does not vary"),
     ]
 
 
-def said(shown: Cell, estimate: EstimateView | None) -> Cell:
+def with_verdict(shown: Cell, estimate: EstimateView | None) -> Cell:
     """A value that the data do not hold gives way to words, with the verdict below."""
     if estimate is None or estimate.is_sound:
         return shown
@@ -112,7 +112,10 @@ def _details(site: str, view: FitView) -> PageTable:
         for k, each in enumerate(step.estimates):
             label = (Cell(step.label, lead=True, down=len(step.estimates)),) if k == 0 else ()
             rows.append((*label, *estimate_cells(each)))
-    caption = f"Site {site}: intervals and what can be said of each parameter ({view.element}, {view.solver})"
+    caption = (
+        f"Site {site}: confidence interval and identifiability of each parameter ({view.element}, "
+        f"{view.solver})"
+    )
     return PageTable(caption, (names,), tuple(rows), numeric=False)
 
 
@@ -123,11 +126,11 @@ def estimate_cells(each: EstimateView) -> tuple[Cell, ...]:
     >>> [cell.text.replace("\u00a0", " ") for cell in estimate_cells(c)]
     ['c', 'not identifiable', '1.00 to 90.0 kPa', 'no influence']
     """
-    unit, said = f"\u00a0{each.unit}" if each.unit else "", each.headline.split(" (")[0]
+    unit, text = f"\u00a0{each.unit}" if each.unit else "", each.headline.split(" (")[0]
     return (
         Cell(each.name),
         cell(each.value, unit=each.unit) if each.is_sound else Cell(
-            said + unit * any(map(str.isdigit, said))
+            text + unit * any(map(str.isdigit, text))
         ),
         Cell(interval_text(each) + unit) if each.low is not None or each.high is not None else Cell(
             DASH, reason=each.interval_why
@@ -171,8 +174,8 @@ def _noise_words(view: FitView) -> list[str]:
     words = []
     if view.noise_source == "assumed":
         words.append(
-            "the measurement noise is assumed, not measured, so the intervals are as good as that guess. "
-            "Repeat a level and state the spread in [site.noise]."
+            "the measurement noise is assumed, not measured, so the intervals are only as reliable as that "
+            "assumption. Repeat a level and state its standard deviation in [site.noise]."
         )
     if view.noise_scale is not None and view.noise_scale > _NOTABLE:
         words.append(

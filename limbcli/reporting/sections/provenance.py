@@ -10,14 +10,14 @@ from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.report_data import ReportData
 from limbcli.reporting.reportlet import Cell, PageTable, Reportlet, head
 
-KEY, TITLE = "provenance", "What made this page?"
+KEY, TITLE = "provenance", "How was this page made?"
 
 
 def provenance(page: ReportData, own: Mapping[str, Any]) -> Reportlet:
     """Commands, solvers, versions and input hashes of every stage, and of this page (`own`)."""
     done = page.outcomes.done
     system = str(own.get("units", DASH))
-    units = f"Unit system inside: {system}; every other unit stands beside its number."
+    units = f"Unit system inside: {system}; every other unit is given with its number."
     return Reportlet(
         KEY,
         TITLE,
@@ -36,7 +36,7 @@ def _commands(done: tuple[Outcome, ...], own: Mapping[str, Any]) -> PageTable:
             Cell(str(made.get("command", DASH))),
             Cell(str(made.get("limbcli", DASH))),
             Cell(str(made.get("finished_utc", DASH)).replace("T", " ").removesuffix("Z")),
-            Cell(quantity(made.get("seconds"), "s", digits=2, reason="not yet over")),
+            Cell(quantity(made.get("seconds"), "s", digits=2, reason="not yet finished")),
         )
         for label, made in _made(done, own)
     ]
@@ -61,8 +61,8 @@ def _solvers(done: tuple[Outcome, ...]) -> PageTable:
             (
                 Cell(each.label, lead=True),
                 _cell_or_why(solver, "not in the result"),
-                _cell_or_why(facts.get("solver_version"), "the solver does not say"),
-                _cell_or_why(facts.get("linear_solver"), "the solver does not say"),
+                _cell_or_why(facts.get("solver_version"), "not reported by the solver"),
+                _cell_or_why(facts.get("linear_solver"), "not reported by the solver"),
             )
         )
     names = head("stage", "solver that ran", "version", "linear solver")

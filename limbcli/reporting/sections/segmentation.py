@@ -9,19 +9,20 @@ from limbcli.reporting.numbers import DASH, cell, plain_rows
 from limbcli.reporting.report_data import ReportData
 from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head, placeholder
 
-KEY, TITLE = "segmentation", "Are skin and bones outlined where they are?"
-TITLE_ASSUMED = "What is assumed of the limb's shape?"
+KEY, TITLE = "segmentation", "Are skin and bones outlined correctly?"
+TITLE_ASSUMED = "What is assumed about the limb's shape?"
 _CAPTION = (
     "each outline follows the edge it belongs to in every slice, and the dark bone cortex lies inside the "
     "bone outline",
-    "an outline that jumps between slices, cuts through skin, leaves out a bone's dark rim, or rings a vein; "
-    "a bone that is missing in some slices. Correct the label map in 3D Slicer and name it as “labels” in "
-    "case.toml",
+    "an outline that jumps between slices, cuts through skin, leaves out a bone's dark rim, or encloses a "
+    "vein; "
+    "a bone that is missing in some slices. Correct the label map in 3D Slicer and enter it as “labels” "
+    "in case.toml",
 )
 _CAPTION_ASSUMED = (
     "the beam ends on the bone, and skin and bone lie as they do on the B-mode image",
-    "a second bone, or one that is not round, near the beam: none of it is in the model. The fit varies the "
-    "bone's radius and depth, and how round the limb is; it does not vary where else there is bone",
+    "a second bone, or one that is not round, near the beam: the model contains neither. The uncertainty "
+    "covers the bone's radius and depth and the roundness of the limb; it does not cover other bones",
 )
 _HANDLED = {"markers", "geometry"}
 

@@ -27,18 +27,19 @@ def states(page: ReportData, site: SiteMaterial) -> Reportlet | None:
         return placeholder(key, TITLE, outcome)
     data = result.data
     locks = "tet4" in str(data.get("element", ""))
-    told = not data.get("undetermined")
+    determined = not data.get("undetermined")
     return Reportlet(
         key,
         TITLE,
-        "fine" if told and not result.warnings else "warning",
+        "fine" if determined and not result.warnings else "warning",
         site.name,
         pictures=tuple(_pictures(result, site.name)),
         tables=(_parameters(data, locks=locks), _states(data)),
         look_for="states on both sides of the lowest point, a curve through all of them, and one law "
-        "that meets force and speed in each: then the stretch at which the tissue is unloaded is a finding",
-        bad="states that lie on one slope of the curve: where it is lowest is then not told by these "
-        "data, and a lowest point beyond the measured states rests on the law alone",
+        "that fits force and speed in each: then the stretch at which the tissue is unloaded is determined "
+        "by the data",
+        bad="states that lie on one slope of the curve: these data then do not determine where "
+        "it is lowest, and a lowest point beyond the measured states rests on the law alone",
         notes=tuple(_notes(data)),
         warned=(*result.warnings, *((TET4_WORDS,) if locks else ())),
     )
@@ -50,7 +51,7 @@ def _pictures(result: StageResult, site: str) -> list[Picture]:
         "the law."),
         "picture": ("states", f"Force over depth and speed over force in each state of site {site}, "
         "with the fit."),
-        "profiles": ("states-profiles", "Fall of the likelihood over the law's parameters and the "
+        "profiles": ("states-profiles", "Profile likelihood over the law's parameters and the "
         "stretches."),
     }  # fmt: skip
     return [
@@ -80,19 +81,19 @@ def _states(data: Mapping[str, Any]) -> PageTable:
         for name, each in (data.get("states") or {}).items()
     )
     names = head(
-        "state", "stretch along", "stretch around", "SWE at rest [m/s]", "fitted [m/s]", "depths missed [mm]"
+        "state", "stretch along", "stretch around", "SWE at rest [m/s]", "fitted [m/s]", "depth misfit [mm]"
     )
     return PageTable("States, with their stretches over the unloaded tissue (95 %)", (names,), rows)
 
 
-def _stretch(told: Mapping[str, Any]) -> Cell:
-    value, low, high = told.get("value"), told.get("low"), told.get("high")
+def _stretch(stretch: Mapping[str, Any]) -> Cell:
+    value, low, high = stretch.get("value"), stretch.get("low"), stretch.get("high")
     if value is None:
         return Cell(DASH, reason="not in the result")
-    if told.get("known"):
-        return Cell(f"{significant(value)} (told)")
+    if stretch.get("known"):
+        return Cell(f"{significant(value)} (given)")
     if low is None and high is None:
-        return Cell(DASH, reason="not told by these data")
+        return Cell(DASH, reason="not determined by these data")
     ends = (DASH if each is None else significant(each) for each in (low, high))
     return Cell(f"{significant(value)} ({' to '.join(ends)})")
 
@@ -105,19 +106,20 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
         found = (data.get("parameters") or {}).get(f"unloaded_stretch_{way}")
         if found is not None:
             notes.append(
-                f"The tissue is unloaded {way} the limb at a stretch of {found.get('headline')}, as the case "
-                "counts. That is not where its speed is least: waves also feel which way tissue is "
-                "stretched, "
-                "however soft it is."
+                f"The tissue is unloaded {way} the limb at a stretch of {found.get('headline')}, on the "
+                "scale of the case. This is not where the wave speed is lowest: the "
+                "speed also depends on "
+                "the direction of stretch."
             )
     for way, each in (data.get("taken_as_unloaded") or {}).items():
         notes.append(
-            f"{way.capitalize()} the limb the states tell one and the same stretch "
+            f"{way.capitalize()} the limb all states have the same stretch "
             f"({quantity(each, '')}); the "
             "tissue is taken as unloaded there."
         )
     notes.append(
-        f"Depths at the measured force and the logarithm of every speed, at rest and under load: chi-square "
+        f"Fitted to the depths at the measured forces and the logarithms of all speeds, at rest and under "
+        f"load: chi-square "
         f"{quantity(data.get('chi_square'), '')} for {data.get('n_freedom', DASH)} degrees of freedom."
     )
     return [each for each in notes if each]
@@ -134,15 +136,15 @@ def _sentence(words: object) -> str:
 
 def _by_states(way: str, found: Mapping[str, Any]) -> str:
     if found.get("stretch") is None and not found.get("told"):
-        return f"The measured speeds alone do not curve upwards {way} the limb within their noise."
+        return f"The measured speeds alone show no upward curvature {way} the limb within their noise."
     if not found.get("told"):
         return (
-            f"By a parabola through the measured speeds alone the least would be at "
+            f"A parabola through the measured speeds alone has its minimum at "
             f"{found['stretch']:.2f} {way} the "
-            "limb, but they curve by no more than their noise."
+            "limb, but its curvature is within the noise."
         )
     return (
-        f"By a parabola through the measured speeds alone the least is at {found['stretch']:.2f} "
+        f"A parabola through the measured speeds alone has its minimum at {found['stretch']:.2f} "
         f"{way} the limb "
         f"(95 %: {found['low']:.2f} to {found['high']:.2f})."
     )

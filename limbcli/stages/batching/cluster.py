@@ -66,13 +66,13 @@ class WorkerStanding:
         'it has limbcli 1.0 with other sources (98765432, here abcdef01)'
         """
         if self.version != client.version:
-            return f"it has limbcli {self.version}, here is {client.version}"
+            return f"it has limbcli {self.version}, this is {client.version}"
         if self.code != client.code:
             return (
                 f"it has limbcli {self.version} with other sources ({self.code[:8]}, here {client.code[:8]})"
             )
         if self.n_threads != 1:
-            return f"it takes {self.n_threads} parts at a time in one process, which may have one only"
+            return f"it runs {self.n_threads} tasks at a time in one process, which may run only one"
         return ""
 
 
@@ -106,14 +106,15 @@ def connected(*, scheduler: str | None, jobs: int, progress: Progress) -> Iterat
     """
     if not is_installed():
         raise ToolError(
-            "Dask distributed is not installed, which gives work to several processes",
+            "Dask distributed, which is needed to use several processes, is not installed",
             where="--scheduler" if scheduler else "--jobs",
-            fix=f"pip install 'limbcli[{EXTRA}]', or leave the option out: one case after the other, here",
+            fix=f"pip install 'limbcli[{EXTRA}]', or omit the option to run the cases one after the other "
+            f"here",
         )
     import dask
     from distributed import Client
 
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is said by the batch
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is reported by the batch
     with contextlib.ExitStack() as stack:
         if scheduler is None:
             folder = str(stack.enter_context(scratch_folder()))
@@ -140,19 +141,20 @@ def _local(jobs: int, folder: str) -> LocalCluster:
     from distributed import LocalCluster
 
     environment = dict.fromkeys((THREADS, *_LIBRARY_THREADS), str(threads_of(jobs)))
-    asked = dask.config.get("distributed.worker.preload")
+    preload = dask.config.get("distributed.worker.preload")
     try:
         with dask.config.set(_LOCAL):
             return LocalCluster(
                 n_workers=jobs, threads_per_worker=1, processes=True, host="127.0.0.1",
                 dashboard_address="127.0.0.1:0", silence_logs=logging.CRITICAL, env=environment,
-                local_directory=folder, preload=[*([asked] if isinstance(asked, str) else asked), __name__],
+                local_directory=folder,
+                preload=[*([preload] if isinstance(preload, str) else preload), __name__],
             )  # fmt: skip
     except RuntimeError as error:
         raise ToolError(
             f"the worker processes did not start ({error})",
             where="--jobs",
-            fix='in a script, put the call below `if __name__ == "__main__":`; else take --jobs 1',
+            fix='in a script, put the call below `if __name__ == "__main__":`; or use --jobs 1',
         ) from error
 
 
@@ -170,8 +172,8 @@ def _at(scheduler: str) -> Client:
         raise ToolError(
             f"no scheduler answers at {scheduler} ({error or type(error).__name__})",
             where="--scheduler",
-            fix="look whether it runs and may be reached from here; its log tells the address, "
-            "such as tcp://10.0.0.5:8786",
+            fix="check that it is running and reachable from here; its log gives "
+            "the address, such as tcp://10.0.0.5:8786",
         ) from error
 
 
@@ -187,12 +189,12 @@ def refuse_unlike(client: Client) -> None:
     refused = {address: why for address, each in sorted(found.items()) if (why := _why_not(each))}
     if refused:
         raise ToolError(
-            f"{len(refused)} of {len(found)} workers may not be used: "
+            f"{len(refused)} of {len(found)} workers cannot be used: "
             + "; ".join(f"{address}: {why}" for address, why in list(refused.items())[:3])
             + ("; ..." if len(refused) > 3 else ""),
             where=str(client.scheduler.address) if client.scheduler else "--scheduler",
-            fix=f"give them limbcli {__version__} as it is here (the same files), one thread each "
-            "(dask worker --nthreads 1), and start them anew",
+            fix=f"give them limbcli {__version__} as it is here (the same files), one "
+            "thread each (dask worker --nthreads 1), and restart them",
             refused=refused,
         )
 
@@ -204,7 +206,7 @@ def _standing(dask_worker: Any) -> WorkerStanding:
 def _why_not(found: WorkerStanding | BaseException) -> str:
     if isinstance(found, WorkerStanding):
         return found.why_not(WorkerStanding.own())
-    return f"it has no limbcli of this kind ({found})"
+    return f"it has no compatible limbcli ({found})"
 
 
 def refuse_other(client: WorkerStanding) -> None:
@@ -221,16 +223,16 @@ def refuse_other(client: WorkerStanding) -> None:
     why = WorkerStanding.own(worker.state.nthreads).why_not(client)
     if why:
         raise WorkerRefused(
-            f"a worker refused the work: {why}",
+            f"a worker rejected the work: {why}",
             where=f"{worker.address} on {platform.node()}",
-            fix=f"give it limbcli {client.version} as it is where the batch was called, and start it anew",
+            fix=f"give it limbcli {client.version} as it is where the batch was called, and restart it",
             worker=worker.address,
         )
 
 
 @contextlib.contextmanager
 def as_called(command: Sequence[str], threads: int) -> Iterator[None]:
-    """On a worker: results tell the command that was given, and nothing takes more threads than these."""
+    """On a worker: results record the command that was given, and nothing takes more threads than these."""
     from threadpoolctl import threadpool_limits
 
     environment = dict.fromkeys((THREADS, *_LIBRARY_THREADS), str(threads))

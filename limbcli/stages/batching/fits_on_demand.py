@@ -72,7 +72,7 @@ def _there(out: Path, stage: str, site: str | None) -> StageResult | None:
         return None
 
 
-def _asked(found: StageResult) -> Mapping[str, Any]:
+def _requested(found: StageResult) -> Mapping[str, Any]:
     """What a fit was asked for beyond its defaults; nothing where that is damaged."""
     given = found.data.get("asked")
     return given if isinstance(given, Mapping) else {}
@@ -87,8 +87,8 @@ def made_by_hand(case: Case, out: Path, site: str, *, solver: str) -> bool:
     same_version = found.provenance.get("limbcli") == __version__
     study = stage_folder(out, "mesh-study", site) / "mesh-study.json"
     used = "mesh-study" in found.provenance.get("inputs_sha256", {})
-    asked = _asked(found)
-    unknown = study.is_file() and not used and "gain_deviation" not in asked
+    requested = _requested(found)
+    unknown = study.is_file() and not used and "gain_deviation" not in requested
     current = _is_current(case, out, found, (site,), labelled=False)
     return same_solver and same_version and current and not unknown
 
@@ -117,17 +117,17 @@ def _remade_joint(
 ) -> Callable[[], object]:
     from limbcli.stages.fit_joint import JointOptions, fit_joint
 
-    asked = _asked(found)
+    requested = _requested(found)
     joint = JointOptions(
         law=str(found.data.get("law", "ogden")), compare_laws=bool(found.data.get("laws")),
-        gain_deviation=asked.get("gain_deviation"),
+        gain_deviation=requested.get("gain_deviation"),
     )  # fmt: skip
     return lambda: fit_joint(
         case,
         out=out,
         sites=list(sites),
         joint=joint,
-        options=options_of(FitOptions, asked),
+        options=options_of(FitOptions, requested),
         progress=progress,
     )
 
@@ -137,5 +137,5 @@ def _remade_elements(
 ) -> Callable[[], object]:
     from limbcli.stages.fit_elements import compare_elements
 
-    options = options_of(FitOptions, _asked(found))
+    options = options_of(FitOptions, _requested(found))
     return lambda: compare_elements(case, out=out, sites=[site], options=options, progress=progress)

@@ -12,7 +12,7 @@ from limbcli.progress import Progress
 from limbcli.results import stage_folder
 from limbcli.solvers import identity
 from limbcli.stages.batching.outcome import BatchOptions
-from limbcli.stages.provenance.requested_options import Asked, options_of
+from limbcli.stages.provenance.requested_options import Requested, options_of
 
 SITE_STAGES = ("mesh", "build-feb", "run", "fit")
 # Keys of a [[site]] that its mesh is made from; the others are looked at once there is a model.
@@ -32,10 +32,10 @@ class SiteStep:
 
 
 def site_steps(
-    case: Case, name: str, options: BatchOptions, asked: Mapping[str, Asked], *, out: Path,
+    case: Case, name: str, options: BatchOptions, requested: Mapping[str, Requested], *, out: Path,
     progress: Progress,
 ) -> list[SiteStep]:  # fmt: skip
-    """In order. `asked`: of each stage, the options of its last call by hand."""
+    """In order. `requested`: of each stage, the options of its last call by hand."""
     from limbcli.stages.build_feb import TissueOptions, build_feb
     from limbcli.stages.fit import FitOptions, fit
     from limbcli.stages.mesh import mesh
@@ -44,8 +44,8 @@ def site_steps(
     raw, site = case.raw, case.site(name)
     common: dict[str, Any] = {"out": out, "progress": progress, "sites": [name]}
     solver: dict[str, Any] = {"solver": options.solver, "febio": options.febio}
-    meshed = {**asked["mesh"], **({"element": options.element} if options.element else {})}
-    tissue, ran, fitted = (asked[each] for each in SITE_STAGES[1:])
+    meshed = {**requested["mesh"], **({"element": options.element} if options.element else {})}
+    tissue, ran, fitted = (requested[each] for each in SITE_STAGES[1:])
     templates = options.templates or path_of(tissue.get("templates"))
     of_model = [templates / "feb"] if templates and (templates / "feb").is_dir() else []
     fit_options = options_of(FitOptions, fitted)
@@ -54,7 +54,7 @@ def site_steps(
     table = next(each for each in raw["site"] if each["name"] == name)
     probe = {key: value for key, value in raw["probe"].items() if key != "name"}
     placed = {key: value for key, value in table.items() if key in _OF_MESH}
-    told = {key: value for key, value in table.items() if key not in _OF_MESH}
+    given = {key: value for key, value in table.items() if key not in _OF_MESH}
     measured = [path for path in (site.levels, site.trace, site.swe_maps) if path]
     study = stage_folder(out, "mesh-study", name) / "mesh-study.json"
 
@@ -68,7 +68,7 @@ def site_steps(
             (probe, raw.get("model"), placed, *_fibre_parts(case, name), *parts_of(meshed)),
             lambda: mesh(case, **meshed, **common),
         ),
-        SiteStep("build-feb", (told, *measured, *of_model, *parts_of(tissue)), build),
+        SiteStep("build-feb", (given, *measured, *of_model, *parts_of(tissue)), build),
         SiteStep(
             "run",
             (identity(options.solver, options.febio), *parts_of(ran)),
@@ -81,17 +81,17 @@ def site_steps(
         ),
     ]
     if site.states:
-        several = asked.get(FIT_STATES, {})
+        several = requested.get(FIT_STATES, {})
         parts = (*(each.levels for each in site.states), *steps[-1].parts, *parts_of(several))
         steps.append(SiteStep(FIT_STATES, parts, _states_fit(case, several, common)))
     return steps
 
 
-def _states_fit(case: Case, asked: Asked, common: Mapping[str, Any]) -> Callable[[], object]:
+def _states_fit(case: Case, requested: Requested, common: Mapping[str, Any]) -> Callable[[], object]:
     from limbcli.stages.fit import FitOptions
     from limbcli.stages.fit_states import StatesOptions, fit_states
 
-    states, options = options_of(StatesOptions, asked), options_of(FitOptions, asked)
+    states, options = options_of(StatesOptions, requested), options_of(FitOptions, requested)
     return lambda: fit_states(case, states=states, options=options, **common)
 
 
@@ -105,9 +105,9 @@ def _fibre_parts(case: Case, name: str) -> tuple[object, ...]:
     return (*axes, case.imaging.fibres, str(case.imaging.fibre_frame))
 
 
-def parts_of(asked: Asked) -> tuple[object, ...]:
+def parts_of(requested: Requested) -> tuple[object, ...]:
     """What a key sees of options that were asked for."""
-    return (sorted(asked.items()),) if asked else ()
+    return (sorted(requested.items()),) if requested else ()
 
 
 def path_of(text: str | None) -> Path | None:

@@ -1,4 +1,4 @@
-"""How well compliance of people left out is predicted, and how much of the miss no model can mend."""
+"""How well compliance of held-out people is predicted, and how much of the error no model can remove."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def compliance_left_out(
             "folds": {},
             "rows": [],
         }
-        return empty, [f"{why}: the compliance of people left out is not predicted"]
+        return empty, [f"{why}: the compliance of held-out people is not predicted"]
     physics = _Slab(table, family)
     features = np.column_stack([np.log(table.thickness), np.log(table.whole), np.log(table.face)])
     people, sites, measured = table.person, table.site, table.compliance
@@ -100,8 +100,8 @@ class _Slab:
     """ln compliance of the slab with the mean tissue of the training people, site by site.
 
     The tissue of a training row is found under one and the same prior, so that no row knows of another but by
-    the noise that they tell together; a fold's mean tissue is then that of its training rows, and so is the
-    strain that is typical of a site.
+    the noise estimated from them together; a fold's mean tissue is then that of its training rows, and so is
+    the strain that is typical of a site.
     """
 
     def __init__(self, table: CohortTable, family: LayeredFamily):
@@ -109,7 +109,7 @@ class _Slab:
         self._strain = table.depth / table.whole
 
     def _tissue(self, train: Array) -> Array:
-        """theta (n, 3) of the training rows, by the noise that they tell; NaN of the others."""
+        """theta (n, 3) of the training rows, by the noise estimated from them; NaN of the others."""
         part = self._table.rows(train)
         noise = noise_of(part)
         model = CohortModel.of(self._family, part.thickness, part.face, part.depth / part.whole)
@@ -139,7 +139,7 @@ class _Slab:
 
 
 def _with_person(table: CohortTable, features: Array, physics: _Slab, seed: int) -> dict[str, Any] | None:
-    """The same with what is known of the person; None where the table does not tell."""
+    """The same with what is known of the person; None where the table does not give it."""
     columns, names = [], []
     for name in OF_PERSON:
         values = table.others.get(name)
@@ -176,7 +176,7 @@ def _repeatability(table: CohortTable, slope_deviation: float, layer_deviation: 
         entry["reason"] = (
             f"{len(repeated)} sites of a person were measured more than once; trials of the same person "
             f"and site "
-            "are needed to tell repeatability"
+            "are needed to assess repeatability"
         )
         return entry
     free = sum(len(each) - 1 for each in repeated)

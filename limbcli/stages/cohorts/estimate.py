@@ -45,7 +45,7 @@ class CohortNoise:
 
 
 def noise_of(table: CohortTable) -> CohortNoise:
-    """The noise that the table itself tells."""
+    """The noise estimated from the table itself."""
     convexity = np.log(table.force / table.face / table.depth / table.slope)
     one, two = (table.others.get(name) for name in ("r2_line", "r2_parabola"))
     slope, reported = slope_noise(convexity, one, two)

@@ -283,12 +283,12 @@ def summary_lines(data: dict[str, Any], page: Path) -> list[str]:
                 f"{own['spread_factor']:.2f})"
             )
         lines.append(f"{name}: {site['n_rows']} rows, {', '.join(reported)}")
-    told_off = data["compliance_left_out"]["mean_absolute_difference_percent"]
-    if told_off is not None:
+    mean_error = data["compliance_left_out"]["mean_absolute_difference_percent"]
+    if mean_error is not None:
         low, high = data["compliance_left_out"]["interval_95_percent"]
         lines.append(
-            f"compliance of people left out, from thicknesses: {told_off:.1f} % off on average ({low:.1f} to "
-            f"{high:.1f} with other people)"
+            f"compliance of held-out people, from thicknesses: {mean_error:.1f} % off on average ({low:.1f} "
+            f"to {high:.1f} with other people)"
         )
     standing = data["stands_out"]
     lines.append(f"{len(standing['rows'])} rows and {len(standing['people'])} people stand out")

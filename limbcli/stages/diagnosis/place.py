@@ -122,7 +122,7 @@ class PlaceMaker:
         try:
             found = questions(self.case, self.sites, read_result(self.out, "segment"))
         except LimbError as error:
-            place.problems.append(f"whether bones lie elsewhere was not asked: {error.what}")
+            place.problems.append(f"alternative bone positions were not tested: {error.what}")
             return []
         model = place.forward_model
         absorbed = model.shares.get(IN_MAPS, 0.0) > thresholds.BONES_ABSORBED
@@ -140,8 +140,8 @@ class PlaceMaker:
             ours, theirs = self.misfit_in(self.out), self.misfit_in(folder)
             if theirs > thresholds.BONES_HOPELESS * max(ours, _noise_of_depth(self.sites)):
                 place.given_up.append(
-                    f"Tried {other.words}: its force curves miss the depths by {theirs:.1f} mm, "
-                    f"those of the limb as segmented by {ours:.1f}; not looked at further."
+                    f"Tried {other.words}: its force curves differ from the depths by "
+                    f"{theirs:.1f} mm, those of the limb as segmented by {ours:.1f}; not considered further."
                 )
                 return place
             tried = self._in(folder)

@@ -69,7 +69,7 @@ _LAYERS, _FINEST, _COARSEST = 3.0, 2.5, 5.0  # of elements between skin and bone
 
 @dataclass
 class Notes:
-    """What preparing a site has to tell: written with its results."""
+    """What preparing a site has to report: written with its results."""
 
     data: dict[str, Any] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
@@ -88,7 +88,7 @@ class WorkingMesh:
 
 @dataclass
 class Prepared:
-    """One site, ready: its curves beside its data, what was tried on its mesh, and what to tell.
+    """One site, ready: its curves beside its data, what was tried on its mesh, and what to report.
 
     size : mm, of the working mesh's edges under the probe
     """
@@ -127,7 +127,7 @@ def prepare(
 def depth_misfit(case: Case, site: Site, *, out: Path, mesh: WorkingMesh, progress: Progress) -> float:
     """mm (root mean square): how far measured depths are from a limb's best force curve, whatever its c.
 
-    Its simulations are kept for `prepare`. NaN where the levels do not tell.
+    Its simulations are kept for `prepare`. NaN where the levels do not determine it.
 
     Raises
     ------
@@ -277,9 +277,9 @@ class _Preparation:
         return float(2.0 ** np.ceil(np.log2(at_usual)))
 
     def _mark_layers(self, meshed: LimbModel) -> None:
-        """Their borders in the working mesh; layers that do not fit into it are left out, and it is said."""
+        """Their borders in the working mesh; layers that do not fit into it are excluded, with a warning."""
         layers = layer_readings(self.levels, self.site)
-        if layers is None or not layers.n_told:
+        if layers is None or not layers.n_counted:
             return
         borders = BorderLines(layers)
         try:
@@ -303,8 +303,8 @@ class _Preparation:
         if not (self.out / "segment" / "segment.json").is_file() and own.is_file():
             if layers := own_layers(self.site, self.out):
                 raise CaseError(
-                    f"the site's own mesh has {layers} beside the tissue, and there are no surfaces to make "
-                    "the diagnosis' own of",
+                    f"the site's own mesh has {layers} as well as the tissue, and there are no "
+                    "surfaces to make the diagnosis' mesh from",
                     where=f"site {self.site.name}",
                     fix=f"limbcli segment {self.case.folder}, or mesh the site without layers",
                 )
@@ -352,7 +352,7 @@ class _Preparation:
         levels = self.levels
         if np.isfinite(levels.skin_bone).any() and not errors.has_bone:
             self.notes.warnings.append(
-                "skin_bone_mm is not used: in the model the beam meets no bone under the probe's centre"
+                "skin_bone_mm is not used: in the model the beam reaches no bone under the probe's centre"
             )
             levels = replace(levels, skin_bone=np.full(len(levels), np.nan))
         return site_data(

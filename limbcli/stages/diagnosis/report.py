@@ -120,7 +120,7 @@ _MOST_DECADES = 6.0  # of an adjusted p, that are drawn
 _WIDEST = 4.0  # plausible sizes
 _THINNEST = 0.02  # of them: a bar that can be seen
 _SHOWN = {"force": "force", "swe": "mean wave speed", "map": "wave-speed map", "travel": "probe travel",
-          "layer": "layers", "hold": "fall of the force in holds"}  # fmt: skip
+          "layer": "layers", "hold": "decrease of force in holds"}  # fmt: skip
 
 
 def gap_picture(found: Diagnosis, sites: Sequence[SiteData], path: Path) -> None:
@@ -180,7 +180,8 @@ def candidates_picture(found: Diagnosis, path: Path) -> None:
     right.axvline(1.0, color="#22303c", lw=0.8, ls="--")
     right.set_xlim(0.0, _MOST_SIZES)
     right.set_xlabel(
-        f"size seen with 80 % power\n(in plausible sizes; right of dashed: blind;\n{_MOST_SIZES:g}: or more)"
+        "size detected with 80 % power\n(in plausible sizes; right of dashed:\n"
+        f"undetectable; {_MOST_SIZES:g}: or more)"
     )
     save_figure(figure, path, dpi=150)
 
@@ -225,7 +226,7 @@ def sizes_picture(found: Diagnosis, sizes: Mapping[str, Sequence[Slot]], path: P
     axes.invert_yaxis()
     axes.set_xlabel(
         "size in plausible sizes, 95 % (dashed: plausible; orange: 0 is outside;\n"
-        "triangle: larger than the sizes that are looked for, or than this frame)"
+        "triangle: larger than the searched sizes, or than this frame)"
     )
     save_figure(figure, path, dpi=150)
 

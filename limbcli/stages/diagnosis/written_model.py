@@ -40,8 +40,8 @@ def write_diagnosed(
         return
     if layers := own_layers(mine.site, out):
         writer.warnings.append(
-            f"no .feb was written: the site's mesh has {layers} beside the tissue, the diagnosis has not "
-            "(limbcli mesh without layers)"
+            f"no .feb was written: the site's mesh has {layers} as well as the tissue, but the diagnosis "
+            "does not (limbcli mesh without layers)"
         )
         return
     fitted = replace(found.final, values={**found.final.values, **found.estimates.values})
@@ -61,7 +61,7 @@ def write_diagnosed(
         added.append((each, {**each.null, **theta, **each.without_onset(point)}))
         if point.get(each.onset, 0.0) > 0.0:
             writer.warnings.append(
-                f"diagnosed.feb has {name} from the start; in the data it sets in after "
+                f"diagnosed.feb has {name} from the start; in the data it begins after "
                 f"{100 * point[each.onset]:.0f} % of the levels"
             )
     write_feb(applied(model, added), writer.file("feb", "diagnosed.feb"), templates)
@@ -90,12 +90,12 @@ def _contact_takes(
     # A penalty is taken for a facet of its size.
     meshed = read_result(out, "mesh", site=mine.site.name).data
     edge = float(meshed.get("size_under_probe_mm", mine.size))
-    asked = penalty * mine.size / edge / mine.simulations.model.contacts[0].penalty
-    taken = known.taken(curves, force, deep, penalty=asked)
+    required = penalty * mine.size / edge / mine.simulations.model.contacts[0].penalty
+    taken = known.taken(curves, force, deep, penalty=required)
     if taken <= _SOFT:
         return None
     return (
-        f"diagnosed.feb has the contact penalty of the site's model, {penalty:g}: the probe sinks in, "
-        f"which takes about {100 * taken:.0f} % of the force at {deep:.1f} mm from what the diagnosis "
-        "says (build-feb --contact-penalty)"
+        f"diagnosed.feb has the contact penalty of the site's model, {penalty:g}: the probe penetrates "
+        f"the skin, which lowers the force at {deep:.1f} mm by about {100 * taken:.0f} % compared with "
+        "the diagnosis (build-feb --contact-penalty)"
     )

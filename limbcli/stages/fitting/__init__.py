@@ -1,1 +1,1 @@
-"""What `fit` is made of: force curves, laws, options, doubts of geometry, mesh and contact, results."""
+"""What `fit` is made of: force curves, laws, options, uncertainty of geometry, mesh and contact, results."""

@@ -19,7 +19,7 @@ from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.site_model.indentation_model import with_penalty
 
 HARDER = 4.0  # times the model's penalty
-MATTERS = 0.05  # of the force; below it a mesh's own doubt is larger
+MATTERS = 0.05  # of the force; below it a mesh's own uncertainty is larger
 _TOLERANCE = 1e-4
 # Of the forces at play: what will do where iterations go round, as they do where fibres begin to be
 # stretched. On a limb with fibres it moved the force of one level of eight by 0.06 %.
@@ -51,7 +51,7 @@ def forces_with_penalty(
         return session.solve(model, required=1, hoped=0).must_points.forces
     except ArithmeticError as error:
         raise SolveError(
-            f"the law leaves the range of numbers ({error})", where="contact check", fix="--no-contact-check"
+            f"the law overflows ({error})", where="contact check", fix="--no-contact-check"
         ) from error
     finally:
         session.close()
@@ -75,7 +75,7 @@ def write_contact_check(
         found_forces = harder(HARDER * penalty)
     except SolveError as error:
         found[key] = {**reported, "not_evaluated": error.what}
-        writer.warnings.append(f"{at}what the contact takes from the force was not evaluated: {error.what}")
+        writer.warnings.append(f"{at}the force lost to contact penetration was not evaluated: {error.what}")
         return
     n = len(found_forces)
     change = found_forces / np.maximum(forces[:n], 1e-9) - 1.0
@@ -84,11 +84,12 @@ def write_contact_check(
     words = f"{HARDER:g} times the contact's penalty changes the force by {100 * change[worst]:+.1f} %"
     where = f"at {depths[worst]:.1f} mm"
     if n < len(depths):
-        where += f" (looked at down to {depths[n - 1]:.1f} mm)"
+        where += f" (evaluated down to {depths[n - 1]:.1f} mm)"
     writer.summary.append(f"{at}{words} {where}")
     if abs(change[worst]) > MATTERS:
         writer.warnings.append(
-            f"{at}the probe sinks into the skin: {words} {where}, which f_kappa and m make up for. "
-            f"Build the model with --contact-penalty {HARDER * penalty:g} and fit again (FEBio may need "
+            f"{at}the probe penetrates the skin: {words} {where}, which f_kappa and m "
+            f"compensate for. Build the model with --contact-penalty {HARDER * penalty:g} and fit again "
+            f"(FEBio may need "
             "smaller steps then)"
         )

@@ -40,7 +40,7 @@ def through_cycle(model: LimbModel, levels: Levels, site: Site) -> LimbModel:
 def write_cycle(levels: Levels, site: Site, writer: StageWriter, *, label: str = "") -> None:
     """`cycle` of fit.json where there are several; a warning where later cycles contradict the fitted one.
 
-    label : the site's name, where several sites are fitted together; then `cycle` is told by site
+    label : the site's name, where several sites are fitted together; then `cycle` is given by site
     """
     every = all_levels_of(site)
     if len(every.cycles) == 1:
@@ -48,7 +48,7 @@ def write_cycle(levels: Levels, site: Site, writer: StageWriter, *, label: str =
     number = int(levels.cycle[0])
     study = cycles_of(site, every)
     against = study.contradicting(number)
-    told: dict[str, Any] = {
+    content: dict[str, Any] = {
         "fitted": number,
         "of": len(every.cycles),
         "zero_depth_mm": levels.zero_depth,
@@ -57,9 +57,9 @@ def write_cycle(levels: Levels, site: Site, writer: StageWriter, *, label: str =
         **_energy(study, number),
     }
     if label:
-        writer.data.setdefault("cycle", {})[label] = told
+        writer.data.setdefault("cycle", {})[label] = content
     else:
-        writer.data["cycle"] = told
+        writer.data["cycle"] = content
     before = f"site {label}: " if label else ""
     text = f"{before}fitted: the loading of cycle {number} of {len(every.cycles)}"
     if abs(levels.zero_depth) > _SAME_TOUCH:
@@ -71,18 +71,19 @@ def write_cycle(levels: Levels, site: Site, writer: StageWriter, *, label: str =
         writer.warnings.append(before + contradiction(against[0]))
     elif number == _last(study) and study.repeats_from is None:
         writer.warnings.append(
-            f"{before}cycle {number} does not repeat the one before it within noise: the tissue was still "
-            "changing when the record ended; load it more often before it is measured"
+            f"{before}cycle {number} does not repeat the previous one within noise: the tissue was "
+            "still changing when the record ended; apply more loading cycles before measuring"
         )
 
 
 def contradiction(difference: Difference) -> str:
-    """What a later loading says to an earlier one."""
+    """How a later loading compares with an earlier one."""
     k = difference.largest
     return (
         f"cycle {difference.later} contradicts the fitted cycle {difference.earlier}: at "
-        f"{difference.force[k]:.3g} N its depth is {difference.depth[k]:+.2f} mm off (chance of that by "
-        f"noise {difference.p_value:.1g}); {change_text(difference)}. The fit is of tissue that was not yet "
+        f"{difference.force[k]:.3g} N its depth is {difference.depth[k]:+.2f} mm off (probability "
+        f"under noise {difference.p_value:.1g}); {change_text(difference)}. The fit is of tissue that was "
+        f"not yet "
         "preconditioned: --cycle last"
     )
 

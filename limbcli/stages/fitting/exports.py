@@ -69,7 +69,7 @@ def write_mat_file(writer: StageWriter) -> None:
 
 
 def write_mat(path: Path, content: Mapping[str, Any]) -> None:
-    """A MATLAB 5 file with one struct `fit`; names that MATLAB forbids are mended."""
+    """A MATLAB 5 file with one struct `fit`; names that MATLAB forbids are changed."""
     savemat(path, {"fit": _for_matlab(content)}, do_compression=True, long_field_names=True)
 
 
@@ -119,7 +119,7 @@ def material_snippet(model: LimbModel) -> str:
     found = re.search(r"<material\b[^>]*name=\"" + TISSUE + r"\".*?</material>", text, flags=re.S)
     assert found is not None, "a written model holds its tissue"
     mapped = any(isinstance(each, ElementMap) for each in law.parameters.values())
-    maps = "; its maps stand in fitted.feb, section MeshData" if mapped else ""
+    maps = "; its maps are in fitted.feb, section MeshData" if mapped else ""
     return f"<!-- limbcli: identified tissue, mm-N-s (MPa){maps} -->\n{found.group(0)}\n"
 
 

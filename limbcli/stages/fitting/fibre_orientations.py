@@ -1,4 +1,4 @@
-"""fit with fibres: how the images lie to them, and what the orientations measured can tell, in words."""
+"""fit with fibres: how the images lie to them, and what the orientations measured can determine, in words."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def share_along(model: LimbModel) -> float:
 def write_orientations(
     models: Sequence[tuple[str, LimbModel]], has_speeds: Sequence[bool], writer: StageWriter
 ) -> None:
-    """`orientations` of fit-joint.json, and in words what they cannot tell.
+    """`orientations` of fit-joint.json, and in words what they cannot determine.
 
     models : site name and model; has_speeds : whether the site's speeds were read
     """
@@ -45,7 +45,7 @@ def write_orientations(
     for name, model in models:
         if model.fibres is None:
             writer.warnings.append(
-                f"no fibre direction is told for site {name}: along the limb, within the skin, is taken"
+                f"no fibre direction is given for site {name}: along the limb, within the skin, is assumed"
             )
     writer.warnings.extend(undetermined(list(shares.values()), has_speeds))
 
@@ -62,23 +62,26 @@ def undetermined(shares: Sequence[float], has_speeds: Sequence[bool]) -> list[st
     if max(shares) - min(shares) >= _ALIKE:
         if len(seen) < 2 or max(seen) - min(seen) < _ALIKE:
             return [
-                "shear-wave speeds were read in one orientation only: fibre_shear rests on forces; read the "
-                "speeds in the other orientation too"
+                "shear-wave speeds were read in one orientation only: fibre_shear is determined by "
+                "forces; also read the speeds in the other orientation"
             ]
         return []
     share = float(np.mean(shares))
-    turn = "turn the probe by 90 degrees and measure there too"
+    turn = "also measure with the probe turned by 90 degrees"
     if share < _ACROSS:
         return [
-            "all records are across the fibres: their speeds tell c, but how much stiffer the muscle is "
-            f"along its fibres is told by the force alone, where m and the mesh act alike; {turn}"
+            "all records are across the fibres: their speeds determine c, but the extra stiffness "
+            f"along the fibres is determined by the force alone, where m and the mesh have the same effect; "
+            f"{turn}"
         ]
     if share > _ALONG:
         return [
-            "all records are along the fibres: their speeds tell c (1 + fibre_shear) together, not each; a "
-            f"softer c with stiffer fibres fits alike; {turn}"
+            "all records are along the fibres: their speeds determine only the product c (1 + fibre_shear); "
+            f"a softer c with stiffer fibres fits equally well; {turn}"
         ]
-    return [f"all records are of one orientation: c and fibre_shear are told by one mixture of them; {turn}"]
+    return [
+        f"all records are of one orientation: only a combination of c and fibre_shear is determined; {turn}"
+    ]
 
 
 def write_moduli(c_kpa: float, fibre_shear: float, writer: StageWriter) -> None:

@@ -37,9 +37,9 @@ def rest_speed(model: LimbModel, law: FitLaw, *, c: float, density_kg_per_m3: fl
     averages = pixel_averages(rest, MEAN_WINDOW.pixels(), face_height=0.0, window=MEAN_WINDOW)
     if not averages.inside.any():
         raise MeasurementError(
-            "the scanner's window holds no tissue of the model",
+            "the scanner's window contains no tissue of the model",
             where="shear-wave prediction at rest",
-            fix="check the site's place and mesh",
+            fix="check the site's position and mesh",
         )
     weights = np.zeros(len(rest))
     np.add.at(weights, averages.index, averages.weight / len(averages.index))

@@ -75,6 +75,7 @@ def write_direction_uncertainty(
     )
     if max(map(abs, worst.values())) > _MATTERS:
         writer.warnings.append(
-            f"{site.name}: the fibres' direction is known to {deviation_deg:.1f} deg, which matters here "
-            "(direction_uncertainty) and is not in the intervals; measure it better, or in a second image"
+            f"{site.name}: the fibres' direction is uncertain by {deviation_deg:.1f} deg, which matters here "
+            "(direction_uncertainty) and is not included in the intervals; measure it more precisely, or in "
+            "a second image"
         )

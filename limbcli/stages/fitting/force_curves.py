@@ -80,7 +80,7 @@ def at_levels(simulation: Simulation, values: Array, times: Array) -> Array:
         raise SolveError(
             f"level {k + 1} of {len(times)} (time {times[k]:g} s) is missing from the simulation",
             where=f"{simulation.solver}, {len(simulation.times)} converged steps",
-            fix="run `limbcli run` and look at model.log",
+            fix="run `limbcli run` and check model.log",
             level=k + 1,
         )
     return np.asarray(values[nearest])
@@ -117,9 +117,9 @@ class ReferenceCurve:
             )
         except ArithmeticError as error:
             raise SolveError(
-                f"the law leaves the range of numbers at f_kappa {f_kappa:.4g}, m {m:.4g}",
+                f"the law overflows at f_kappa {f_kappa:.4g}, m {m:.4g}",
                 where="reference solver",
-                fix="a smaller m; check the depths in levels.csv",
+                fix="use a smaller m; check the depths in levels.csv",
             ) from error
         by_kappa, by_m = (result.force_gradient[(TISSUE, name)] for name in ("kappa", "m1-m2"))
         self.depths = result.must_points.depths
@@ -181,15 +181,15 @@ class LawCurve:
         """Fibres that begin to be stretched come in over a band; waves feel the law as it is."""
         return softer_jumps(model, FIBRE_BAND) if self.law.has_fibres else model
 
-    def _solve(self, model: LimbModel, **asked: Any) -> SessionResult:
+    def _solve(self, model: LimbModel, **options: Any) -> SessionResult:
         """The eased model, from the levels there are; with fibres else from those of a wider band."""
         if not self.law.has_fibres:
-            return self._session.solve(model, **asked)
+            return self._session.solve(model, **options)
         if self._session.led is not None:
             with suppress(SolveError):
-                return self._session.solve(self._eased(model), patient=False, **asked)
+                return self._session.solve(self._eased(model), patient=False, **options)
         self._session.solve(softer_jumps(model))
-        return self._session.solve(self._eased(model), **asked)
+        return self._session.solve(self._eased(model), **options)
 
     def with_penalty(self, theta: Array, penalty: float) -> Array:
         """Forces (n_reached,) N with another penalty of the contact, from levels of these and with their law.
@@ -213,7 +213,7 @@ class LawCurve:
             )  # fmt: skip
         except ArithmeticError as error:
             raise SolveError(
-                f"the law leaves the range of numbers at {np.array2string(theta, precision=4)}",
+                f"the law overflows at {np.array2string(theta, precision=4)}",
                 where=f"reference solver, law {self.law.name}",
                 fix="check the depths in levels.csv, or choose another law",
             ) from error

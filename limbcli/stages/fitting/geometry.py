@@ -27,7 +27,9 @@ from limbcli.stages.fitting.geometry_variations import Variation, depth_deviatio
 from limbcli.stages.provenance.freshness import key_of
 
 FILE = "geometry.json"
-NOT_ALLOWED_FOR = "the intervals do not allow for what is assumed of the geometry; those of `limbcli fit` do"
+NOT_ALLOWED_FOR = (
+    "the intervals do not include the uncertainty of the assumed geometry; those of `limbcli fit` do"
+)
 _TOLERANCE = 1e-4
 
 
@@ -76,7 +78,7 @@ def site_geometry_uncertainty(
     case: Case, site: Site, out: Path, fitted: LimbModel, forces: Array, writer: StageWriter, *,
     progress: Progress = SILENT,
 ) -> GeometryUncertainty | None:  # fmt: skip
-    """The doubt of a site's geometry, where it was assumed; None where it was imaged.
+    """The uncertainty of a site's geometry, where it was assumed; None where it was imaged.
 
     forces : (n_levels,) N of the fitted model at its levels
 
@@ -97,7 +99,7 @@ def site_geometry_uncertainty(
     )
     known = _remembered(stage_folder(out, "fit", site.name) / FILE, key, todo)
     if known is None:
-        progress.event("note", text=f"the geometry is assumed: {len(todo)} solves of varied shapes")
+        progress.event("note", text=f"the geometry is assumed: {len(todo)} simulations with varied geometry")
         rod = rod_in_model(geometry, site.name, np.array(frame["patient_from_model"]))
         known = _solve_all(fitted, forces, rod, todo, progress)
     found = replace(known, words=geometry["words"])

@@ -1,4 +1,4 @@
-"""What `fit` tells of an assumed geometry: every variation, and both parts of the intervals."""
+"""What `fit` reports of an assumed geometry: every variation, and both parts of the intervals."""
 
 from __future__ import annotations
 
@@ -16,42 +16,43 @@ from limbcli.stages.fitting.table import NAMES, Identified, inside
 
 
 def write_geometry(
-    found: Identified, doubt: GeometryUncertainty, of_noise: Intervals | None, writer: StageWriter
+    found: Identified, uncertainty: GeometryUncertainty, of_noise: Intervals | None, writer: StageWriter
 ) -> None:
     """`geometry_uncertainty` of fit.json, and a line of the summary.
 
     of_noise : intervals of the measurement's noise alone; None where none were computed
     """
-    rows = _rows(found, doubt)
-    share = total_share(list(doubt.modes))
+    rows = _rows(found, uncertainty)
+    share = total_share(list(uncertainty.modes))
     reported: dict[str, Any] = {
-        "words": doubt.words,
+        "words": uncertainty.words,
         "gain_fraction": share,
         "variations": rows,
-        "n_solves": doubt.n_solves,
-        "seconds": doubt.seconds,
+        "n_solves": uncertainty.n_solves,
+        "seconds": uncertainty.seconds,
         "interval_95_noise": ends(of_noise) if of_noise is not None else {},
         "interval_95": ends(found.intervals[-1]) if found.intervals else {},
-        "standard_error_fraction": _deviations(rows, doubt),
+        "standard_error_fraction": _deviations(rows, uncertainty),
     }
     writer.data["geometry_uncertainty"] = reported
-    if doubt.words not in writer.warnings:
-        writer.warnings.insert(0, doubt.words)
+    if uncertainty.words not in writer.warnings:
+        writer.warnings.insert(0, uncertainty.words)
     writer.summary.append(
-        f"the assumed geometry puts the force off by {short(100 * share, 2)} % (one deviation, "
-        f"{len(doubt.done)} shapes); {_widening(reported)}"
+        f"the assumed geometry contributes a force uncertainty of {short(100 * share, 2)} % (one standard "
+        f"deviation, "
+        f"{len(uncertainty.done)} shapes); {_widening(reported)}"
     )
 
 
-def _rows(found: Identified, doubt: GeometryUncertainty) -> list[dict[str, Any]]:
+def _rows(found: Identified, uncertainty: GeometryUncertainty) -> list[dict[str, Any]]:
     step = found.steps[-1]
     answer = sensitivities(found.curve, found.knots, found.data, step.theta)
     assert answer.jacobian is not None
     free = inside(step)
     depth = found.data.depth[found.data.loaded]
-    moved = np.full((len(doubt.done), len(NAMES)), np.nan)
+    moved = np.full((len(uncertainty.done), len(NAMES)), np.nan)
     if free:
-        change = np.array([each.known for each in doubt.done])
+        change = np.array([each.known for each in uncertainty.done])
         newtons = answer.values[:, None] * at_depths(change, found.knots, depth)
         moved[:, free] = shifts(answer.jacobian[:, free], newtons)
     return [
@@ -60,13 +61,13 @@ def _rows(found: Identified, doubt: GeometryUncertainty) -> list[dict[str, Any]]
             "weight": weight, "force_change_fraction": np.expm1(each.known),
             "log_shift": dict(zip(NAMES, row, strict=True)),
         }
-        for each, weight, row in zip(doubt.done, doubt.weights, moved, strict=True)
+        for each, weight, row in zip(uncertainty.done, uncertainty.weights, moved, strict=True)
     ]  # fmt: skip
 
 
-def _deviations(rows: list[dict[str, Any]], doubt: GeometryUncertainty) -> dict[str, float]:
+def _deviations(rows: list[dict[str, Any]], uncertainty: GeometryUncertainty) -> dict[str, float]:
     """Of ln f_kappa and ln m by the geometry alone."""
-    weights = doubt.weights
+    weights = uncertainty.weights
     return {
         name: float(np.sqrt(weights @ np.square([each["log_shift"][name] for each in rows])))
         for name in NAMES
@@ -82,4 +83,4 @@ def _widening(reported: dict[str, Any]) -> str:
     if None in before or None in after:
         return "the interval of m is open" if reported["interval_95"] else "no interval was computed"
     narrow, wide = (f"{short(low)} to {short(high)}" for low, high in (before, after))
-    return f"95 % of m: {narrow} by noise alone, {wide} with it"
+    return f"95 % of m: {narrow} from noise alone, {wide} with it"

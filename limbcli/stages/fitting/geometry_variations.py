@@ -178,8 +178,8 @@ def with_second_bone(mesh: Mesh, rod: Rod) -> Mesh:
     held = max(both, key=len)
     if len(held) < _FEWEST:
         raise MeshError(
-            f"a second bone beside the first would hold {len(held)} nodes of the mesh",
-            where="a varied shape of the limb",
-            fix="mesh finer (--size-mm, --far-size-mm), or keep more tissue (margin_mm of [model])",
+            f"a second bone next to the first would contain {len(held)} nodes of the mesh",
+            where="a varied geometry of the limb",
+            fix="use a finer mesh (--size-mm, --far-size-mm), or keep more tissue (margin_mm of [model])",
         )
     return replace(mesh, node_sets={**mesh.node_sets, _FIXED: np.union1d(mesh.node_sets[_FIXED], held)})

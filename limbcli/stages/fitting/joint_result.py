@@ -82,10 +82,11 @@ def warn_poor(found: Intervals, writer: StageWriter) -> None:
         return
     writer.warnings.insert(
         0,
-        f"the fit misses the data: chi-square {found.chi_square:.0f} for {found.n_freedom} degrees of "
-        f"freedom (chance {chance:.1g} by the stated noise). The parameters are those of the nearest curves, "
-        "not of the tissue: look at the pictures, at the noise of the case, and at what `limbcli diagnose` "
-        "finds missing",
+        f"the fit does not reproduce the data: chi-square {found.chi_square:.0f} for {found.n_freedom} "
+        f"degrees of "
+        f"freedom (probability {chance:.1g} under the stated noise). The parameters describe the nearest "
+        "curves, not the tissue: check the figures, the noise of the case, and what `limbcli "
+        "diagnose` finds missing",
     )
 
 
@@ -94,8 +95,8 @@ def warn_locking(law: FitLaw, writer: StageWriter) -> None:
     if "tet4" not in writer.data["element"]:
         return
     words = (
-        f"at the f_kappa of {FIBRE_F_KAPPA:g} that this law holds their forces are too high, and c, m and "
-        "the fibres make up for it"
+        f"at the f_kappa of {FIBRE_F_KAPPA:g} that this law assumes their forces are too high, and c, "
+        "m and the fibres compensate for it"
         if law.fixed
         else "f_kappa is a property of this mesh as much as of the tissue"
     )
@@ -136,14 +137,17 @@ def parameter_table(problem: EstimationProblem, found: Intervals) -> dict[str, d
 
 
 def judge_given_c(c: dict[str, Any], task: JointTask, scale: float) -> None:
-    """c is called fixed where it was given and the data tell less of it than that does.
+    """c is called fixed where it was given and the data determine it less precisely.
 
     c : its row of the table; scale : of the noise's variance, by which that of what was given counts too
     """
     if task.c_deviation is None or c["standard_error"] < np.sqrt(0.5 * scale) * task.c_deviation * c["value"]:
         return
     given = f"{short(kpa_from_mpa(task.c0), 4)} kPa, one deviation {short(100 * task.c_deviation, 2)} %"
-    c["flag"], c["words"] = "fixed", f"c is what was given ({given}): the data tell less of it than that."
+    c["flag"], c["words"] = (
+        "fixed",
+        (f"c is what was given ({given}): the data determine it less precisely than that."),
+    )
     c["headline"] = headline(c["value"], c["low"], c["high"], c["flag"], unit="kPa")
 
 
@@ -199,6 +203,6 @@ def write_comparison(writer: StageWriter, table: list[dict[str, Any]]) -> None:
     for row in table:
         speed = row["held_out_speed_fraction"]
         writer.summary.append(
-            f"{row['law']}: left-out depths missed by {row['held_out_depth_mm']:.3f} mm"
+            f"{row['law']}: held-out depth error {row['held_out_depth_mm']:.3f} mm"
             + (f", speeds by {100 * speed:.1f} %" if speed is not None else "")
         )

@@ -22,7 +22,9 @@ from limbcli.materials.ogden import ogden_type
 from limbcli.model import Array, Material, Value
 
 _STEP = 1e-6
-FIBRE_F_KAPPA = 100.0  # held fixed: quadratic elements do not tell it (forces change by 1 to 3 % above 50)
+FIBRE_F_KAPPA = (
+    100.0  # held fixed: quadratic elements do not determine it (forces change by 1 to 3 % above 50)
+)
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,7 @@ LAWS: Mapping[str, FitLaw] = {
             lambda c, s: Material("neo_hooke", {"mu": c / 2, "lambda": float(s[0]) * c}),
         ),
         FitLaw(
-            "two-term-ogden", "Mooney-Rivlin type and a stiffening pair m, -m that carries a share of c",
+            "two-term-ogden", "Mooney-Rivlin type and a stiffening pair m, -m with a share of c",
             (
                 _F_KAPPA,
                 FitParameter("share", 0.3, 0.001, 0.999, "log", step_factor=3.0),

@@ -86,7 +86,7 @@ def _report(layers: LayerReadings, found: PredictedLayers, levels: Levels, write
     """data["layers"], a line of the summary, and a warning where the layers speak against the model."""
     used, k = layers.used(levels)[found.levels], found.levels
     deviance, n, reported = 0.0, 0, {}
-    for j, name in enumerate(layers.names[: layers.n_told]):
+    for j, name in enumerate(layers.names[: layers.n_counted]):
         rows = used[:, j]
         if not rows.any():
             continue
@@ -105,16 +105,16 @@ def _report(layers: LayerReadings, found: PredictedLayers, levels: Levels, write
     parts = ", ".join(f"{name} {each['last_mm']:+.2f} mm" for name, each in reported.items())
     if parts:
         writer.summary.append(
-            f"layers, measured less predicted at the last level: {parts}; "
+            f"layers, measured minus predicted at the last level: {parts}; "
             f"chi-square {deviance:.1f} for {n} readings"
         )
     if p is not None and p < 0.01:
         writer.warnings.append(
-            f"the layers do not move as in this model (p {p:.2g}): fat or skin of a stiffness of its own, or "
-            "something in the tissue; `limbcli diagnose` looks which"
+            f"the layers do not move as in this model (p {p:.2g}): a different stiffness of fat or skin, "
+            "or another effect in the tissue; `limbcli diagnose` tests which"
         )
     if found.drift > _FAR:
         writer.warnings.append(
             f"the tissue slides up to {found.drift:.1f} mm off the beam: the prediction follows the layers' "
-            "own material, the image what has come below the probe"
+            "own material, but the image shows the material now below the probe"
         )

@@ -25,8 +25,8 @@ _AT_END = 0.01
 
 @dataclass(frozen=True, eq=False)
 class LeastStiffness:
-    """Of one way. by_law: of ln stretch, in the case's count where it tells stretches; of_states: of the
-    same, None where fewer than three states tell theirs. counted : "case" or "unloaded"; measured : ln of
+    """Of one way. by_law: of ln stretch, in the case's count where it gives stretches; of_states: of the
+    same, None where fewer than three states give theirs. counted : "case" or "unloaded"; measured : ln of
     the least and the greatest stretch of the states, at the best fit
     """
 
@@ -46,32 +46,30 @@ class LeastStiffness:
         return not (self.by_law.open_low or self.by_law.open_high)
 
     def words(self) -> str:
-        """One sentence, that says so where the data tell nothing."""
+        """One sentence, which says so where the data do not determine it."""
         frame = (
-            "as the case counts stretches" if self.counted == "case" else "of the unloaded tissue's length"
+            "on the stretch scale of the case"
+            if self.counted == "case"
+            else "of the unloaded tissue's length"
         )
         if not self.is_determined:
             return (
-                f"{self.way} the limb, the state of least stiffness is not told by these data: "
-                f"{self._excluded()}. The speeds at rest do not curve enough over the stretches measured; "
-                "measure states further "
-                "apart, shorter ones above all"
+                f"{self.way} the limb, these data do not determine the state of least stiffness: "
+                f"{self._excluded()}. The speeds at rest do not curve enough over the "
+                "stretches measured; measure states "
+                "further apart, especially shorter ones"
             )
         at, low, high = np.exp([self.by_law.value, self.by_law.low, self.by_law.high])
         return (
-            f"{self.way} the limb, the speed at rest is least at a stretch of {at:.2f} (95 %: {low:.2f} to "
+            f"{self.way} the limb, the speed at rest is lowest at a stretch of {at:.2f} (95 %: {low:.2f} to "
             f"{high:.2f}), {frame}"
-            + (
-                "; no state was measured as far as that, so it rests on the law's curve"
-                if self.is_beyond
-                else ""
-            )
+            + ("; no state was measured beyond it, so it rests on the law's curve" if self.is_beyond else "")
         )
 
     def _excluded(self) -> str:
         low, high = np.exp([self.by_law.low, self.by_law.high])
         if self.by_law.open_low and self.by_law.open_high:
-            return "no stretch that was searched is excluded"
+            return "no searched stretch is excluded"
         if self.by_law.open_low:
             return f"only stretches above {high:.2f} are excluded (95 %)"
         return f"only stretches below {low:.2f} are excluded (95 %)"
@@ -100,29 +98,29 @@ class LeastStiffness:
 
 def least_stiffness(
     problem: StatesProblem, found: Intervals, curve: StateCurve, plan: StretchPlan,
-    told: Callable[[str], Sequence[float | None]],
+    given: Callable[[str], Sequence[float | None]],
 ) -> list[LeastStiffness]:  # fmt: skip
     """For every way in which states are stretched.
 
-    told : way -> the stretches that the states tell
+    given : way -> the stretches that the states give
     """
-    return [_of_way(problem, found, curve, plan, way, told(way)) for way in plan.ways]
+    return [_of_way(problem, found, curve, plan, way, given(way)) for way in plan.ways]
 
 
 def _of_way(
     problem: StatesProblem, found: Intervals, curve: StateCurve, plan: StretchPlan, way: str,
-    told: Sequence[float | None],
+    given: Sequence[float | None],
 ) -> LeastStiffness:  # fmt: skip
     column, names = plan.ways.index(way), [each.name for each in problem.parameters]
     searched = f"unloaded_stretch_{way}"
     place = names.index(searched) if searched in names else None
     zero = plan.unloaded.get(way, 1.0)
-    in_case = any(each is not None for each in told)
+    in_case = any(each is not None for each in given)
     grid = np.ones((len(_GRID), len(plan.ways)))
     grid[:, column] = np.exp(_GRID)
 
     def counted(theta: Array) -> float:
-        """ln of the told stretch that is unloaded."""
+        """ln of the given stretch that is unloaded."""
         return float(np.log(theta[place] if place is not None else zero)) if in_case else 0.0
 
     def quantity(theta: Array) -> float:
@@ -139,19 +137,21 @@ def _of_way(
         scale=found.scale, threshold=found.threshold,
     )  # fmt: skip
     values = problem.stretch_values(found.best)
-    logs = [counted(found.best) + np.log(plan.elastic(k, way, values)) for k in range(len(told))]
+    logs = [counted(found.best) + np.log(plan.elastic(k, way, values)) for k in range(len(given))]
     measured = (float(min(logs)), float(max(logs)))
-    return LeastStiffness(way, "case" if in_case else "unloaded", by_law, _of_states(problem, told), measured)
+    return LeastStiffness(
+        way, "case" if in_case else "unloaded", by_law, _of_states(problem, given), measured
+    )
 
 
-def _of_states(problem: StatesProblem, told: Sequence[float | None]) -> LowestPoint | None:
-    rows = [k for k, each in enumerate(told) if each is not None]
-    if len({told[k] for k in rows}) < 3:
+def _of_states(problem: StatesProblem, given: Sequence[float | None]) -> LowestPoint | None:
+    rows = [k for k, each in enumerate(given) if each is not None]
+    if len({given[k] for k in rows}) < 3:
         return None
     several = [problem.task.states[k].data for k in rows]
     at_rest = [int(np.argmin(each.speed_force)) for each in several]
     return lowest_of_points(
-        np.log([float(told[k] or 1.0) for k in rows]),
+        np.log([float(given[k] or 1.0) for k in rows]),
         np.array([each.log_speed[j] for each, j in zip(several, at_rest, strict=True)]),
         np.array([each.speed_deviation[j] for each, j in zip(several, at_rest, strict=True)]),
     )

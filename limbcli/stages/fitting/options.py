@@ -9,14 +9,14 @@ from typing import Any
 
 from limbcli.errors import CaseError
 from limbcli.measurement.levels import LAST
-from limbcli.stages.provenance.requested_options import asked_of_options, in_words
+from limbcli.stages.provenance.requested_options import in_words, requested_by_options
 from limbcli.stages.site_model.indentation_model import C_KPA
 
 OBJECTIVES = ("force", "joint", "states")
 COMPARISON = "--compare-element"
 
-# Fields of FitOptions that say nothing to what is asked for. The likelihoods of `joint` and `states` search
-# on a surrogate to its own end, always with intervals; a comparison of elements is of the two fits alone.
+# Fields of FitOptions that have no effect on what is requested. The likelihoods of `joint` and `states`
+# search on a surrogate to its own end, always with intervals; a comparison of elements is of two fits alone.
 _OF_FORCE = ("tolerance", "max_iterations", "intervals", "templates", "time_limit_s")
 _SAYS_NOTHING: Mapping[str, Sequence[str]] = {
     "joint": _OF_FORCE,
@@ -38,7 +38,7 @@ class FitOptions:
     gain_deviation : numerical error of the force, relative, that intervals allow for (None: from
         `mesh --study` where it was run, else by element and edge length)
     cycle : whose loading is fitted, a number or "last" (the last one with three levels of loading)
-    contact_check : solve the fitted model once more with a harder contact, and tell what that changes
+    contact_check : solve the fitted model once more with a harder contact, and report what that changes
     """
 
     c_kpa: float | None = None
@@ -54,14 +54,14 @@ class FitOptions:
     templates: Path | None = None
     time_limit_s: float | None = None
 
-    def asked(self, kind: str = "force") -> dict[str, Any]:
+    def requested(self, kind: str = "force") -> dict[str, Any]:
         """What another run of the same kind, an objective or `COMPARISON`, needs to be given.
 
-        >>> FitOptions(tolerance=0.01, contact_check=False).asked(COMPARISON)
+        >>> FitOptions(tolerance=0.01, contact_check=False).requested(COMPARISON)
         {'tolerance': 0.01}
         """
         unheard = _SAYS_NOTHING.get(kind, ())
-        return {key: value for key, value in asked_of_options(self).items() if key not in unheard}
+        return {key: value for key, value in requested_by_options(self).items() if key not in unheard}
 
 
 def check_choice(
@@ -77,13 +77,13 @@ def check_choice(
     """Whether these options go together.
 
     joint_only : options given that speak to the joint fit (or that of states) alone
-    options : the others, of which none may be given that says nothing to what is asked for
+    options : the others, of which none may be given that has no effect on what is requested
 
     Raises
     ------
     CaseError
         If the objective is unknown, FEBio is asked for what only the reference solver does, a
-        stiffness map for what takes one c, or an option says nothing to what was asked for.
+        stiffness map for what takes one c, or an option has no effect on what was requested.
     """
     if objective not in OBJECTIVES:
         fix = f"use {', '.join(OBJECTIVES[:-1])} or {OBJECTIVES[-1]}"
@@ -91,48 +91,48 @@ def check_choice(
     joint = objective != "force"
     if joint and compare_element:
         raise CaseError(
-            "two different things are asked for",
+            "two conflicting options are given",
             where=f"--objective {objective}, --compare-element",
-            fix="ask for one at a time",
+            fix="give one at a time",
         )
     if joint_only and not joint:
         raise CaseError(
-            f"{joint_only[0]} says nothing to the fit of the force alone",
+            f"{joint_only[0]} has no effect on the fit of the force alone",
             where=joint_only[0],
-            fix="add --objective joint (or states), or leave it out",
+            fix="add --objective joint (or states), or omit it",
         )
     if solver == "febio" and (joint or compare_element):
         raise CaseError(
-            "this needs derivatives that FEBio does not give",
+            "this requires derivatives that FEBio does not provide",
             where="--solver febio",
-            fix="leave --solver out: the reference solver does it",
+            fix="omit --solver: the reference solver supports it",
         )
     if febio is not None and (joint or compare_element):
         raise CaseError(
-            "this needs derivatives that FEBio does not give",
+            "this requires derivatives that FEBio does not provide",
             where="--febio",
-            fix="leave --febio out: the reference solver does it",
+            fix="omit --febio: the reference solver supports it",
         )
     if stiffness_map and (joint or compare_element):
         raise CaseError(
-            "a stiffness map goes with the fit of the force alone",
+            "a stiffness map is supported only by the fit of the force alone",
             where="--stiffness-map",
-            fix=f"leave --objective {objective} and --compare-element out, or the map",
+            fix=f"omit --objective {objective} and --compare-element, or the map",
         )
     if objective == "states" and "--compare-laws" in joint_only:
         raise CaseError(
-            "laws are compared by the joint fit alone",
+            "laws are compared by the joint fit only",
             where="--compare-laws, --objective states",
             fix="give one law (--law), or use --objective joint",
         )
-    asked = COMPARISON if compare_element else f"--objective {objective}"
+    choice = COMPARISON if compare_element else f"--objective {objective}"
     unheard = _SAYS_NOTHING.get(COMPARISON if compare_element else objective, ())
-    given = {key: value for key, value in (options.asked() if options else {}).items() if key in unheard}
+    given = {key: value for key, value in (options.requested() if options else {}).items() if key in unheard}
     if given:
         raise CaseError(
-            f"{in_words(given)} says nothing to {asked}",
-            where=asked,
-            fix="leave it out, or fit the force alone (--objective force)",
+            f"{in_words(given)} has no effect on {choice}",
+            where=choice,
+            fix="omit it, or fit the force alone (--objective force)",
         )
 
 
@@ -160,5 +160,7 @@ def check_numbers(options: FitOptions, *, gain_deviation: float | None = None) -
     for name, value, low, high, meaning in rules:
         if value is not None and not low <= value <= high:
             raise CaseError(
-                f"{name} is {value:g}; possible is {low:g} to {high:g}", where=name, fix=f"give {meaning}"
+                f"{name} is {value:g}; possible values are {low:g} to {high:g}",
+                where=name,
+                fix=f"give {meaning}",
             )

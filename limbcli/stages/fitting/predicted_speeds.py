@@ -79,8 +79,8 @@ def write_speeds(
 
 def _lateral_side(model: LimbModel) -> str | None:
     """The side of the patient to which the image's lateral axis, x of the model, points."""
-    told = model.info.get("patient_from_model")
-    return None if told is None else side_of(np.array(told, dtype=float).reshape(4, 4)[:3, 0])
+    rotation = model.info.get("patient_from_model")
+    return None if rotation is None else side_of(np.array(rotation, dtype=float).reshape(4, 4)[:3, 0])
 
 
 def _predict(

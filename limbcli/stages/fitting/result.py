@@ -147,11 +147,11 @@ def _summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) 
         f"{writer.data['n_iterations']} iterations, {writer.data['n_solves']} solves"
     )
     error = 100 * found.stiffness.gain_deviation
-    writer.summary.append(f"counted as uncertainty of the simulated force: {short(error, 2)} % by the mesh")
+    writer.summary.append(f"counted as uncertainty of the simulated force: {short(error, 2)} % from the mesh")
     if "tet4" in writer.data["element"]:
         writer.warnings.append(
             "linear tetrahedra lock: f_kappa is a property of this mesh as much as of the tissue, and its "
-            "interval holds on this mesh; tet10 elements do not lock (--compare-element shows both)"
+            "interval is valid for this mesh only; tet10 elements do not lock (--compare-element shows both)"
         )
     for name in NAMES:
         if last["flags"][name] not in ("identified", "fixed"):
@@ -159,8 +159,8 @@ def _summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) 
 
 
 _POOR = (
-    "The parameters are those of the nearest curve, not of the tissue: look at fit.png, at the units and "
-    "signs of levels.csv, and at what `limbcli diagnose` finds missing"
+    "The parameters describe the nearest curve, not the tissue: check fit.png, the units and "
+    "signs of levels.csv, and what `limbcli diagnose` finds missing"
 )
 
 
@@ -172,13 +172,13 @@ def _headline(name: str, content: Mapping[str, Any]) -> str:
     >>> _headline("m", {"headline": "above 3.30", "low": 3.3, "high": None, "flag": "at bound"})
     'm: above 3.30 (95 %): at bound'
     """
-    said, flag, ends = content["headline"], content["flag"], (content["low"], content["high"])
-    if not said[0].isdigit():
-        return f"{name}: {said}{' (95 %)' if ends != (None, None) else ''}: {flag}"
-    if "(" in said:  # its interval, or that it has none, is reported with it
-        return f"{name} = {said}: {flag}"
+    text, flag, ends = content["headline"], content["flag"], (content["low"], content["high"])
+    if not text[0].isdigit():
+        return f"{name}: {text}{' (95 %)' if ends != (None, None) else ''}: {flag}"
+    if "(" in text:  # its interval, or that it has none, is reported with it
+        return f"{name} = {text}: {flag}"
     interval = "no interval" if None in ends else f"95 %: {short(ends[0])} to {short(ends[1])}"
-    return f"{name} = {said} ({interval}): {flag}"
+    return f"{name} = {text} ({interval}): {flag}"
 
 
 def _element(model: LimbModel) -> str:

@@ -98,7 +98,7 @@ class StateCurve:
             )  # fmt: skip
         except ArithmeticError as error:
             raise SolveError(
-                f"the law leaves the range of numbers at {np.array2string(theta, precision=4)}",
+                f"the law overflows at {np.array2string(theta, precision=4)}",
                 where=f"reference solver, law {self.law.name}, states",
                 fix="check the depths and stretches of the states, or choose another law",
             ) from error
@@ -129,10 +129,10 @@ class StateCurve:
         """
         if depths[-1] < _FURTHEST * self.depths[-1]:
             raise SolveError(
-                f"the stretched skin sinks so far that the probe ends {depths[-1]:.2f} mm below it; "
+                f"the stretched skin recedes so far that the probe ends {depths[-1]:.2f} mm below it; "
                 f"{self.depths[-1]:.2f} mm are needed",
                 where="reference solver, states",
-                fix="check the stretches of the states; tissue as compressible as that is hardly tissue",
+                fix="check the stretches of the states; such compressibility is not plausible for tissue",
             )
         clear, at = depths > _CLEAR, np.minimum(self.depths, depths[-1])
         knots, beyond = np.r_[0.0, depths[clear]], self.depths - at

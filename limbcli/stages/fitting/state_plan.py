@@ -1,8 +1,8 @@
 """What of the states' stretches is known, what is searched for, and where each state lies by that.
 
 Told stretches count from lengths that the user chose. Of each way (along, around) the tissue is unloaded at
-one of them: it is given, or, where all states tell the same, that one; else it is searched for. A state's
-elastic stretch is what it tells over that. Stretches that nobody told are searched for as they are.
+one of them: it is given, or, where all states give the same, that one; else it is searched for. A state's
+elastic stretch is what it gives over that. Stretches that are not given are searched for as they are.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ class StretchPlan:
     """ways : those in which any state is stretched; parameters : what is searched for
     offsets (n_states, n_ways), factors (n_states, n_ways, n_parameters) : ln of the elastic stretches is
     offset + factor . ln parameters
-    unloaded : by way, the told stretch that is unloaded where that is not searched for
-    taken : ways in which that was taken, because all states tell the same
+    unloaded : by way, the given stretch that is unloaded where that is not searched for
+    taken : ways in which that was taken, because all states give the same
     """
 
     ways: tuple[str, ...]
@@ -67,25 +67,25 @@ class StretchPlan:
 
 def stretch_plan(site: Site) -> StretchPlan:
     """The plan of a site's states. Raises as `plan_of`."""
-    told = {way: [getattr(each.stretch, way) for each in site.states] for way in WAYS}
+    given = {way: [getattr(each.stretch, way) for each in site.states] for way in WAYS}
     unloaded = {way: getattr(site.unloaded, way) for way in WAYS}
-    return plan_of(told, unloaded, [each.name for each in site.states], where=f"site {site.name}")
+    return plan_of(given, unloaded, [each.name for each in site.states], where=f"site {site.name}")
 
 
 def plan_of(
-    told: Mapping[str, Sequence[float | None]], known_unloaded: Mapping[str, float | None],
+    given: Mapping[str, Sequence[float | None]], known_unloaded: Mapping[str, float | None],
     states: Sequence[str], *, where: str = "the case",
 ) -> StretchPlan:  # fmt: skip
     """What is searched for.
 
-    told : by way, the stretch of every state, None where it is unknown; ways that are left out are not
+    given : by way, the stretch of every state, None where it is unknown; ways that are left out are not
     stretched
-    known_unloaded : by way, the told stretch at which the tissue is known to be unloaded
+    known_unloaded : by way, the given stretch at which the tissue is known to be unloaded
 
     Raises
     ------
     CaseError
-        If the states do not differ, or tell stretches too far apart to be searched.
+        If the states do not differ, or give stretches too far apart to be searched.
     """
     ways: list[str] = []
     columns: list[Array] = []
@@ -93,7 +93,7 @@ def plan_of(
     entries: list[tuple[int, int, int, float]] = []  # state, way, parameter, factor
     unloaded: dict[str, float] = {}
     taken: list[str] = []
-    for way, stretches in told.items():
+    for way, stretches in given.items():
         known = [each for each in stretches if each is not None]
         zero = known_unloaded.get(way)
         if zero is None and len(set(known)) == 1:
@@ -115,7 +115,7 @@ def plan_of(
         raise CaseError(
             f"the states of {where} do not differ in their stretch",
             where="case.toml, [[site.state]]",
-            fix="tell what was stretched (stretch_along, stretch_around), or leave it out where unknown",
+            fix="give what was stretched (stretch_along, stretch_around), or omit it where unknown",
         )
     factors = np.zeros((len(states), len(ways), len(parameters)))
     for k, w, j, factor in entries:
@@ -124,17 +124,17 @@ def plan_of(
 
 
 def _searched(
-    states: Sequence[str], way: str, told: Sequence[float | None], zero: float | None, middle: float
+    states: Sequence[str], way: str, given: Sequence[float | None], zero: float | None, middle: float
 ) -> tuple[list[FitParameter], list[tuple[int, int, float]]]:
     """What is searched for in one way, and (state, number of the parameter, its power in the stretch)."""
     parameters, entries = [], []
-    known = [each for each in told if each is not None]
+    known = [each for each in given if each is not None]
     if zero is None and known:
         low, high = max(known) / HIGH, min(known) / LOW
         name = f"unloaded_stretch_{way}"
         parameters.append(FitParameter(name, middle, low, high, "log", step_factor=_STEP_FACTOR))
-        entries += [(k, 0, -1.0) for k, each in enumerate(told) if each is not None]
-    for k, each in enumerate(told):
+        entries += [(k, 0, -1.0) for k, each in enumerate(given) if each is not None]
+    for k, each in enumerate(given):
         if each is None:
             entries.append((k, len(parameters), 1.0))
             name = f"stretch_{way}_{states[k]}"
@@ -147,7 +147,7 @@ def _check_range(where: str, stretches: Sequence[float], way: str) -> None:
     if wrong:
         raise CaseError(
             f"{where}: a state's stretch {way} the limb is {wrong[0]:.3g} of the unloaded tissue; "
-            f"{LOW:g} to {HIGH:g} is possible",
+            f"possible values are {LOW:g} to {HIGH:g}",
             where="case.toml, [[site.state]]",
             fix=f"correct stretch_{way}, or unloaded_stretch_{way}",
         )

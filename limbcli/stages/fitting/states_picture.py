@@ -66,15 +66,15 @@ def _panel(
 def _reading(
     k: int, site: Site, way: str, zero: float, plan: StretchPlan, problem: StatesProblem, found: Intervals
 ) -> StateReading:
-    """Where it was told, a stretch has no interval: what is sure of it is the count of the case."""
+    """Where it was given, a stretch has no interval: it is exact on the case's scale."""
     state, data = site.states[k], problem.task.states[k].data
     rest = int(np.argmin(data.speed_force))
     speed = float(np.exp(data.log_speed[rest]))
-    told = getattr(state.stretch, way)
-    if told is None:
+    given = getattr(state.stretch, way)
+    if given is None:
         stretch = zero * plan.elastic(k, way, problem.stretch_values(found.best))
         low, high = stretch_ends(k, way, plan, found)
         ends = (zero * (LOW if low is None else low), zero * (HIGH if high is None else high))
     else:
-        stretch, ends = float(told), (float(told), float(told))
+        stretch, ends = float(given), (float(given), float(given))
     return StateReading(state.name, stretch, *ends, speed, speed * float(data.speed_deviation[rest]))

@@ -74,7 +74,7 @@ def _stated(site: Site, way: str) -> list[float | None]:
 
 
 def _with_stretches_judged(table: dict[str, dict[str, Any]], plan: StretchPlan) -> dict[str, dict[str, Any]]:
-    """A stretch is known to a few hundredths or not at all: a factor of three tells nothing of it."""
+    """A stretch is known to a few hundredths or not at all: a factor of three means that it is unknown."""
     for parameter in plan.parameters:
         each = table[parameter.name]
         low, high = each["low"], each["high"]
@@ -88,7 +88,7 @@ def _with_stretches_judged(table: dict[str, dict[str, Any]], plan: StretchPlan) 
 def _state(
     k: int, site: Site, plan: StretchPlan, curve: StateCurve, problem: StatesProblem, found: Intervals
 ) -> dict[str, Any]:
-    """One state: what it told, its elastic stretches with their intervals, its speed at rest."""
+    """One state: what it gave, its elastic stretches with their intervals, its speed at rest."""
     data, seen = problem.task.states[k].data, problem.predict(k, found.best)
     values, out = problem.stretch_values(found.best), {}
     for way in WAYS:
@@ -115,7 +115,7 @@ def _undetermined(
     """A sentence for everything that these data leave open."""
     stretches = [each.name for each in plan.parameters]
     found = [
-        f"not told by these data: {each['words'].rstrip('.')}"
+        f"not determined by these data: {each['words'].rstrip('.')}"
         for name, each in parameters.items()
         if each["low"] is None or each["high"] is None or (name in stretches and each["flag"] != "identified")
     ]
@@ -142,9 +142,9 @@ def _report(
     for name, each in parameters.items():
         writer.summary.append(f"{name}: {each['headline']}; {each['words']}")
     writer.summary += [each.words() for each in lowest]
-    for way, told in writer.data["taken_as_unloaded"].items():
+    for way, stretch in writer.data["taken_as_unloaded"].items():
         writer.summary.append(
-            f"{way} the limb all states that tell it tell a stretch of {told:g}: taken as unloaded there"
+            f"{way} the limb all states that give it have a stretch of {stretch:g}: taken as unloaded there"
         )
     writer.summary.append(f"chi-square {found.chi_square:.1f} for {found.n_freedom} degrees of freedom")
     writer.warnings += writer.data["undetermined"]

@@ -95,9 +95,9 @@ def probe_length(model: LimbModel) -> float:
 def _level_0(site: Site, row: int) -> SweMap:
     if site.swe_maps is None:
         raise CaseError(
-            f"site {site.name} has no shear-wave maps to make a stiffness map of",
+            f"site {site.name} has no shear-wave maps to make a stiffness map from",
             where="case.toml, [[site]]",
-            fix='name their folder (swe_maps = "folder"), or fit without --stiffness-map',
+            fix='give their folder (swe_maps = "folder"), or fit without --stiffness-map',
         )
     path = map_file(site.swe_maps, row)
     if not path.is_file():
@@ -162,18 +162,18 @@ def write_tissue_map(
 
 
 def _warnings(found: TissueMap, levels: Levels) -> list[str]:
-    doubts = []
+    found_warnings = []
     if found.n_outside > _MOST_OUTSIDE * len(found.swe):
-        doubts.append(
-            f"{found.n_outside} of {len(found.swe)} pixels of the stiffness map lie where the model has no "
-            "tissue: check lateral_mm, depth_mm and the site's place"
+        found_warnings.append(
+            f"{found.n_outside} of {len(found.swe)} pixels of the stiffness map are where the model "
+            "has no tissue: check lateral_mm, depth_mm and the site's position"
         )
     if not levels.begins_at_zero:
-        doubts.append(
+        found_warnings.append(
             f"there is no level 0: the stiffness map is that of {levels.force[0]:g} N and "
-            f"{levels.depth[0]:g} mm, of tissue under load already"
+            f"{levels.depth[0]:g} mm, of tissue that is already loaded"
         )
     odd = check_mean(found.swe, float(levels.swe_mean_m_per_s[0]))
-    return doubts + [
+    return found_warnings + [
         f"{map_file(Path(), int(levels.rows[0])).name}: {each.what} ({each.fix})" for each in odd
     ]

@@ -48,7 +48,7 @@ class Identified:
     steps: Sequence[FittedStep]
     intervals: Sequence[Intervals] | None
     cold_seconds: float
-    why_no_intervals: str = "no interval was asked for"
+    why_no_intervals: str = "no interval was requested"
     geometry: GeometryUncertainty | None = None
     gains: Sequence[float] = ()
 
@@ -217,15 +217,17 @@ def _intervals(found: Identified, k: int, c_kpa: float) -> dict[str, list[float 
 
 
 def _parameter(
-    found: Identified, value: float, interval: Sequence[float | None] | None, said: Verdict, error: float
+    found: Identified, value: float, interval: Sequence[float | None] | None, verdict: Verdict, error: float
 ) -> dict[str, Any]:
     low, high = interval or (None, None)
-    reason = "open to both bounds: nothing is excluded" if interval else found.why_no_intervals
+    reason = "open to both bounds: no value is excluded" if interval else found.why_no_intervals
     return {
         "value": value, "low": low, "high": high, "standard_error": error,
-        "headline": headline(value, low, high, said.flag, why=said.words, computed=interval is not None),
+        "headline": headline(
+            value, low, high, verdict.flag, why=verdict.words, computed=interval is not None
+        ),
         "interval_reason": reason if low is None and high is None else "",
-        "flag": said.flag, "words": said.words,
+        "flag": verdict.flag, "words": verdict.words,
     }  # fmt: skip
 
 

@@ -108,15 +108,15 @@ def start(package: str) -> subprocess.Popen[str]:
 def end(package: str, process: subprocess.Popen[str]) -> LibraryTrial:
     """The trial's outcome; one that does not end is stopped."""
     try:
-        said, _ = process.communicate(timeout=_TIME_LIMIT_S)
+        output, _ = process.communicate(timeout=_TIME_LIMIT_S)
     except subprocess.TimeoutExpired:
         process.kill()
         process.communicate()
         return LibraryTrial(package, False, f"it did not answer within {_TIME_LIMIT_S:g} s")
     if process.returncode == 0:
         return LibraryTrial(package, True)
-    last = next((line for line in reversed(said.splitlines()) if line.strip()), "")
-    why = last or f"it ended with status {process.returncode} and said nothing"
+    last = next((line for line in reversed(output.splitlines()) if line.strip()), "")
+    why = last or f"it ended with status {process.returncode} and no message"
     named = _LIBRARY.findall(why) if "cannot open shared object" in why else []
     return LibraryTrial(package, False, why, tuple(dict.fromkeys([*named, *missing_libraries(package)])))
 

@@ -18,9 +18,9 @@ _SKIN_AND_FAT = 0.25  # of the depth to bone, where no border of the fat was rea
 def write_pennation(
     image: UltrasoundImage, borders: Mapping[str, Sequence[BoneLine]], bone: BoneLine, writer: StageWriter
 ) -> None:
-    """`pennation` of measure.json with its picture, and how to use it; why not, where none can be told."""
-    told = borders.get("fat")
-    top = told[0].distance if told else _SKIN_AND_FAT * bone.distance
+    """`pennation` of measure.json with its picture, and how to use it; or why not."""
+    fat = borders.get("fat")
+    top = fat[0].distance if fat else _SKIN_AND_FAT * bone.distance
     try:
         found = read_pennation(image, top=top, bottom=bone.distance - _ABOVE_BONE)
     except MeasurementError as error:
@@ -36,6 +36,6 @@ def write_pennation(
     use = f"pennation_deg = {found.angle_deg:.1f}, deviation_deg = {found.deviation_deg:.1f}"
     writer.summary.append(
         f"pennation {found.angle_deg:.1f} deg in the image (deviation {found.deviation_deg:.1f}; tiles "
-        f"spread by {found.spread_deg:.1f}), positive: deeper to the right; where the image is along the "
-        f"fibres, use it: [[site.pennation]] {use}"
+        f"spread by {found.spread_deg:.1f}), positive: deeper to the right; if the image is along "
+        f"the fibres, use it: [[site.pennation]] {use}"
     )

@@ -1,4 +1,4 @@
-"""measure: the load cell's record becomes holds: their forces, cycles and phases, and doubts about them."""
+"""measure: the load cell's record becomes holds: their forces, cycles and phases, and warnings about them."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def force_columns(table: Mapping[str, Any], writer: StageWriter) -> Columns:
         last = writer.data["cycles"] = columns["cycle"][-1]
         n_unloading = list(phase).count("unload")
         writer.summary.append(
-            f"{last} cycle{'s' if last > 1 else ''} found, {n_unloading} holds on the way back"
+            f"{last} cycle{'s' if last > 1 else ''} found, {n_unloading} holds during unloading"
         )
     return columns
 
@@ -78,11 +78,11 @@ def column_problems(columns: Mapping[str, Sequence[Any]], *, site: str, place: P
     found = check_values(numbers, place)
     n = len(next(iter(columns.values())))
     if not found and n < _FEWEST_LEVELS:
-        what = "there is one level only" if n == 1 else f"there are {n} levels only"
+        what = "there is only one level" if n == 1 else f"there are only {n} levels"
         fix = (
             "measure in steps of about 2 N; if holds were missed, change hold_s or hold_tolerance_n; "
-            f"forces go up to {max(columns.get('force_n', [np.nan])):.3g} N: if that is another unit, say it "
-            "(force_unit)"
+            f"forces go up to {max(columns.get('force_n', [np.nan])):.3g} N: if that is another unit, "
+            "state it (force_unit)"
         )
         found.append(Problem(what, f"site {site}", fix, family="measurement"))
     return found
@@ -109,9 +109,9 @@ def holds_of(table: Mapping[str, Any]) -> tuple[Trace, list[Hold]]:
     left = float(np.ptp(pressed.time)) if len(pressed.time) else 0.0
     if table["tare_s"] is not None and left < float(table["hold_s"]):
         raise MeasurementError(
-            f"the record ends {left:.3g} s after tare_s: holds are looked for after the tare",
+            f"the record ends {left:.3g} s after tare_s: holds are searched for after the tare",
             where=str(path),
-            fix="state as tare_s a stretch in the air before first touch, in seconds of the record's time",
+            fix="state as tare_s an interval in air before first touch, in seconds of the record's time",
         )
     return trace, find_holds(
         pressed, tolerance=float(table["hold_tolerance_n"]), duration_s=float(table["hold_s"])
@@ -134,7 +134,7 @@ def _report_holds(
             drift = f"{1000 * hold.drift_n_per_s:.1f} mN/s"
             if hold.depth_drift_mm_per_s is not None:
                 drift += f", {1000 * hold.depth_drift_mm_per_s:.1f} um/s"
-            writer.warnings.append(f"{where}: creep is still going on at its end ({drift})")
+            writer.warnings.append(f"{where}: creep continues at its end ({drift})")
         if phase[k] == "load" and hold.overshoot > max(0.5, 5 * noise) and not _follows_unloading(phase, k):
             writer.warnings.append(f"{where}: the force overshot by {hold.overshoot:.2f} N before it")
         if hold.n_dropouts:
@@ -165,8 +165,8 @@ def found_twice(holds: Sequence[Hold], step: float) -> list[str]:
         if abs(other.force - one.force) < _ONE_LEVEL * step:
             found.append(
                 f"holds {k} and {k + 1} ({one.force:.2f} and {other.force:.2f} N, before and after "
-                f"{other.start_s:.0f} s) are nearer than half a step of {step:g} N: one level, counted twice "
-                "unless it was held twice; raise hold_s or hold_tolerance_n until they are one"
+                f"{other.start_s:.0f} s) are closer than half a step of {step:g} N: one level counted "
+                "twice, unless it was held twice; raise hold_s or hold_tolerance_n until they are one"
             )
     return found
 
@@ -180,7 +180,7 @@ def _report_doubtful_holds(holds: Sequence[Hold], trace: Trace, writer: StageWri
     """Samples without a force, and forces so small that they may be in another unit."""
     lost = int((~np.isfinite(trace.force)).sum())
     if lost > _FEW_LOST * len(trace.force):
-        writer.warnings.append(f"{lost} of {len(trace.force)} samples of the record hold no force")
+        writer.warnings.append(f"{lost} of {len(trace.force)} samples of the record contain no force")
     largest = max(each.force for each in holds)
     if largest < _SMALL_FORCE:
         writer.warnings.append(

@@ -30,7 +30,7 @@ _OFF_BONE = 1.5  # mm above the bone line in which its blur is left out
 class TissueBetween:
     """Where muscle lies below the probe face, mm: from the fat's lower side to the bone, level by level.
 
-    top : None where the images told no layers; bottom : (n_levels,) or None without B-mode
+    top : None where the images gave no layers; bottom : (n_levels,) or None without B-mode
     """
 
     top: float | None
@@ -71,21 +71,21 @@ def tissue_between(
 def images_of(table: Mapping[str, Any], *, box_pixels: Box | None = None) -> list[UltrasoundImage]:
     """One image a level, in the order of their names; numbers in them count as numbers (9 before 10).
 
-    Of files that hold several frames, those that `frame` tells: a list takes all from the only file.
+    Of files that hold several frames, those that `frame` gives: a list takes all from the only file.
     """
     folder: Path = table["path"]
     paths = sorted(filter(_is_image, folder.iterdir()), key=lambda each: _by_numbers(each.name))
     if not paths:
-        fix = "put one image a level there, named in the order measured (DICOM, PNG, BMP)"
-        raise MeasurementError("the folder holds no image", where=str(folder), fix=fix)
+        fix = "put one image per level there, named in the order measured (DICOM, PNG, BMP)"
+        raise MeasurementError("the folder contains no image", where=str(folder), fix=fix)
     frame = table.get("frame")
     frames = list(frame) if isinstance(frame, list) else [frame] * len(paths)
     files = paths * len(frames) if len(paths) == 1 else paths
     if len(frames) != len(files):
         raise MeasurementError(
-            f"frame lists {len(frames)} frames, the folder holds {len(files)} images",
+            f"frame lists {len(frames)} frames, the folder contains {len(files)} images",
             where=str(folder),
-            fix="state one an image, or keep the one file there that all frames are of",
+            fix="state one per image, or keep only the file that contains all frames",
         )
     return [
         read_image(path, mm_per_pixel=table["mm_per_pixel"], box_pixels=box_pixels, frame=number)
@@ -118,8 +118,8 @@ def measured_speeds(
     images = images_of(table, box_pixels=box_of(table["image_pixels"]) if table["image_pixels"] else None)
     if table["image_pixels"] is None and images[0].is_whole:
         writer.warnings.append(
-            "the top of the elastography pictures is taken for the probe face and their middle for its "
-            "centre; say where the ultrasound image lies in them with image_pixels"
+            "the top of the elastography images is taken as the probe face and their middle "
+            "as its centre; state where the ultrasound image lies in them with image_pixels"
         )
     overlays = _overlays(images, table, writer)
     decoded: list[DecodedMap] = []
@@ -130,8 +130,8 @@ def measured_speeds(
     unlike = decoded[worst].share_unlike
     if unlike > _MANY_UNLIKE:
         writer.warnings.append(
-            f"level {worst}: {100 * unlike:.0f} % of the coloured pixels have no colour of the bar and are "
-            "left out; speeds of the others may be wrong: check opacity, bar_pixels and box_pixels"
+            f"level {worst}: {100 * unlike:.0f} % of the coloured pixels have no colour of the bar "
+            "and are excluded; speeds of the others may be wrong: check opacity, bar_pixels and box_pixels"
         )
     maps = within_tissue(decoded, table, tissue, writer)
     for k, each in enumerate(maps):
@@ -184,7 +184,7 @@ def within_tissue(
     if stated is None and tissue.top is None:
         writer.warnings.append(
             "speeds are those of the whole colour box from its top: run `limbcli segment` first, or state "
-            "roi_depth_mm, so that skin and fat are left out"
+            "roi_depth_mm, so that skin and fat are excluded"
         )
     maps = []
     for k, each in enumerate(decoded):
@@ -200,8 +200,8 @@ def within_tissue(
         share = 100 * (1 - len(part) / read)
         if share > _MANY_SATURATED:
             writer.warnings.append(
-                f"level {k}: {share:.0f} % of the pixels are at an end of the colour bar and left out: the "
-                "mean speed is that of the rest; measure with a wider range"
+                f"level {k}: {share:.0f} % of the pixels are at an end of the colour bar and excluded: "
+                "the mean speed is that of the rest; measure with a wider range"
             )
         maps.append(part)
     return maps

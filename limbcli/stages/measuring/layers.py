@@ -16,7 +16,7 @@ _FOLLOWED = ("skin", "fat")
 def read_borders(
     images: Sequence[UltrasoundImage], table: Mapping[str, Any], bone: Sequence[BoneLine], writer: StageWriter
 ) -> dict[str, list[BoneLine]]:
-    """The layers' lower borders by name, those that [site.b_mode] tells of at level 0; what was read is said.
+    """The layers' lower borders by name, those that [site.b_mode] gives at level 0, with a summary.
 
     Raises
     ------

@@ -3,7 +3,7 @@
 A result carries hashes of its inputs and of its own files, the values of the case that it used, and
 what it took of earlier results (`made_from` and `files_sha256` in its provenance). Before a stage uses
 a result, the whole chain behind it is looked at again; the first link that does not hold, from the
-images on, is named with the commands that mend it.
+images on, is named with the commands that update it.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Chain:
         Raises
         ------
         CaseError
-            If there is none, or a link of the chain does not hold; with the commands that mend it.
+            If there is none, or a link of the chain does not hold; with the commands that update it.
         """
         found = self._read(stage, site)
         broken = found if isinstance(found, BrokenLink) else self.broken(found, about=about)
@@ -91,8 +91,10 @@ class Chain:
             if earlier is not None:
                 return replace(earlier, steps=(*earlier.steps, own))
         if found.subject != self.case.subject:
-            what = f"the result of `{found.label}` is of {found.subject}, the case of {self.case.subject}"
-            before = f"name another --out; to replace the results of {found.subject} for good: "
+            what = (
+                f"the result of `{found.label}` is of {found.subject}, but the case is of {self.case.subject}"
+            )
+            before = f"give another --out; to replace the results of {found.subject} permanently: "
             return BrokenLink(what, str(found.folder), (own,), before)
         if made["version"] != __version__:
             by = f"limbcli {made['version']}" if made["version"] else "an earlier limbcli"
@@ -124,7 +126,7 @@ class Chain:
             path = input_path(self.case, role)
             if path is None or not path.exists():
                 yield (
-                    f"{in_words(role)} is gone, of which `{found.label}` was made",
+                    f"{in_words(role)} is missing, from which `{found.label}` was made",
                     str(path or self.case.file),
                 )
             elif sha256(path) != digest:
@@ -136,9 +138,9 @@ class Chain:
         for name, digest in found.provenance.get("files_sha256", {}).items():
             path = found.path(name)
             if not path.exists():
-                yield f"{path.name}, which `{found.label}` left, is gone", str(path)
+                yield f"{path.name}, written by `{found.label}`, is missing", str(path)
             elif sha256(path) != digest:
-                yield f"{path.name}, which `{found.label}` left, is not as it was left", str(path)
+                yield f"{path.name}, written by `{found.label}`, was changed since", str(path)
 
     def _matters(self, key: str, found: StageResult, about: Collection[str] | None) -> bool:
         """Values of one site in a result of the whole case matter where that site is asked about."""

@@ -81,8 +81,8 @@ def in_words(key: str) -> str:
     """
     if key.startswith("site/"):
         _, name, *rest = key.split("/")
-        said = "/".join(rest)
-        return f"{_WORDS.get(said, said)} of site {name}"
+        words = "/".join(rest)
+        return f"{_WORDS.get(words, words)} of site {name}"
     return key if Path(key).is_absolute() else key.replace("/", ".")
 
 
@@ -106,8 +106,8 @@ def _of_site(site: Site, key: str) -> Any:
     if key == "fibres":
         return asdict(site.fibres)
     if key == "states":
-        told = [{"name": each.name, **asdict(each.stretch)} for each in site.states]
-        return {"told": told, "unloaded": asdict(site.unloaded)}
+        stretches = [{"name": each.name, **asdict(each.stretch)} for each in site.states]
+        return {"told": stretches, "unloaded": asdict(site.unloaded)}
     if key in site.instruments:
         return {name: value for name, value in site.instruments[key].items() if name != "path"}
     return getattr(site, key, None)

@@ -26,7 +26,7 @@ class CommandStep:
 
     stage: str
     site: str | None = None
-    asked: Mapping[str, Any] = field(default_factory=dict, compare=False)
+    requested: Mapping[str, Any] = field(default_factory=dict, compare=False)
     sites: tuple[str, ...] = field(default=(), compare=False)
 
     @staticmethod
@@ -34,15 +34,15 @@ class CommandStep:
         """As it was made: a joint fit with the same law, or laws, and of the same sites; a diagnosis of all
         sites of its place."""
         given = result.data.get("asked")
-        asked = dict(given) if isinstance(given, Mapping) else {}
+        requested = dict(given) if isinstance(given, Mapping) else {}
         sites = tuple(result.data.get("sites") or ())
         if result.stage == "diagnose" and len(sites) > 1:
-            return CommandStep(result.stage, None, asked, sites)
+            return CommandStep(result.stage, None, requested, sites)
         if result.stage != "fit-joint":
-            return CommandStep(result.stage, result.site, asked)
+            return CommandStep(result.stage, result.site, requested)
         law = {"law": result.data["law"]} if "law" in result.data else {}
         laws = {"compare_laws": True} if result.data.get("laws") else {}
-        return CommandStep(result.stage, None, {**law, **laws, **asked}, sites)
+        return CommandStep(result.stage, None, {**law, **laws, **requested}, sites)
 
     def command(self, case: Path, out: Path) -> str:
         """
@@ -53,9 +53,9 @@ class CommandStep:
         """
         command, *words = _WORDS.get(self.stage, (self.stage,))
         sites = [word for each in (self.site, *self.sites) if each for word in ("--site", each)]
-        asked = in_words({key: value for key, value in self.asked.items() if value is not None})
-        said = f"limbcli {command} {typed(case)} {shlex.join([*words, *sites, '--out'])} {typed(out)}"
-        return f"{said} {asked}" if asked else said
+        requested = in_words({key: value for key, value in self.requested.items() if value is not None})
+        line = f"limbcli {command} {typed(case)} {shlex.join([*words, *sites, '--out'])} {typed(out)}"
+        return f"{line} {requested}" if requested else line
 
 
 def commands(steps: Iterable[CommandStep], case: Path, out: Path) -> str:

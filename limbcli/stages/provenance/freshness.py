@@ -54,7 +54,7 @@ _ASKED, _SUBJECT = "asked", "subject"
 class Memory:
     """What the last batch into this output folder did: a key and an output hash per stage.
 
-    And what stages were asked for by hand before it (see `asked`). What was done for another subject
+    And what was requested of stages by hand before it (see `requested`). What was done for another subject
     is forgotten.
 
     site : whose stages are meant; each has a file of its own, as sites may be worked on side by side
@@ -89,7 +89,7 @@ class Memory:
         self._done[_name(stage, site)] = [key, sha256(folder)]
         self._write()
 
-    def asked(self, stage: str, site: str | None) -> dict[str, Any]:
+    def requested(self, stage: str, site: str | None) -> dict[str, Any]:
         """The options a stage was last called with by hand: of a result made since, else as kept."""
         if self.made_since(stage, site):
             with contextlib.suppress(CaseError):
@@ -100,10 +100,10 @@ class Memory:
                     return dict(given) if is_ours else {}
         return dict(self._done[_ASKED].get(_name(stage, site), {}))
 
-    def keep_asked(self, stage: str, site: str | None, asked: Mapping[str, Any]) -> None:
+    def keep_requested(self, stage: str, site: str | None, requested: Mapping[str, Any]) -> None:
         """Keep them for batches to come, should the result they were read from go."""
-        if self._done[_ASKED].get(_name(stage, site), {}) != asked:
-            self._done[_ASKED][_name(stage, site)] = dict(asked)
+        if self._done[_ASKED].get(_name(stage, site), {}) != requested:
+            self._done[_ASKED][_name(stage, site)] = dict(requested)
             self._write()
 
     def _write(self) -> None:
@@ -120,15 +120,15 @@ def _remembered(path: Path, subject: str) -> dict[str, Any]:
     usable = isinstance(found, dict) and isinstance(found.get(_ASKED, {}), dict)
     if not usable or found.get(_SUBJECT, subject) != subject:
         return {}
-    asked = {name: each for name, each in found.get(_ASKED, {}).items() if isinstance(each, dict)}
+    requested = {name: each for name, each in found.get(_ASKED, {}).items() if isinstance(each, dict)}
     done = {name: each for name, each in found.items() if isinstance(each, list) and len(each) == 2}
-    return {**done, _ASKED: asked}
+    return {**done, _ASKED: requested}
 
 
 def _of_site(done: Mapping[str, Any], site: str) -> dict[str, Any]:
     ending = f"/{site}"
-    asked = {name: each for name, each in done.get(_ASKED, {}).items() if name.endswith(ending)}
-    return {**{name: each for name, each in done.items() if name.endswith(ending)}, _ASKED: asked}
+    requested = {name: each for name, each in done.get(_ASKED, {}).items() if name.endswith(ending)}
+    return {**{name: each for name, each in done.items() if name.endswith(ending)}, _ASKED: requested}
 
 
 def _name(stage: str, site: str | None) -> str:

@@ -1,8 +1,8 @@
 """The options a stage was called with, so that a batch calls it in the same way again.
 
-A stage leaves what it was asked for beyond its defaults as `asked` in its JSON. What was
-asked by hand holds for every later batch, until the stage is called by hand without it or the batch
-is told `--defaults`.
+A stage leaves the options requested beyond its defaults as `asked` in its JSON. What was
+requested by hand holds for every later batch, until the stage is called by hand without it or the batch
+is given `--defaults`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 
 from limbcli.results import plain
 
-Asked = Mapping[str, Any]
+Requested = Mapping[str, Any]
 
 _SPOKEN = {
     "seeds": "--seed", "smooth": "--smooth", "threshold": "--threshold", "limb": "--limb",
@@ -31,10 +31,10 @@ _SPOKEN = {
 _PATHS = ("templates", "effect_file")
 
 
-def asked_of(given: Asked, usual: Asked | None = None) -> dict[str, Any]:
+def requested_of(given: Requested, usual: Requested | None = None) -> dict[str, Any]:
     """Plain values of what differs from the usual (not there: None).
 
-    >>> asked_of({"size": None, "margin": 30.0, "smooth": 0.7}, {"smooth": 0.7})
+    >>> requested_of({"size": None, "margin": 30.0, "smooth": 0.7}, {"smooth": 0.7})
     {'margin': 30.0}
     """
     usual = usual or {}
@@ -44,22 +44,22 @@ def asked_of(given: Asked, usual: Asked | None = None) -> dict[str, Any]:
     return {key: plain(value) for key, value in plainly.items() if value != usual.get(key)}
 
 
-def asked_of_options(options: Any) -> dict[str, Any]:
+def requested_by_options(options: Any) -> dict[str, Any]:
     """The same of a frozen dataclass of options whose fields have defaults."""
-    return asked_of(vars(options), vars(type(options)()))
+    return requested_of(vars(options), vars(type(options)()))
 
 
-def options_of(kind: type, asked: Asked) -> Any:
-    """A dataclass of options with what was asked; keys that it does not know are left out."""
+def options_of(kind: type, requested: Requested) -> Any:
+    """A dataclass of options with what was requested; unknown keys are ignored."""
     names = {each.name for each in fields(kind)}
-    known = {key: value for key, value in asked.items() if key in names}
+    known = {key: value for key, value in requested.items() if key in names}
     if "effects" in known:
         known["effects"] = tuple(known["effects"])
     paths = {key: Path(known[key]) for key in _PATHS if known.get(key) is not None}
     return kind(**{**known, **paths})
 
 
-def in_words(asked: Asked) -> str:
+def in_words(requested: Requested) -> str:
     """As one would type it.
 
     >>> in_words({"stiffness_map": True, "fat_layer": 6.0, "intervals": False, "place": [90.0, 120.0]})
@@ -67,7 +67,7 @@ def in_words(asked: Asked) -> str:
     >>> in_words({"effects": ["skin-layer", "tilt"], "measured": {"tare_n": 0.4}})
     '--effects skin-layer --effects tilt --measured tare_n=0.4'
     """
-    return " ".join(_spoken(key, value) for key, value in asked.items())
+    return " ".join(_spoken(key, value) for key, value in requested.items())
 
 
 def _spoken(key: str, value: Any) -> str:

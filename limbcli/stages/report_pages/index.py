@@ -51,12 +51,12 @@ def report_index(folder: Path, *, templates: Path | None = None, progress: Progr
     """
     if not folder.is_dir():
         raise CaseError(
-            f"there is no folder {folder}", where="--index", fix="name the output folder of a batch"
+            f"there is no folder {folder}", where="--index", fix="give the output folder of a batch"
         )
     outs = sorted(each for each in (folder, *folder.iterdir()) if _is_output(each))
     if not outs:
         raise CaseError(
-            "the folder holds no subject's results",
+            "the folder contains no subject's results",
             where=str(folder),
             fix=f"run `limbcli batch CASE... --out {folder}` first",
         )
@@ -96,7 +96,7 @@ _OF_CASE, _OF_SITES = ("segment", "report"), ("mesh", "build-feb", "run", "fit")
 def _is_output(folder: Path) -> bool:
     """A subject's output folder holds a stage's own result, or that its first stage failed.
 
-    Nothing else tells: a subject's folder in `folder` may be named as a stage's is.
+    Nothing else shows it: a subject's folder in `folder` may be named as a stage's is.
     """
     if not folder.is_dir() or folder.name.startswith("."):
         return False
@@ -140,7 +140,7 @@ def _row(out: Path, report: StageResult, site: str, link: str) -> IndexRow:
         return IndexRow(name, report.subject, site, "missing", state, n_warnings, link, assumed=assumed)
     view, shown_fit = read_fit_view(fitted), report.value(f"fitted_utc/{site}")
     is_shown = shown_fit in (None, fitted.provenance.get("finished_utc"))
-    older = "" if is_shown else "again, after its report was made: make that again"
+    older = "" if is_shown else "again after its report was made: make the report again"
     return IndexRow(
         name, report.subject, site, "warning" if n_warnings or older else "fine", "fitted", n_warnings, link,
         view, assumed=assumed, older=older,

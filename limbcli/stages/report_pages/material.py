@@ -49,8 +49,8 @@ def gather(case: Case, *, out: Path, progress: Progress = SILENT) -> ReportData:
 def _fitted_cycle(outcomes: Outcomes, name: str) -> int | None:
     """The cycle that the site's fit took; None where there was one only, or no fit."""
     result = outcomes.of("fit", name).result
-    told = result.data.get("cycle") if result is not None else None
-    return int(told["fitted"]) if isinstance(told, dict) and "fitted" in told else None
+    cycle = result.data.get("cycle") if result is not None else None
+    return int(cycle["fitted"]) if isinstance(cycle, dict) and "fitted" in cycle else None
 
 
 def _measured(site: Site, fitted: int | None) -> SiteMaterial:
@@ -121,8 +121,8 @@ def _with_state(
 def _sides(meshed: StageResult | None) -> tuple[str, str] | None:
     """The sides of the patient that x and y of the model point to, where the mesh's result says so."""
     try:
-        told = meshed.data["frame"]["patient_from_model"] if meshed is not None else None
-        axes = np.asarray(told, dtype=float)[:3, :2]
+        rotation = meshed.data["frame"]["patient_from_model"] if meshed is not None else None
+        axes = np.asarray(rotation, dtype=float)[:3, :2]
         return side_of(axes[:, 0]), side_of(axes[:, 1])
     except UNLIKE_OURS:
         return None
@@ -167,5 +167,5 @@ def _older(before: Outcome | None, after: Outcome | None) -> str:
         return ""
     return (
         f"The result of “{after.label}” ({late}) is older than that of “{before.label}” ({early}) "
-        f"it builds on; run it again: {after.command}"
+        f"on which it is based; run it again: {after.command}"
     )

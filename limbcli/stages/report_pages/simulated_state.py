@@ -89,7 +89,7 @@ def _displacement(model: LimbModel, nodes: Mapping[str, Table], feb: Path) -> Ar
         raise SolveError(
             "the simulation recorded no displacements",
             where=str(feb),
-            fix="run it again with our templates: they ask for the nodes' displacements",
+            fix="run it again with limbcli's templates: they request the nodes' displacements",
         )
     found = np.full(model.mesh.points.shape, np.nan)
     found[table.items] = np.stack([table.column(name)[-1] for name in ("ux", "uy", "uz")], axis=1)

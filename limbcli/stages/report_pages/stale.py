@@ -11,7 +11,7 @@ from limbcli.stages.provenance.commands import commands
 
 
 def stale_results(case: Case, out: Path, outcomes: Outcomes) -> list[str]:
-    """What changed since, the results that it puts in doubt, and the commands that mend them."""
+    """What changed since, the results that are out of date, and the commands that update them."""
     chain = Chain(case, out)
     causes: dict[str, list[tuple[str, BrokenLink]]] = {}
     for outcome in outcomes.done:
@@ -26,6 +26,6 @@ def _sentence(case: Case, out: Path, what: str, found: list[tuple[str, BrokenLin
     labels = ", ".join(f"“{label}”" for label, _ in found)
     steps = [step for _, broken in found for step in broken.steps]
     return (
-        f"{what[0].upper()}{what[1:]} ({found[0][1].where}): what is shown of {labels} is not of today's "
-        f"case; run {commands(steps, case.folder, out)}"
+        f"{what[0].upper()}{what[1:]} ({found[0][1].where}): what is shown of {labels} is out of date "
+        f"with the case; run {commands(steps, case.folder, out)}"
     )

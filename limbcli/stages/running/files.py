@@ -50,7 +50,7 @@ def write_simulation(
     if body is None:
         writer.warnings.append("no rigid body logs z and Fz, so there is no force-depth curve")
         return
-    writer.warnings.extend(doubts(simulation, body))
+    writer.warnings.extend(curve_warnings(simulation, body))
     curve = force_depth_rows(simulation, body)
     write_curve(writer.file("force_depth", "force-depth.csv"), curve)
     writer.data.update(
@@ -65,7 +65,7 @@ def write_simulation(
     )
 
 
-def doubts(simulation: Simulation, body: str) -> list[str]:
+def curve_warnings(simulation: Simulation, body: str) -> list[str]:
     """Warnings of a curve that may be another body's, or whose depth does not count from first touch."""
     found = []
     names = _with_curve(simulation)
@@ -76,8 +76,9 @@ def doubts(simulation: Simulation, body: str) -> list[str]:
     depth = simulation.probe_depth(body)
     if abs(depth[0]) > _FAR_START_MM:
         found.append(
-            f"depth_mm is how far the centre of mass of {body} lies below z = 0, "
-            f"and that is {depth[0]:.2f} mm at the start; it goes {depth[-1] - depth[0]:.2f} mm from there"
+            f"depth_mm is the depth of the centre of mass of {body} "
+            f"below z = 0, which is {depth[0]:.2f} mm at the start; it moves {depth[-1] - depth[0]:.2f} mm "
+            f"from there"
         )
     return found
 

@@ -11,7 +11,7 @@ from limbcli.stages.segmenting.places import report_places
 from limbcli.stages.segmenting.surfaces import check_limb, write_surfaces
 
 ASSUMED = "assumed"
-FIX = "bring an MRI or surfaces of the bones where numbers depend on it; a fit's intervals allow for it"
+FIX = "use an MRI or surfaces of the bones where results depend on it; a fit's intervals allow for it"
 
 
 def from_assumed(case: Case, writer: StageWriter) -> None:

@@ -86,7 +86,7 @@ def assumed_limb(case: Case) -> AssumedLimb:
     Raises
     ------
     CaseError
-        With everything that hinders it: layers that do not add up, a site that tells no distance to the bone.
+        With everything that hinders it: layers that do not add up, a site that gives no distance to the bone.
     """
     raise_errors(assumed_problems(case), CaseError)
     return _of_numbers(case.imaging.shape, case) if case.imaging.shape is not None else _of_a_scan(case)
@@ -101,17 +101,17 @@ def assumed_problems(case: Case) -> list[Problem]:
     where = str(case.file)
     if not case.sites:
         if case.raw.get("site"):
-            what = "no [[site]] under which ultrasound saw the bone can be used yet"
-            return [Problem(what, where, "`limbcli check CASE` lists what they lack; then segment")]
+            what = "no [[site]] with an ultrasound distance to the bone can be used yet"
+            return [Problem(what, where, "`limbcli check CASE` lists what is missing; then segment")]
         fix = "add a [[site]] with position_mm, long_axis and the distance to the bone; then segment"
-        return [Problem("there is no site yet under which ultrasound saw the bone", where, fix)]
+        return [Problem("there is no site yet with an ultrasound distance to the bone", where, fix)]
     found = []
     if not np.isfinite(case.probe.length):
         fix = "fill in [probe]: the bone's distance is that under its face"
-        found.append(Problem("the probe under which ultrasound saw the bone is unknown", where, fix))
+        found.append(Problem("the probe that the bone's distance refers to is unknown", where, fix))
     for site in case.sites:
         if seen_depth(site) is None:
-            what = f"site {site.name} tells no distance from skin to bone, and no image shows the bone"
+            what = f"site {site.name} has no distance from skin to bone, and no image shows the bone"
             fix = (
                 "fill skin_bone_mm of the first row of levels.csv (or all layers there), or write "
                 "`skin_bone_mm = ...` in its [[site]]"
@@ -142,14 +142,12 @@ def _off_the_sum(shape: Shape, site: Site, case: Case) -> list[Problem]:
     but = f"but the skin-bone distance of site {site.name} is {seen[0]:g} mm ({seen[1]})"
     if _is_aside(shape, made):
         here = "has no bone under it" if made is None else f"is {made:.1f} mm thick there"
-        what = f"site {site.name} does not lie in front, and the round limb {here}, {but}"
-        fix = "give the site a case of its own, with the layers read there and without position_mm"
+        what = f"site {site.name} is not anterior, and the round limb {here}, {but}"
+        fix = "put the site into a separate case, with the layers read there and without position_mm"
         return [Problem(what, str(case.file), fix)]
     parts = f"skin {shape.skin:g} + fat {shape.fat:g} + muscle {shape.muscle:g} = {shape.skin_bone:g} mm"
     what = f"the layers do not add up to the thickness: {parts}, {but}"
-    return [
-        Problem(what, str(case.file), "read layers and bone on one image; muscle_mm goes down to the bone")
-    ]
+    return [Problem(what, str(case.file), "read layers and bone on one image; muscle_mm extends to the bone")]
 
 
 # ---------------------------------------------------------------- made
@@ -186,8 +184,8 @@ def _of_numbers(shape: Shape, case: Case) -> AssumedLimb:
             depth, source = seen_depth(site) or (made or depth, source)
         sites[site.name] = ThicknessComparison(depth, source, made, BONE, _triple(point), _triple(normal))
     warnings = tuple(
-        f"site {name} does not lie in front, where [imaging] shape tells the layers: the tissue there is as "
-        "thick as the round limb makes it" for name in aside
+        f"site {name} is not anterior, where [imaging] shape gives the layers: the tissue "
+        "thickness there is that of the round limb" for name in aside
     )  # fmt: skip
     return AssumedLimb(surfaces, {BONE: bone}, sites, (), shape, warnings)
 
@@ -198,7 +196,7 @@ def _of_a_scan(case: Case) -> AssumedLimb:
     assert radius is not None
     skin, warnings = read_body(path)
     pieces = skin_and_bones(Triangles(skin.points, skin.triangles))
-    notes = [f"{len(pieces) - 1} smaller bodies of {path.name} are left out"] if len(pieces) > 1 else []
+    notes = [f"{len(pieces) - 1} smaller bodies of {path.name} are excluded"] if len(pieces) > 1 else []
     limb = mend(pieces[0], [], where=str(path))
     proximal = proximal_direction(limb)
     places = {site.name: np.array(site.position) for site in case.sites}
@@ -209,7 +207,7 @@ def _of_a_scan(case: Case) -> AssumedLimb:
     for number, (rod, names) in enumerate(rods_for(seen, limb, axis, radius), 1):
         bone = f"bone_{number}"
         bones[bone], whole[bone] = rod, _closed(rod.surface(edge=BONE_EDGE))
-        notes.append(f"{bone}: as seen at {', '.join(names)}, {rod.high - rod.low:.0f} mm long")
+        notes.append(f"{bone}: as measured at {', '.join(names)}, {rod.high - rod.low:.0f} mm long")
         for name in names:
             each, (depth, source) = seen[name], _known(case.site(name))
             made = rod.depth_under(each.point, -each.normal)
@@ -223,9 +221,10 @@ def _of_a_scan(case: Case) -> AssumedLimb:
 def _disagreement(name: str, measured: float, made: float | None, names: list[str]) -> list[str]:
     if made is not None and abs(made - measured) <= _DEPTH_OFF:
         return []
-    lies = "its beam passes by it" if made is None else f"it lies {made:.1f} mm deep there"
+    lies = "its beam misses the bone" if made is None else f"it lies {made:.1f} mm deep there"
     return [
-        f"site {name} saw bone {measured:g} mm deep; with the one straight bone that {', '.join(names)} "
+        f"site {name} measured the bone {measured:g} mm deep; with the one straight bone that "
+        f"{', '.join(names)} "
         f"share, {lies}"
     ]
 

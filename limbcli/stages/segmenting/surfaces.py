@@ -37,7 +37,7 @@ def from_surfaces(case: Case, writer: StageWriter) -> None:
         writer.used(name, path, role=f"imaging/bones/{number - 1}" if number else "imaging/skin")
     if not case.imaging.bones:
         writer.summary.append(
-            f"{case.imaging.skin.name} holds {len(surfaces)} bodies: the largest is the skin, "
+            f"{case.imaging.skin.name} contains {len(surfaces)} bodies: the largest is the skin, "
             "the others bones"
         )
     surfaces = {
@@ -78,8 +78,8 @@ def _report_misplaced(
     x, y, z = found.move
     writer.warnings.append(
         f"moved together by ({x:.0f}, {y:.0f}, {z:.0f}) mm, {' and '.join(wrong)} would lie within the skin, "
-        f"beside the other bones (to some {max(found.deviation_mm, 3.0):.0f} mm): their files may have "
-        "another origin; nothing was moved"
+        f"beside the other bones (to some {max(found.deviation_mm, 3.0):.0f} mm): their files may "
+        "have a different origin; nothing was moved"
     )
 
 
@@ -104,9 +104,9 @@ def read_surfaces(case: Case) -> tuple[dict[str, ClosedSurface], dict[str, Path]
     surfaces |= {name: _whole(surfaces[name]) for name in names}
     if names == numbered(len(names)):  # no file says which bone it holds
         triangles = triangles_of(surfaces)
-        told = [SKIN, *names_of_bodies(triangles[SKIN], [triangles[each] for each in names])]
-        surfaces = dict(zip(told, surfaces.values(), strict=True))
-        paths = dict(zip(told, paths.values(), strict=True))
+        bodies = [SKIN, *names_of_bodies(triangles[SKIN], [triangles[each] for each in names])]
+        surfaces = dict(zip(bodies, surfaces.values(), strict=True))
+        paths = dict(zip(bodies, paths.values(), strict=True))
     return surfaces, paths
 
 
@@ -115,9 +115,9 @@ def _bodies(surface: ClosedSurface, path: Path) -> dict[str, ClosedSurface]:
     skin, *bones = _bodies_of(surface)
     if not bones:
         raise CaseError(
-            "the skin's file holds one body only, and no bones are named",
+            "the skin's file contains only one body, and no bones are given",
             where=str(path),
-            fix='add `bones = ["file", ...]` to [imaging], or bring all bodies in one file',
+            fix='add `bones = ["file", ...]` to [imaging], or give all bodies in one file',
         )
     named = dict(zip(names_of_bodies(skin, bones), bones, strict=True))
     return {name: ClosedSurface(each.points, each.faces) for name, each in {SKIN: skin, **named}.items()}
@@ -184,7 +184,7 @@ def _turned(surface: ClosedSurface, name: str, path: Path) -> tuple[ClosedSurfac
         )
     if turned_inward(_largest(surface)):
         surface = ClosedSurface(surface.points, surface.triangles[:, ::-1].copy())
-        warnings.append(f"the normals of {path.name} pointed inward and were turned")
+        warnings.append(f"the normals of {path.name} pointed inward and were reversed")
     return surface, warnings
 
 

@@ -95,14 +95,14 @@ def check_beside_layers(hidden: Sequence[Hidden], layers: Sequence[str]) -> None
     Raises
     ------
     CaseError
-        They are told by the depth below the skin, where the tissue is not.
+        They are identified by the depth below the skin, where the tissue is not.
     """
     found = [each.name for each in hidden if each.name in _BELOW_SKIN]
     if layers and found:
         raise CaseError(
-            f"{' and '.join(found)} cannot be hidden where the mesh has {' and '.join(layers)} of its own",
+            f"{' and '.join(found)} cannot be hidden where the mesh has separate {' and '.join(layers)}",
             where="--effect",
-            fix="leave the effect out, or take [site.layers] out of the case",
+            fix="omit the effect, or remove [site.layers] from the case",
         )
 
 

@@ -168,9 +168,9 @@ class Press:
         changed = model if self.change is None else self.change(model)
         if path_dependent(changed) or not _differ_in_laws_alone(model, changed):
             raise CaseError(
-                "at a site with states only effects in the elastic law of its tissue can be hidden",
+                "at a site with states, only effects in the elastic law of its tissue can be hidden",
                 where="--effect",
-                fix="leave the effect out, or simulate a site without [[site.state]]",
+                fix="omit the effect, or simulate a site without [[site.state]]",
             )
         return in_state(changed, depths, along=self.stretch[0], around=self.stretch[1])
 

@@ -16,7 +16,7 @@ from limbcli.stages.site_model.prestretch import WAYS
 @dataclass(frozen=True)
 class KnownStretches:
     """unloaded : stretches, counted as the case's states are, at which the tissue is truly unloaded
-    states : by the state's name, true stretches over the unloaded tissue, where the case tells none
+    states : by the state's name, true stretches over the unloaded tissue, where the case gives none
     """
 
     unloaded: Stretch = field(default_factory=Stretch)
@@ -60,7 +60,7 @@ def parse_stretches(texts: list[str], *, option: str) -> dict[str, float]:
                 where=option, fix=f"for example {option} {name or 'bent'}=0.8",
             )  # fmt: skip
         if name in found:
-            raise CaseError(f"{option} tells state {name} twice", where=option, fix="tell each state once")
+            raise CaseError(f"{option} gives state {name} twice", where=option, fix="give each state once")
         found[name] = value
     return found
 
@@ -78,19 +78,19 @@ def check_stretches(case: Case, sites: tuple[Site, ...], known: KnownStretches) 
     Raises
     ------
     CaseError
-        If stretches are told of states that no site has, or any of a site's states lacks its own.
+        If stretches are given for states that no site has, or any of a site's states lacks its own.
     """
     names = {each.name for site in sites for each in site.states}
     if known.given and not names:
         raise CaseError(
-            "true stretches are told, but no site that is simulated has states",
+            "true stretches are given, but no simulated site has states",
             where=str(case.file),
-            fix="add [[site.state]] tables to the site, or leave --stretch-... and --unloaded-... out",
+            fix="add [[site.state]] tables to the site, or omit --stretch-... and --unloaded-...",
         )
     for name in known.states:
         if name not in names:
             raise CaseError(
-                f"no site that is simulated has a state {name!r}",
+                f"no simulated site has a state {name!r}",
                 where="--stretch-along, --stretch-around",
                 fix=suggestion(name, sorted(names)),
             )
@@ -101,13 +101,13 @@ def check_stretches(case: Case, sites: tuple[Site, ...], known: KnownStretches) 
 def true_states(site: Site, known: KnownStretches) -> list[TrueState]:
     """Every state of a site with its true stretches; none where the site has no states.
 
-    A stretch that the case tells counts from lengths of the user's choice: it is divided by that at which
-    the tissue is unloaded, of the case or of `known`; states that all tell the same are unloaded there.
+    A stretch that the case gives counts from lengths of the user's choice: it is divided by that at which
+    the tissue is unloaded, of the case or of `known`; states that all give the same are unloaded there.
 
     Raises
     ------
     CaseError
-        If a stretch is not known, is told both ways, or is beyond what a fit of states searches.
+        If a stretch is not known, is given both ways, or is beyond what a fit of states searches.
     """
     ways = [[_elastic(site, each, way, known) for each in site.states] for way in WAYS]
     states = [TrueState(each.name, *pair) for each, *pair in zip(site.states, *ways, strict=True)]
@@ -116,8 +116,8 @@ def true_states(site: Site, known: KnownStretches) -> list[TrueState]:
             value = getattr(state, way)
             if not LOW < value < HIGH:
                 raise CaseError(
-                    f"state {state.name} would stretch the tissue {way} the limb to {value:.3g} of unloaded; "
-                    f"{LOW:g} to {HIGH:g} is possible",
+                    f"state {state.name} would stretch the tissue {way} the limb to {value:.3g} of its "
+                    f"unloaded length; possible values are {LOW:g} to {HIGH:g}",
                     where=f"site {site.name}",
                     fix=f"correct stretch_{way} of the state, or --unloaded-stretch-{way}",
                 )
@@ -125,42 +125,43 @@ def true_states(site: Site, known: KnownStretches) -> list[TrueState]:
 
 
 def _elastic(site: Site, state: StretchState, way: str, known: KnownStretches) -> float:
-    told, true = getattr(state.stretch, way), getattr(known.states.get(state.name, Stretch()), way)
+    given, true = getattr(state.stretch, way), getattr(known.states.get(state.name, Stretch()), way)
     where = f"site {site.name}, state {state.name}"
-    if told is None:
+    if given is None:
         if true is None:
             raise CaseError(
-                f"the case does not know the state's stretch {way} the limb, so its truth must be told",
+                f"the case does not give the state's stretch {way} the limb, so its true value must be given",
                 where=where,
                 fix=f"add --stretch-{way} {state.name}=1.0 (over the unloaded tissue)",
             )
         return float(true)
     if true is not None:
         raise CaseError(
-            f"the case tells stretch_{way} = {told:g} of the state, and --stretch-{way} tells it again",
+            f"the case gives stretch_{way} = {given:g} for the state, and --stretch-{way} gives it again",
             where=where,
-            fix=f'leave --stretch-{way} {state.name}=... out, or set stretch_{way} = "unknown" in the case',
+            fix=f'omit --stretch-{way} {state.name}=..., or set stretch_{way} = "unknown" in the case',
         )
-    return float(told) / _unloaded(site, way, known)
+    return float(given) / _unloaded(site, way, known)
 
 
 def _unloaded(site: Site, way: str, known: KnownStretches) -> float:
-    """The told stretch at which the tissue is unloaded."""
+    """The given stretch at which the tissue is unloaded."""
     of_case, true = getattr(site.unloaded, way), getattr(known.unloaded, way)
     if of_case is not None and true is not None and of_case != true:
         raise CaseError(
-            f"the case knows that its tissue is unloaded at a stretch of {of_case:g} {way} the limb, "
-            f"--unloaded-stretch-{way} says {true:g}",
+            f"the case states that its tissue is unloaded at a stretch of {of_case:g} {way} "
+            f"the limb, but --unloaded-stretch-{way} is {true:g}",
             where=f"site {site.name}",
-            fix=f"leave one of them out: unloaded_stretch_{way} in case.toml, or the option",
+            fix=f"remove one of them: unloaded_stretch_{way} in case.toml, or the option",
         )
     if of_case is not None or true is not None:
         return float(of_case if true is None else true)
-    told = {getattr(each.stretch, way) for each in site.states} - {None}
-    if len(told) == 1:
-        return float(told.pop())
+    given = {getattr(each.stretch, way) for each in site.states} - {None}
+    if len(given) == 1:
+        return float(given.pop())
     raise CaseError(
-        f"at which of the told stretches {way} the limb the tissue is unloaded must be told",
+        f"the stretch {way} the limb at which the tissue is unloaded must be given, on the scale of the "
+        f"given stretches",
         where=f"site {site.name}",
         fix=f"add --unloaded-stretch-{way} 1.0, or unloaded_stretch_{way} to the site where it is known",
     )

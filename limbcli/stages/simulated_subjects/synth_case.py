@@ -22,7 +22,7 @@ _FILES = ("mri", "labels", "skin", "fibres")  # of [imaging]
 
 
 def check_orientations(sites: Sequence[Site]) -> None:
-    """Refuse sites whose pennation is told in the image of a site that will not be in the new case.
+    """Refuse sites whose pennation is given in the image of a site that will not be in the new case.
 
     Raises
     ------
@@ -34,8 +34,8 @@ def check_orientations(sites: Sequence[Site]) -> None:
         for each in site.fibres.pennation:
             if each.orientation not in names:
                 raise CaseError(
-                    f"site {site.name} tells its fibres in the image of {each.orientation}, "
-                    "which is not to be simulated",
+                    f"site {site.name} gives its fibres in the image of "
+                    f"{each.orientation}, which is not simulated",
                     where="--site",
                     fix=f"add --site {each.orientation}, or give site {site.name} a fibre_direction",
                 )
@@ -117,18 +117,18 @@ def _measured_site(raw: Mapping[str, Any], noise: Mapping[str, float]) -> dict[s
 
 
 def borders_at_rest(segmented: StageResult, site: Site) -> Array:
-    """mm (2,) below the skin of skin's and fat's lower borders, as `segment` tells them at a site.
+    """mm (2,) below the skin of skin's and fat's lower borders, as `segment` found them at a site.
 
     Raises
     ------
     CaseError
         If it tells none.
     """
-    told = (segmented.data.get("layers") or {}).get(site.name)
-    if told is None:
+    layers = (segmented.data.get("layers") or {}).get(site.name)
+    if layers is None:
         raise CaseError(
-            "the geometry tells no thickness of skin and fat at this site, so layers cannot be read",
+            "the geometry gives no thickness of skin and fat at this site, so layers cannot be simulated",
             where=f"site {site.name}",
-            fix="leave --with-layers out, or give a case whose images show fat, or [imaging] shape",
+            fix="omit --with-layers, or give a case whose images show fat, or [imaging] shape",
         )
-    return np.cumsum([float(told["skin_mm"]), float(told["fat_mm"])])
+    return np.cumsum([float(layers["skin_mm"]), float(layers["fat_mm"])])

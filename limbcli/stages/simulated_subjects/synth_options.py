@@ -23,7 +23,7 @@ class SynthOptions:
     usual ones; same_mesh : simulate on the mesh that `mesh` made for the case instead;
     contact_penalty : multiple of the skin's stiffness at rest (None: that of build-feb), of which a large
     one keeps the probe from sinking in; noise : factor on the case's [site.noise] (0: none);
-    layers : read skin, fat and muscle too, as thick at first touch as `segment` tells them;
+    layers : read skin, fat and muscle too, as thick at first touch as `segment` found them;
     alter : a change of the meshed model; hidden : effects in tissue and readings;
     stretches : true ones of the states that the case's sites have.
     """

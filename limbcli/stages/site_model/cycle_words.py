@@ -14,17 +14,19 @@ from limbcli.stages.site_model.site_levels import cycles_of
 def cycle_sentences(site: Site, levels: Levels, study: CycleStudy) -> list[str]:
     """From which cycle on the tissue repeats itself, what changed before, whether the support moved."""
     if not study.differences:
-        return ["There is one whole loading: whether the tissue would repeat it is not told by these data."]
+        return [
+            "There is one complete loading: these data do not show whether the tissue response is repeatable."
+        ]
     last = study.differences[-1].later
     if study.repeats_from is None:
         lines = [
-            f"Cycle {last} still differs from cycle {study.differences[-1].earlier} beyond noise: the tissue "
-            "had not come to repeat itself."
+            f"Cycle {last} still differs from cycle {study.differences[-1].earlier} beyond noise: the "
+            "tissue response was not yet repeatable."
         ]
     elif study.repeats_from == study.differences[0].earlier:
-        lines = [f"All loadings up to cycle {last} are one curve within noise."]
+        lines = [f"All loadings up to cycle {last} follow one curve within noise."]
     else:
-        lines = [f"From cycle {study.repeats_from} on the tissue repeats itself within noise."]
+        lines = [f"From cycle {study.repeats_from} on the tissue response is repeatable within noise."]
     if not study.differences[0].is_noise:
         lines.append(capital(change_text(study.differences[0])) + ".")
     moved = support_text(levels, study, travel_deviation=site.noise.depth)
@@ -42,8 +44,8 @@ def cycle_lines(case: Case) -> list[str]:
             continue
         counts = ", ".join(str(levels.n_loading(each)) for each in levels.cycles)
         lines.append(
-            f"site {site.name}: {len(levels.cycles)} cycles ({counts} levels of loading); `fit` takes the "
-            f"last whole one, {levels.chosen_cycle()}"
+            f"site {site.name}: {len(levels.cycles)} cycles ({counts} levels of loading); `fit` uses "
+            f"the last complete one, {levels.chosen_cycle()}"
         )
     return lines
 

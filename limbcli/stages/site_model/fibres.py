@@ -1,4 +1,4 @@
-"""The muscle fibres of a site's model, from what its case tells: a direction an element of the tissue."""
+"""The muscle fibres of a site's model, from what its case gives: a direction per element of the tissue."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from limbcli.stages.provenance.chain_inputs import note_case
 _LEAST_COVERED = 0.5  # of the tissue's elements near the probe
 _NEAR_PROBE = 30.0  # mm
 _OUT_OF_SKIN_DEG = 60.0
-NOT_TOLD = "no fibre direction is told: along the limb, within the skin"
+NOT_TOLD = "no fibre direction is given: along the limb, within the skin"
 
 
 @dataclass(frozen=True, eq=False)
 class SiteFibres:
-    """axes (n_cells, 3) of the tissue's block, unit, in the site's frame; None: nothing is told.
+    """axes (n_cells, 3) of the tissue's block, unit, in the site's frame; None: nothing is given.
 
     source : in words; deviation_deg : one standard deviation, None where unknown
     facts : for JSON
@@ -42,7 +42,7 @@ class SiteFibres:
 
 
 def with_fibres(case: Case, site: Site, model: LimbModel) -> tuple[LimbModel, SiteFibres]:
-    """The meshed model with the fibres that the case tells, and where they come from.
+    """The meshed model with the fibres that the case gives, and where they come from.
 
     Raises
     ------
@@ -74,9 +74,10 @@ def _site_fibres(case: Case, site: Site, model: LimbModel) -> SiteFibres:
             )
             for each in site.fibres.pennation
         ]
-        told = direction_of_angles(angles, -normal, proximal=proximal, where=where)
+        direction = direction_of_angles(angles, -normal, proximal=proximal, where=where)
         planes = " and ".join(f"{p.angle_deg:g} deg ({p.orientation})" for p in site.fibres.pennation)
-        return _alike(rotation.T @ told.axis, n, f"pennation {planes}, {told.how}", told.deviation_deg)
+        source = f"pennation {planes}, {direction.how}"
+        return _alike(rotation.T @ direction.axis, n, source, direction.deviation_deg)
     if case.imaging.fibres is None:
         return SiteFibres(None, NOT_TOLD)
     return _of_map(case, site, model, to_patient, model.mesh.points[block.cells].mean(axis=1))
@@ -102,10 +103,10 @@ def _of_map(case: Case, site: Site, model: LimbModel, to_patient: Array, middles
     share = float(known[close].mean())
     if share < _LEAST_COVERED:
         raise CaseError(
-            f"the fibre map says nothing about {100 * (1 - share):.0f} % of the tissue within "
-            f"{_NEAR_PROBE:g} mm of site {site.name}: it lies outside the limb, or in another frame",
+            f"the fibre map has no data for {100 * (1 - share):.0f} % of the tissue within "
+            f"{_NEAR_PROBE:g} mm of site {site.name}: it is outside the limb, or in another frame",
             where=str(path),
-            fix="bring the map in the frame of the limb's own images, with the muscle at the site in it",
+            fix="give the map in the frame of the limb's own images, including the muscle at the site",
             covered_share=share,
         )
     axes = np.where(known[:, None], sample.axes, 0.0) @ to_patient[:3, :3]
@@ -140,7 +141,7 @@ def note_fibres(writer: StageWriter, case: Case, site: Site) -> None:
 def write_fibres(
     found: SiteFibres, model: LimbModel, probe: ProbeShape, site: Site, writer: StageWriter
 ) -> None:
-    """What mesh.json says of the fibres, doubts, and their picture."""
+    """What mesh.json holds of the fibres, warnings, and their picture."""
     near = np.array([limb_axis(model)]) if found.axes is None else found.axes
     axis, _ = mean_axis(near)
     to_patient = patient_from_model(model)[:3, :3]
@@ -152,15 +153,15 @@ def write_fibres(
         "mean_direction": in_patient, "out_of_skin_deg": out_of_skin, "to_image_plane_deg": to_image,
         **(found.facts or {}),
     }  # fmt: skip
-    doubt = "" if found.deviation_deg is None else f", deviation {found.deviation_deg:.1f} deg"
+    deviation = "" if found.deviation_deg is None else f", deviation {found.deviation_deg:.1f} deg"
     writer.summary.append(
-        f"fibres: {found.source}{doubt}; {to_image:.0f} deg from the probe's long side, {out_of_skin:.0f} "
-        "deg out of the skin's plane"
+        f"fibres: {found.source}{deviation}; {to_image:.0f} deg from the probe's long side, "
+        f"{out_of_skin:.0f} deg out of the skin's plane"
     )
     if out_of_skin > _OUT_OF_SKIN_DEG:
         writer.warnings.append(
-            f"the fibres of site {site.name} stand {out_of_skin:.0f} deg out of the skin's plane, which no "
-            "muscle below a probe does: check fibre_direction (patient LPS) or fibre_frame"
+            f"the fibres of site {site.name} are {out_of_skin:.0f} deg out of the skin's plane, which "
+            "is not plausible for muscle below a probe: check fibre_direction (patient LPS) or fibre_frame"
         )
     block = next(model.mesh.block(each.block) for each in model.domains if each.material == TISSUE)
     axes = np.tile(near[0], (len(block.cells), 1)) if found.axes is None else found.axes
@@ -170,6 +171,6 @@ def write_fibres(
     share = (found.facts or {}).get("from_mean_share", 0.0)
     if share > 0.1:
         writer.warnings.append(
-            f"the fibre map says nothing about {100 * share:.0f} % of the model's tissue; the mean direction "
-            "near the probe stands there"
+            f"the fibre map has no data for {100 * share:.0f} % of the model's tissue; the mean "
+            "direction near the probe is used there"
         )

@@ -1,7 +1,7 @@
 """The layers of a site as they are compared with a simulation: what was read, where it lies, its noise.
 
 A thickness is determined by the two borders of its layer, material lines that were marked at first touch. The
-border at the bone tells nothing beyond the depth, so the layer that lies on it is shown, but not counted.
+border at the bone adds nothing beyond the depth, so the layer that lies on it is shown, but not counted.
 The reading at first touch errs as the others do, and where it says that a line begins decides where it
 is later: with that, readings of one layer have covariance s^2 (1 + g g'), g = thickness over that at
 first touch.
@@ -34,7 +34,7 @@ class LayerReadings:
     on_bone: bool
 
     @property
-    def n_told(self) -> int:
+    def n_counted(self) -> int:
         """Layers that are counted: all but the one on the bone."""
         return len(self.names) - self.on_bone
 
@@ -64,8 +64,8 @@ class LayerReadings:
         return np.diff(borders, axis=-1, prepend=0.0)
 
     def used(self, levels: Levels) -> NDArray[np.bool_]:
-        """(n_levels, n_told): readings under load that are counted."""
-        known = np.isfinite(self.thickness[:, : self.n_told])
+        """(n_levels, n_counted): readings under load that are counted."""
+        known = np.isfinite(self.thickness[:, : self.n_counted])
         under_load = levels.loading & (np.arange(len(levels)) > 0)
         return np.asarray(known & under_load[:, None])
 

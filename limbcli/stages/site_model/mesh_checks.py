@@ -30,7 +30,7 @@ def skin_bone_of_levels(site: Site) -> float | None:
     try:
         levels = read_levels(site.levels)
     except MeasurementError:
-        return None  # build-feb reads the file again and tells what is wrong with it
+        return None  # build-feb reads the file again and reports what is wrong with it
     value = float(levels.skin_bone[0])
     if np.isnan(value) and "muscle" in levels.layers:
         value = float(sum(each[0] for each in levels.layers.values()))
@@ -47,10 +47,10 @@ def check_within_tissue(deepest: float, modelled: float | None, site: Site) -> N
     """
     if modelled is not None and deepest >= modelled:
         raise MeasurementError(
-            f"the depth goes to {deepest:.4g} mm, and from skin to bone the model has {modelled:.4g} mm",
+            f"the depth reaches {deepest:.4g} mm, but the model has {modelled:.4g} mm from skin to bone",
             where=f"site {site.name}, {site.levels}",
-            fix="depth_mm is what skin to bone has lost, in mm: correct it, or the place of the site or the "
-            "bone, and mesh again",
+            fix="depth_mm is the decrease in skin-bone distance, in mm: correct it, or the position of "
+            "the site or the bone, and mesh again",
             deepest_mm=deepest,
             skin_bone_mm=modelled,
         )
@@ -93,11 +93,11 @@ def geometry_warnings(checks: SiteChecks, *, measured: float | None, margin: flo
     out = []
     if checks.over_tissue_share < OVER_TISSUE:
         share = 100 * checks.over_tissue_share
-        out.append(f"only {share:.0f} % of the probe face lies over tissue; move {site}'s position_mm")
+        out.append(f"only {share:.0f} % of the probe face is over tissue; move {site}'s position_mm")
     out += bone_warnings(checks.skin_bone_mm, measured)
     if checks.to_cut_mm is not None and checks.to_cut_mm < _CLOSE_TO_CUT * margin:
         out.append(
-            f"the images end {checks.to_cut_mm:.0f} mm beyond the probe, not the {margin:g} mm asked for; "
+            f"the images end {checks.to_cut_mm:.0f} mm beyond the probe, not the {margin:g} mm requested; "
             "the fixed end stiffens the model"
         )
     return out
@@ -107,7 +107,7 @@ def moved_warnings(moved: float, site: Site) -> list[str]:
     """Whether a place lay beside the skin (mm); the middle of a marker stands above it as it should."""
     if site.marker is not None or moved <= MOVED_MM:
         return []
-    return [f"the site lay {moved:.1f} mm from the skin and was moved onto it"]
+    return [f"the site was {moved:.1f} mm from the skin and was moved onto it"]
 
 
 def layer_warnings(kept: LayersKept, total: float) -> list[str]:
@@ -116,7 +116,7 @@ def layer_warnings(kept: LayersKept, total: float) -> list[str]:
         return []
     centre = "" if np.isnan(kept.centre) else f", {kept.centre * total:.1f} mm at its centre"
     return [
-        f"the layers, {total:.1f} mm together, thin out over bone, where other tissue must lie below them: "
+        f"the layers, {total:.1f} mm together, thin out over bone, where other tissue must be below them: "
         f"{kept.least * total:.1f} mm are left under the probe{centre}; check the bone's depth, or give "
         "thinner layers"
     ]

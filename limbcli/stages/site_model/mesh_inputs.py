@@ -7,22 +7,22 @@ from dataclasses import dataclass
 from limbcli.case import Case, Site
 from limbcli.results import StageResult, StageWriter
 from limbcli.stages.provenance.chain_inputs import note_case
-from limbcli.stages.provenance.requested_options import Asked
+from limbcli.stages.provenance.requested_options import Requested
 
 
 @dataclass(frozen=True, eq=False)
 class MeshInputs:
-    """layered : sites whose layers have the thickness that `segment` saw; asked : the options given"""
+    """layered : sites whose layers have the thickness that `segment` saw; requested : the options given"""
 
     case: Case
     segmented: StageResult
-    asked: Asked
+    requested: Requested
     layered: tuple[str, ...] = ()
 
     def note(self, writer: StageWriter, site: Site) -> None:
         """Record it for one site."""
-        of_model = [f"model/{name}" for name in ("margin", "element") if name not in self.asked]
-        own = ["long_axis", "layers"] + (["place"] if "place" not in self.asked else [])
+        of_model = [f"model/{name}" for name in ("margin", "element") if name not in self.requested]
+        own = ["long_axis", "layers"] + (["place"] if "place" not in self.requested else [])
         note_case(writer, self.case, ["probe", *of_model], site=site, own=own)
         surfaces = [name for name, path in self.segmented.files.items() if path.endswith(".ply")]
         seen = [f"layers/{site.name}"] if site.name in self.layered else []

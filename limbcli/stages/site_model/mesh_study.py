@@ -181,7 +181,7 @@ def _report(
         f"{tissue.f_kappa:.4g}, m {tissue.m:.4g} ({tissue.source})"
     )
     if limit.order_is_assumed:
-        writer.warnings.append("the force does not approach a limit evenly; the error carries a factor of 3")
+        writer.warnings.append("the force does not converge monotonically; the error includes a factor of 3")
 
 
 def _figures(

@@ -90,7 +90,7 @@ class Layering:
 
     def is_from_images(self, site: Site) -> bool:
         """Whether a layer of this site has the thickness that the images show."""
-        return MRI in (_asked(site, "skin", self.skin), _asked(site, "fat", self.fat))
+        return MRI in (_requested(site, "skin", self.skin), _requested(site, "fat", self.fat))
 
     def of(
         self, site: Site, segmented: StageResult, *, size: float
@@ -122,17 +122,17 @@ def wanted_layers(
     Raises
     ------
     CaseError
-        If a thickness cannot be used, or the images do not tell it.
+        If a thickness cannot be used, or the images do not give it.
     """
     given = {"skin": skin, "fat": fat}
-    asked = {name: _asked(site, name, value) for name, value in given.items()}
-    seen = {name: _seen(site, segmented, name) for name, value in asked.items() if value == MRI}
+    requested = {name: _requested(site, name, value) for name, value in given.items()}
+    seen = {name: _seen(site, segmented, name) for name, value in requested.items() if value == MRI}
     shown = "MRI" if "geometry" not in segmented.data else "[imaging] shape"
     found, sources = {}, {}
-    for name, value in asked.items():
+    for name, value in requested.items():
         found[name] = seen[name] if value == MRI else float(value)
         sources[name] = shown if value == MRI else "given"
-    if asked["fat"] == MRI and found["skin"] == 0.0:
+    if requested["fat"] == MRI and found["skin"] == 0.0:
         above = float(segmented.data["layers"][site.name]["skin_mm"])
         found["fat"] += above
         sources["fat"] = f"{shown}: {seen['fat']:.1f} mm of fat under {above:.1f} mm of skin"
@@ -140,7 +140,7 @@ def wanted_layers(
     return layers, {each.name: sources[each.name] for each in layers}
 
 
-def _asked(site: Site, name: str, value: Thickness | None) -> Thickness:
+def _requested(site: Site, name: str, value: Thickness | None) -> Thickness:
     if value is None:
         value = site.layers.get(name, {}).get("thickness_mm", 0.0)
     assert value is not None
@@ -151,7 +151,7 @@ def _seen(site: Site, segmented: StageResult, name: str) -> float:
     """What `segment` found at the site (mm)."""
     found = (segmented.data.get("layers") or {}).get(site.name, {}).get(f"{name}_mm")
     if found is None or found < _THINNEST:
-        what = "tell no" if found is None else f"show only {found:.1f} mm as"
+        what = "give no" if found is None else f"show only {found:.1f} mm as"
         raise CaseError(
             f"the images {what} thickness of the {name} at this site",
             where=f"site {site.name}",
@@ -193,7 +193,7 @@ def parse_law(text: str) -> tuple[str, dict[str, Any]]:
         except ValueError as error:
             raise CaseError(f"{key} is {value!r}, not a number", where=f"--layer {text}", fix=_HOW) from error
     if name not in NAMES or not table:
-        raise CaseError(f"--layer {text!r} is not understood", where="--layer", fix=_HOW)
+        raise CaseError(f"--layer {text!r} is not valid", where="--layer", fix=_HOW)
     keys = {key: rule for key, rule in schema.LAYER.items() if key != "thickness_mm"}
     problems = schema.check_table(table, keys, name=f"--layer {name}", file="command line")[1]
     raise_errors(problems, CaseError)
@@ -219,7 +219,7 @@ def layer_laws(
             raise CaseError(
                 f"the model has no layer {name!r}",
                 where=f"site {site.name}",
-                fix=f"mesh again with --{name}-mm, or leave --layer {name} out",
+                fix=f"mesh again with --{name}-mm, or omit --layer {name}",
             )
     return {name: _law(name, {**site.layers.get(name, {}), **_known(given.get(name, {}))}) for name in names}
 

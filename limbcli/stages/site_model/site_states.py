@@ -37,9 +37,9 @@ def states_of(site: Site) -> list[MeasuredState]:
 def one_state(site: Site) -> str:
     """What a stage that knows no states says of a site that has some."""
     return (
-        f"site {site.name} was measured in {len(site.states)} states; this is of the first "
-        f"({site.states[0].name}), and takes its tissue as unloaded. How far it is stretched is told by "
-        "`limbcli fit --objective states`"
+        f"site {site.name} was measured in {len(site.states)} states; this uses the "
+        f"first ({site.states[0].name}) and treats its tissue as unloaded. `limbcli fit --objective "
+        "states` determines how far it is stretched"
     )
 
 
@@ -86,6 +86,6 @@ def _without_rest(site: Site, state: StretchState, levels: Levels) -> Problem | 
         f"state {state.name} of site {site.name} has no {lacks}",
         str(state.levels),
         "make its first row the reading at first touch, 0 N and 0 mm, with swe_mean_m_per_s; the "
-        "stretch of a state is told by its speed at rest",
+        "stretch of a state is determined from its speed at rest",
         family="measurement",
     )

@@ -13,7 +13,8 @@ from limbcli.stages.diagnosis.bones.evidence import Evidence
 
 _BONES_OR_EFFECT = "one effect explains the data, and so does the limb with other bones (see `bones`)"
 _ON_MENDED_LIMB = (
-    "one explanation fits, but on a limb whose bones had to be moved (see `bones`): correct the segmentation "
+    "one explanation fits, but with a limb whose bones had to be moved (see `bones`): correct the "
+    "segmentation "
     "first"
 )
 
@@ -21,22 +22,22 @@ Outcome = Literal["as segmented", "other bones", "either"]
 
 
 def may_be_elsewhere(ours: Diagnosis) -> bool:
-    """Whether other bones could still change what is said: something is missing on the limb as segmented."""
+    """Whether other bones could still change the verdict: something is missing on the limb as segmented."""
     return ours.verdict not in ("adequate", "untestable")
 
 
 def weighed(
-    ours: Diagnosis, theirs: Diagnosis, *, gain: float, asked: float, is_repair: bool = False
+    ours: Diagnosis, theirs: Diagnosis, *, gain: float, required: float, is_repair: bool = False
 ) -> Outcome:
     """Which limb explains the data with less, and which fits them better; where these disagree, either.
 
     theirs : the diagnosis on the limb with other bones; gain : of deviance, by its best explanation over
-    ours; asked : what it takes to count, either way; is_repair : the bones are wrong as segmented, so that
+    ours; required : what it takes to count, either way; is_repair : the bones are wrong as segmented, so that
     other ones are no further assumption; otherwise they count for an effect
     """
     here, there = _size(ours), _size(theirs) + (not is_repair)
     simpler = (here > there) - (here < there)
-    better = (gain >= asked) - (gain <= -asked)
+    better = (gain >= required) - (gain <= -required)
     for_them = simpler + better
     return "either" if not for_them else "other bones" if for_them > 0 else "as segmented"
 
@@ -61,12 +62,15 @@ def combined_diagnosis(ours: Diagnosis, theirs: Diagnosis, words: str) -> Diagno
     if not fitting(theirs):
         return ours
     if not fitting(ours):
-        return replace(ours, reason=f"{ours.reason}; on the limb {words} something does (see `bones`)")
+        return replace(ours, reason=f"{ours.reason}; with the limb {words} an explanation fits (see `bones`)")
     both = _union(ours.confidence_set, theirs.confidence_set)
-    reason = f"what fits on the limb as segmented, and what fits on the limb {words}, cannot be told apart"
-    told = _over(ours, theirs)
+    reason = (
+        f"what fits with the limb as segmented and what fits with the limb {words} cannot be distinguished"
+    )
+    estimates = _over(ours, theirs)
     shrink = tuple(
-        replace(each, estimates=told) if each.explanation == ours.chosen else each for each in ours.shrink
+        replace(each, estimates=estimates) if each.explanation == ours.chosen else each
+        for each in ours.shrink
     )
     return replace(ours, verdict="ambiguous", closed=False, reason=reason, confidence_set=both, shrink=shrink)
 
@@ -91,5 +95,5 @@ def _union(ours: Sequence[Explanation], theirs: Sequence[Explanation]) -> tuple[
 
 def _over(ours: Diagnosis, theirs: Diagnosis) -> Reported:
     """Our estimates, with intervals that hold theirs."""
-    told = ours.estimates.whichever([theirs.estimates])
-    return replace(told, over=len(ours.confidence_set) + len(fitting(theirs)))
+    estimates = ours.estimates.whichever([theirs.estimates])
+    return replace(estimates, over=len(ours.confidence_set) + len(fitting(theirs)))

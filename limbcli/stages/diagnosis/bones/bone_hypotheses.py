@@ -85,15 +85,15 @@ def _frames(case: Case, sites: Sequence[Site], segmented: StageResult) -> list[A
 
 
 def _in_reach(
-    asked: Mapping[str, Triangles], bones: Mapping[str, Triangles], frames: Sequence[Array], length: float,
-    width: float,
+    candidates: Mapping[str, Triangles], bones: Mapping[str, Triangles], frames: Sequence[Array],
+    length: float, width: float,
 ) -> list[str]:  # fmt: skip
     """Those asked for that lie as near to a probe's face as the others, the nearest first."""
     nearest: dict[str, float] = {}
     for frame in frames:
         far = {name: _from_face(each.moved(frame).points, length, width) for name, each in bones.items()}
-        for name in asked:
-            others = [distance for other, distance in far.items() if other not in asked]
+        for name in candidates:
+            others = [distance for other, distance in far.items() if other not in candidates]
             if others and far[name] < min(others) + _AS_NEAR:
                 nearest[name] = min(far[name], nearest.get(name, np.inf))
     return sorted(nearest, key=lambda name: nearest[name])

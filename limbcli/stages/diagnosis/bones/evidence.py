@@ -34,13 +34,13 @@ class Evidence:
     with_effects: Diagnosis | None = None
 
     @property
-    def asked(self) -> float:
+    def required_gain(self) -> float:
         """Gain that is asked for, chance and another mesh of the same limb allowed for."""
         return self.other.needed + thresholds.BONES_REMESHED * self.n
 
     @property
     def speaks_for_it(self) -> bool:
-        return self.gain >= self.asked
+        return self.gain >= self.required_gain
 
     @property
     def is_decisive(self) -> bool:
@@ -49,11 +49,11 @@ class Evidence:
 
     def beats(self, effect_gain: float) -> bool:
         """Whether it is believed against an effect on the limb as segmented that gains so much."""
-        return self.gain - effect_gain >= self.asked
+        return self.gain - effect_gain >= self.required_gain
 
     def against(self, effect_gain: float) -> Evidence:
         """What stays of it beside such an effect that it does not beat: open, unless the effect beats it."""
-        beaten = effect_gain - self.gain >= self.asked
+        beaten = effect_gain - self.gain >= self.required_gain
         return replace(self, stand="not taken" if beaten else "open")
 
     @property
@@ -63,14 +63,14 @@ class Evidence:
         if self.stand == "taken":
             return (
                 f"BONES: {words} the limb fits the readings better (deviance lower by {self.gain:.0f}, "
-                f"{self.asked:.0f} asked for): the surfaces are not believed there, and all that "
-                "follows is of the limb so changed. Correct the segmentation."
+                f"{self.required_gain:.0f} required): the surfaces are not accepted there, and "
+                "all that follows refers to the changed limb. Correct the segmentation."
             )
         if self.stand == "open":
             return (
-                f"BONES: {words} the limb fits the readings better, too (deviance lower by {self.gain:.0f}): "
-                "whether that, or an effect on the limb as segmented, these data do not say. "
-                f"{self._there}Look at the segmentation first."
+                f"BONES: {words} the limb also fits the readings better (deviance lower by {self.gain:.0f}): "
+                "these data do not show whether this or an effect on the limb as segmented is the cause. "
+                f"{self._there}Check the segmentation first."
             )
         if self.other.is_repair:
             return f"Tried {words}: deviance {-self.gain:+.0f}; the limb is taken as segmented."
@@ -83,16 +83,18 @@ class Evidence:
             return ""
         effects = "; ".join(" + ".join(each) for each in self.with_effects.confidence_set)
         if self.with_effects.verdict == "adequate":
-            return "On that limb nothing else is missing. "
+            return "With that limb nothing else is missing. "
         return (
-            f"On that limb it may be: {effects}. " if effects else "On that limb nothing explains the rest. "
+            f"With that limb it may be: {effects}. "
+            if effects
+            else "With that limb nothing explains the rest. "
         )
 
     def to_json(self) -> dict[str, object]:
         return {
             "words": self.other.words, "left_out": list(self.other.left_out),
             "moved_mm": {name: list(move) for name, move in self.other.moved.items()},
-            "deviance_gain": self.gain, "gain_required": self.asked, "n_readings": self.n,
+            "deviance_gain": self.gain, "gain_required": self.required_gain, "n_readings": self.n,
             "taken": self.stand == "taken", "open": self.stand == "open",
             "with_effects": None if self.with_effects is None else _summary(self.with_effects),
         }  # fmt: skip
@@ -100,11 +102,11 @@ class Evidence:
 
 def _summary(found: Diagnosis) -> dict[str, object]:
     """A diagnosis on another limb in short."""
-    told = found.estimates
+    estimates = found.estimates
     return {
         "verdict": found.verdict, "confidence_set": [list(each) for each in found.confidence_set],
-        "values": dict(told.values),
-        "intervals_95": {name: list(ends) for name, ends in told.intervals.items()},
+        "values": dict(estimates.values),
+        "intervals_95": {name: list(ends) for name, ends in estimates.intervals.items()},
     }  # fmt: skip
 
 

@@ -68,23 +68,23 @@ def _mesh(case: Case, site: Site, *, out: Path, folder: Path, progress: Progress
         meshed = read_result(out, "mesh", site=site.name)
     except LimbError:
         return
-    asked = meshed.data.get("asked", {})
-    if meshed.data.get("layers") or "place" in asked:
+    requested = meshed.data.get("asked", {})
+    if meshed.data.get("layers") or "place" in requested:
         raise CaseError(
-            "the site's mesh has layers, or a place of its own", where=f"site {site.name}",
-            fix="mesh the site without them to have its bones questioned",
+            "the site's mesh has layers, or a separate place", where=f"site {site.name}",
+            fix="mesh the site without them to test its bones",
         )  # fmt: skip
     model = stage_folder(folder, "mesh", site.name) / "model.npz"
     segmented = read_result(folder, "segment")
     place = [site_position(site, segmented), site.long_axis, vars(case.probe), case.model.margin]
-    made_of = plain({"asked": asked, "element": meshed.data.get("element"), "place": place})
+    made_of = plain({"asked": requested, "element": meshed.data.get("element"), "place": place})
     if model.is_file() and read_result(folder, "mesh", site=site.name).data.get("made_of") == made_of:
         return
     options = mesh_options(
-        case, element=meshed.data.get("element"), size=asked.get("size"), far_size=asked.get("far_size"),
-        margin=asked.get("margin"),
+        case, element=meshed.data.get("element"), size=requested.get("size"),
+        far_size=requested.get("far_size"), margin=requested.get("margin"),
     )  # fmt: skip
     mesh_site(
-        MeshInputs(case, segmented, asked), site, read_limb(segmented), options, {}, folder, progress,
+        MeshInputs(case, segmented, requested), site, read_limb(segmented), options, {}, folder, progress,
         facts={"made_of": made_of},
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""By what a kept simulation is told from others."""
+"""By what a kept simulation is distinguished from others."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def fingerprint(
     digest = hashlib.sha256(np.ascontiguousarray(model.mesh.points).tobytes())
     digest.update(f"limbcli {__version__}, read {_READING}".encode())
     penalties = [each.penalty for each in model.contacts]
-    asked = [[round(float(d), 6) for d in depths], c, f_kappa, repr(windows), penalties, enough_force]
-    asked += [density_kg_per_m3]
-    digest.update(json.dumps(asked if lines is None else [*asked, plain(lines)]).encode())
+    contents = [[round(float(d), 6) for d in depths], c, f_kappa, repr(windows), penalties, enough_force]
+    contents += [density_kg_per_m3]
+    digest.update(json.dumps(contents if lines is None else [*contents, plain(lines)]).encode())
     return digest.hexdigest()[:16]

@@ -19,7 +19,7 @@ from limbcli.effects.curves import Curves, depth_at, log_force_at
 from limbcli.model import Array
 
 # Of the shift between a penalty and a quarter of it, what the harder one still leaves, and one deviation of
-# that share: a third where the gap goes with 1/eps; four times the penalty was seen to take 0.33 to 0.43
+# that share: a third where the gap is proportional to 1/eps; four times the penalty took 0.33 to 0.43
 # of what the step before took, which comes to 0.5 to 0.7 if it goes on so.
 _LEFT, LEFT_ERROR = 0.5, 0.15
 _POWER = 0.8  # of 1/eps, with which the gap goes: a quarter of the penalty triples it
@@ -57,7 +57,7 @@ class Penetration:
 def penetration(harder: Curves, softer: Curves) -> Penetration | None:
     """What `harder` still sinks in, by what `softer`, of a quarter of its penalty, sinks in further.
 
-    None where the two do not tell (the softer contact gives no less force).
+    None where the two do not determine it (the softer contact gives no less force).
     """
     rising = np.flatnonzero((np.diff(softer.force, prepend=0.0) > 0) & (softer.depth > 0))
     if len(rising) < 2:

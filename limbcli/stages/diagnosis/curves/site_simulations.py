@@ -166,7 +166,7 @@ class SiteSimulations:
         ratio = frozen_force(changed, kinematics, fields(ingredients))[1:] / plain.force[1:]
         if not np.all((ratio > 1 / _MOST_CHANGE) & (ratio < _MOST_CHANGE)):
             raise SolveError(
-                f"it changes the force more than {_MOST_CHANGE:g} times at a kept deformation",
+                f"it changes the force more than {_MOST_CHANGE:g} times at fixed deformation",
                 where="diagnose", fix="smaller steps",
             )  # fmt: skip
         log_speed = frozen_speed(
@@ -262,9 +262,7 @@ class SiteSimulations:
                 if not of_law_alone:
                     session.close()
         except ArithmeticError as error:
-            raise SolveError(
-                f"the law leaves the range of numbers ({error})", where="diagnose", fix="none"
-            ) from error
+            raise SolveError(f"the law overflows ({error})", where="diagnose", fix="none") from error
         work = self.work.done
         table = result.simulation.nodes[FILE]
         found = np.abs(result.simulation.times[None, :] - result.must_points.times[:, None]).argmin(axis=1)

@@ -95,6 +95,6 @@ class Work:
         self.done += _PER_ITERATION + krylov + _PER_FACTOR * factors
         if self.done > self._allowed:
             raise SolveError(
-                "it takes several times the work of the model without it",
-                where="diagnose", fix="run the written model by itself",
+                "it requires several times the work of the model without it",
+                where="diagnose", fix="run the written model separately",
             )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What a load-cell record says of relaxation: how the force falls within each hold.
+"""What a load-cell record shows of relaxation: how the force falls within each hold.
 
 Two numbers a hold, not thousands of samples: ln of the force at its start over that in its first
 third, and of that over its end. They are compared with the elastic force at the recorded depth, relaxed and
@@ -124,7 +124,7 @@ def held_forces(trace: Trace, levels: Levels) -> tuple[HeldForces | None, str]:
     seen = [(a, b) for (a, b), last in zip(holds, before[:-1], strict=True) if read[last:a].all()]
     windows, means = _windows(seen, force)
     if not len(windows):
-        return None, "no hold carries a force to speak of"
+        return None, "no hold has an appreciable force"
     found = HeldForces(
         depth, windows, fall(force, windows), *_deviations(trace, windows, means, depth if recorded else None)
     )

@@ -1,6 +1,6 @@
 """Layers as a channel of the diagnosis: rows, slopes, noise, and the lines of a model.
 
-A datum is the thickness of a layer at a level under load; the layer on the bone tells nothing beyond the
+A datum is the thickness of a layer at a level under load; the layer on the bone adds nothing beyond the
 depth and is left out. The models carry the layers' borders as material lines, marked where they were read at
 first touch.
 """
@@ -41,7 +41,7 @@ def layer_rows(layers: LayerReadings | None, keep: IntArray) -> Stacked:
     y: list[float] = []
     if layers is None:
         return rows, y, []
-    for layer in range(layers.n_told):
+    for layer in range(layers.n_counted):
         for level, number in enumerate(keep.tolist()):
             value = float(layers.thickness[number, layer])
             if number > 0 and np.isfinite(value):
@@ -107,7 +107,7 @@ class BorderLines:
     """
 
     def __init__(self, layers: LayerReadings):
-        self.rest = np.asarray(layers.rest[: layers.n_told])
+        self.rest = np.asarray(layers.rest[: layers.n_counted])
 
     def record(self, model: LimbModel) -> LogRecord:
         """What a simulation must write: of all nodes, as an effect may move the mesh under the beam."""

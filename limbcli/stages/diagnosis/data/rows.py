@@ -95,7 +95,7 @@ def travel_zero(levels: Levels, keep: IntArray) -> int:
 
 
 def travel_rows(levels: Levels, keep: IntArray) -> Stacked:
-    """Since `travel_zero`, whose own reading has nothing to tell but that."""
+    """Since `travel_zero`, whose own reading carries no other information."""
     travel, zero = levels.probe_travel[keep], travel_zero(levels, keep)
     used = [int(k) for k in np.flatnonzero(np.isfinite(travel)) if k != zero]
     return (
@@ -125,7 +125,7 @@ def thickness_rows(levels: Levels, keep: IntArray) -> Stacked:
 def hold_rows(held: HeldForces | None) -> Stacked:
     """An early and a late number of each hold: parts 0 and 1, as each of them goes on from hold to hold.
 
-    Their deviations are told by `hold_noise`, as numbers of one hold err together.
+    Their deviations are given by `hold_noise`, as numbers of one hold err together.
     """
     if held is None:
         return [], [], []

@@ -47,7 +47,7 @@ from limbcli.stages.diagnosis.data.windows import Windows, pitch_of
 from limbcli.stages.site_model.layer_readings import LayerReadings
 
 USUAL_THICKNESS = 25.0  # mm, where the beam meets no bone
-_LEAST_N = 0.2  # below it a force tells no depth
+_LEAST_N = 0.2  # below it a force determines no depth
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,7 +237,7 @@ def _groups(rows: list[Row], protocol: Protocol, windows: Windows) -> dict[str, 
     groups: dict[str, np.ndarray] = {}
     names = {"force": "force", "swe": "mean speed", "map": "speed maps", "travel": "probe travel",
              "skin-bone": "skin-bone distance", "layer": "layers",
-             "hold": "fall of the force in holds"}  # fmt: skip
+             "hold": "decrease of force in holds"}  # fmt: skip
     level = np.array([row.level for row in rows])
     for channel in dict.fromkeys(row.channel for row in rows):
         mask = np.array([row.channel == channel for row in rows])

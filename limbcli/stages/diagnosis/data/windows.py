@@ -19,7 +19,7 @@ from limbcli.model import Array, IntArray, LimbModel
 from limbcli.shear_waves.pixels import Window, pixel_averages
 
 _PART_MM = 4.0  # of a side of a part, about
-_USUAL_MM, _INNER_MM = 20.0, 12.0  # half widths between which the region of a mean is, where no map tells it
+_USUAL_MM, _INNER_MM = 20.0, 12.0  # half widths between which the region of a mean is, where no map gives it
 _WIDTH_PARTS = 10  # the usual region's parts across: those within the inner width are whole
 _SHARE = 0.6  # of the places where a model is looked at in a part, that must lie in its tissue
 _SHARE_READ = 0.75  # of a part's pixels that must have been read: beside bone they tell of its edge, too

@@ -89,8 +89,8 @@ def drained(
     facts: dict[str, Any] = {}
     try:
         found = runs.all(depths)
-        told = [each.facts() for each in found]
-        facts = {"solver": solver.solver.name, "solver_version": runs.version, "runs": told}
+        reports = [each.facts() for each in found]
+        facts = {"solver": solver.solver.name, "solver_version": runs.version, "runs": reports}
         drainage = Drainage.through(_enough(found))
     except LimbError as error:
         return Drained(refused=error, facts=facts)
@@ -151,7 +151,7 @@ class _Runs:
                 break
             except SolveError as error:
                 problem = problem or error.what
-            except LimbError as error:  # shorter steps will not mend that
+            except LimbError as error:  # shorter steps will not help
                 problem = error.what
                 break
         if hold is None:
@@ -185,8 +185,9 @@ def _enough(found: Sequence[_Run]) -> list[HeldIndentation]:
         return holds
     failed = next(each for each in found if each.hold is None)
     raise SolveError(
-        f"FEBio drained it at {len(holds)} of {len(found)} depths only: {_first_line(failed.problem)}",
-        where=f"effect {NAME}", fix="another --size-mm, or look at the site's mesh",
+        f"FEBio completed the drainage at only {len(holds)} of {len(found)} depths: "
+        f"{_first_line(failed.problem)}",
+        where=f"effect {NAME}", fix="another --size-mm, or check the site's mesh",
     )  # fmt: skip
 
 
@@ -195,18 +196,18 @@ def _first_line(text: str) -> str:
 
 
 def _not_run(each: _Run) -> str:
-    return f"{NAME} was judged without FEBio's run at {each.depth:g} mm: {_first_line(each.problem)}"
+    return f"{NAME} was evaluated without FEBio's run at {each.depth:g} mm: {_first_line(each.problem)}"
 
 
 def _no_holds(why: str) -> FitError:
     return FitError(
-        f"it needs what was not measured: hold{f' ({why})' if why else ''}",
+        f"it requires data that were not measured: hold{f' ({why})' if why else ''}",
         where=f"effect {NAME}", fix="record force and depth in holds (trace)",
     )  # fmt: skip
 
 
 def _nothing_falls(fallen: float) -> FitError:
     return FitError(
-        f"no force falls in the holds ({fallen:.1f} deviations over all of them)",
-        where=f"effect {NAME}", fix="--solver febio judges it all the same",
+        f"no force decrease in the holds ({fallen:.1f} deviations over all of them)",
+        where=f"effect {NAME}", fix="--solver febio evaluates it anyway",
     )  # fmt: skip

@@ -123,7 +123,7 @@ class Changes:
     """Of one site's simulations.
 
     m : the exponent whose kept deformation is used
-    not_simulated : effects that spread the load -> why their simulation, which tells that, has no answer
+    not_simulated : effects that spread the load -> why their simulation, which shows that, has no solution
     """
 
     def __init__(self, simulations: CurveSource, *, progress: Progress):
@@ -195,7 +195,7 @@ class Changes:
             theta = {**effect.null, **point, p.name: value}
             try:
                 moved = shifted(self.simulations, self.m, ((effect, theta),))
-            except SolveError as error:  # too large a step; smaller ones tell the change
+            except SolveError as error:  # too large a step; smaller ones give the change
                 problem = error
                 continue
             moved = filled(np.where(known, moved, 0.0))
@@ -206,8 +206,8 @@ class Changes:
             raise problem
         if len(places) < 2:
             raise SolveError(
-                f"no wave can run, or the law has no answer, with {p.name} near {p.start:g}",
-                where=f"effect {effect.name}", fix="look at the deepest level",
+                f"no wave can propagate, or the law has no solution, with {p.name} near {p.start:g}",
+                where=f"effect {effect.name}", fix="check the deepest level",
             )  # fmt: skip
         order = np.argsort(places)
         table = np.array(values)[order]
@@ -216,7 +216,7 @@ class Changes:
         return CubicSpline(np.array(places)[order], table)
 
     def _missed(self, effect: Effect, point: Theta, p: Parameter) -> Array:
-        """What the kept deformation does not tell of a change: from one solve at the start value."""
+        """What the kept deformation does not show of a change: from one solve at the start value."""
         m, theta = self.m, {**effect.null, **point, p.name: p.start}
         try:
             if self.simulations.spent:
@@ -232,7 +232,7 @@ class Changes:
 
 def _spent(effect: Effect) -> SolveError:
     return SolveError(
-        "the simulations took all the work that a diagnosis may take",
+        "the simulations used up the diagnosis's work budget",
         where=f"effect {effect.name}", fix=f"name it: `--effects {effect.name}`",
     )  # fmt: skip
 

@@ -61,7 +61,7 @@ def on_bounds(x: Array, slots: Sequence[Slot], effects: Collection[Effect]) -> l
             for n, other in enumerate(slots)
             if not other.parameter.shape and _same_effect(slot, other, effects)
         ):
-            found.append(f"{slot.name} ended at {p.null:g}, which is without it")
+            found.append(f"{slot.name} ended at {p.null:g}, where the effect is absent")
     return found
 
 

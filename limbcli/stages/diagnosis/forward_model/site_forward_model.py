@@ -107,8 +107,8 @@ class SiteForwardModel(Fits):
         return self.plausible(fitted, deviance, points)
 
     def reported(self, fitted: Fitted, *, scale: float = 1.0, besides: Array | None = None) -> Reported:
-        """Values with their intervals, from the profile over m; those of c and m wider where maps tell them
-        (`thresholds.MAP_DOUBT`)."""
+        """Values with their intervals, from the profile over m; those of c and m wider where maps determine
+        them (`thresholds.MAP_DOUBT`)."""
         whiten = self.whiten if besides is None else Whitener.of(self.data.noise.covariance + besides)
 
         def walk(m: float, start: Mapping[str, float]) -> Conditional:
@@ -258,11 +258,11 @@ class SiteForwardModel(Fits):
             if lacking:
                 if "bone" in lacking:
                     raise FitError(
-                        "it needs a bone under the probe, and there the model has none",
+                        "it requires a bone under the probe, where the model has none",
                         where=f"effect {name}",
-                        fix="look at the site's place, and at the bones' surfaces",
+                        fix="check the site's position and the bones' surfaces",
                     )
                 raise FitError(
-                    f"it needs what was not measured: {', '.join(lacking)}",
-                    where=f"effect {name}", fix="measure it, see the next measurement",
+                    f"it requires data that were not measured: {', '.join(lacking)}",
+                    where=f"effect {name}", fix="measure it; see the next measurement",
                 )  # fmt: skip

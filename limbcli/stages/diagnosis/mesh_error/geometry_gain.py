@@ -18,17 +18,17 @@ def assumed_gain(case: Case, site: Site, out: Path) -> tuple[float, str]:
     if not words:
         return 0.0, ""
     try:
-        doubt = read_result(out, "fit", site=site.name).data.get("geometry_uncertainty") or {}
+        uncertainty = read_result(out, "fit", site=site.name).data.get("geometry_uncertainty") or {}
     except LimbError:
-        doubt = {}
-    found = doubt.get("gain_fraction")
-    if doubt.get("words") != words or found is None:
+        uncertainty = {}
+    found = uncertainty.get("gain_fraction")
+    if uncertainty.get("words") != words or found is None:
         return USUAL, (
-            f"{words}. No fit has varied it: {100 * USUAL:g} % of the force is taken for its doubt at site "
-            f"{site.name}; run `limbcli fit`, then diagnose again"
+            f"{words}. No fit has varied it: its uncertainty is taken as {100 * USUAL:g} % of the force at "
+            f"site {site.name}; run `limbcli fit`, then diagnose again"
         )
     return float(found), (
-        f"{words}. By the fit's varied shapes {short(100 * float(found), 2)} % of the force at site "
-        f"{site.name} is in doubt, taken as one common factor; that it may change with depth is not allowed "
-        "for"
+        f"{words}. From the fit's geometry variations, {short(100 * float(found), 2)} % of "
+        f"the force at site {site.name} is uncertain, treated as one common factor; a change with depth is "
+        "not allowed for"
     )

@@ -93,8 +93,8 @@ class MeshComparison:
                 return None
             if layers := own_layers(self.site, self.out):
                 self.notes.warnings.append(
-                    f"the working mesh is not corrected to the site's own, which has layers ({layers}) beside"
-                    " the tissue: the diagnosis takes all for one tissue, and a layer for an effect"
+                    f"the working mesh is not corrected to the site's own, which has layers ({layers}) as"
+                    " well as the tissue: the diagnosis treats them as one tissue, and a layer as an effect"
                 )
                 return None
             model = load_model(meshed.folder / "model.npz")

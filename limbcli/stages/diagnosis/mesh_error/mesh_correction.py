@@ -149,7 +149,7 @@ def own_run(site: Site, out: Path, *, c: float) -> SiteMeshRun:
     ran = read_result(out, "run", site=site.name)
     if layers := own_layers(site, out):
         raise CaseError(
-            f"the site's own run has {layers} beside the tissue, the diagnosis has not",
+            f"the site's own run has {layers} as well as the tissue, but the diagnosis does not",
             where=str(ran.folder), fix="mesh and run the site without layers to have the two compared",
         )  # fmt: skip
     built = read_result(out, "build-feb", site=site.name)

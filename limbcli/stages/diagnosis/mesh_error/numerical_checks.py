@@ -49,7 +49,7 @@ def _stiffened(model: LimbModel, theta: Theta) -> LimbModel:
 
 INCOMPRESSIBILITY = Effect(
     name="f-kappa",
-    sentence="the compressibility that the diagnosis holds is not the tissue's",
+    sentence="the compressibility assumed by the diagnosis is not the tissue's",
     kind="numerical",
     source="nearly incompressible limit",
     parameters=(Parameter("kappa_factor", null=1.0, start=_STIFFER, low=1.0, high=10.0, typical=_STIFFER),),
@@ -62,7 +62,7 @@ INCOMPRESSIBILITY = Effect(
 class Intervention:
     """A numerical effect tried: ln of the force's change at the levels, and its largest in deviations.
 
-    left : the share of the change that is still in doubt
+    left : the share of the change that is still uncertain
     """
 
     name: str
@@ -174,7 +174,7 @@ class NumericalChecks:
         if judged.deviations > thresholds.MATTERS_SD:
             self.notes.warnings.append(
                 f"linear elements lock here: the force changes by up to {judged.deviations:.1f} deviations "
-                "with quadratic ones. That is numerical, not tissue; the diagnosis goes on with tet10."
+                "with quadratic ones. This is numerical, not the tissue; the diagnosis continues with tet10."
             )
         return [judged]
 
@@ -193,7 +193,7 @@ class NumericalChecks:
 
 
 def large_uncertainty(interventions: Sequence[Intervention]) -> str | None:
-    """A warning where numerical doubt is a large part of the force: over thin tissue, mostly."""
+    """A warning where numerical uncertainty is a large part of the force: over thin tissue, mostly."""
     worst = {
         each.name: each.left * float(np.max(np.abs(each.log_force)))
         for each in interventions
@@ -203,8 +203,8 @@ def large_uncertainty(interventions: Sequence[Intervention]) -> str | None:
         return None
     parts = ", ".join(f"{name} {100 * np.expm1(change):.0f} %" for name, change in worst.items())
     return (
-        f"numerical doubt is a large part of the force here ({parts}): take the verdict with care, and "
-        "measure where there is more tissue over the bone"
+        f"numerical uncertainty is a large part of the force here ({parts}): interpret the verdict with "
+        "caution, and measure where there is more tissue over the bone"
     )
 
 
