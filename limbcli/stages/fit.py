@@ -141,7 +141,6 @@ def _fit_site(
             )
         elif options.intervals:
             limit = options.max_interval_solves
-            curve.expect(limit + _FIRST_SOLVES)
             intervals = of_noise = _intervals(curve, knots, data, known, steps, limit, progress)
             if doubt is not None:
                 wide = _intervals(curve, knots, data, known, steps, limit, progress, doubt.modes)
@@ -171,6 +170,7 @@ def _intervals(
 ) -> tuple[Intervals, Intervals]:  # fmt: skip
     """Of both steps, `known`: what is at each; `modes`: with the doubt of the geometry."""
     theta = steps[-1].theta
+    curve.expect(limit + _FIRST_SOLVES)
     full = force_intervals(
         curve, knots, data, known[-1], theta, max_solves=limit, shape_modes=modes, progress=progress
     )
