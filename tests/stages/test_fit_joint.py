@@ -187,6 +187,8 @@ def test_c_is_told_by_the_speeds_of_one_site_of_two(second_without_speeds, given
     assert found.data["c_kpa"] == pytest.approx(8.0, rel=0.02)
     assert found.data["chi_square"] < 0.1
     assert any("the shear-wave speeds tell c" in text for text in found.warnings) == (given is not None)
+    (told,) = [text for text in found.warnings if "no shear-wave speed at any level" in text]
+    assert told.startswith("site p2: ")
 
 
 def test_c_of_a_site_alone_without_speeds_must_be_given(second_without_speeds):
