@@ -50,6 +50,7 @@ def checked_cohort(path: Path) -> tuple[CohortTable | None, list[Problem]]:
     columns, lines = raw.numbers, np.array(raw.lines)
     complete = np.all([np.isfinite(columns[name]) for name in REQUIRED if name != "skin_mm"], axis=0)
     complete &= np.any([np.isfinite(columns[name]) for name in (FACE, PRESSURE) if name in columns], axis=0)
+    problems += _unnamed(raw, complete, path, PERSON, "person") + _unnamed(raw, complete, path, SITE, "site")
     problems += _without_skin(raw, complete, path)
     n_left = int((~complete).sum())
     if n_left:
@@ -108,6 +109,17 @@ def _listed(wrong: Rows, lines: Array, path: Path, words: Callable[[int], str], 
     if len(rows) > _SHOWN:
         found.append(problem(f"and {len(rows) - _SHOWN} more rows like these", path, fix))
     return found
+
+
+def _unnamed(raw: RawTable, complete: Rows, path: Path, name: str, noun: str) -> list[Problem]:
+    """Rows that do not say whose they are, or where: all of them would be one person, or one site."""
+    return _listed(
+        complete & np.array([not cell for cell in raw.texts[name]]),
+        np.array(raw.lines),
+        path,
+        lambda k: f"the {noun} is not told",
+        f"write the {noun} into every row, also where it is that of the row above",
+    )
 
 
 def _without_skin(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:

@@ -19,8 +19,8 @@ from limbcli.measurement.tables import RawTable, csv_rows, problem, read_table
 from limbcli.model import Array
 
 LAYERS = ("skin", "fat", "muscle")
-# Other names under which the texts may stand.
 PERSON, SITE, TRIAL, SEX = "subject", "location", "trial", "sex"
+# Other names under which the texts may stand, where their own is not there.
 _ALSO = {"person": PERSON, "site": SITE}
 FACE, PRESSURE = "face_mm2", "max_pressure_mpa"
 OF_PERSON = ("age_years", "bmi_kg_per_m2")  # used by a second prediction, where every row gives them
@@ -143,8 +143,9 @@ def read_cohort(path: Path) -> tuple[RawTable | None, list[Problem]]:
         return None, [problem("the table was not found", path, "give a CSV file with the documented columns")]
     known = {*REQUIRED, *OPTIONAL, *TEXTS}
     header = _header(path)
-    spare = {each for each in header if each and each not in known | set(_ALSO)}
-    texts = {*TEXTS, *_ALSO, *spare}
+    also = {name: meant for name, meant in _ALSO.items() if meant not in header}
+    spare = {each for each in header if each and each not in known | set(also)}
+    texts = {*TEXTS, *also, *spare}
     optional = {*OPTIONAL, *(_MAY_BE_EMPTY & set(header))}
     required = [] if header else [*REQUIRED]  # what a header lacks is reported with what it holds
     table, problems = read_table(path, required=required, optional=optional, texts=texts)
@@ -155,7 +156,7 @@ def read_cohort(path: Path) -> tuple[RawTable | None, list[Problem]]:
         problems.append(problem(f"column {name!r} is not used", path, fix, line=1, warning=True))
     if table is None:
         return None, problems
-    columns = {_ALSO.get(name, name): each for name, each in table.texts.items() if name not in spare}
+    columns = {also.get(name, name): each for name, each in table.texts.items() if name not in spare}
     return replace(table, texts=columns), problems
 
 

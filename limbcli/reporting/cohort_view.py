@@ -262,11 +262,12 @@ def left_out(data: Data) -> Reportlet:
 def grounds(data: Data) -> Reportlet:
     noise, emulator = data["noise"], data["emulator"]
     error = emulator["left_out_error"]
+    elsewhere = "taken from the others" if any(noise["from_data"].values()) else "assumed"
     rows = [
         (
             f"noise of the {layer}’s shortening",
             f"{significant(value, 2)} mm",
-            "from this table" if noise["from_data"][layer] else "taken from the others",
+            "from this table" if noise["from_data"][layer] else elsewhere,
         )
         for layer, value in noise["layer_shortened_mm"].items()
     ]

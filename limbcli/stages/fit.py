@@ -141,7 +141,6 @@ def _fit_site(
             )
         elif options.intervals:
             limit = options.max_interval_solves
-            curve.expect(limit + _FIRST_SOLVES)
             intervals = of_noise = _intervals(curve, knots, data, known, steps, limit, progress)
             if uncertainty is not None:
                 wide = _intervals(curve, knots, data, known, steps, limit, progress, uncertainty.modes)
@@ -182,6 +181,7 @@ def _intervals(
 ) -> tuple[Intervals, Intervals]:  # fmt: skip
     """Of both steps, `known`: what is at each; `modes`: with the uncertainty of the geometry."""
     theta = steps[-1].theta
+    curve.expect(limit + _FIRST_SOLVES)
     full = force_intervals(
         curve, knots, data, known[-1], theta, max_solves=limit, shape_modes=modes, progress=progress
     )
@@ -215,7 +215,8 @@ def _tissue_c(
 def built_model(case: Case, site: Site, out: Path, writer: StageWriter, *, label: str = "") -> LimbModel:
     """What build-feb wrote for this site, if all that it was made from is as it was.
 
-    label : goes before the names of the inputs recorded, where several sites are used
+    label : goes before the names of the inputs recorded and before what is said of the levels, where
+        several sites are used
     """
     prefix = f"{label}/" if label else ""
     built = Chain(case, out).result("build-feb", site=site.name)
@@ -224,7 +225,9 @@ def built_model(case: Case, site: Site, out: Path, writer: StageWriter, *, label
     writer.used(f"{prefix}model", feb)
     writer.used(f"{prefix}levels", site.levels, role=f"site/{site.name}/levels")
     note_case(writer, case, [], site=site, own=["density_kg_per_m3", "noise"])
-    for text in (*built.warnings, *level_warnings(site.levels, noise=layer_noise(site))):
+    of_levels = level_warnings(site.levels, noise=layer_noise(site))
+    for each in dict.fromkeys([*built.warnings, *of_levels]):
+        text = f"site {label}: {each}" if label and each in of_levels else each
         if text not in writer.warnings:
             writer.warnings.append(text)
     return read_feb(feb)

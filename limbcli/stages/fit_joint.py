@@ -68,8 +68,9 @@ class JointOptions:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """A site as it enters: its model, its levels, c of its own SWE reading.
+    """A site as it enters: its model, its levels.
 
+    c : MPa, by hand or of its own SWE reading; None where there is neither, and other sites tell it
     studied_error : numerical error of the force, relative, where `mesh --study` was run
     layers, lines : what was read of layers, and their borders in the model; None where they are not used
     """
@@ -77,7 +78,7 @@ class Measured:
     site: Site
     model: LimbModel
     levels: Levels
-    c: float
+    c: float | None
     studied_error: float | None = None
     layers: LayerReadings | None = None
     lines: MaterialLines | None = None
@@ -112,6 +113,7 @@ def fit_joint(
         for each in measured:
             write_cycle(each.levels, each.site, writer, label=each.site.name)
             check_noise(each.site, speeds=each.levels.has_swe)
+        c0 = _start_c(measured, options)
         _report_free(measured, options, writer)
         models = [(each.site.name, each.model) for each in measured]
         have_fibres = any(model.fibres is not None for _, model in models)
@@ -124,8 +126,8 @@ def fit_joint(
             progress.event("note", text=f"law {name}")
             with ExitStack() as curves_open:
                 try:
-                    curves = _curves(measured, LAWS[name], curves_open, progress)
-                    problem, found = _identify(measured, LAWS[name], curves, joint, options, progress)
+                    curves = _curves(measured, LAWS[name], c0, curves_open, progress)
+                    problem, found = _identify(measured, LAWS[name], c0, curves, joint, options, progress)
                 except (SolveError, FitError) as error:
                     if name == law.name:
                         raise
@@ -151,7 +153,6 @@ def fit_joint(
 def _measured(case: Case, site: Site, out: Path, writer: StageWriter, options: FitOptions) -> Measured:
     levels = levels_of(site, options.cycle)
     model = through_cycle(built_model(case, site, out, writer, label=site.name), levels, site)
-    stiffness, _ = initial_stiffness(levels, site, options)
     error = studied_error(case, site, out, writer, label=f"{site.name}/")
     if case.imaging.assumed and NOT_ALLOWED_FOR not in writer.warnings:
         writer.warnings.append(NOT_ALLOWED_FOR)
@@ -163,15 +164,17 @@ def _measured(case: Case, site: Site, out: Path, writer: StageWriter, options: F
             lines = layers.lines(model)
         except MeasurementError as problem:
             writer.warnings.append(f"site {site.name}: layers are not used: {problem.what}")
-    return Measured(site, model, levels, stiffness.c, error, layers if lines else None, lines)
+    is_told = options.c_kpa is not None or np.isfinite(levels.swe_mean_m_per_s[0])
+    c = initial_stiffness(levels, site, options)[0].c if is_told else None
+    return Measured(site, model, levels, c, error, layers if lines else None, lines)
 
 
 def _report_free(measured: Sequence[Measured], options: FitOptions, writer: StageWriter) -> None:
-    """What was given of c by hand holds nothing fixed where every site has speeds."""
+    """What was given of c by hand holds nothing fixed where any site has speeds."""
     given = in_words(
         {key: value for key, value in options.requested().items() if key in ("c_kpa", "c_deviation")}
     )
-    if given and all(each.levels.has_swe for each in measured):
+    if given and any(each.levels.has_swe for each in measured):
         writer.warnings.append(
             f"{given}: the shear-wave speeds determine c, which is free in a joint fit; a value "
             "given by hand is only the start value"
@@ -181,15 +184,19 @@ def _report_free(measured: Sequence[Measured], options: FitOptions, writer: Stag
 # ---------------------------------------------------------------- identification
 
 
-def _start_c(measured: Sequence[Measured]) -> float:
-    return float(np.exp(np.mean([np.log(each.c) for each in measured])))
+def _start_c(measured: Sequence[Measured], options: FitOptions) -> float:
+    """The mean of what sites tell of c. Raises MeasurementError where none does."""
+    told = [each.c for each in measured if each.c is not None]
+    first = measured[0]
+    told = told or [initial_stiffness(first.levels, first.site, options)[0].c]
+    return float(np.exp(np.mean(np.log(told))))
 
 
 def _curves(
-    measured: Sequence[Measured], law: FitLaw, curves_open: ExitStack, progress: Progress
+    measured: Sequence[Measured], law: FitLaw, c0: float, curves_open: ExitStack, progress: Progress
 ) -> list[LawCurve]:
     """A site's forces and speeds by the law, at a common c to begin with, beside layers by c / that c too."""
-    c0, curves = _start_c(measured), []
+    curves = []
     for each in measured:
         own = law.along(fibre_direction(each.model))
         own = own.beside_layers() if held_layers(each.model) else own
@@ -203,10 +210,9 @@ def _curves(
 
 
 def _identify(
-    measured: Sequence[Measured], law: FitLaw, exact: Sequence[LawCurve], joint: JointOptions,
+    measured: Sequence[Measured], law: FitLaw, c0: float, exact: Sequence[LawCurve], joint: JointOptions,
     options: FitOptions, progress: Progress,
 ) -> tuple[JointProblem, Intervals]:  # fmt: skip
-    c0 = _start_c(measured)
     curves, data = [], []
     log_speed_0: list[RestSpeed] = []
     for each, curve in zip(measured, exact, strict=True):
@@ -221,7 +227,7 @@ def _identify(
             memory(place, tuple(range(len(place))))
         curves.append(memory)
         data.append(site_data(each, curve.depths, joint, speeds=speeds))
-    prior = None if all(len(each.log_speed) for each in data) else _c_prior(measured, options)
+    prior = None if any(len(each.log_speed) for each in data) else _c_prior(measured, options)
     beside = [curve.law.has_ratio for curve in exact]
     task = JointTask(curves, data, law.shape, c0, log_speed_0, prior, beside)
     starts = [np.r_[c0, shape] for shape in first_shapes(law)]
@@ -307,6 +313,6 @@ def check_noise(site: Site, *, speeds: bool) -> None:
 
 
 def _c_prior(measured: Sequence[Measured], options: FitOptions) -> float:
-    """Deviation of ln c where no speed enters: that of one site's level-0 reading."""
+    """Deviation of ln c where no speed enters at any site: that of what was given by hand."""
     each = measured[0]
     return initial_stiffness(each.levels, each.site, options)[0].log_deviation

@@ -112,6 +112,28 @@ def test_a_missing_column_is_named_with_what_it_holds(tmp_path, name):
     assert reported(tmp_path, rows).count(f"column {name!r} is missing") == 1
 
 
+@pytest.mark.parametrize(("name", "noun"), [("subject", "person"), ("location", "site")])
+def test_a_row_of_nobody_or_nowhere_is_named(tmp_path, name, noun):
+    told = reported(tmp_path, changed(good(), **{name: ""}))
+    assert f"the {noun} is not told" in told
+    assert "line 5" in told
+    assert reported(tmp_path, changed(good(), **{name: ""}, fat_mm="")) == "", "it is left out"
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_another_name_of_a_column_is_left_aside_where_its_own_is_there(tmp_path, order):
+    """A table may tell the hospital as its site, the place on the body as location."""
+    rows = [dict([*each.items(), ("site", "north")][::order]) for each in good()]
+    table, problems = checked_cohort(written(tmp_path / "t.csv", rows))
+    assert table is not None
+    assert table.sites == ["LL_P"]
+    assert [each.what for each in problems] == ["column 'site' is not used"]
+    alone = [{{"location": "site"}.get(key, key): cell for key, cell in each.items()} for each in good()]
+    table, problems = checked_cohort(written(tmp_path / "t.csv", alone))
+    assert table is not None
+    assert (table.sites, problems) == (["LL_P"], [])
+
+
 def test_every_missing_column_is_named_once_also_below_a_comment(tmp_path):
     path = tmp_path / "t.csv"
     path.write_text("# of 2024, second visit\nsubject,location,max_force_n,face_mm2\nA,LL,9,700\n")

@@ -2,7 +2,28 @@
 
 from __future__ import annotations
 
-from limbcli.reporting.cohort_view import standing_out
+import pytest
+
+from limbcli.reporting.cohort_view import grounds, standing_out
+
+
+@pytest.mark.parametrize(("fat", "word"), [(True, "taken from the others"), (False, "assumed")])
+def test_noise_that_no_layer_tells_is_called_assumed(fat, word):
+    layers = ("skin", "fat", "muscle")
+    noise = {
+        "layer_shortened_mm": dict.fromkeys(layers, 0.2),
+        "from_data": {"skin": False, "fat": fat, "muscle": False},
+        "ln_stiffness": 0.05,
+        "ln_stiffness_from_data": False,
+    }
+    emulator = {
+        "n_solves": 1, "n_solves_on_finer_mesh": 0,
+        "left_out_error": {"force_percent": 7.0, "logit_muscle_part": 0.1},
+    }  # fmt: skip
+    (table,) = grounds({"noise": noise, "emulator": emulator}).tables
+    told = {row[0].text: row[2].text for row in table.rows}
+    assert told["noise of the skin’s shortening"] == told["noise of the muscle’s shortening"] == word
+    assert told["noise of the fat’s shortening"] == ("from this table" if fat else word)
 
 
 def test_a_list_that_is_cut_says_so_and_one_is_one():

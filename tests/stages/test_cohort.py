@@ -126,6 +126,20 @@ def test_trials_of_the_same_people_do_not_narrow_the_population(tmp_path):
     assert errors[1][0] > 0.7 * errors[0][0]  # as independent rows it would be 0.58 of it
 
 
+@pytest.mark.slow
+def test_a_table_in_another_order_is_the_same_table(tmp_path):
+    rows, _ = people(9, mean=MEAN, spread=SPREAD, rng=np.random.default_rng(8))
+    several = [{**row, "trial": str(k)} for k in range(2) for row in rows]
+    found = []
+    for order in (range(18), np.random.default_rng(7).permutation(18)):
+        table, _ = checked_cohort(written(tmp_path / "t.csv", [several[k] for k in order]))
+        (site,) = estimate_sites(table, layered_family(), noise_of(table))
+        back = np.lexsort((table.trial[site.rows].astype(str), table.person[site.rows].astype(str)))
+        found.append((site.population.mean, site.found.low[back], site.found.effective[back]))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-6)
+
+
 @pytest.mark.parametrize("n_trials", [1, 3])
 def test_what_a_persons_sites_have_in_common_is_not_what_its_trials_have(tmp_path, n_trials):
     rng = np.random.default_rng(7)

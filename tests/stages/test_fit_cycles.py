@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from limbcli.measurement.elastography import SweMap, write_map
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.check import check
 from limbcli.stages.fit import FitOptions, fit
+from limbcli.stages.fitting.cycles import write_cycle
 from limbcli.stages.provenance.requested_options import in_words
 from limbcli.stages.report import report
 from limbcli.stages.report_pages.material import gather
@@ -133,6 +135,18 @@ def test_maps_are_those_of_the_cycles_rows(built):
     mapped = replace(site, swe_maps=folder)
     found = maps_of(mapped, levels_of(mapped, "2"))
     np.testing.assert_allclose([float(each.speed_m_per_s[0]) for each in found], 1.0 + 0.1 * np.arange(8, 16))
+
+
+def test_one_whole_loading_is_not_said_to_differ_from_one_before(built, tmp_path):
+    """A touch of 2 N before it is no curve that it could repeat."""
+    rows = ["cycle,force_n,depth_mm", "1,0,0", "1,2,1"]
+    rows += [f"2,{2 * k},{k}" for k in range(4)]
+    (tmp_path / "levels.csv").write_text("\n".join(rows) + "\n")
+    site = replace(built[0].sites[0], levels=tmp_path / "levels.csv")
+    writer = SimpleNamespace(data={}, summary=[], warnings=[])
+    write_cycle(levels_of(site), site, writer)
+    assert (writer.data["cycle"]["fitted"], writer.data["cycle"]["repeats_from"]) == (2, None)
+    assert writer.warnings == []
 
 
 def test_check_tells_the_cycles(built):

@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from limbcli.errors import CaseError, FitError
+from limbcli.case import Case
+from limbcli.errors import CaseError, FitError, MeasurementError
 from limbcli.feb.settings import schedule
+from limbcli.model_io import save_model
 from limbcli.results import open_stage
 from limbcli.solvers.session import ReferenceSession
+from limbcli.stages.build_feb import TissueOptions, build_feb
 from limbcli.stages.fit import FitOptions, check_choice
 from limbcli.stages.fit_elements import compare_elements
 from limbcli.stages.fit_joint import JointOptions, fit_joint
@@ -151,6 +154,47 @@ def test_a_c_given_by_hand_is_said_to_be_free_where_speeds_tell_it(case_and_out,
     assert again.data["c_kpa"] == pytest.approx(joint.data["c_kpa"], rel=0.02)
     assert any(text.startswith("--c-kpa 12: the shear-wave speeds determine c") for text in again.warnings)
     assert not any("--c-kpa" in text for text in joint.warnings)
+
+
+@pytest.fixture(scope="module")
+def second_without_speeds(measured, tmp_path_factory):
+    """The same measurement at a second site, where no speed was read."""
+    root = tmp_path_factory.mktemp("second")
+    forces, speeds = np.split(measured, 2)
+    folder, out = root / "case", root / "out"
+    block.make_case(folder, out, DEPTHS, forces, c=C, speeds=speeds)
+    text = (folder / "case.toml").read_text()
+    site = text[text.index("[[site]]") :].replace('"p1"', '"p2"').replace("levels.csv", "bare.csv")
+    (folder / "case.toml").write_text(f"{text}\n{site}")
+    rows = [
+        f"{force:.12g},{depth:.12g}" for force, depth in zip(np.r_[0, forces], np.r_[0, DEPTHS], strict=True)
+    ]
+    (folder / "bare.csv").write_text("\n".join(["force_n,depth_mm", *rows]) + "\n")
+    with open_stage(out, "mesh", subject="B1", site="p2") as writer:
+        save_model(block.block_model(), writer.file("model", "model.npz"))
+    case = Case.open(folder)
+    build_feb(case, out=out, sites=["p1"])
+    build_feb(case, out=out, sites=["p2"], options=TissueOptions(c_kpa=12.0))
+    return case, out
+
+
+@pytest.mark.parametrize("given", [None, 12.0])
+def test_c_is_told_by_the_speeds_of_one_site_of_two(second_without_speeds, given):
+    """Whatever was given by hand for the other is only where the search begins."""
+    case, out = second_without_speeds
+    options = FitOptions(c_kpa=given, contact_check=False)
+    found = fit_joint(case, out=out, joint=JointOptions(max_solves=4), options=options)
+    assert found.data["c_kpa"] == pytest.approx(8.0, rel=0.02)
+    assert found.data["chi_square"] < 0.1
+    assert any("the shear-wave speeds tell c" in text for text in found.warnings) == (given is not None)
+    (told,) = [text for text in found.warnings if "no shear-wave speed at any level" in text]
+    assert told.startswith("site p2: ")
+
+
+def test_c_of_a_site_alone_without_speeds_must_be_given(second_without_speeds):
+    case, out = second_without_speeds
+    with pytest.raises(MeasurementError, match="c is unknown"):
+        fit_joint(case, out=out, sites=["p2"])
 
 
 @pytest.mark.slow

@@ -5,7 +5,10 @@ from types import SimpleNamespace
 
 import pytest
 
+from limbcli.inference.prediction import SolvedPoints
+from limbcli.progress import SILENT
 from limbcli.results import StageResult
+from limbcli.stages import fit as stage
 from limbcli.stages import fit_elements, fit_states
 from limbcli.stages.fitting.options import COMPARISON, FitOptions, check_choice
 from limbcli.stages.provenance.commands import CommandStep
@@ -44,3 +47,13 @@ def test_a_comparison_of_laws_is_asked_for_again():
     made = StageResult(stage="fit-joint", subject="S1", folder=Path("out"), data=data)
     message = CommandStep.of(made).command(Path("limb"), Path("out"))
     assert message == "limbcli fit limb --objective joint --site p1 --out out --law ogden --compare-laws"
+
+
+def test_a_second_search_for_intervals_announces_its_own_simulations(monkeypatch):
+    """The first is of the noise, the second of the assumed geometry too: no "solve 23 of at most 22"."""
+    curve, told = SimpleNamespace(n_solves=0, at_most=None), []
+    monkeypatch.setattr(stage, "force_intervals", lambda *_, **__: told.append(curve.at_most))
+    step = SimpleNamespace(theta=None)
+    for curve.n_solves in (8, 22):
+        stage._intervals(SolvedPoints(curve), None, None, [None, None], [step, step], 12, SILENT)
+    assert told == [22, 22, 36, 36]

@@ -60,10 +60,14 @@ def estimate_sites(
     seed: int = 7,
     progress: Progress = SILENT,
 ) -> list[SiteEstimate]:
-    """The population of every site and its rows' own tissue."""
+    """The population of every site and its rows' own tissue.
+
+    Rows are taken by person and trial: draws go with them, not with their place in the table.
+    """
     found = []
+    named = np.lexsort((table.trial.astype(str), table.person.astype(str)))
     for k, site in enumerate(table.sites):
-        rows = np.flatnonzero(table.site == site)
+        rows = named[table.site[named] == site]
         part = table.rows(rows)
         model = CohortModel.of(family, part.thickness, part.face, part.depth / part.whole)
         seen = readings(part.force, part.face, part.whole, part.shortened, part.slope)

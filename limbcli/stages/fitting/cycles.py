@@ -69,7 +69,7 @@ def write_cycle(levels: Levels, site: Site, writer: StageWriter, *, label: str =
     writer.summary.append(text)
     if against:
         writer.warnings.append(before + contradiction(against[0]))
-    elif number == _last(study) and study.repeats_from is None:
+    elif study.differences and number == study.differences[-1].later and study.repeats_from is None:
         writer.warnings.append(
             f"{before}cycle {number} does not repeat the previous one within noise: the tissue was "
             "still changing when the record ended; apply more loading cycles before measuring"
@@ -86,10 +86,6 @@ def contradiction(difference: Difference) -> str:
         f"not yet "
         "preconditioned: --cycle last"
     )
-
-
-def _last(study: CycleStudy) -> int:
-    return study.differences[-1].later if study.differences else study.cycles[-1]
 
 
 def _energy(study: CycleStudy, number: int) -> dict[str, Any]:
