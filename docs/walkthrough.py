@@ -2,11 +2,11 @@
 
     python docs/walkthrough.py [--quick] [--out DIR]
 
-Cells begin with `# %%`, so that editors run it as a notebook. `--quick` takes coarse meshes and few levels:
-the same way, with numbers that mean little.
+Cells start with `# %%`, so editors can run it as a notebook. `--quick` uses coarse meshes and few levels: the
+steps are the same, but the numbers mean little.
 """
 
-# %% What is needed, and how fine
+# %% Imports and mesh sizes
 from __future__ import annotations
 
 import argparse
@@ -25,7 +25,7 @@ asked, _ = parser.parse_known_args()
 
 folder = asked.out
 results = folder / "results"
-HIDDEN_N = 1.5  # the load cell shows this much too much
+HIDDEN_N = 1.5  # the load cell reads too high by this much
 TRUTH = {"c_kpa": 8.0, "f_kappa": 20.0, "m": 4.0}
 if asked.quick:
     measuring = {"element": "tet4", "size_mm": 7.0, "far_size_mm": 16.0, "max_force_n": 8.0}
@@ -46,17 +46,17 @@ def tell(kind: str, facts: dict[str, object]) -> None:
         print("..", facts["name"], facts.get("site") or "")
 
 
-# %% A subject: DICOM slices, without measurements
+# %% Make a subject: DICOM slices, no measurements yet
 subject = make_phantom(folder / "subject", seed=7, no_measurement=True, force=True, progress=tell)
 print(subject)
 
-# %% Images to surfaces. The skin's markers tell where the site is.
+# %% Segment the images into surfaces. The markers on the skin define the position of the site.
 anatomy = segment(subject.case, out=folder / "anatomy", progress=tell)
 print(f"bones: {', '.join(anatomy.bones)}; skin holds {anatomy.volume_cm3['skin']:.0f} cm3")
 for marker in anatomy.markers:
     print(f"marker {marker.number} at {np.round(marker.position_mm, 1)} mm (patient LPS)")
 
-# %% Measurements: simulated on another mesh than the fit's, with noise and an error hidden in the force
+# %% Simulate measurements on a different mesh from the fit's, with noise and a hidden error in the force
 measured = synth(
     subject.case, folder / "case", out=folder / "anatomy", effects=f"force-zero={HIDDEN_N}", force=True,
     progress=tell, **TRUTH, **measuring,
@@ -64,7 +64,7 @@ measured = synth(
 case = measured.case
 print(measured.table())
 
-# %% A local model of the site, and its simulation with start values
+# %% Build a local model of the site and simulate it with start values
 segment(case, out=results, progress=tell)
 models = mesh(case, out=results, progress=tell, **sizes)
 print(f"{models['p1'].n_cells} elements, smallest angle {models['p1'].min_angle_deg:.0f} degrees")
@@ -72,21 +72,21 @@ built = build_feb(case, out=results, progress=tell)
 first = run(case, out=results, solver="reference", progress=tell)
 print(f"with start values: {first['p1'].max_force_n:.2f} N at {first['p1'].max_depth_mm:.2f} mm")
 
-# %% The parameters. A number is quoted with its words, never alone.
+# %% Fit the parameters. Never quote a number without its words.
 fits = fit(case, out=results, solver="reference", intervals=not asked.quick, progress=tell)
 for estimate in fits["p1"].parameters:
     print(f"{estimate.parameter} = {estimate.value:.3g}: {estimate.words}")
 
-# %% What the model lacks
+# %% Diagnose what the model lacks
 found = diagnose(case, out=results, progress=tell, **how)["p1"]
 print(f"{found.verdict}: {found.reason}")
 print(f"what fits: {found.confidence_set}; hidden was force-zero {HIDDEN_N} N")
 
-# %% Everything on one page
+# %% Report everything on one page
 page = report(case, out=results, progress=tell).page
 print(f"report: {page}")
 
-# %% A picture of one's own: the stages' tables are numpy arrays, or pandas tables with `.to_frame()`
+# %% Draw your own figure: tables are numpy arrays, or pandas tables with `.to_frame()`
 curves = fits["p1"].curves()
 levels = np.isfinite(curves["measured_n"])
 figure = Figure(figsize=(8.0, 3.4), layout="constrained")
@@ -102,7 +102,7 @@ right.set(xlabel="$-\\log_{10}$ of adjusted p", title=f"verdict: {found.verdict}
 figure.savefig(folder / "walkthrough.png", dpi=120)
 print(f"picture: {folder / 'walkthrough.png'}")
 
-# %% Other parameters in the same model, with derivatives: a session keeps the model in memory
+# %% Change parameters in the same model, with derivatives: a session keeps the model in memory
 model = limbcli.read_feb(built["p1"].feb)
 tissue = model.materials["tissue"]  # MPa: c1 = c2 = c / 2, m1 = -m2 = m, kappa = f_kappa c
 softer = model.with_material("tissue", tissue.with_parameters(kappa=tissue.parameters["kappa"] / 2))
@@ -113,6 +113,6 @@ slope = solved.force_gradient["tissue", "kappa"][-1]
 print(f"last level: {solved.must_points.forces[-1]:.2f} N; d force / d kappa' = {slope:.3f} N/MPa")
 print(f"with half of kappa': {halved.must_points.forces[-1]:.2f} N at {halved.must_points.depths[-1]:.2f} mm")
 
-# %% What was computed can be read back without computing
+# %% Read results back without computing again
 assert limbcli.FitResult.read(results, site="p1").m == fits["p1"].m
 assert Case.open(folder / "case").subject == case.subject

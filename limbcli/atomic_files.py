@@ -18,19 +18,12 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from limbcli.errors.file_system import PARTIAL, file_system_errors
 
 _OLD = "-old-"
 _TOKEN_BYTES = 6  # of a new name: no two are alike
 _NAME_LENGTH = 60  # of a computer's name within a file's
 _ABANDONED_S = 24 * 3600.0
-_PLY_HEAD = 20_000  # bytes that a PLY's header may have
-_SIDES = ("triangle", "quad")
-# What a library may raise on a damaged file: meshio's own ReadError, and some of its readers call sys.exit.
-_FOREIGN = (Exception, SystemExit)
 
 
 @contextlib.contextmanager
@@ -169,49 +162,6 @@ def _is_alive(pid: int) -> bool:
     except PermissionError:
         return True
     return True
-
-
-def read_triangles(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Points (n, 3) and triangles (m, 3) of a surface file as they stand; other polygons are cut into them.
-
-    m is 0 where the file holds other cells only; points may be no numbers: that is the reader's to judge.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read, or names points that it does not have, however it is damaged.
-    """
-    import meshio
-
-    if path.suffix.lower() == ".ply" and b"end_header" not in path.read_bytes()[:_PLY_HEAD]:
-        raise OSError("its header is not terminated")  # meshio would look for the end for ever
-    try:
-        with np.errstate(all="ignore"):  # meshio guesses at a size that may not fit
-            mesh = meshio.read(path)
-        points = np.asarray(mesh.points, dtype=np.float64)
-        blocks = [np.asarray(each.data, dtype=np.int64) for each in mesh.cells if _is_face(each.type)]
-    except _FOREIGN as error:
-        raise OSError(str(error) or type(error).__name__) from error
-    if points.ndim != 2 or points.shape[1] < 3:
-        raise OSError("its points do not have three coordinates")
-    faces = np.concatenate([np.zeros((0, 3), np.int64), *(_fans(each) for each in blocks if each.size)])
-    if len(faces) and not 0 <= faces.min() <= faces.max() < len(points):
-        raise OSError(f"a triangle refers to a point that does not exist (of {len(points)})")
-    return points[:, :3], faces
-
-
-def _is_face(kind: str) -> bool:
-    return kind in _SIDES or kind.startswith("polygon")
-
-
-def _fans(polygons: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Triangles (n (k - 2), 3) of polygons (n, k), all from their first corners.
-
-    >>> _fans(np.array([[4, 5, 6, 7]])).tolist()
-    [[4, 5, 6], [4, 6, 7]]
-    """
-    k = np.arange(1, polygons.shape[1] - 1)
-    return polygons[:, np.column_stack([np.zeros_like(k), k, k + 1])].reshape(-1, 3)
 
 
 def gunzip(content: bytes, *, limit: int) -> bytes:

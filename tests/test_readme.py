@@ -12,9 +12,14 @@ from limbcli.case import read_case
 from limbcli.cli.app import COMMANDS
 from tests.cli.test_app import limbcli
 
-README = (Path(__file__).resolve().parents[1] / "README.md").read_text(encoding="utf-8")
+REPOSITORY = Path(__file__).resolve().parents[1]
+README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
 LINES = re.findall(r"^\$ limbcli (.+?)(?:\s+#.*)?$", README, flags=re.MULTILINE)
-BLOCKS = re.findall(r"```toml\n(.+?)```", README, flags=re.DOTALL)
+BLOCKS = re.findall(
+    r"```toml\n(.+?)```",
+    README + (REPOSITORY / "docs" / "instruments.md").read_text(encoding="utf-8"),
+    flags=re.DOTALL,
+)
 
 
 def test_every_command_of_the_table_exists():

@@ -33,7 +33,7 @@ def command(
     quiet: QuietOpt = False,
     verbose: VerboseOpt = 0,
 ) -> None:
-    """Estimate the tissue of many people from layers, force and slope; no geometry, MRI or wave speeds.
+    """Estimate the tissue of many people from layers, force and slope; no MRI or wave speeds needed.
 
     Every row is fitted with a layered slab whose simulations ship with limbcli; the population of each site
     is estimated, and the compliance of held-out people is predicted from thicknesses, in ten folds by person.

@@ -1,7 +1,7 @@
 """Masks to closed, smooth surfaces; surfaces to and from files.
 
 Marching cubes runs on the smoothed distance field of a mask, so that voxel steps do not
-show and nothing shrinks; where the limb leaves the image the surface is closed by the
+show and hardly anything shrinks; where the limb leaves the image the surface is closed by the
 image's flat outer face.
 """
 
@@ -17,12 +17,13 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from skimage import measure
 
-from limbcli.atomic_files import atomic_file, read_triangles
+from limbcli.atomic_files import atomic_file
 from limbcli.errors import CaseError, MeshError
 from limbcli.imaging.signed_distance import box_around, signed_distance
 from limbcli.imaging.volume import Volume
 from limbcli.meshlab import open_pymeshlab
 from limbcli.model import Array, IntArray
+from limbcli.triangle_files import read_triangles
 
 SMOOTH = 0.7  # mm: standard deviation of the Gaussian over the distance field
 _SHARE_OF_SLICE = 0.45  # ... or this share of the slice distance where that is more
@@ -58,7 +59,7 @@ class ClosedSurface:
         return int(connected_components(graph, directed=False)[0])
 
 
-def surface_of(mask: Volume, *, edge: float, smooth: float = SMOOTH) -> ClosedSurface:
+def surface_of(mask: Volume, *, edge: float, smooth: float = SMOOTH, where: str = "surface") -> ClosedSurface:
     """The closed surface of a mask.
 
     Parameters
@@ -74,7 +75,7 @@ def surface_of(mask: Volume, *, edge: float, smooth: float = SMOOTH) -> ClosedSu
     Raises
     ------
     MeshError
-        If the mask is empty or no closed surface comes out.
+        If the mask is empty, so thin that smoothing leaves nothing, or no closed surface comes out.
 
     >>> grid = np.indices((24, 24, 24)) - 11.5
     >>> ball = Volume((grid**2).sum(axis=0) < 81, np.diag([1.0, 1.0, 1.0, 1.0]))
@@ -83,21 +84,21 @@ def surface_of(mask: Volume, *, edge: float, smooth: float = SMOOTH) -> ClosedSu
     (True, True)
     """
     if not mask.values.any():
-        raise MeshError("the mask is empty", where="surface", fix="check the label map")
-    raw = _marching_cubes(mask, edge=0.8 * edge, smooth=smooth)
+        raise MeshError("the mask is empty", where=where, fix="check the label map")
+    raw = _marching_cubes(mask, edge=0.8 * edge, smooth=smooth, where=where)
     surface = remeshed(raw, edge=edge)
     if not (surface.is_closed and surface.volume > 0):
         surface = raw
     if not (surface.is_closed and surface.volume > 0):
         raise MeshError(
             "the surface of the label map is not closed",
-            where="surface",
+            where=where,
             fix="smooth the label map (--smooth) or repair it in 3D Slicer",
         )
     return surface
 
 
-def _marching_cubes(mask: Volume, *, edge: float, smooth: float) -> ClosedSurface:
+def _marching_cubes(mask: Volume, *, edge: float, smooth: float, where: str) -> ClosedSurface:
     spacing = mask.spacing
     window = box_around(mask.values, np.ceil(6.0 / spacing))
     field = signed_distance(mask.values[window], spacing)
@@ -110,6 +111,12 @@ def _marching_cubes(mask: Volume, *, edge: float, smooth: float) -> ClosedSurfac
     for axis, (n, at) in enumerate(zip(mask.shape, axes, strict=True)):
         depth = (np.minimum(at + 0.5, n - 0.5 - at) * spacing[axis]).astype(np.float32)
         values = np.minimum(values, depth.reshape([-1 if each == axis else 1 for each in range(3)]))
+    if values.max() <= 0:
+        raise MeshError(
+            f"smoothing by {smooth:g} mm leaves nothing of what is so thin",
+            where=where,
+            fix="smooth less (--smooth), or mend the label map there",
+        )
     values = _largest_part(values)
     points, triangles, *_ = measure.marching_cubes(values, 0.0, gradient_direction="ascent")
     index = np.stack([np.interp(points[:, n], np.arange(len(axes[n])), axes[n]) for n in range(3)], axis=1)

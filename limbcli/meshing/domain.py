@@ -25,6 +25,7 @@ from limbcli.meshing.distance import (
     rounded,
     signed_distance,
 )
+from limbcli.meshing.frame import closest_on_triangles
 from limbcli.meshing.mending import Limb, Plane
 from limbcli.meshing.surfaces import Triangles, join
 from limbcli.model import Array, IntArray
@@ -34,6 +35,7 @@ CLEARANCE = 1.2  # mm of tissue kept between skin and bone
 WEDGE = 2.5  # mm: tissue between bone and a cut narrower than about twice this is left out
 CLEFT = 1.5  # mm: clefts between bones narrower than twice this are filled
 _SMALL = 60.0  # mm3: smaller bits of bone are left out
+_SPECK = 0.05  # of the largest piece of tissue: smaller ones are no place of a site
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,11 +115,10 @@ def _clear_of_skin(bone: Field, skin: Field, planes: tuple[Plane, ...], notes: l
     points = bone.grid.points()[tight]
     counted = within(points, planes, slack=-1.0)
     if counted.any():
-        depth = float(
-            np.max(np.minimum(skin.values[tight][counted], -bone.values[tight][counted]) + CLEARANCE)
-        )
+        depth = float(skin.at(bone.project(points[counted])).max() + CLEARANCE)
+        volume = int(counted.sum() * bone.grid.spacing**3)
         notes.append(
-            f"bone came within {CLEARANCE:g} mm of the skin on {int(counted.sum())} mm3 "
+            f"bone came within {CLEARANCE:g} mm of the skin on {volume} mm3 "
             f"(by up to {depth:.1f} mm) and was pushed inside"
         )
     return distance_again(bone.with_values(np.maximum(bone.values, skin.values + CLEARANCE)))
@@ -160,12 +161,15 @@ def _piece_at_site(pieces: NDArray[Any], n: int, points: Array) -> int:
     sizes = ndimage.sum_labels(np.ones_like(pieces), pieces, numbers)
     distance = np.linalg.norm(points, axis=1).reshape(pieces.shape)
     nearest = ndimage.minimum(distance, pieces, numbers)
-    nearest = np.where(sizes > 0.05 * sizes.max(), nearest, np.inf)
+    nearest = np.where(sizes > _SPECK * sizes.max(), nearest, np.inf)
     return int(numbers[np.argmin(nearest)])
 
 
 def boundary(domain: TissueDomain) -> Triangles:
-    """The closed boundary of the tissue under the site, in triangles of about the grid's spacing."""
+    """The closed boundary of the tissue under the site, in triangles of about the grid's spacing.
+
+    A bone that lies in it whole (a kneecap) is a void: a part of its own, its normals into the bone.
+    """
     solid = manifold_of(_level_set(domain.skin), "skin")
     assert solid is not None
     if domain.bone is not None:
@@ -176,18 +180,29 @@ def boundary(domain: TissueDomain) -> Triangles:
     for each in domain.planes:
         solid = solid.trim_by_plane(tuple(-each.normal), -each.offset)
     pieces = solid.decompose()
-    if not pieces:
+    bodies = [_triangles(each) for each in pieces if each.volume() > 0]
+    if not bodies:
         raise MeshError(
             "no tissue is left after the crop", where="site", fix="check position_mm and the surfaces"
         )
-    piece = min(pieces, key=_distance_from_site)
-    mesh = piece.to_mesh64()
+    whole = max(each.volume for each in bodies)
+    body = min((each for each in bodies if each.volume > _SPECK * whole), key=_distance_from_site)
+    voids = [_triangles(each) for each in pieces if each.volume() < 0]  # of bones that no cut meets
+    return join([body, *(each for each in voids if _lies_within(each, body))])
+
+
+def _triangles(solid: manifold3d.Manifold) -> Triangles:
+    mesh = solid.to_mesh64()
     return Triangles(np.array(mesh.vert_properties[:, :3], float), np.array(mesh.tri_verts, np.int64))
 
 
-def _distance_from_site(piece: manifold3d.Manifold) -> float:
-    points = np.asarray(piece.to_mesh64().vert_properties)[:, :3]
-    return float(np.linalg.norm(points, axis=1).min()) - 1e-9 * float(piece.volume())
+def _distance_from_site(body: Triangles) -> float:
+    return float(np.linalg.norm(closest_on_triangles(np.zeros(3), body.corners), axis=1).min())
+
+
+def _lies_within(void: Triangles, body: Triangles) -> bool:
+    low, high = body.points.min(axis=0), body.points.max(axis=0)
+    return bool(((void.points > low) & (void.points < high)).all())
 
 
 def _level_set(field: Field) -> Triangles:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from limbcli.meshing.facet_kernels import collapse_edges, flip_edges
+from limbcli.meshing.surfaces import undirected
 from limbcli.model import Array, IntArray
 
 _LONG, _SHORT = 1.35, 0.78  # of the wanted length: edges above are split, below collapsed
@@ -64,7 +65,8 @@ def divided(points: Array, faces: IntArray, longest: float) -> tuple[Array, IntA
     """
     while True:
         pairs = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-        edges, number = np.unique(pairs, axis=0, return_inverse=True)
+        _, first, number = np.unique(undirected(pairs), return_index=True, return_inverse=True)
+        edges = pairs[first]
         long = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1) > longest
         if not long.any():
             return points, faces

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.errors import MeshError
+from limbcli.meshing.distance import Heights
 from limbcli.meshing.surfaces import Triangles, bodies, boundary_loops, undirected
 from limbcli.meshlab import open_pymeshlab
 from limbcli.model import Array
@@ -25,6 +26,7 @@ _CAP_SHARE = 0.6  # of the cross-section 5 mm further in: flat area that makes a
 _CAP_COSINE = 0.97
 _CAP_SLAB = 1.5  # mm in which a cap is flat
 _RIM_SHARE = 0.5  # of the section just inside: a smaller rim is a hole in the skin, no end
+_WITHIN = 0.3  # mm below a body's surface, from where on another is in it
 _INSIDE = 1.5  # mm: the fresh cut lies this far inside an open or capped end
 
 
@@ -112,6 +114,23 @@ def mend(
 def skin_and_bones(surface: Triangles) -> list[Triangles]:
     """The bodies of one file that holds a limb, the largest (its skin) first; stray bits are left out."""
     return _without_strays(bodies(surface), [], "skin")
+
+
+def without_cavities(pieces: Sequence[Triangles]) -> list[Triangles]:
+    """The bodies, largest first, but those within another: the wall round a bone's marrow bounds no bone."""
+    kept: list[Triangles] = []
+    for each in pieces:
+        if not any(_holds(other, each) for other in kept):
+            kept.append(each)
+    return kept
+
+
+def _holds(outer: Triangles, inner: Triangles) -> bool:
+    """Whether a body lies within another, and not on its surface as the same body twice does."""
+    low, high = outer.points.min(axis=0), outer.points.max(axis=0)
+    if not ((inner.points >= low) & (inner.points <= high)).all():
+        return False
+    return float(np.median(Heights(_closed(outer, [], "body", [])).of(inner.points))) < -_WITHIN
 
 
 def _without_strays(pieces: list[Triangles], notes: list[str], name: str) -> list[Triangles]:

@@ -83,9 +83,12 @@ def _environment() -> dict[str, str]:
 
 
 def _tetgen(points: Array, faces: IntArray, options: dict[str, Any]) -> tuple[Array, IntArray]:
+    """options: those of `tetrahedralize`; "holes" (n, 3): a point in each void."""
     import tetgen
 
     maker = tetgen.TetGen(points, faces.astype(np.int32))
+    for each in options.pop("holes", ()):
+        maker.add_hole(each)
     out = maker.tetrahedralize(
         nobisect=True,
         quiet=True,

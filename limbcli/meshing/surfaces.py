@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from limbcli.atomic_files import read_triangles
 from limbcli.errors import MeshError
 from limbcli.model import Array, IntArray
+from limbcli.triangle_files import read_triangles
 
 SUFFIXES = (".ply", ".stl", ".obj", ".off", ".vtk", ".vtu")
 

@@ -11,8 +11,10 @@ from limbcli.errors import MeshError
 from limbcli.meshing.mesher_process import in_process
 from limbcli.meshing.quality import volumes
 from limbcli.meshing.remesh import Boundary, SizeField
+from limbcli.meshing.surfaces import Triangles, bodies
 from limbcli.model import Array, IntArray
 
+_BEYOND = 0.02  # mm
 _SPACING = 1.0  # of the wanted edge length: distance kept between interior points
 
 
@@ -91,9 +93,19 @@ def tetgen_mesh(
     """
     points = np.ascontiguousarray(np.vstack([boundary.surface.points, inner]))
     faces = np.ascontiguousarray(boundary.surface.faces)
-    options = {"minratio": min_ratio, "mindihedral": min_dihedral_deg}
+    options = {"minratio": min_ratio, "mindihedral": min_dihedral_deg, "holes": _in_voids(boundary.surface)}
     nodes, cells = in_process("tetgen", points, faces, options, time_limit_s=time_limit_s)
     return checked(nodes, cells, boundary.surface.volume, "TetGen")
+
+
+def _in_voids(surface: Triangles) -> list[list[float]]:
+    """A point in each void of a closed surface: just beyond its largest facet."""
+    found = []
+    for each in bodies(surface):
+        if each.volume < 0:
+            k = int(each.areas.argmax())
+            found.append((each.centroids[k] + _BEYOND * each.area_vectors[k] / each.areas[k]).tolist())
+    return found
 
 
 def checked(

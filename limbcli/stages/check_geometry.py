@@ -112,8 +112,7 @@ def _label_map(case: Case) -> list[Problem]:
         found += compare_frames(labels, read_image(case.imaging.mri).volume, where=path).problems
     parts = segmentation_from(labels, side=case.limb)
     bones = {f"bone_{name}": each for name, each in zip(name_bones(parts.bones), parts.bones, strict=True)}
-    surfaces = triangles_of(
-        {name: surface_of(each, edge=_EDGE) for name, each in {SKIN: parts.skin, **bones}.items()}
-    )
+    masks = {SKIN: parts.skin, **bones}
+    surfaces = triangles_of({name: surface_of(each, edge=_EDGE, where=name) for name, each in masks.items()})
     found += limb_problems(surfaces, limb=case.limb, where=path)
     return found + place_problems(surfaces[SKIN], _places(case), where=str(case.file))

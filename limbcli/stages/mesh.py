@@ -18,7 +18,7 @@ from limbcli.meshing.frame import LARGEST_SLOPE_DEG, skin_point_at
 from limbcli.meshing.layers import Layer
 from limbcli.meshing.mending import Limb, mend
 from limbcli.meshing.picture import mesh_picture
-from limbcli.meshing.places import MOVED_MM, place_problems
+from limbcli.meshing.places import place_problems
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_mesher import MIN_ANGLE_DEG, MIN_ANGLE_UNDER_PROBE_DEG
@@ -29,8 +29,14 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.provenance.requested_options import requested_of
+from limbcli.stages.segmenting.places import warnings_of_limb
 from limbcli.stages.site_model.fibres import note_fibres, with_fibres, write_fibres
-from limbcli.stages.site_model.mesh_checks import geometry_warnings, layer_warnings, measured_skin_bone
+from limbcli.stages.site_model.mesh_checks import (
+    geometry_warnings,
+    layer_warnings,
+    measured_skin_bone,
+    moved_warnings,
+)
 from limbcli.stages.site_model.mesh_inputs import MeshInputs
 from limbcli.stages.site_model.mesh_study import study_site
 from limbcli.stages.site_model.site_layers import Layering, Thickness, layer_laws, layers_in, with_layer_laws
@@ -273,14 +279,13 @@ def _report(
         else (f"skin to bone {checks.skin_bone_mm:.1f} mm at the probe's centre")
     )
     writer.summary.append(f"{bone}; {100 * checks.over_tissue_share:.0f} % of the face over tissue")
-    writer.warnings.extend(segmented.warnings)
+    writer.warnings.extend(warnings_of_limb(segmented))
     writer.warnings.extend(
         geometry_warnings(
             checks, measured=writer.data["measured_skin_bone_mm"], margin=options.margin, site=site.name
         )
     )
-    if frame.moved > MOVED_MM:
-        writer.warnings.append(f"the site was {frame.moved:.1f} mm from the skin and was moved onto it")
+    writer.warnings.extend(moved_warnings(frame.moved, site))
     if abs(frame.slope_deg) > LARGEST_SLOPE_DEG:
         writer.warnings.append(
             f"long_axis leaves the skin by {abs(frame.slope_deg):.0f} degrees, more than a probe is "

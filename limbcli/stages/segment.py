@@ -39,6 +39,7 @@ from limbcli.stages.segmenting.places import report_places
 from limbcli.stages.segmenting.surfaces import check_limb, from_surfaces, write_surfaces
 
 SKIN_EDGE, BONE_EDGE = 2.0, 1.5  # mm: edge lengths of the surfaces' triangles
+_GONE = 0.15  # of a bone's volume in the label map: what smoothing of the usual width does not take
 LABELS = "labels.nii.gz"
 EDITED = "edited labels"
 
@@ -261,12 +262,14 @@ def _write(
     write_labels(labels, found.labels)
     writer.data["labels_sha256"] = sha256(labels)
     skin, lowered = without_bumps(
-        surface_of(found.skin, edge=SKIN_EDGE, smooth=options.smooth), found.markers
+        surface_of(found.skin, edge=SKIN_EDGE, smooth=options.smooth, where="skin"), found.markers
     )
     surfaces = {"skin": skin}
     progress.event("task", name="surfaces", done=1, total=1 + len(names))
     for number, (name, bone) in enumerate(zip(names, found.bones, strict=True), 2):
-        surfaces[f"bone_{name}"] = surface_of(bone, edge=BONE_EDGE, smooth=options.smooth)
+        key = f"bone_{name}"
+        surfaces[key] = surface_of(bone, edge=BONE_EDGE, smooth=options.smooth, where=key)
+        writer.warnings.extend(_thinned(key, bone, surfaces[key]))
         progress.event("task", name="surfaces", done=number, total=1 + len(names))
     check_limb(surfaces, case, writer, where=f"{case.subject}, segment ({writer.data['source']})")
     write_surfaces(surfaces, writer)
@@ -276,6 +279,14 @@ def _write(
     verdict = _report_quality(found, names, writer)
     sheet = writer.file("contact_sheet", "contact-sheet.png")
     contact_sheet(sheet, image, found, names, title=f"{case.subject}, distal to proximal; quality: {verdict}")
+
+
+def _thinned(name: str, bone: Volume, surface: ClosedSurface) -> list[str]:
+    """Whether smoothing took much of a thin bone."""
+    gone = 1.0 - surface.volume / (float(bone.values.sum()) * bone.voxel_volume)
+    if gone <= _GONE:
+        return []
+    return [f"smoothing took {gone:.0%} of {name}, which is thin: smooth less (--smooth)"]
 
 
 def _report_markers(found: Segmentation, lowered: list[float], writer: StageWriter) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from limbcli.errors import CaseError
+from limbcli.errors import CaseError, MeshError
 from limbcli.imaging.surface import ClosedSurface, joined, read_surface, surface_of, write_surface
 from limbcli.imaging.volume import Volume
 
@@ -48,6 +48,15 @@ def test_smoothing_does_not_shrink_a_thin_bone():
     side = (offset @ axis > 3) & (offset @ axis < 54)
     assert radius[side].mean() == pytest.approx(5.0, abs=0.15)
     assert radius[side].std() < 0.2
+
+
+@pytest.mark.parametrize(("radius", "smooth"), [(1.5, 0.7), (5.0, 5.0)])
+def test_what_smoothing_leaves_nothing_of_is_told_by_its_name(radius, smooth):
+    mask = cylinder(radius=radius, shape=(24, 24, 20))
+    with pytest.raises(MeshError, match="leaves nothing") as caught:
+        surface_of(mask, edge=1.5, smooth=smooth, where="bone_fibula")
+    assert "bone_fibula" in str(caught.value)
+    assert "--smooth" in caught.value.fix
 
 
 def test_specks_and_holes_do_not_reach_the_surface():

@@ -53,11 +53,28 @@ def test_bone_touching_or_piercing_the_skin_is_pushed_inside(make_tube, depth):
     frame = site_frame(limb, np.array([0.0, 40.0, 0.0]), "axial", PROBE)
     local = limb.moved(frame.to_model)
     domain = make_domain(local, crop_planes(local, PROBE, 20.0), spacing=1.5)
-    assert any("pushed inside" in note for note in domain.notes)
+    (note,) = (each for each in domain.notes if "pushed inside" in each)
+    assert float(note.split("up to ")[1].split(" mm")[0]) == pytest.approx(CLEARANCE - depth, abs=0.15)
     on_bone = np.abs(domain.bone.values) < 0.5
     inside = within(domain.bone.grid.points().reshape(-1, 3), domain.planes, slack=-2.0)
     on_bone &= inside.reshape(on_bone.shape)
     assert domain.skin.values[on_bone].max() < -CLEARANCE + 0.8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("below", [6.0, 20.0])
+def test_a_bone_that_no_cut_meets_is_held_in_the_model(make_tube, make_ball, below):
+    """A kneecap lies whole in the tissue: its volume is no tissue, and its surface is bone."""
+    skin, bone = make_tube((0, 0, -60), (0, 0, 60), (40, 40), around=60), make_ball((0, 30 - below, 0), 10.0)
+    options = MeshOptions(element="tet4", margin=15.0, sizes=Sizes(3.5, 9.0))
+    alone = site_model(mend(skin, []), (0.0, 40.0, 0.0), "axial", PROBE, options)
+    made = site_model(mend(skin, [bone]), (0.0, 40.0, 0.0), "axial", PROBE, options)
+    taken = alone.quality.volume_mm3 - made.quality.volume_mm3
+    assert taken == pytest.approx(bone.volume, rel=0.25)  # chords of a ball are within it
+    held = made.model.mesh.points[made.model.mesh.node_sets["bone"]]
+    centre = [0.0, 0.0, -below - 10.0]
+    assert np.linalg.norm(held - centre, axis=1) == pytest.approx(np.full(len(held), 10.0), abs=0.5)
+    assert made.checks.skin_bone_mm == pytest.approx(below, abs=0.2)
 
 
 @pytest.mark.slow

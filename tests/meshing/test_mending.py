@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from limbcli.errors import MeshError
-from limbcli.meshing.mending import mend
+from limbcli.meshing.mending import mend, without_cavities
 from limbcli.meshing.surfaces import Triangles, boundary_loops, join
 
 
@@ -95,3 +95,11 @@ def test_two_sheets_that_meet_in_an_edge_are_left_alone(make_tube):
     limb = mend(both, [])
     assert len(limb.skin.faces) == len(both.faces)
     assert not any("non-manifold" in note for note in limb.notes)
+
+
+def test_a_body_within_another_is_a_cavity_and_one_beside_or_upon_it_is_not(make_tube):
+    bone = make_tube((0, 0, 0), (0, 0, 200), (14, 12))
+    marrow = make_tube((0, 0, 20), (0, 0, 180), (8, 7)).flipped()
+    beside = make_tube((40, 0, 20), (40, 0, 180), (5, 5))
+    assert without_cavities([bone, marrow, beside]) == [bone, beside]
+    assert without_cavities([bone, bone]) == [bone, bone]

@@ -23,7 +23,12 @@ from limbcli.results import StageResult, read_result
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment
 from limbcli.stages.segmenting.surfaces import read_surfaces, triangles_of
-from limbcli.stages.site_model.mesh_checks import geometry_warnings, layer_warnings, warnings_now
+from limbcli.stages.site_model.mesh_checks import (
+    geometry_warnings,
+    layer_warnings,
+    moved_warnings,
+    warnings_now,
+)
 
 CASE = """format = 1
 [subject]
@@ -132,6 +137,19 @@ def test_a_long_axis_far_out_of_the_skin_is_told(folder, tmp_path):
     assert any("leaves the skin by 27 degrees" in each for each in result.warnings)
 
 
+@pytest.mark.slow
+def test_a_place_that_was_corrected_is_not_told_as_it_was(folder, tmp_path):
+    shutil.copytree(folder, tmp_path / "case")
+    (tmp_path / "case" / "case.toml").write_text(CASE.replace("29.5", "41.5"))
+    before = segment(Case.open(tmp_path / "case"), out=tmp_path / "out")
+    assert any("site p1 lies" in each for each in before.warnings)
+    (tmp_path / "case" / "case.toml").write_text(CASE)
+    (result,) = mesh(
+        Case.open(tmp_path / "case"), out=tmp_path / "out", sites=["p1"], size=6.0, far_size=15.0
+    )
+    assert not any("site p1 lies" in each for each in result.warnings)
+
+
 def test_sizes_out_of_range_are_refused(folder, out):
     with pytest.raises(CaseError, match="--size-mm"):
         mesh(Case.open(folder), out=out, sites=["p1"], size=0.1)
@@ -215,6 +233,13 @@ def test_layers_that_thin_out_over_bone_are_told_with_what_is_left():
     assert layer_warnings(LayersKept(centre=1.0, least=0.95), 7.5) == []
     (message,) = layer_warnings(LayersKept(centre=0.8, least=0.72), 7.5)
     assert "5.4 mm are left under the probe, 6.0 mm at its centre" in message
+
+
+def test_a_place_beside_the_skin_is_told_and_the_middle_of_a_marker_is_none():
+    assert moved_warnings(2.0, SimpleNamespace(marker=None)) == []
+    assert moved_warnings(4.0, SimpleNamespace(marker=3)) == []
+    (said,) = moved_warnings(4.0, SimpleNamespace(marker=None))
+    assert "lay 4.0 mm from the skin" in said
 
 
 def test_a_mesh_is_told_with_the_bones_depth_of_today(tmp_path):

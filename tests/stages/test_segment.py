@@ -189,6 +189,21 @@ def test_one_file_with_all_bodies_is_taken_apart(segmented, tmp_path):
         segment(case_with(tmp_path, skin=first.path("skin")), out=tmp_path / "alone")
 
 
+@pytest.mark.parametrize("sense", [1, -1])
+def test_a_bone_with_a_wall_round_its_marrow_is_whole(segmented, tmp_path, sense):
+    _, first, _ = segmented
+    tibia = read_surface(first.path("bone_tibia"))
+    middle = tibia.points.mean(axis=0)
+    inner = middle + 0.5 * (tibia.points - middle)
+    triangles = np.vstack([tibia.triangles, len(tibia.points) + tibia.triangles[:, ::sense]])
+    write_surface(tmp_path / "tibia.ply", ClosedSurface(np.vstack([tibia.points, inner]), triangles))
+    result = segment(
+        case_with(tmp_path, skin=first.path("skin"), bones=(tmp_path / "tibia.ply",)), out=tmp_path
+    )
+    assert result.data["volume_cm3"]["bone_tibia"] == pytest.approx(tibia.volume / 1e3, rel=1e-4)
+    assert read_surface(result.path("bone_tibia")).volume == pytest.approx(tibia.volume, rel=1e-4)
+
+
 def test_surfaces_turned_inside_out_are_turned_and_said_so(segmented, tmp_path):
     _, first, _ = segmented
     skin = read_surface(first.path("skin"))
@@ -276,6 +291,15 @@ def test_a_label_map_without_bone_is_refused(segmented, tmp_path):
     nib.save(nib.Nifti1Image(values, image.affine), tmp_path / "labels.nii.gz")
     with pytest.raises(CaseError, match="bone"):
         segment(case_with(tmp_path, labels=tmp_path / "labels.nii.gz"), out=tmp_path)
+
+
+def test_smoothing_that_takes_much_of_a_thin_bone_is_told(segmented, tmp_path):
+    _, first, _ = segmented
+    case = case_with(tmp_path, labels=first.path("labels"))
+    result = segment(case, out=tmp_path, smooth=3.0)
+    (said,) = (each for each in result.warnings if "smoothing took" in each)
+    assert "bone_fibula" in said
+    assert not any("smoothing took" in each for each in first.warnings)
 
 
 def test_an_unknown_seed_is_refused(series, tmp_path):

@@ -14,7 +14,7 @@ from limbcli.imaging.surface import ClosedSurface
 from limbcli.meshing.mending import mend
 from limbcli.meshing.places import place_faults, problem_of, triple
 from limbcli.meshing.surfaces import Triangles
-from limbcli.results import StageWriter
+from limbcli.results import StageResult, StageWriter
 from limbcli.stages.provenance.chain_inputs import SITES, note_case
 from limbcli.stages.segmenting.places_picture import draw_places
 from limbcli.stages.segmenting.site_grid import grid_points, write_grid
@@ -44,7 +44,7 @@ def report_places(
         name: {"what": each.what, "fix": each.fix, "severity": each.severity}
         for name, each in problems.items()
     }
-    writer.warnings.extend(f"{each.what}; {each.fix}" for each in problems.values())
+    writer.warnings.extend(_said(each.what, each.fix) for each in problems.values())
     bones = [each for name, each in triangles.items() if name != "skin"]
     try:
         limb = mend(triangles["skin"], bones, where="skin.ply")
@@ -56,6 +56,18 @@ def report_places(
     at_markers = {str(each["number"]): np.array(each["position_mm"]) for each in markers}
     draw_places(writer.file("site_grid", PICTURE), limb, grid, at_markers, places, title=case.subject)
     writer.summary.append(f"where a site can be: {PICTURE}, with the coordinates of its grid in {TABLE}")
+
+
+def _said(what: str, fix: str) -> str:
+    return f"{what}; {fix}"
+
+
+def warnings_of_limb(segmented: StageResult) -> list[str]:
+    """The warnings of a result of segment but those of places: a place may be another one since."""
+    of_places = [
+        _said(each["what"], each["fix"]) for each in segmented.data.get("site_problems", {}).values()
+    ]
+    return [each for each in segmented.warnings if each not in of_places]
 
 
 def site_errors(data: Mapping[str, Any], where: str) -> list[Problem]:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
+from limbcli.meshing.facets import divided
 from limbcli.meshing.frame import proximal_direction, ray_hits
 from limbcli.meshing.mending import Limb
 from limbcli.meshing.places import triple
@@ -18,6 +19,7 @@ from limbcli.model import Array
 
 _STEP_MM, _MOST_ROWS = 20.0, 24
 _ANGLES = 12
+_BONE_EDGE = 2.0  # mm: bones are so near as their points only where these lie this close
 _NAMES = "ABCDEFGHIJKLMNOPQRSTUVWX"
 
 
@@ -43,7 +45,8 @@ def grid_points(limb: Limb, *, step: float = _STEP_MM) -> list[GridPoint]:
     anterior = np.array([0.0, -1.0, 0.0]) - (np.array([0.0, -1.0, 0.0]) @ axis) * axis
     anterior /= np.linalg.norm(anterior)
     left = np.cross(axis, anterior)
-    bone = cKDTree(np.concatenate([each.points for each in limb.bones])) if limb.bones else None
+    bones = [divided(each.points, each.faces, _BONE_EDGE)[0] for each in limb.bones]
+    bone = cKDTree(np.concatenate(bones)) if bones else None
     found = []
     for row, height in enumerate(np.arange(low + step, high - 0.5 * step, step)):
         section = _section(limb.skin, axis, float(height))

@@ -14,9 +14,9 @@ from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
 from limbcli.meshing.anatomy import SKIN, limb_check
 from limbcli.meshing.bone_places import put_back
 from limbcli.meshing.facets import divided
-from limbcli.meshing.mending import enclosed, open_rims, skin_and_bones, turned_inward
+from limbcli.meshing.mending import enclosed, open_rims, skin_and_bones, turned_inward, without_cavities
 from limbcli.meshing.places import triple
-from limbcli.meshing.surfaces import Triangles
+from limbcli.meshing.surfaces import Triangles, join
 from limbcli.results import StageWriter
 from limbcli.stages.segmenting.bone_names import names_of_bodies, names_of_files, numbered
 from limbcli.stages.segmenting.places import report_places
@@ -101,6 +101,7 @@ def read_surfaces(case: Case) -> tuple[dict[str, ClosedSurface], dict[str, Path]
     surfaces = {name: _in_mm(read_surface(path), name, path) for name, path in paths.items()}
     if not case.imaging.bones:
         return _bodies(surfaces[SKIN], case.imaging.skin), paths
+    surfaces |= {name: _whole(surfaces[name]) for name in names}
     if names == numbered(len(names)):  # no file says which bone it holds
         triangles = triangles_of(surfaces)
         bodies = [SKIN, *names_of_bodies(triangles[SKIN], [triangles[each] for each in names])]
@@ -120,6 +121,16 @@ def _bodies(surface: ClosedSurface, path: Path) -> dict[str, ClosedSurface]:
         )
     named = dict(zip(names_of_bodies(skin, bones), bones, strict=True))
     return {name: ClosedSurface(each.points, each.faces) for name, each in {SKIN: skin, **named}.items()}
+
+
+def _whole(bone: ClosedSurface) -> ClosedSurface:
+    """The bone without the walls of its cavities."""
+    pieces = _bodies_of(bone)
+    kept = without_cavities(pieces)
+    if len(kept) == len(pieces):
+        return bone
+    outer = join(kept)
+    return ClosedSurface(outer.points, outer.faces)
 
 
 def _in_mm(surface: ClosedSurface, name: str, path: Path) -> ClosedSurface:

@@ -8,6 +8,7 @@ from limbcli.case import Site
 from limbcli.errors import MeasurementError
 from limbcli.measurement.indentation import read_levels
 from limbcli.meshing.checks import LayersKept, SiteChecks
+from limbcli.meshing.places import MOVED_MM
 from limbcli.results import StageResult
 
 OVER_TISSUE = 0.95  # part of the face that should have skin below
@@ -100,6 +101,13 @@ def geometry_warnings(checks: SiteChecks, *, measured: float | None, margin: flo
             "the fixed end stiffens the model"
         )
     return out
+
+
+def moved_warnings(moved: float, site: Site) -> list[str]:
+    """Whether a place lay beside the skin (mm); the middle of a marker stands above it as it should."""
+    if site.marker is not None or moved <= MOVED_MM:
+        return []
+    return [f"the site was {moved:.1f} mm from the skin and was moved onto it"]
 
 
 def layer_warnings(kept: LayersKept, total: float) -> list[str]:

@@ -1,0 +1,78 @@
+"""The same body out of every form in which scanners and drawing programs write surfaces."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from limbcli.imaging.surface import read_surface
+from limbcli.triangle_files import read_triangles
+
+POINTS = np.array([[x, y, z] for z in (0.0, 30.0) for x, y in ((0, 0), (20, 0), (20, 10), (0, 10))])
+SIDES = [[0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]]
+ENDS = [[0, 3, 2], [0, 2, 1], [4, 5, 6], [4, 6, 7]]  # triangles beside the sides' quadrilaterals
+VOLUME = 20.0 * 10.0 * 30.0
+
+
+def write_obj(path: Path, corner: str, *, backwards: bool = False) -> None:
+    """corner : a format of the point's number; a texture with more places than there are points."""
+    shift = -len(POINTS) if backwards else 1
+    rows = [f"v {x} {y} {z}" for x, y, z in POINTS] + ["vn 0 0 1", *["vt 0.5 0.5"] * 11, "usemtl scan"]
+    rows += ["f " + " ".join(corner.format(each + shift) for each in face) for face in SIDES + ENDS]
+    path.write_text("\n".join(rows))
+
+
+def write_ply(path: Path, form: str, count: str, corner: str, name: str) -> None:
+    """Colours beside points and faces, faces of three and of four corners in turn, an element before both."""
+    head = f"ply\nformat {form} 1.0\ncomment from a scanner\nelement camera 1\nproperty float view_x\n"
+    head += f"element vertex {len(POINTS)}\n" + "".join(f"property double {each}\n" for each in "xyz")
+    head += f"property uchar red\nelement face {len(SIDES + ENDS)}\nproperty list {count} {corner} {name}\n"
+    head += "property int flags\nend_header\n"
+    order = ">" if "big" in form else "<"
+    kinds = {"uchar": "u1", "uint8": "u1", "int": "i4", "uint": "u4", "int32": "i4"}
+    rows = [([1.5], "f4"), *((part, kind) for each in POINTS for part, kind in ((each, "f8"), ([200], "u1")))]
+    for face in (each for pair in zip(SIDES, ENDS, strict=True) for each in pair):
+        rows += [([len(face)], kinds[count]), (face, kinds[corner]), ([7], "i4")]
+    if form == "ascii":
+        path.write_text(head + " ".join(f"{value:g}" for values, _ in rows for value in values) + "\n")
+    else:
+        body = b"".join(np.array(values).astype(order + kind).tobytes() for values, kind in rows)
+        path.write_bytes(head.encode() + body)
+
+
+@pytest.mark.parametrize("corner", ["{0}", "{0}/{0}", "{0}//1", "{0}/11/1"])
+@pytest.mark.parametrize("backwards", [False, True])
+def test_an_obj_with_textures_and_normals_is_its_points_and_faces(tmp_path, corner: str, backwards: bool):
+    write_obj(tmp_path / "a.obj", corner, backwards=backwards)
+    surface = read_surface(tmp_path / "a.obj")
+    assert surface.is_closed
+    assert surface.volume == pytest.approx(VOLUME)
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
+@pytest.mark.parametrize(
+    ("count", "corner", "name"),
+    [("uchar", "int", "vertex_indices"), ("uchar", "uint", "vertex_index"), ("int", "int32", "vertex_index")],
+)
+def test_a_ply_with_colours_and_faces_of_any_corners_is_read(tmp_path, form, count, corner, name):
+    write_ply(tmp_path / "a.ply", form, count, corner, name)
+    surface = read_surface(tmp_path / "a.ply")
+    assert surface.is_closed
+    assert surface.volume == pytest.approx(VOLUME)
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian"])
+def test_a_ply_that_ends_early_is_refused(tmp_path, form):
+    path = tmp_path / "a.ply"
+    write_ply(path, form, "uchar", "int", "vertex_indices")
+    path.write_bytes(path.read_bytes()[:-9])
+    with pytest.raises(OSError, match="ends before"):
+        read_triangles(path)
+
+
+def test_an_obj_without_points_holds_no_triangles(tmp_path):
+    (tmp_path / "a.obj").write_text("# nothing\n")
+    points, faces = read_triangles(tmp_path / "a.obj")
+    assert points.shape == faces.shape == (0, 3)
