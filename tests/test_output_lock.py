@@ -125,7 +125,7 @@ def test_a_folder_that_got_nothing_is_not_left(tmp_path: Path):
 def test_a_folder_that_cannot_be_is_told_with_a_way_out():
     with pytest.raises(CaseError) as caught, one_writer(Path("/proc/limb")):
         pass
-    assert "cannot be made (No such file" in caught.value.what
+    assert "cannot be created (No such file" in caught.value.what
     assert (caught.value.where, caught.value.fix) == ("/proc/limb", "name another --out")
 
 

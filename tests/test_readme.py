@@ -39,11 +39,11 @@ def test_example_case_is_valid_but_for_its_files(tmp_path: Path):
     (tmp_path / "case.toml").write_text(BLOCKS[0])
     problems = [each.what for each in read_case(tmp_path)[1]]
     assert problems
-    assert all("not there" in each for each in problems)
+    assert all("not found" in each for each in problems)
 
 
 def test_example_instruments_are_valid_but_for_their_files(tmp_path: Path):
     (tmp_path / "case.toml").write_text(BLOCKS[0] + BLOCKS[1])
     tomllib.loads(BLOCKS[0] + BLOCKS[1])
     problems = [each.what for each in read_case(tmp_path)[1]]
-    assert all("not there" in each for each in problems)
+    assert all("not found" in each for each in problems)

@@ -124,7 +124,7 @@ def read_case(folder: Path) -> tuple[Case | None, list[Problem]]:
 
 def _without_format(raw: Mapping[str, Any], file: str) -> list[Problem]:
     fix = "add `format = 1` as its first line"
-    return [] if "format" in raw else [Problem("case.toml lacks 'format'", file, fix)]
+    return [] if "format" in raw else [Problem("case.toml is missing 'format'", file, fix)]
 
 
 def _read_tables(

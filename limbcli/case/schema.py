@@ -76,7 +76,7 @@ def plain_name(value: object) -> str | None:
 def site_name(value: object) -> str | None:
     """
     >>> site_name("p1"), site_name("p1-failed")
-    (None, "is 'p1-failed'; what failed at site 'p1' is left under that name")
+    (None, "is 'p1-failed'; that name is reserved for the failure record of site 'p1'")
     """
     wrong, (site, ending, rest) = plain_name(value), str(value).rpartition(FAILED)
     if wrong is None and ending and not rest:
@@ -329,8 +329,8 @@ def check_table(
     >>> _, problems = check_table({"lenght_mm": 53}, PROBE, name="probe", file="case.toml")
     >>> for each in problems: print(each.what)
     unknown key 'lenght_mm' in [probe]
-    [probe] lacks 'length_mm' (mm)
-    [probe] lacks 'width_mm' (mm)
+    [probe] is missing 'length_mm' (mm)
+    [probe] is missing 'width_mm' (mm)
     """
     if not isinstance(table, dict):
         problem = Problem(f"[{name}] is not a table", file, f"write it as [{name}] with `key = value` lines")

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 CaseArg = Annotated[
-    Path, typer.Argument(metavar="CASE", help="Case folder (it holds case.toml).", show_default=False)
+    Path, typer.Argument(metavar="CASE", help="Case folder (containing case.toml).", show_default=False)
 ]
 OutOpt = Annotated[
     Path | None,

@@ -14,7 +14,7 @@ from limbcli.progress import Progress
 
 OptionalCaseArg = Annotated[
     Path | None,
-    typer.Argument(metavar="CASE", help="Case folder (it holds case.toml).", show_default=False),
+    typer.Argument(metavar="CASE", help="Case folder (containing case.toml).", show_default=False),
 ]
 IndexOpt = Annotated[
     Path | None,

@@ -244,7 +244,7 @@ def open_model(path: Path) -> Tag:
             f"this is not a readable XML file ({error})", where=str(path), fix="write or copy the file again"
         ) from error
     if root is None or root.tag != "febio_spec":
-        raise CaseError("this is not a FEBio model file", where=str(path), fix="name a .feb file")
+        raise CaseError("this is not a FEBio model file", where=str(path), fix="give a .feb file")
     tag = Tag(root, path)
     if next(root.iter(etree.Entity), None) is not None:
         raise tag.problem(

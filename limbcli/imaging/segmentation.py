@@ -158,7 +158,7 @@ def _require_in_limb(seeds: Array, limb: NDArray[np.bool_], work: Volume) -> Non
     for each in np.atleast_2d(seeds):
         voxel = np.clip(np.round(work.to_voxel(each[None])[0]), 0, last).astype(int)
         if not limb[tuple(voxel)]:
-            raise _seed_error("bone", each, "lies outside of the limb")
+            raise _seed_error("bone", each, "lies outside the limb")
 
 
 def _words(corner: Array) -> str:

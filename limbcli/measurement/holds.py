@@ -76,9 +76,9 @@ def find_holds(trace: Trace, *, tolerance: float = 0.1, duration_s: float = 5.0)
     good = np.isfinite(trace.force)
     if good.sum() < _FEWEST_SAMPLES:
         raise MeasurementError(
-            f"{int(good.sum())} of {len(good)} samples of the record hold a force",
+            f"{int(good.sum())} of {len(good)} samples of the record contain a force",
             where=str(trace.path),
-            fix="name the column of the force (columns) and its decimal mark",
+            fix="give the column of the force (columns) and its decimal mark",
         )
     time, force = trace.time[good], trace.force[good]
     smooth = _smoothed(time, force, SMOOTHING_S)
@@ -90,7 +90,7 @@ def find_holds(trace: Trace, *, tolerance: float = 0.1, duration_s: float = 5.0)
             f"no hold of {duration_s:g} s within +-{tolerance:g} N; the longest lasts {longest:.1f} s, the "
             f"record spans {force.min():.3g} to {force.max():.3g} N",
             where=str(trace.path),
-            fix="hold longer or steadier, or state hold_s, hold_tolerance_n and force_unit as they were",
+            fix="hold longer or more steadily, or state hold_s, hold_tolerance_n and force_unit as they were",
             longest_s=float(longest),
         )
     depth, travel = (None if each is None else each[good] for each in (trace.depth, trace.probe_travel))
@@ -248,14 +248,14 @@ def without_probe_weight(
 
     in_air = (trace.time >= tare_s[0]) & (trace.time <= tare_s[1]) & np.isfinite(trace.force)
     if not in_air.any():
-        fix = "state tare_s = [from, to], a stretch in which the probe hung free"
+        fix = "state tare_s = [from, to], an interval in which the probe hung free"
         what = f"no sample lies within tare_s = [{tare_s[0]:g}, {tare_s[1]:g}] s"
         raise MeasurementError(what, where=str(trace.path), fix=fix)
     force = trace.force - float(np.nanmean(trace.force[in_air]))
     if probe_mass_kg:
         if trace.acceleration_g is None:
-            fix = "add accel_x_g, accel_y_g and accel_z_g, or leave probe_mass_kg out"
-            what = "the probe's weight cannot be taken off without its orientation"
+            fix = "add accel_x_g, accel_y_g and accel_z_g, or remove probe_mass_kg"
+            what = "the probe's weight cannot be subtracted without its orientation"
             raise MeasurementError(what, where=str(trace.path), fix=fix)
         _check_gravity(trace.acceleration_g[in_air], trace)
         sign = -1.0 if axis.startswith("-") else 1.0
@@ -278,7 +278,7 @@ def _check_gravity(acceleration_g: Array, trace: Trace) -> None:
         fix = (
             "give accel_x_g, accel_y_g and accel_z_g in g (from m/s2: divide by 9.80665), their zeros taken "
         )
-        raise MeasurementError(what, where=str(trace.path), fix=f"{fix}off, or leave probe_mass_kg out")
+        raise MeasurementError(what, where=str(trace.path), fix=f"{fix}off, or remove probe_mass_kg")
 
 
 def missing_levels(holds: list[Hold], *, step: float = 2.0) -> list[float]:

@@ -31,7 +31,7 @@ _SPEED_UNUSUAL_M_PER_S = 4.0  # at 0 N
 _TOLERATED_FORCE_DROP = 1.0
 _SILENT_FORCE_DROP = 0.3
 _PULL = 0.5  # N below 0 that noise and a load cell's drift explain
-_TARE = "take what it read in the air from every force (tare_s of [site.load_cell] does so)"
+_TARE = "subtract its reading in air from every force (tare_s of [site.load_cell] does so)"
 # How far skin_bone_mm and depth_mm may contradict each other: mm, deviations of the depth.
 _DISTANCE_OFF, _DISTANCE_SIGMAS = 2.0, 4.0
 # How far from 0 mm level 0 may stand: deviations of the depth; by how much a curve is softer at its start
@@ -46,7 +46,7 @@ def check_count(levels: Levels, path: Path) -> list[Problem]:
         return [problem("there is only one level", path, fix)]
     if n < FEWEST_LOADING:
         fix = "a curve with two parameters needs at least three levels of loading"
-        return [problem(f"there are {n} levels of loading only", path, fix)]
+        return [problem(f"there are only {n} levels of loading", path, fix)]
     counts = {cycle: levels.n_loading(cycle) for cycle in levels.cycles}
     if max(counts.values()) < FEWEST_LOADING:
         fix = "a curve needs at least three levels of loading in one cycle"
@@ -81,14 +81,14 @@ def check_cycles(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
     for row in range(1, len(levels)):
         before, now, line = int(cycle[row - 1]), int(cycle[row]), table.lines[row]
         if now < before:
-            what = f"the cycles are out of order: cycle {now} stands after cycle {before}"
-            problems.append(problem(what, path, "rows stand in the order measured", line=line))
+            what = f"the cycles are out of order: cycle {now} comes after cycle {before}"
+            problems.append(problem(what, path, "give rows in the order measured", line=line))
         elif now > before + 1:
             what = f"cycle {now} follows cycle {before}: {_skipped(before, now)} without a row"
             problems.append(problem(what, path, "number the loadings 1, 2, 3, ...", line=line))
         elif now == before and levels.phase[row - 1] == "unload" and levels.phase[row] == "load":
             what = f"the tissue is loaded again within cycle {now}"
-            fix = "give each loading a cycle of its own (column cycle: 1, 2, ...), or correct the phase"
+            fix = "give each loading its own cycle (column cycle: 1, 2, ...), or correct the phase"
             problems.append(problem(what, path, fix, line=line))
     return problems
 

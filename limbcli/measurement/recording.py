@@ -315,7 +315,7 @@ def _column(rows: list[list[str]], position: int, decimal: str, name: str, path:
                 fix = (
                     f"the decimal mark is a {decimal!r} here: write numbers without marks between thousands, "
                 )
-                fix += 'or say decimal = "."'
+                fix += 'or state decimal = "."'
             if ":" in cell:
                 fix = "write seconds: a time of day or a date is not read as time"
             where = f"{path}, row {k + 1} below the header"
@@ -328,8 +328,8 @@ def _check_time(time: Array, path: Path) -> None:
     if len(wrong):
         k = int(wrong[0])
         raise MeasurementError(
-            f"the time does not grow from row {k + 1} to {k + 2} ({time[k]:g}, {time[k + 1]:g} s)",
+            f"the time does not increase from row {k + 1} to {k + 2} ({time[k]:g}, {time[k + 1]:g} s)",
             where=str(path),
-            fix="sort by time, remove repeated samples, or name the right time column",
+            fix="sort by time, remove repeated samples, or give the right time column",
             n_rows=len(wrong),
         )

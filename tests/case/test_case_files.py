@@ -70,7 +70,7 @@ def test_what_leads_out_of_the_folder_is_refused_and_not_read(folder: Path, name
     problems = check(folder).problems
     assert any("points outside the case folder" in each.what for each in problems)
     assert SECRET not in str(caught.value) + "".join(map(str, problems))
-    assert not any("not there" in each.what for each in problems), "whether it is there is told to nobody"
+    assert not any("not found" in each.what for each in problems), "whether it is there is told to nobody"
 
 
 @pytest.mark.parametrize("name", [name for name in OUTSIDE if name not in ("not there", "no name")])

@@ -164,7 +164,7 @@ def test_what_a_killed_process_was_at_is_done_by_another(workers, tmp_path: Path
     killer.start()
     assert batch(workers, *several, "--out", tmp_path / "out") == 0
     assert not killer.is_alive()
-    assert "lost on the way: 1" in capsys.readouterr().err
+    assert "lost during the run: 1" in capsys.readouterr().err
     counted = log(several[0])
     assert counted.pop("begin run p2") == 2
     assert set(counted.values()) == {1}, "what was whole before the kill is not done again"
@@ -308,7 +308,7 @@ def test_a_worker_with_other_code_is_refused_before_anything_begins(workers, tmp
     case = two_sites(tmp_path / "a")
     assert batch(workers, case, "--out", tmp_path / "out") == 4
     reported = capsys.readouterr().err
-    assert "2 of 2 workers may not be used" in reported
+    assert "2 of 2 workers cannot be used" in reported
     assert "with other sources" in reported
     assert not (case / "log.txt").exists()
 

@@ -59,14 +59,14 @@ TILT, PAIR = ("tilt",), ("preload", "fat")
     ],
 )  # fmt: skip
 def test_the_limb_that_takes_less_and_fits_better(ours, theirs, gain, expected):
-    assert weighed(ours, theirs, gain=gain, asked=12.0) == expected
+    assert weighed(ours, theirs, gain=gain, required=12.0) == expected
 
 
 def test_bones_that_are_wrong_as_segmented_are_no_further_assumption():
     ours, theirs = found("named", TILT), found("named", ("preload",))
-    assert weighed(ours, theirs, gain=0.0, asked=12.0) == "as segmented"
-    assert weighed(ours, theirs, gain=0.0, asked=12.0, is_repair=True) == "either"
-    assert weighed(ours, theirs, gain=13.0, asked=12.0, is_repair=True) == "other bones"
+    assert weighed(ours, theirs, gain=0.0, required=12.0) == "as segmented"
+    assert weighed(ours, theirs, gain=0.0, required=12.0, is_repair=True) == "either"
+    assert weighed(ours, theirs, gain=13.0, required=12.0, is_repair=True) == "other bones"
 
 
 def test_nothing_missing_is_not_looked_for_on_another_limb():

@@ -137,14 +137,14 @@ def test_the_case_of_the_page_is_valid_but_for_its_files(tmp_path: Path):
     assert len(other_geometries) == 2
     for each in (each for each in others if each not in other_geometries):
         (tmp_path / "case.toml").write_text(f"{text}\n{each}")
-        assert all("not there" in problem.what for problem in read_case(tmp_path)[1])
+        assert all("not found" in problem.what for problem in read_case(tmp_path)[1])
     for each in ("[imaging]" + text.split("[imaging]")[1].split("[probe]")[0], *other_geometries):
         (tmp_path / "case.toml").write_text(
             text.split("[imaging]")[0] + each + "[probe]" + text.split("[probe]")[1]
         )
         problems = [problem.what for problem in read_case(tmp_path)[1]]
         assert problems
-        assert all("not there" in problem for problem in problems), problems
+        assert all("not found" in problem for problem in problems), problems
     for each in blocks(REPOSITORY / "cases" / "README.md", "toml"):
         tomllib.loads(each)
 

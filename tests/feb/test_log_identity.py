@@ -63,7 +63,7 @@ def test_a_log_without_a_mark_is_judged_by_the_input_it_repeats(folder: Path) ->
     good = ECHO.format(n_nodes=n_nodes(), c1="0.0025")
     assert read_echo(good.splitlines()).materials[1]["c1"] == 0.0025
     check(folder, good)
-    with pytest.raises(SolveError, match=r"another material: c1 is 0\.005, not 0\.0025"):
+    with pytest.raises(SolveError, match=r"a different material: c1 is 0\.005, not 0\.0025"):
         check(folder, ECHO.format(n_nodes=n_nodes(), c1="0.005"))
     with pytest.raises(SolveError, match="nodes"):
         check(folder, ECHO.format(n_nodes=n_nodes() + 1, c1="0.0025"))

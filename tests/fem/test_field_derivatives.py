@@ -376,7 +376,7 @@ def test_a_response_that_depends_on_the_way_is_refused(why: str) -> None:
         model = replace(model, contacts=(replace(model.contacts[0], augmented=True),))
     with closing(Analysis(model, Settings(threads=1))) as analysis:
         last = analysis.run()[-1]
-        with pytest.raises(SolveError, match="depends on the way"):
+        with pytest.raises(SolveError, match="depends on the loading path"):
             sensitivities(analysis.newton, last.state, last.forces, [LawParameter("tissue", "c1")])
 
 

@@ -41,7 +41,7 @@ def test_a_simple_limb_is_found_with_bones_and_markers():
     ("hints", "message"),
     [({"bone_seeds": (400.0, 0.0, 0.0)}, "bone=400,0,0 lies outside of the image"),
      ({"soft_seeds": (-60.0, 0.0, 0.0)}, "soft=-60,0,0 lies outside of the image"),
-     ({"bone_seeds": (-49.0, -40.0, 0.0)}, "lies outside of the limb")],
+     ({"bone_seeds": (-49.0, -40.0, 0.0)}, "lies outside the limb")],
 )  # fmt: skip
 def test_seeds_that_lie_nowhere_are_refused(coarse, hints, message):
     with pytest.raises(CaseError, match=message):

@@ -202,7 +202,7 @@ GOOD = ["1,load,0,0", "1,load,2,1", "1,load,4,2", "1,unload,2,1.3", "2,load,0,0.
         ({4: "1,load,0,0.2"}, "loaded again within cycle 1"),
         ({4: "3,load,0,0.2", 5: "3,load,2,1.1", 6: "3,load,4,2"}, "cycle 2 is without a row"),
         ({0: "2,load,0,0"}, "the first row is of cycle 2"),
-        ({1: "2,load,2,1", 2: "1,load,4,2"}, "out of order: cycle 1 stands after cycle 2"),
+        ({1: "2,load,2,1", 2: "1,load,4,2"}, "out of order: cycle 1 comes after cycle 2"),
         ({1: "1.5,load,2,1"}, "cycle is 1.5"),
         ({1: "0,load,2,1"}, "cycle is 0"),
         ({1: ",load,2,1"}, "cycle is empty"),

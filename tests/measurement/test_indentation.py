@@ -238,7 +238,7 @@ def test_a_force_at_no_depth_may_be_a_missing_tare(tmp_path: Path, first: str, i
     rows = [first, "5.5,2,1.9,0.2,90", "7.5,4,2.1,0.2,90", "9.5,6,2.3,0.2,90"]
     problems = check_levels(write(tmp_path, rows=rows))[1]
     (uncertainty,) = [each for each in problems if "there is no level 0" in each.what]
-    assert ("if the load cell was not tared, take what it read in the air" in uncertainty.fix) == is_reported
+    assert ("if the load cell was not tared, subtract its reading in air" in uncertainty.fix) == is_reported
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,7 @@ def test_one_image_along_the_limb_takes_its_plane_and_says_so():
     found = direction_of_angles([ImageAngle(PROXIMAL, -20.0, 3.0)], BEAM, proximal=PROXIMAL)
     a = np.radians(20.0)
     np.testing.assert_allclose(found.axis, [0.0, -np.sin(a), np.cos(a)], atol=1e-12)
-    assert "not told" in found.how
+    assert "not given" in found.how
     assert found.deviation_deg == 3.0
 
 

@@ -26,7 +26,7 @@ PROBE = ProbeShape(40.0, 14.0, 3.0)
 
 def test_mesher_refusing_a_surface_is_a_mesh_error(make_ball):
     crossing = join([make_ball((0, 0, 0), 10.0, n=8), make_ball((5, 0, 0), 10.0, n=8)])
-    with pytest.raises(MeshError, match="tetgen refuses"):
+    with pytest.raises(MeshError, match="tetgen rejected"):
         in_process("tetgen", crossing.points, crossing.faces, {}, time_limit_s=30)
 
 
@@ -78,7 +78,7 @@ needs_ftetwild = pytest.mark.skipif(
 def test_ftetwild_fills_what_tetgen_refuses(make_ball):
     """Two balls that pierce each other: the volume of their union."""
     crossing = join([make_ball((0, 0, 0), 10.0, n=8), make_ball((5, 0, 0), 10.0, n=8)])
-    with pytest.raises(MeshError, match="tetgen refuses"):
+    with pytest.raises(MeshError, match="tetgen rejected"):
         in_process("tetgen", crossing.points, crossing.faces, {}, time_limit_s=30)
     options = {"edge_length_abs": 6.0, "epsilon": 0.01, "num_opt_iter": 2, "num_threads": 2}
     nodes, cells = in_process("pytetwild", crossing.points, crossing.faces, options, time_limit_s=120)
@@ -108,7 +108,7 @@ def test_site_whose_surface_tetgen_refuses_is_meshed_by_ftetwild(leg, monkeypatc
     options = MeshOptions(element="tet4", sizes=sizes, margin=15.0, spacing=2.0)
     found = site_model(leg, (0.0, -40.0, 0.0), "transverse", PROBE, options)
     assert found.maker == "fTetWild"
-    refused = [each for each in found.notes if "tetgen refuses" in each or "TetGen" in each]
+    refused = [each for each in found.notes if "tetgen rejected" in each or "TetGen" in each]
     assert len(refused) >= 3
     assert found.quality.min_angle_deg >= volume.MIN_ANGLE_DEG
     assert found.quality.min_angle_under_probe_deg >= volume.MIN_ANGLE_UNDER_PROBE_DEG

@@ -44,7 +44,7 @@ def test_a_force_that_is_not_reached_or_falls_is_an_error():
     depth = np.arange(4.0)
     with pytest.raises(SolveError, match=r"reaches 3\.00 N"):
         depth_at_force(depth, depth, np.array([0.0, 4.0]))
-    with pytest.raises(SolveError, match="does not grow"):
+    with pytest.raises(SolveError, match="does not increase"):
         depth_at_force(depth, np.array([0.0, 2.0, 1.0, 3.0]), np.array([1.0]))
 
 

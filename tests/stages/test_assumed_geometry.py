@@ -212,7 +212,7 @@ def test_a_distance_given_by_hand_wins(tmp_path):
 
 def test_a_site_without_a_distance_is_named(tmp_path):
     case = scanned(tmp_path / "case", first=",")
-    with pytest.raises(CaseError, match="site p1 tells no distance from skin to bone"):
+    with pytest.raises(CaseError, match="site p1 has no distance from skin to bone"):
         segment(case, out=tmp_path / "out")
 
 

@@ -436,7 +436,7 @@ def test_options_by_hand_outlive_a_failure_of_what_all_sites_share(
     by_hand(case, out, "mesh", "p2", fat_layer=6.0)
 
     def fails(*_: object, **__: object) -> None:
-        raise CaseError("no limb stands out", where="MRI series", fix="check it")
+        raise CaseError("no limb can be separated", where="MRI series", fix="check it")
 
     with monkeypatch.context() as patch:
         patch.setattr(sys.modules["limbcli.stages.segment"], "segment", fails)

@@ -127,7 +127,7 @@ def test_missing_image_is_said_with_the_counts(folder: Path, tmp_path: Path):
     content = extra.read_bytes()
     extra.unlink()
     try:
-        with pytest.raises(MeasurementError, match="as many levels: force_n 4"):
+        with pytest.raises(MeasurementError, match="numbers of levels: force_n 4"):
             measure(Case.open(folder), out=tmp_path)
     finally:
         extra.write_bytes(content)
@@ -309,7 +309,7 @@ def test_maps_go_where_the_case_names_them(folder: Path, tmp_path: Path):
     assert (case.folder / "p1.csv").is_file()
     (case.folder / "p1.csv").unlink()
     again = measure(Case.open(case.folder), out=tmp_path / "b", write=True)[0]
-    assert any("the maps in maps were there already" in each for each in again.warnings)
+    assert any("the maps in maps already existed" in each for each in again.warnings)
 
 
 @pytest.mark.slow

@@ -600,7 +600,7 @@ def test_a_faulty_template_of_the_users_is_named_and_leaves_no_half_page(tmp_pat
     case = make_case(tmp_path / "case")
     (tmp_path / "mine" / "report").mkdir(parents=True)
     (tmp_path / "mine" / "report" / "report.html.j2").write_text(content)
-    with pytest.raises(CaseError, match="a template is faulty") as caught:
+    with pytest.raises(CaseError, match="a template is invalid") as caught:
         report(case, out=tmp_path / "out", templates=tmp_path / "mine")
     assert "mine" in caught.value.where
     assert not list((tmp_path / "out").iterdir())

@@ -91,7 +91,7 @@ def test_fat_from_the_images_ends_where_the_muscle_was_seen(case: Case) -> None:
 
 def test_images_that_tell_no_thickness_are_no_guess(case: Case) -> None:
     site = case.sites[0]
-    with pytest.raises(CaseError, match="tell no thickness of the fat") as caught:
+    with pytest.raises(CaseError, match="give no thickness of the fat") as caught:
         Layering(None, "mri").of(site, segmented(), size=2.5)
     assert "--fat-mm" in caught.value.fix
     with pytest.raises(CaseError, match="at the case's sites only"):

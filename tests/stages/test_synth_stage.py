@@ -110,7 +110,7 @@ def test_only_what_synth_made_is_replaced(limb, exact, tmp_path):
 def test_the_mesh_that_is_fitted_has_its_own_element_and_sizes(limb, tmp_path):
     case = Case.open(limb / "limb")
     for reported, words in (
-        ({"size": 2.0}, "sizes are told"),
+        ({"size": 2.0}, "mesh sizes are given"),
         ({"element": "tet10"}, "is of tet4, not of tet10"),
     ):
         with pytest.raises(CaseError, match=words):

@@ -131,8 +131,8 @@ def _shrunk(data: Mapping[str, Any]) -> PageTable:
 def _interval(stage: Mapping[str, Any], name: str) -> str:
     """Value and interval, without the ends that the data leave open; nothing where an older result has none.
 
-    >>> undetermined = {"values": {"m": 3.9}, "intervals_95": {"m": [1.0, 6.2]}}
-    >>> _interval(undetermined, "m"), _interval({**told, "not_told_by_the_data": ["m below"]}, "m")
+    >>> stage = {"values": {"m": 3.9}, "intervals_95": {"m": [1.0, 6.2]}}
+    >>> _interval(stage, "m"), _interval({**stage, "not_told_by_the_data": ["m below"]}, "m")
     ('3.90 (1.00 to 6.20)', '3.90 (up to 6.20)')
     """
     ends = stage.get("intervals_95", {}).get(name)

@@ -120,7 +120,7 @@ _MOST_DECADES = 6.0  # of an adjusted p, that are drawn
 _WIDEST = 4.0  # plausible sizes
 _THINNEST = 0.02  # of them: a bar that can be seen
 _SHOWN = {"force": "force", "swe": "mean wave speed", "map": "wave-speed map", "travel": "probe travel",
-          "layer": "layers", "hold": "decrease of force in holds"}  # fmt: skip
+          "layer": "layers", "hold": "force decay in holds"}  # fmt: skip
 
 
 def gap_picture(found: Diagnosis, sites: Sequence[SiteData], path: Path) -> None:

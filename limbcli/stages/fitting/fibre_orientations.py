@@ -55,8 +55,8 @@ def undetermined(shares: Sequence[float], has_speeds: Sequence[bool]) -> list[st
 
     >>> undetermined([0.0, 1.0], [True, True])
     []
-    >>> print(undetermined([0.0], [True])[0][:61])
-    all records are across the fibres: their speeds tell c, but h
+    >>> print(undetermined([0.0], [True])[0][:59])
+    all records are across the fibres: their speeds determine c
     """
     seen = [share for share, speeds in zip(shares, has_speeds, strict=True) if speeds]
     if max(shares) - min(shares) >= _ALIKE:

@@ -77,7 +77,7 @@ def _deviations(rows: list[dict[str, Any]], uncertainty: GeometryUncertainty) ->
 def _widening(reported: dict[str, Any]) -> str:
     """
     >>> _widening({"interval_95_noise": {"m": [4.0, 5.0]}, "interval_95": {"m": [3.5, 5.5]}})
-    '95 % of m: 4 to 5 by noise alone, 3.5 to 5.5 with it'
+    '95 % of m: 4 to 5 from noise alone, 3.5 to 5.5 with it'
     """
     before, after = (reported[key].get("m", [None, None]) for key in ("interval_95_noise", "interval_95"))
     if None in before or None in after:

@@ -237,7 +237,7 @@ def _groups(rows: list[Row], protocol: Protocol, windows: Windows) -> dict[str, 
     groups: dict[str, np.ndarray] = {}
     names = {"force": "force", "swe": "mean speed", "map": "speed maps", "travel": "probe travel",
              "skin-bone": "skin-bone distance", "layer": "layers",
-             "hold": "decrease of force in holds"}  # fmt: skip
+             "hold": "force decay in holds"}  # fmt: skip
     level = np.array([row.level for row in rows])
     for channel in dict.fromkeys(row.channel for row in rows):
         mask = np.array([row.channel == channel for row in rows])
