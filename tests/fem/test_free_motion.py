@@ -58,7 +58,7 @@ def test_what_nothing_holds_is_named(model: LimbModel, words: str, where: str, s
     with pytest.raises(SolveError, match=words) as caught:
         solved(model, single=single)
     assert where in str(caught.value.where)
-    assert "hold it" in str(caught.value.fix)
+    assert "constrain it" in str(caught.value.fix)
 
 
 @pytest.mark.parametrize("single", [False, True])

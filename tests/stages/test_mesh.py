@@ -239,7 +239,7 @@ def test_a_place_beside_the_skin_is_told_and_the_middle_of_a_marker_is_none():
     assert moved_warnings(2.0, SimpleNamespace(marker=None)) == []
     assert moved_warnings(4.0, SimpleNamespace(marker=3)) == []
     (said,) = moved_warnings(4.0, SimpleNamespace(marker=None))
-    assert "lay 4.0 mm from the skin" in said
+    assert "was 4.0 mm from the skin" in said
 
 
 def test_a_mesh_is_told_with_the_bones_depth_of_today(tmp_path):
