@@ -159,7 +159,7 @@ def _outcome(out: Path, stage: str, site: str | None, case_name: str, subject: s
         except CaseError as error:
             failure = failure or Failure("CaseError", error.what, error.where, error.fix)
         if result is not None and subject and result.subject != subject:
-            what = f"the result is of {result.subject}, the case of {subject}"
+            what = f"the result is of {result.subject}, but the case is of {subject}"
             failure, result = Failure("CaseError", what, str(folder), command), None
     status: Status = "failed" if failure else ("done" if result else "missing")
     return Outcome(stage, site, status, command, result, failure)

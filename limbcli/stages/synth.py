@@ -170,7 +170,7 @@ def _meshed(case: Case, site: Site, folder: Path, options: SynthOptions, progres
     there = Chain(case, folder).present("mesh", site=site.name)
     if there is not None and options.element not in (None, there.data.get("element")):
         raise CaseError(
-            f"the mesh that is fitted has {there.data.get('element')}, not of {options.element}",
+            f"the mesh that is fitted is of {there.data.get('element')}, not of {options.element}",
             where=f"site {site.name}",
             fix="omit --element or --same-mesh",
         )

@@ -186,7 +186,7 @@ def test_c_is_told_by_the_speeds_of_one_site_of_two(second_without_speeds, given
     found = fit_joint(case, out=out, joint=JointOptions(max_solves=4), options=options)
     assert found.data["c_kpa"] == pytest.approx(8.0, rel=0.02)
     assert found.data["chi_square"] < 0.1
-    assert any("the shear-wave speeds tell c" in text for text in found.warnings) == (given is not None)
+    assert any("the shear-wave speeds determine c" in text for text in found.warnings) == (given is not None)
     (told,) = [text for text in found.warnings if "no shear-wave speed at any level" in text]
     assert told.startswith("site p2: ")
 

@@ -147,7 +147,7 @@ def test_states_on_one_slope_leave_the_lowest_point_open(levels, tmp_path):
     )[0]
     least = found.data["least_stiffness"][WAY]
     assert not least["told"]
-    assert "is not determined by these data" in least["words"]
+    assert "these data do not determine the state of least stiffness" in least["words"]
     assert least["by_parabola_through_states"] == {"stretch": None, "low": None, "high": None, "told": False}
     assert any("not determined by these data" in each for each in found.data["undetermined"])
     assert set(found.data["undetermined"]) <= set(found.warnings)

@@ -662,7 +662,7 @@ def test_what_was_made_on_demand_is_on_the_page(tmp_path):
     assert "not predicted" in page.table("two-term-ogden")[2][3]
     assert page.table("777")[2][:3] == ["tet10", "315", "777"]
     assert "chi-square 11.5 for 12 degrees of freedom" in page.text
-    assert "times 1.02 (numerical error allowed: 3.0 %)" in page.text
+    assert "multiplied by 1.02 (numerical error allowed: 3.0 %)" in page.text
     assert {"fit-joint", "laws", "fit-elements-p1", "mesh-study-p1"} <= {
         attrs["id"] for _, attrs in page.tags if "id" in attrs
     }
