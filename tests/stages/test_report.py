@@ -758,7 +758,7 @@ def test_a_diagnosis_is_on_the_page_of_its_own_subject_only(tmp_path):
     assert not any("skin_layer" in each for each in result.summary)
     page = result.path("page").read_text()
     assert "The skin is stiff." not in page
-    assert "the result is of S2, the case of S1" in page
+    assert "the result is of S2, but the case is of S1" in page
 
 
 @pytest.mark.slow
