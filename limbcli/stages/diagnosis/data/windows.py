@@ -22,7 +22,7 @@ _PART_MM = 4.0  # approximate side length of a part
 _USUAL_MM, _INNER_MM = 20.0, 12.0  # largest and smallest half width of a mean's region, if no map defines it
 _WIDTH_PARTS = 10  # number of parts across the usual region; parts within the inner width are complete
 _SHARE = 0.6  # fraction of a part's sampling points that must lie in the model's tissue
-_SHARE_READ = 0.75  # fraction of a part's pixels that must have been read: near bone, pixels show edge effects
+_SHARE_READ = 0.75  # fraction of a part's pixels that must have been read: near bone they show edge effects
 _ROUNDED = 1e-6  # rounding tolerance of positions, in parts or pixels
 _SUBDIVIDED = 2  # subdivisions of each side of a part for the sampling points of a model
 # Each point is blurred by the scanner's smoothing in x and z, and averaged over the slice thickness in y.
