@@ -149,8 +149,7 @@ class Account:
         return tuple(rank_proposals(fits, proposals, whiten))
 
     def angles(self, kept: Sequence[Refit]) -> dict[str, float]:
-        """Cosines between the changes in the data by members of the set, projected off the fitted
-        parameters."""
+        """Cosines between the changes in the data by members of the set, without what refitting removes."""
         baseline = self.baseline
         found = {}
         changes = []

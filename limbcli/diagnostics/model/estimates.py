@@ -132,8 +132,7 @@ def _penalty(m: float) -> float:
 def _walked(
     walk: Walk, start: Mapping[str, float], bounds: tuple[float, float], *, far: float
 ) -> dict[float, Conditional]:
-    """Evaluate the profile from the fit's own m up and down to the bounds, each m from its neighbour's
-    fit."""
+    """Evaluate the profile from the fit's m up and down to the bounds, starting each m from its neighbour."""
     own = float(np.clip(start["m"], *bounds))
     own = next((end for end in bounds if end / _SAME < own < end * _SAME), own)  # fits stop short of a bound
     grid = np.exp(np.linspace(np.log(bounds[0]), np.log(bounds[1]), _PLACES))

@@ -139,8 +139,7 @@ class ForwardModel(Protocol):
 
     @property
     def interval_widening(self) -> float:
-        """Factor by which intervals are widened, because model errors are set to their maximum-likelihood
-        size."""
+        """Factor by which intervals are widened, as model errors are set to their likeliest size."""
         ...
 
     def fit(self, explanation: Explanation, start: Mapping[str, float]) -> Fitted:

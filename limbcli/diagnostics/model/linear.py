@@ -16,8 +16,7 @@ _RANK = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class Whitener:
-    """Cholesky factor L of Sigma = L L' (stored column-major): `whiten(x)` is L^-1 x, for x (n,) or (n,
-    k)."""
+    """Cholesky factor L of Sigma = L L': `whiten(x)` is L^-1 x, for x (n,) or (n, k)."""
 
     factor: Array
 
@@ -45,8 +44,7 @@ class Whitener:
         ValueError
             If x is not finite.
         """
-        # LAPACK is called directly: for few data, scipy's checks of the factor take ten times as long as the
-        # solve
+        # LAPACK is called directly: for few data, scipy's checks take ten times as long as the solve
         found, _ = dtrtrs(self.factor, np.asarray_chkfinite(x), lower=1)
         return np.asarray(found)
 

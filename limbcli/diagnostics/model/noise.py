@@ -141,8 +141,7 @@ def correlated(
 
 
 def numerical(name: str, differences: Sequence[Array]) -> NoisePart:
-    """Discretisation error: each difference (n,) between two meshes is one standard deviation of a common
-    unknown.
+    """Discretisation error: each difference (n,) of two meshes is one standard deviation of an unknown.
 
     >>> numerical("mesh", [np.array([1.0, 0.0]), np.array([0.0, 2.0])]).covariance
     array([[1., 0.],

@@ -43,8 +43,7 @@ def is_gross(state: LinearFit) -> bool:
 
 
 def closes_gross(state: LinearFit, left: LinearFit) -> bool:
-    """Whether an effect reduces the chi2 of a grossly wrong fit to a small fraction (`left`: with the
-    effect).
+    """Whether an effect reduces the chi2 of a grossly wrong fit to a small fraction (`left`).
 
     This is sufficient evidence even if the stated noise is too small, as no effect would reduce the excess
     scatter.

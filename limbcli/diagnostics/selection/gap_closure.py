@@ -33,8 +33,7 @@ class Closing:
         return self._library_percentile(refit) > required
 
     def percentile(self, refit: Refit) -> float:
-        """Percentage of placebos, with as many smooth directions as parameters were added, that explain
-        less."""
+        """Percentage of placebos, each of as many smooth directions as were added, that explain less."""
         baseline = self.baseline
         return placebo_percentile(
             baseline.state, baseline.whiten, self._explained(refit), n_parameters=self._added(refit),

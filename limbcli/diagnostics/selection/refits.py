@@ -1,5 +1,4 @@
-"""Refits of explanations: first on the forward model's surrogate, then by simulation for those near the
-best."""
+"""Refits of explanations: first on the forward model's surrogate, then simulated if near the best."""
 
 from __future__ import annotations
 
@@ -31,8 +30,7 @@ class Refits:
     _few: dict[str, Trial] = field(default_factory=dict)
 
     def compared(self, several: Sequence[Explanation]) -> list[Refit]:
-        """Refits of these explanations, each with its deviance gap to the best and the gap that chance
-        allows."""
+        """Refits of these explanations, each with its deviance gap to the best and the allowed gap."""
         baseline, several = self.baseline, [self._in_order(each) for each in several]
         joint: dict[Explanation, Trial] = {(name,): trial for name, trial in self.trials.items()}
         joint |= {each: self._joint(each) for each in several}
@@ -57,8 +55,7 @@ class Refits:
         return self.known.get(explanation)
 
     def tried(self, explanation: Explanation) -> bool:
-        """Whether the explanation was refitted, or fitted on the surrogate and dropped, in any order of
-        effects."""
+        """Whether the explanation was refitted, or dropped after a fit on the surrogate, in any order."""
         explanation = self._in_order(explanation)
         label = " + ".join(explanation)
         return explanation in self.known or label in self.left_out or label in self.not_evaluated

@@ -1,2 +1,1 @@
-"""Statistical tests: score tests with family-wise adjustment, localisation, hold-out, placebos, stated
-noise."""
+"""Statistical tests: score tests with family-wise adjustment, localisation, hold-out, placebos, noise."""

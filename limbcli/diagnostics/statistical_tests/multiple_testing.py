@@ -162,8 +162,7 @@ class _TestSpace:
         )  # fmt: skip
 
     def statistics(self, errors: NDArray[np.float32]) -> Array:
-        """Statistics (n_draws, n_tests) of errors (n_draws, n); the last is the total, if the noise level is
-        known."""
+        """Statistics (n_draws, n_tests) of errors (n_draws, n); the last is the total, if not relative."""
         total = _squares(errors) - _squares(errors @ self.fitted)
         found = np.zeros((len(errors), self.n_trials + (not self.relative)))
         if len(self.first):

@@ -25,8 +25,9 @@ class Place:
 
     prepared : the sites; forward_model : of all of them jointly
     out : folder with `segment` and `mesh` of the limb; bones : settled evidence on other bones
-    rivals : limbs with other bones that the readings support; given_up : messages on limbs that were rejected
-    on their force curves alone; problems : messages on limbs that could not be tried
+    rivals : limbs with other bones that the readings support, by decreasing gain after `better_than`
+    given_up : messages on limbs that were rejected on their force curves alone
+    problems : messages on limbs that could not be tried
     """
 
     prepared: list[Prepared]

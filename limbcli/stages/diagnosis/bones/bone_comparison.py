@@ -22,8 +22,7 @@ Outcome = Literal["as segmented", "other bones", "either"]
 
 
 def may_be_elsewhere(ours: Diagnosis) -> bool:
-    """Whether other bones could still change the verdict, as an effect is missing on the limb as
-    segmented."""
+    """Whether other bones could still change the verdict, as the limb as segmented leaves a residual."""
     return ours.verdict not in ("adequate", "untestable")
 
 

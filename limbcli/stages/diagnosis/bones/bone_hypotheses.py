@@ -91,8 +91,7 @@ def _in_reach(
     candidates: Mapping[str, Triangles], bones: Mapping[str, Triangles], frames: Sequence[Array],
     length: float, width: float,
 ) -> list[str]:  # fmt: skip
-    """Candidates about as near to a probe's face as the nearest other bone (`_AS_NEAR`), the nearest
-    first."""
+    """Candidates about as near to a probe's face as the nearest other bone, the nearest first."""
     nearest: dict[str, float] = {}
     for frame in frames:
         far = {name: _from_face(each.moved(frame).points, length, width) for name, each in bones.items()}
@@ -104,7 +103,6 @@ def _in_reach(
 
 
 def _from_face(points: Array, length: float, width: float) -> float:
-    """Distance in mm from a probe's face of this length (along x) and width (along y) to the nearest
-    point."""
+    """Distance (mm) from a probe's face of this length (along x) and width (along y) to the nearest point."""
     beside = np.maximum(np.abs(points[:, :2]) - np.array([length, width]) / 2, 0.0)
     return float(np.linalg.norm(np.column_stack([beside, points[:, 2]]), axis=1).min())

@@ -57,8 +57,7 @@ class Penetration:
 
 
 def penetration(harder: Curves, softer: Curves) -> Penetration | None:
-    """Penetration of `harder`, extrapolated from the further penetration of `softer` at a quarter of its
-    penalty.
+    """Penetration of `harder`, extrapolated from that of `softer`, which has a quarter of its penalty.
 
     None if the two do not determine it (the softer contact gives no less force).
     """

@@ -164,8 +164,7 @@ def _binned(at: Array, values: Array, grid: Array) -> Array:
 
 
 def _was_read(at: Array, grid: Array) -> NDArray[np.bool_]:
-    """Where the grid (n,) is outside pauses of the record: values interpolated over a pause are not a
-    hold."""
+    """Where the grid (n,) is outside pauses of the record: interpolated values are not a hold."""
     after = np.clip(np.searchsorted(at, grid + 0.5 * STEP_S), 1, len(at) - 1)
     pause = max(_PAUSE_S, _PAUSE_SAMPLES * float(np.median(np.diff(at))))
     return np.asarray(at[after] - at[after - 1] <= pause)

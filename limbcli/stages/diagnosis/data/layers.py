@@ -110,8 +110,7 @@ class BorderLines:
         self.rest = np.asarray(layers.rest[: layers.n_counted])
 
     def record(self, model: LimbModel) -> LogRecord:
-        """Required output of a simulation: all tissue nodes, as an effect may move the mesh under the
-        beam."""
+        """Required output of a simulation: all tissue nodes, as effects may move the mesh under the beam."""
         return LogRecord("node", ("ux", "uy", "uz"), FILE, tissue_nodes(model))
 
     def check(self, model: LimbModel) -> None:

@@ -263,8 +263,7 @@ def deepest(protocol: Protocol) -> float:
 
 @dataclass(frozen=True)
 class SmoothDepth:
-    """depth = start + rate ln(1 + F/unit), in mm, mm, N: the force grows linearly at first, then
-    exponentially."""
+    """depth = start + rate ln(1 + F/unit), in mm, mm, N: a force that grows linearly, then exponentially."""
 
     start: float
     rate: float

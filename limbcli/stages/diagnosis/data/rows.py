@@ -1,5 +1,4 @@
-"""A site's measurement channel by channel: rows, values, and the standard deviation of each reading
-itself."""
+"""A site's measurement channel by channel: rows, values, and each reading's own standard deviation."""
 
 from __future__ import annotations
 
@@ -125,8 +124,7 @@ def thickness_rows(levels: Levels, keep: IntArray) -> Stacked:
 
 
 def hold_rows(held: HeldForces | None) -> Stacked:
-    """An early (part 0) and a late (part 1) force ratio of each hold; each part forms a series over the
-    holds.
+    """An early (part 0) and a late (part 1) force ratio of each hold; each part is a series.
 
     Their covariance is given by `hold_noise`, as the ratios of one hold are correlated.
     """

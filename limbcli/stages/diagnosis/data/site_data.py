@@ -107,8 +107,7 @@ class SiteData:
         return np.where(levels < len(self.protocol), levels, 0)
 
     def _further(self, curves: Curves, reading: Reading) -> Array:
-        """Distance (n_levels,) in mm from the depth read to the depth at which the model has the measured
-        force.
+        """Distance (n_levels,) in mm from the depth read to that at which the model has the measured force.
 
         Limited to `DEPTH_OUTLIER_SD` standard deviations of the depth.
         """

@@ -185,8 +185,7 @@ class Windows:
         return np.asarray(np.where(inside, row * self.across + column, -1))
 
     def _most(self, swe: SweMap, counts: IntArray) -> Array:
-        """Number of pixels (n_parts,) of each part if none is missing; on a coarse grid it varies between
-        parts.
+        """Number of pixels (n_parts,) of each part if none is missing, which varies on a coarse grid.
 
         counts (n_parts,) : pixels present. The pixel grid is continued where nothing was read: rows that end
         in bone count as missing.

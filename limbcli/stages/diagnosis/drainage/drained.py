@@ -1,5 +1,4 @@
-"""Whether poroelasticity can be tested at a site, and the drainage there from a few cached FEBio
-simulations."""
+"""Whether poroelasticity can be tested at a site, and its drainage from a few cached FEBio runs."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Numerical effects of mesh, crop and contact on a site's curves, assessed on the model before tissue
-effects.
+"""Numerical effects of mesh, crop and contact on a site's curves, assessed before tissue effects.
 
 The working mesh is corrected to the site's own mesh where possible. The remaining errors of the mesh, the
 assumed compressibility, the cut and the contact enter the noise.
