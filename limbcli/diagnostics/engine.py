@@ -1,12 +1,15 @@
-"""Detect, identify, adapt: the whole diagnosis of one set of data on one forward model.
+"""Detect, identify, adapt: the complete diagnosis of one data set with one forward model.
 
-1. Fit the base model; look at what is left (all of it, its parts, along every candidate).
-2. If something is left beyond chance, refit the candidates that could be behind it and
-   those that look like them; keep every explanation that cannot be excluded. Where nothing but candidates
-   stood out, to first order, and no refit bears that out, nothing is found.
-3. One left, or one that all others contain: named, and added. Several: ambiguous. None: pairs, then triples,
-   else unexplained.
-4. Show what shrank, what stays invisible, and which measurement would distinguish the rest.
+1. Fit the base model and test its residual: as a whole, in each part of the data, and along the
+   sensitivities of every candidate effect.
+2. If the residual is significant, refit the candidates that could cause it and those with similar
+   sensitivities, and keep every explanation that cannot be excluded. If only first-order tests of candidates
+   were significant and no refit confirms them, the diagnosis reports that nothing was found.
+3. If one explanation remains, or one that all the others contain, it is named and added to the model. If
+   several remain, the verdict is ambiguous. If none remains, pairs and then triples of effects are tried; if
+   these fail as well, the verdict is unexplained.
+4. Report how much of the residual each addition removes, which effects remain undetectable, and which
+   further measurement would distinguish the remaining explanations.
 """
 
 from __future__ import annotations
@@ -98,8 +101,11 @@ class _Run:
         return [each for each in self.family.tests if each.p_adjusted < thresholds.ALPHA]
 
     def _is_borne_out_by_none(self, singles: Sequence[Refit]) -> bool:
-        """Whether all that is significant are effects to first order, none of which gains as much when it is
-        refitted: then nothing is found."""
+        """Whether the only significant tests are first-order tests of candidates and no refit confirms them.
+
+        A refit confirms a candidate if it reduces chi2 by about as much as the first-order test predicts. If
+        none does, the diagnosis reports that nothing was found.
+        """
         overall = self.family.overall
         if overall is not None and overall.p_adjusted < thresholds.ALPHA:
             return False
@@ -112,9 +118,9 @@ class _Run:
     def _explanations(
         self, candidates: Candidates, names: list[str], refits: Refits, singles: list[Refit]
     ) -> list[Refit]:
-        """The confidence set of the smallest size that is not empty, and what it may still lack.
+        """The non-empty confidence set with the fewest effects, extended by members with one further effect.
 
-        singles : those of one effect, compared
+        singles : the compared refits of one effect each
         """
         for size in range(1, self.max_effects + 1):
             compared = singles
@@ -128,10 +134,10 @@ class _Run:
         return []
 
     def _with_look_alikes(self, compared: list[Refit], candidates: Candidates, refits: Refits) -> list[Refit]:
-        """Beside the best of several effects those with one of them exchanged for its look-alike, if untried.
+        """Add untried variants of the best combinations, with one effect replaced by a similar effect.
 
-        A pair's rank is that of its first-order score without either effect, and that order fails for
-        strong ones.
+        Pairs are ranked by their first-order score at the fit without effects, and this ranking is
+        unreliable for strong effects.
         """
         several = [r for r in compared if len(r.explanation) > 1 and not r.fitted.at_bound]
         usable = sorted(several, key=lambda r: r.state.chi2)
@@ -143,10 +149,10 @@ class _Run:
         return refits.compared([*(refit.explanation for refit in compared), *new[: thresholds.LOOK_ALIKES]])
 
     def _repeated(self, kept: list[Refit], candidates: Candidates, refits: Refits) -> list[Refit]:
-        """Where a member leaves a hint of more (`SECOND`), one more effect is tried with it.
+        """Extend members whose residual hints at a further effect (p below `SECOND`) by one more effect.
 
-        Of two effects the second is weak evidence once the first has moved c and m. So a
-        member stays beside its own extension: both are reported.
+        The evidence for the second of two effects is weak once the first has changed c and m. A member
+        therefore stays in the set together with its own extension, and both are reported.
         """
         found = [each for refit in kept for each in candidates.extended(refit, below=thresholds.SECOND)]
         larger = list({frozenset(each): each for each in found}.values())
@@ -162,9 +168,10 @@ class _Run:
         ]  # fmt: skip
 
     def _each_is_needed(self, refit: Refit, refits: Refits, level: float = thresholds.ADEQUATE) -> bool:
-        """Removal test: without any one member, the rest does not suffice (it was tried, and failed).
+        """Removal test: whether the explanation fails if any one of its effects is removed (by a refit).
 
-        One effect alone needs evidence of its own, or fits as well as the best, whose evidence is its, too.
+        A single effect is needed if it has evidence of its own, or if it fits as well as the best
+        explanation, whose evidence then supports it equally.
         """
         if len(refit.explanation) == 1:
             found = self.family.of(refit.explanation[0])
@@ -183,7 +190,7 @@ class _Run:
     # -------------------------------------------------------------- verdicts
 
     def _nothing_found(self, but: str = "") -> Diagnosis:
-        """but : what was looked at and dismissed"""
+        """but : text on what was significant to first order and dismissed after a refit"""
         if not self.baseline.relative:
             return self._finish("adequate", f"no residual remains beyond the stated noise{but}", None)
         if self.baseline.data.noise.is_assumed:
@@ -224,10 +231,11 @@ class _Run:
     def _why_not_named(
         self, best: Refit, kept: Sequence[Refit], promising: list[str]
     ) -> tuple[Word, str] | None:
-        """What to say instead of a name, and why ("it fits, but ..."); None: nothing speaks against it.
+        """The verdict to give instead of "named", and the reason ("it fits, but ..."); None if no objection.
 
-        What it leaves may be that of one effect more: then an explanation with both leaves nothing. An m on
-        its bound is an objection only where it is reported there: by a flat fit, another value is reported.
+        A remaining residual may be due to one further effect: in that case a larger explanation in the set
+        leaves no significant residual, which is accepted. An m on its bound is an objection only if that
+        value is reported: where the fit is flat in m, the weak prior moves the reported value off the bound.
         """
         if not self._speaks_for_itself(best):
             return "unexplained", "it is not significant by itself, and the significant ones do not fit"
@@ -254,8 +262,11 @@ class _Run:
         return None
 
     def _at_bounds(self) -> list[tuple[str, Refit]]:
-        """Refits that fit as well as the best but for a parameter on a bound: hardly believed, yet not
-        excluded either. What fits worse, and needs a size that is hardly believed, is."""
+        """Refits that fit as well as the best, but with a parameter on a bound.
+
+        They are implausible but not excluded. Refits that fit worse and also need an implausible size are
+        excluded.
+        """
         known = self.refits.known.values() if self.refits else ()
         return [
             (" + ".join(r.explanation), r)
@@ -264,15 +275,21 @@ class _Run:
         ]
 
     def _speaks_for_itself(self, refit: Refit) -> bool:
-        """A name needs evidence of its own: what was found may be that of another, dropped since."""
+        """Whether the explanation itself is significant, which naming it requires.
+
+        The detected residual may be evidence for another candidate that has been dropped since.
+        """
         return self._chance_of(refit) < thresholds.ALPHA
 
     def _chance_of(self, refit: Refit, *, times: float = 1.0) -> float:
-        """p of its own evidence: of the first order at no effect, as far as its refit bears that out, or of
-        the gain of its refit (that p so many `times`), where the first order shows less of it.
+        """p of the evidence for this explanation itself.
 
-        0 for several effects, each of which was needed, and where the fit without effects is grossly wrong:
-        that little of it is left is evidence enough.
+        The smaller of two: the first-order p at the fit without effects, weakened where the refit gains less
+        than predicted; and the p of the refit's gain, multiplied by `times`.
+
+        0 for an explanation by several effects, each of which has passed the removal test, and where the fit
+        without effects is grossly wrong and this refit removes most of its chi2, which is sufficient
+        evidence.
         """
         if len(refit.explanation) > 1 or closes_gross(self.baseline.state, refit.state):
             return 0.0
@@ -281,10 +298,10 @@ class _Run:
         return of_gain if found is None else min(self._borne_out(found, refit), of_gain)
 
     def _borne_out(self, found: Tested, refit: Refit) -> float:
-        """Adjusted p of a first-order score, or of the gain of the refit where that is less: along the tail
-        of chi2, of as many tests.
+        """Adjusted p of a first-order score, weakened where the refit gains less than the score predicts.
 
-        In units of the scatter that stays, where the noise's level is not known.
+        The p is moved along the tail of the chi2 distribution for the same number of tests. Where the noise
+        level is unknown, both statistics are scaled by the scatter that remains after the refit.
         """
         unit = self._scatter(refit) if self.baseline.relative else 1.0
         gain = (self.baseline.state.chi2 - refit.state.chi2) / unit + thresholds.SLACK
@@ -296,13 +313,14 @@ class _Run:
 
     @staticmethod
     def _scatter(refit: Refit) -> float:
-        """By how much the variance that stays is larger than stated; at least 1."""
+        """Ratio of the residual variance after the refit to the stated variance; at least 1."""
         return noise_scale(refit.state.chi2, refit.state.nu)
 
     def _gain_p(self, refit: Refit) -> float:
-        """That a refit of any candidate gains as much by chance.
+        """Probability that a refit of any candidate gains as much by chance.
 
-        Likelihood ratio, in units of the scatter that stays, of as many tests as there are grid points.
+        Likelihood-ratio test, scaled by the scatter that remains, adjusted for as many tests as there are
+        grid points.
         """
         gain = (self.baseline.state.chi2 - refit.state.chi2) / self._scatter(refit)
         trials = self.refits.trials.values() if self.refits else ()

@@ -1,235 +1,253 @@
-"""Every number by which a diagnosis decides, in one table: value, meaning, and where it comes from.
+"""All decision thresholds of a diagnosis in one table: value, meaning and source.
 
-"Convention" is the field's usual level. "Assumed" has no measurement behind it. "Chosen" was set by hand,
-with no other source than the simulated limbs with and without hidden effects that the tests judge
-(`tests/diagnostics/test_hidden_set.py`, `test_reduced_site.py`): whoever changes such a value runs them.
-Sizes of the noise itself are no thresholds: they stand with the readings (`stages.diagnosis.data.noise`).
+"Convention" marks the field's usual level. "Assumed" marks a value without a measurement behind it. "Chosen"
+marks a value set by hand, tuned only on the simulated limbs with and without hidden effects that the tests
+evaluate (`tests/diagnostics/test_hidden_set.py`, `test_reduced_site.py`): run these after changing one.
+Sizes of the noise itself are not thresholds; they are defined with the readings
+(`stages.diagnosis.data.noise`).
 """
 
 from __future__ import annotations
 
 from typing import Final
 
-# ------------------------------------------------ detection: is anything left beyond chance?
+# ------------------------------------------------ detection: is the residual significant?
 
 ALPHA: Final = 0.05
 """False-alarm rate of the whole family of tests on the fit without effects. Convention."""
 
 ROUGH_P: Final = 0.01
-"""p of the scatter about smooth curves, below which the stated noise is contradicted and the tests become
-relative. Chosen."""
+"""p of the scatter about smooth curves below which the stated noise is taken as contradicted and the tests
+become relative (independent of the noise level). Chosen."""
 
 GROSS: Final = 4.0
-"""chi2/nu above which the fit without effects is grossly wrong and all candidates are refitted; an effect
-that divides it by as much is evidence of its own. Chosen."""
+"""chi2/nu above which the fit without effects is grossly wrong and all candidates are refitted. An effect
+that reduces chi2 by this factor then needs no further evidence. Chosen."""
 
 FEW_DATA: Final = 40
-"""Data of a group up to which each is shifted on its own in a localisation test. Chosen."""
+"""Largest number of data in a group for which a localisation test shifts each datum separately. Chosen."""
 
 N_DRAWS: Final = 5000
-"""Draws behind a family's adjusted p, at first. Of 30 tests, one with an adjusted p of 0.05 has 8 draws as
-extreme. Chosen, for time."""
+"""Draws in the first batch for a family's adjusted p. Among 30 tests, one with an adjusted p of 0.05 has 8
+draws at least as extreme. Chosen, to limit run time."""
 
 MOST_BATCHES: Final = 16
-"""Times that many draws that are made at most, where an adjusted p is near one by which something is decided.
-Chosen, for time: the 8 draws become 130, and the deviation of a p of 0.05 falls from 0.018 to 0.005."""
+"""Largest number of batches of `N_DRAWS` draws, used where an adjusted p is near a decision level. Chosen, to
+limit run time: the 8 draws become 130, and the standard deviation of a p of 0.05 falls from 0.018 to
+0.005."""
 
 CLEAR_SD: Final = 2.0
-"""Deviations of an adjusted p, by the number of draws, within which it is near. Convention."""
+"""Monte Carlo standard deviations of an adjusted p within which it counts as near a decision level.
+Convention."""
 
-# ---------------------------------------- before detection: are the bones where they are said to be?
-# These were chosen with the reference data's sites that FEBio made in view, which are no test of them.
+# ---------------------------------------- before detection: are the segmented bone positions correct?
+# These were tuned on the reference data's sites simulated with FEBio, which therefore cannot validate them.
 
 BONES_SEEN: Final = 12.0
-"""Gain of deviance (-2 ln likelihood, readings that both limbs predict) from which on a limb without a small
-bone is taken for the limb that was segmented: prior odds of one in 400 against it. Chosen."""
+"""Smallest reduction of deviance (-2 ln likelihood, over readings that both limbs predict) at which a limb
+without a small bone replaces the segmented limb: prior odds of one in 400 against it. Chosen."""
 
 BONES_MISPLACED: Final = 6.0
-"""The same for bones that lie outside the skin, so that the limb is wrong as it was segmented: odds of one in
-20 against the place that was found for them. Chosen."""
+"""The same for bones outside the skin, where the segmented limb is known to be wrong: prior odds of one in 20
+against the position found for them. Chosen."""
 
 BONES_REMESHED: Final = 0.065
-"""Deviance a reading by which both are raised: what another mesh of the same limb may gain. Numerical, seen
-once: bones 0.06 mm apart gave deviances 35 apart over 549 readings."""
+"""Deviance per reading added to both of these, as remeshing the same limb can gain as much. Numerical,
+observed once: bones 0.06 mm apart gave deviances that differed by 35 over 549 readings."""
 
 BONES_DECISIVE: Final = 60.0
-"""Such a gain by a limb that leaves nothing is believed before any effect is looked at; a smaller one has to
-exceed that of the best single effect on the limb as segmented. Chosen."""
+"""Reduction of deviance from which a limb with other bones that leaves no significant residual is accepted
+before any effect is tested; a smaller one must exceed that of the best single effect on the limb as
+segmented. Chosen."""
 
 BONES_HOPELESS: Final = 1.5
-"""Depth misfit of a limb with other bones over that of the limb as segmented (or the depths' noise, if
-that is more), above which its first force curves are enough to give it up. Chosen, for time."""
+"""Ratio of the depth misfit of a limb with other bones to that of the limb as segmented (or to the depth
+noise, if larger) above which it is rejected on its first force curves alone. Chosen, to limit run time."""
 
 BONES_LOOKED_AT: Final = 0.2
-"""p of the fit without effects, below which a limb with other bones is looked at: four times ALPHA, as chi2
-over all readings shows one cause late. Chosen."""
+"""p of the fit without effects below which limbs with other bones are tested: four times ALPHA, as chi2 over
+all readings is insensitive to a single cause. Chosen."""
 
 BONES_ABSORBED: Final = 0.7
-"""Share of the largest error of a model in maps, beyond which it is looked at, too: what is wrong with the
-limb may have gone into that error. Chosen: where bones were right it was 0.38 to 0.65 (other tissue 0.9)."""
+"""Estimated model error in maps, as a fraction of the largest allowed, above which limbs with other bones are
+also tested: a wrong limb may have been absorbed into that error. Chosen: with correct bones it was 0.38 to
+0.65 (with other tissue 0.9)."""
 
-# ------------------------------------------------ identification: what is refitted
+# ------------------------------------------------ identification: which candidates are refitted
 
 REFIT_BELOW: Final = 0.2
-"""Adjusted p below which a candidate is refitted: four times ALPHA, as first order is a poor guide to
+"""Adjusted p below which a candidate is refitted: four times ALPHA, as first-order tests are unreliable for
 strong effects. Chosen."""
 
 ALIKE: Final = 0.8
-"""Cosine above which two effects look the same in these data, so that both are refitted. Chosen."""
+"""Cosine between sensitivities above which two effects are so similar in these data that both are refitted.
+Chosen."""
 
 MAX_REFITS: Final = 16
-"""Candidates refitted at most. Chosen, for time."""
+"""Largest number of candidates refitted. Chosen, to limit run time."""
 
 GROWN: Final = 3
-"""Candidates tried beside the best smaller explanation. Chosen, for time."""
+"""Candidates added in turn to the best smaller explanation. Chosen, to limit run time."""
 
 PAIRS_KEPT: Final = 12
-"""Pairs refitted, by their score together. Chosen, for time."""
+"""Pairs refitted, those with the highest joint score. Chosen, to limit run time."""
 
 EXCHANGED: Final = 3
-"""Explanations by several effects, one of whose effects is exchanged for its look-alikes.
-Chosen, for time."""
+"""Explanations by several effects for which one effect is replaced by similar ones. Chosen, to limit run
+time."""
 
 LOOK_ALIKES: Final = 8
-"""Such exchanges at most. Chosen, for time."""
+"""Largest number of such replacements. Chosen, to limit run time."""
 
 HOPELESS: Final = 20.0
-"""Deviance behind the best fit on the surrogate, beyond which an explanation is not simulated. Chosen."""
+"""Deviance above that of the best surrogate fit beyond which an explanation is not simulated. Chosen."""
 
 MOST_SIMULATED: Final = 4
-"""Explanations by several effects that are simulated, those with the least deviance; what needs no simulation
-of its own is judged besides. Chosen, for time."""
+"""Explanations by several effects that are simulated, those with the lowest deviance; explanations that need
+no simulation of their own are not counted. Chosen, to limit run time."""
 
-# ------------------------------------------------ the confidence set: what cannot be excluded
+# ------------------------------------------------ the confidence set: which explanations cannot be excluded
 
 ADEQUATE: Final = 0.005
-"""p of what an explanation leaves, from which on it is adequate. Below ALPHA, as the model's own error is
-known only roughly. Chosen: what 0.01 came to while 4,000 draws stood behind it, of which none as extreme gave
-0.0075 and one 0.015, so that an explanation with 0.005 was taken half of the time."""
+"""Smallest p of the remaining residual at which an explanation is adequate. Below ALPHA, as the model's own
+error is known only roughly. Chosen: equivalent to the earlier threshold of 0.01 with 4,000 draws, where no
+draw as extreme gave p = 0.0075 and one gave 0.015, so that an explanation with a p of 0.005 was accepted half
+of the time."""
 
 BARELY: Final = 0.25
-"""Share of ADEQUATE down to which an explanation still counts where it fits as well as a member. Chosen."""
+"""Fraction of ADEQUATE down to which an explanation is still kept if it fits as well as a member of the set.
+Chosen."""
 
 AS_WELL: Final = 4.0
-"""Deviance within which it fits as well. Chosen."""
+"""Difference of deviance within which one explanation fits as well as another. Chosen."""
 
 BEATEN: Final = 0.01
-"""Level of the test of an explanation against the best of the set. Chosen, as ADEQUATE."""
+"""Significance level of the test of an explanation against the best of the set. Chosen, as ADEQUATE."""
 
 SLACK: Final = 0.5
-"""Deviance within which two fits are the same, whatever the draws say. Chosen."""
+"""Difference of deviance within which two fits are equivalent, regardless of the drawn quantile. Chosen."""
 
 N_DRAWS_OF_GAPS: Final = 4000
-"""Draws of the gap of deviance between two explanations: enough for its 99 % quantile. Chosen, for time."""
+"""Draws of the deviance gap between two explanations, enough for its 99 % quantile. Chosen, to limit run
+time."""
 
 SECOND: Final = 0.15
-"""Adjusted p of what a member leaves, below which one effect more is tried with it. Chosen between ALPHA and
-REFIT_BELOW: of two effects the second is weak evidence once the first has moved c and m."""
+"""Adjusted p of a member's remaining residual below which one further effect is added to it. Chosen between
+ALPHA and REFIT_BELOW: the evidence for a second effect is weak once the first has changed c and m."""
 
-# ------------------------------------------------ the error of an effect's form
+# ------------------------------------------------ model-form error of an effect
 
 OF_FORM: Final = 0.02
-"""Share of the deviance that an effect changes, which it may leave, as no model of it is just that of the
-limb. Assumed."""
+"""Fraction of the deviance changed by an effect that may remain as residual, as no model of an effect matches
+the limb exactly. Assumed."""
 
 FORM_ERROR: Final = 0.05
-"""Deviation of the form's error in forces and mean speeds, a share of the effect's own change. Assumed."""
+"""Standard deviation of the form error in forces and mean speeds, as a fraction of the effect's own change.
+Assumed."""
 
 FORM_ALIKE: Final = 0.8
-"""Correlation of that error between neighbouring levels. Assumed."""
+"""Correlation of the form error between neighbouring levels. Assumed."""
 
 IMAGE_ERROR: Final = 0.15
-"""The same in an image, where edges lie elsewhere. Assumed."""
+"""Standard deviation of the form error in an image, as a fraction of the effect's own change; larger because
+edges are displaced. Assumed."""
 
 IMAGE_WIDE_MM: Final = 4.0
-"""Width of that error in an image. Assumed: about a part of a map."""
+"""Correlation length of the form error in an image, in mm. Assumed: about one part of a map."""
 
 IMAGE_ALIKE: Final = 0.97
-"""Correlation of that error between neighbouring levels. Assumed."""
+"""Correlation of the form error in an image between neighbouring levels. Assumed."""
 
-# ------------------------------------------------ adaptation: a name, and is the gap closed?
+# ------------------------------------------------ adaptation: is an effect named, and is the gap closed?
 
 LEFT: Final = ALPHA
-"""p of what the only explanation leaves, below which it is not named: a name leaves nothing that would be
-detected, or what one effect more explains, which is reported beside it."""
+"""p of the remaining residual below which the only explanation is not named: a named effect may leave no
+residual that would be detected, unless one further effect explains it, which is then also reported."""
 
 NAMED: Final = 0.02
-"""Adjusted p of an effect's own evidence, from which on it is not named though nothing else fits: ALPHA lets
-one limb in twenty with nothing missing come as far. Chosen, after 0.043 had given a limb a wrong name."""
+"""Adjusted p of the evidence for an effect from which it is not named, even if nothing else fits: with ALPHA,
+one in twenty limbs without any effect would reach this point. Chosen, after a p of 0.043 had named a wrong
+effect."""
 
 NAMED_BY_GAIN: Final = 1000.0
-"""Times that the p of a refit's gain is taken there: it counts on errors being normal and known, and a
-model's are not. Chosen, after 10 had given a limb drawn by seed, with nothing hidden, a name (a gain of 22
-where the first order had 12)."""
+"""Factor on the p of a refit's gain in that decision: this p assumes normal errors of known size, which model
+errors are not. Chosen, after a factor of 10 had named an effect on a randomly drawn limb without one (a gain
+of 22 where the first-order statistic was 12)."""
 
 CLOSED_PERCENTILE: Final = 95.0
-"""Per cent of placebos (smooth curves of no meaning, each the best of as many as there are candidates) that a
-named effect must beat. Convention."""
+"""Percentage of placebos (arbitrary smooth curves, each the best of as many as there are candidates) that a
+named effect must exceed. Convention."""
 
 CLOSED_BY_SEVERAL_PERCENTILE: Final = 99.0
-"""The same of several effects, whose placebos are picked from as many combinations. Chosen."""
+"""The same for several effects, whose placebos are the best of as many combinations. Chosen."""
 
 MOST_NAMED: Final = 2
-"""Effects in a name: three bend to almost any smooth gap. Chosen."""
+"""Largest number of effects that can be named: three can fit almost any smooth residual. Chosen."""
 
 MOST_PICKED: Final = 100
-"""Combinations that a placebo is picked from at most. Chosen, for time."""
+"""Largest number of combinations from which a placebo is selected. Chosen, to limit run time."""
 
 N_PLACEBOS: Final = 1000
-"""Placebos: at the 95th percentile a deviation of 0.7. Chosen, for time."""
+"""Number of placebos: gives the 95th percentile with a standard deviation of 0.7. Chosen, to limit run
+time."""
 
 TOO_WIDE: Final = 1.0
-"""Deviation of a prediction over that of its reading, beyond which a held-out block tests nothing: what such
-a prediction is off by is mostly that the rest does not determine the parameters. Chosen."""
+"""Ratio of the standard deviation of a prediction to that of its reading above which a held-out block is not
+tested: its error is then mostly due to parameters that the other data do not determine. Chosen."""
 
 # ------------------------------------------------ what is reported
 
 WITHIN: Final = 3.84
-"""Deviance above the best within which a parameter's value lies in its interval: 95 %, one parameter.
+"""Deviance above the minimum within which a value belongs to a parameter's interval: 95 %, one parameter.
 Convention (chi2 with one degree of freedom)."""
 
 MAP_DOUBT: Final = 1.35
-"""Times which the intervals of c and m (in ln) and of effects' sizes are widened where maps determine them:
-the model's error in maps is taken at its likeliest, and by so much the errors of c and m exceeded the
-reported ones, root mean square, at sites that another solver made
+"""Factor by which the intervals of c and m (in ln) and of effect sizes are widened where maps determine them:
+the model error in maps is set to its maximum-likelihood size, and the root-mean-square errors of c and m
+exceeded the reported ones by this factor at sites simulated with another solver
 (`tests/benchmarks/figures/diagnosis-febio.md`). Chosen."""
 
 SIZE_WITHIN: Final = 1.96
-"""Deviations of the interval of an effect's size: 95 %. Convention (normal law)."""
+"""Half-width of the 95 % interval of an effect's size, in standard deviations. Convention (normal
+distribution)."""
 
 PULLED: Final = 0.1
-"""Change of ln m from which the prior counts as having moved m. Chosen."""
+"""Change of ln m above which the prior counts as having moved m. Chosen."""
 
 POWER: Final = 0.8
 """Power at which an effect's size counts as detectable. Convention."""
 
 BIAS_MATTERS_SD: Final = 1.0
-"""Shift of c or m by an unseen effect, in their own deviations, from which it is reported. Chosen."""
+"""Bias of c or m from an undetected effect, in their standard deviations, above which it is reported.
+Chosen."""
 
 NEXT_SIGNIFICANT: Final = 0.95
-"""1 - level of the one-sided test between two explanations after the next measurement. Convention."""
+"""1 - significance level of the one-sided test between two explanations after the next measurement.
+Convention."""
 
 NEXT_POWER: Final = 0.5
-"""Power from which a next measurement is proposed. Chosen."""
+"""Smallest power at which a next measurement is recommended. Chosen."""
 
 # ------------------------------------------------ uncertainty of the simulation and of the readings
 
 MATTERS_SD: Final = 0.3
-"""Deviations that a change of mesh, cut, contact or compressibility may move the data before the report says
-that it matters. Chosen."""
+"""Change of the data by mesh, cut, contact or compressibility, in standard deviations, above which the report
+calls it significant. Chosen."""
 
 DOUBTFUL: Final = 0.15
-"""ln force by which such an uncertainty, as it enters the noise, makes a verdict uncertain. Chosen."""
+"""Numerical uncertainty in ln force, as it enters the noise, above which the verdict is called uncertain.
+Chosen."""
 
 ON_BOUND: Final = 1e-3
-"""Share of a parameter's range within which it stands on its bound. Numerical."""
+"""Distance from a bound, as a fraction of the parameter's range, within which it counts as on the bound.
+Numerical."""
 
 FALLEN_SD: Final = 4.0
-"""Deviations by which forces must fall over all holds before holds count as recorded relaxation, where the
-depth was not recorded. Chosen."""
+"""Fall of the force over all holds, in standard deviations, from which holds count as recorded relaxation if
+the depth was not recorded, and from which drainage is simulated. Chosen."""
 
 RAMP_SD: Final = 5.0
-"""Deviations of its own noise that a slope must have to be a ramp. Chosen."""
+"""Slope in standard deviations of its own noise from which it counts as a ramp. Chosen."""
 
 DEPTH_OUTLIER_SD: Final = 4.0
-"""Deviations of the depth's reading; what is further off is no error of reading. Chosen."""
+"""Largest error of a depth reading that is corrected, in standard deviations of the reading. Chosen."""

@@ -1,8 +1,8 @@
 """diagnose: where model and measurement disagree, what is missing, and what the data cannot determine.
 
-Numerical effects first, by intervention on the mesh; then candidate effects on a working mesh
-(coarse, quadratic), corrected to the site's own mesh where that was run. Measurements of the same place
-(another orientation, a repeat) are diagnosed together: the tissue is the same.
+Numerical effects are assessed first, by changing the mesh, cut and contact. Candidate effects are then tested
+on a working mesh (coarse, quadratic), corrected to the site's own mesh where this is available. Measurements
+of the same place (another orientation, a repeat) are diagnosed jointly, as they share the tissue.
 """
 
 from __future__ import annotations
@@ -57,17 +57,19 @@ from limbcli.stages.site_model.cycle_words import cycle_facts
 from limbcli.stages.site_model.fibres import note_fibres
 from limbcli.stages.site_model.site_levels import all_levels_of
 
-_SAME_PLACE = 2.0  # mm
+_SAME_PLACE = 2.0  # mm, largest distance of two sites at the same place
 
 
 @dataclass(frozen=True)
 class DiagnoseOptions:
-    """effects : names to try (empty: all); effect_file : an effect of one's own, tried in any case;
-    size, far_size : mm, of the working mesh's edges (size None: by the tissue's thickness);
-    separate : diagnose every site alone, also those that share a place;
-    measured : numbers measured besides (see `forward_model.menu.known`), of the first site of each place;
-    solver : of draining tissue, which only FEBio simulates. "auto": FEBio where it is found, and where a
-    force falls in a hold; "febio": wherever holds were recorded; "reference": never. febio : its binary
+    """Options of `diagnose`.
+
+    effects : names of the effects to try (empty: all); effect_file : file with a user-defined effect, which
+    is always tried; size, far_size : mm, edges of the working mesh (size None: from the tissue thickness)
+    separate : diagnose every site separately, including those that share a place
+    measured : additionally measured numbers (see `measurement_menu.known`), for the first site of each place
+    solver : for draining tissue, which only FEBio simulates. "auto": FEBio if found, and if the force falls
+    in a hold; "febio": wherever holds were recorded; "reference": never. febio : path of its binary
     """
 
     effects: tuple[str, ...] = ()
@@ -84,7 +86,7 @@ class DiagnoseOptions:
     febio: Path | None = None
 
     def requested(self) -> dict[str, Any]:
-        """What another run needs to be given; the solver is chosen anew."""
+        """Options to repeat this run, except the solver, which is chosen again."""
         usual = type(self)()
         return requested_by_options(replace(self, solver=usual.solver, febio=usual.febio))
 
@@ -97,7 +99,7 @@ def diagnose(
     case: Case, *, out: Path, sites: list[str] | None = None, options: DiagnoseOptions = DiagnoseOptions(),
     progress: Progress = SILENT,
 ) -> list[StageResult]:  # fmt: skip
-    """Diagnose each site. Leaves diagnosis.json, pictures and the model with what was added.
+    """Diagnose each site. Writes diagnosis.json, figures and the model with the chosen effects.
 
     Raises
     ------
@@ -106,7 +108,7 @@ def diagnose(
     MeasurementError
         If the levels cannot be used.
     ToolError
-        If FEBio is asked for and is not there.
+        If FEBio is requested and not found.
     SolveError, FitError
         If the model without effects cannot be solved or fitted.
     """
@@ -127,9 +129,10 @@ def diagnose(
 
 
 def places(case: Case, sites: Sequence[Site], *, out: Path, separate: bool = False) -> list[list[Site]]:
-    """Sites that share a place, together; in the order of the case.
+    """Sites grouped by place, in the order of the case.
 
-    One whose place is not known (a marker that was not found) stands alone: its own diagnosis says why.
+    A site whose position is unknown (a marker that was not found) forms its own group; its diagnosis reports
+    the error.
     """
     if separate or len(sites) < 2:
         return [[site] for site in sites]
@@ -139,7 +142,7 @@ def places(case: Case, sites: Sequence[Site], *, out: Path, separate: bool = Fal
         try:
             at = np.array(site_position(site, segmented))
         except CaseError:
-            at = np.full(3, np.nan)  # near nothing
+            at = np.full(3, np.nan)  # never near another place
         near = [group for place, group in groups if np.linalg.norm(place - at) < _SAME_PLACE]
         if near:
             near[0].append(site)
@@ -149,7 +152,7 @@ def places(case: Case, sites: Sequence[Site], *, out: Path, separate: bool = Fal
 
 
 def chosen_effects(options: DiagnoseOptions) -> tuple[Effect, ...]:
-    """Those named, or all; with a user's own from a file, which is tried in any case."""
+    """The named effects, or all, and the user-defined effect of a file, which is always tried."""
     own = () if options.effect_file is None else (load_effect(options.effect_file),)
     if not options.effects:
         return (*EFFECTS, *own)
@@ -166,18 +169,18 @@ def chosen_effects(options: DiagnoseOptions) -> tuple[Effect, ...]:
 
 
 def load_effect(path: Path) -> Effect:
-    """The `EFFECT` of a Python file.
+    """Load the `EFFECT` of a Python file.
 
     Raises
     ------
     CaseError
-        If the file cannot be run, or holds no effect that can be tried.
+        If the file cannot be run, or contains no usable effect.
     """
     return effect_of_file(path, EFFECTS)
 
 
 class _Diagnosed:
-    """The measurements of one place on their way through the diagnosis."""
+    """Diagnosis of the measurements of one place, from preparation to results."""
 
     def __init__(
         self, case: Case, sites: Sequence[Site], out: Path, effects: Sequence[Effect],
@@ -203,7 +206,7 @@ class _Diagnosed:
             place.close()
 
     def _found(self, place: Place) -> Diagnosis:
-        """What the diagnosis says on the limb of this place."""
+        """The diagnosis on the limb of this place."""
         forward_model, prepared = place.forward_model, place.prepared
         if len(prepared) == 1 and (place.out / "segment" / "segment.json").is_file():
             forward_model.turned = lambda: self._turned(prepared[0], place.out)
@@ -215,9 +218,10 @@ class _Diagnosed:
         )
 
     def _against_rivals(self, place: Place, found: Diagnosis) -> tuple[Place, Diagnosis]:
-        """The limb that explains the readings, with effects on either; what cannot be told apart, together.
+        """Choose between this limb and its best rival, allowing effects on both.
 
-        Rivals are limbs that fit better before any effect is looked at: the likeliest is diagnosed, too.
+        Rivals are limbs with other bones that fit better without effects; the one with the largest gain is
+        diagnosed as well. If the two cannot be distinguished, their diagnoses are combined.
         """
         for evidence, rival in place.rivals[:1]:
             if not may_be_elsewhere(found):
@@ -246,7 +250,7 @@ class _Diagnosed:
         return place, found
 
     def _prepared(self, folder: Path) -> list[Prepared]:
-        """All sites on the limb of that folder."""
+        """All sites, prepared on the limb of this folder."""
         prepared: list[Prepared] = []
         extras = known(self.options.measured)
         try:
@@ -263,14 +267,14 @@ class _Diagnosed:
         return prepared
 
     def _misfit(self, folder: Path) -> float:
-        """mm, of the site whose forces the limb of that folder misses the most."""
+        """Largest depth misfit in mm over the sites, on the limb of this folder."""
         return max(
             depth_misfit(self.case, site, out=folder, mesh=self.options.mesh, progress=self.progress)
             for site in self.sites
         )
 
     def _turned(self, prepared: Prepared, folder: Path) -> SiteCurves:
-        """The probe turned by 90 degrees; why not is reported where it cannot be simulated."""
+        """Curves with the probe turned by 90 degrees; a warning is added if they cannot be simulated."""
         try:
             return turned_by_90(
                 self.case, prepared, out=folder, mesh=self.options.mesh, progress=self.progress
@@ -281,14 +285,14 @@ class _Diagnosed:
             raise
 
     def _write(self, found: Diagnosis, place: Place, k: int) -> StageResult:
-        """One site's folder: the verdict, which is that of its place, and its own pictures and model."""
+        """Write one site's results: the verdict of its place, and the site's own figures and model."""
         forward_model, all_, mine = place.forward_model, place.prepared, place.prepared[k]
         found = with_bone_warnings(found, place.bones)
         with open_stage(self.out, STAGE, subject=self.case.subject, site=mine.site.name) as writer:
             writer.data["asked"] = self.options.requested()
             for name, path in mine.notes.inputs.items():
                 writer.used(name, path)
-            for each in all_:  # they were weighed together
+            for each in all_:  # all were diagnosed jointly
                 note_earlier(self.case, self.out, each.site, writer)
             note_fibres(writer, self.case, mine.site)
             writer.warnings.extend(mine.notes.warnings)
@@ -353,7 +357,7 @@ class _Diagnosed:
 
 
 def _best_gain(found: Diagnosis) -> float:
-    """Of chi2, by the best single effect that has an answer."""
+    """Reduction of chi2 by the best single effect with a valid refit."""
     before = found.shrink[0].chi2 if found.shrink else 0.0
     left = [r.state.chi2 for r in found.refits if len(r.explanation) == 1 and not r.fitted.at_bound]
     return max(0.0, before - min(left)) if left else 0.0

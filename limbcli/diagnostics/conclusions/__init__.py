@@ -1,1 +1,1 @@
-"""What is concluded: the verdict, sizes and blind spots of effects, the next measurement, sentences."""
+"""Conclusions: verdict, effect sizes, undetectable effects, proposed next measurement, summary sentences."""

@@ -1,4 +1,4 @@
-"""What a diagnosis reports besides its verdict: what shrank, what stays unseen, what to measure next."""
+"""Results reported with the verdict: reduction of the residual, undetectable effects, next measurements."""
 
 from __future__ import annotations
 
@@ -29,19 +29,22 @@ from limbcli.diagnostics.statistical_tests.score import Trial
 from limbcli.errors import LimbError
 from limbcli.interval_limits import THRESHOLD_95, noise_scale, threshold_95
 
-_MOST_COMPARED = 5  # members of the set, in looking for the next measurement
+_MOST_COMPARED = 5  # largest number of members compared in choosing the next measurement
 
 
 @dataclass(frozen=True, eq=False)
 class Account:
-    """Reports what the baseline's data say beside the verdict."""
+    """Computes the results that are reported with the verdict."""
 
     baseline: BaselineFit
 
     def shrink(
         self, refit: Refit | None, refits: Refits | None, alike: Sequence[Refit] = ()
     ) -> tuple[Shrink, ...]:
-        """The base, and the explanation's members added in turn; c and m of the last: of any `alike`."""
+        """Stages from the base model to the full explanation, with its effects added one at a time.
+
+        alike : explanations that the data cannot exclude; the last stage's intervals of c and m cover theirs
+        """
         baseline = self.baseline
         stages = [self._stage(baseline.base, baseline.state, None)]
         if refit is None or refits is None:
@@ -72,14 +75,17 @@ class Account:
         )
 
     def estimates(self, fitted: Fitted, state: LinearFit) -> Reported:
-        """Values and intervals that are reported of a fit."""
+        """Parameter values and intervals to report for a fit."""
         return self.baseline.forward_model.reported(
             fitted, scale=self._scale_within(state), besides=self.baseline.form_error(fitted)
         )
 
     def refitted_sizes(self, refits: Refits | None, shrink: Sequence[Shrink]) -> dict[str, RefittedSizes]:
-        """Of every effect that alone was refitted within its bounds; with what `shrink` gives, where it is
-        there: its profile over m follows bends that the sensitivities do not."""
+        """Sizes of every effect that was refitted alone and stayed within its bounds.
+
+        Where `shrink` has a stage for the effect, the interval also covers that stage's, whose profile over m
+        captures nonlinearity that the sensitivities do not.
+        """
         found, whiten, widening = {}, self.baseline.whiten, self.baseline.forward_model.interval_widening
         for each in refits.known.values() if refits else ():
             if len(each.explanation) != 1 or each.fitted.at_bound:
@@ -96,7 +102,7 @@ class Account:
     def sizes_95(
         self, family: Family, facts: Mapping[str, Facts], trials: Mapping[str, Trial]
     ) -> dict[str, dict[str, tuple[float, float]]]:
-        """Of every candidate, to first order at the fit without effects."""
+        """Size intervals (95 %) of every candidate, to first order at the fit without effects."""
         state, widening = self.baseline.state, self.baseline.forward_model.interval_widening
         return sizes_95(state, family, facts, trials, self._scale(state), widening)
 
@@ -104,13 +110,13 @@ class Account:
         return noise_scale(state.chi2, state.nu) if self.baseline.is_relative(state) else 1.0
 
     def _scale_within(self, state: LinearFit) -> float:
-        """The same for intervals about a fit, which reach further where few data determine the level."""
+        """The same for intervals about a fit, which are wider where few data determine the noise level."""
         if not self.baseline.is_relative(state):
             return 1.0
         return self._scale(state) * threshold_95(state.chi2, state.nu) / THRESHOLD_95
 
     def blind_spots(self, family: Family, facts: Mapping[str, Facts]) -> tuple[BlindSpot, ...]:
-        """Every candidate at a plausible size, the least visible first."""
+        """Detectability of every candidate at its typical size, the least detectable first."""
         spots = []
         for tested in family.tests:
             known = facts.get(tested.name)
@@ -125,8 +131,11 @@ class Account:
         return tuple(sorted(spots, key=lambda spot: -spot.detectable_times_typical))
 
     def next_steps(self, kept: Sequence[Refit], not_evaluated: dict[str, str]) -> tuple[NextStep, ...]:
-        """Measurements that would distinguish the members of the set, those that there are being as sure as
-        their scatter about the best member says, where the noise's level is not known."""
+        """Measurements that would distinguish the members of the set.
+
+        Where the noise level is unknown, the existing data are weighted by their scatter about the best
+        member.
+        """
         if len(kept) < 2:
             return ()
         best, *_ = members = sorted(kept, key=lambda refit: refit.state.chi2)[:_MOST_COMPARED]
@@ -140,7 +149,7 @@ class Account:
         return tuple(rank_proposals(fits, proposals, whiten))
 
     def angles(self, kept: Sequence[Refit]) -> dict[str, float]:
-        """Cosines between what the members of the set do to the data, the fitted parameters aside."""
+        """Cosines between the changes in the data by members of the set, without what refitting removes."""
         baseline = self.baseline
         found = {}
         changes = []
@@ -154,7 +163,7 @@ class Account:
         return found
 
     def held_out_z(self) -> dict[str, tuple[float, float]]:
-        """Each part of the data that the rest can predict: (root mean square, largest) z."""
+        """(root mean square, largest |z|) of each part of the data, predicted from the other data."""
         data, base = self.baseline.data, self.baseline.base
         residual = data.y - base.prediction
         return {

@@ -1,4 +1,4 @@
-"""What the data cannot see, and what that would cost."""
+"""Effects that the data cannot detect, and the bias they would cause in the fitted parameters."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _Z = float(norm.ppf(thresholds.POWER))
 
 @dataclass(frozen=True)
 class BlindSpot:
-    """One effect, where its size is `typical` (a plausible one).
+    """Detectability of one effect at its typical (a plausible) size.
 
-    visible_fraction : |P H| / |H|, the share of its signature that no refit imitates
-    detectable_times_typical : the size found with 80 % power, in units of the typical
-    bias_sd : by base parameter, the shift that an unnoticed effect of typical size causes, in
-        standard deviations; bias_percent : the same in per cent (the parameters are logs)
+    visible_fraction : |P H| / |H|, the share of its signature that the fitted parameters cannot reproduce
+    detectable_times_typical : the size detected with 80 % power, in units of the typical size
+    bias_sd : by base parameter, the bias from an undetected effect of typical size, in
+        standard deviations; bias_percent : the same in per cent (the parameters are logarithms)
     """
 
     name: str
@@ -40,7 +40,8 @@ class BlindSpot:
 
     @property
     def matters(self) -> bool:
-        """An effect of typical size would go unseen and move a parameter by more than one deviation."""
+        """Whether an effect of typical size would be undetected and bias a parameter by more than one
+        standard deviation."""
         return self.is_undetectable and any(
             abs(each) > thresholds.BIAS_MATTERS_SD for each in self.bias_sd.values()
         )
@@ -53,8 +54,8 @@ def blind_spot(
     """
     Parameters
     ----------
-    typical : (q,) away from the null; critical : statistic that is just significant
-    scale : chi2/nu where the level of the noise is not known, else 1
+    typical : (q,) distance from the null value; critical : statistic that is just significant
+    scale : chi2/nu where the noise level is unknown, else 1
     """
     moved = direction.columns @ typical
     seen = visible_columns(state, direction) @ typical

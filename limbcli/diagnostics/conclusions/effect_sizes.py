@@ -1,12 +1,12 @@
-"""How large each effect could be when it alone is added: an interval for each of its sizes.
+"""Confidence intervals for the size of each effect when it alone is added to the model.
 
-To first order at the fit without effects, the tissue refitted: eta +- 1.96 deviations, within what the
-parameter's sign allows. Of an effect with a grid (places of a ball, onsets, times) the best point is picked
-by chance where nothing is there, and its size with it: the reported one holds the intervals of all points
-that chance may put behind the best. Points at which not even a plausible size would show are left out, if
-others remain. An effect that was refitted has a second one, on the model with the effect in it: where the two
-disagree either may be off, and the reported one holds both. Where an interval reaches a bound the data leave
-that side open.
+The first interval is linear about the fit without effects, with the tissue refitted: eta +- 1.96 standard
+deviations; eta respects the sign constraint. For an effect with a grid (places of a ball, onsets, times) that
+is absent, the best grid point and its size are a matter of chance: the reported interval covers those of all
+points whose statistic is below the best by no more than chance can explain. Points at which not even a
+plausible size would be visible are left out if others remain. An effect that was refitted has a second
+interval, from the model that includes it: where the two disagree either may be wrong, and the reported
+interval covers both. An interval that reaches a bound is open on that side.
 
 Source: Davies 1987, Biometrika 74:33 (parameters present only off the null).
 """
@@ -28,13 +28,13 @@ from limbcli.model import Array
 
 @dataclass(frozen=True, eq=False)
 class RefittedSizes:
-    """Of an effect that alone was refitted: all values there, and the 95 % intervals of its parameters."""
+    """All parameter values of a refit with one effect, and the 95 % intervals of the effect's parameters."""
 
     values: Mapping[str, float]
     intervals: Mapping[str, tuple[float, float]]
 
     def hull_with(self, others: Mapping[str, tuple[float, float]]) -> RefittedSizes:
-        """Each interval the smallest that holds both its own and that of the same name there."""
+        """Extend each interval to cover the one of the same name in `others`."""
         ends = {
             name: (min(low, others[name][0]), max(high, others[name][1])) if name in others else (low, high)
             for name, (low, high) in self.intervals.items()
@@ -45,15 +45,16 @@ class RefittedSizes:
 def refitted_sizes(
     fitted: Fitted, jacobian: Array, scale: float, form: Array, widening: float = 1.0
 ) -> RefittedSizes:
-    """The intervals by the sensitivities at the refit, c and m refitted: value +- 1.96 `widening` deviations.
+    """Intervals from the sensitivities at the refit, with c and m refitted: value +- 1.96 `widening` standard
+    deviations.
 
-    The refit weighs the data by their noise alone, and the error of the effect's form only widens what it
-    tells: weights by an error that grows with the effect itself would leave most to the data that show least
-    of it, and find it smaller than it is (Peelle's pertinent puzzle; Fruehwirth, Neudecker and
+    The refit weights the data by their noise alone, and the model-form error only widens the intervals.
+    Weighting by an error that grows with the effect itself would favour the data that show least of the
+    effect and bias its size towards zero (Peelle's pertinent puzzle; Fruehwirth, Neudecker and
     Leeb 2012, EPJ Web of Conferences 27:00008).
 
-    jacobian (n, p) : whitened, of all that was fitted, the effect's parameters last; scale : chi2/nu where
-    the level of the noise is not known, else 1; form (n, n) : covariance of the form's error, whitened.
+    jacobian (n, p) : whitened, of all fitted parameters, the effect's last; scale : chi2/nu where
+    the noise level is unknown, else 1; form (n, n) : whitened covariance of the form error.
     Infinite where the data do not determine a parameter.
     """
     spread = _deviations(jacobian, scale * np.eye(len(jacobian)) + form)
@@ -68,11 +69,11 @@ def sizes_95(
     state: LinearFit, family: Family, facts: Mapping[str, Facts], trials: Mapping[str, Trial],
     scale: float = 1.0, widening: float = 1.0,
 ) -> dict[str, dict[str, tuple[float, float]]]:  # fmt: skip
-    """Of every candidate in the family that `facts` holds: by parameter, the interval of its distance from
+    """For every candidate of the family in `facts`: by parameter, the interval of its distance from
     the null value; infinite where the data do not determine it.
 
-    trials : of the candidates; scale : chi2/nu where the level of the noise is not known, else 1
-    widening : times which deviations are taken
+    trials : of the candidates; scale : chi2/nu where the noise level is unknown, else 1
+    widening : factor on the standard deviations
     """
     times = widening * float(np.sqrt(scale))
     return {
@@ -84,7 +85,7 @@ def sizes_95(
 def _sizes(
     state: LinearFit, tested: Tested, trial: Trial, typical: Mapping[str, float], times: float
 ) -> dict[str, tuple[float, float]]:
-    """times : of the deviations at noise of 1."""
+    """times : factor on the standard deviations at unit noise"""
     least = tested.score.statistic - tested.by_chance
     points = [each for each in scores(state, trial) if each.statistic >= least]
     spreads = [times * _deviations(visible_columns(state, each.direction)) for each in points]
@@ -101,15 +102,16 @@ def _sizes(
 
 
 def _shows(direction: Direction, spread: Array, typical: Mapping[str, float]) -> bool:
-    """Whether a plausible size is more than a deviation, for one of the parameters at least."""
+    """Whether the typical size exceeds one standard deviation for at least one of the parameters."""
     sizes = [abs(typical.get(name, np.inf)) for name in direction.names]
     return bool(np.any(spread < np.array(sizes)))
 
 
 def _deviations(columns: Array, covariance: Array | None = None) -> Array:
-    """Of estimates (p,) by least squares, from whitened sensitivities (n, p); infinite where these are 0.
+    """Standard deviations (p,) of least-squares estimates from whitened sensitivities (n, p); infinite where
+    these are 0.
 
-    covariance (n, n) : of the whitened data, where it is not 1
+    covariance (n, n) : of the whitened data; None: the identity
     """
     lengths = np.linalg.norm(columns, axis=0)
     seen = lengths > 0

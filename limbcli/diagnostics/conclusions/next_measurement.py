@@ -1,4 +1,4 @@
-"""What to measure next: the largest difference between two explanations that no refit removes.
+"""What to measure next: the proposal with the largest difference between two explanations after refitting.
 
 Source: Atkinson & Fedorov 1975, Biometrika 62:57 (T-optimality).
 """
@@ -21,7 +21,11 @@ _SIGNIFICANT = float(norm.ppf(thresholds.NEXT_SIGNIFICANT))
 
 @dataclass(frozen=True)
 class NextStep:
-    """A proposal for a pair: distance in deviations before and with it; its own power to tell them apart."""
+    """A proposal for one pair of explanations.
+
+    distance_before, distance : between the two, in standard deviations, without and with the proposal
+    power : of the proposed measurement alone to distinguish them
+    """
 
     name: str
     sentence: str
@@ -32,7 +36,7 @@ class NextStep:
 
 
 def separation(a: Fitted, b: Fitted, whiten: Whitener, extra: Proposal | None = None) -> float:
-    """Smaller of the two distances |mu_a - (b refitted)|, in deviations of the noise."""
+    """Smaller of the two distances |mu_a - (b refitted)|, in standard deviations of the noise."""
     return min(_distance(a, b, whiten, extra), _distance(b, a, whiten, extra))
 
 
@@ -49,10 +53,11 @@ def _distance(truth: Fitted, rival: Fitted, whiten: Whitener, extra: Proposal | 
 
 
 def rank_proposals(fits: Sequence[Fitted], proposals: Sequence[Proposal], whiten: Whitener) -> list[NextStep]:
-    """For every pair of the set, every proposal, the most separating first.
+    """Every proposal for every pair of the set, sorted by decreasing power.
 
-    power : of the one-sided likelihood-ratio test between the two, 5 % wrong: Phi(d - 1.645), d^2 what the
-    proposal adds to the squared distance. What was there before has not told them apart.
+    power : of the one-sided likelihood-ratio test between the two at a level of 5 %: Phi(d - 1.645), where
+    d^2 is the increase of the squared distance by the proposal. The existing data are not counted, as they
+    have failed to distinguish the pair.
     """
     steps = []
     for i, a in enumerate(fits):
@@ -70,9 +75,9 @@ def rank_proposals(fits: Sequence[Fitted], proposals: Sequence[Proposal], whiten
 
 
 def best_step(steps: Sequence[NextStep]) -> tuple[str, float] | None:
-    """The proposal that tells most pairs apart, in the mean of its powers: (name, power for its worst pair).
+    """The proposal with the highest mean power over all pairs: (name, power for its worst pair).
 
-    Not that of the best worst pair: explanations one of which holds the other may be told apart by nothing.
+    The worst pair does not decide, as nothing may distinguish an explanation from one that contains it.
     """
     powers: dict[str, list[float]] = {}
     for step in steps:
@@ -84,8 +89,8 @@ def best_step(steps: Sequence[NextStep]) -> tuple[str, float] | None:
 
 
 def useful_steps(steps: Sequence[NextStep]) -> list[NextStep]:
-    """Of the best proposal, for the pairs that it is likely to tell apart (`NEXT_POWER`), the best first;
-    empty: nothing is worth being recommended."""
+    """The best proposal's steps for the pairs that it is likely to distinguish (`NEXT_POWER`), by decreasing
+    power; empty if no proposal is worth recommending."""
     best = best_step(steps)
     return [
         step for step in sorted(steps, key=lambda step: -step.power)

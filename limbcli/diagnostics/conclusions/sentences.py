@@ -1,4 +1,4 @@
-"""The diagnosis in ten plain sentences."""
+"""The diagnosis summarised in at most eight lines of plain text."""
 
 from __future__ import annotations
 
@@ -26,7 +26,11 @@ _ALONE = "AMBIGUOUS: one explanation fits, but the cause may be another, or more
 
 
 def sentences(found: Diagnosis) -> list[str]:
-    """At most eight, in the order of a reader's questions: verdict, where, what, shrunk, unseen, next."""
+    """Summary lines, at most eight, in the order of a reader's questions.
+
+    Verdict, fit, where and what, explanations, reduction of the residual, undetectable effects, next
+    measurement, candidates not evaluated.
+    """
     lines = [
         f"{_verdict(found)} Why: {found.reason}.",
         _fit(found),
@@ -78,7 +82,7 @@ def _what(found: Diagnosis) -> str:
 
 
 def ranking(family: Family, names: set[str]) -> list[tuple[str, float]]:
-    """Candidates by adjusted p, then by what they explain."""
+    """Candidates sorted by adjusted p, then by decreasing score statistic."""
     tests = [t for t in family.tests if t.name in names]
     tests.sort(key=lambda t: (t.p_adjusted, -t.score.statistic))
     return [(t.name, t.p_adjusted) for t in tests]
@@ -101,7 +105,7 @@ def _set(found: Diagnosis) -> str:
 
 
 def _common(several: Sequence[Explanation]) -> str:
-    """What all of them have.
+    """A sentence with the effects that all explanations share; empty if there are none.
 
     >>> _common([("tilt", "skin-layer"), ("skin-layer", "friction")])
     ' All have skin-layer.'
@@ -113,7 +117,7 @@ def _common(several: Sequence[Explanation]) -> str:
 
 
 def _whichever(estimates: Reported) -> str:
-    """c and m over all that fit.
+    """A sentence with the intervals of c and m over all explanations that fit.
 
     >>> _whichever(Reported({}, {}, {"c_kpa": (5.5, 8.5), "m": (1.0, 5.0)}, over=2))
     ' Whichever of the 2 it is: c 5.50 to 8.50 kPa, m 1.00 to 5.00.'
@@ -126,7 +130,7 @@ def _whichever(estimates: Reported) -> str:
 
 
 def _tissue(estimates: Reported) -> str:
-    """c and m with it, and what the data do not determine of them.
+    """Values and intervals of c and m with the named effect, with sides that the data leave open.
 
     >>> _tissue(Reported({"c_kpa": 6.0, "m": 3.5}, {}, {"c_kpa": (5.5, 6.5), "m": (1.0, 5.0)}, ("m below",)))
     '; then c 6.00 kPa (5.50 to 6.50), m 3.50 (up to 5.00: no lower limit from these data)'
@@ -139,7 +143,7 @@ def _tissue(estimates: Reported) -> str:
 
 
 def _reach(estimates: Reported, symbol: str, name: str, unit: str = "") -> str:
-    """An interval in words, with the ends that the data leave open.
+    """An interval in words, with the sides that the data leave open.
 
     >>> _reach(Reported({}, {}, {"c_kpa": (0.4, 9.0)}, ("c below", "c above")), "c", "c_kpa")
     'not determined by the data'
@@ -160,7 +164,7 @@ def _shrunk(found: Diagnosis) -> str:
         return ""
     first, last = found.shrink[0], found.shrink[-1]
     held = ""
-    if len(first.held_out.keys() & last.held_out.keys()) > 1:  # a block that both predict, and "all"
+    if len(first.held_out.keys() & last.held_out.keys()) > 1:  # at least one common block besides "all"
         before, after = first.held_out["all"], last.held_out["all"]
         held = f"; held-out error {before:.2f} to {after:.2f} deviations"
     placebo = (

@@ -1,4 +1,4 @@
-"""What the diagnosis concludes, and everything behind it."""
+"""Result types of a diagnosis: the verdict and all results that support it."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ Word = Literal["adequate", "named", "ambiguous", "unexplained", "untestable"]
 
 @dataclass(frozen=True, eq=False)
 class Shrink:
-    """One stage of the model, from the base to the last addition.
+    """Goodness of fit at one stage of the model, from the base to the full explanation.
 
-    chi2_per_nu; rms : by channel, of residual / deviation; placebo_percentile : of what the last addition
-    explains; held_out : by block, and "all" over those blocks that every stage predicts
-    estimates : its parameters with their intervals; chi2, rms and held_out are of the best fit
+    rms : by channel, of residual / standard deviation; placebo_percentile : of the chi2 explained by the
+    effects added so far; held_out : by block, and "all" over the blocks that every stage predicts
+    estimates : parameters with their intervals; chi2, rms and held_out are those of the best fit
     """
 
     explanation: Explanation
@@ -42,17 +42,18 @@ class Shrink:
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """The verdict and its grounds.
+    """The verdict and the results it is based on.
 
-    relative : the noise's level is not known (assumed, or contradicted by the scatter)
-    chosen : the explanation that was added to the model (empty where none)
+    relative : the noise level is unknown (assumed, or contradicted by the scatter)
+    chosen : the explanation added to the model (empty if none)
     confidence_set : explanations that these data cannot distinguish
-    closed : the gap is closed: what flagged passes now, better than placebos, held-out error fell
-    not_evaluated : candidate -> why
-    left_out : refits dropped -> why
+    closed : the gap is closed (an effect is named): no significant residual remains, the explanation exceeds
+    the placebos, and the held-out error fell
+    not_evaluated : candidate -> reason
+    left_out : refit that was dropped -> reason
     sizes : by effect and parameter, the 95 % interval of its distance from null when it alone is added, to
-    first order; refitted_sizes : by effect, where it alone was refitted, of the parameters' values
-    angles : cosines between members of the set and their look-alikes
+    first order; refitted_sizes : by effect that was refitted alone, the intervals of the parameters' values
+    angles : cosines between the changes in the data by each pair of members of the confidence set
     """
 
     verdict: Word
@@ -80,7 +81,7 @@ class Diagnosis:
 
     @property
     def estimates(self) -> Reported:
-        """The parameters of the model as it stands in the end: with what was added, if anything was."""
+        """Parameters of the final model, including the chosen effects if there are any."""
         return next(
             (s.estimates for s in self.shrink if s.explanation == self.chosen), self.shrink[0].estimates
         )

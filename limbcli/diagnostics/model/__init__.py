@@ -1,1 +1,1 @@
-"""What a diagnosis is given: the data with their noise, a model that can be fitted, its linearised fit."""
+"""Input of a diagnosis: the data and their noise, the forward model to fit, and its linearised fit."""

@@ -1,13 +1,14 @@
-"""What an explanation implies for the tissue: an interval by profile, and one value out of it.
+"""Tissue parameters under an explanation: intervals from the profile deviance, and one reported value.
 
-An effect that is added takes over part of what determined a parameter: beside guided waves, for example, the
-speeds no longer bound m from below. The deviance is then flat, with two minima at times, and which of them
-is deeper is chance. So the whole profile over m is walked, every other parameter refitted at each place:
+An added effect can explain data that otherwise determine a parameter: with guided waves in the model, for
+example, the speeds no longer bound m from below. The deviance is then flat in m, sometimes with two minima,
+and chance decides which is the deeper one. The deviance is therefore profiled over the whole range of m, with
+every other parameter refitted at each value:
 
-- interval: all places within 3.84 deviances of the best (95 %); open where it runs to a bound;
-- value: the place of least deviance + ((ln m - ln 3.9) / 0.69)^2, a pseudo-observation of ln m whose 95 %
-  interval is 1 to 15, the exponents reported for muscle and limbs. Where the data determine m it moves
-  nothing; where they do not it keeps m from a bound. No test and no verdict uses it.
+- interval: all m whose deviance is within 3.84 of the minimum (95 %); open where it reaches a bound;
+- value: the m that minimises deviance + ((ln m - ln 3.9) / 0.69)^2, a pseudo-observation of ln m whose 95 %
+  interval is 1 to 15, the range of exponents reported for muscle and limbs. Where the data determine m, it
+  has no influence; where they do not, it keeps m off a bound. No test and no verdict uses it.
 
 Source: Venzon & Moolgavkar 1988, Appl Stat 37:87 (profile intervals); Sengeh et al. 2016, J Mech Behav
 Biomed Mater 59:379 (m 4.7 in a residual limb); Oddes & Solav 2023 (m is hard to identify from indentation).
@@ -28,14 +29,14 @@ USUAL_M, LN_M_DEVIATION = 3.9, 0.69
 PRIOR = f"ln m = ln {USUAL_M} with deviation {LN_M_DEVIATION} (m from 1 to 15, 95 %); values only, no test"
 TISSUE = ("c_kpa", "m")
 _PLACES, _REFINED = 10, 3
-_BETWEEN = 25  # places between two that were walked, at which the profile is read
-_SAME = 1.001  # times: nearer ones are one place
-_FAR = 20.0  # deviances above the best: the walk ends there
+_BETWEEN = 25  # points between two evaluated m at which the profile is interpolated
+_SAME = 1.001  # ratio of two m below which they count as one
+_FAR = 20.0  # deviance above that at the fit's own m at which the profile ends
 
 
 @dataclass(frozen=True, eq=False)
 class Conditional:
-    """The best fit at one m: its deviance, all values, and the deviation of each with m held."""
+    """The best fit at one fixed m: its deviance, all values, and the standard deviation of each at that m."""
 
     deviance: float
     values: Mapping[str, float]
@@ -44,11 +45,11 @@ class Conditional:
 
 @dataclass(frozen=True, eq=False)
 class Reported:
-    """What is reported of an explanation's parameters.
+    """Reported parameter values and intervals of an explanation.
 
     values : with the weak prior; best : without it; intervals : 95 %, by name; open : "m below", "m above",
-    "c below", "c above" where the interval runs to a bound; over : explanations over which the intervals
-    of c and m reach
+    "c below", "c above" where the interval reaches a bound; over : number of explanations that the intervals
+    of c and m cover
     """
 
     values: Mapping[str, float]
@@ -59,7 +60,7 @@ class Reported:
     over: int = 1
 
     def whichever(self, others: Sequence[Reported]) -> Reported:
-        """With intervals of c and m that hold those of other explanations, too: any of them may be true."""
+        """Extend the intervals of c and m to cover those of other explanations, any of which may be true."""
         several = [self, *others]
         ends = dict(self.intervals)
         for name in TISSUE:
@@ -70,7 +71,7 @@ class Reported:
         return replace(self, intervals=ends, open=is_open, over=len(several))
 
     def within(self, limits: Mapping[str, tuple[float, float]]) -> Reported:
-        """Intervals that end at the limits of what was looked at; an end of c or m there is open."""
+        """Clip the intervals to the searched range `limits`; an end of c or m on its limit is marked open."""
         ends = dict(self.intervals)
         for name in ends.keys() & limits.keys():
             ends[name] = max(ends[name][0], limits[name][0]), min(ends[name][1], limits[name][1])
@@ -82,7 +83,7 @@ class Reported:
         return replace(self, intervals=ends, open=tuple(is_open))
 
     def widened(self, times: float) -> Reported:
-        """Intervals of c and m whose ends are `times` as far from the value, in ln."""
+        """Move the ends of the intervals of c and m `times` as far from the value, on a log scale."""
         ends = dict(self.intervals)
         for name in ends.keys() & set(TISSUE):
             value, (low, high) = self.values[name], ends[name]
@@ -91,7 +92,7 @@ class Reported:
 
     @property
     def is_pulled(self) -> bool:
-        """Whether the prior moved m by more than a tenth."""
+        """Whether the prior moved ln m by more than `PULLED`."""
         if "m" not in self.values or "m" not in self.best:
             return False
         return abs(float(np.log(self.values["m"] / self.best["m"]))) > thresholds.PULLED
@@ -103,12 +104,12 @@ Walk = Callable[[float, Mapping[str, float]], Conditional]
 def reported(
     walk: Walk, start: Mapping[str, float], bounds: tuple[float, float], *, scale: float
 ) -> Reported:
-    """Walk the profile over m from the fit both ways, and read interval and value off it.
+    """Compute the profile over m in both directions from the fit, and derive intervals and values from it.
 
     Parameters
     ----------
-    walk : the best fit at an m, started from the values of a neighbour
-    scale : of the deviance, chi2/nu where the level of the noise is not known, else 1
+    walk : returns the best fit at an m, with a neighbour's values as initial guess
+    scale : divisor of the deviance: chi2/nu where the noise level is unknown, else 1
     """
     profile = _walked(walk, start, bounds, far=_FAR * scale)
     penalised = {m: profile[m].deviance / scale + _penalty(m) for m in profile}
@@ -131,7 +132,7 @@ def _penalty(m: float) -> float:
 def _walked(
     walk: Walk, start: Mapping[str, float], bounds: tuple[float, float], *, far: float
 ) -> dict[float, Conditional]:
-    """From the fit's own m up and down to the bounds, each place from its neighbour's values."""
+    """Evaluate the profile from the fit's m up and down to the bounds, starting each m from its neighbour."""
     own = float(np.clip(start["m"], *bounds))
     own = next((end for end in bounds if end / _SAME < own < end * _SAME), own)  # fits stop short of a bound
     grid = np.exp(np.linspace(np.log(bounds[0]), np.log(bounds[1]), _PLACES))
@@ -150,7 +151,7 @@ def _walked(
 def _refined(
     walk: Walk, profile: dict[float, Conditional], penalised: dict[float, float], scale: float
 ) -> Mapping[str, float]:
-    """Halve the distance to the neighbours of the least penalised deviance a few times."""
+    """Refine the minimum of the penalised deviance by halving the step to its neighbours `_REFINED` times."""
     best = min(penalised, key=lambda m: penalised[m])
     places = sorted(penalised)
     at = places.index(best)
@@ -168,9 +169,10 @@ def _refined(
 
 
 def _edges(places: list[float], deviance: Array) -> tuple[float, float]:
-    """Outermost m within `WITHIN` of the least deviance.
+    """Outermost m whose deviance is within `WITHIN` of the minimum.
 
-    Between places by the root of the excess, a straight line where the deviance is a parabola in ln m.
+    Between evaluated m, the square root of the excess deviance is interpolated linearly in ln m, which is
+    exact where the deviance is a parabola in ln m.
 
     >>> x = np.array([-1.0, 0.0, 0.5])
     >>> [round(float(np.log(m)), 3) for m in _edges(np.exp(x).tolist(), 16.0 * x**2)]
@@ -193,10 +195,11 @@ def _edges(places: list[float], deviance: Array) -> tuple[float, float]:
 def _others(
     profile: Mapping[float, Conditional], limit: float, scale: float
 ) -> dict[str, tuple[float, float]]:
-    """Intervals of the other parameters: at every m that is possible, what is left of the limit.
+    """Intervals of the other parameters: the union over all admissible m of the intervals at that m.
 
-    Between the places that were walked the root of the excess deviance, values and deviations go along
-    straight lines, as in `_edges`. c is kept above 0 by its logarithm: its deviation is relative.
+    At each m the interval uses the part of the deviance limit that m itself leaves. Between evaluated m, the
+    square root of the excess deviance, the values and the standard deviations are interpolated linearly, as
+    in `_edges`. c is treated in logarithms, which keeps it positive: its deviation is relative.
     """
     walked = [profile[m] for m in sorted(profile)]
     x = np.log(sorted(profile))

@@ -1,4 +1,4 @@
-"""What the diagnosis asks of whoever can simulate: the `ForwardModel`, and the data it is about."""
+"""Interface between the diagnosis and the simulations: the `ForwardModel` protocol and its data types."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ Explanation = tuple[str, ...]
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """Whitened sensitivities `columns` (n, q) at the null; `signs` (q,): +1 up only, -1 down only, 0 either.
+    """Sensitivities `columns` (n, q) to an effect at its null value; `signs` (q,): +1 up only, -1 down only,
+    0 either. `ForwardModel.directions` gives them unwhitened; the tests take them whitened.
 
-    `point` says which point of the effect's grid it is; `at`: where on it a fit begins.
+    `point` names the point of the effect's grid; `at` : initial values of the fitted grid parameters there.
     """
 
     columns: Array
@@ -34,13 +35,14 @@ class Direction:
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """What was measured, stacked.
+    """The measured data, stacked into one vector.
 
     y : (n,); channel : of every datum; order : (n,) position along its channel (level number)
-    groups : name -> (n,) bool, the parts to be localised (channel, site, third of the levels ...)
+    groups : name -> (n,) bool, the parts tested to localise a misfit (channel, site, third of the levels ...)
     blocks : name -> (n,) bool, the parts to be held out
-    series : of every datum, what it is a level of (a channel, one part of its maps); empty: the channel
-    place : (n, 2) mm in an image, NaN for what is in none
+    series : of every datum, the series of levels it belongs to (a channel, one part of its maps); empty: the
+    channel
+    place : (n, 2) mm in an image, NaN for data without a position in an image
     """
 
     y: Array
@@ -64,7 +66,7 @@ class Data:
         return _masks(self.channel)
 
     def all_series(self) -> dict[str, Mask]:
-        """Mask (n,) of each series: data that follow one another from level to level."""
+        """Mask (n,) of each series: the data of one quantity at successive levels."""
         return _masks(self.series or self.channel)
 
 
@@ -78,9 +80,9 @@ class Fitted:
 
     prediction : (n,); jacobian : (n, n_base + n_effect_parameters), the base parameters
     first (in logs), then the effects' in the order of the explanation
-    values : of all parameters by name; at_bound : those that ended on a bound, or outside
-    what is physically possible, in words
-    without : (n,) the same tissue's prediction without the effects; None where there are none
+    values : of all parameters by name; at_bound : messages for parameters that ended on a bound, or outside
+    the physically possible range
+    without : (n,) prediction for the same tissue without the effects; None if there are no effects
     """
 
     explanation: Explanation
@@ -97,10 +99,11 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Facts:
-    """A candidate as the diagnosis sees it.
+    """Description of a candidate effect.
 
-    typical : by parameter, a plausible size away from its null value (for blind spots)
-    simulated : what it does is found by a simulation with it; else from those without it
+    typical : by parameter, a plausible size as distance from the null value (for blind spots)
+    simulated : True if its effect is obtained from a simulation that includes it, False if from the
+    simulations without it
     """
 
     name: str
@@ -112,7 +115,7 @@ class Facts:
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """A measurement that could be added: what each explanation predicts for it.
+    """A possible further measurement, and what each explanation predicts for it.
 
     predictions : by explanation (m,); jacobians : (m, same columns as that Fitted's); covariance (m, m)
     """
@@ -125,7 +128,8 @@ class Proposal:
 
 
 class ForwardModel(Protocol):
-    """Answers for one set of data. Raises LimbError where there is no answer: then it is `not evaluated`."""
+    """Forward model of one data set. Raises LimbError where it has no solution; the diagnosis then reports
+    the candidate as not evaluated."""
 
     @property
     def data(self) -> Data: ...
@@ -135,32 +139,32 @@ class ForwardModel(Protocol):
 
     @property
     def interval_widening(self) -> float:
-        """Times which intervals are widened, as errors of the model are taken at their likeliest."""
+        """Factor by which intervals are widened, as model errors are set to their likeliest size."""
         ...
 
     def fit(self, explanation: Explanation, start: Mapping[str, float]) -> Fitted:
-        """Fit the model with these effects in it; `start`: first guesses of effect parameters.
+        """Fit the model with these effects; `start`: initial guesses of the effect parameters.
 
-        Where a simulation is dear this may be a surrogate's fit; `verified` makes it good.
+        Where simulations are expensive this may be a fit of the surrogate, which `verified` then checks.
         """
         ...
 
     def verified(self, fitted: Fitted) -> Fitted:
-        """The same fit, its numbers out of a simulation of the model as fitted."""
+        """The same fit, with its numbers taken from a simulation of the fitted model."""
         ...
 
     def reported(self, fitted: Fitted, *, scale: float = 1.0, besides: Array | None = None) -> Reported:
-        """What is reported of its parameters.
+        """Parameter values and intervals to report for a fit.
 
-        scale : of the deviance, where the noise's level is not known; besides : covariance (n, n) of what
-        the data have to allow for beside their noise
+        scale : divisor of the deviance where the noise level is unknown; besides : covariance (n, n) of
+        further errors, to be added to that of the noise
         """
         ...
 
     def directions(self, fitted: Fitted, name: str) -> Sequence[Direction]:
-        """Sensitivities (not whitened) of the prediction to one more effect at its null value."""
+        """Sensitivities (not whitened) of the prediction to one additional effect at its null value."""
         ...
 
     def proposals(self, fits: Sequence[Fitted]) -> Sequence[Proposal]:
-        """Measurements that could be added, with what every one of these fits predicts."""
+        """Possible further measurements, with the prediction of each of these fits."""
         ...

@@ -16,7 +16,7 @@ _RANK = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class Whitener:
-    """L of Sigma = L L', column by column: `whiten(x)` is L^-1 x, for x (n,) or (n, k)."""
+    """Cholesky factor L of Sigma = L L': `whiten(x)` is L^-1 x, for x (n,) or (n, k)."""
 
     factor: Array
 
@@ -44,17 +44,17 @@ class Whitener:
         ValueError
             If x is not finite.
         """
-        # LAPACK's own: scipy's checks of the factor take ten times as long as the solution for a few data
+        # LAPACK is called directly: for few data, scipy's checks take ten times as long as the solve
         found, _ = dtrtrs(self.factor, np.asarray_chkfinite(x), lower=1)
         return np.asarray(found)
 
     def undo(self, whitened: Array) -> Array:
-        """L x: the raw quantity again."""
+        """Undo the whitening: L x."""
         return np.asarray(self.factor @ whitened)
 
 
 def _span(jacobian: Array) -> Array:
-    """(n, rank) orthonormal, of the columns' span."""
+    """Orthonormal basis (n, rank) of the column space."""
     if jacobian.shape[1] == 0:
         return np.zeros((len(jacobian), 0))
     u, s, _ = np.linalg.svd(_even(jacobian), full_matrices=False)
@@ -62,17 +62,17 @@ def _span(jacobian: Array) -> Array:
 
 
 def _even(columns: Array) -> Array:
-    """Each column by its length."""
+    """Columns scaled to unit length."""
     length = np.linalg.norm(columns, axis=0)
     return columns / np.where(length > 0, length, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
 class LinearFit:
-    """Whitened residual r (n,), sensitivities J (n, p) of the fitted parameters, and the span J cannot reach.
+    """Whitened residual r (n,), sensitivities J (n, p) of the fitted parameters, and the projector P off J.
 
-    basis : (n, rank) orthonormal, spans J; P = I - basis basis'
-    is_held : one direction of that span is left out, which the fit did not follow
+    basis : (n, rank) orthonormal, spans the columns of J; P = I - basis basis'
+    is_held : True if one direction of that span was removed because the fit stopped short along it
     """
 
     residual: Array
@@ -83,10 +83,10 @@ class LinearFit:
     @staticmethod
     def of(residual: Array, jacobian: Array, *, as_it_stands: bool = False) -> LinearFit:
         """
-        as_it_stands : where the slopes would lessen chi2 by more than one further than the fit went, the
-            direction in which it did not follow counts as one that the model cannot reach. A prior or a bound
-            held it, or a corner of the model, whose slopes are those of neither side: it is judged where it
-            stands, not where a size beyond all plausibility would bring it.
+        as_it_stands : judge the fit at the point where it stopped. If a further linear step along J would
+            reduce chi2 by more than one, that direction is removed from the span. The fit was stopped by a
+            prior, a bound, or a kink in the model, where the derivatives are those of neither side; following
+            the derivatives would assume implausible sizes.
         """
         basis = _span(jacobian)
         pull = basis.T @ residual
@@ -100,7 +100,7 @@ class LinearFit:
         return len(self.residual) - self.basis.shape[1]
 
     def project(self, x: Array) -> Array:
-        """P x: what no change of the fitted parameters can imitate; x (n,) or (n, k).
+        """P x: the part of x that no change of the fitted parameters can reproduce; x (n,) or (n, k).
 
         >>> state = LinearFit.of(np.zeros(2), np.array([[1.0], [0.0]]))
         >>> state.project(np.array([3.0, 4.0]))
@@ -119,5 +119,5 @@ class LinearFit:
         return float(left @ left)
 
     def estimator(self) -> Array:
-        """J^+ (p, n): how data move the fitted parameters."""
+        """Pseudoinverse J^+ (p, n): change of the fitted parameters with the data."""
         return np.asarray(np.linalg.pinv(self.jacobian))

@@ -1,8 +1,9 @@
-"""What is known of the noise: a covariance made of named parts, and where each came from.
+"""Noise model: a covariance composed of named parts, each with its source.
 
-Its size is stated, its law is not. Readings taken by hand err by more than three deviations far more often
-than the normal law has it, and a true effect must not be ruled out for one slip: every test draws from
-Student's t with `TAILS` degrees of freedom, scaled to the stated deviation.
+The size of the noise is stated, its distribution is not. Readings taken by hand deviate by more than three
+standard deviations far more often than under a normal distribution, and a true effect must not be rejected
+because of one outlier: every test draws from Student's t with `TAILS` degrees of freedom, scaled to the
+stated standard deviation.
 
 Source: Lange, Little & Taylor 1989, J Am Stat Assoc 84:881 (t with few degrees of freedom for measured data);
 Jeffreys 1961, Theory of Probability, section 5.7 (5 to 9 of them in long series of readings).
@@ -21,12 +22,12 @@ from limbcli.model import Array
 
 ASSUMED = "assumed"
 TAILS = 7.0
-_KEPT_BYTES = 256 * 2**20  # of draws in memory
-EXCESS = 6.0 / (TAILS - 4.0)  # kurtosis beyond the normal law's
+_KEPT_BYTES = 256 * 2**20  # largest memory of cached draws
+EXCESS = 6.0 / (TAILS - 4.0)  # excess kurtosis over the normal distribution
 
 
 def unit_errors(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
-    """Independent errors of mean 0 and deviation 1, with the tails of real readings.
+    """Independent errors of mean 0 and standard deviation 1, with the heavy tails of real readings.
 
     >>> errors = unit_errors(np.random.default_rng(7), (200_000,))
     >>> round(float(errors.std()), 2), round(100 * float(np.mean(np.abs(errors) > 3)), 1)
@@ -37,9 +38,9 @@ def unit_errors(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class ErrorDraws:
-    """Batches of independent errors (`unit_errors`), the same whenever they are asked for.
+    """Reproducible batches of independent errors (`unit_errors`).
 
-    seed : fixes all of them; n_data : errors in a draw; size : draws in a batch
+    seed : determines all batches; n_data : errors per draw; size : draws per batch
     """
 
     seed: tuple[int, ...]
@@ -48,7 +49,7 @@ class ErrorDraws:
     _kept: dict[int, NDArray[np.float32]] = field(default_factory=dict)
 
     def batch(self, k: int) -> NDArray[np.float32]:
-        """(size, n_data), in single precision: more digits than a test by draws has use for."""
+        """(size, n_data), in single precision, which is more than enough for a Monte Carlo test."""
         if k not in self._kept:
             rng = np.random.default_rng([*self.seed, k])
             drawn = unit_errors(rng, (self.size, self.n_data)).astype(np.float32)
@@ -70,22 +71,22 @@ class NoisePart:
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """The sum of independent parts."""
+    """Noise as the sum of independent parts."""
 
     parts: tuple[NoisePart, ...]
 
     @cached_property
     def covariance(self) -> Array:
-        """(n, n), the same array every time."""
+        """Total covariance (n, n), cached."""
         return np.asarray(sum(part.covariance for part in self.parts))
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the parts that are not nothing."""
+        """Names of the parts with a non-zero covariance."""
         return tuple(part.name for part in self.parts if part.covariance.any())
 
     def with_share(self, name: str, share: float) -> Noise:
-        """The part `name` times `share`, as it was estimated; others as they are."""
+        """The noise with the standard deviation of part `name` scaled by the estimated `share`."""
         return Noise(
             tuple(
                 NoisePart(name, share**2 * part.covariance, "estimated") if part.name == name else part
@@ -95,7 +96,7 @@ class Noise:
 
     @property
     def is_assumed(self) -> bool:
-        """No absolute test can be made of the measurement's own noise."""
+        """Whether the measurement's own noise is only assumed, so that no absolute test is possible."""
         return any(part.source == ASSUMED and part.name.startswith("measurement") for part in self.parts)
 
     def provenance(self) -> list[dict[str, str]]:
@@ -112,7 +113,7 @@ def independent(name: str, deviation: Array, *, source: str) -> NoisePart:
 
 
 def common(name: str, direction: Array, *, source: str) -> NoisePart:
-    """One unknown that moves all data together: `direction` (n,) is its effect at one standard deviation.
+    """Fully correlated noise from one unknown: `direction` (n,) is its effect at one standard deviation.
 
     >>> common("gain", np.array([1.0, 2.0]), source="spec").covariance
     array([[1., 2.],
@@ -125,7 +126,8 @@ def common(name: str, direction: Array, *, source: str) -> NoisePart:
 def correlated(
     name: str, deviation: Array, order: Array, *, correlation: float, source: str
 ) -> NoisePart:  # fmt: skip
-    """Neighbours err alike: covariance sd_i sd_j correlation^|order_i - order_j|; NaN order: independent.
+    """Noise correlated between neighbours: covariance sd_i sd_j correlation^|order_i - order_j|; data with
+    NaN order are independent.
 
     >>> correlated("x", np.ones(2), np.array([0.0, 1.0]), correlation=0.5, source="spec").covariance
     array([[1. , 0.5],
@@ -139,7 +141,7 @@ def correlated(
 
 
 def numerical(name: str, differences: Sequence[Array]) -> NoisePart:
-    """The model's own error: each difference (n,) between two meshes is one deviation of a common unknown.
+    """Discretisation error: each difference (n,) of two meshes is one standard deviation of an unknown.
 
     >>> numerical("mesh", [np.array([1.0, 0.0]), np.array([0.0, 2.0])]).covariance
     array([[1., 0.],

@@ -1,4 +1,4 @@
-"""How large an assumed error is, from the data themselves."""
+"""Estimate the size of an assumed error from the data."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from scipy.optimize import minimize_scalar
 from limbcli.diagnostics.model.noise import Noise
 from limbcli.model import Array
 
-_EXACT = 0.01  # of ln share
+_EXACT = 0.01  # tolerance of ln share in the minimisation
 
 
 def likeliest_share(residual: Array, jacobian: Array, noise: Noise, name: str, *, least: float) -> float:
-    """Times what is assumed of the noise part `name`, from `least` to 1, that makes a residual likeliest.
+    """Maximum-likelihood factor on the standard deviation of the noise part `name`, between `least` and 1.
 
-    residual (n,) of a fit with sensitivities jacobian (n, p). An effect that the model lacks makes the
-    residual larger: an error is then allowed for that is too large, at most the one assumed.
-    1 where there is no such part, or nothing in it.
+    residual (n,) of a fit with sensitivities jacobian (n, p). An effect missing from the model increases the
+    residual and thus the estimated error, which can be at most the assumed one.
+    1 if there is no such part, or its covariance is zero.
 
     Source: restricted likelihood, Patterson & Thompson 1971, Biometrika 58:545.
     """
@@ -38,7 +38,7 @@ def likeliest_share(residual: Array, jacobian: Array, noise: Noise, name: str, *
 
 
 def _restricted(residual: Array, columns: Array, covariance: Array) -> float:
-    """Minus the restricted log likelihood, but for a constant."""
+    """Negative restricted log-likelihood, up to a constant."""
     factor = cholesky(covariance, lower=True)
     off = solve_triangular(factor, residual, lower=True)
     basis, upper = np.linalg.qr(solve_triangular(factor, columns, lower=True))

@@ -1,1 +1,1 @@
-"""Which explanations are kept: candidates, their refits, the confidence set, and when the gap is closed."""
+"""Selection of explanations: candidates, their refits, the confidence set, and the test for a closed gap."""

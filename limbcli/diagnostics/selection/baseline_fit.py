@@ -1,4 +1,4 @@
-"""What every step of a diagnosis stands on: the data, the fit without effects, and how tests are made."""
+"""Common basis of all steps of a diagnosis: the data, the fit without effects, and the test settings."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from limbcli.progress import SILENT, Progress
 
 @dataclass(frozen=True, eq=False)
 class BaselineFit:
-    """The fit without effects, and what is left by it. `seed` fixes every draw."""
+    """The fit without effects and its residual. `seed` determines all random draws."""
 
     forward_model: ForwardModel
     base: Fitted
@@ -44,16 +44,16 @@ class BaselineFit:
 
     @cached_property
     def rough(self) -> Roughness | None:
-        """The data's own scatter, level by level; None where it cannot be determined."""
+        """Scatter of the data about smooth curves over the levels; None where it cannot be determined."""
         return self._roughness(self.state)
 
     @cached_property
     def relative(self) -> bool:
-        """The noise's level is not known: assumed, or contradicted by the scatter about the base fit."""
+        """Whether the noise level is unknown: assumed, or contradicted by the scatter about the base fit."""
         return self.is_relative(self.state)
 
     def is_relative(self, state: LinearFit) -> bool:
-        """The same about another fit: what scattered may have been an effect (a step, a jump) in it."""
+        """The same for another fit, which may explain apparent scatter as an effect (a step or jump)."""
         if state.nu < 1:
             return False
         found = self._roughness(state)
@@ -73,21 +73,22 @@ class BaselineFit:
 
     @cached_property
     def errors(self) -> ErrorDraws:
-        """What all families are drawn from."""
+        """The common error draws of all families of tests."""
         return ErrorDraws((self.seed, 1), len(self.data), self.n_draws)
 
     def family(
         self, state: LinearFit, trials: Sequence[Trial], *, relative: bool,
         decisive: Sequence[float] = (thresholds.ALPHA, thresholds.NAMED),
     ) -> Family:  # fmt: skip
-        """All these tests with one false-alarm rate; `decisive`: adjusted p by which something is decided."""
+        """All these tests at one family-wise error rate; `decisive`: decision levels of the adjusted p."""
         return score_family(
             state, trials, self.errors, relative=relative, alpha=thresholds.ALPHA, decisive=decisive
         )
 
     def form_error(self, fitted: Fitted) -> Array:
-        """Covariance (n, n) of the error in an effect's form: a share of what the effects change in this
-        tissue, alike at neighbouring levels. Fibres, skin or fat in a limb are never just the model's."""
+        """Covariance (n, n) of the model-form error: a fraction of the change by the effects in this tissue,
+        correlated between neighbouring levels. Fibres, skin or fat in a limb never match the model
+        exactly."""
         data = self.data
         total = np.zeros((len(data), len(data)))
         if fitted.without is None:
@@ -108,7 +109,7 @@ class BaselineFit:
         return total
 
     def _in_image(self, size: Array) -> Array:
-        """Covariance (n, n) of errors of this size in one channel's images."""
+        """Covariance (n, n) of errors with this standard deviation (n,) in one channel's images."""
         data = self.data
         assert data.place is not None
         x, z = np.nan_to_num(data.place).T

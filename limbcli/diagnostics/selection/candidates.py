@@ -1,4 +1,4 @@
-"""Which candidates are worth a refit, alone and together."""
+"""Selection of the candidates and combinations of candidates to refit."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def whitened_trials(
     forward_model: ForwardModel, fitted: Fitted, facts: Mapping[str, Facts], whiten: Whitener,
     not_evaluated: dict[str, str], progress: Progress,
 ) -> list[Trial]:  # fmt: skip
-    """A trial of each candidate that is not in the fit; why not, in `not_evaluated`."""
+    """A trial for each candidate not in the fit; reasons for failures are added to `not_evaluated`."""
     trials = []
     for k, name in enumerate(facts):
         if name in fitted.explanation:
@@ -37,13 +37,17 @@ def whitened_trials(
 
 
 def is_gross(state: LinearFit) -> bool:
-    """A fit without effects that is wrong far beyond the stated noise: it may have ended anywhere."""
+    """Whether the residual of the fit without effects exceeds the stated noise by far, so that its parameters
+    are unreliable."""
     return state.nu > 0 and state.chi2 > thresholds.GROSS * state.nu
 
 
 def closes_gross(state: LinearFit, left: LinearFit) -> bool:
-    """An effect leaves (`left`) a small part of what such a fit leaves: evidence of its own, also where the
-    stated noise is too small, which no effect makes less."""
+    """Whether an effect reduces the chi2 of a grossly wrong fit to a small fraction (`left`).
+
+    This is sufficient evidence even if the stated noise is too small, as no effect would reduce the excess
+    scatter.
+    """
     return is_gross(state) and left.chi2 < state.chi2 / thresholds.GROSS
 
 
@@ -56,17 +60,17 @@ class Candidates:
     family: Family
 
     def promising(self, left_out: dict[str, str]) -> list[str]:
-        """Those near significance, with the nearest where none is significant, and those that look like one
-        of them; the rest goes into `left_out`.
+        """Candidates near significance and those with similar sensitivities; the excess goes into `left_out`.
 
-        All, where the fit without effects is grossly wrong: it may have ended anywhere, and what the
-        effects do to first order there shows little of what they do.
+        If none is significant, at least the `GROWN` nearest are included. All candidates are included if the
+        fit without effects is grossly wrong: its parameters are then unreliable, and first-order
+        sensitivities there say little about the effects.
         """
         ranks = sorted((t for t in self.family.tests if t.name in self.trials), key=lambda t: t.p_adjusted)
         near = [t.name for t in ranks if t.p_adjusted < thresholds.REFIT_BELOW]
         if not any(t.p_adjusted < thresholds.ALPHA for t in ranks):
-            # What a part of the data shows and no candidate does, one may explain that is strong: the first
-            # order shows little of it.
+            # A part of the data is significant but no candidate is: a strong effect may still explain it, as
+            # the first-order test underestimates strong effects.
             near = [t.name for t in ranks[: max(len(near), thresholds.GROWN)]]
         others = [name for name in self.trials if name not in near]
         alike = [name for name in others if is_gross(self.state) or any(self._alike(name, k) for k in near)]
@@ -76,7 +80,7 @@ class Candidates:
         return ranked[: thresholds.MAX_REFITS]
 
     def of_size(self, size: int, names: list[str], refits: Iterable[Refit]) -> list[Explanation]:
-        """Explanations by so many effects that are worth a refit."""
+        """Explanations by `size` effects that are worth a refit."""
         if size == 1:
             return [(name,) for name in names]
         usable = list(self.trials.values())
@@ -85,7 +89,8 @@ class Candidates:
         return self._grown(size, refits)
 
     def _grown(self, size: int, refits: Iterable[Refit]) -> list[Explanation]:
-        """The best explanation one smaller, with each of the candidates it leaves most for."""
+        """The best explanation with one effect less, extended by each of the candidates that score highest on
+        its residual."""
         smaller = [r for r in refits if len(r.explanation) == size - 1 and not r.fitted.at_bound]
         if not smaller:
             return []
@@ -95,7 +100,8 @@ class Candidates:
         return [(*best.explanation, trial.name) for trial in order[: thresholds.GROWN]]
 
     def extended(self, refit: Refit, *, below: float) -> list[Explanation]:
-        """The same with one more effect, where what it leaves is significant: those it leaves most for."""
+        """The explanation with one further effect, if its residual has a p below `below`: the candidates with
+        the smallest adjusted p."""
         if refit.left_p >= below:
             return []
         left = [
@@ -105,7 +111,7 @@ class Candidates:
         return [(*refit.explanation, t.name) for t in left[: thresholds.GROWN]]
 
     def exchanged(self, refits: Sequence[Refit]) -> list[Explanation]:
-        """These with one effect exchanged for another that looks like it, the most alike first."""
+        """These explanations with one effect replaced by a similar one, the most similar first."""
         found: dict[frozenset[str], tuple[float, Explanation]] = {}
         for refit in refits:
             for name in refit.explanation:
@@ -124,6 +130,6 @@ class Candidates:
         return self._likeness(first, second) > thresholds.ALIKE
 
     def _likeness(self, first: str, second: str) -> float:
-        """|cosine| of the two effects' best directions; 0 where one has none."""
+        """|cosine| between the best directions of the two effects; 0 if either was not tested."""
         a, b = self.family.of(first), self.family.of(second)
         return abs(cosine(self.state, a.score.direction, b.score.direction)) if a and b else 0.0

@@ -1,4 +1,4 @@
-"""The confidence set of explanations: every one that fits by itself and is not beaten beyond chance."""
+"""Confidence set of explanations: those that are adequate and not significantly worse than the best one."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ from limbcli.model import Array
 class Refit:
     """An explanation after its full refit.
 
-    chi2, nu; family : the tests of what it leaves; gap : deviance to the best of its size, and
-    the largest gap that chance allows it (None before the comparison)
-    form_allowances : deviance that the error of its form may leave, by the name of a test of `family`
+    state : linearised fit, with chi2 and nu; family : the tests of its residual
+    gap : deviance above the best of the compared explanations; gap_allowed : the largest gap that chance
+    allows (both None before the comparison)
+    form_allowances : deviance that the model-form error may leave, by the name of a test of `family`
     """
 
     fitted: Fitted
@@ -35,7 +36,7 @@ class Refit:
 
     @property
     def left_p(self) -> float:
-        """Smallest adjusted p of what it leaves beyond its form."""
+        """Smallest adjusted p of the residual, ignoring tests within the allowance for model-form error."""
         beyond = [
             each.p_adjusted
             for each in self.family.tests
@@ -57,12 +58,12 @@ class Refit:
 
     @property
     def fits(self) -> bool:
-        """Adequate, and not beaten beyond chance; perhaps with a parameter on a bound."""
+        """Adequate and not significantly worse than the best; a parameter may be on a bound."""
         return self.is_adequate and not self._is_beaten
 
     def is_close_to(self, members: Sequence[Refit]) -> bool:
-        """Just not adequate, but as good a fit as a member: both leave the same scatter, and its level is no
-        evidence for one of them."""
+        """Slightly below adequacy, but fitting as well as a member: both leave the same scatter, whose level
+        does not favour either of them."""
         if self.fitted.at_bound or self.is_adequate or self.left_p < thresholds.BARELY * thresholds.ADEQUATE:
             return False
         return not self._is_beaten and any(
@@ -71,7 +72,7 @@ class Refit:
 
     @property
     def _is_beaten(self) -> bool:
-        """By another, beyond what chance allows."""
+        """Whether the gap to the best explanation is larger than chance allows."""
         if self.gap is None or self.gap_allowed is None:
             return False
         return self.gap > self.gap_allowed + thresholds.SLACK
@@ -81,12 +82,12 @@ def compare(
     refits: Sequence[Refit], base: Fitted, state: LinearFit, trials: Mapping[Explanation, Trial],
     whiten: Whitener, form_error: Callable[[Fitted], Array], *, rng: np.random.Generator, relative: bool,
 ) -> list[Refit]:  # fmt: skip
-    """Give each refit its deviance gap and the quantile of that gap were it the truth.
+    """Assign each refit its deviance gap and the quantile of that gap if the refit were true.
 
-    Under explanation k the whitened data are mu_k + f_k + e, mu_k its prediction, f_k the error of its
-    form (covariance `form_error(fitted)`, the same that the tests of what it leaves allow for). The gap is
-    k's deviance over the best one's, each linear round its own fit (for rivals also round the base). The
-    best is of those that leave nothing, if there are such: what leaves something is no better answer.
+    Under explanation k the whitened data are mu_k + f_k + e, where mu_k is its prediction and f_k its
+    model-form error (covariance `form_error(fitted)`, as in the tests of its residual). The gap is k's
+    deviance minus the best one's, each linearised about its own fit (rivals also about the base). The best is
+    chosen among the adequate explanations, if there are any.
     """
     eligible = [each for each in refits if not each.fitted.at_bound]
     if not eligible:
@@ -123,7 +124,7 @@ def _allowed(
         trial = trials.get(rival.explanation)
         if trial is not None:
             best = np.minimum(best, np.sum(seen**2, axis=1) - statistics(state, trial, seen))
-        if set(truth.explanation) < set(rival.explanation):  # what it has more, beside its own parameters
+        if set(truth.explanation) < set(rival.explanation):  # the rival's additional effects, about the truth
             more = [trials[(name,)] for name in rival.explanation if name not in truth.explanation]
             left = truth.state.project(errors.T).T
             best = np.minimum(best, own - statistics(truth.state, joint_trial(more), left))
@@ -131,7 +132,7 @@ def _allowed(
 
 
 def _deviance(state: LinearFit, errors: Array) -> Array:
-    """(n_draws,) that a fit leaves of errors (n_draws, n) round it."""
+    """Deviance (n_draws,) that remains of errors (n_draws, n) after a linear refit."""
     return np.asarray(np.sum(state.project(errors.T) ** 2, axis=0))
 
 
@@ -142,7 +143,7 @@ def _root(covariance: Array) -> Array:
 
 
 def joint_trial(trials: Sequence[Trial]) -> Trial:
-    """Several effects at once: every combination of their grid points."""
+    """Joint trial of several effects, with one direction per combination of their grid points."""
     directions = []
     for several in itertools.product(*(trial.directions for trial in trials)):
         directions.append(
@@ -158,7 +159,7 @@ def joint_trial(trials: Sequence[Trial]) -> Trial:
 
 
 def best_pairs(state: LinearFit, trials: Sequence[Trial]) -> list[tuple[str, str]]:
-    """Pairs of effects in the order of what they explain together, to first order; the best few."""
+    """The `PAIRS_KEPT` pairs of effects that jointly explain most to first order, the best first."""
     found = []
     for a, b in itertools.combinations([narrowed(state, each) for each in trials], 2):
         found.append((score(state, joint_trial([a, b])).statistic, (a.name, b.name)))

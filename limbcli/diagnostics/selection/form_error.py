@@ -1,7 +1,7 @@
-"""Model-form error: what an explanation may leave, as no model of fat or of a scar is just that of the limb.
+"""Model-form error: residual allowed for an effect, as no model of fat or of a scar matches the limb exactly.
 
-A large effect leaves a small share of what it changes, where it changes it. A test of what is left allows
-for that share: of the change in the channels that the test looks at, no more than the effect explains.
+A large effect leaves a residual that is a small fraction of the change it causes. The tests of the residual
+allow for this fraction of the change in the channels they examine, at most that of the explained deviance.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from limbcli.model import Array
 def form_allowances(
     data: Data, fitted: Fitted, family: Family, whiten: Whitener, explained: float
 ) -> dict[str, float]:
-    """Deviance by the name of each test of a family.
+    """Allowed deviance for each test of a family, by name.
 
-    whiten : by which the family's directions were whitened; explained : deviance that the effects take
+    whiten : the whitening used for the family's directions; explained : deviance explained by the effects
     """
     if fitted.without is None:
         return {}
@@ -40,5 +40,5 @@ def form_allowances(
 
 
 def _along(eta: Array) -> Array:
-    """The estimate; all of a direction alike where there is none."""
+    """The estimate; ones where it is zero."""
     return eta if np.any(eta) else np.ones(len(eta))

@@ -1,4 +1,4 @@
-"""Is the gap closed: better than any smooth curve would close it, and does the model predict?"""
+"""Test for a closed gap: does the model outperform arbitrary smooth curves and predict held-out data?"""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from limbcli.diagnostics.statistical_tests.placebo import library_percentile, pl
 
 @dataclass(frozen=True, eq=False)
 class Closing:
-    """n_candidates : how many an explanation by several effects was picked from."""
+    """n_candidates : number of candidates from which an explanation was selected"""
 
     baseline: BaselineFit
     n_candidates: int
@@ -25,7 +25,7 @@ class Closing:
         data = self.baseline.data
         before, after = held_out_error(data, self.baseline.base), held_out_error(data, refit.fitted)
         n_effects = len(refit.explanation)
-        if n_effects > thresholds.MOST_NAMED:  # three effects bend to almost any smooth gap
+        if n_effects > thresholds.MOST_NAMED:  # three effects can fit almost any smooth residual
             return False
         if not fell(before, after, data.blocks) or self.percentile(refit) <= thresholds.CLOSED_PERCENTILE:
             return False
@@ -33,7 +33,7 @@ class Closing:
         return self._library_percentile(refit) > required
 
     def percentile(self, refit: Refit) -> float:
-        """Percent of arbitrary smooth directions, as many as were added, that explain less."""
+        """Percentage of placebos, each of as many smooth directions as were added, that explain less."""
         baseline = self.baseline
         return placebo_percentile(
             baseline.state, baseline.whiten, self._explained(refit), n_parameters=self._added(refit),
@@ -42,7 +42,7 @@ class Closing:
         )  # fmt: skip
 
     def _library_percentile(self, refit: Refit) -> float:
-        """Placebos are picked out of as many, or as many combinations, as the explanation was."""
+        """The same with each placebo selected from as many combinations as the explanation was."""
         baseline = self.baseline
         n_tried = min(math.comb(self.n_candidates, len(refit.explanation)), thresholds.MOST_PICKED)
         return library_percentile(
@@ -55,6 +55,6 @@ class Closing:
         return self.baseline.state.chi2 - refit.state.chi2
 
     def _added(self, refit: Refit) -> int:
-        """Parameters of the effects that matter there, whether m is free or on its bound."""
+        """Number of effect parameters that affect the prediction."""
         columns = refit.fitted.jacobian[:, len(refit.fitted.base_names) :]
         return max(int(np.any(columns != 0.0, axis=0).sum()), 1)

@@ -1,4 +1,4 @@
-"""Refits of explanations: first on the forward model's surrogate, then, near the best, simulated."""
+"""Refits of explanations: first on the forward model's surrogate, then simulated if near the best."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from limbcli.errors import LimbError
 
 @dataclass(eq=False)
 class Refits:
-    """All refits of a diagnosis so far. What has no answer goes into `not_evaluated`, what is dropped into
+    """All refits of a diagnosis so far. Failed refits are recorded in `not_evaluated` and dropped ones in
     `left_out`, each with its reason."""
 
     baseline: BaselineFit
@@ -30,7 +30,7 @@ class Refits:
     _few: dict[str, Trial] = field(default_factory=dict)
 
     def compared(self, several: Sequence[Explanation]) -> list[Refit]:
-        """Refits of these, each with its deviance gap to the best of them and what chance allows it."""
+        """Refits of these explanations, each with its deviance gap to the best and the allowed gap."""
         baseline, several = self.baseline, [self._in_order(each) for each in several]
         joint: dict[Explanation, Trial] = {(name,): trial for name, trial in self.trials.items()}
         joint |= {each: self._joint(each) for each in several}
@@ -44,7 +44,7 @@ class Refits:
         return refits
 
     def of(self, explanation: Explanation) -> Refit | None:
-        """One refit, made now if it was not; None where it has no answer."""
+        """One refit, made on demand; None if it failed."""
         explanation = self._in_order(explanation)
         if explanation not in self.known:
             fitted = self._draft(explanation)
@@ -55,20 +55,20 @@ class Refits:
         return self.known.get(explanation)
 
     def tried(self, explanation: Explanation) -> bool:
-        """Whether it was refitted, or drafted and dropped, its effects in any order."""
+        """Whether the explanation was refitted, or dropped after a fit on the surrogate, in any order."""
         explanation = self._in_order(explanation)
         label = " + ".join(explanation)
         return explanation in self.known or label in self.left_out or label in self.not_evaluated
 
     def best(self) -> Refit | None:
-        """The one that leaves least, none of its parameters on a bound."""
+        """The refit with the lowest chi2 that has no parameter on a bound."""
         usable = [refit for refit in self.known.values() if not refit.fitted.at_bound]
         return min(usable, key=lambda refit: refit.state.chi2) if usable else None
 
     # ------------------------------------------------------------
 
     def _in_order(self, explanation: Explanation) -> Explanation:
-        """The same effects in the candidates' order, so that none is refitted twice."""
+        """The effects in the candidates' order, so that no combination is refitted twice."""
         return tuple(name for name in self.trials if name in explanation)
 
     def _refitted(self, several: Sequence[Explanation]) -> list[Refit]:
@@ -93,7 +93,7 @@ class Refits:
         return [self.known[each] for each in several if each in self.known]
 
     def _joint(self, explanation: Explanation) -> Trial:
-        """Of several effects the few points of their grids that say most; all of a single one's."""
+        """Joint trial over the grid points that explain most; over all points for a single effect."""
         if len(explanation) == 1:
             return self.trials[explanation[0]]
         return joint_trial([self._narrowed(name) for name in explanation])
@@ -104,7 +104,7 @@ class Refits:
         return self._few[name]
 
     def _draft(self, explanation: Explanation) -> Fitted | None:
-        """The refit on the surrogate; None (and why) where it has no answer."""
+        """The fit on the surrogate; None if it fails, with the reason in `not_evaluated`."""
         found = score(self.baseline.state, self._joint(explanation))
         start = {name: float(eta) for name, eta in zip(found.direction.names, found.eta, strict=False)}
         start |= found.direction.at
@@ -115,7 +115,7 @@ class Refits:
             return None
 
     def _settle(self, explanation: Explanation, draft: Fitted, *, simulated: bool = True) -> None:
-        """Simulate the model as fitted, and judge what it leaves."""
+        """Simulate the fitted model if `simulated`, test its residual and store the refit."""
         label = " + ".join(explanation)
         self.baseline.progress.event("note", text=f"refit with {label}")
         fitted = draft
@@ -131,7 +131,7 @@ class Refits:
         self.known[explanation] = refit
 
     def _judged(self, fitted: Fitted) -> Refit:
-        """With tests of what it leaves, which allow for the error of the effect's form: models are rough."""
+        """The refit with tests of its residual, which allow for the model-form error of its effects."""
         baseline = self.baseline
         whiten = Whitener.of(baseline.data.noise.covariance + baseline.form_error(fitted))
 

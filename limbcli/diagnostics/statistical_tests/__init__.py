@@ -1,1 +1,1 @@
-"""The tests: score tests and their family, where in the data, held-out data, placebos, the stated noise."""
+"""Statistical tests: score tests with family-wise adjustment, localisation, hold-out, placebos, noise."""

@@ -1,4 +1,4 @@
-"""Does an explanation predict what it has not seen?"""
+"""Cross-validation: does an explanation predict held-out data?"""
 
 from __future__ import annotations
 
@@ -14,15 +14,17 @@ from limbcli.model import Array
 
 
 def held_out_error(data: Data, fitted: Fitted) -> dict[str, float]:
-    """Root mean square of what held-out data are off their prediction by, in deviations of what of them the
-    rest does not tell; block by block, and over all.
+    """Root-mean-square prediction error of held-out data, block by block and over all blocks.
 
-    Each block is left out in turn, the parameters (the effects' too) are refitted to the rest to first order
-    about the full fit, and the block is predicted, with what the rest shows of the errors it shares with it:
-    a level's or a scanner's gain is no part of what a model can predict. A block that holds what determines a
-    parameter, so that the rest predicts it no better than it is read (`TOO_WIDE`), is skipped.
+    In units of the noise's conditional standard deviation given the other data.
+
+    Each block is left out in turn, all parameters (including the effects') are refitted to the other data to
+    first order about the full fit, and the block is predicted. The prediction includes the expected value of
+    errors that the block shares with the other data: a model cannot predict the gain of a level or a scanner.
+    A block is skipped if it contains the data that determine a parameter, so that its prediction from the
+    other data is less precise than its readings (`TOO_WIDE`).
     """
-    J = fitted.jacobian[:, np.any(fitted.jacobian != 0.0, axis=0)]  # what a bound holds does not move
+    J = fitted.jacobian[:, np.any(fitted.jacobian != 0.0, axis=0)]  # without parameters fixed on a bound
     J = J / np.linalg.norm(J, axis=0)
     residual, covariance = data.y - fitted.prediction, data.noise.covariance
     found: dict[str, float] = {}
@@ -51,9 +53,9 @@ def held_out_error(data: Data, fitted: Fitted) -> dict[str, float]:
 def fell(
     before: Mapping[str, float], after: Mapping[str, float], blocks: Mapping[str, Mask] | None = None
 ) -> bool:
-    """Whether the error fell, over the blocks that both models can predict; True where there are none.
+    """Whether the error fell over the blocks that both models can predict; True if there are none.
 
-    blocks : the data of each, which count alike; None: the blocks do
+    blocks : masks of the blocks, which are weighted by their number of data; None: equal weights
 
     >>> fell({"a": 2.0, "b": 1.0, "all": 1.6}, {"a": 1.0, "all": 1.0})
     True
@@ -67,7 +69,7 @@ def fell(
 
 
 def over_shared(errors: Sequence[Mapping[str, float]], blocks: Mapping[str, Mask]) -> list[dict[str, float]]:
-    """The same errors, with "all" over the blocks that every model predicts, so that they compare.
+    """The same errors, with "all" restricted to the blocks that every model predicts, for comparability.
 
     >>> blocks = {"a": np.ones(3, bool), "b": np.ones(1, bool)}
     >>> over_shared([{"a": 2.0, "b": 4.0, "all": 2.6}, {"a": 1.0, "all": 1.0}], blocks)[0]["all"]
@@ -84,7 +86,7 @@ def over_shared(errors: Sequence[Mapping[str, float]], blocks: Mapping[str, Mask
 
 
 def determined_by_the_rest(blocks: Mapping[str, Mask], J: Array) -> dict[str, Mask]:
-    """Those blocks without which the data still determine every parameter; J (n, p) : sensitivities."""
+    """Blocks that can be left out with every parameter still determined; J (n, p) : sensitivities."""
     scale = np.where(np.linalg.norm(J, axis=0) > 0, np.linalg.norm(J, axis=0), 1.0)
     usable = {}
     for name, mask in blocks.items():

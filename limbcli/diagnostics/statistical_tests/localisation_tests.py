@@ -1,4 +1,4 @@
-"""Where: tests of parts of the data (a channel, a third of the levels, a site, an image region)."""
+"""Localisation: tests of parts of the data (a channel, a third of the levels, a site, an image region)."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ PREFIX = "where: "
 
 
 def group_trials(whiten: Whitener, data: Data) -> list[Trial]:
-    """One trial a group: T = r'E (E'PE)^+ E'r, E = L^-1 B_g.
+    """One trial per group: T = r'E (E'PE)^+ E'r, E = L^-1 B_g.
 
-    B_g shifts each of a small group's data on its own; those of a large one (parts of images) together, as
-    evenly as levels and places go on. Groups of every datum are left out: that is the test of everything.
+    For a small group, B_g shifts each datum separately. For a large one (parts of images) it shifts the data
+    together, as low-order polynomials of level and position. A group of all data is left out: that is the
+    overall test.
     """
     trials = []
     for name, mask in data.groups.items():
@@ -29,7 +30,7 @@ def group_trials(whiten: Whitener, data: Data) -> list[Trial]:
 
 
 def _even(data: Data, mask: Mask) -> Array:
-    """Shifts (n, 9) of a group: up to the square of the level's number, and linear in the place."""
+    """Smooth shifts (n, 9) of a group: up to quadratic in the level number and linear in the position."""
     t = _scaled(data.order, mask)
     place = np.zeros((len(mask), 2)) if data.place is None else np.nan_to_num(data.place)
     x, z = (_scaled(each, mask) for each in place.T)
@@ -38,7 +39,7 @@ def _even(data: Data, mask: Mask) -> Array:
 
 
 def _scaled(values: Array, mask: Mask) -> Array:
-    """From -1 to 1 within the group."""
+    """Values scaled to -1 to 1 within the group."""
     low, high = values[mask].min(), values[mask].max()
     return np.asarray(2 * (values - low) / max(high - low, 1e-9) - 1)
 
@@ -46,9 +47,9 @@ def _scaled(values: Array, mask: Mask) -> Array:
 def predicted_without(
     raw_residual: Array, raw_jacobian: Array, covariance: Array, mask: Mask
 ) -> tuple[float, float]:
-    """Refit without a group and predict it: (root mean square, largest) of z = error / its deviation.
+    """Refit without a group and predict it: (root mean square, largest |z|), z = error / standard deviation.
 
-    The deviation includes that of the parameters fitted to the rest.
+    The standard deviation includes that of the parameters fitted to the other data.
 
     >>> last = np.array([False, False, True])
     >>> predicted_without(np.array([1.0, 1.0, 4.0]), np.ones((3, 1)), np.eye(3), last)

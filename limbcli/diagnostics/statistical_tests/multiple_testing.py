@@ -1,11 +1,11 @@
-"""One family of tests, one false-alarm rate: minimum-p adjustment by parametric bootstrap.
+"""Family-wise error control over all tests: minimum-p adjustment by parametric bootstrap.
 
-Under "nothing is missing" the whitened residual is P e with e of unit deviation, so that
-every statistic's distribution, its suprema and sign rules included, is drawn without a
-single simulation of the tissue.
+Under the null hypothesis that no effect is missing, the whitened residual is P e with e of unit standard
+deviation. The distribution of every statistic, including suprema over a grid and sign constraints, can
+therefore be drawn without any simulation of the tissue.
 
-Where the noise is only assumed, residual and draws are scaled to unit length: the tests
-then compare shapes and need no absolute level (the analogue of F instead of chi2).
+Where the noise is only assumed, residual and draws are scaled to unit length: the tests then compare shapes
+and need no absolute noise level (as an F test does instead of a chi2 test).
 
 Source: Westfall & Young 1993, Resampling-Based Multiple Testing, section 2.3.
 """
@@ -35,10 +35,10 @@ from limbcli.model import Array, IntArray
 
 @dataclass(frozen=True, eq=False)
 class Tested:
-    """One test: its score, p on its own, p adjusted over the family.
+    """One test: its score, its own p, and its p adjusted over the family.
 
-    critical : the statistic that would just be significant (in units of the statistic); by_chance : the one
-    that chance alone reaches in a share `alpha` of all draws
+    critical : the statistic that would just be significant after adjustment (in units of the statistic)
+    by_chance : the statistic that a fraction `alpha` of all draws exceeds, without adjustment
     """
 
     name: str
@@ -51,7 +51,7 @@ class Tested:
 
 @dataclass(frozen=True)
 class Overall:
-    """Everything that is left: chi2 on nu degrees of freedom."""
+    """Test of the whole residual: chi2 on nu degrees of freedom."""
 
     chi2: float
     nu: int
@@ -61,7 +61,7 @@ class Overall:
 
 @dataclass(frozen=True, eq=False)
 class Family:
-    """All tests of one round; `overall` is None where the noise's level is not known.
+    """All tests of one round; `overall` is None where the noise level is unknown.
 
     threshold_p : the p that a single test must reach so that its adjusted p is `alpha`
     """
@@ -88,12 +88,11 @@ def score_family(
     alpha: float = thresholds.ALPHA,
     decisive: Sequence[float] = (),
 ) -> Family:
-    """Score every trial and adjust over all of them, and over the total chi2.
+    """Score every trial and adjust over all of them together with the total chi2.
 
-    relative : the noise's level is not known; no test of the total.
-    decisive : adjusted p by which something will be decided: batches of draws are doubled, to
-        `MOST_BATCHES` of them, until each adjusted p is clear of these beyond the deviation that the number
-        of draws leaves it.
+    relative : the noise level is unknown, and the total chi2 is not tested.
+    decisive : decision levels of the adjusted p: the number of draws is doubled, up to `MOST_BATCHES`
+        batches, until each adjusted p differs from these by more than its Monte Carlo error.
 
     Source of the doubling: Besag & Clifford 1991, Sequential Monte Carlo p-values, Biometrika 78:301.
     """
@@ -122,13 +121,13 @@ def score_family(
 
 @dataclass(frozen=True, eq=False)
 class _TestSpace:
-    """What a family sees of errors: for each direction an orthonormal basis of what is visible of it.
+    """Subspaces in which a family tests: for each direction, an orthonormal basis of its visible columns.
 
-    axes (n, k) : those bases beside each other; first (d,) : where each direction's begins; sign (k,) : 1, -1
-        where only that way counts, else 0; trial (d,) : the test it belongs to
-    cones : of directions in which several parameters have signs the test, a basis (n, r), the visible columns
-        (r, q) in it, and the signs
-    fitted (n, p) : a basis of what the fit takes up
+    axes (n, k) : those bases, concatenated; first (d,) : first column of each direction; sign (k,) : 1 or -1
+        for one-sided axes, else 0; trial (d,) : index of the test it belongs to
+    cones : for directions with several parameters of which some have signs: index of the test, a basis (n,
+        r), the visible columns (r, q) in it, and the signs
+    fitted (n, p) : basis of the space spanned by the fitted parameters
     """
 
     axes: NDArray[np.float32]
@@ -163,7 +162,7 @@ class _TestSpace:
         )  # fmt: skip
 
     def statistics(self, errors: NDArray[np.float32]) -> Array:
-        """(n_draws, n_tests) of errors (n_draws, n); the total's last where the noise's level is known."""
+        """Statistics (n_draws, n_tests) of errors (n_draws, n); the last is the total, if not relative."""
         total = _squares(errors) - _squares(errors @ self.fitted)
         found = np.zeros((len(errors), self.n_trials + (not self.relative)))
         if len(self.first):
@@ -188,7 +187,7 @@ def _squares(rows: NDArray[np.float32]) -> Array:
 
 @dataclass(frozen=True)
 class _Adjusted:
-    """p of every test alone and adjusted, and the draws' own smallest p, in order."""
+    """Own and adjusted p of every test, and the sorted smallest p of each draw."""
 
     alone: tuple[float, ...]
     p: tuple[float, ...]
@@ -201,10 +200,10 @@ class _Adjusted:
         return _Adjusted(alone, tuple(_adjust(smallest, p) for p in alone), smallest)
 
     def clear_of(self, decisive: Sequence[float]) -> bool:
-        """Whether none of the adjusted p may be on the other side of one of these.
+        """Whether every adjusted p is clear of these levels by more than its Monte Carlo error.
 
-        An adjusted p is known no better than its test's own, which is far smaller: by the number of draws
-        that are as extreme.
+        The relative error of an adjusted p is at least that of the test's own p, which is far smaller and
+        thus rests on the few draws that are as extreme.
         """
         n = len(self.smallest)
         alone, p = np.array(self.alone), np.array(self.p)
@@ -217,7 +216,7 @@ def _p(drawn: Array, value: float) -> float:
 
 
 def _ranks(drawn: Array) -> Array:
-    """p of every draw within its own distribution; 1 where a one-sided statistic is 0."""
+    """p of every draw within its own distribution; about 1 where a one-sided statistic is 0."""
     n = len(drawn)
     out = np.empty(n)
     out[np.argsort(drawn)] = np.arange(n, 0, -1)

@@ -1,7 +1,7 @@
-"""Would any smooth direction have done as well?
+"""Placebo tests: would arbitrary smooth directions explain the residual as well?
 
-A gap always shrinks when parameters are added. The share that an effect explains is
-compared with what the same number of arbitrary smooth directions explains.
+Adding parameters always reduces the residual. The share of chi2 that an effect explains is
+therefore compared with the share explained by the same number of arbitrary smooth directions.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _WAVES = 3
 def smooth_directions(
     channels: Mapping[str, Mask], order: Array, deviation: Array, n: int, rng: np.random.Generator
 ) -> Array:
-    """(n, n_data): random curves along each channel, up to three half waves, in units of the noise."""
+    """Random curves (n, n_data) along each channel, with up to three half waves, scaled by the noise."""
     drawn = np.zeros((n, len(order)))
     for mask in channels.values():
         x = order[mask]
@@ -50,9 +50,9 @@ def library_percentile(
     state: LinearFit, whiten: Whitener, explained: float, *, n_parameters: int, n_tried: int,
     channels: Mapping[str, Mask], order: Array, deviation: Array, rng: np.random.Generator,
 ) -> float:  # fmt: skip
-    """The same with the search counted: each placebo is the best of `n_tried` sets.
+    """The same, allowing for selection: each placebo is the best of `n_tried` sets.
 
-    An effect is picked out of many, one by several out of many combinations; so is its placebo.
+    An explanation is selected from many candidates or combinations of them, and so is its placebo.
     """
     n_libraries, least = 200, 2
     curves = smooth_directions(

@@ -1,4 +1,4 @@
-"""Is the stated noise believable? Scatter that no smooth curve explains must be of its size."""
+"""Check of the stated noise: the scatter about smooth curves must be consistent with it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LEAST_NU = 5
 
 @dataclass(frozen=True)
 class Roughness:
-    """Scatter beyond a quartic along each series: ratio = chi2/nu (1: as stated), p of so much or more."""
+    """Scatter about a quartic along each series: ratio = chi2/nu (1: as stated), p of this much or more."""
 
     ratio: float
     nu: int
@@ -29,7 +29,8 @@ class Roughness:
 def roughness(
     state: LinearFit, whiten: Whitener, *, series: Mapping[str, Mask], order: Array
 ) -> Roughness | None:
-    """Compare the rough part of the residual with the stated noise; None where too few data are left."""
+    """Compare the rough part of the residual with the stated noise; None if fewer than `_LEAST_NU` degrees of
+    freedom remain."""
     n = len(order)
     columns = [state.jacobian]
     for mask in series.values():
@@ -46,7 +47,7 @@ def roughness(
 
 
 def _p(fit: LinearFit) -> float:
-    """Chance of so large a sum of squares of errors with long tails, as a scaled chi2 (Satterthwaite).
+    """p of the sum of squares of heavy-tailed errors, approximated by a scaled chi2 (Satterthwaite).
 
     Mean nu, variance 2 nu + excess sum P_ii^2.
     """

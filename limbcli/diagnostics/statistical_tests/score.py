@@ -1,10 +1,9 @@
-"""Score tests: how much of what is left would one more effect explain, to first order?
+"""Score tests: how much of the residual one additional effect would explain, to first order.
 
-A `Direction` holds the whitened sensitivities H of an effect at its null value; a
-`Trial` is an effect with one direction for each point of its grid (a relaxation time,
-a place), and its statistic is the largest of theirs. Parameters that can only go one way
-confine the explanation to a cone; the statistic is the squared length of the residual's
-projection onto it.
+A `Direction` holds the whitened sensitivities H of an effect at its null value. A `Trial` is an effect
+with one direction per point of its grid (a relaxation time, a place), and its statistic is the largest
+over its directions. Parameters with a fixed sign restrict the explanation to a cone; the statistic is
+the squared length of the residual's projection onto this cone.
 
 Source: Silvapulle & Sen 2005, Constrained Statistical Inference, sections 3.3 and 4.3
 (one-sided score tests); Davies 1987, Biometrika 74:33 (parameters present only off the null).
@@ -27,7 +26,7 @@ RCOND = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """An effect (or a group of data) to be tested; the statistic is the largest over its directions."""
+    """An effect (or a group of data) to be tested; its statistic is the largest over its directions."""
 
     name: str
     directions: tuple[Direction, ...]
@@ -35,7 +34,7 @@ class Trial:
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """statistic; the direction it came from; eta (q,) to first order there."""
+    """A test statistic, the direction it was found in, and the first-order estimate eta (q,) there."""
 
     statistic: float
     direction: Direction
@@ -43,7 +42,7 @@ class Score:
 
 
 def visible_columns(state: LinearFit, direction: Direction) -> Array:
-    """A = P H (n, q), with columns that the fitted parameters imitate fully set to zero."""
+    """A = P H (n, q); columns that the fitted parameters can reproduce completely are set to zero."""
     A = state.project(direction.columns)
     size, full = np.linalg.norm(A, axis=0), np.linalg.norm(direction.columns, axis=0)
     A[:, size <= _INVISIBLE * np.maximum(full, 1e-300)] = 0.0
@@ -51,7 +50,7 @@ def visible_columns(state: LinearFit, direction: Direction) -> Array:
 
 
 def cone_projection(A: Array, signs: tuple[int, ...], draws: Array) -> tuple[Array, Array]:
-    """Squared length of the projection of every draw onto the cone A eta, and eta.
+    """Squared length of each draw's projection onto the cone A eta, and eta.
 
     Parameters
     ----------
@@ -61,8 +60,8 @@ def cone_projection(A: Array, signs: tuple[int, ...], draws: Array) -> tuple[Arr
     -------
     (n_draws,), (n_draws, q)
 
-    The projection onto a polyhedral cone is that onto the span of one of its faces, and
-    among the faces whose solution keeps the signs it is the longest.
+    The projection onto a polyhedral cone equals the projection onto the span of one of its faces: the longest
+    among the faces whose solution satisfies the sign constraints.
 
     >>> cone_projection(np.array([[1.0], [0.0]]), (1,), np.array([[2.0, 5.0], [-2.0, 5.0]]))[0]
     array([4., 0.])
@@ -96,7 +95,7 @@ def cone_projection(A: Array, signs: tuple[int, ...], draws: Array) -> tuple[Arr
 
 
 def _span_projection(A: Array, draws: Array) -> tuple[Array, Array]:
-    """The same onto the whole span of A."""
+    """The same for the whole span of A, without sign constraints."""
     u, s, vt = np.linalg.svd(A, full_matrices=False)
     kept = s > RCOND * s[0]
     inside = draws @ u[:, kept]
@@ -104,7 +103,7 @@ def _span_projection(A: Array, draws: Array) -> tuple[Array, Array]:
 
 
 def narrowed(state: LinearFit, trial: Trial, n: int = 2) -> Trial:
-    """The trial with the few of its directions that explain most of the residual."""
+    """The trial restricted to the `n` directions that explain most of the residual."""
     if len(trial.directions) <= n:
         return trial
     left = state.left[None]
@@ -126,7 +125,7 @@ def statistics(state: LinearFit, trial: Trial, draws: Array) -> Array:
 
 
 def scores(state: LinearFit, trial: Trial) -> list[Score]:
-    """Of each of the trial's directions: the statistic of the residual itself, and the estimate behind it."""
+    """The score of the actual residual in each of the trial's directions."""
     left, found = state.left[None], []
     for direction in trial.directions:
         value, eta = cone_projection(visible_columns(state, direction), direction.signs, left)
@@ -135,14 +134,14 @@ def scores(state: LinearFit, trial: Trial) -> list[Score]:
 
 
 def score(state: LinearFit, trial: Trial) -> Score:
-    """The largest of the trial's directions."""
+    """The largest score over the trial's directions."""
     return max(scores(state, trial), key=lambda each: each.statistic)
 
 
 def cosine(state: LinearFit, first: Direction, second: Direction) -> float:
-    """Largest cosine between the spans of two directions, after the fitted parameters took their part.
+    """Largest cosine between the spans of two directions, projected off the fitted parameters.
 
-    Near 1: the two effects look the same in these data.
+    Near 1, the two effects cannot be distinguished in these data.
     """
     bases = []
     for direction in (first, second):
@@ -157,7 +156,7 @@ def cosine(state: LinearFit, first: Direction, second: Direction) -> float:
 
 
 def _orientation(state: LinearFit, first: Direction, second: Direction, bases: list[Array]) -> float:
-    """Sign that turns singular vectors back into the columns' own senses."""
+    """Sign that restores the orientation of the columns after the singular value decomposition."""
     a = visible_columns(state, first)[:, 0] @ bases[0][:, 0]
     b = visible_columns(state, second)[:, 0] @ bases[1][:, 0]
     return float(np.sign(a) * np.sign(b))

@@ -1,1 +1,1 @@
-"""The simulation half of `diagnose`: what it prepares, and what it writes."""
+"""The simulation part of the stage `diagnose`: preparation of sites, forward model, and results."""

@@ -1,4 +1,4 @@
-"""All measurements of one place made ready together, on the limb whose bones the readings go with."""
+"""Joint preparation of all measurements of one place, on the limb whose bones agree with the readings."""
 
 from __future__ import annotations
 
@@ -21,10 +21,13 @@ from limbcli.stages.diagnosis.prepare import STAGE, Prepared
 
 @dataclass(eq=False)
 class Place:
-    """prepared : the sites; forward_model : theirs together; out : the folder that holds `segment` and `mesh`
-    of the limb it is on; bones : what was tried of other bones, and settled; rivals : limbs with other bones
-    that the readings speak for, the likeliest first; given_up : limbs that were not looked at whole,
-    in words; problems : what kept one from being tried.
+    """The prepared measurements of one place on one limb.
+
+    prepared : the sites; forward_model : of all of them jointly
+    out : folder with `segment` and `mesh` of the limb; bones : settled evidence on other bones
+    rivals : limbs with other bones that the readings support, by decreasing gain after `better_than`
+    given_up : messages on limbs that were rejected on their force curves alone
+    problems : messages on limbs that could not be tried
     """
 
     prepared: list[Prepared]
@@ -42,7 +45,7 @@ class Place:
             rival.close()
 
     def instead_of(self, other: Place, found: Evidence) -> Place:
-        """This place, with what was noted of the other one, which is closed."""
+        """Replace `other` by this place: take over its notes, and close it."""
         self.bones = [*other.bones, replace(found, stand="taken")]
         self.problems, self.given_up = other.problems, other.given_up
         other.rivals = [(e, rival) for e, rival in other.rivals if rival is not self]
@@ -50,9 +53,10 @@ class Place:
         return self
 
     def better_than(self, effect_gain: float) -> Place:
-        """This place, or a rival that the readings speak for against the best effect, too.
+        """This place, or a rival that the readings support even against the best effect.
 
-        effect_gain : of chi2, by the best single effect on this limb; rivals that it beats are settled
+        effect_gain : reduction of chi2 by the best single effect on this limb; rivals that it beats are
+        settled
         """
         rivals = sorted(self.rivals, key=lambda each: -each[0].gain)
         if rivals and rivals[0][0].beats(effect_gain):
@@ -67,7 +71,7 @@ class Place:
         return self
 
     def settled(self, found: Evidence, rival: Place) -> None:
-        """A rival is no longer needed, and what is said of it stands."""
+        """Record the final evidence on a rival, and close it."""
         self.bones.append(found)
         self.rivals = [each for each in self.rivals if each[1] is not rival]
         rival.close()
@@ -75,9 +79,10 @@ class Place:
 
 @dataclass(eq=False)
 class PlaceMaker:
-    """Makes a place ready, on the limb of a folder: `prepared_in` whole; `misfit_in` mm, by its force curves.
+    """Prepares a place on the limb of a folder.
 
-    out : the case's output folder
+    out : the case's output folder; prepared_in : prepares all sites on the limb of a folder
+    misfit_in : depth misfit in mm of that limb, from its first force curves
     """
 
     case: Case
@@ -88,12 +93,14 @@ class PlaceMaker:
     progress: Progress
 
     def best(self) -> Place:
-        """On the limb that was segmented, or on one with other bones that the readings speak for.
+        """The place on the limb as segmented, or on one with other bones if the evidence for it is decisive.
+
+        Limbs with weaker evidence become its `rivals`.
 
         Raises
         ------
         LimbError
-            If the limb that was segmented cannot be meshed, simulated or fitted.
+            If the limb as segmented cannot be meshed, simulated or fitted.
         """
         place = self._in(self.out)
         try:
@@ -115,8 +122,11 @@ class PlaceMaker:
         return place
 
     def _questions(self, place: Place) -> list[OtherBones]:
-        """Those worth a simulation: none where the fit without effects leaves nothing, and nothing went into
-        the model's error in maps."""
+        """Limbs with other bones that are worth a simulation.
+
+        None if the fit without effects leaves no significant residual and the estimated model error in maps
+        is not unusually large.
+        """
         if not (stage_folder(self.out, "segment") / "segment.json").is_file():
             return []  # no surfaces: the site's own mesh is the working mesh
         try:
@@ -131,7 +141,12 @@ class PlaceMaker:
         return found
 
     def _compared(self, place: Place, other: OtherBones) -> Place:
-        """The better of this place and the same with other bones; the worse one is closed."""
+        """Compare this place with the same place on the limb with other bones; returns the place to continue
+        with.
+
+        The other place replaces this one if the evidence is decisive, is kept as a rival if the readings
+        support it, and is closed otherwise.
+        """
         self.progress.event("note", text=f"the limb {other.words}")
         try:
             folder = limb_with(
@@ -166,5 +181,5 @@ class PlaceMaker:
 
 
 def _noise_of_depth(sites: Sequence[Site]) -> float:
-    """mm, the largest of the sites'."""
+    """Largest depth noise of the sites, in mm."""
     return max(each.noise.depth for each in sites)

@@ -1,7 +1,7 @@
-"""A site made ready for the diagnosis: working mesh, curves, numerical checks, data.
+"""Preparation of a site for the diagnosis: working mesh, curves, numerical checks, data.
 
-Every simulation is kept in `<out>/diagnose/.work-<site>`, so that an interrupted diagnosis goes on
-where it was.
+Every simulation is cached in `<out>/diagnose/.work-<site>`, so that an interrupted diagnosis can be
+resumed.
 """
 
 from __future__ import annotations
@@ -57,19 +57,20 @@ from limbcli.stages.site_model.site_states import one_state
 from limbcli.version import __version__
 
 STAGE = "diagnose"
-_N_DEPTHS = 6
-# Times the deepest reading, and mm more, or that share of the tissue: a record may be read too shallow.
+_N_DEPTHS = 6  # number of equal depth steps down to the depth needed
+# Depth needed as a multiple of the deepest reading. One further depth, as depths may be read too small: mm
+# beyond it, at most this fraction of the tissue thickness.
 _BEYOND, _FURTHER, _FURTHER_SHARE = 1.05, 2.5, 0.075
-_ROUND = 0.5  # mm
-_TIMES_FORCE = 4.0  # the largest that was read: the fitted tissue may be softer than the speed at rest says
-# mm, the shortest edges that bent surfaces ask for: bone is followed roughly; and thin bones and clefts.
+_ROUND = 0.5  # mm, to which the depth needed is rounded up
+_TIMES_FORCE = 4.0  # simulated force over the largest reading: tissue may be softer than the speed implies
+# mm, smallest edge lengths at curved surfaces (bone is approximated coarsely), and at thin bones and clefts.
 _BENDS, _THIN = 8.0, 6.0
-_LAYERS, _FINEST, _COARSEST = 3.0, 2.5, 5.0  # of elements between skin and bone; mm, their edges
+_LAYERS, _FINEST, _COARSEST = 3.0, 2.5, 5.0  # elements between skin and bone; mm, limits of their edge length
 
 
 @dataclass
 class Notes:
-    """What preparing a site has to report: written with its results."""
+    """Data, warnings and inputs collected while preparing a site, to be written with its results."""
 
     data: dict[str, Any] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
@@ -78,8 +79,11 @@ class Notes:
 
 @dataclass(frozen=True)
 class WorkingMesh:
-    """size, far_size : mm, edges of the working mesh (size None: `size_for` the site's tissue);
-    interventions : whether crop and contact are tried."""
+    """Options of the working mesh.
+
+    size, far_size : mm, edges under the probe and far from it (size None: from `size_for`)
+    interventions : whether numerical effects such as crop and contact are simulated
+    """
 
     size: float | None = None
     far_size: float = 14.0
@@ -88,7 +92,7 @@ class WorkingMesh:
 
 @dataclass
 class Prepared:
-    """One site, ready: its curves beside its data, what was tried on its mesh, and what to report.
+    """One prepared site: its data and curves, the numerical checks on its mesh, and notes to report.
 
     size : mm, of the working mesh's edges under the probe
     """
@@ -108,9 +112,9 @@ def prepare(
     case: Case, site: Site, effects: Mapping[str, Effect], *, out: Path, mesh: WorkingMesh,
     extras: Sequence[ExtraMeasurement] = (), draining: DrainageSolver | None = None, progress: Progress,
 ) -> Prepared:  # fmt: skip
-    """Mesh, solve without effects, try the numerical ones, and stack the data.
+    """Mesh the site, solve without effects, run the numerical checks, and stack the data.
 
-    draining : what simulates draining tissue; None: nothing does
+    draining : solver for draining tissue; None: poroelasticity is not simulated
 
     Raises
     ------
@@ -125,9 +129,9 @@ def prepare(
 
 
 def depth_misfit(case: Case, site: Site, *, out: Path, mesh: WorkingMesh, progress: Progress) -> float:
-    """mm (root mean square): how far measured depths are from a limb's best force curve, whatever its c.
+    """Root-mean-square distance in mm of the measured depths from the limb's best force curve, for any c.
 
-    Its simulations are kept for `prepare`. NaN where the levels do not determine it.
+    Its simulations are cached for `prepare`. NaN if the levels do not determine it.
 
     Raises
     ------
@@ -148,12 +152,12 @@ def depth_misfit(case: Case, site: Site, *, out: Path, mesh: WorkingMesh, progre
 def turned_by_90(
     case: Case, prepared: Prepared, *, out: Path, mesh: WorkingMesh, progress: Progress
 ) -> SiteCurves:
-    """The same measurement as it would be with the probe's long side across to what it was.
+    """Curves of the same measurement with the probe's long side turned by 90 degrees.
 
     Raises
     ------
     MeshError, SolveError
-        If the place cannot be meshed or simulated that way.
+        If the place cannot be meshed or simulated with the turned probe.
     """
     site, known = prepared.site, prepared.curves
     other = replace(site, name=f"{site.name}-turned", long_axis=_across(site, prepared.simulations.model))
@@ -173,7 +177,7 @@ def turned_by_90(
 
 
 def size_for(skin_bone: float | None) -> float:
-    """Edges under the probe (mm): three to the bone, but 2.5 at least and 5 at most.
+    """Edge length under the probe (mm): a third of the distance to the bone, limited to 2.5 to 5.
 
     >>> size_for(None), size_for(34.0), size_for(9.0), size_for(4.0)
     (5.0, 5.0, 3.0, 2.5)
@@ -182,7 +186,7 @@ def size_for(skin_bone: float | None) -> float:
 
 
 def _up_to(step: float, value: float) -> float:
-    """The next multiple that is larger.
+    """The smallest multiple of `step` above `value`.
 
     >>> _up_to(0.5, 7.2), _up_to(0.5, 7.5)
     (7.5, 8.0)
@@ -191,7 +195,7 @@ def _up_to(step: float, value: float) -> float:
 
 
 def _across(site: Site, model: LimbModel) -> str | tuple[float, float, float]:
-    """Along the limb where the probe was across it, and the other way round."""
+    """Direction across the probe's long axis: along the limb if the probe was across it, and vice versa."""
     if isinstance(site.long_axis, str):
         return "axial" if site.long_axis == "transverse" else "transverse"
     entries = model.info.get("patient_from_model", np.eye(4).ravel())
@@ -223,7 +227,7 @@ class _Preparation:
         simulations = self.simulations()
         try:
             for m in FIRST_M:
-                with contextlib.suppress(SolveError):  # told where the curves are used
+                with contextlib.suppress(SolveError):  # reported where the curves are used
                     simulations.curves(m)
             numerics = NumericalChecks(
                 self.case, self.site, self.levels, simulations, out=self.out, size=self.size,
@@ -249,9 +253,10 @@ class _Preparation:
         return Prepared(self.site, self.size, simulations, curves, interventions, self.notes)
 
     def simulations(self) -> SiteSimulations:
-        """Curves down to the deepest reading and beyond, as far as the solver gets.
+        """Simulations down to the deepest reading and beyond, as far as the solver converges.
 
-        At a usual stiffness and at round depths: what was solved then serves other measurements of the place.
+        They use a fixed reference stiffness and rounded depths, so that other measurements of the same place
+        can reuse them.
         """
         needed = _up_to(_ROUND, _BEYOND * deepest(readings(self.levels)))
         depths = needed / _N_DEPTHS * np.r_[0.5, np.arange(1, _N_DEPTHS + 1)]
@@ -267,8 +272,9 @@ class _Preparation:
         )  # fmt: skip
 
     def _enough_force(self) -> float | None:
-        """N at the usual stiffness, beyond which no reading lies; None where no wave speed at rest tells the
-        tissue's. A power of two, so that curves serve again."""
+        """Force in N at the reference stiffness that is larger than any reading, rounded up to a power of two
+        so that curves can be reused; None without a wave speed at rest, from which the tissue's stiffness is
+        estimated."""
         largest, speed = float(np.nanmax(self.levels.force)), self.levels.swe_mean_m_per_s[:1]
         if not (self.levels.begins_at_zero and np.isfinite(speed).all() and largest > 0):
             return None
@@ -277,7 +283,8 @@ class _Preparation:
         return float(2.0 ** np.ceil(np.log2(at_usual)))
 
     def _mark_layers(self, meshed: LimbModel) -> None:
-        """Their borders in the working mesh; layers that do not fit into it are excluded, with a warning."""
+        """Place the layers' borders in the working mesh; layers that do not fit are excluded with a
+        warning."""
         layers = layer_readings(self.levels, self.site)
         if layers is None or not layers.n_counted:
             return
@@ -290,7 +297,7 @@ class _Preparation:
         self.layers, self.borders = layers, borders
 
     def _skin_bone(self) -> float | None:
-        """mm of tissue under the probe's centre in the site's own model, else on the B-mode image."""
+        """Tissue thickness in mm under the probe's centre, from the site's own mesh, else as measured."""
         try:
             found = read_result(self.out, "mesh", site=self.site.name).data["checks"]["skin_bone_mm"]
         except (LimbError, KeyError):
@@ -298,7 +305,7 @@ class _Preparation:
         return float(found) if found is not None else measured_skin_bone(self.site)
 
     def _working_mesh(self) -> LimbModel:
-        """A coarse mesh of the site; without surfaces (no `segment`), the site's own."""
+        """A coarse mesh of the site; without surfaces (no `segment`), the site's own mesh."""
         own = self.out / "mesh" / self.site.name / "model.npz"
         if not (self.out / "segment" / "segment.json").is_file() and own.is_file():
             if layers := own_layers(self.site, self.out):
@@ -327,11 +334,11 @@ class _Preparation:
         meshing = MeshOptions(element="tet10", margin=self.case.model.margin, sizes=sizes)
         limb = read_limb(segmented)
         model = site_model(limb, place, self.site.long_axis, probe, meshing, name=self.site.name).model
-        key.unlink(missing_ok=True)  # until both are there, neither counts
+        key.unlink(missing_ok=True)  # the cached mesh is valid only if both files exist
         save_model(model, kept)
         with atomic_file(key) as path:
             path.write_text(text, encoding="utf-8")
-        return load_model(kept)  # as it will be when the diagnosis is taken up again
+        return load_model(kept)  # reloaded, so that a resumed diagnosis uses an identical model
 
     def _data(
         self,

@@ -1,4 +1,4 @@
-"""The diagnosis as plain data, and its pictures."""
+"""The diagnosis as JSON data, and its figures."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from limbcli.stages.diagnosis.sizes import reported_sizes, value_ends
 
 
 def diagnosis_json(found: Diagnosis, site: SiteData, forward_model: SiteForwardModel) -> dict[str, Any]:
-    """Everything, with plain values; units in the keys."""
+    """All results of the diagnosis for diagnosis.json; units are in the keys."""
     known = {
         slot.name: slot.parameter for name in forward_model.effects for slot in forward_model.slots((name,))
     }
@@ -96,7 +96,8 @@ def _stage(stage: Shrink) -> dict[str, Any]:
 
 
 def _estimate(direction: Direction, eta: np.ndarray, known: Mapping[str, Parameter]) -> dict[str, float]:
-    """First-order estimates as parameter values; the largest where no size would do as much."""
+    """First-order estimates as parameter values; the upper bound if no finite value has as large an
+    effect."""
     found = {}
     for name, x in zip(direction.names, eta, strict=True):
         value = known[name].from_proportional(float(x))
@@ -113,18 +114,18 @@ def _refit(refit: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-_GAP_COLUMNS = 3  # panels side by side, of which the words can be read on a printed page
-_GAP_NAME = 20  # characters of a site's name above a panel
-_MOST_SIZES = 10.0  # plausible sizes up to which the power to see an effect is drawn
-_MOST_DECADES = 6.0  # of an adjusted p, that are drawn
-_WIDEST = 4.0  # plausible sizes
-_THINNEST = 0.02  # of them: a bar that can be seen
+_GAP_COLUMNS = 3  # panels side by side, so that their text remains legible in print
+_GAP_NAME = 20  # largest number of characters of a site's name above a panel
+_MOST_SIZES = 10.0  # upper limit of the axis of detectable sizes, in plausible sizes
+_MOST_DECADES = 6.0  # largest -log10 of an adjusted p that is drawn
+_WIDEST = 4.0  # limits of the axis of size intervals, in plausible sizes
+_THINNEST = 0.02  # narrowest visible bar, in plausible sizes
 _SHOWN = {"force": "force", "swe": "mean wave speed", "map": "wave-speed map", "travel": "probe travel",
           "layer": "layers", "hold": "force decay in holds"}  # fmt: skip
 
 
 def gap_picture(found: Diagnosis, sites: Sequence[SiteData], path: Path) -> None:
-    """Measured minus predicted, in deviations, before and after: a panel a channel, site by site."""
+    """Residuals in standard deviations without and with the effects: one panel per channel and site."""
     channels = [c for c in _SHOWN if any(row.channel == c for site in sites for row in site.rows)]
     columns = min(len(channels), _GAP_COLUMNS)
     rows = -(-len(channels) // columns)
@@ -164,7 +165,7 @@ def _gap(ax: Any, found: Diagnosis, site: SiteData, inside: slice, channel: str)
 
 
 def candidates_picture(found: Diagnosis, path: Path) -> None:
-    """Adjusted p of every candidate, and how visible it is here."""
+    """Adjusted p and detectable size of every candidate."""
     known = [t for t in found.family.tests if t.name in found.facts]
     tests = sorted(known, key=lambda t: (-t.p_adjusted, t.score.statistic))
     figure = Figure(figsize=(8.4, 0.28 * max(len(tests), 4) + 1.2), layout="constrained")
@@ -187,7 +188,7 @@ def candidates_picture(found: Diagnosis, path: Path) -> None:
 
 
 def sizes_of(forward_model: SiteForwardModel, site: SiteData) -> dict[str, list[Slot]]:
-    """Of every effect, the parameters of its sizes, a site's own where every measurement has its own."""
+    """Size parameters of every effect; those of this site where each measurement has a separate parameter."""
     here = [each.site.name for each in forward_model.sites].index(site.name)
     return {
         name: [
@@ -199,9 +200,10 @@ def sizes_of(forward_model: SiteForwardModel, site: SiteData) -> dict[str, list[
 
 
 def sizes_picture(found: Diagnosis, sizes: Mapping[str, Sequence[Slot]], path: Path) -> None:
-    """The interval of every effect's size when it alone is added, in plausible sizes; 0 is without it.
+    """The interval of every effect's size when it alone is added, in plausible sizes; 0 is no effect.
 
-    A triangle: all of it lies beyond the frame, or beyond the largest size that is looked for.
+    A triangle marks an interval that lies entirely outside the axis limits or beyond the largest size
+    searched.
     """
     rows = [
         (f"{name}: {slot.name}",
@@ -232,7 +234,7 @@ def sizes_picture(found: Diagnosis, sizes: Mapping[str, Sequence[Slot]], path: P
 
 
 def _in_plausible_sizes(p: Parameter, ends: tuple[float, float]) -> tuple[float, float]:
-    """An interval of a parameter's value as sizes that are looked for, in order."""
+    """An interval of a parameter's value, clipped to its bounds, in plausible sizes and increasing order."""
     low, high = (float(np.clip(x, p.low, p.high) - p.null) for x in ends)
     first, last = sorted((low / (p.typical - p.null), high / (p.typical - p.null)))
     return first, last

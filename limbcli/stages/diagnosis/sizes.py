@@ -1,6 +1,6 @@
-"""The sizes of effects in the words of the field: f0_n for a force at zero, f_c_hz for a guided wave, ...
+"""Sizes of effects as physical quantities: f0_n for a force offset, f_c_hz for a guided wave, ...
 
-From intervals of the parameters that are fitted to intervals of what they stand for, with units.
+Converts intervals of the fitted parameters to intervals of the corresponding quantities, with units.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def _cut_off(value: float, c_kpa: float) -> float:
     return float("inf") if value <= 0 else 100.0 / float(np.sqrt(value))
 
 
-# Parameter as it is fitted: its name as it is reported, and how the one turns into the other.
+# Fitted parameter: name of the reported quantity, and conversion to it.
 _REPORTED: Mapping[str, tuple[str, _Turn]] = {
     "force_zero_n": ("f0_n", _same),
     "depth_zero_mm": ("d0_mm", _same),
@@ -79,8 +79,11 @@ _REPORTED: Mapping[str, tuple[str, _Turn]] = {
 def value_ends(
     slot: Slot, found: Mapping[str, tuple[float, float]], refitted: RefittedSizes | None
 ) -> tuple[float, float]:
-    """The interval of a parameter's value: to first order (farther from null where the effect levels off,
-    `Parameter.saturates`), and as its effect's refit has it; all values where neither has it."""
+    """The interval of a parameter's value: the union of the first-order one and that of its effect's refit.
+
+    The first-order interval reaches further from null if the effect saturates (`Parameter.saturates`); it is
+    infinite where the parameter is not in `found`. An infinite end is replaced by that of the refit, if any.
+    """
     low, high = found.get(slot.name, (-np.inf, np.inf))
     ends = slot.parameter.from_proportional(low), slot.parameter.from_proportional(high)
     if refitted is None or slot.name not in refitted.intervals:
@@ -98,10 +101,10 @@ def reported_sizes(
 ) -> Sizes:  # fmt: skip
     """Intervals with the names and units in which they are reported; None: open on that side.
 
-    slots : of every effect, the parameters of its sizes
-    found : by effect and parameter, the distance from its null value, to first order; effects that are not
-        there are open
-    refitted : by effect, the parameters' values and c where it was refitted; c_kpa : of the others
+    slots : for every effect, its size parameters
+    found : by effect and parameter, the first-order interval of the distance from the null value; missing
+        effects are open
+    refitted : by effect, its refit with values and intervals; c_kpa : used for effects that were not refitted
     """
     sizes: Sizes = {}
     for name, mine in slots.items():

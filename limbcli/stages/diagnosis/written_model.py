@@ -1,4 +1,4 @@
-"""The model that a diagnosis leaves: the site's own, with what was added and the refitted parameters."""
+"""The model that a diagnosis writes: the site's own, with the chosen effects and the refitted parameters."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from limbcli.stages.diagnosis.prepare import Prepared
 from limbcli.stages.site_model.indentation_model import indentation_model, starting_depth, with_penalty
 from limbcli.units import mpa_from_kpa
 
-_SOFT = 0.02  # of the force, what the written model's contact may take untold
+_SOFT = 0.02  # relative reduction of the force by the written model's contact above which a warning is given
 
 
 def write_diagnosed(
@@ -30,9 +30,11 @@ def write_diagnosed(
     number: int,
     templates: Path | None = None,
 ) -> None:  # fmt: skip
-    """The site's own model with what was added and the refitted parameters, as diagnosed.feb.
+    """Write the site's own model with the chosen effects and the refitted parameters as diagnosed.feb.
 
-    number : of the site among the forward model's. What the written model does not hold to is warned of.
+    Differences between the written model and the diagnosis are reported as warnings.
+
+    number : index of the site in the forward model
     """
     path = out / "mesh" / mine.site.name / "model.npz"
     if not path.is_file():
@@ -72,22 +74,23 @@ def write_diagnosed(
 
 
 def probe_depths(curves: Curves, depth: Array, reading: Reading) -> Array:
-    """mm (n,) rising, that the probe has to go to for depths in the tissue (mm): deeper by what limb and bone
-    give way."""
+    """Increasing probe travel (n,) in mm for depths in the tissue (mm), larger by the support's
+    compliance."""
     return np.unique(np.round(depth + reading.compliance * force_at(curves, depth), 3))
 
 
 def _contact_takes(
     mine: Prepared, curves: Curves, force: Array, deep: float, penalty: float, *, out: Path
 ) -> str | None:
-    """What the written model's contact takes from the fitted curves at its deepest level, if it matters.
+    """Warning if the written model's contact lowers the fitted force at its deepest level by more than
+    `_SOFT`.
 
-    force (n,) : theirs at the reference stiffness
+    force (n,) : of the curves, at the reference stiffness
     """
     known = mine.curves.penetration
     if known is None:
         return None
-    # A penalty is taken for a facet of its size.
+    # The effect of a penalty depends on the facet size.
     meshed = read_result(out, "mesh", site=mine.site.name).data
     edge = float(meshed.get("size_under_probe_mm", mine.size))
     required = penalty * mine.size / edge / mine.simulations.model.contacts[0].penalty

@@ -1,1 +1,1 @@
-"""Are the bones where `segment` has them: limbs with other bones, and what the readings say of them."""
+"""Check of the segmented bones: limbs with changed bones, and the evidence of the readings for them."""

@@ -1,4 +1,4 @@
-"""The limb as segmented against one with other bones, each with the effects that explain the data on it."""
+"""Comparison of the limb as segmented with one with changed bones, each with the effects found on it."""
 
 from __future__ import annotations
 
@@ -22,18 +22,19 @@ Outcome = Literal["as segmented", "other bones", "either"]
 
 
 def may_be_elsewhere(ours: Diagnosis) -> bool:
-    """Whether other bones could still change the verdict: something is missing on the limb as segmented."""
+    """Whether other bones could still change the verdict, as the limb as segmented leaves a residual."""
     return ours.verdict not in ("adequate", "untestable")
 
 
 def weighed(
     ours: Diagnosis, theirs: Diagnosis, *, gain: float, required: float, is_repair: bool = False
 ) -> Outcome:
-    """Which limb explains the data with less, and which fits them better; where these disagree, either.
+    """Select the limb that needs fewer effects and fits better; "either" if these criteria disagree.
 
-    theirs : the diagnosis on the limb with other bones; gain : of deviance, by its best explanation over
-    ours; required : what it takes to count, either way; is_repair : the bones are wrong as segmented, so that
-    other ones are no further assumption; otherwise they count for an effect
+    theirs : the diagnosis on the limb with other bones; gain : reduction of deviance by its best explanation
+    compared with ours; required : smallest gain or loss that counts; is_repair : the segmented bones are
+    known to be wrong, so that changing them is no further assumption; otherwise the change counts as one
+    effect
     """
     here, there = _size(ours), _size(theirs) + (not is_repair)
     simpler = (here > there) - (here < there)
@@ -43,21 +44,21 @@ def weighed(
 
 
 def _size(found: Diagnosis) -> float:
-    """The number of effects that it takes; infinite where none suffice."""
+    """The smallest number of effects that explains the data; infinite if none do."""
     return float(min((len(each) for each in fitting(found)), default=float("inf")))
 
 
 def fitting(found: Diagnosis) -> tuple[Explanation, ...]:
-    """What explains the data on that limb: the empty explanation where nothing is missing."""
+    """Explanations that fit the data on that limb; the empty explanation if nothing is missing."""
     if found.verdict in ("adequate", "untestable"):
         return ((),)
     return () if found.verdict == "unexplained" else found.confidence_set
 
 
 def combined_diagnosis(ours: Diagnosis, theirs: Diagnosis, words: str) -> Diagnosis:
-    """Ours, with what fits on the other limb as well: more explanations, and c and m of any of them.
+    """Our diagnosis extended by the explanations that fit on the other limb; intervals of c and m cover both.
 
-    words : of the other limb
+    words : description of the other limb
     """
     if not fitting(theirs):
         return ours
@@ -76,8 +77,11 @@ def combined_diagnosis(ours: Diagnosis, theirs: Diagnosis, words: str) -> Diagno
 
 
 def with_bone_warnings(found: Diagnosis, bones: Sequence[Evidence]) -> Diagnosis:
-    """No name where a limb with other bones would do as well, nor on one whose bones were moved: where they
-    really are is known to some mm only, and that looks like other effects."""
+    """Change "named" to "ambiguous" where the position of the bones is in question.
+
+    This is so if a limb with other bones fits as well, or if bones were moved: their true position is known
+    to within some mm only, and such an error resembles other effects.
+    """
     if found.verdict != "named":
         return found
     if any(each.stand == "open" for each in bones):
@@ -88,12 +92,12 @@ def with_bone_warnings(found: Diagnosis, bones: Sequence[Evidence]) -> Diagnosis
 
 
 def _union(ours: Sequence[Explanation], theirs: Sequence[Explanation]) -> tuple[Explanation, ...]:
-    """Each explanation once, whatever the order of its effects."""
+    """Union of both sets, ignoring the order of effects."""
     known = {frozenset(each) for each in ours}
     return (*ours, *(each for each in theirs if frozenset(each) not in known))
 
 
 def _over(ours: Diagnosis, theirs: Diagnosis) -> Reported:
-    """Our estimates, with intervals that hold theirs."""
+    """Our estimates, with intervals extended to cover theirs."""
     estimates = ours.estimates.whichever([theirs.estimates])
     return replace(estimates, over=len(ours.confidence_set) + len(fitting(theirs)))

@@ -1,4 +1,4 @@
-"""Which other bones a limb may have: a small one near the probe left out, misplaced ones put back."""
+"""Alternative bones of a limb: without a small bone near the probe, or with misplaced bones put back."""
 
 from __future__ import annotations
 
@@ -16,14 +16,17 @@ from limbcli.model import Array
 from limbcli.results import StageResult
 from limbcli.stages.mesh import read_limb, site_position
 
-_MINOR = 0.25  # of all bones' volume: such a one may not be there; without the others there is no limb
-_AS_NEAR = 10.0  # mm farther from the probe than the nearest other bone: it still bears on the force
+_MINOR = 0.25  # fraction of the volume of all bones below which a bone may be absent; a larger one may not
+_AS_NEAR = 10.0  # mm beyond the distance of the nearest other bone, within which a bone affects the force
 
 
 @dataclass(frozen=True, eq=False)
 class OtherBones:
-    """left_out : names; moved : names and mm (3,), patient LPS; needed : gain of deviance from which on the
-    readings are believed against the surfaces."""
+    """A limb with changed bones.
+
+    left_out : names; moved : by name, shift (3,) in mm, patient LPS; needed : smallest reduction of deviance
+    at which the readings outweigh the segmented surfaces
+    """
 
     words: str
     needed: float
@@ -32,11 +35,11 @@ class OtherBones:
 
     @property
     def is_repair(self) -> bool:
-        """Of bones that are known to lie wrong."""
+        """Whether the change corrects bones that are known to be misplaced."""
         return bool(self.moved)
 
     def of(self, name: str, bone: Triangles) -> Triangles | None:
-        """The bone as it is in this limb; None where it is left out."""
+        """The bone as it is in this limb; None if it is left out."""
         if name in self.left_out:
             return None
         shift = np.eye(4)
@@ -45,7 +48,7 @@ class OtherBones:
 
 
 def questions(case: Case, sites: Sequence[Site], segmented: StageResult) -> list[OtherBones]:
-    """Limbs with other bones that would change what these sites measure; mostly none.
+    """Limbs with changed bones that would affect the measurements at these sites; usually none.
 
     Raises
     ------
@@ -75,7 +78,7 @@ def questions(case: Case, sites: Sequence[Site], segmented: StageResult) -> list
 
 
 def _frames(case: Case, sites: Sequence[Site], segmented: StageResult) -> list[Array]:
-    """Patient LPS to the probe's frame (4, 4), site by site."""
+    """Transform (4, 4) from patient LPS to the probe's frame, for each site."""
     limb = read_limb(segmented)
     probe = ProbeShape(case.probe.length, case.probe.width, case.probe.edge_radius)
     return [
@@ -88,7 +91,7 @@ def _in_reach(
     candidates: Mapping[str, Triangles], bones: Mapping[str, Triangles], frames: Sequence[Array],
     length: float, width: float,
 ) -> list[str]:  # fmt: skip
-    """Those asked for that lie as near to a probe's face as the others, the nearest first."""
+    """Candidates about as near to a probe's face as the nearest other bone, the nearest first."""
     nearest: dict[str, float] = {}
     for frame in frames:
         far = {name: _from_face(each.moved(frame).points, length, width) for name, each in bones.items()}
@@ -100,6 +103,6 @@ def _in_reach(
 
 
 def _from_face(points: Array, length: float, width: float) -> float:
-    """mm from a probe's face of this length (along x) and width (along y) to the nearest of these points."""
+    """Distance (mm) from a probe's face of this length (along x) and width (along y) to the nearest point."""
     beside = np.maximum(np.abs(points[:, :2]) - np.array([length, width]) / 2, 0.0)
     return float(np.linalg.norm(np.column_stack([beside, points[:, 2]]), axis=1).min())

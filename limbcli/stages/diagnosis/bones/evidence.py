@@ -1,4 +1,4 @@
-"""What the readings say of a limb with other bones: likelihoods of the fits without effects."""
+"""Evidence of the readings for a limb with other bones: likelihoods of the fits on both limbs."""
 
 from __future__ import annotations
 
@@ -21,9 +21,12 @@ Stand = Literal["taken", "open", "not taken"]
 
 @dataclass(frozen=True)
 class Evidence:
-    """gain : of deviance, -2 ln likelihood, by the other bones, over `n` readings that both limbs predict;
-    fits : whether the limb with the other bones leaves nothing; stand : what came of it, "open" where an
-    effect on the limb as segmented explains as much; with_effects : the diagnosis on that limb, if any.
+    """Evidence for a limb with other bones.
+
+    gain : reduction of the deviance, -2 ln likelihood, over the `n` readings that both limbs predict
+    fits : whether the limb with the other bones leaves no significant residual
+    stand : the outcome, "open" if an effect on the limb as segmented explains as much
+    with_effects : the diagnosis on that limb, if any
     """
 
     other: OtherBones
@@ -35,7 +38,7 @@ class Evidence:
 
     @property
     def required_gain(self) -> float:
-        """Gain that is asked for, chance and another mesh of the same limb allowed for."""
+        """Gain required for acceptance, with an allowance for the effect of remeshing."""
         return self.other.needed + thresholds.BONES_REMESHED * self.n
 
     @property
@@ -44,21 +47,21 @@ class Evidence:
 
     @property
     def is_decisive(self) -> bool:
-        """Whether no effect need be asked: it explains everything, and far more than by chance."""
+        """Whether it is accepted without testing effects: no residual is left, and the gain is very large."""
         return self.speaks_for_it and self.fits and self.gain >= thresholds.BONES_DECISIVE
 
     def beats(self, effect_gain: float) -> bool:
-        """Whether it is believed against an effect on the limb as segmented that gains so much."""
+        """Whether it is preferred to an effect on the limb as segmented with this gain."""
         return self.gain - effect_gain >= self.required_gain
 
     def against(self, effect_gain: float) -> Evidence:
-        """What stays of it beside such an effect that it does not beat: open, unless the effect beats it."""
+        """The outcome against an effect that it does not beat: open, unless the effect beats it."""
         beaten = effect_gain - self.gain >= self.required_gain
         return replace(self, stand="not taken" if beaten else "open")
 
     @property
     def sentence(self) -> str:
-        """For the page: what was tried and what came of it."""
+        """Sentence for the report: what was tried, and the outcome."""
         words = self.other.words
         if self.stand == "taken":
             return (
@@ -78,7 +81,7 @@ class Evidence:
 
     @property
     def _there(self) -> str:
-        """What fits on that limb."""
+        """Sentence on the explanations that fit on that limb."""
         if self.with_effects is None:
             return ""
         effects = "; ".join(" + ".join(each) for each in self.with_effects.confidence_set)
@@ -101,7 +104,7 @@ class Evidence:
 
 
 def _summary(found: Diagnosis) -> dict[str, object]:
-    """A diagnosis on another limb in short."""
+    """Summary of a diagnosis on another limb."""
     estimates = found.estimates
     return {
         "verdict": found.verdict, "confidence_set": [list(each) for each in found.confidence_set],
@@ -111,7 +114,7 @@ def _summary(found: Diagnosis) -> dict[str, object]:
 
 
 def is_poor_fit(model: SiteForwardModel, fitted: Fitted, level: float) -> bool:
-    """Whether chi2 of the fit without effects has a p below this level."""
+    """Whether the chi2 of a fit has a p below this level."""
     everything = np.arange(len(model.data))
     off = _deviance(model, fitted, everything, with_size=False)
     freedom = max(len(everything) - fitted.jacobian.shape[1], 1)
@@ -121,7 +124,7 @@ def is_poor_fit(model: SiteForwardModel, fitted: Fitted, level: float) -> bool:
 def compared(
     other: OtherBones, ours: SiteForwardModel, our_fit: Fitted, theirs: SiteForwardModel, their_fit: Fitted
 ) -> Evidence:
-    """The limb as it was segmented (`ours`) and with other bones, both fitted without effects."""
+    """Compare fits on the limb as segmented (`ours`) and on the limb with other bones (`theirs`)."""
     here, there = _rows_in_both(ours, theirs)
     gain = _deviance(ours, our_fit, here) - _deviance(theirs, their_fit, there)
     fits = not is_poor_fit(theirs, their_fit, thresholds.ALPHA)
@@ -129,7 +132,7 @@ def compared(
 
 
 def _rows_in_both(ours: SiteForwardModel, theirs: SiteForwardModel) -> tuple[IntArray, IntArray]:
-    """Places (n,) of the same readings in either model's data: a bone hides parts of maps."""
+    """Indices (n,) of the common readings in each model's data, which differ as bones hide parts of maps."""
     first, second = _keys(ours), _keys(theirs)
     there = {key: k for k, key in enumerate(second)}
     pairs = [(k, there[key]) for k, key in enumerate(first) if key in there]
@@ -146,7 +149,7 @@ def _keys(model: SiteForwardModel) -> list[tuple[int, str, int, int]]:
 
 
 def _deviance(model: SiteForwardModel, fitted: Fitted, rows: IntArray, *, with_size: bool = True) -> float:
-    """-2 ln likelihood of these readings but for a constant; chi2 alone where not `with_size`."""
+    """-2 ln likelihood of these readings up to a constant; chi2 alone if not `with_size`."""
     off: Array = (model.data.y - fitted.prediction)[rows]
     factor = cho_factor(model.data.noise.covariance[np.ix_(rows, rows)], lower=True)
     chi2 = float(off @ cho_solve(factor, off))

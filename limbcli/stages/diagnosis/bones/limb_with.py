@@ -1,4 +1,4 @@
-"""A limb with other bones: surfaces and the sites' own meshes, below the diagnosis' working files."""
+"""Output folder of a limb with other bones: its surfaces and the sites' own meshes."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from limbcli.stages.site_model.mesh_inputs import MeshInputs
 def limb_with(
     other: OtherBones, case: Case, sites: Sequence[Site], *, out: Path, work: Path, progress: Progress
 ) -> Path:
-    """A folder as an output folder is, with `segment` and, where a site has been meshed, `mesh`.
+    """Make a folder laid out like an output folder, with `segment` and, for sites that are meshed, `mesh`.
 
-    out : that of the case; work : folder in which it is made, or found again
+    out : output folder of the case; work : parent of the new folder, in which an earlier one is reused
 
     Raises
     ------
@@ -63,7 +63,7 @@ def _write_segment(other: OtherBones, case: Case, segmented: StageResult, folder
 
 
 def _mesh(case: Case, site: Site, *, out: Path, folder: Path, progress: Progress) -> None:
-    """The site's own mesh as it was asked for, with the other bones; none where there is none."""
+    """Remake the site's own mesh with its options and the other bones, if the site has been meshed."""
     try:
         meshed = read_result(out, "mesh", site=site.name)
     except LimbError:

@@ -1,1 +1,1 @@
-"""Force and wave speed over depth, of models solved and kept."""
+"""Simulated curves of force and wave speed over depth, with a cache on disk."""

@@ -1,4 +1,4 @@
-"""How far a site's curves are to go, and how each of its simulations is solved."""
+"""Range of depth of a site's curves, and solver settings of its simulations."""
 
 from __future__ import annotations
 
@@ -8,21 +8,22 @@ from dataclasses import dataclass
 from limbcli.effects.curves import Curves
 from limbcli.model import Array, LimbModel
 
-# m -> a model, and displacements (n_points, 3) of its nodes in mm by depth (mm)
+# m -> a model, and its nodal displacements (n_points, 3) in mm, by depth (mm)
 LevelsAt = Callable[[float], tuple[LimbModel, Mapping[float, Array]]]
 
-_TOLERANCE = 1e-3  # moves forces by 3e-4; where the surface folds 1e-4 takes up to six times as long
+_TOLERANCE = 1e-3  # relative residual; changes forces by 3e-4; 1e-4 takes up to six times as long at folds
 
 
 @dataclass(frozen=True)
 class Reach:
-    """How far curves are to go.
+    """How far to simulate curves.
 
-    needed : mm, the depth to be reached; at m 4 the deeper levels are tried, briefly. None: all depths
-    enough_force : N (at the simulations' c), beyond which no reading lies: the first level that bears it is
-        the last
-    beside : m -> curves of the same depths on another mesh, which lead where this one's solver stops
-    begin : levels on another mesh at an m, that solves begin from
+    needed : mm, the depth to be reached; deeper levels are tried briefly, at m 4 only. None: all depths
+    enough_force : N (at the simulations' c), larger than any reading: the simulation ends at the first level
+        with this force
+    beside : m -> curves of the same depths on another mesh, along which curves are extrapolated where this
+        one's solver stops
+    begin : levels on another mesh at an m, used as initial guess
     """
 
     needed: float | None = None
@@ -33,9 +34,9 @@ class Reach:
 
 @dataclass(frozen=True)
 class Solving:
-    """How a simulation is solved.
+    """Solver settings of a simulation.
 
-    tolerance : residual over the forces at play; threads : of the linear solver
+    tolerance : of the residual relative to the forces; threads : of the linear solver
     penalty : of the contact; None: four times that of the usual model
     """
 

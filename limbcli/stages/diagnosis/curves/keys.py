@@ -1,4 +1,4 @@
-"""By what a kept simulation is distinguished from others."""
+"""Keys of cached simulations."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from limbcli.results import plain
 from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.version import __version__
 
-_READING = 3  # one more whenever speeds are read otherwise from the same deformation: kept curves hold them
-READING_OF_FIELDS = 2  # the same of those with an effect that is a factor on stiffnesses
+_READING = 3  # version of the evaluation of speeds; increment on changes, as cached curves contain speeds
+READING_OF_FIELDS = 2  # the same for curves with an effect that is a factor on stiffnesses
 
 
 def changed_to(*models: LimbModel) -> str:
-    """What effects made of the model: an effect that was written anew is solved anew."""
+    """Hash of models with effects, so that a modified implementation of an effect is solved again."""
     digest = hashlib.sha256()
 
     def feed(value: Any) -> None:
@@ -46,8 +46,11 @@ def fingerprint(
     *, enough_force: float | None = None, lines: Array | None = None,
     density_kg_per_m3: float = 1000.0,
 ) -> str:  # fmt: skip
-    """What is solved, before effects: mesh, contact, depths, tissue and its density, the window that is read
-    and how, the end, and lines; and which version of the solver solves it."""
+    """Hash of the simulation without effects.
+
+    It covers mesh, contact, depths, tissue and its density, the window and the version of its evaluation, the
+    force at which simulations end, the tracked lines, and the program version.
+    """
     digest = hashlib.sha256(np.ascontiguousarray(model.mesh.points).tobytes())
     digest.update(f"limbcli {__version__}, read {_READING}".encode())
     penalties = [each.penalty for each in model.contacts]

@@ -1,4 +1,4 @@
-"""What a diagnosis may take more lightly than a final run."""
+"""Simplifications of a model that are acceptable in a diagnosis, but not in a final run."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from dataclasses import replace
 
 from limbcli.model import LimbModel, Material
 
-BAND = 0.05  # of I4
+BAND = 0.05  # width of the transition in I4 over which fibres engage
 
 
 def softer_jumps(model: LimbModel, band: float = BAND) -> LimbModel:
-    """Sheared fibres come in over a wider band of I4: solved sooner than the jump itself."""
+    """Let sheared fibres engage over a wider band of I4, which converges faster than an abrupt jump."""
 
     def soften(material: Material) -> Material:
         parts = tuple(map(soften, material.parts))
@@ -22,9 +22,10 @@ def softer_jumps(model: LimbModel, band: float = BAND) -> LimbModel:
 
 
 def fewer_steps(model: LimbModel, n: int) -> LimbModel:
-    """What depends on the way takes every step: so many are enough for it, alike from level to level.
+    """Limit the load steps of a path-dependent model to `n` equal steps.
 
-    Long and short steps in turn take with friction up to twice the work of steps that are alike.
+    These are sufficient. With friction, alternating long and short steps need up to twice the work of equal
+    ones.
     """
     steps = tuple(
         replace(each, n_steps=n, step_size=each.n_steps * each.step_size / n, adaptive=False)

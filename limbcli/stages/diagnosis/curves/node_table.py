@@ -1,8 +1,8 @@
-"""What a diagnosis reads off solved displacements: curves of force and speed, and the deformation.
+"""Evaluation of solved displacements: deformation, and curves of force and speed.
 
-Read at the integration points of each cell, not at its mean: speeds grow faster than in proportion to strain,
-so that those of mean strains are too low, the more the larger the cells.
-A table's values (n_depths, n_nodes, 3): displacements of the tissue's nodes.
+Evaluated at the integration points of each cell, not from cell means: speeds grow faster than linearly with
+strain, so that mean strains give too low a speed, the more so the larger the cells.
+A table's values (n_depths, n_nodes, 3) are displacements of the tissue's nodes.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ FILE = "displacements.csv"
 
 @dataclass(frozen=True, eq=False)
 class NodeTable:
-    """nodes : of the tissue"""
+    """Evaluates displacements of the tissue's nodes. nodes : indices of these"""
 
     nodes: IntArray
     windows: Windows
@@ -37,11 +37,11 @@ class NodeTable:
 
     @property
     def record(self) -> LogRecord:
-        """What a simulation must write."""
+        """Required output of a simulation."""
         return LogRecord("node", ("ux", "uy", "uz"), FILE, self.nodes)
 
     def kinematics(self, model: LimbModel, depth: Array, values: Array) -> SolvedDeformation:
-        """The tissue's deformation at these depths (mm, n), the first of them 0."""
+        """The tissue's deformation at these depths (mm, n), the first of which is 0."""
         points = IntegrationPoints.of(model.mesh.points, model.mesh.solid_blocks[0])
         displacement = np.zeros((len(depth), len(model.mesh.points), 3))
         displacement[1:, self.nodes] = values
@@ -59,8 +59,11 @@ class NodeTable:
         self, model: LimbModel, in_window: LimbModel, kinematics: SolvedDeformation, forces: Array,
         stiffness: Sequence[Stiffness] = (), without: Sequence[tuple[float, SolvedDeformation]] = (),
     ) -> Curves:  # fmt: skip
-        """Forces (N, n) and speeds over depths; in_window: the model as the waves meet it, but for
-        `stiffness`, fields that multiply its stiffnesses; without: see `strain_concentrations`."""
+        """Curves of forces (N, n) and speeds over depth.
+
+        in_window : the model used for the wave speeds, without `stiffness`; stiffness : fields that multiply
+        its stiffnesses; without : see `strain_concentrations`
+        """
         density = self.density_kg_per_m3
         concentrations = strain_concentrations(
             in_window, kinematics, without, stiffness, density_kg_per_m3=density

@@ -1,4 +1,4 @@
-"""The effects that a model is simulated with: what of them changes mesh, loads, law or stiffness."""
+"""Classification of the simulated effects of a model: changes of mesh, loads, law or stiffness."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ _SET_UP = ("mesh", "domains", "bodies", "supports", "drives", "springs", "contac
 
 
 def is_numerical(ingredients: Ingredients) -> bool:
-    """Whether there is something changed, and nothing but mesh, cut or contact."""
+    """Whether there are effects and all of them are numerical (mesh, cut, contact)."""
     return bool(ingredients) and all(effect.kind == "numerical" for effect, _ in ingredients)
 
 
 def fields(ingredients: Ingredients, *, waves: bool = False) -> tuple[Stiffness, ...]:
-    """Of effects that are a factor on all stiffnesses; `waves`: as the scanner's window meets them."""
+    """Stiffness fields of the effects that are a factor on all stiffnesses; `waves`: for the wave speeds,
+    without effects that have a separate law there."""
     return tuple(
         partial(_stiffness_of, effect, theta) for effect, theta in ingredients
         if effect.stiffness is not None and not (waves and effect.waves is not None)
@@ -31,7 +32,7 @@ def _stiffness_of(effect: Effect, theta: Theta, places: Places) -> Array:
 
 
 def has_fitted_size(ingredients: Ingredients) -> bool:
-    """Whether a parameter stands neither at its null value nor where its sensitivity is taken."""
+    """Whether a parameter is neither at its null value nor at the start value used for sensitivities."""
     return any(
         theta.get(p.name, p.null) not in (p.null, p.start)
         for effect, theta in ingredients
@@ -40,8 +41,8 @@ def has_fitted_size(ingredients: Ingredients) -> bool:
 
 
 def is_of_law_alone(model: LimbModel, changed: LimbModel) -> bool:
-    """Whether they differ in their materials alone: mesh, contact, supports and bodies are set up with a
-    session."""
+    """Whether the models differ only in their materials, so that they can share a solver session: mesh,
+    contact, supports and bodies are fixed when it is set up."""
     return all(getattr(model, name) == getattr(changed, name) for name in _SET_UP)
 
 

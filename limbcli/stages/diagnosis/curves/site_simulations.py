@@ -1,8 +1,8 @@
-"""Simulated curves of a site for any law and effects: solved once, kept on disk by their ingredients.
+"""Simulated curves of a site for any law and effects, cached on disk by the content of their models.
 
-Stiffnesses are shares of c, so that force and modulus are proportional to c: one
-reference c is solved. A diagnosis works on a mesh coarser than the site's own; where the site's
-own mesh was run, the ratio of the two corrects force and speed.
+All stiffnesses are multiples of c, so that force and modulus are proportional to c and a single
+reference c is simulated. A diagnosis works on a mesh coarser than the site's own; a comparison of the
+two meshes corrects force and speed.
 """
 
 from __future__ import annotations
@@ -51,21 +51,23 @@ from limbcli.stages.site_model.indentation_model import (
 if TYPE_CHECKING:
     from limbcli.solvers.restart import Solved
 
-# m that a site is solved at first; what lies between is interpolated, others are solved when they are needed.
-# The stiffer law keeps its stability further, and its levels lead the softer ones through.
+# Exponents m that are simulated first at every site; values between are interpolated, others are simulated
+# when needed. The stiffer law stays stable to larger depths, and its solutions are initial guesses for the
+# softer ones.
 FIRST_M, USUAL_M = (8.0, 4.0), 4.0
-_PATH_STEPS = 2  # a depth
-_STALLED = 5.0  # times that, where a contact point comes and goes
-# Times the usual penalty, chosen for FEBio's sake at m 2: the stiffer the tissue becomes, the deeper
-# the probe sinks into it. At m 5 and 14 of 38 mm the usual one takes 22 % of the force, four times it 10 %.
+_PATH_STEPS = 2  # load steps per depth in models with friction
+_STALLED = 5.0  # tolerance where contact points chatter, as a multiple of the usual tolerance
+# Contact penalty as a multiple of the usual one, which was chosen for FEBio at m 2: the stiffer the tissue
+# becomes, the deeper the probe penetrates it. At m 5 and a depth of 14 of 38 mm the usual penalty lowers the
+# force by 22 %, four times this penalty by 10 %.
 _CONTACT_STIFFER = 4.0
-_ENOUGH = 0.7  # of the depth needed: what must be solved
-_MOST_CHANGE = 10.0  # of the force, by stretched cells where a law is exponential
+_ENOUGH = 0.7  # fraction of the depth needed that must be reached by the solver
+_MOST_CHANGE = 10.0  # largest factor on the force at fixed deformation: stretched cells, exponential laws
 
 
 @dataclass(frozen=True, eq=False)
 class _Plain:
-    """The model without effects at one m, and what it shows at its own deformation: force (n,) N, log_speed
+    """The model without effects at one m, and its results at its own deformation: force (n,) in N, log_speed
     (n, n_parts)."""
 
     model: LimbModel
@@ -79,10 +81,11 @@ class SiteSimulations:
     Parameters
     ----------
     meshed : the site's model as `mesh` makes it; depths : mm, of the levels to simulate
-    reach : how far. Where the solver stops short of the depth needed, but beyond `_ENOUGH` of it, curves go
-        on beside those of a stiffer law, or of the model without effects: `in_part` tells which do
-    c : MPa, the reference stiffness; keep : folder of curves already solved
-    borders : of layers, that are followed
+    reach : how far to simulate. Where the solver stops short of the depth needed, but beyond `_ENOUGH` of it,
+        curves are extrapolated along those of a stiffer law, or of the model without effects: `in_part` lists
+        these
+    c : MPa, the reference stiffness; keep : cache folder of solved curves
+    borders : layer borders to track
     """
 
     def __init__(
@@ -110,11 +113,11 @@ class SiteSimulations:
             min(int(np.searchsorted(self.depths, share * self.needed - 1e-9)) + 1, self.n_depths)
             for share in (1.0, _ENOUGH)
         )
-        self.in_part: dict[str, float] = {}  # model in words: mm reached, where that is less than needed
+        self.in_part: dict[str, float] = {}  # label of a model -> mm reached, where less than needed
         self._session: ReferenceSession | None = None
-        self._leads: list[Solved] = []  # of an earlier run
+        self._leads: list[Solved] = []  # initial guesses from an earlier run
         self._levels: dict[str, Solved] = {}
-        self._with_effects: dict[tuple[str, ...], str] = {}  # the last that was solved
+        self._with_effects: dict[tuple[str, ...], str] = {}  # names of effects -> key of the last solve
         self._times, self._begin = plan.times, reach.begin
         self._known: dict[str, Curves] = {}
         self._failed: dict[str, SolveError] = {}
@@ -139,7 +142,7 @@ class SiteSimulations:
         Raises
         ------
         SolveError
-            If the simulation fails; the failure is remembered too.
+            If the simulation fails; the failure is cached too.
         """
         key = self._key(m, ingredients)
         if key in self._failed:
@@ -153,10 +156,15 @@ class SiteSimulations:
         return self._known[key]
 
     def shift(self, m: float, ingredients: Ingredients) -> tuple[Array, Array]:
-        """To first order, what effects of the law add to ln force (n,) and ln speed (n, n_parts).
+        """First-order change of ln force (n,) and ln speed (n, n_parts) by effects of the law.
 
-        From the deformation solved without them: no simulation. At depth 0 the force's share is that
-        of the first level.
+        Evaluated at the deformation solved without them, so that no simulation is needed. The change of force
+        at depth 0 is set to that of the first level.
+
+        Raises
+        ------
+        SolveError
+            If the force at fixed deformation changes by more than `_MOST_CHANGE` times.
         """
         kinematics = self.kinematics(m)
         plain = self._plain_at(m)
@@ -191,7 +199,7 @@ class SiteSimulations:
         key = self._key(m, ())
         if key not in self._kinematics:
             curves = self.curves(m)
-        if key not in self._kinematics:  # the curves were kept from an earlier run
+        if key not in self._kinematics:  # the curves were cached by an earlier run
             values = self.kept.displacements(key)
             if values is None:
                 self._known[key] = self._solve(key, m, ())
@@ -201,14 +209,14 @@ class SiteSimulations:
 
     @property
     def spent(self) -> bool:
-        """The simulations so far took all the work that a diagnosis may take."""
+        """Whether the simulations have used up the work budget of the diagnosis."""
         return self.work.spent
 
     def model_with(self, m: float, ingredients: Ingredients, *, waves: bool = False) -> LimbModel:
         return applied(with_tissue(self.model, c=self.c, f_kappa=self.f_kappa, m=m), ingredients, waves=waves)
 
     def levels(self, m: float) -> tuple[LimbModel, Mapping[float, Array]]:
-        """The model without effects, and its displacements (n_points, 3) in mm by depth, as far as solved."""
+        """The model without effects, and its displacements (n_points, 3) in mm by depth, where solved."""
         self.curves(m)
         solved = self._levels.get(self._key(m, ()))
         times = dict(zip(self._times, self.depths, strict=True))
@@ -229,7 +237,7 @@ class SiteSimulations:
             model = fewer_steps(model, _PATH_STEPS * self.n_depths)
         numerical = is_numerical(ingredients)
         hoped = self._required if numerical else self._hoped
-        # what mesh, cut and contact do enters every verdict: it is no candidate, whose work is limited
+        # numerical effects (mesh, cut, contact) enter every verdict; only the work of candidates is limited
         limited = bool(ingredients) and not numerical
         fitted = limited and has_fitted_size(ingredients)
         self.work.begin(
@@ -267,7 +275,7 @@ class SiteSimulations:
         table = result.simulation.nodes[FILE]
         found = np.abs(result.simulation.times[None, :] - result.must_points.times[:, None]).argmin(axis=1)
         offset = float(model.info.get("depth_offset_mm", 0.0))
-        # in the precision that they are kept in: an interrupted diagnosis goes on with the same numbers
+        # in the precision of the cache, so that a resumed diagnosis continues with the same numbers
         values = table.values[found].astype(np.float32).astype(float)
         kinematics = self._table.kinematics(
             model, np.concatenate([[0.0], result.must_points.depths + offset]), values
@@ -304,8 +312,8 @@ class SiteSimulations:
         return curves
 
     def _plain_deformations(self, m: float) -> list[tuple[float, SolvedDeformation]]:
-        """Deformations without effects at the exponents that every diagnosis solves, and what each counts at
-        this one; those that have an answer."""
+        """Deformations without effects at the exponents `FIRST_M`, where solved, with their interpolation
+        weights at this m."""
         found = []
         for first in sorted(FIRST_M):
             with contextlib.suppress(SolveError):
@@ -317,14 +325,16 @@ class SiteSimulations:
         return [(1.0 - share, softer), (share, stiffer)]
 
     def _elsewhere(self, levels: LevelsAt, m: float) -> tuple[LimbModel, Mapping[float, Array]]:
-        """Levels on another mesh, at this model's times of the same depths."""
+        """Levels on another mesh, with this model's times for the same depths."""
         model, displacements = levels(m)
         times = dict(zip(self.depths, self._times, strict=True))
         return model, {times[depth]: u for depth, u in displacements.items() if depth in times}
 
     def _beside(self, m: float, ingredients: Ingredients) -> Curves | None:
-        """What curves go on beside: those without effects, of another mesh, or of a stiffer law, which keeps
-        its stability further; None where there is none."""
+        """Curves along which incomplete ones are extrapolated; None if there are none.
+
+        Those without effects, of another mesh, or of a stiffer law, which stays stable to larger depths.
+        """
         if self.beside is not None and not ingredients:
             return self.beside(m)
         stiffer = min((each for each in FIRST_M if each > m), default=m)
@@ -346,8 +356,11 @@ class SiteSimulations:
         self.progress.event("note", text=text)
 
     def _levels_with(self, ingredients: Ingredients) -> Solved | None:
-        """Those of the last solve with these effects, whatever their sizes: where the first order was taken,
-        then those that a fit had found. A fit made again on the model as it stands asks for sizes near by."""
+        """Solved levels of the last simulation with these effects at any sizes, as initial guess.
+
+        At first these are the sizes of the first-order estimate, then those of earlier fits. A repeated fit
+        needs sizes close to the last ones.
+        """
         key = self._with_effects.get(_names(ingredients))
         if key is not None and key not in self._levels:
             levels = self.kept.levels(key)
@@ -356,7 +369,7 @@ class SiteSimulations:
         return None if key is None else self._levels.get(key)
 
     def _resume(self, key: str) -> None:
-        """Levels of an earlier run lead later solves as they did there."""
+        """Load the solved levels of an earlier run as initial guesses of later solves, as in that run."""
         levels = self.kept.levels(key)
         if levels is None:
             return

@@ -1,4 +1,4 @@
-"""Solved curves and deformations of a site, kept on disk by a key of what they were solved from."""
+"""Disk cache of a site's solved curves and deformations, by a key of their model."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from limbcli.solvers.restart import solved_arrays, solved_of
 if TYPE_CHECKING:
     from limbcli.solvers.restart import Solved
 
-_UNREADABLE = (OSError, ValueError, KeyError, EOFError, BadZipFile)  # solved again, then
+_UNREADABLE = (OSError, ValueError, KeyError, EOFError, BadZipFile)  # treated as missing and solved again
 
 
 @dataclass(frozen=True, eq=False)
 class KeptCurves:
-    """Curves, the work of their solve, and how many of their depths it reached."""
+    """Curves, the work of their solve, and the number of depths it reached."""
 
     curves: Curves
     work: int
@@ -32,12 +32,12 @@ class KeptCurves:
 
 @dataclass(frozen=True)
 class CurveStore:
-    """folder : None where nothing is kept."""
+    """folder : of the cache; None: nothing is cached"""
 
     folder: Path | None
 
     def curves(self, key: str, *, n_depths: int) -> KeptCurves | None:
-        """None where there are none, or of another number of depths."""
+        """Cached curves; None if there are none, or they have another number of depths."""
         if self.folder is None:
             return None
         try:
@@ -64,7 +64,7 @@ class CurveStore:
             )  # fmt: skip
 
     def displacements(self, key: str) -> Array | None:
-        """(n_depths, n_nodes, 3) mm of the tissue's nodes."""
+        """Displacements (n_depths, n_nodes, 3) of the tissue's nodes in mm."""
         path = None if self.folder is None else self.folder / f"{key}-nodes.npz"
         if path is None or not path.is_file():
             return None
@@ -75,7 +75,7 @@ class CurveStore:
             return None
 
     def levels(self, key: str) -> Solved | None:
-        """Converged levels that later solves start from."""
+        """Converged levels, used as initial guesses of later solves."""
         path = None if self.folder is None else self.folder / f"{key}-levels.npz"
         if path is None or not path.is_file():
             return None

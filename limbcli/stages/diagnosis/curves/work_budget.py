@@ -1,6 +1,6 @@
-"""How much work a candidate's simulation may take, by the work of the model without it.
+"""Work budget of a candidate's simulation, relative to the work of the model without the candidate.
 
-Work is counted, not timed, so that a diagnosis says the same on any machine.
+Work is counted in solver operations, not in time, so that a diagnosis gives the same result on any machine.
 """
 
 from __future__ import annotations
@@ -15,26 +15,28 @@ import numpy as np
 
 from limbcli.errors import SolveError
 
-# In products of the factor: what an iteration and a factor cost beside the Krylov iterations.
+# The unit of work is one product with the factorised matrix, as in a Krylov iteration. Further work of a
+# Newton iteration and of a factorisation, in this unit.
 _PER_ITERATION, _PER_FACTOR = 10, 20
-# Of the mean work of the model without effects: to see what an effect changes, and with a fitted size, whose
-# answer decides; the same with friction, which goes by steps.
+# Work limit of a candidate's simulation, as a multiple of the mean work without effects: to find the change
+# by an effect; with a fitted size, whose result decides the verdict; with friction, which needs load steps.
 _TIMES_USUAL, _TIMES_FITTED, _TIMES_WITH_FRICTION = 2.0, 3.0, 6.0
-_LEAST_ALLOWED = 1500  # some four seconds on a working mesh
+_LEAST_ALLOWED = 1500  # smallest work limit of a candidate: some four seconds on a working mesh
+# Work limit of a whole diagnosis, as a multiple of the mean work without effects; smallest mean work assumed.
 _TIMES_USUAL_IN_ALL, _LEAST_USUAL = 30.0, 500.0
-_FOR_MORE = 1.0  # of a candidate's work on the levels that are needed: what the others may take
-# Where the model itself is large or hard: products times cells, of a candidate and of all; a million take a
-# second and a half.
+_FOR_MORE = 1.0  # work limit of the levels beyond those needed, as a fraction of the work of the latter
+# Upper limits for large or difficult models, in work times cells, of a candidate and of the whole diagnosis;
+# a million takes a second and a half.
 _MOST_ALLOWED, _MOST_IN_ALL = 25e6, 100e6
 
 
 @dataclass
 class Work:
-    """The work of one solve after another: listens to the solver's progress, and stops what takes too long.
+    """Work counter of successive solves: listens to the solver's progress and stops solves over their limit.
 
-    usual : of every solve without effects; done : of the solve that is on, or was last
-    at_most : of a solve without effects; total : of all solves, those of an earlier run included
-    n_cells : of the model
+    usual : work of every solve without effects; done : work of the current or last solve
+    at_most : work limit of a solve without effects; total : of all solves, including those of an earlier run
+    n_cells : number of cells of the model
     """
 
     n_cells: int = 0
@@ -49,8 +51,11 @@ class Work:
     def begin(
         self, *, candidate: bool, has_friction: bool = False, fitted: bool = False, needed: float = 1.0
     ) -> None:
-        """candidate : it has an effect in it; fitted : its size is that of a fit; needed : share of the load
-        steps that must be reached"""
+        """Start counting a new solve and set its work limit.
+
+        candidate : the model includes a candidate effect; fitted : the size of the effect is that of a fit
+        needed : fraction of the load steps that must be reached
+        """
         self.done, self._counted = 0, (0, 0)
         self._needed = needed if candidate else math.inf
         times = _TIMES_WITH_FRICTION if has_friction else _TIMES_FITTED if fitted else _TIMES_USUAL
@@ -59,7 +64,7 @@ class Work:
 
     @property
     def mean(self) -> float:
-        """Of the solves without effects; 0 before the first."""
+        """Mean work of the solves without effects; 0 before the first."""
         return float(np.mean(self.usual)) if self.usual else 0.0
 
     def end(self) -> None:
@@ -68,8 +73,11 @@ class Work:
 
     @contextmanager
     def aside(self) -> Iterator[None]:
-        """What is solved within is not counted: a diagnosis that finds kept what it is for does not ask
-        for it again, and has to come to the same end."""
+        """Context manager in which solves are not counted.
+
+        A diagnosis that finds the final result in the cache does not repeat the auxiliary solves within, and
+        must come to the same conclusion.
+        """
         known = self.total, list(self.usual), self.done
         try:
             yield
@@ -78,7 +86,8 @@ class Work:
 
     @property
     def spent(self) -> bool:
-        """All that a diagnosis may take: what is left is reported without simulations of its own."""
+        """Whether the work limit of the diagnosis is reached; further fits are then reported without
+        simulations of their own."""
         usual = _TIMES_USUAL_IN_ALL * max(self.mean, _LEAST_USUAL)
         return self.total > min(usual, _MOST_IN_ALL / max(self.n_cells, 1))
 

@@ -1,1 +1,1 @@
-"""What was measured, how it is laid out, and by what it errs."""
+"""Measured data of a site: layout as rows, and noise."""

@@ -1,8 +1,8 @@
-"""What a load-cell record shows of relaxation: how the force falls within each hold.
+"""Relaxation from a load-cell record: how the force falls within each hold.
 
-Two numbers a hold, not thousands of samples: ln of the force at its start over that in its first
-third, and of that over its end. They are compared with the elastic force at the recorded depth, relaxed and
-drained by whatever terms an explanation has.
+Each hold is reduced from thousands of samples to two numbers: ln of the force at its start over the force
+after its first third, and ln of the latter over the force at its end. They are compared with the elastic
+force at the recorded depth, with the relaxation and drainage terms of an explanation.
 """
 
 from __future__ import annotations
@@ -19,26 +19,28 @@ from limbcli.effects.reading import Reading, borne_at_zero, true_depth
 from limbcli.measurement.indentation import Levels, Trace
 from limbcli.model import Array, IntArray
 
-STEP_S = 0.25
-_RAMP_SHARE = 0.2  # of the steepest ramps: what is steeper is a ramp (steps of a force)
-_DEPTH_SHARE = 0.05  # the same of a depth, whose steps differ more
-# Of the steepest ramps of force: what is steeper is a ramp although the recorded depth is steady, as it is
-# where the tissue is so stiff that the step is smaller than the reading's error. Relaxation is less steep.
+STEP_S = 0.25  # s, time step of the grid
+_RAMP_SHARE = 0.2  # slope of the force, as a fraction of the steepest ramps, above which it is a ramp
+_DEPTH_SHARE = 0.05  # the same for a depth record, whose steps vary more in size
+# Slope of the force, as a fraction of the steepest ramps, above which it is a ramp although the recorded
+# depth is steady: in very stiff tissue a step is smaller than the depth's reading error. Relaxation is less
+# steep.
 _FORCE_SHARE = 0.4
-_PAUSE_S, _PAUSE_SAMPLES = 1.0, 5.0  # without a sample: nobody knows what probe and force did
-_MOVED_SHARE = 0.15  # of the force that a movement within a hold explains: its error
-_LEAST_HOLD_S, _LEAST_FORCE = 3.0, 1.0
-_FLOOR = 0.004  # of ln force: what else moves in a hold (assumed)
+_PAUSE_S, _PAUSE_SAMPLES = 1.0, 5.0  # s, sampling intervals: longer gaps are pauses, with unknown motion
+_MOVED_SHARE = 0.15  # relative error of the force change that movement within a hold explains
+_LEAST_HOLD_S, _LEAST_FORCE = 3.0, 1.0  # s, N: shortest hold, smallest mean force of a hold that is used
+_FLOOR = 0.004  # standard deviation of the ln force ratio from other causes within a hold (assumed)
 
 
 @dataclass(frozen=True, eq=False)
 class HeldForces:
-    """A record on a grid of `STEP_S`, and what was read from its holds.
+    """A record on a grid of `STEP_S`, and the force ratios read from its holds.
 
     depth (n,) mm; windows (n_features, 2, 2): from, to (exclusive) on the grid, of the two windows
-    that are compared; y, deviation (n_features,): ln of the force of the first over the second
-    shared (n_features,): variance that a number has in common, with the other sign, with the next one: of the
-        window that both are of; None: none
+    that are compared; y (n_features,): ln of the mean force in the first window over that in the second;
+    deviation (n_features,): its standard deviation
+    shared (n_features,): negative covariance of each ratio with the next one, from the window that both use;
+        None: no covariance
     """
 
     depth: Array
@@ -59,12 +61,12 @@ class HeldForces:
         return found
 
     def fallen(self, curves: Curves) -> float:
-        """Deviations by which the forces fall beyond what is elastic, over all holds."""
+        """Total fall of the forces beyond the elastic prediction over all holds, in standard deviations."""
         off = self.y - self.predict(curves, Reading())
         return float(np.sum(off) / np.sqrt(np.sum(self.covariance)))
 
     def predict(self, curves: Curves, reading: Reading) -> Array:
-        """The same numbers of a model (n_features,)."""
+        """Prediction of `y` (n_features,) by a model."""
         depth = true_depth(curves, self.depth, reading)
         elastic = force_at(curves, depth)
         force = elastic.copy()
@@ -79,7 +81,7 @@ class HeldForces:
 
 
 def relaxing(elastic: Array, tau: float) -> Array:
-    """Integral of exp(-(t - s)/tau) dF_e (n,) on the grid, F_e linear within each step.
+    """Integral of exp(-(t - s)/tau) dF_e (n,) on the grid, with F_e linear within each step.
 
     >>> np.round(relaxing(np.array([0.0, 1.0, 1.0]), 0.25), 4)
     array([0.    , 0.6321, 0.2325])
@@ -90,7 +92,7 @@ def relaxing(elastic: Array, tau: float) -> Array:
 
 
 def fall(force: Array, windows: IntArray) -> Array:
-    """ln (mean force of the first window / of the second) (n_features,)."""
+    """ln of the mean force in the first window over that in the second (n_features,)."""
     sums = np.concatenate([[0.0], np.cumsum(force)])
     means = (sums[windows[:, :, 1]] - sums[windows[:, :, 0]]) / (windows[:, :, 1] - windows[:, :, 0])
     means = np.maximum(means, 1e-6)
@@ -98,10 +100,10 @@ def fall(force: Array, windows: IntArray) -> Array:
 
 
 def held_forces(trace: Trace, levels: Levels) -> tuple[HeldForces | None, str]:
-    """What the holds of a record say, or None and why they say nothing.
+    """Force ratios of the holds of a record, or None and the reason why there are none.
 
-    Without a recorded depth the holds are matched to the levels, and used only if the force
-    falls in them: a steady force may have been held by hand.
+    Without a recorded depth, the holds are matched to the levels and used only if the force
+    falls in them: a constant force may have been regulated by hand.
     """
     time = np.arange(trace.time[0], trace.time[-1], STEP_S)
     if len(time) * STEP_S < _LEAST_HOLD_S:
@@ -119,7 +121,7 @@ def held_forces(trace: Trace, levels: Levels) -> tuple[HeldForces | None, str]:
     depth = steering if recorded else _depth_of_levels(holds, force, levels, len(time))
     if depth is None:
         return None, f"the record has no depth, and its {len(holds)} holds are not the levels"
-    # The first hold after a pause relaxes from a movement that nobody saw.
+    # The first hold after a pause is excluded: it relaxes from an unrecorded movement.
     before = [0, *(end for _, end in holds)]
     seen = [(a, b) for (a, b), last in zip(holds, before[:-1], strict=True) if read[last:a].all()]
     windows, means = _windows(seen, force)
@@ -136,7 +138,7 @@ def held_forces(trace: Trace, levels: Levels) -> tuple[HeldForces | None, str]:
 
 
 def is_steady(signal: Array, *, share: float = _RAMP_SHARE) -> NDArray[np.bool_]:
-    """Where a signal (n,) of the grid is not on a ramp; `share` of the steepest is a ramp."""
+    """Where a signal (n,) on the grid is not ramping: slope at most `share` of the steepest ramps."""
     slope = np.abs(np.gradient(signal))
     noise = 1.4826 * float(np.median(slope))
     slope = np.maximum(slope, np.maximum(np.roll(slope, 1), np.roll(slope, -1)))
@@ -145,14 +147,14 @@ def is_steady(signal: Array, *, share: float = _RAMP_SHARE) -> NDArray[np.bool_]
 
 
 def stretches(steady: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Where the grid is steady for 3 s at least: [from, to)."""
+    """Intervals [from, to) of the grid that are steady for at least 3 s."""
     edges = np.flatnonzero(np.diff(np.r_[0, steady.astype(int), 0]))
     pairs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
     return [(a, b) for a, b in pairs if (b - a) * STEP_S >= _LEAST_HOLD_S]
 
 
 def _binned(at: Array, values: Array, grid: Array) -> Array:
-    """Means over the bins of the grid; gaps closed by a line."""
+    """Means over the bins of the grid; empty bins are interpolated linearly."""
     index = np.clip(((at - grid[0]) / STEP_S).astype(int), 0, len(grid) - 1)
     known = np.isfinite(values)
     count = np.bincount(index[known], minlength=len(grid))
@@ -162,14 +164,17 @@ def _binned(at: Array, values: Array, grid: Array) -> Array:
 
 
 def _was_read(at: Array, grid: Array) -> NDArray[np.bool_]:
-    """Where the grid (n,) lies in no pause of the record: a line that closes one is no hold."""
+    """Where the grid (n,) is outside pauses of the record: interpolated values are not a hold."""
     after = np.clip(np.searchsorted(at, grid + 0.5 * STEP_S), 1, len(at) - 1)
     pause = max(_PAUSE_S, _PAUSE_SAMPLES * float(np.median(np.diff(at))))
     return np.asarray(at[after] - at[after - 1] <= pause)
 
 
 def _depth_of_levels(holds: list[tuple[int, int]], force: Array, levels: Levels, n: int) -> Array | None:
-    """Depth (n,) of the grid, each hold at its level's: where there are as many holds as levels."""
+    """Depth (n,) on the grid, with each hold at its level's depth; None if their numbers do not match.
+
+    The hold of the first level may be missing.
+    """
     wanted = levels.depth[np.isfinite(levels.depth)]
     if len(holds) == len(wanted) - 1 and float(np.mean(force[slice(*holds[0])])) > 0.5 * levels.force[1]:
         wanted = wanted[1:]
@@ -180,7 +185,7 @@ def _depth_of_levels(holds: list[tuple[int, int]], force: Array, levels: Levels,
 
 
 def _windows(holds: list[tuple[int, int]], force: Array) -> tuple[IntArray, Array]:
-    """Windows (n_features, 2, 2) and the mean force (n_features,) of their holds."""
+    """Windows (n_features, 2, 2), two pairs per hold, and the mean force (n_features,) of their holds."""
     windows, means = [], []
     for a, b in holds:
         mean = float(np.mean(force[a:b]))
@@ -195,10 +200,11 @@ def _windows(holds: list[tuple[int, int]], force: Array) -> tuple[IntArray, Arra
 
 
 def _deviations(trace: Trace, windows: IntArray, force: Array, moving: Array | None) -> tuple[Array, Array]:
-    """Of ln force ratios the deviations, by the samples' scatter, that of the depth times the slope, and a
-    floor; and the variance that each has in common with the next one (`HeldForces.shared`).
+    """Standard deviations of the ln force ratios, and `HeldForces.shared`.
 
-    moving : the recorded depth on the grid; what it moves within a hold is known less well
+    From the scatter of the force samples, the scatter of the depth samples times the stiffness, and a floor.
+
+    moving : the recorded depth on the grid; movement within a hold adds to the uncertainty
     """
     rate = 1.0 / float(np.median(np.diff(trace.time)))
     samples = np.maximum((windows[:, 0, 1] - windows[:, 0, 0]) * STEP_S * rate, 1.0)
@@ -215,6 +221,6 @@ def _deviations(trace: Trace, windows: IntArray, force: Array, moving: Array | N
 
 
 def _scatter(values: Array) -> float:
-    """Deviation of single samples, from their differences."""
+    """Standard deviation of single samples, estimated from successive differences."""
     known = values[np.isfinite(values)]
     return float(1.4826 * np.median(np.abs(np.diff(known))) / np.sqrt(2)) if len(known) > 2 else 0.0

@@ -1,6 +1,6 @@
-"""Several measurements of one place (another orientation, a repeat) as one set of data.
+"""Several measurements of one place (another orientation, a repeat) as one data set.
 
-The tissue is the same; noise is independent but for the scanner's gain on all speeds.
+The tissue is the same; the noise is independent except for the scanner's gain on all speeds.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from limbcli.stages.diagnosis.data.site_data import SiteData
 
 
 def joined(sites: Sequence[SiteData]) -> Data:
-    """The data of all sites, one after the other; one site's as they are."""
+    """The data of all sites, concatenated; those of a single site unchanged."""
     if len(sites) == 1:
         return sites[0].data
     y = np.concatenate([site.data.y for site in sites])
@@ -36,7 +36,7 @@ def joined(sites: Sequence[SiteData]) -> Data:
 
 
 def slices(sites: Sequence[SiteData]) -> list[slice]:
-    """Where each site's data lie in the joined ones."""
+    """Position of each site's data in the joint data."""
     ends = np.cumsum([0, *(len(site.data) for site in sites)])
     return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
@@ -63,7 +63,7 @@ def _noise(sites: Sequence[SiteData]) -> Noise:
 
 
 def _least_known(sources: Sequence[str]) -> str:
-    """Together, noise is assumed where one site's is."""
+    """Source of the joint noise: assumed if that of any site is."""
     return ASSUMED if ASSUMED in sources else sources[0]
 
 

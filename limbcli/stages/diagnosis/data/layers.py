@@ -1,8 +1,8 @@
-"""Layers as a channel of the diagnosis: rows, slopes, noise, and the lines of a model.
+"""Layers as a channel of the diagnosis: rows, slopes, noise, and the material lines of a model.
 
-A datum is the thickness of a layer at a level under load; the layer on the bone adds nothing beyond the
-depth and is left out. The models carry the layers' borders as material lines, marked where they were read at
-first touch.
+A datum is the thickness of a layer at a level under load; the layer on the bone is left out, as it adds no
+information to the depth. The models track the layers' borders as material lines, placed where they were read
+at first touch.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from limbcli.stages.site_model.layer_readings import LayerReadings
 
 CHANNEL = "layer"
 FIRST_TOUCH = "measurement: layers at first touch"
-# One deviation of a thickness by the model's own error: a share of what the layer gets thinner, and of the
-# depth. On a block 16 mm thick, pressed 4 mm, tet10 edges of 5 to 9 mm and of 3 to 6 mm put a border at rest
-# 1.5 mm below the skin 0.07 mm apart, those at 4 to 10 mm 0.02 to 0.06 mm.
+# Standard deviation of a thickness from the model error: fractions of the layer's thinning and of the depth.
+# On a block 16 mm thick, indented by 4 mm, tet10 meshes with edges of 5 to 9 mm and of 3 to 6 mm differ by
+# 0.07 mm for a border 1.5 mm below the skin at rest, and by 0.02 to 0.06 mm for borders at 4 to 10 mm.
 _OF_THINNING, _OF_DEPTH = 0.05, 0.02
-_LEAST_LINE = 1e-3  # mm
-_SAMPLES = 240  # along the beam
-_LEFT = 0.03  # of a line's depth at rest, that it keeps at least
-_BEYOND = 2.0  # times the deepest border: how far the squeezed column goes where no bone is known
+_LEAST_LINE = 1e-3  # mm, smallest depth of a line below the skin
+_SAMPLES = 240  # number of sampling points along the beam
+_LEFT = 0.03  # smallest depth of a line under load, as a fraction of its depth at rest
+_BEYOND = 2.0  # length of the compressed column where no bone is known, as a multiple of the deepest border
 
 
 def layer_rows(layers: LayerReadings | None, keep: IntArray) -> Stacked:
-    """Readings under load; keep (n_levels used,) : the levels of the protocol, by their numbers."""
+    """Layer thicknesses under load; keep (n_levels used,) : indices of the levels in the protocol."""
     rows: list[Row] = []
     y: list[float] = []
     if layers is None:
@@ -53,9 +53,9 @@ def layer_rows(layers: LayerReadings | None, keep: IntArray) -> Stacked:
 def layer_slopes(
     layers: LayerReadings | None, protocol: Protocol, place: Array, rows: Sequence[Row], y: Array
 ) -> Array:
-    """How each datum changes with depth (n,), 0 for other channels.
+    """Derivative of each datum with depth (n,), 0 for other channels.
 
-    place (n_levels,) : ln(1 + F/unit) of the smooth depth, with which layers get thinner evenly
+    place (n_levels,) : ln(1 + F/unit) of the smooth depth, in which layers thin linearly
     """
     out = np.zeros(len(rows))
     if layers is None:
@@ -76,7 +76,7 @@ def layer_slopes(
 def layer_noise(
     layers: LayerReadings | None, protocol: Protocol, rows: Sequence[Row], y: Array, source: str
 ) -> list[NoisePart]:
-    """What readings of one layer have in common: where it began, and what the model does to it."""
+    """Common errors of the readings of one layer: of its thickness at first touch, and of the model."""
     parts = []
     for layer, members in _members(rows) if layers is not None else ():
         assert layers is not None
@@ -92,7 +92,7 @@ def layer_noise(
 
 
 def _members(rows: Sequence[Row]) -> list[tuple[int, list[int]]]:
-    """Of every layer, where its data are."""
+    """Indices of the data of each layer."""
     found: dict[int, list[int]] = {}
     for k, row in enumerate(rows):
         if row.channel == CHANNEL:
@@ -103,14 +103,14 @@ def _members(rows: Sequence[Row]) -> list[tuple[int, list[int]]]:
 class BorderLines:
     """The borders of a site's layers in its models.
 
-    rest (n_borders,) mm below the skin at first touch, without that at the bone
+    rest (n_borders,) : mm below the skin at first touch, without the border at the bone
     """
 
     def __init__(self, layers: LayerReadings):
         self.rest = np.asarray(layers.rest[: layers.n_counted])
 
     def record(self, model: LimbModel) -> LogRecord:
-        """What a simulation must write: of all nodes, as an effect may move the mesh under the beam."""
+        """Required output of a simulation: all tissue nodes, as effects may move the mesh under the beam."""
         return LogRecord("node", ("ux", "uy", "uz"), FILE, tissue_nodes(model))
 
     def check(self, model: LimbModel) -> None:
@@ -123,19 +123,19 @@ class BorderLines:
         material_lines(model, self.rest)
 
     def log_depths(self, model: LimbModel, simulation: Simulation, rows: IntArray) -> Array:
-        """ln of mm below the skin (1 + n_rows, n_borders), at rest first."""
+        """ln of the depth in mm below the skin (1 + n_rows, n_borders), at rest first."""
         lines = material_lines(model, self.rest)
         below = lines.below_skin(lines.of_table(simulation.nodes[FILE])[rows][..., 2])
         return np.log(np.maximum(np.vstack([self.rest, below]), _LEAST_LINE))
 
 
 def line_shift(model: LimbModel, curves: Curves, ingredients: Sequence[tuple[Effect, Theta]]) -> Array:
-    """About what effects add to the lines' ln depths (n, n_lines), without a simulation.
+    """Approximate change of the lines' ln depths (n, n_lines) by effects, without a simulation.
 
-    Below the probe's middle the layers bear nearly the same pressure one after the other, as springs in
-    series do: where the tissue is softer by a factor, it gives way more by that factor, and the probe's depth
-    is shared out anew. Effects that are no field of stiffness leave the lines. A simulation at one size, and
-    at the fitted one, puts right what this misses (`forward_model.changes`, `SiteCurves.repair`).
+    Below the probe's centre the layers bear nearly the same pressure, like springs in series: tissue softer
+    by a factor is compressed more by that factor, and the probe's depth is redistributed accordingly. Effects
+    that are not a stiffness field do not move the lines. Simulations at one size and at the fitted size
+    correct the error of this estimate (`forward_model.changes`, `SiteCurves.repair`).
 
     Source: springs in series as a model of layered tissue under a probe, Neumann et al. 2023, PLOS One
     18(4):e0284721.
@@ -160,7 +160,7 @@ def line_shift(model: LimbModel, curves: Curves, ingredients: Sequence[tuple[Eff
     squeezed = np.maximum(rates[:, of_part], 0.0)
 
     def left(weight: Array) -> Array:
-        """mm (n, n_lines) of the lines with so much lost at each place."""
+        """Depths (n, n_lines) of the lines in mm for this relative compression at each sampling point."""
         lost = np.cumsum(weight, axis=1) / np.maximum(weight.sum(axis=1, keepdims=True), 1e-12)
         share = np.array([np.interp(rest, z + 0.5 * end / _SAMPLES, row) for row in lost])
         return np.maximum(rest - curves.depth[:, None] * share, _LEFT * rest)

@@ -1,7 +1,7 @@
-"""The noise of a site's data: what was stated of the readings, and what is known of the model's own error.
+"""Noise of a site's data: the stated noise of the readings, and the known errors of the model.
 
-Depth is the noisy reading, force and speeds are compared at the measured depth; its error then
-moves force, speeds and travel of a level together, which the covariance holds:
+Depth is the noisy reading; force and speeds are compared at the measured depth. An error e_d of the depth
+therefore shifts force, speeds and travel of a level together, which the covariance includes:
 residual of the force -K e_d, of ln speed -s e_d, of the travel -e_d (K, s: measured slopes).
 """
 
@@ -21,37 +21,40 @@ from limbcli.model import Array, IntArray
 from limbcli.stages.diagnosis.data.rows import Row
 
 GAIN_OF_SPEEDS = "gain of all speeds"
-# Of all speeds alike: a scanner's calibration (assumed, 2 %: nobody states it), and the models' own error. At
-# sites that FEBio made c comes out 6 % too high on average; 4 % would hold it in 93 % of intervals, and hide
-# three of fifteen effects.
+# Standard deviation of a common factor on all speeds: the scanner's calibration (assumed 2 %, as it is never
+# stated) and the models' own error. At sites simulated with FEBio, c is 6 % too high on average; 4 % would
+# cover it in 93 % of intervals, but hide three of fifteen effects.
 COMMON_GAIN = 0.03
-# The model's error in a map, of ln speed a unit of strain (depth over thickness): in the parts, and more
-# below the face, an exponential in distance (a smoother kernel lets contrasts tell too much) and from level
-# to level; of a level's mean by the square of the strain. Sizes are 1.4 to 3 times the likeliest of tied
-# models against FEBio's without noise at thirteen sites (`tests/benchmarks/map_errors.py`), which differ by
-# as much among themselves; how much of it a site has is found from its data.
+# Model error in a map: standard deviation of ln speed per unit of strain (depth over thickness). _IN_PARTS in
+# every part; _BELOW_FACE more at the top of the map, decaying over _FADES_MM; correlated exponentially over
+# _NEAR_MM (a smoother kernel gives contrasts too much weight) and by _ALIKE from level to level; _IN_LEVEL of
+# a level's mean, by the square of the strain. Values are 1.4 to 3 times the maximum-likelihood ones of tied
+# models against noise-free FEBio models at thirteen sites (`tests/benchmarks/map_errors.py`), which vary by
+# as much among themselves; the fraction that applies to a site is estimated from its data.
 _IN_PARTS, _BELOW_FACE, _FADES_MM, _NEAR_MM = 0.13, 0.106, 6.5, 4.5
-_IN_LEVEL, _ALIKE = 0.24, 0.87  # _ALIKE: from level to level
-_RESOLVED = 0.001  # of a part's ln speed, whatever the strain
-IN_MAPS, LEAST_IN_MAPS = "model: maps", 0.3
-IN_MEAN = 0.07  # of the mean speed a unit of strain, where there is no map
-# Of a part that is not whole in a map, or touches one that is not, at bone or at a hole: what of it is seen,
-# and from how near the edge, differs between meshes and from the scanner (20 to 30 % were seen beside bone,
-# far less at most sites): at most so much, and how much is found from the data.
+_IN_LEVEL, _ALIKE = 0.24, 0.87  # _ALIKE: correlation between neighbouring levels
+_RESOLVED = 0.001  # standard deviation of a part's ln speed, independent of strain
+IN_MAPS, LEAST_IN_MAPS = "model: maps", 0.3  # name, and smallest fraction of the assumed error
+IN_MEAN = 0.07  # standard deviation of ln mean speed per unit of strain, where there is no map
+# Largest standard deviation of ln speed in a part that is incomplete in a map, or adjacent to an incomplete
+# part, at bone or at a hole. Meshes and the scanner differ in the visible fraction of such a part and in how
+# near the edge it is read (differences of 20 to 30 % beside bone, far less at most sites). The fraction that
+# applies is estimated from the data.
 _BESIDE_UNSEEN = 0.15
-BESIDE, LEAST_BESIDE = "model: maps, beside what is not shown", 0.1
-_TOUCHES, _WHOLE = 1.5, 0.95  # sides of a part, between middles; share of its pixels
-FEWEST_SMOOTH = 4
-_STEEP, _STRAIGHT = 0.01, 10.0  # of the largest force: where a curve's even part ends
+BESIDE, LEAST_BESIDE = "model: maps, beside what is not shown", 0.1  # name, and smallest fraction of it
+_TOUCHES, _WHOLE = 1.5, 0.95  # adjacent: distance of centres in sides of a part; complete: fraction of pixels
+FEWEST_SMOOTH = 4  # fewest levels for a smooth depth-force curve
+_STEEP, _STRAIGHT = 0.01, 10.0  # range of `SmoothDepth.unit`, as a multiple of the largest force
 _WITH_DEPTH = ("force", "swe", "map", "travel", "skin-bone")
 
 
 @dataclass(frozen=True, eq=False)
 class ModelError:
-    """An error of the model: ln force (n_levels,), ln speed (n_levels, n_parts), one deviation each.
+    """An error of the model: one standard deviation of ln force (n_levels,) and ln speed (n_levels, n_parts).
 
-    correlation None : one common factor; else that between neighbouring levels
-    depth : mm, of the depth at every level alike but at rest; strain : fraction, of all depths by one factor
+    correlation : between neighbouring levels; None: fully correlated, one common factor
+    depth : mm, common shift of the depth at every level except at rest; strain : common relative error of all
+    depths
     """
 
     name: str
@@ -64,10 +67,10 @@ class ModelError:
 
 @dataclass(frozen=True, eq=False)
 class MapNoise:
-    """What maps err by: the pixels' noise, and the model's own error.
+    """Errors of maps: the noise of the pixels, and the model's own error.
 
-    middles (n_parts, 2) mm, lateral and below the face, and the size (mm, mm) of the parts; pitch : mm,
-    (lateral, depth) of the pixels; pixel : their noise; strain (n_levels,) : depth over thickness
+    middles (n_parts, 2) : mm, centres of the parts, lateral and below the face; size : (mm, mm) of the parts
+    pitch : mm, (lateral, depth) of the pixels; pixel : their noise; strain (n_levels,) : depth over thickness
     """
 
     middles: Array
@@ -77,7 +80,8 @@ class MapNoise:
     strain: Array
 
     def of_pixels(self, rows: Sequence[Row], own: Array) -> Array:
-        """Covariance (n, n) of the parts by the pixels' noise; own (n,) : were they independent."""
+        """Covariance (n, n) of the parts from pixel noise; own (n,) : standard deviations if the pixels were
+        independent."""
         sides = [
             _side_correlation(self.pixel, np.subtract.outer(at, at), size, pitch)
             for at, size, pitch in zip(self.middles.T, self.size, self.pitch, strict=True)
@@ -92,13 +96,13 @@ class MapNoise:
         return np.asarray(np.where(same, together[np.ix_(part, part)], 0.0) * np.outer(times, times))
 
     def of_model(self, rows: Sequence[Row], share: float) -> Array:
-        """Covariance (n, n) by the model's error; share : times what is usual."""
+        """Covariance (n, n) of the model error; share : factor on its usual size."""
         part, level = _map_places(rows)
         return maps_model_error(self.middles, part, np.abs(self.strain[level]), level, share=share)
 
     def beside_unseen(self, rows: Sequence[Row], own: Array) -> Array:
-        """Covariance (n, n) of the parts that are not whole in their level's map, and of those that touch one
-        which is not, or which the model does not show; own (n,) : as in `of_pixels`."""
+        """Covariance (n, n) of parts that are incomplete in their level's map or adjacent to such a part, or
+        to one that the model does not show; own (n,) : as in `of_pixels`."""
         part, level = _map_places(rows)
         n_pixels = np.zeros((len(self.strain), len(self.middles)))
         n_pixels[level, part] = np.maximum(own, 1e-9) ** -2.0
@@ -112,10 +116,10 @@ class MapNoise:
 def maps_model_error(
     middles: Array, part: IntArray, strain: Array, level: IntArray, *, share: float = 1.0
 ) -> Array:
-    """Covariance (n, n) of ln speeds in parts of maps by the model's error.
+    """Covariance (n, n) of ln speeds in parts of maps from the model error.
 
-    middles (n_parts, 2) : mm, lateral and below the face; part, level (n,) : their numbers
-    strain (n,) : depth over thickness; share : times what is usual
+    middles (n_parts, 2) : mm, lateral and below the face; part, level (n,) : indices of each datum
+    strain (n,) : depth over thickness; share : factor on its usual size
     """
     x, z = middles[part].T
     size = _IN_PARTS + _BELOW_FACE * np.exp(-(z - middles[:, 1].min()) / _FADES_MM)
@@ -133,7 +137,7 @@ def _map_places(rows: Sequence[Row]) -> tuple[IntArray, IntArray]:
 
 
 def _side_correlation(noise: PixelNoise, apart: Array, size: float, pitch: float) -> Array:
-    """Mean correlation along one side, over all pairs of pixels of two parts `apart` mm from each other."""
+    """Mean correlation along one side over all pairs of pixels of two parts whose centres are `apart` mm."""
     n = max(round(size / pitch), 1)
     at = (np.arange(n) - 0.5 * (n - 1)) * pitch
     distance = apart[..., None, None] + np.subtract.outer(at, at)
@@ -147,8 +151,12 @@ def noise_parts(
     keep: IntArray, model_error: Sequence[ModelError], maps: MapNoise | None = None, map_share: float = 1.0,
     map_slopes: Array | None = None, layer_slopes: Array | None = None,
 ) -> list[NoisePart]:  # fmt: skip
-    """maps : of their parts, where there are maps; map_share : of the model's usual error in them;
-    layer_slopes : over depth (n,), of the rows that are layers"""
+    """All noise parts of a site's rows, except those of layers, holds, travel and extra measurements.
+
+    maps : noise of the parts of maps, if there are any; map_share : fraction of the model's usual error in
+    them
+    layer_slopes : change with depth (n,) of the rows that are layers
+    """
     source = noise.source
     is_map = np.array([row.channel == "map" for row in rows])
     parts = [independent("measurement: own error of each reading", np.where(is_map, 0.0, own), source=source)]
@@ -182,7 +190,7 @@ def noise_parts(
     is_travel = np.array([row.channel == "travel" for row in rows])
     for each in model_error:
         direction = _model_direction(rows, y, each.log_force[keep], each.log_speed[keep])
-        pressed = protocol.depth[np.minimum(levels, len(protocol) - 1)]  # at rest nothing is deformed
+        pressed = protocol.depth[np.minimum(levels, len(protocol) - 1)]  # 0 at rest: no error there
         shift = each.depth * (pressed > 0) + each.strain * pressed
         direction = direction + shift * np.where(is_travel, 0.0, slope)
         if each.correlation is None:
@@ -208,11 +216,11 @@ def _model_direction(rows: tuple[Row, ...], y: Array, log_force: Array, log_spee
 def depth_slopes(
     protocol: Protocol, rows: tuple[Row, ...], y: Array, map_slopes: Array | None = None
 ) -> Array:
-    """How each datum changes with depth (n,), from smooth curves through the measured values; parts of maps
-    as a model has it, `map_slopes` (n_levels, n_parts), where that is known.
+    """Derivative of each datum with depth (n,), from smooth curves through the measured values; for parts of
+    maps from a model, `map_slopes` (n_levels, n_parts), where given.
 
-    Depth and speeds are smoothed over the force, which is read without much error: over a depth with errors
-    the slope of a steep curve comes out too low.
+    Depth and speeds are fitted as functions of the force, which has little error: regression over a depth
+    with errors would underestimate steep slopes.
     """
     out = np.zeros(len(rows))
     smooth = SmoothDepth.through(protocol)
@@ -246,7 +254,7 @@ def readings(levels: Levels) -> Protocol:
 
 
 def deepest(protocol: Protocol) -> float:
-    """mm that the probe went in, of a smooth curve through the readings, but no deeper than they are."""
+    """Largest depth (mm) of a smooth curve through the readings, limited to the largest reading."""
     smooth, read = SmoothDepth.through(protocol), float(np.max(protocol.depth, initial=0.0))
     if len(protocol) < FEWEST_SMOOTH:
         return read
@@ -255,8 +263,7 @@ def deepest(protocol: Protocol) -> float:
 
 @dataclass(frozen=True)
 class SmoothDepth:
-    """depth = start + rate ln(1 + F/unit), as a force has it that first grows evenly and then exponentially;
-    mm, mm, N."""
+    """depth = start + rate ln(1 + F/unit), in mm, mm, N: a force that grows linearly, then exponentially."""
 
     start: float
     rate: float
@@ -264,7 +271,7 @@ class SmoothDepth:
 
     @staticmethod
     def through(protocol: Protocol) -> SmoothDepth:
-        """By least squares over the depths, the noisier reading.
+        """Least-squares fit to the depths, the noisier reading.
 
         >>> force = np.linspace(0.0, 20.0, 11)
         >>> found = SmoothDepth.through(Protocol(force, 3.0 * np.log1p(force / 2.0), force))
@@ -293,7 +300,7 @@ class SmoothDepth:
         return np.asarray((np.maximum(force, 0.0) + self.unit) / self.rate)
 
     def place(self, force: Array) -> Array:
-        """Where forces are along the curve: ln(1 + F/unit)."""
+        """Coordinate along the curve: ln(1 + F/unit)."""
         return _place(force, self.unit)
 
 

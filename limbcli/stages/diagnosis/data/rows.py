@@ -1,4 +1,4 @@
-"""The measurement of a site, channel by channel: rows, values and the own deviation of each reading."""
+"""A site's measurement channel by channel: rows, values, and each reading's own standard deviation."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from limbcli.model import Array, IntArray
 from limbcli.stages.diagnosis.data.held_forces import HeldForces
 from limbcli.stages.diagnosis.data.windows import Windows
 
-TRAVEL_DEVIATION = 0.1  # mm, of a guide with a scale
-THICKNESS_DEVIATION = 1.0  # mm: a voxel of the MRI, and posture
+TRAVEL_DEVIATION = 0.1  # mm, standard deviation of a travel read on a guide's scale
+THICKNESS_DEVIATION = 1.0  # mm, standard deviation of skin-bone distance: MRI voxel size and posture
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,9 +33,10 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class ExtraMeasurement:
-    """A further measurement: its name, what a model says of it, what was measured and one deviation (n,).
+    """A further measurement.
 
-    model_error : covariance (n, n) of the model's own error in it; None: none beside the deviation
+    see : its prediction by a model; y, deviation (n,) : measured values and their standard deviations
+    model_error : covariance (n, n) of the model's error in it; None: no further error
     """
 
     name: str
@@ -49,7 +50,7 @@ Stacked = tuple[list[Row], list[float], list[float]]
 
 
 def force_rows(protocol: Protocol, noise: StatedNoise) -> Stacked:
-    """Every level but those at 0 N and 0 mm, which are so by definition."""
+    """Every level except those at 0 N and 0 mm, which are zero by definition."""
     used = [k for k in range(len(protocol)) if protocol.force[k] != 0.0 or protocol.depth[k] != 0.0]
     return (
         [Row("force", k) for k in used],
@@ -62,7 +63,7 @@ def speed_rows(
     levels: Levels, keep: IntArray, noise: StatedNoise, windows: Windows, maps: list[SweMap] | None,
     usable: NDArray[np.bool_] | None = None,
 ) -> Stacked:  # fmt: skip
-    """Parts of the maps (their own deviation is `MapNoise`'s), or the mean speeds.
+    """Parts of the maps (`MapNoise` gives their covariance), or the mean speeds where there are no maps.
 
     usable : parts (n_parts,) that the model shows at every level; None: all
     """
@@ -89,13 +90,13 @@ def speed_rows(
 
 
 def travel_zero(levels: Levels, keep: IntArray) -> int:
-    """The level from which the travel counts, the first that has one: a guide's scale begins anywhere."""
+    """Reference level of the travel, the first that has one: a guide's scale has an arbitrary origin."""
     known = np.flatnonzero(np.isfinite(levels.probe_travel[keep]))
     return int(known[0]) if len(known) else 0
 
 
 def travel_rows(levels: Levels, keep: IntArray) -> Stacked:
-    """Since `travel_zero`, whose own reading carries no other information."""
+    """Travel relative to the level `travel_zero`, which itself yields no datum."""
     travel, zero = levels.probe_travel[keep], travel_zero(levels, keep)
     used = [int(k) for k in np.flatnonzero(np.isfinite(travel)) if k != zero]
     return (
@@ -106,8 +107,8 @@ def travel_rows(levels: Levels, keep: IntArray) -> Stacked:
 
 
 def travel_noise(protocol: Protocol, rows: Sequence[Row], zero: int, noise: StatedNoise) -> list[NoisePart]:
-    """What all travels have in common: the reading at the level that they count from, and its depth's, but
-    at depth 0, which is so by definition."""
+    """Common error of all travels: of the travel reading and the depth at the reference level; a depth of 0
+    has no error, as it is zero by definition."""
     mine = np.array([row.channel == "travel" for row in rows], dtype=float)
     if not mine.any():
         return []
@@ -123,9 +124,9 @@ def thickness_rows(levels: Levels, keep: IntArray) -> Stacked:
 
 
 def hold_rows(held: HeldForces | None) -> Stacked:
-    """An early and a late number of each hold: parts 0 and 1, as each of them goes on from hold to hold.
+    """An early (part 0) and a late (part 1) force ratio of each hold; each part is a series.
 
-    Their deviations are given by `hold_noise`, as numbers of one hold err together.
+    Their covariance is given by `hold_noise`, as the ratios of one hold are correlated.
     """
     if held is None:
         return [], [], []
@@ -139,14 +140,14 @@ def extra_rows(extras: Sequence[ExtraMeasurement]) -> Stacked:
 
 
 def hold_noise(held: HeldForces | None, rows: Sequence[Row], source: str) -> list[NoisePart]:
-    """The error of what is read from holds, among all rows."""
+    """Noise of the force ratios in holds, over all rows."""
     if held is None:
         return []
     return [_of_channel("hold", held.covariance, rows, "measurement: forces in holds", source)]
 
 
 def extra_noise(extras: Sequence[ExtraMeasurement], rows: Sequence[Row]) -> list[NoisePart]:
-    """The models' own error in them, among all rows."""
+    """Model error in the extra measurements, over all rows."""
     return [
         _of_channel(each.name, each.model_error, rows, f"model: {each.name}", "computed")
         for each in extras if each.model_error is not None
@@ -154,7 +155,7 @@ def extra_noise(extras: Sequence[ExtraMeasurement], rows: Sequence[Row]) -> list
 
 
 def _of_channel(channel: str, covariance: Array, rows: Sequence[Row], name: str, source: str) -> NoisePart:
-    """A part of the noise that one channel alone has."""
+    """A noise part that affects a single channel."""
     at = np.array([k for k, row in enumerate(rows) if row.channel == channel], dtype=np.int64)
     whole = np.zeros((len(rows), len(rows)))
     whole[np.ix_(at, at)] = covariance

@@ -1,4 +1,4 @@
-"""The measurement of a site as the diagnosis takes it: stacked channels, their noise, their parts."""
+"""A site's measurement as input of the diagnosis: stacked channels, their noise, and groups of data."""
 
 from __future__ import annotations
 
@@ -46,16 +46,17 @@ from limbcli.stages.diagnosis.data.rows import (
 from limbcli.stages.diagnosis.data.windows import Windows, pitch_of
 from limbcli.stages.site_model.layer_readings import LayerReadings
 
-USUAL_THICKNESS = 25.0  # mm, where the beam meets no bone
-_LEAST_N = 0.2  # below it a force determines no depth
+USUAL_THICKNESS = 25.0  # mm, assumed tissue thickness where the beam meets no bone
+_LEAST_N = 0.2  # N, smallest force from which a depth is determined
 
 
 @dataclass(frozen=True, eq=False)
 class SiteData:
-    """What was measured at one site, and how a prediction is laid out beside it.
+    """The data of one site, and the layout of a prediction for them.
 
-    travel_from : the level from which the probe's travel counts
-    bone_as_shown : the models' bone was put where the image showed it: a wrong speed of sound misplaces both
+    travel_from : reference level of the probe's travel
+    bone_as_shown : the models' bone was placed where the image showed it, so that a wrong speed of sound
+    misplaces both
     """
 
     name: str
@@ -72,15 +73,16 @@ class SiteData:
     bone_as_shown: bool = False
 
     def with_share(self, name: str, share: float) -> SiteData:
-        """With so much of what was assumed of the noise part `name`."""
+        """The data with the noise part `name` scaled to this fraction of its assumed size."""
         return replace(self, data=replace(self.data, noise=self.data.noise.with_share(name, share)))
 
     def predict(self, curves: Curves, reading: Reading) -> Array:
         """The prediction (n,) of every datum at the depths that were read.
 
-        Depth is the noisy reading: over thin or stiff tissue its error is not small beside the curve's bend.
-        So curves are read where they have the measured force, and taken to the depth that was read by the
-        measured slopes, as the noise has it: an error of depth then moves the data in proportion.
+        Depth is the noisy reading, and in thin or stiff tissue its error is too large to linearise the curves
+        at the depth read. Curves are therefore evaluated where they have the measured force, and extrapolated
+        to the depth read along the measured slopes, consistent with the noise model: an error of depth then
+        shifts the data in proportion.
         """
         further = self._further(curves, reading)
         moved = replace(self.protocol, depth=self.protocol.depth + further)
@@ -93,19 +95,22 @@ class SiteData:
         if "travel" in self._places:
             out[self._places["travel"][0]] += further[self.travel_from]
         if maps_apart:
-            # Parts of a map differ in their slopes, and change little over an error of depth: as it was read.
+            # Parts of a map have different slopes and change little with a depth error: evaluated as read.
             places, levels, parts = self._places["map"]
             out[places] = read(curves, self.protocol, reading).log_speed[levels, parts]
         return out
 
     @cached_property
     def _levels(self) -> IntArray:
-        """Of every datum (n,), the level, or 0 where it is of none (its slope is 0)."""
+        """Level of every datum (n,); 0 for data without a level, whose slope is 0."""
         levels = np.array([row.level for row in self.rows])
         return np.where(levels < len(self.protocol), levels, 0)
 
     def _further(self, curves: Curves, reading: Reading) -> Array:
-        """mm (n_levels,) from the depth that was read to the one with the measured force."""
+        """Distance (n_levels,) in mm from the depth read to that at which the model has the measured force.
+
+        Limited to `DEPTH_OUTLIER_SD` standard deviations of the depth.
+        """
         found = np.zeros(len(self.protocol))
         if not len(self.slope) or self.depth_error <= 0:
             return found
@@ -142,7 +147,7 @@ class SiteData:
 
     @cached_property
     def _places(self) -> dict[str, tuple[IntArray, IntArray, IntArray]]:
-        """Of every channel, where its data are among all, their levels and parts."""
+        """For each channel: the indices of its data, and their levels and parts."""
         found = {}
         for channel in dict.fromkeys(row.channel for row in self.rows):
             places = [n for n, row in enumerate(self.rows) if row.channel == channel]
@@ -161,11 +166,11 @@ def site_data(
 ) -> SiteData:  # fmt: skip
     """Stack the channels that this measurement has.
 
-    model_error : known differences between models, over all rows of the levels
+    model_error : known model errors, for all rows of the level table
     usable : parts (n_parts,) of a map that the model shows at every level; None: all
-    thickness : mm, skin to bone; map_share : of the usual error of a model's maps
-    map_slopes : 1/mm (n_levels, n_parts), of a model's ln speeds over depth
-    layers : that the models' curves follow; bone_as_shown : see `SiteData`
+    thickness : mm, skin to bone; map_share : factor on the usual model error in maps
+    map_slopes : 1/mm (n_levels, n_parts), derivative of a model's ln speeds with depth
+    layers : readings of the layers that the models track; bone_as_shown : see `SiteData`
     """
     keep = np.asarray(np.flatnonzero(np.isfinite(levels.force) & np.isfinite(levels.depth)), dtype=np.int64)
     protocol = readings(levels)
@@ -218,12 +223,12 @@ def site_data(
 
 
 def _depth(protocol: Protocol) -> Array:
-    """mm (n_levels,) of a smooth curve through the readings."""
+    """Depth (n_levels,) in mm of a smooth curve through the readings."""
     return SmoothDepth.through(protocol).at(protocol.force)
 
 
 def map_noise(windows: Windows, maps: Sequence[SweMap], noise: StatedNoise, strain: Array) -> MapNoise:
-    """Of the parts of these maps; strain (n_levels,): depth over thickness."""
+    """Noise of the parts of these maps; strain (n_levels,): depth over thickness."""
     pitch = tuple(
         pitch_of(np.concatenate([getattr(each, name) for each in maps])) for name in ("lateral", "depth")
     )
@@ -233,7 +238,7 @@ def map_noise(windows: Windows, maps: Sequence[SweMap], noise: StatedNoise, stra
 
 
 def _groups(rows: list[Row], protocol: Protocol, windows: Windows) -> dict[str, np.ndarray]:
-    """Channels; thirds of the levels by channel; the way back; parts of the window."""
+    """Groups for localisation: channels, thirds of the levels by channel, unloading, regions of the map."""
     groups: dict[str, np.ndarray] = {}
     names = {"force": "force", "swe": "mean speed", "map": "speed maps", "travel": "probe travel",
              "skin-bone": "skin-bone distance", "layer": "layers",
@@ -258,7 +263,7 @@ def _groups(rows: list[Row], protocol: Protocol, windows: Windows) -> dict[str, 
 
 
 def _place(rows: Sequence[Row], windows: Windows) -> Array:
-    """Of every datum, where its part of a map lies (n, 2) mm; NaN of others."""
+    """Position (n, 2) in mm of each datum's part of a map; NaN for other data."""
     found = np.full((len(rows), 2), np.nan)
     for k, row in enumerate(rows):
         if row.channel == "map":

@@ -1,6 +1,6 @@
-"""The scanner's region cut into parts: what a map's pixels belong to, and where a model is looked at.
+"""Division of the scanner's region into parts: averages of a map's pixels, and sampling points of a model.
 
-A map is kept at the resolution that an image of shear waves has: parts a few millimetres wide and deep.
+A map is reduced to the actual resolution of a shear-wave image: parts a few millimetres wide and deep.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from limbcli.measurement.elastography import SweMap
 from limbcli.model import Array, IntArray, LimbModel
 from limbcli.shear_waves.pixels import Window, pixel_averages
 
-_PART_MM = 4.0  # of a side of a part, about
-_USUAL_MM, _INNER_MM = 20.0, 12.0  # half widths between which the region of a mean is, where no map gives it
-_WIDTH_PARTS = 10  # the usual region's parts across: those within the inner width are whole
-_SHARE = 0.6  # of the places where a model is looked at in a part, that must lie in its tissue
-_SHARE_READ = 0.75  # of a part's pixels that must have been read: beside bone they tell of its edge, too
-_ROUNDED = 1e-6  # of a part, or a pixel: what places are rounded by
-_SUBDIVIDED = 2  # each side of a part, for the places where a model is looked at
-# A place is blurred by the scanner's smoothing along x, y and z, and over its slice along y.
-_BLUR, _BLUR_WEIGHT = (-(3.0**0.5), 0.0, 3.0**0.5), (1 / 6, 2 / 3, 1 / 6)  # in deviations: Gauss-Hermite
+_PART_MM = 4.0  # approximate side length of a part
+_USUAL_MM, _INNER_MM = 20.0, 12.0  # largest and smallest half width of a mean's region, if no map defines it
+_WIDTH_PARTS = 10  # number of parts across the usual region; parts within the inner width are complete
+_SHARE = 0.6  # fraction of a part's sampling points that must lie in the model's tissue
+_SHARE_READ = 0.75  # fraction of a part's pixels that must have been read: near bone they show edge effects
+_ROUNDED = 1e-6  # rounding tolerance of positions, in parts or pixels
+_SUBDIVIDED = 2  # subdivisions of each side of a part for the sampling points of a model
+# Each point is blurred by the scanner's smoothing in x and z, and averaged over the slice thickness in y.
+_BLUR, _BLUR_WEIGHT = (-(3.0**0.5), 0.0, 3.0**0.5), (1 / 6, 2 / 3, 1 / 6)  # in std. deviations: Gauss-Hermite
 _SLICE, _SLICE_WEIGHT = (
     (-(0.6**0.5), 0.0, 0.6**0.5),
     (5 / 18, 8 / 18, 5 / 18),
@@ -37,8 +37,9 @@ _SLICE, _SLICE_WEIGHT = (
 class Windows:
     """A region `left` to `right`, `top` to `bottom` (mm, below the face) of `across` x `down` parts.
 
-    Counted are the whole of it first, then its parts, row by row downwards.
-    whole_is_known : by maps; else the mean may be of all of it or of what lies within 12 mm of its middle
+    Tables list the whole region first, then its parts row by row downwards.
+    whole_is_known : the region is given by maps; else a mean may be over all of it or only over what lies
+    within 12 mm of its centre
     """
 
     left: float = -_USUAL_MM
@@ -53,7 +54,7 @@ class Windows:
 
     @staticmethod
     def usual(probe_length: float) -> Windows:
-        """Where only means are given: as wide as the probe, 40 mm at most."""
+        """Region where only means are given: as wide as the probe, at most 40 mm."""
         half = min(_USUAL_MM, probe_length / 2)
         return Windows(-half, half, across=max(2 * round(half / _PART_MM), 2))
 
@@ -75,15 +76,15 @@ class Windows:
 
     @cached_property
     def middles(self) -> Array:
-        """Lateral place and depth below the face (n_parts, 2) mm of each part's middle."""
+        """Lateral position and depth below the face (n_parts, 2) of each part's centre, in mm."""
         x = self.left + (self.right - self.left) * (np.arange(self.across) + 0.5) / self.across
         z = self.top + (self.bottom - self.top) * (np.arange(self.down) + 0.5) / self.down
         return np.array([(a, b) for b in z for a in x])
 
     def without_spikes(self, ln_speed: Array) -> Array:
-        """ln speeds (n, 1 + n_parts), each part's the median of it and its neighbours; the whole's as it is.
+        """ln speeds (n, 1 + n_parts) with a 3 x 3 median filter over the parts; the whole is unchanged.
 
-        What another mesh changes in one part, and in none beside it, is that mesh's error.
+        A change between meshes in a single part, but not in its neighbours, is discretisation error.
         """
         parts = ln_speed[:, 1:].reshape(-1, self.down, self.across)
         smooth = median_filter(parts, size=(1, 3, 3), mode="nearest")
@@ -91,11 +92,11 @@ class Windows:
 
     @property
     def depths(self) -> Array:
-        """Middle of each part below the face (mm), the whole first."""
+        """Depth of each part's centre below the face (mm), the whole region first."""
         return np.concatenate([[0.5 * (self.top + self.bottom)], self.middles[:, 1]])
 
     def names(self) -> list[str]:
-        """Of the whole and every part: in which third of the region it lies."""
+        """Names of the whole and of every part, by the third of the region it lies in."""
         sides, levels = ("left", "middle", "right"), ("shallow", "mid-depth", "deep")
         found = ["whole"]
         for x, z in self.middles:
@@ -106,7 +107,7 @@ class Windows:
 
     @cached_property
     def pixels(self) -> tuple[Array, Array]:
-        """Lateral, depth (n_pixels,) of the places where a model is looked at, part after part."""
+        """Lateral position and depth (n_pixels,) of the sampling points of a model, part after part."""
         share = (np.arange(_SUBDIVIDED) + 0.5) / _SUBDIVIDED - 0.5
         dz, dx = np.meshgrid(
             share * (self.bottom - self.top) / self.down, share * (self.right - self.left) / self.across,
@@ -118,9 +119,9 @@ class Windows:
     def seen(
         self, model: LimbModel, places: Array, rest: Array, gradient: Array, *, depth: float
     ) -> ScannerView:
-        """What the region shows of cells with the face at this depth (mm).
+        """View of the region on deformed cells, with the probe's face at this depth (mm).
 
-        places, rest : (n_cells, 3) mm, deformed and at rest; gradient : (n_cells, 3, 3)
+        places, rest : (n_cells, 3) mm, deformed and undeformed positions; gradient : (n_cells, 3, 3)
         """
         window = Window(smoothing=self.smoothing, elevation=self.elevation, pixel=_PART_MM / _SUBDIVIDED)
         averages = pixel_averages(places, self.pixels, face_height=-depth, window=window)
@@ -132,7 +133,7 @@ class Windows:
         return ScannerView(averages, Places(blurred, model), weight, self)
 
     def _blur(self) -> tuple[Array, Array]:
-        """Offsets (27, 3) mm and weights (27,) of the places that one pixel averages."""
+        """Offsets (27, 3) in mm and weights (27,) of the quadrature points that one pixel averages."""
         sigma = self.smoothing / 2.355
         offsets, weights = [], []
         for a, wa in zip(_BLUR, _BLUR_WEIGHT, strict=True):
@@ -143,9 +144,9 @@ class Windows:
         return np.array(offsets), np.array(weights)
 
     def log_means_of(self, speed_m_per_s: Array) -> Array:
-        """ln of the mean speed of the whole and of every part (1 + n_parts,), of speeds at `pixels`."""
+        """ln of the mean speed of the whole and of every part (1 + n_parts,), from speeds at `pixels`."""
         table = speed_m_per_s.reshape(self.n_parts, -1)
-        known = np.isfinite(table) & (table > 0)  # a line through few elements may end below 0
+        known = np.isfinite(table) & (table > 0)  # a linear fit through few elements may be negative
         counts = known.sum(axis=1)
         total = np.where(known, table, 0.0).sum(axis=1)
         enough = counts >= _SHARE * table.shape[1]
@@ -164,7 +165,8 @@ class Windows:
         return float(0.5 * (every + np.log(total[inner].sum() / counts[inner].sum())))
 
     def width_uncertainty(self, log_speed: Array) -> Array:
-        """Of ln mean speed (n,): half of what the region's width makes, from its parts (n, 1 + n_parts)."""
+        """Uncertainty of ln mean speed (n,) from the unknown width of the region: half the difference between
+        the narrowest and the widest region. log_speed : (n, 1 + n_parts)"""
         if self.whole_is_known:
             return np.zeros(len(log_speed))
         speed = np.exp(log_speed[:, 1:])
@@ -176,17 +178,17 @@ class Windows:
         return np.nan_to_num(0.5 * np.log(narrow / wide))
 
     def part_of(self, lateral: Array, depth: Array) -> IntArray:
-        """Number of the part that pixels (n,) lie in; -1 outside the region."""
+        """Index of the part that each pixel (n,) lies in; -1 outside the region."""
         column = _along_side(lateral, self.left, self.right, self.across)
         row = _along_side(depth, self.top, self.bottom, self.down)
         inside = (column >= 0) & (column < self.across) & (row >= 0) & (row < self.down)
         return np.asarray(np.where(inside, row * self.across + column, -1))
 
     def _most(self, swe: SweMap, counts: IntArray) -> Array:
-        """Pixels (n_parts,) that each part has where none is missing: on a coarse grid some have two beside
-        each other, others one. counts (n_parts,) : that are there
+        """Number of pixels (n_parts,) of each part if none is missing, which varies on a coarse grid.
 
-        The grid goes on where nothing was read: rows that end in bone are missing, not coarse.
+        counts (n_parts,) : pixels present. The pixel grid is continued where nothing was read: rows that end
+        in bone count as missing.
         """
         across = _grid_per_part(swe.lateral, self.left, self.right, self.across)
         down = _grid_per_part(swe.depth, self.top, self.bottom, self.down)
@@ -195,7 +197,7 @@ class Windows:
     def log_means(self, swe: SweMap) -> tuple[Array, Array]:
         """ln of the mean speed and the pixel count of the whole and every part: (1 + n_parts,) each.
 
-        NaN where a part has few of its pixels: at the edge of bone, or none was read.
+        NaN where too few of a part's pixels were read, as at the edge of bone.
         """
         part = self.part_of(swe.lateral, swe.depth)
         inside = part >= 0
@@ -208,12 +210,13 @@ class Windows:
 
 
 def _along_side(at: Array, low: float, high: float, n_parts: int) -> IntArray:
-    """In which part of one side each place lies; one on a border in the next, however it is rounded."""
+    """Index along one side of the part that each position lies in; a position on a border belongs to the next
+    part, within rounding error."""
     return np.asarray(np.floor((at - low) / (high - low) * n_parts + _ROUNDED).astype(np.int64))
 
 
 def _grid_per_part(values: Array, low: float, high: float, n_parts: int) -> IntArray:
-    """Places in each of the parts of one side (n_parts,), of a grid on which these values lie.
+    """Number of grid positions in each part along one side (n_parts,), for the grid on which `values` lie.
 
     >>> _grid_per_part(np.array([3.75, 6.25]), 0.0, 15.0, 4).tolist()
     [1, 2, 1, 2]
@@ -227,6 +230,6 @@ def _grid_per_part(values: Array, low: float, high: float, n_parts: int) -> IntA
 
 
 def pitch_of(values: Array) -> float:
-    """Distance between neighbouring pixels (mm); 1 where there is one only."""
+    """Distance between neighbouring pixels (mm); 1 if there is only one."""
     apart = np.diff(np.unique(np.round(values, 6)))
     return float(np.median(apart)) if len(apart) else 1.0

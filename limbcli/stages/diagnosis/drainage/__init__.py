@@ -1,1 +1,1 @@
-"""What drains out of the tissue of a site, by held indentations that FEBio simulates."""
+"""Drainage of fluid from a site's tissue, from held indentations simulated by FEBio."""

@@ -1,4 +1,4 @@
-"""Whether poroelasticity can be judged at a site, and what drains there: a few simulations by FEBio, kept."""
+"""Whether poroelasticity can be tested at a site, and its drainage from a few cached FEBio runs."""
 
 from __future__ import annotations
 
@@ -33,19 +33,20 @@ from limbcli.temporary_folders import scratch_folder
 NAME = poroelasticity.EFFECT.name
 SHARES_OF_DEPTH = (1.0, 0.5, 0.25)
 _LEAST_DEPTHS = 2
-_TIME_LIMIT_S = 3600.0  # of one simulation; a limb of 6,000 nodes takes a few minutes
+_TIME_LIMIT_S = 3600.0  # time limit of one simulation; a limb of 6,000 nodes takes a few minutes
 
 
 @dataclass(frozen=True)
 class DrainageSolver:
-    """solver : FEBio; always : also where no force falls in a hold."""
+    """solver : FEBio; always : simulate even if no force falls in a hold"""
 
     solver: Solver
     always: bool = False
 
     @staticmethod
     def chosen(kind: str, febio: Path | None) -> DrainageSolver | None:
-        """FEBio, by `kind` "auto" or "febio" and its binary, or None: the reference solver cannot.
+        """The solver for `kind` ("auto", "febio", ...) and a binary; None unless it is FEBio, as the
+        reference solver cannot simulate drainage.
 
         Raises
         ------
@@ -59,7 +60,11 @@ class DrainageSolver:
 
 @dataclass(frozen=True)
 class Drained:
-    """effect : with what drains at the site, or None and why; facts : of the simulations, for the results."""
+    """Result of the drainage simulations.
+
+    effect : poroelasticity with the site's drainage; None: not available, for the reason `refused`
+    facts : on the simulations, for the results
+    """
 
     effect: Effect | None = None
     refused: LimbError | None = None
@@ -71,9 +76,9 @@ def drained(
     solver: DrainageSolver, held: HeldForces | None, why_not_held: str, simulations: SiteSimulations,
     *, deepest: float, keep: Path, progress: Progress,
 ) -> Drained:  # fmt: skip
-    """What drains at a site, by simulations of the working mesh at shares of the depth `deepest` (mm).
+    """Drainage at a site, from simulations of the working mesh at fractions of the depth `deepest` (mm).
 
-    keep : folder of simulations already made
+    keep : cache folder of the simulations
     """
     if held is None:
         return Drained(refused=_no_holds(why_not_held))
@@ -111,7 +116,7 @@ class _Run:
 
 @dataclass
 class _Runs:
-    """Simulations side by side on the cores there are, each in a folder of its own; results are kept."""
+    """Parallel simulations on the available cores, each in a separate folder; results are cached."""
 
     solver: Solver
     model: LimbModel
@@ -140,7 +145,7 @@ class _Runs:
         return held_model(self.model, depth, c=self.c, m=self.m, ramp_step=ramp_step)
 
     def _run(self, depth: float) -> _Run:
-        """With shorter steps where FEBio fails at longer ones."""
+        """Simulate one depth, with shorter steps if FEBio fails with longer ones."""
         started, problem, hold = time.monotonic(), "", None
         for ramp_step in RAMP_STEPS:
             try:
@@ -151,7 +156,7 @@ class _Runs:
                 break
             except SolveError as error:
                 problem = problem or error.what
-            except LimbError as error:  # shorter steps will not help
+            except LimbError as error:  # shorter steps would not help
                 problem = error.what
                 break
         if hold is None:
@@ -179,7 +184,14 @@ class _Runs:
 
 
 def _enough(found: Sequence[_Run]) -> list[HeldIndentation]:
-    """The holds that came to their end: what drains at one depth alone says too little of the others."""
+    """The completed holds, if there are at least two: drainage at one depth does not determine that at
+    others.
+
+    Raises
+    ------
+    SolveError
+        If there are fewer.
+    """
     holds = [each.hold for each in found if each.hold is not None]
     if len(holds) >= _LEAST_DEPTHS:
         return holds

@@ -1,7 +1,7 @@
-"""A held indentation of biphasic tissue, as FEBio is given it: pressed in at once, and held while it drains.
+"""FEBio model of a held indentation of biphasic tissue: a fast ramp, and a hold while the tissue drains.
 
-Permeability times c is 1 mm^2/s, so that the simulated seconds are k c t in mm^2. The largest step grows with
-the time since the ramp, a third of a decade at a time.
+Permeability times c is 1 mm^2/s, so that the simulated time in s equals k c t in mm^2. The largest time step
+grows with the time since the ramp, every third of a decade.
 """
 
 from __future__ import annotations
@@ -22,23 +22,25 @@ from limbcli.stages.site_model.indentation_model import (
     with_penalty,
 )
 
-RAMP = 0.2 * float(SPREADS[0])  # mm^2
-END = float(SPREADS[-1])
-_PER_DECADE = 3
-# mm at most: a larger part of an element inverts tet10; what fails is tried with less.
+RAMP = 0.2 * float(SPREADS[0])  # mm^2, duration of the ramp as k c t
+END = float(SPREADS[-1])  # mm^2, end of the hold as k c t
+_PER_DECADE = 3  # intervals of the largest time step per decade
+# mm, largest indentation per step of the ramp: a larger fraction of an element inverts tet10. Failed
+# simulations are repeated with the smaller step.
 RAMP_STEPS = (0.5, 0.1)
-_LEAST_STEP = 1e-2  # of the first one
+_LEAST_STEP = 1e-2  # smallest time step, as a fraction of the first
 LONGEST_STEP = "longest_step"
-# Those of `robust_step` but for the residual's, with which holds of a limb of 6,000 nodes ran to their end.
+# Tolerances of `robust_step` except that of the residual; with these, holds of a limb of 6,000 nodes
+# completed.
 _CONTROL = {"dtol": 0.01, "etol": 0.01}
 
 
 def held_model(
     meshed: LimbModel, depth: float, *, c: float, m: float, ramp_step: float = RAMP_STEPS[0]
 ) -> LimbModel:
-    """The site's model (as `mesh` makes it) at one depth (mm): c in MPa; f_kappa drained as the effect's.
+    """Held model of a site at one depth (mm); c in MPa; drained f_kappa as in the effect.
 
-    ramp_step : mm, the longest step while it is pressed in
+    meshed : the site's model as `mesh` makes it; ramp_step : mm, largest step of the ramp
     """
     start = starting_depth(meshed, depth)
     model = indentation_model(meshed, schedule([depth], start=start), c=c, f_kappa=100.0, m=m)
@@ -62,6 +64,6 @@ def held_model(
 
 
 def hold_of(simulation: Simulation, depth: float) -> HeldIndentation:
-    """What a finished simulation of `held_model` says."""
+    """Force over time of a finished simulation of `held_model`."""
     later = simulation.times > 0
     return HeldIndentation(depth, RAMP, simulation.times[later], simulation.probe_force()[later])

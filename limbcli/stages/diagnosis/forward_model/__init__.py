@@ -1,1 +1,1 @@
-"""Predictions beside the data: the surrogate, its fits and its repairs."""
+"""Predictions of the data: the surrogate, its fits, and its corrections by further simulations."""

@@ -1,7 +1,7 @@
-"""What effects change in a site's curves, to first order or by a solve, over their parameters.
+"""Changes of a site's curves by effects as functions of their parameters, to first order or by a simulation.
 
-An effect of the law changes the curves as the kept deformation says (`effects.frozen_deformation`); one of
-the mesh or the contact is solved at its start value.
+The change by an effect of the material law is evaluated at the stored deformation
+(`effects.frozen_deformation`); an effect of the mesh or the contact is simulated at its start value.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from limbcli.stages.diagnosis.curves.site_simulations import FIRST_M
 from limbcli.stages.diagnosis.data.layers import line_shift
 from limbcli.stages.diagnosis.data.windows import Windows
 
-_REMEMBERED = 8  # values of the parameters
-_STEPS_ONE = (0.5, 1.0, 2.0, 4.0)
-_STEPS_TWO = (-2.0, -1.0, 1.0, 2.0)
-_ROUNDED = 0.2  # of a start: a degree of tilt
+_REMEMBERED = 8  # number of parameter values cached
+_STEPS_ONE = (0.5, 1.0, 2.0, 4.0)  # spline knots of a one-sided parameter, in units of its start value
+_STEPS_TWO = (-2.0, -1.0, 1.0, 2.0)  # the same for a two-sided parameter
+_ROUNDED = 0.2  # smoothing width of |x| about 0, in units of the start value: a degree of tilt
 
 
 class CurveSource(Typed):
-    """What curves come out of: solved ones, and first-order changes of them."""
+    """Source of curves: simulated ones, and first-order changes of them."""
 
     c: float
     model: LimbModel
@@ -46,8 +46,10 @@ class CurveSource(Typed):
 
 @dataclass(frozen=True, eq=False)
 class TwoSided:
-    """What changes with the sign of a parameter, and what its size alone changes, at its start. Both go with
-    the distance, the latter rounded about null: whichever edge touches first.
+    """Odd and even parts of the change by a two-sided parameter, at its start value.
+
+    Both are proportional to the distance from null; the even part, caused by whichever edge touches first, is
+    smoothed about null.
 
     On a limb (m 4, tilted about the probe's long axis by 5, -5 and 10 degrees) ln force at 7 of 39 mm changes
     by -0.038, -0.010 and -0.079: in proportion -5 would be +0.038, and 10 by a parabola -0.100.
@@ -57,16 +59,18 @@ class TwoSided:
     even: Array
 
     def at(self, x: float) -> Array:
-        """x : distance from null in units of the start's"""
+        """x : distance from null in units of that of the start value"""
         size = (np.hypot(x, _ROUNDED) - _ROUNDED) / (np.hypot(1.0, _ROUNDED) - _ROUNDED)
         return np.asarray(x * self.odd + size * self.even)
 
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """What an effect at one point of its grid does to ln force and ln speed, parameter by parameter: a spline
-    over the distance from null in units of its start's, what either side changes, or what its start changes,
-    in proportion."""
+    """Change of ln force and ln speed by an effect at one point of its grid, as a sum over its parameters.
+
+    By parameter: a spline over the distance from null in units of that of the start value, a `TwoSided`, or
+    the change at the start value, scaled in proportion.
+    """
 
     parts: Mapping[Parameter, CubicSpline | TwoSided | Array]
 
@@ -83,10 +87,10 @@ class Change:
 
 
 class FieldChange:
-    """The same of an effect that is a factor on all stiffnesses, at any of its parameters.
+    """The same for an effect that is a factor on all stiffnesses, at any values of its parameters.
 
-    missed : (n, 1 + n_parts) by which a simulation at `start` differs from the kept deformation, in
-    proportion to the effect's first parameter; None where none was made
+    missed : (n, 1 + n_parts) error of the stored deformation against a simulation at `start`, scaled in
+    proportion to the effect's first parameter; None if there was no simulation
     """
 
     def __init__(self, simulations: CurveSource, effect: Effect, point: Theta, m: float):
@@ -114,16 +118,16 @@ class FieldChange:
 
 
 def _within(spline: CubicSpline, x: float) -> Array:
-    """The spline between its ends, its tangent beyond them."""
+    """The spline between its end knots, extrapolated linearly beyond them."""
     inside = float(np.clip(x, spline.x[0], spline.x[-1]))
     return np.asarray(spline(inside) + (x - inside) * spline(inside, 1))
 
 
 class Changes:
-    """Of one site's simulations.
+    """Changes by effects in one site's simulations.
 
-    m : the exponent whose kept deformation is used
-    not_simulated : effects that spread the load -> why their simulation, which shows that, has no solution
+    m : the exponent whose stored deformation is used
+    not_simulated : effects that redistribute the load -> why the simulation that shows this has no solution
     """
 
     def __init__(self, simulations: CurveSource, *, progress: Progress):
@@ -133,12 +137,12 @@ class Changes:
         self._known: dict[tuple[str, str], Change | FieldChange] = {}
 
     def of(self, effect: Effect, point: Theta) -> Change | FieldChange:
-        """At one point of the effect's grid.
+        """Change by an effect at one point of its grid.
 
         Raises
         ------
         SolveError
-            If a simulation fails, or the law has no answer near the effect's start value.
+            If a simulation fails, or the law has no solution near the effect's start value.
         """
         point = effect.without_onset(point)
         key = (effect.name, point_name(point))
@@ -152,7 +156,7 @@ class Changes:
         self.progress.event("note", text=f"sensitivity to {effect.name} {point_name(point)}".rstrip())
         if effect.stiffness is not None:
             field = FieldChange(self.simulations, effect, point, self.m)
-            # What the layers do goes through the deformation.
+            # Layers depend on the deformation itself, so that a simulation is needed.
             if effect.spreads or self.simulations.curves(self.m).log_line is not None:
                 field.missed = self._missed(effect, point, effect.sizes[0])
             return field
@@ -162,8 +166,8 @@ class Changes:
         return Change({p: self._by_shifting(effect, point, p) for p in effect.parameters})
 
     def _by_solving(self, effect: Effect, point: Theta, p: Parameter) -> TwoSided | Array:
-        """By a solve at the start, and one on the other side of null where that is another matter, if it has
-        an answer."""
+        """Change from a simulation at the start value and, for a two-sided parameter, one on the other side
+        of null if it has a solution."""
         there = self._solved_at(effect, point, p, p.start)
         if not p.both_sides:
             return there
@@ -174,9 +178,9 @@ class Changes:
         return TwoSided(0.5 * (there - other), 0.5 * (there + other))
 
     def _solved_at(self, effect: Effect, point: Theta, p: Parameter, value: float) -> Array:
-        """What one value of a parameter changes in `logs`."""
+        """Change of `logs` by one value of a parameter, from a simulation."""
         theta = {**effect.null, **point, p.name: value}
-        # a change hardly depends on m, and at one of these it serves other measurements too
+        # the change hardly depends on m, and at one of these values it can be reused for other measurements
         m = min(FIRST_M, key=lambda each: abs(np.log(each / self.m)))
         moved = logs(self.simulations.curves(m, ((effect, theta),)))
         change = np.nan_to_num(moved - logs(self.simulations.curves(m)))
@@ -195,7 +199,7 @@ class Changes:
             theta = {**effect.null, **point, p.name: value}
             try:
                 moved = shifted(self.simulations, self.m, ((effect, theta),))
-            except SolveError as error:  # too large a step; smaller ones give the change
+            except SolveError as error:  # step too large; smaller ones suffice
                 problem = error
                 continue
             moved = filled(np.where(known, moved, 0.0))
@@ -216,7 +220,7 @@ class Changes:
         return CubicSpline(np.array(places)[order], table)
 
     def _missed(self, effect: Effect, point: Theta, p: Parameter) -> Array:
-        """What the kept deformation does not show of a change: from one solve at the start value."""
+        """Error of the change from the stored deformation, from one simulation at the start value."""
         m, theta = self.m, {**effect.null, **point, p.name: p.start}
         try:
             if self.simulations.spent:
@@ -245,7 +249,7 @@ def only_febio(effect: Effect) -> SolveError:
 
 
 def shifted(simulations: CurveSource, m: float, ingredients: Ingredients) -> Array:
-    """What effects add to `logs`, to first order: (n, 1 + n_parts + n_lines)."""
+    """First-order change of `logs` by effects: (n, 1 + n_parts + n_lines)."""
     moved, curves = np.column_stack(simulations.shift(m, ingredients)), simulations.curves(m)
     if curves.log_line is None:
         return moved
@@ -253,14 +257,15 @@ def shifted(simulations: CurveSource, m: float, ingredients: Ingredients) -> Arr
 
 
 def logs(curves: Curves) -> Array:
-    """(n, 1 + n_parts + n_lines): ln force (0 at depth 0), ln speeds, ln depths of lines if followed."""
+    """(n, 1 + n_parts + n_lines): ln force (0 at depth 0), ln speeds, ln depths of lines if these are
+    tracked."""
     log_force = np.zeros(len(curves.depth))
     log_force[1:] = np.log(np.maximum(curves.force[1:], 1e-9))
     return np.column_stack([log_force, curves.columns])
 
 
 def without_spikes(simulations: CurveSource, change: Array) -> Array:
-    """Of `logs`, as another mesh changes it, what neighbouring parts have in common."""
+    """A change of `logs` between meshes, with the speeds median-filtered over neighbouring parts."""
     speeds = slice(1, 2 + simulations.windows.n_parts)
     out = change.copy()
     out[:, speeds] = simulations.windows.without_spikes(np.nan_to_num(change[:, speeds]))
@@ -268,9 +273,9 @@ def without_spikes(simulations: CurveSource, change: Array) -> Array:
 
 
 def filled(moved: Array) -> Array:
-    """Changes (n, 1 + n_parts) with gaps closed by the nearest depths of the same part: no wave, few cells.
+    """Changes (n, 1 + n_parts) with missing values (no wave, too few cells) interpolated over depth.
 
-    Left as it is where the force, or more than a third of the speeds, is missing.
+    Unchanged if a force or more than a third of all values is missing.
     """
     known = np.isfinite(moved)
     if not known[:, 0].all() or known.mean() < 2 / 3:

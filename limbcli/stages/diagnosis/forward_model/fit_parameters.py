@@ -1,4 +1,4 @@
-"""The parameters of an explanation as a fit has them, and what of them ended on a bound."""
+"""Parameters of an explanation in a fit, and which of them ended on a bound."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from limbcli.model import Array
 
 @dataclass(frozen=True)
 class Slot:
-    """A parameter of an explanation: its name in the fit, and the site it is for (None: all)."""
+    """A parameter of an explanation: its name in the fit, and the site it applies to (None: all)."""
 
     name: str
     parameter: Parameter
@@ -23,17 +23,18 @@ class Slot:
 
 
 def stuck(x: Array, slots: Sequence[Slot]) -> NDArray[np.bool_]:
-    """Effect parameters (n,) that a bound holds: they are not free to move with the data."""
+    """Mask (n,) of effect parameters on a bound, which cannot follow the data."""
     low, high = (np.array([getattr(slot.parameter, side) for slot in slots]) for side in ("low", "high"))
     near = thresholds.ON_BOUND * (high - low)
     return np.asarray((x[2:] - low < near) | (high - x[2:] < near), dtype=bool)
 
 
 def on_bounds(x: Array, slots: Sequence[Slot], effects: Collection[Effect]) -> list[str]:
-    """What ended on a bound. Null is fair for some of an effect's parameters, but not for all; any place is.
+    """Messages for parameters that ended on a bound, as far as this is an objection to the fit.
 
-    An extent as large as can be makes another effect of it: such a ball is no spot, but a
-    slope or what else the model lacks, of which it fits much with all its parameters.
+    Some of an effect's parameters may be at their null value, but not all of them; positions may be anywhere.
+    The largest extent is an objection, because it turns the effect into a different one: so large a ball is
+    no longer local, and with all its parameters it fits a gradient or any other deficiency of the model.
     """
     found = []
     fixed = stuck(x, slots)
@@ -49,7 +50,7 @@ def on_bounds(x: Array, slots: Sequence[Slot], effects: Collection[Effect]) -> l
             not fixed[n] and not other.parameter.shape and _same_effect(slot, other, effects)
             for n, other in enumerate(slots)
         ):
-            continue  # another size of the effect is free, and says that it is there
+            continue  # another size of the effect is off its bounds, so the effect is present
         if abs(value - p.null) > thresholds.ON_BOUND * (p.high - p.low):
             if p.natural_bounds:
                 continue

@@ -1,7 +1,7 @@
-"""Fits of explanations to one site's data, or to those of several measurements of one place.
+"""Fits of explanations to the data of one site, or of several measurements of one place.
 
-They run on each site's `surrogate`: c, m and the effects' parameters by least squares, at
-given points of the effects' grids.
+Least-squares fits of c, m and the effects' parameters on each site's `surrogate`, at given points of the
+effects' grids.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from limbcli.stages.diagnosis.forward_model.predictions import Predictions
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves, label
 from limbcli.units import kpa_from_mpa
 
-_QUICK, _FULL = 12, 60  # evaluations of a fit
-_BEHIND, _FAR_BEHIND = 0.5, 10.0  # of the least cost, and more: what is not followed further
-_FTOL, _XTOL = 1e-6, 1e-5  # of least squares: a deviance of hundreds to 0.001
-_ROOMY = 1.5  # times a plausible size: one deviation of what keeps flat fits from running to a bound
-_NO_ANSWER = 1e3  # deviations
+_QUICK, _FULL = 12, 60  # largest number of evaluations of a quick and of a full fit
+_BEHIND, _FAR_BEHIND = 0.5, 10.0  # relative, absolute excess over the lowest cost that drops a start
+_FTOL, _XTOL = 1e-6, 1e-5  # tolerances of least squares: a deviance of some hundreds to 0.001
+_ROOMY = 1.5  # std. deviation of the weak prior on sizes, in typical sizes: keeps flat fits off the bounds
+_NO_ANSWER = 1e3  # residual, in standard deviations, of trial parameters without a solution
 _NONE: Mapping[str, float] = {}
 
 
 def _deepest(descended: Callable[[Array, int], Any], starts: Sequence[Array]) -> Any:
-    """The least that descents from several starts end at; those far behind the others are not followed."""
+    """Best of the fits from several initial guesses; starts far above the lowest cost are not continued."""
     tries = [descended(x0, _QUICK if len(starts) > 1 else _FULL) for x0 in starts]
     least = min(each.cost for each in tries)
     going_on = [
@@ -51,7 +51,8 @@ def _guess(slot: Slot, start: Mapping[str, float]) -> float:
 
 
 class _Trials:
-    """Residuals (n,) of a fit's trials; fits keep away from those that have no answer."""
+    """Residuals (n,) of a fit's trial parameters; large where there is no solution, so that fits avoid
+    these."""
 
     def __init__(self, off: Callable[[Array], Array], n: int):
         self.off, self.n = off, n
@@ -71,9 +72,9 @@ class _Trials:
 
 
 class Fits(Predictions):
-    """What fits sites that share the tissue and one tuple of effects.
+    """Fits to sites that share the tissue and the candidate effects.
 
-    turned : the place with the probe turned by 90 degrees, where it can be simulated
+    turned : gives the curves with the probe turned by 90 degrees, where these can be simulated
     """
 
     def __init__(self, sites: Sequence[SiteCurves]):
@@ -86,9 +87,9 @@ class Fits(Predictions):
         self, explanation: Explanation, points: Sequence[Theta], start: Mapping[str, float], *,
         thorough: bool = True, held: Mapping[str, float] = _NONE, besides: Sequence[Array] = (),
     ) -> tuple[float, Fitted]:  # fmt: skip
-        """Least squares from several starts; (deviance, fit).
+        """Least-squares fit from several initial guesses; returns (deviance, fit).
 
-        held : parameters that stay at a value; besides : x as `predict` takes it, to start from as well
+        held : parameters fixed at a value; besides : further initial guesses, as x of `predict`
         """
         slots = self.slots(explanation)
         parameters = [slot.parameter for slot in slots]
@@ -104,7 +105,7 @@ class Fits(Predictions):
         starts = [np.array([np.log(c), np.log(m), *guess]) for guess, (c, m) in pairs]
         ends = self._ends_of_parts(explanation, points)
         if (explanation, label(points)) in self._ends and not start:
-            starts = []  # it was fitted before, from everywhere
+            starts = []  # already fitted from all initial guesses
 
         n_far = sum(not p.shape and p.typical != p.null for p in parameters)
         off = _Trials(lambda x: self._off(x, explanation, points), len(self.data) + n_far)
@@ -127,7 +128,7 @@ class Fits(Predictions):
         return 2 * float(best.cost), self._fitted(best.x, explanation, points)
 
     def _off(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
-        """What fits make small: whitened residuals, and how far effects are beyond plausible sizes."""
+        """Residuals that a fit minimises: whitened residuals, and the weak prior on effect sizes."""
         far = [
             (x[2 + k] - p.null) / (_ROOMY * abs(p.typical - p.null))
             for k, p in enumerate(slot.parameter for slot in self.slots(explanation))
@@ -136,8 +137,11 @@ class Fits(Predictions):
         return np.concatenate([self.whiten(self.data.y - self.predict(x, explanation, points)), far])
 
     def _ends_of_parts(self, explanation: Explanation, points: Sequence[Theta]) -> list[Array]:
-        """Where this explanation's last fit ended, and those with one effect less, whose fit it cannot be
-        worse than; the effect that they lack begins a tenth of the way to its start."""
+        """Initial guesses from earlier fits: of this explanation, and of those with one effect less.
+
+        The fit must be at least as good as the latter; the missing effect starts at a tenth of the way from
+        its null value to its start value.
+        """
         own = self._ends.get((explanation, label(points)))
         found = [] if own is None else [own]
         for k in range(len(explanation)):
@@ -156,10 +160,10 @@ class Fits(Predictions):
         return found
 
     def plausible(self, fitted: Fitted, deviance: float, points: Sequence[Theta]) -> Fitted:
-        """Where a size ran to its bound and a plausible one lies within its interval: the fit with that one.
+        """The fit with a plausible size, if a size ended on its bound and a plausible one is in its interval.
 
-        Flat least squares run to a bound by chance; that says nothing against the effect. They are flat where
-        no size, however large, would fit much better, to first order.
+        A flat least-squares fit reaches a bound by chance, which is no evidence against the effect. It is
+        flat if, to first order, no size of any magnitude would fit much better.
         """
         for share in (0.0, 0.5):
             sizes = self._plausible_sizes(fitted, share)
@@ -174,7 +178,7 @@ class Fits(Predictions):
         return fitted
 
     def _plausible_sizes(self, fitted: Fitted, share: float) -> dict[str, float]:
-        """Of the parameters on a bound: their plausible value on that side, or that share of the way on."""
+        """For parameters on a bound: the typical value on that side, moved towards the bound by `share`."""
         sizes = {}
         for slot in self.slots(fitted.explanation):
             p, value = slot.parameter, fitted.values[slot.name]
@@ -184,7 +188,7 @@ class Fits(Predictions):
         return sizes
 
     def _around(self, held: Mapping[str, float], explanation: Explanation) -> tuple[Array, Array]:
-        """The bounds, closed in on what is held."""
+        """The bounds of the fit, narrowed to the values of held parameters."""
         low, high = self.bounds(explanation)
         for k, slot in enumerate(self.slots(explanation)):
             if slot.name in held:
@@ -193,7 +197,7 @@ class Fits(Predictions):
         return low, high
 
     def at(self, fitted: Fitted, m: float, start: Mapping[str, float], whiten: Whitener) -> Conditional:
-        """The best fit of the same explanation, at the same points of its grids, with m held."""
+        """The best fit of the same explanation, at the same grid points, with m fixed."""
         explanation, points = fitted.explanation, self.points(fitted)
         slots = self.slots(explanation)
         free = [0, *range(2, 2 + len(slots))]
@@ -221,7 +225,7 @@ class Fits(Predictions):
         return Conditional(2 * float(found.cost), values, dict(zip(names, spread.tolist(), strict=True)))
 
     def _tissue_starts(self) -> list[tuple[float, float]]:
-        """c, m to start from: where the fit without effects ended, and a usual tissue."""
+        """Initial guesses of (c, m): the result of the fit without effects, and a usual tissue."""
         usual = [(self.simulations.c, 2.0), (self.simulations.c, 6.0)]
         if self.base_end is None:
             return usual

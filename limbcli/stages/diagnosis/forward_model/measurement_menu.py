@@ -1,4 +1,4 @@
-"""Measurements that could be added at a site, and what each explanation predicts for them."""
+"""Possible further measurements at a site, and what each explanation predicts for them."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 See = Callable[[Curves, Reading, Protocol], Array]
 _SLOW_S, _FAST_S = 20.0, 0.5
 ROTATE = "rotate the probe"
-# Effects that a turned probe sees otherwise than the first measurement does.
+# Effects that appear different with the probe turned.
 _TURNS = ("anisotropy", "contraction")
 
 
 @dataclass(frozen=True)
 class Item:
-    """A measurement that could be added at a site.
+    """A possible further measurement at a site.
 
-    see : what a model says of it (n,); deviation : of the measurement (n,)
-    model_error : covariance (n, n) of the model's own error in it at a site, where it has one of note
-    instead_of : the channel that holds it where it was made already
-    given : its key for one that is a number of its own (`--measured KEY=VALUE`), and what that says
+    see : prediction by a model (n,); deviation : standard deviation of the measurement (n,)
+    model_error : covariance (n, n) of the model's error in it at a site, where this is relevant
+    instead_of : the channel that already contains it, if it was measured
+    given, meaning : key of a single number (`--measured KEY=VALUE`), and its meaning
     """
 
     name: str
@@ -54,7 +54,7 @@ def _of_force(protocol: Protocol, n: int) -> Array:
 
 
 def items() -> tuple[Item, ...]:
-    """The menu."""
+    """All possible further measurements, except that with the probe turned."""
     return (
         Item("tare", "tare the load cell in air, at the angle of the measurement",
              lambda c, r, p: np.array([r.force_zero - r.preload]), _each(0.05),
@@ -83,7 +83,7 @@ def items() -> tuple[Item, ...]:
 
 
 def known(given: Mapping[str, float]) -> list[ExtraMeasurement]:
-    """Numbers that were measured besides, as data.
+    """Additionally measured numbers (`--measured`) as data.
 
     Raises
     ------
@@ -108,20 +108,20 @@ _NOTHING = Protocol(np.zeros(1), np.zeros(1), np.zeros(1))
 
 
 def menu(forward_model: Fits, fits: Sequence[Fitted]) -> list[Proposal]:
-    """What is not measured yet, as far as it may tell these explanations apart."""
+    """Proposals of measurements not made yet, with the prediction of each of these fits."""
     has = {channel for each in forward_model.sites for channel in _there(each.site)}
     open_items = [item for item in items() if item.instead_of not in has and item.name not in has]
     if any(forward_model.site.protocol.unloading):
         open_items = [item for item in open_items if item.name != "unload"]
     found = [_proposal(forward_model, fits, item) for item in open_items]
-    # Beside other effects it takes a simulation of each of them in the turned model.
+    # Only for single effects: combinations would each need a simulation of the turned model.
     if len(forward_model.sites) == 1 and any(fit.explanation == (name,) for fit in fits for name in _TURNS):
         found += _rotated(forward_model, fits)
     return [each for each in found if all(np.all(np.isfinite(v)) for v in each.predictions.values())]
 
 
 def _there(site: SiteData) -> set[str]:
-    """Channels that need not be measured any more: mean speeds only where half of the levels have one."""
+    """Channels that need no further measurement; mean speeds only if at least half of the levels have one."""
     n_speeds = sum(row.channel == "swe" for row in site.rows)
     in_part = "map" not in site.channels and 2 * n_speeds < len(site.protocol)
     return set(site.channels) - ({"swe"} if in_part else set())
@@ -136,12 +136,12 @@ def _mean(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
 
 
 def _contrast(log_speed: Array) -> Array:
-    """Parts of the window against the mean, every level."""
+    """ln speeds of the parts of the window relative to the mean, at every level."""
     return np.asarray(np.nan_to_num(log_speed[:, 1:] - log_speed[:, :1]).ravel())
 
 
 def _error_of_contrast(site: SiteCurves) -> Array:
-    """Covariance of `_contrast` by the model's error in maps."""
+    """Covariance of `_contrast` from the model error in maps."""
     protocol, middles = site.site.protocol, site.simulations.windows.middles
     thickness = site.thickness if site.has_bone else USUAL_THICKNESS
     strain = np.abs(SmoothDepth.through(protocol).at(protocol.force)) / thickness
@@ -152,7 +152,7 @@ def _error_of_contrast(site: SiteCurves) -> Array:
 
 
 def _relaxation(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
-    """ln of the force lost in a hold of 60 s at the deepest level, after 1, 10 and 60 s."""
+    """ln of the force over that at the start of a hold at the deepest level, after 1, 10 and 60 s."""
     deepest, lost = protocol.deepest, []
     for seconds in (1.0, 10.0, 60.0):
         held = replace(deepest, hold=np.array([seconds]))
@@ -171,7 +171,7 @@ def _two_rates(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
 
 
 def _unloaded(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
-    """Forces at the same depths on the way back (n - 1,)."""
+    """Forces at the same depths during unloading (n - 1,)."""
     back = slice(-2, None, -1)
     there_and_back = Protocol(
         np.r_[protocol.force, protocol.force[back]], np.r_[protocol.depth, protocol.depth[back]],
@@ -196,7 +196,7 @@ def _proposal(forward_model: Fits, fits: Sequence[Fitted], item: Item) -> Propos
 
 
 def _seen(forward_model: Fits, fitted: Fitted, where: SiteCurves, see: See) -> tuple[Array, Array]:
-    """The proposal's value at a fit, and its derivative in the fit's own columns."""
+    """Prediction of the proposed measurement at a fit, and its Jacobian with the columns of the fit's."""
     points = forward_model.points(fitted)
     x = [np.log(fitted.values["c_kpa"] / 1e3), np.log(fitted.values["m"])]
     x += [fitted.values[name] for name in fitted.effect_names]
@@ -224,7 +224,7 @@ def _seen(forward_model: Fits, fitted: Fitted, where: SiteCurves, see: See) -> t
 
 
 def _rotated(forward_model: Fits, fits: Sequence[Fitted]) -> list[Proposal]:
-    """The same place with the probe turned by 90 degrees: a whole measurement more."""
+    """Proposal to repeat the whole measurement at the same place with the probe turned by 90 degrees."""
     if forward_model.turned is None:
         return []
     try:
@@ -238,7 +238,7 @@ def _rotated(forward_model: Fits, fits: Sequence[Fitted]) -> list[Proposal]:
         first = jacobian.shape[1] - len(fitted.effect_names)
         for k, slot in enumerate(forward_model.slots(fitted.explanation)):
             effect = next(e for e in forward_model.effects.values() if slot.parameter in e.parameters)
-            if effect.each_time:  # its size next time is not known
+            if effect.each_time:  # its size differs in every measurement and is unknown in the next
                 size = slot.parameter.typical - slot.parameter.null
                 unknown += np.outer(jacobian[:, first + k], jacobian[:, first + k]) * size**2
                 jacobian[:, first + k] = 0.0
@@ -249,7 +249,8 @@ def _rotated(forward_model: Fits, fits: Sequence[Fitted]) -> list[Proposal]:
 
 
 def _turned(forward_model: Fits, fitted: Fitted, turned: SiteCurves) -> tuple[Array, Array]:
-    """The turned measurement as a fit predicts it; what changes each time is absent from it."""
+    """Prediction of the turned measurement by a fit, without effects whose size differs in every
+    measurement."""
     values = dict(fitted.values)
     for slot in forward_model.slots(fitted.explanation):
         effect = next(e for e in forward_model.effects.values() if slot.parameter in e.parameters)

@@ -1,6 +1,7 @@
-"""What explanations predict of one site's data, or of those of several measurements of one place.
+"""Predictions of explanations for the data of one site, or of several measurements of one place.
 
-On each site's `surrogate`, by c, m and the effects' parameters, at given points of the effects' grids.
+Evaluated on each site's `surrogate` from c, m and the effects' parameters, at given points of the effects'
+grids.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ _DIFFERENCE = 1e-3
 
 
 def held_points(effect: Effect) -> list[Theta]:
-    """The points of an effect's grid, without what a fit moves; each once."""
+    """The distinct points of an effect's grid, without the parameters that a fit varies."""
     found: list[Theta] = []
     for point in effect.grid:
         if effect.held(point) not in found:
@@ -36,7 +37,7 @@ def held_points(effect: Effect) -> list[Theta]:
 
 
 class Predictions:
-    """Sites that share the tissue and one tuple of effects."""
+    """Predictions for sites that share the tissue and the candidate effects."""
 
     def __init__(self, sites: Sequence[SiteCurves]):
         self.sites = tuple(sites)
@@ -49,7 +50,7 @@ class Predictions:
         return self._data
 
     def allow_for(self, name: str, share: float) -> None:
-        """Of the noise part `name` so much of what was assumed, at every site."""
+        """Scale the noise part `name` to this fraction of its assumed size, at every site."""
         for each in self.sites:
             each.site = each.site.with_share(name, share)
         self._data = joined([each.site for each in self.sites])
@@ -77,7 +78,7 @@ class Predictions:
         return found
 
     def theta(self, values: Mapping[str, float], explanation: Explanation, site: int) -> dict[str, float]:
-        """Effect parameters by their own names, as one site has them."""
+        """Effect parameters of one site, by their own names."""
         return {
             slot.parameter.name: float(values[slot.name])
             for slot in self.slots(explanation) if slot.site in (None, site)
@@ -93,18 +94,18 @@ class Predictions:
         return chosen
 
     def _x_of(self, fitted: Fitted) -> Array:
-        """As `predict` takes it."""
+        """Parameter vector of a fit, as for `predict`."""
         values = fitted.values
         sizes = [values[slot.name] for slot in self.slots(fitted.explanation)]
         return np.array([np.log(values["c_kpa"] / 1e3), np.log(values["m"]), *sizes])
 
     def predict(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
-        """x: ln c, ln m, then the effects' parameters in order.
+        """Prediction (n,) for x: ln c, ln m, then the effects' parameters in order.
 
         Raises
         ------
         SolveError
-            If there is no answer, or one that is not a number.
+            If there is no solution, or it is not finite.
         """
         values = dict(zip([s.name for s in self.slots(explanation)], x[2:].tolist(), strict=True))
         c, m = float(np.exp(x[0])), float(np.exp(x[1]))
@@ -118,7 +119,7 @@ class Predictions:
         return found
 
     def curves_of(self, fitted: Fitted, site: int = 0) -> tuple[Curves, Reading]:
-        """The fitted curves of a site, and how they are read."""
+        """The fitted curves of a site, and the reading model applied to them."""
         points = self.points(fitted)
         theta = self.theta(fitted.values, fitted.explanation, site)
         c, m = fitted.values["c_kpa"] / 1e3, fitted.values["m"]
@@ -139,12 +140,13 @@ class Predictions:
         return np.stack(columns, axis=1)
 
     def _slope(self, x: Array, step: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
-        """Change over this step, by central differences; to the side that has an answer, where one has none.
+        """Change over this step by central differences, or by a one-sided difference if one side has no
+        solution.
 
         Raises
         ------
         SolveError
-            If neither side has one.
+            If neither side has a solution.
         """
         sides, problem = {}, None
         for sign in (1.0, -1.0):

@@ -1,7 +1,7 @@
 """The diagnosis' forward model: fits and sensitivities of one site, or of several measurements of one place.
 
-Fits run on each site's surrogate; after a refit the model with the effect in it is solved once as it stands
-and the fit is repeated: reported numbers come from that.
+Fits run on each site's surrogate. After a refit, the model with the fitted effect is simulated, the surrogate
+is corrected to the result and the fit is repeated; the reported numbers come from this fit.
 """
 
 from __future__ import annotations
@@ -29,36 +29,36 @@ from limbcli.stages.diagnosis.forward_model.predictions import M_BOUNDS, held_po
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.units import kpa_from_mpa
 
-_SETTLED, _BEYOND = 0.1, 0.1  # of m, between the estimate and the nearest, and the largest, solved value
-_MAX_NODES = 5
-_MOST_REPAIRS = 4
-_STAYS = 0.1  # deviations of the readings
-_MOST_POINTS, _TRIED_FULLY = 60, 2  # combinations of the effects' grid points
+_SETTLED, _BEYOND = 0.1, 0.1  # largest distance in ln m from the nearest, and the largest, solved m
+_MAX_NODES = 5  # largest number of solved values of m
+_MOST_REPAIRS = 4  # largest number of corrections of the surrogate, for one effect
+_STAYS = 0.1  # change of the prediction, in standard deviations, below which a fit has converged
+_MOST_POINTS, _TRIED_FULLY = 60, 2  # combinations of grid points that are tried at all, and fitted fully
 
 
 class SiteForwardModel(Fits):
-    """One site's data against its curves, or several sites' that share the tissue.
+    """Forward model of one site, or of several sites that share the tissue.
 
-    not_simulated : explanations whose fit was not simulated as it stands, as the work was spent
-    shares : of parts of the noise, how much of what was assumed was found (`settle_noise`)
+    not_simulated : explanations whose fit was not simulated because the work budget was used up
+    shares : by noise part, the estimated fraction of its assumed size (`settle_noise`)
     """
 
     not_simulated: set[Explanation]
     shares: dict[str, float]
 
     def __init__(self, sites: Sequence[SiteCurves], *, verify: bool = True):
-        """sites : that share one tuple of effects; verify : simulate what was fitted"""
+        """sites : with the same candidate effects; verify : simulate fitted models"""
         super().__init__(sites)
         self.verify, self.not_simulated, self.shares = verify, set(), {}
 
     def settle_noise(self) -> None:
-        """Find from the fit without effects how far maps and model differ, beside what is not shown and
-        elsewhere.
+        """Estimate the model errors in maps, near parts that are not shown and elsewhere, from the fit
+        without effects.
 
         Raises
         ------
         SolveError, FitError
-            If that fit cannot be made.
+            If that fit fails.
         """
         for name, least in ((BESIDE, LEAST_BESIDE), (IN_MAPS, LEAST_IN_MAPS)):
             if name not in self.data.noise.names:
@@ -90,12 +90,13 @@ class SiteForwardModel(Fits):
         return thresholds.MAP_DOUBT if IN_MAPS in self.data.noise.names else 1.0
 
     def fit(self, explanation: Explanation, start: Mapping[str, float]) -> Fitted:
-        """Least squares over c, m and the effects' parameters, at every point of the effects' grids."""
+        """Least-squares fit of c, m and the effects' parameters; the best over the effects' grid points."""
         if not explanation:
             return self._fit_base()
         self._check_channels(explanation)
         effects = [self.effects[name] for name in explanation]
-        # Among several effects none sets in late: a free step beside another effect bends to almost any gap.
+        # With several effects none has a late onset: a free step and another effect can fit almost any
+        # residual.
         grids = [held_points(e)[:1] if e.onset and len(effects) > 1 else held_points(e) for e in effects]
         combinations: list[Sequence[Theta]] = list(itertools.islice(itertools.product(*grids), _MOST_POINTS))
         if len(combinations) > _TRIED_FULLY:
@@ -107,7 +108,7 @@ class SiteForwardModel(Fits):
         return self.plausible(fitted, deviance, points)
 
     def reported(self, fitted: Fitted, *, scale: float = 1.0, besides: Array | None = None) -> Reported:
-        """Values with their intervals, from the profile over m; those of c and m wider where maps determine
+        """Values and intervals from the profile over m; those of c and m are widened where maps determine
         them (`thresholds.MAP_DOUBT`)."""
         whiten = self.whiten if besides is None else Whitener.of(self.data.noise.covariance + besides)
 
@@ -122,10 +123,11 @@ class SiteForwardModel(Fits):
         return found.widened(self.interval_widening).within(limits)
 
     def verified(self, fitted: Fitted) -> Fitted:
-        """Solve the model as fitted, repair the surrogate there, fit again, until the fit stays; at most
-        twice with several effects, four times with one. As it is where the work is spent.
+        """Simulate the fitted model, correct the surrogate there and fit again, until the fit converges.
 
-        A fit that does not stay went where the surrogate was wrong: then the best that was solved.
+        At most twice with several effects and four times with one. The fit is returned unchanged if the work
+        budget is used up. If it does not converge, it moves to where the surrogate is wrong; the best
+        simulated parameters are then returned.
         """
         explanation = fitted.explanation
         solves = any(self.effects[name].solves for name in explanation)
@@ -158,7 +160,7 @@ class SiteForwardModel(Fits):
         for point in effect.grid:
             try:
                 columns = [self._column(fitted, effect, slot, point) for slot in slots]
-            except SolveError as error:  # the other points may do
+            except SolveError as error:  # other points may have a solution
                 problem = error
                 continue
             signs = tuple(slot.parameter.sign for slot in slots)
@@ -176,7 +178,8 @@ class SiteForwardModel(Fits):
     # ------------------------------------------------------------
 
     def _column(self, fitted: Fitted, effect: Effect, slot: Slot, point: Theta) -> Array:
-        """Sensitivity at the effect's null by differences of the surrogate, around the fitted model."""
+        """Sensitivity at the effect's null value by finite differences of the surrogate about the fitted
+        model."""
         p, old = slot.parameter, fitted.explanation
         points = [*self.points(fitted), effect.held(point)]
         explanation = (*old, effect.name)
@@ -212,7 +215,7 @@ class SiteForwardModel(Fits):
         return fitted
 
     def _reaches(self, m: float) -> bool:
-        """Solve at an m beyond all that are solved; whether that was needed and done."""
+        """Solve at m if it exceeds all solved values; returns whether this was needed and succeeded."""
         nodes = self._nodes()
         if np.log(m / max(nodes)) < _BEYOND or len(nodes) >= _MAX_NODES:
             return False
@@ -232,7 +235,8 @@ class SiteForwardModel(Fits):
         self, explanation: Explanation, combinations: Sequence[Sequence[Theta]], start: Mapping[str, float],
         *, thorough: bool,
     ) -> list[tuple[float, Sequence[Theta], Fitted]]:  # fmt: skip
-        """Fits at these points of the effects' grids, the best first; points without an answer left out."""
+        """Fits at these points of the effects' grids, the best first; points without a solution are left
+        out."""
         found, problem = [], None
         for points in combinations:
             try:

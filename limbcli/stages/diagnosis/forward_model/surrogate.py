@@ -1,8 +1,8 @@
-"""One site's curves for any tissue and effects: out of a few simulations, interpolated and shifted.
+"""Surrogate of one site: curves for any tissue and effects, interpolated from a few simulations.
 
-The law's exponent m is solved at a handful of values and interpolated; c scales force and
-modulus exactly. What effects change is in `changes`. After a refit the model with the
-effect in it is solved once as it stands, and what the surrogate missed is put right.
+The material law is simulated at a few values of its exponent m and interpolated; c scales force and
+modulus exactly. Changes by effects come from `changes`. After a refit, the model with the fitted
+effect is simulated, and the surrogate is corrected by the difference.
 """
 
 from __future__ import annotations
@@ -29,22 +29,22 @@ from limbcli.stages.diagnosis.mesh_error.mesh_correction import MeshCorrection
 
 _OF_LEVELS = ("force", "swe", "map", "travel", "layer")
 _NONE: Mapping[str, LimbError] = {}
-_NEAR = 5  # solved values of m that are used
-_ON = 0.25  # of the span of solved values of m: how far beyond them their polynomial is followed
+_NEAR = 5  # number of solved values of m used in the interpolation
+_ON = 0.25  # range of polynomial extrapolation in m, as a fraction of the span of solved values
 _MOST_CHANGE = (
-    10.0  # of ln force and ln speeds, by effects: beyond it trials of a fit leave the range of numbers
+    10.0  # largest change of ln force and ln speed by effects: larger trial values in a fit would overflow
 )
-_OF_NO_EFFECT = 0.1  # of an effect's start: below such a size what a simulation mends is not the effect's
-_FAR_IN_M = 0.3  # of ln m: as far as an effect's start is from none
-_SAME = 1e-9  # squared, of such distances
+_OF_NO_EFFECT = 0.1  # size, in units of the start value, below which a correction is not due to the effect
+_FAR_IN_M = 0.3  # distance in ln m that counts as much as an effect's start value
+_SAME = 1e-9  # squared distance below which two models are the same
 
 
 @dataclass(frozen=True, eq=False)
 class Repair:
-    """What the surrogate missed where a model was simulated, and how much of it holds elsewhere.
+    """Error of the surrogate at one simulated model, and its scaling to other parameter values.
 
-    missed : (n, n_columns) of `logs`; sizes : of the effects in that model, in units of their starts;
-    ln_m : of its law
+    missed : (n, n_columns), simulation minus surrogate in `logs`; sizes : of the effects in that model, in
+    units of their start values; ln_m : of its law
     """
 
     missed: Array
@@ -52,14 +52,14 @@ class Repair:
     ln_m: float
 
     def at(self, sizes: Mapping[str, float]) -> Array:
-        """In proportion to the effects' sizes, so that a model without them is as it was."""
+        """Correction in proportion to the effects' sizes, so that it nearly vanishes without them."""
         least = _OF_NO_EFFECT**2
         along = sum(size * sizes[name] for name, size in self.sizes.items())
         whole = sum(size**2 for size in self.sizes.values())
         return self.missed * max(0.0, (along + least) / (whole + least))
 
     def apart(self, sizes: Mapping[str, float], ln_m: float) -> float:
-        """Squared distance to a model, in such units and in those of `_FAR_IN_M`."""
+        """Squared distance to a model, with sizes in units of their start values and ln m in `_FAR_IN_M`."""
         return ((ln_m - self.ln_m) / _FAR_IN_M) ** 2 + sum(
             (sizes[name] - size) ** 2 for name, size in self.sizes.items()
         )
@@ -67,8 +67,9 @@ class Repair:
 
 @dataclass(frozen=True, eq=False)
 class Repairs:
-    """Of one explanation: what is known of its parts, added up, and what its own simulations showed beyond
-    that, each of them kept as it is where it was made, and weighed by its distance between.
+    """Corrections of one explanation: the sum of those of its parts, and those of its own simulations.
+
+    The latter are interpolated by inverse squared distance, which reproduces each one where it was simulated.
 
     Source: Shepard 1968, Proc 23rd ACM Nat Conf 517 (weights by inverse squared distance).
     """
@@ -87,10 +88,10 @@ class Repairs:
 
 
 class SiteCurves:
-    """One site's data beside its simulations.
+    """One site's data and the surrogate of its simulations.
 
     correction : from the working mesh to the site's own; penetration : of the probe into the simulated models
-    refused : effects that have no answer here, and why
+    refused : effects that cannot be evaluated here, and why
     """
 
     def __init__(
@@ -113,12 +114,12 @@ class SiteCurves:
         self._repairs: dict[tuple[Explanation, str], Repairs] = {}
 
     def solve_nodes(self, values: Sequence[float]) -> None:
-        """Solve at these m, the stiffest law first; what fails is left out, unless all do.
+        """Solve at these m, the stiffest law first; failures are left out unless all fail.
 
         Raises
         ------
         SolveError
-            If none is solved.
+            If none can be solved.
         """
         problem = None
         for m in sorted(values, reverse=True):
@@ -130,7 +131,7 @@ class SiteCurves:
             raise problem
 
     def solve_node(self, m: float) -> bool:
-        """Solve at one m more; whether that went well."""
+        """Solve at one further m; returns whether this succeeded."""
         try:
             self.nodes[m] = self.simulations.curves(m)
         except SolveError:
@@ -139,7 +140,7 @@ class SiteCurves:
 
     @property
     def thickness(self) -> float:
-        """mm from skin to bone along the beam; NaN where it meets none in the model."""
+        """mm from skin to bone along the beam; NaN if the beam meets no bone in the model."""
         return next((each.thickness for each in self.nodes.values() if each.thickness > 0), float("nan"))
 
     @property
@@ -150,7 +151,7 @@ class SiteCurves:
     def predict(
         self, c: float, m: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]
     ) -> Array:
-        """What this site's data should be (n,)."""
+        """Prediction of this site's data (n,)."""
         curves = self.curves(c, m, explanation, theta, points)
         found = self.site.predict(curves, self.reading(c, explanation, theta, points))
         for k, (name, point) in enumerate(zip(explanation, points, strict=True)):
@@ -162,14 +163,14 @@ class SiteCurves:
         return found
 
     def _before(self, share: float) -> NDArray[np.bool_]:
-        """Data (n,) of the levels before that share of them."""
+        """Mask (n,) of data at levels before this fraction of all levels."""
         first = share * len(self.site.protocol)
         return np.array([row.channel in _OF_LEVELS and row.level < first for row in self.site.rows])
 
     def curves(
         self, c: float, m: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]
     ) -> Curves:
-        """The surrogate's curves with these values."""
+        """The surrogate's curves at these parameter values."""
         depth, base, plain = self._base(m)
         values = base
         known = self._repairs.get((explanation, label(points)))
@@ -197,7 +198,7 @@ class SiteCurves:
         return reading
 
     def repair(self, m: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]) -> None:
-        """Solve the model with these effects as it stands, and let the surrogate give the same there.
+        """Simulate the model with these effects, and correct the surrogate to the result.
 
         Raises
         ------
@@ -225,14 +226,14 @@ class SiteCurves:
     def inherit(
         self, old: Explanation, old_points: Sequence[Theta], new: Explanation, points: Sequence[Theta]
     ) -> None:
-        """A larger explanation starts with the repair of the one it grew from."""
+        """Initialise the correction of a larger explanation with that of the one it extends."""
         known = self._repairs.get((old, label(old_points)))
         if known is not None:
             self._repairs.setdefault((new, label(points)), Repairs((known,)))
 
     def inherit_parts(self, explanation: Explanation, points: Sequence[Theta]) -> None:
-        """A larger explanation not solved yet starts with what is known of its parts: the largest one that
-        was solved, and the rest one by one."""
+        """Initialise the correction of a larger explanation not simulated yet with those of its parts: of the
+        largest simulated part, and then of parts of the remainder."""
         n = len(explanation)
         if n < 2 or (explanation, label(points)) in self._repairs:
             return
@@ -250,23 +251,23 @@ class SiteCurves:
     # ------------------------------------------------------------
 
     def _sizes(self, explanation: Explanation, theta: Theta) -> dict[str, float]:
-        """Of the effects that are simulated, in units of their starts."""
+        """Sizes of the simulated effects, in units of their start values."""
         return {
             p.name: p.proportional(theta[p.name]) / p.proportional(p.start)
             for name in explanation if self.effects[name].solves for p in self.effects[name].sizes
         }  # fmt: skip
 
     def _corrected(self, m: float, width: int) -> Array | float:
-        """Of so many columns; lines are not corrected."""
+        """Mesh correction, padded to `width` columns; lines are not corrected."""
         if self.correction is None:
             return 0.0
         known = self.correction.at(m)
         return np.pad(known, ((0, 0), (0, width - known.shape[1])))
 
     def _base(self, m: float) -> tuple[Array, Array, Curves]:
-        """Depths, (ln force, ln speeds...) at m between the solved values, and a solved set.
+        """Depths, (ln force, ln speeds...) interpolated at m, and the curves of the nearest solved m.
 
-        Kept for the last m: most differences of a fit leave it as it is.
+        Cached for the last m, as most finite differences of a fit do not change it.
         """
         key = m, len(self.nodes)
         if self._last_base is None or self._last_base[0] != key:
@@ -285,8 +286,10 @@ class SiteCurves:
 
 
 def _weights(known: Array, at: float) -> Array:
-    """Of values at `known` (n,), what a polynomial through them has at `at`; from `_ON` of their span beyond
-    them on, the line that it has there: polynomials run away.
+    """Weights (n,) of values at `known` (n,) in polynomial interpolation at `at`.
+
+    Further than `_ON` of their span outside the known points, the polynomial is extrapolated linearly, as
+    polynomials diverge.
 
     >>> known, squares = np.array([1.0, 2.0, 3.0]), np.array([1.0, 4.0, 9.0])
     >>> round(float(_weights(known, 2.5) @ squares), 6)
@@ -311,5 +314,5 @@ def _weights(known: Array, at: float) -> Array:
 
 
 def label(points: Sequence[Theta]) -> str:
-    """The points of the effects' grids in words."""
+    """Label of the points of the effects' grids."""
     return "; ".join(point_name(point) for point in points if point)

@@ -1,1 +1,1 @@
-"""What mesh, cut and contact alone do to a site's curves."""
+"""Numerical effects on a site's curves: mesh, truncation of the limb, and contact."""

@@ -1,4 +1,4 @@
-"""What a diagnosis takes of an assumed geometry: by how much it puts the force off, determined by the fit."""
+"""Uncertainty of the force from an assumed geometry, as determined by the fit."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from limbcli.errors import LimbError
 from limbcli.results import read_result
 from limbcli.significant_digits import short
 
-USUAL = 0.15  # of the force, where no fit varied the geometry: about what shapes of a limb in numbers give
+USUAL = 0.15  # relative standard deviation of the force if no fit varied the geometry: as of parametric limbs
 
 
 def assumed_gain(case: Case, site: Site, out: Path) -> tuple[float, str]:
-    """One deviation of ln force by what is assumed of the geometry, and a warning; 0 where it was imaged."""
+    """Standard deviation of ln force from an assumed geometry, and a warning; 0 if the geometry was
+    imaged."""
     words = case.imaging.assumed
     if not words:
         return 0.0, ""

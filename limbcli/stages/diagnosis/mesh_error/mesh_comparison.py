@@ -1,4 +1,4 @@
-"""How the working mesh is corrected to the site's own, and by what the site's own still errs."""
+"""Correction of the working mesh to the site's own mesh, and the remaining error of the latter."""
 
 from __future__ import annotations
 
@@ -20,25 +20,27 @@ from limbcli.stages.diagnosis.curves.exponents import bend
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.mesh_error.mesh_correction import MeshCorrection, own_curves, own_layers
 
-# Quadratic elements err by the square of their edge: of the difference between two meshes, the finer keeps
-# h^2 / (H^2 - h^2); taken half as much again, since neither is far in the asymptotic range.
+# The error of quadratic elements is proportional to the square of their edge length: the finer of two meshes
+# has a remaining error of h^2 / (H^2 - h^2) times their difference. This is increased by half, since neither
+# mesh is well within the asymptotic range.
 _SAFETY = 1.5
+# Smallest mesh error of ln force; usual one of an uncorrected mesh with edges of _USUAL_EDGE mm.
 _LEAST_ERROR, _USUAL_ERROR, _USUAL_EDGE = 0.01, 0.03, 2.5
-_FREED = 0.5  # of the way from a cut that is held to one that is free: the limb
-_UNCORRECTED = 1.2  # times the error that maps have where the working mesh is corrected
+_FREED = 0.5  # position of the limb between a fixed (0) and a free (1) cut
+_UNCORRECTED = 1.2  # factor on the model error in maps if the working mesh is not corrected
 
 
 class ResultNotes(Protocol):
-    """Where findings and warnings are noted."""
+    """Collector of results and warnings."""
 
     data: dict[str, Any]
     warnings: list[str]
 
 
 class MeshComparison:
-    """One site's working mesh, of edges `size` mm, beside its own.
+    """Comparison of one site's working mesh, with edges of `size` mm, with the site's own mesh.
 
-    depth : mm, of the levels (n_levels,); several : the m of the comparison, the likely one first
+    depth : mm, of the levels (n_levels,); several : values of m to compare, the likely one first
     """
 
     def __init__(
@@ -49,7 +51,8 @@ class MeshComparison:
         self.size, self.several, self.notes, self.progress = size, several, notes, progress
 
     def correction(self, *, solves: bool = True, freed: Mapping[float, Curves]) -> MeshCorrection:
-        """To the site's own mesh, solved there (`solves`); without it, a usual error.
+        """Correction to the site's own mesh by simulations there (`solves`); otherwise none, with a usual
+        error.
 
         freed : by m, the working mesh's curves with the cut free, as far as they are known
         """
@@ -67,7 +70,7 @@ class MeshComparison:
         )  # fmt: skip
 
     def _usual_correction(self, several: Sequence[float]) -> MeshCorrection:
-        """Nothing added, and the usual error."""
+        """Zero correction with the usual error."""
         nothing = np.zeros_like(self.simulations.curves(several[0]).log_speed)
         usual = np.full(len(self.depth), _USUAL_ERROR * (self.size / _USUAL_EDGE) ** 2)
         return MeshCorrection(
@@ -76,14 +79,15 @@ class MeshComparison:
         )  # fmt: skip
 
     def _cut(self, m: float, freed: Curves) -> tuple[Array, Array]:
-        """What the cut's way to the limb adds to ln force (n,) and ln speeds (n, n_parts)."""
+        """Correction of ln force (n,) and ln speeds (n, n_parts) from a fixed cut to the limb."""
         working = self.simulations.curves(m)
         change = np.zeros(len(working.depth))
         change[1:] = np.log(np.maximum(freed.force[1:], 1e-9) / np.maximum(working.force[1:], 1e-9))
         return _FREED * change, _FREED * np.nan_to_num(freed.log_speed - working.log_speed)
 
     def _solved_correction(self) -> MeshCorrection | None:
-        """By the law with these m on the site's own mesh; None where it is not to be had."""
+        """Correction from simulations with these m on the site's own mesh; None, with a warning, if
+        impossible."""
         try:
             meshed = read_result(self.out, "mesh", site=self.site.name)
             if meshed.data.get("element") != "tet10":
@@ -125,26 +129,27 @@ class MeshComparison:
         )  # fmt: skip
 
     def _apart(self, m: float, own: Curves) -> tuple[Array, Array]:
-        """Ln force (n_own - 1,) and ln speeds (n_own, n_parts) of the own mesh over the working mesh."""
+        """Difference, own minus working mesh, of ln force (n_own - 1,) and ln speeds (n_own, n_parts)."""
         working = self.simulations.curves(m)
         at = np.searchsorted(working.depth, own.depth - 1e-6)
         ratio = np.log(own.force[1:] / working.force[at[1:]])
         return ratio, np.nan_to_num(own.log_speed - working.log_speed[at])
 
     def _onward(self, own: Curves, ratio: Array, apart: Array) -> tuple[Array, Array]:
-        """The same at all depths of the working mesh: (n,), (n, n_parts)."""
+        """The same, interpolated to all depths of the working mesh: (n,), (n, n_parts)."""
         depth = self.simulations.curves(self.several[0]).depth
         log_force = _onward(own.depth[1:], ratio, depth)
         log_force[0] = 0.0
         return log_force, np.array([_onward(own.depth, column, depth) for column in apart.T]).T
 
     def _left(self, h: float) -> float:
-        """Of what the own mesh, edges h mm, differs from the working mesh: the share it still errs by."""
+        """Remaining error of the own mesh (edges of h mm), as a fraction of its difference from the working
+        mesh."""
         return _SAFETY * h**2 / max(self.size**2 - h**2, h**2)
 
 
 def _onward(depth: Array, values: Array, at: Array) -> Array:
-    """Straight lines between the values, as the first before them, with the last line's rise beyond them."""
+    """Linear interpolation; constant before the first value, extrapolated linearly beyond the last."""
     found = np.interp(at, depth, values)
     if len(depth) > 1:
         rise = (values[-1] - values[-2]) / (depth[-1] - depth[-2])
@@ -153,10 +158,10 @@ def _onward(depth: Array, values: Array, at: Array) -> Array:
 
 
 def at_depths(depth: Array, curves: Curves, table: Array) -> Array:
-    """A table over the curves' depths, at other depths."""
+    """Interpolate a table over the curves' depths to other depths."""
     return np.array([np.interp(depth, curves.depth, column) for column in table.T]).T
 
 
 def _ratio(theirs: float, ours: float) -> float:
-    """Of two thicknesses; 1 where either is not known."""
+    """Ratio of two thicknesses; 1 if either is unknown."""
     return theirs / ours if np.isfinite(theirs) and np.isfinite(ours) and ours > 0 else 1.0

@@ -1,10 +1,11 @@
-"""From the diagnosis' coarse working mesh to what the limb would give: finer elements, and no cut.
+"""Correction of the diagnosis' coarse working mesh to the limb: finer elements, and no truncation.
 
-The law is solved on the site's own mesh at a few depths, with the tissue's likely m. In force the meshes
-differ alike whatever the law; in a map's pattern the difference grows with m, so that where there are maps
-it is found for two m and taken between them. The cut is held in the model, and in the limb it is not: with
-it held the force is too high, with it free too low, and half-way between them is what ever larger models
-tend to (held at 40, 57 and 75 mm beyond the probe: a third, a half and more of the way, on three limbs).
+The model is simulated on the site's own mesh at a few depths, with the tissue's likely m. The difference in
+force between the meshes hardly depends on the material law; that in a map's pattern grows with m, so that
+with maps it is determined at further m and interpolated. The cut ends are fixed in the model but not in the
+limb: fixed ends give too high a force and free ends too low a force. Larger and larger models converge
+half-way between the two (fixed at 40, 57 and 75 mm beyond the probe: a third, a half and more of the way, on
+three limbs).
 """
 
 from __future__ import annotations
@@ -27,20 +28,21 @@ from limbcli.stages.diagnosis.curves.exponents import bend
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.units import mpa_from_kpa
 
-F_KAPPA, START_M = 100.0, 2.0
-# Work of a solve on the site's own mesh, by that on the working mesh (and the least that counts).
+F_KAPPA, START_M = 100.0, 2.0  # ratio of bulk modulus to c; exponent m of the site's own run
+# Work limit of a solve on the site's own mesh, as a multiple of the mean work on the working mesh, and the
+# smallest mean work assumed.
 _TIMES_USUAL, _LEAST_WORK = 5.0, 1000.0
-_FOLLOWED = 0.2  # of the way from one m to the next: how far a correction's slope goes on beyond the last
-_SHARES = (0.3, 0.6)  # of the depth needed: where the own mesh is solved
+_FOLLOWED = 0.2  # range of extrapolation beyond the last m, as a fraction of the distance to the next m
+_SHARES = (0.3, 0.6)  # depths at which the own mesh is simulated, as fractions of the depth needed
 
 
 @dataclass(frozen=True, eq=False)
 class MeshCorrection:
-    """What is added to the working mesh's curves at `m` (n_m,), rising: ln force (n_m, n), ln speeds
-    (n_m, n, n_parts); thickness ratio.
+    """Additive correction of the working mesh's curves at increasing `m` (n_m,): ln force (n_m, n), ln speeds
+    (n_m, n, n_parts); ratio of the thicknesses.
 
-    mesh_error, speed_error : one deviation of ln force and of ln mean speed (n_levels,) at the levels
-    that the mesh still leaves; map_share : of the usual error of a model's maps
+    mesh_error, speed_error : standard deviation of the remaining mesh error of ln force and of ln mean speed
+    at the levels (n_levels,); map_share : factor on the usual model error in maps
     """
 
     m: Array
@@ -52,8 +54,11 @@ class MeshCorrection:
     map_share: float = 1.0
 
     def at(self, m: float) -> Array:
-        """ln force and ln speeds (n, 1 + n_parts) to be added at this m: even in `bend` between those found,
-        as at the nearest beyond them, and smooth between the two, since fits follow slopes."""
+        """Correction of ln force and ln speeds (n, 1 + n_parts) at this m.
+
+        Interpolated linearly in `bend` and nearly constant outside the known m; the transition is smooth,
+        since fits use derivatives.
+        """
         tables = np.concatenate([self.log_force[:, :, None], self.log_speed], axis=2)
         known = bend(self.m)
         place = float(np.interp(bend(m), known, np.arange(len(known))))
@@ -65,7 +70,9 @@ class MeshCorrection:
 
 
 def _beyond(at: float, end: float, inner: float) -> float:
-    """How far a line is followed beyond its end (<= 0), in units of its way to `inner`; its slope falls to 0.
+    """Position beyond an end (<= 0) up to which a line is extrapolated, in units of the distance to `inner`.
+
+    The slope decreases to 0 over `_FOLLOWED`.
 
     >>> [round(_beyond(at, 0.0, 1.0), 5) for at in (1.0, -0.05, -9.0)]
     [0.0, -0.04375, -0.1]
@@ -77,8 +84,8 @@ def _beyond(at: float, end: float, inner: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class SiteMeshRun:
-    """The site's own run at the start values: its element; depths (mm) and forces (N, at the reference c) of
-    the levels that are deeper than those before."""
+    """The site's own run at the start values: element type; depths (mm) and forces (N, at the reference c) of
+    the levels that are deeper than the previous one."""
 
     element: str
     depth: Array
@@ -88,16 +95,16 @@ class SiteMeshRun:
 def own_curves(
     meshed: LimbModel, simulations: SiteSimulations, several: Sequence[float], *, size_ratio: float
 ) -> dict[float, Curves]:
-    """The law with each of these m on the site's own mesh, at a few of the simulated depths; kept as those
-    are. What fails after the first is left out.
+    """Curves for each of these m on the site's own mesh, at a few of the simulated depths; cached on disk
+    like those of the working mesh. Failures after the first m are left out.
 
-    size_ratio : edges of the own mesh over the working mesh's. A penalty is taken for a facet of its size, so
-    that the same penalty in proportion gives both the same contact.
+    size_ratio : edge length of the own mesh over that of the working mesh. The effect of a penalty depends on
+    the facet size, so that scaling the penalty by this ratio gives both meshes the same contact.
 
     Raises
     ------
     SolveError
-        If the solver gets not far enough with the first, or takes many times the work of the working mesh.
+        If the solver does not reach the required depth with the first m, or exceeds the work limit.
     """
     deep = np.array(simulations.depths)
     depths = sorted(
@@ -126,10 +133,10 @@ def own_curves(
 
 
 def own_layers(site: Site, out: Path) -> str:
-    """The layers that the site's own mesh has beside the tissue, in words; none where it is not meshed.
+    """Names of the layers that the site's own mesh has in addition to the tissue; empty if it is not meshed.
 
-    Such layers keep a stiffness of their own, while a diagnosis takes all for one tissue: what they do to
-    the force is nothing that a mesh does.
+    Such layers have a separate stiffness, whereas a diagnosis treats everything as one tissue: their effect
+    on the force is not a mesh error.
     """
     try:
         layers = read_result(out, "mesh", site=site.name).data.get("layers") or {}
@@ -144,7 +151,8 @@ def own_run(site: Site, out: Path, *, c: float) -> SiteMeshRun:
     Raises
     ------
     CaseError
-        If there is none, it was made with other start values, or has layers beside the tissue.
+        If there is no run, it has fewer than two depths with a force, it was made with other start values, or
+        it has layers in addition to the tissue.
     """
     ran = read_result(out, "run", site=site.name)
     if layers := own_layers(site, out):
@@ -171,7 +179,7 @@ def own_run(site: Site, out: Path, *, c: float) -> SiteMeshRun:
 
 
 def contact_penalty(site: Site, out: Path) -> float:
-    """The penalty that the site's model was built with; the usual one where that is not known."""
+    """The contact penalty of the site's model as built; the usual one if unknown."""
     try:
         found = read_result(out, "build-feb", site=site.name).data.get("contact_penalty")
     except LimbError:

@@ -1,4 +1,4 @@
-"""The model's own error as the data have to allow for it: mesh, maps, cut and contact, geometry."""
+"""Model errors that enter the noise of the data: mesh, maps, cut and contact, geometry."""
 
 from __future__ import annotations
 
@@ -20,16 +20,17 @@ from limbcli.stages.diagnosis.mesh_error.mesh_comparison import at_depths
 from limbcli.stages.diagnosis.mesh_error.mesh_correction import MeshCorrection
 from limbcli.stages.diagnosis.mesh_error.numerical_checks import Intervention, NumericalChecks
 
-_ALIKE = 0.8  # correlation of the mesh's error between neighbouring levels
-# Half a voxel's edge of first touch: a probe 53 mm long that stands 1 degree otherwise touches 0.5 mm sooner.
+_ALIKE = 0.8  # correlation of the mesh error between neighbouring levels
+# Imaged surfaces: standard deviation of the depth at first touch, in voxel edges, and of ln force. For
+# comparison, a probe 53 mm long that is tilted by 1 degree touches 0.5 mm earlier.
 _VOXEL_SHARE, _IMAGE_GAIN = 0.5, 0.05
-_SURFACE_GEOMETRY = (0.3, 0.04)  # mm, fraction: surfaces that were given are taken for better
-_STRAIN = 0.03  # of all strains: posture, the volume of a limb on another day
-_MAP_STRAIN = 0.05  # the same of a map's pattern alone: how fast it grows differs between meshes
+_SURFACE_GEOMETRY = (0.3, 0.04)  # mm, of ln force: the same for given surfaces, assumed more accurate
+_STRAIN = 0.03  # relative standard deviation of all strains: posture, volume of the limb on another day
+_MAP_STRAIN = 0.05  # the same for a map's pattern alone, whose growth with depth differs between meshes
 
 
 class ModelErrors:
-    """Of one site and its simulations, at the tissue's likely m."""
+    """Model errors of one site and its simulations, at the tissue's likely m."""
 
     def __init__(self, numerics: NumericalChecks):
         self.case, self.site, self.levels, self.simulations = (
@@ -39,7 +40,7 @@ class ModelErrors:
         self.likely_m = numerics.likely_m
 
     def _growth(self) -> list[ModelError]:
-        """How fast a map's pattern grows with depth."""
+        """Error of the growth of a map's pattern with depth."""
         if self.site.swe_maps is None:
             return []
         curves = self.simulations.curves(self.likely_m)
@@ -52,7 +53,7 @@ class ModelErrors:
         return [ModelError("model: growth of the maps' pattern", np.zeros(len(self.levels)), moved)]
 
     def map_slopes(self) -> Array:
-        """1/mm (n_levels used, n_parts): how the model's ln speeds change with depth at the levels."""
+        """Derivative (n_levels used, n_parts) of the model's ln speeds with depth at the levels, in 1/mm."""
         curves = self.simulations.curves(self.likely_m)
         rise = np.nan_to_num(np.gradient(curves.log_speed[:, 1:], curves.depth, axis=0))
         keep = np.isfinite(self.levels.force) & np.isfinite(self.levels.depth)
@@ -67,7 +68,7 @@ class ModelErrors:
         return seen
 
     def all(self, correction: MeshCorrection, interventions: Sequence[Intervention]) -> list[ModelError]:
-        """What of all this the data have to allow for."""
+        """All model errors to be included in the noise."""
         errors = [
             ModelError(f"model: {each.name}", each.left * each.log_force, each.left * each.log_speed)
             for each in interventions if each.name != "locking"
@@ -82,7 +83,8 @@ class ModelErrors:
         ]
 
     def _mean_speed(self, correction: MeshCorrection, no_force: Array) -> list[ModelError]:
-        """Of the means, where there are no maps: the mesh, and how wide the region is that they are of."""
+        """Errors of mean speeds, if there are no maps: from the mesh, and from the unknown width of the
+        region."""
         if self.site.swe_maps is not None:
             return []
         curves = self.simulations.curves(self.likely_m)
@@ -106,7 +108,7 @@ class ModelErrors:
 
     @property
     def thickness(self) -> float:
-        """mm of tissue under the probe, as far as it is known."""
+        """Tissue thickness under the probe in mm; a usual value if unknown."""
         return self.simulations.curves(self.likely_m).thickness if self.has_bone else USUAL_THICKNESS
 
     @property
@@ -115,8 +117,8 @@ class ModelErrors:
         return self.simulations.curves(self.likely_m).thickness > 0
 
     def _geometry(self) -> list[ModelError]:
-        """What the surfaces' own error does: to the depth at first touch, to the thickness and with it to all
-        strains, and to the force as a whole."""
+        """Errors from the surfaces: of the depth at first touch, of the thickness and thus all strains, of
+        the growth of the maps' pattern, and of a common factor on the force."""
         spacing = read_spacing(self.out)
         touch, gain = _SURFACE_GEOMETRY
         if spacing is not None:
@@ -137,7 +139,7 @@ class ModelErrors:
 
 
 def read_spacing(out: Path) -> list[float] | None:
-    """mm between the voxels that the surfaces were made of; None where surfaces were given."""
+    """Voxel spacing in mm of the image behind the surfaces; None if surfaces were given."""
     try:
         image = read_result(out, "segment").data.get("image")
     except LimbError:

@@ -1,7 +1,7 @@
-"""What mesh, crop and contact alone do to a site's curves: tried on the model, before any tissue is blamed.
+"""Numerical effects of mesh, crop and contact on a site's curves, assessed before tissue effects.
 
-The working mesh is corrected to the site's own where that was run; what is left of the mesh's error,
-of the incompressibility that is held, of cut and contact enters the noise.
+The working mesh is corrected to the site's own mesh where possible. The remaining errors of the mesh, the
+assumed compressibility, the cut and the contact enter the noise.
 """
 
 from __future__ import annotations
@@ -31,13 +31,15 @@ from limbcli.stages.diagnosis.data.noise import FEWEST_SMOOTH, SmoothDepth, read
 from limbcli.stages.diagnosis.mesh_error.mesh_comparison import MeshComparison, ResultNotes, at_depths
 from limbcli.stages.diagnosis.mesh_error.mesh_correction import START_M, MeshCorrection, SiteMeshRun, own_run
 
-USUAL_C = 0.006  # MPa; force and modulus are proportional to it, so that any would do
-_THICKNESS_LEFT = 0.8  # of what 5 % more tissue change: surfaces and posture leave 4 %
-# Of what freeing the cut changes, half is put right. Four limbs as a whole and four blocks held at 57 mm lie
-# 0.32 of the way beside the middle, root mean square.
+USUAL_C = 0.006  # MPa, reference c; arbitrary, as force and modulus are proportional to it
+# Remaining uncertainty as a fraction of the change by 5 % more tissue: surfaces and posture leave 4 %.
+_THICKNESS_LEFT = 0.8
+# Remaining uncertainty as a fraction of the change by freeing the cut, half of which is corrected. In four
+# whole limbs and four blocks fixed at 57 mm, the true position differs from half-way by 0.32 (root mean
+# square).
 _CUT_LEFT = 0.3
-_STIFFNESSES = np.geomspace(0.1, 10.0, 81)  # times the reference c
-_STIFFER = 4.0  # times f_kappa: towards the incompressible limit
+_STIFFNESSES = np.geomspace(0.1, 10.0, 81)  # trial values of c, as multiples of the reference c
+_STIFFER = 4.0  # factor on f_kappa, towards the incompressible limit
 
 
 def _stiffened(model: LimbModel, theta: Theta) -> LimbModel:
@@ -60,9 +62,10 @@ INCOMPRESSIBILITY = Effect(
 
 @dataclass(frozen=True, eq=False)
 class Intervention:
-    """A numerical effect tried: ln of the force's change at the levels, and its largest in deviations.
+    """Result of one numerical check: change of ln force and ln speed at the levels.
 
-    left : the share of the change that is still uncertain
+    deviations : largest change of the force, in standard deviations of the readings
+    left : fraction of the change that remains uncertain
     """
 
     name: str
@@ -84,17 +87,15 @@ class NumericalChecks:
         self.case, self.site, self.levels, self.simulations = case, site, levels, simulations
         self.out, self.size, self.notes, self.progress = out, size, notes, progress
         self.depth = smooth_depth(levels)
-        self.penetration: Penetration | None = (
-            None  # of the contact that the curves have; known after interventions
-        )
+        self.penetration: Penetration | None = None  # of the simulated contact; set by `interventions`
 
     def correction(self, *, solves: bool = True) -> MeshCorrection:
-        """To the site's own mesh, and a limb that is not cut; `solves`: by simulations."""
+        """Correction to the site's own mesh and to a limb that is not cut; `solves`: by simulations."""
         several, freed = self._compared_at(), {}
         if solves:
             crop = effect("crop")
             for m in several:
-                with contextlib.suppress(SolveError):  # told where it is tried as an intervention
+                with contextlib.suppress(SolveError):  # reported when it is tried as an intervention
                     freed[m] = self.simulations.curves(m, ((crop, crop.start),))
         return MeshComparison(
             self.site, self.depth, self.simulations, out=self.out, size=self.size, several=several,
@@ -102,7 +103,8 @@ class NumericalChecks:
         ).correction(solves=solves, freed=freed)  # fmt: skip
 
     def _compared_at(self) -> list[float]:
-        """The likely m first; with maps, whose difference between meshes grows with m, another one too."""
+        """The values of m to compare, the likely one first; with maps, whose difference between meshes grows
+        with m, also the others of `FIRST_M` that are solved."""
         likely = self.likely_m
         if self.site.swe_maps is None:
             return [likely]
@@ -124,7 +126,7 @@ class NumericalChecks:
     # ------------------------------------------------------------ interventions
 
     def interventions(self) -> list[Intervention]:
-        """Each tried at the m that is nearest to the tissue's, as their effects grow with it."""
+        """All numerical checks, made at the likely m, as their effects grow with m."""
         found, m = [], self.likely_m
         for numerical in (effect("crop"), effect("contact"), INCOMPRESSIBILITY, effect("thickness")):
             self.progress.event("note", text=f"numerical check: {numerical.name}")
@@ -136,8 +138,8 @@ class NumericalChecks:
 
     @cached_property
     def likely_m(self) -> float:
-        """The m whose depths at the measured forces, for any c, are nearest to the measured ones, of those
-        solved first."""
+        """The m of `FIRST_M` whose curve, with the best c, fits the measured depths best at the measured
+        forces; `START_M` if this cannot be determined."""
         scatter = depth_scatter(self.simulations, self.levels)
         return min(scatter, key=lambda m: scatter[m]) if scatter else START_M
 
@@ -147,9 +149,9 @@ class NumericalChecks:
         judged = self._judged(numerical.name, plain_curves, changed, numerical.sentence)
         if numerical.name == "contact":
             self.penetration = penetration(plain_curves, changed)
-        # With the cut free the force is too low, held it is too high: curves are put half-way.
-        # What a quarter of the penalty takes from the force is one and a half times to three times what the
-        # gap still takes, which the curves are corrected for; if that is not known, it is counted whole.
+        # A free cut gives too low a force and a fixed one too high a force: curves are corrected half-way.
+        # Reducing the penalty to a quarter lowers the force by 1.5 to 3 times what the remaining gap does.
+        # The curves are corrected for this gap; if it is unknown, the whole change counts as uncertain.
         share = {
             "crop": _CUT_LEFT, "contact": 1.0 if self.penetration is None else LEFT_ERROR,
             "thickness": _THICKNESS_LEFT,
@@ -157,7 +159,8 @@ class NumericalChecks:
         return replace(judged, left=share.get(numerical.name, 1.0))
 
     def _locking(self) -> list[Intervention]:
-        """Where the site's own run is of linear elements: what it gives against the working tet10."""
+        """Locking check if the site's own run has linear elements: its force compared with the working
+        tet10."""
         try:
             own = self._own_run()
         except LimbError as error:
@@ -193,7 +196,7 @@ class NumericalChecks:
 
 
 def large_uncertainty(interventions: Sequence[Intervention]) -> str | None:
-    """A warning where numerical uncertainty is a large part of the force: over thin tissue, mostly."""
+    """A warning if the numerical uncertainty is a large part of the force, as mostly over thin tissue."""
     worst = {
         each.name: each.left * float(np.max(np.abs(each.log_force)))
         for each in interventions
@@ -209,8 +212,11 @@ def large_uncertainty(interventions: Sequence[Intervention]) -> str | None:
 
 
 def depth_scatter(simulations: SiteSimulations, levels: Levels) -> dict[float, float]:
-    """By m, of those solved first: mean square (mm2) of measured depths less those at the measured forces,
-    for the best c. Empty where fewer than two levels have force and depth, or nothing is solved."""
+    """For each m of `FIRST_M`: mean square difference (mm2) between the measured depths and the model's at
+    the measured forces, for the best c.
+
+    Empty if fewer than two levels have a force and a depth above zero, or nothing can be solved.
+    """
     force, depth = levels.force, levels.depth
     rising = (force > 0) & (depth > 0)
     found: dict[float, float] = {}
@@ -227,7 +233,7 @@ def depth_scatter(simulations: SiteSimulations, levels: Levels) -> dict[float, f
 
 
 def smooth_depth(levels: Levels) -> Array:
-    """mm (n_levels,) of a smooth curve through the readings, where there are enough of them."""
+    """Depth (n_levels,) in mm of a smooth curve through the readings; as read if these are too few."""
     protocol = readings(levels)
     if len(protocol) < FEWEST_SMOOTH:
         return levels.depth
