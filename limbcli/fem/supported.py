@@ -113,7 +113,7 @@ def are_there() -> bool:
 
 
 def on_disk() -> list[Path]:
-    """numba's index files of the kernel that every simulation needs."""
+    """numba's cache index files of the internal-force kernel, which every simulation uses."""
     from limbcli.fem.elements import simd_kernels
 
     kernel, module = simd_kernels.internal_force, simd_kernels.__name__.rsplit(".", 1)[-1]

@@ -27,7 +27,7 @@ _SOFT = 4.0  # offset of a bulk stiffness in its reciprocal measure, as a multip
 class Solved:
     """The converged levels of one solve.
 
-    values : the parameters by which solves are compared
+    values : parameter values, by (material, name), from which distances and extrapolation steps are computed
     states : converged state by time
     slopes : du/d(parameter) (n_points, 3) by time and parameter, where requested
     lame : of each group, ratio of pressure to volume change, p = lame (J - 1)

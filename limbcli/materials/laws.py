@@ -17,7 +17,7 @@ from limbcli.materials import (
 )
 from limbcli.materials.law import Law
 
-WRAPPERS = ("mixture", "viscoelastic", "prestrain")  # of laws: see `program`
+WRAPPERS = ("mixture", "viscoelastic", "prestrain")  # laws that wrap other laws: see `program`
 LAWS: dict[str, Law] = {
     each.LAW.name: each.LAW
     for each in (ogden, ogden_uncoupled, mooney_rivlin, neo_hooke, holmes_mow, fiber, active_contraction)

@@ -28,7 +28,7 @@ class Table:
     values: Array
 
     def column(self, name: str) -> Array:
-        """(n_times, n_items) of one field."""
+        """The values (n_times, n_items) of one field."""
         return self.values[:, :, self.fields.index(name)]
 
 
@@ -51,11 +51,11 @@ class Simulation:
     linear_solver: str = ""
 
     def probe_force(self, body: str = "probe") -> Array:
-        """(n_times,) N, compression positive: minus the rigid body's Fz."""
+        """Probe force (n_times,), N, compression positive: minus the rigid body's Fz."""
         return -self.rigid[body].column("Fz")[:, 0]
 
     def probe_depth(self, body: str = "probe") -> Array:
-        """(n_times,) mm: minus the height of the probe face (the body's centre of mass)."""
+        """Probe depth (n_times,), mm: minus the height of the probe face (the body's centre of mass)."""
         return -self.rigid[body].column("z")[:, 0]
 
 

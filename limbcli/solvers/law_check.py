@@ -62,7 +62,7 @@ def check_first_step(model: LimbModel, elements: Mapping[str, Table], folder: Pa
 
 
 def _laws_by_cell(model: LimbModel) -> dict[int, Material]:
-    """The plain laws of the solid cells, by the cell's number over all blocks."""
+    """The laws of the cells that can be checked, by cell number counted over all blocks."""
     of_block = {each.block: each for each in model.domains}
     found: dict[int, Material] = {}
     start = 0

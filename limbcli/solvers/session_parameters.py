@@ -114,7 +114,8 @@ def nudged(
     Raises
     ------
     SolveError
-        If the material has no such parameter, or several, or its value is zero or not a number.
+        If the material has no such parameter, or several, or its value cannot be changed by a fraction of
+        itself: it is zero, not a number or map, or `along` is missing or does not fit.
     """
     material = model.materials[name[0]]
     is_gradient = material.law == "prestrain" and name[1].startswith(_GRADIENT)

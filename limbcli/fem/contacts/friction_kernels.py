@@ -192,7 +192,7 @@ def _change(row, before, move, eps, mu, yields, center, r, g1, g2, n, y, c, m, d
             turn += dnu[i] * m[i]
         for i in range(3):
             dc[i] = (dm[i] - along * nu[i] - turn * nu[i] - mnu * dnu[i] - dsize * c[i]) / size
-        # y is (1 - nu nu) z; only z along the normal is missing in y
+        # y = (1 - nu nu) z; the change of the projection needs z's normal component, recomputed here
         znu, zdnu, dz_nu = 0.0, 0.0, 0.0
         for i in range(3):
             back = 0.0
@@ -206,7 +206,7 @@ def _change(row, before, move, eps, mu, yields, center, r, g1, g2, n, y, c, m, d
             znu += z * nu[i]
             zdnu += z * dnu[i]
             dz_nu += dy[i] * nu[i]
-        along = 0.0  # the length of y
+        along = 0.0  # change of |y|
         for i in range(3):
             dy[i] -= dz_nu * nu[i] + zdnu * nu[i] + znu * dnu[i]
             along += dy[i] * y[i] / length

@@ -23,7 +23,7 @@ from limbcli.fem.motion.rigid import BodyState
 from limbcli.materials.program import CurveAt
 from limbcli.model import Array, IntArray
 
-_MOST_AUGMENTATIONS = 10  # FEBio's `maxaug`, where a model does not give it
+_MOST_AUGMENTATIONS = 10  # FEBio's default of `maxaug`
 # Half-width of the fading zone at a rim, as a fraction of the soft facets' size, and its upper limit as a
 # fraction of the rigid facet's size.
 _FADE, _MOST_FADE = 0.03, 0.2
@@ -156,7 +156,7 @@ def rim_widths(points: Array, facets2: IntArray, patches: Sequence[Patch]) -> Ar
     found[there] = counts[which.ravel()] == 1
     a, b, c, d = (points[facets2[:, k]] for k in (0, 1, 2, 3))
     d[triangles] = a[triangles]
-    area = 0.5 * np.linalg.norm(np.cross(c - a, d - b), axis=1)  # of triangles as well
+    area = 0.5 * np.linalg.norm(np.cross(c - a, d - b), axis=1)  # also valid for triangles
     length = np.linalg.norm(points[following] - points[facets2], axis=2)
     across = np.where(triangles, 2.0, 1.0)[:, None] * area[:, None] / np.maximum(length, 1e-300)
     soft = np.concatenate([np.sqrt(each.areas) for each in patches])

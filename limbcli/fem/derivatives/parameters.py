@@ -214,7 +214,7 @@ def _shape(system: System, state: State, parameter: ShapeParameter) -> tuple[Arr
 
 def moved_system(system: System, parameter: ShapeParameter, sign: float) -> System:
     groups, moved = parameter._systems.get(sign, (None, None))
-    if moved is None or groups is not system.groups:  # other laws, or another model
+    if moved is None or groups is not system.groups:  # out of date: the laws or the model have changed
         mesh = system.model.mesh
         points = mesh.points + sign * parameter.step * parameter.directions
         model = replace(system.model, mesh=replace(mesh, points=points))

@@ -155,7 +155,7 @@ def _strain_change(F, dF, E):
 def tangent_times(
     start, stop, u, cells, grad, weight, ops, par, base, scale, history, lame, volumes, v, force
 ):
-    """force (n_points, 3) += K(u) v; pressures at `volumes` (n_cells, n_gauss), where it has cells."""
+    """force (n_points, 3) += K(u) v; pressures at `volumes` (n_cells, n_gauss) unless it is empty."""
     work = workspace()
     F, S, CC = np.empty((3, 3)), np.empty(6), np.empty((6, 6))
     dF, E, dS, P = np.empty((3, 3)), np.empty(6), np.empty(6), np.empty((3, 3))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from limbcli.fem.linear_solvers.multifrontal.tiles import TILE, down_part, keep_column, times_tile, up_part
 from limbcli.model import IntArray
 
-PAD = 3 * TILE  # space beyond the rows of a front
+PAD = 3 * TILE  # padding of vectors beyond the rows of a front
 _MOST = 32767.0
 
 

@@ -95,7 +95,7 @@ def _extend(plan, c, c0, c1, o, ld, updates, target):  # type: ignore[no-untyped
 def factor_subtree(blas, plan, start, stop, values, panel, updates, kept, sign, tiny, inverse, work):  # type: ignore[no-untyped-def]
     """Factor fronts start..stop one after another; returns the number of perturbed pivots, or NOT_FINITE."""
     made_up = 0
-    begin, whole, block = np.int64(0), np.int64(-1), np.int64(BLOCK)  # shared: see `materials.cache`
+    begin, whole, block = np.int64(0), np.int64(-1), np.int64(BLOCK)  # shared kernels: see `materials.cache`
     for s in range(start, stop):
         first = plan.pivot_at[s]
         p = plan.pivot_at[s + 1] - first
