@@ -1,10 +1,10 @@
-"""The load, load step by load step: steps of the model and must-points.
+"""Runs the load steps of a model: its analysis steps and must-points.
 
-Without history (elastic law, no friction) the response depends on the load reached
-and not on the way, so the load steps are the must-points alone (or the steps, where a
-step has none), and a step is cut (see `load_stepping`) only where Newton's method needs it.
-Friction is measured over the steps of the model: these are all solved for, and increments
-within one are first guesses. With a viscoelastic law every increment is a step of its history.
+Without path dependence (elastic law, no friction) the response depends only on the load reached,
+so only the must-points are solved for (or all time steps of an analysis step that has none), and
+they are subdivided (see `load_stepping`) only where Newton's method requires it. Frictional slip is
+measured over the model's time steps: all of these are solved for, and smaller increments only supply
+initial guesses. With a viscoelastic law every increment is a time step of the stress history.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from limbcli.progress import SILENT, Progress
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """One converged time. must : it is a must-point, or the end of a step."""
+    """One converged time. must : whether it is a must-point or the end of a step."""
 
     step: int
     state: State
@@ -41,7 +41,7 @@ Guesses = Callable[[System, float], State | None]
 
 
 class Analysis:
-    """Runs a model's steps; keeps system, factor and converged states for warm starts."""
+    """Runs a model's steps; keeps the system and its matrix factor for further runs."""
 
     def __init__(self, model: LimbModel, settings: Settings | None = None, progress: Progress = SILENT):
         self.model = model
@@ -54,7 +54,7 @@ class Analysis:
 
     @property
     def remembers(self) -> bool:
-        """Whether the response depends on the way the load went (viscoelastic materials, friction)."""
+        """Whether the response depends on the loading path (viscoelastic materials, friction)."""
         return is_timed(self.model) or self.model.has_friction
 
     @property
@@ -71,15 +71,16 @@ class Analysis:
         hoped: int | None = None, last: int | None = None, patient: bool = True,
         ends: Callable[[], bool] | None = None,
     ) -> list[Snapshot]:  # fmt: skip
-        """All steps from rest to the end; `visit` is called at every converged time.
+        """Run all steps from rest to the end; `visit` is called at every converged time.
 
-        guesses : first guess at a time, from earlier runs of the same load, or None
-        required : how many load steps must be reached; where a later one fails the run ends with those before
-            it. None: all
-        hoped : how many are worth the full effort, later ones are tried briefly. None: those required
-        last : how many are tried at all; None: all
-        patient : where Newton's method fails, let the tissue come to rest by a drag, which takes long
-        ends : asked after `visit` at every load step, whether those so far are enough
+        guesses : returns an initial guess at a time, from earlier runs of the same load, or None
+        required : number of must-points that have to be reached; if a later one fails, the run ends with
+            the results so far. None: all
+        hoped : number of must-points solved with full effort; later ones are attempted with a small
+            iteration budget. None: as `required`
+        last : number of must-points attempted at all; None: all
+        patient : where Newton's method fails, fall back on pseudo-time relaxation, which is slow
+        ends : called after `visit` at every must-point; True ends the run
         """
         self._stepping.patient = patient
         snapshots: list[Snapshot] = []
@@ -125,14 +126,14 @@ class Analysis:
         return snapshots
 
     def forget(self) -> None:
-        """What earlier runs left that may change the next one's last digits: factor and increments."""
+        """Discard the factor and increment sizes of earlier runs, which may change the last digits."""
         self._stepping = LoadStepping()
         if self._newton is not None:
             self._collect()
             self._newton.linearised.forget()
 
     def times(self) -> list[list[float]]:
-        """The times of every step that are solved for, from its start."""
+        """The times to solve for in each step, measured from the start of the step."""
         found, begin = [], 0.0
         for step in self.model.steps:
             curve = self.model.curves.get(step.dt_max_curve or "")
@@ -142,7 +143,7 @@ class Analysis:
         return found
 
     def _prepare(self, step: Step, state: State | None) -> Newton:
-        """The system of a step: the one at hand, if its supports and drives are the same."""
+        """Prepare the system of a step; the current one is reused if its supports and drives are the same."""
         key = (*step.supports, *step.drives)
         if self._newton is not None and self._supports == key and state is None:
             system = self._newton.system
@@ -171,7 +172,7 @@ class Analysis:
         return self._newton
 
     def _collect(self) -> None:
-        """Counts of the Newton object, which starts anew: others hold on to them."""
+        """Add the Newton object's counts to the totals and reset them in place (the object is shared)."""
         for name in ("iterations", "residuals", "krylov", "factorisations", "retries"):
             setattr(self.counts, name, getattr(self.counts, name) + getattr(self.newton.counts, name))
             setattr(self.newton.counts, name, 0)
@@ -186,7 +187,7 @@ class Analysis:
 
 
 def _from_rest(model: LimbModel) -> tuple[tuple[Support, ...], tuple[Drive, ...]]:
-    """Supports and drives of all steps: those that are relative began before any load."""
+    """The model's supports and drives, made absolute: relative ones start from the unloaded state."""
     supports = tuple(replace(each, relative=False) for each in model.supports)
     return supports, tuple(replace(each, relative=False) for each in model.drives)
 

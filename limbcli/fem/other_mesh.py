@@ -1,8 +1,8 @@
-"""First guesses from the levels of a solve on another mesh of the same body.
+"""Initial guesses from the levels of a solve on another mesh of the same body.
 
-Displacements and volume ratios are interpolated; what is held takes its place when the state is prescribed.
-From cell to cell such a guess is rough, so that its residual is large, and yet it is near on the whole: few
-iterations smooth it.
+Displacements and volume ratios are interpolated; boundary values are set afterwards by
+`Kinematics.prescribed`. The interpolation error varies from cell to cell, so the residual of such a guess
+is large although its displacements are close to the solution: a few iterations smooth it.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from limbcli.fem.motion.state import RoughState
 from limbcli.fem.system import System
 from limbcli.model import Array, IntArray, LimbModel
 
-_CANDIDATES = 12  # cells whose middles are nearest: one of them holds the point, or is next to it
+_CANDIDATES = 12  # cells with the nearest centroids among which the one containing a point is sought
 
 
 @dataclass(frozen=True, eq=False)
 class OtherMesh:
-    """Solved levels on another mesh of tetrahedra.
+    """Converged levels on another tetrahedral mesh.
 
-    points (n_points, 3) : mm, at rest; cells (n_cells, 4 or 10)
+    points (n_points, 3) : mm, reference configuration; cells (n_cells, 4 or 10)
     displacements : (n_points, 3) mm, by time
     """
 
@@ -36,14 +36,14 @@ class OtherMesh:
 
     @classmethod
     def of(cls, model: LimbModel, displacements: Mapping[float, Array]) -> OtherMesh | None:
-        """Of a model's tissue; None where it is not of one kind of tetrahedra."""
+        """From a model's tissue; None unless it consists of a single kind of tetrahedra."""
         blocks = model.mesh.solid_blocks
         if len({each.kind for each in blocks}) != 1 or blocks[0].kind not in ("tet4", "tet10"):
             return None
         return cls(model.mesh.points, np.concatenate([each.cells for each in blocks]), displacements)
 
     def guess(self, system: System, time: float) -> RoughState | None:
-        """The level at `time` on the mesh of `system`; None where it was not solved."""
+        """The level at `time`, interpolated to the mesh of `system`; None if it was not solved."""
         if time not in self.displacements:
             return None
         u_there = self.displacements[time]
@@ -66,8 +66,10 @@ class OtherMesh:
         return np.asarray(np.einsum("nk,nkj->nj", N, values[self.cells[cells]]))
 
     def _located(self, places: Array) -> tuple[IntArray, Array]:
-        """The cell (n,) that each place is in, or nearest to, and its barycentric coordinates (n, 4) there:
-        those of the cell's border for what lies outside, as bent surfaces differ between meshes."""
+        """The cell (n,) that contains each place, or the nearest one, and barycentric coordinates (n, 4).
+
+        Places outside all candidates (curved surfaces differ between meshes) are clipped to the cell.
+        """
         _, near = self._middles.query(places, k=min(_CANDIDATES, len(self.cells)))
         near = near.reshape(len(places), -1)
         origin, inverse = self._frames
@@ -82,7 +84,7 @@ class OtherMesh:
         return cells, shares / shares.sum(axis=1, keepdims=True)
 
     def _volume_ratios(self, u: Array) -> Array:
-        """(n_points,) at the corners: the mean of the cells', by their volumes."""
+        """Volume ratios (n_points,) at the corner nodes: volume-weighted means of the adjacent cells."""
         corners, ratio = self.cells[:, :4], np.linalg.det(np.eye(3) + self._gradients(u))
         total, weight = np.zeros(len(self.points)), np.zeros(len(self.points))
         np.add.at(total, corners, np.repeat((ratio * self._volumes)[:, None], 4, axis=1))
@@ -90,7 +92,7 @@ class OtherMesh:
         return total / np.where(weight > 0, weight, 1.0)
 
     def _gradients(self, u: Array) -> Array:
-        """du/dX (n_cells, 3, 3) in the middle of every cell."""
+        """du/dX (n_cells, 3, 3) at the centroid of each cell."""
         _, dN = shape(self._kind, np.full((1, 3), 0.25))
         along = np.einsum("cni,nj->cij", u[self.cells], dN[0])
         return np.asarray(along @ self._frames[1])
@@ -105,12 +107,13 @@ class OtherMesh:
 
     @cached_property
     def _frames(self) -> tuple[Array, Array]:
-        """First corners (n_cells, 3), and from there places to barycentric coordinates (n_cells, 3, 3)."""
+        """First corner (n_cells, 3) of each cell, and the map (n_cells, 3, 3) from an offset to
+        barycentric coordinates."""
         corners = self.points[self.cells[:, :4]]
         edges = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
         return corners[:, 0], np.asarray(np.linalg.inv(edges), float)
 
     @cached_property
     def _volumes(self) -> Array:
-        """mm3 (n_cells,)."""
+        """Cell volumes (n_cells,), mm^3."""
         return np.asarray(1.0 / (6.0 * np.abs(np.linalg.det(self._frames[1]))))

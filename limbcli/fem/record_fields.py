@@ -1,7 +1,7 @@
-"""What the records ask for: fields of nodes, cells and bodies at a converged state.
+"""Record fields: values of nodes, cells and bodies at a converged state.
 
-Cell fields are means over the integration points, places and principal stresses too, as in FEBio's log.
-A rigid cell has J = 1, F = 1 and no stress, and stays where it began.
+Cell fields are averaged over the integration points, including positions and principal stresses, as in
+FEBio's log. A rigid cell has J = 1, F = 1, zero stress and its initial position.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ _F = {f"F{a}{b}": (i, j) for i, a in enumerate("xyz") for j, b in enumerate("xyz
 _STRESS = {f"s{name}": k for name, k in _TENSOR.items()}
 _STRAIN = {f"E{name}": k for name, k in _TENSOR.items()}
 _CENTER = ("x", "y", "z")
-# FEBio 4.11 hands out the first 21 entries, row by row, of the 6x6 spatial tangent (order xx yy zz
-# xy yz xz) under these names, whatever they say; the same is done here, to give the same file.
+# FEBio 4.11 writes the first 21 entries, row by row, of the 6x6 spatial tangent (order xx yy zz xy yz xz)
+# under these names, even where name and entry do not correspond; done here too, to give the same file.
 TANGENT_FIELDS = (
     "cxxxx", "cxxyy", "cyyyy", "cxxzz", "cyyzz", "czzzz", "cxxxy", "cyyxy", "czzxy", "cxyxy", "cxxyz",
     "cyyyz", "czzyz", "cxyyz", "cyzyz", "cxxxz", "cyyxz", "czzxz", "cxyxz", "cyzxz", "cxzxz",
@@ -39,7 +39,7 @@ _KNOWN = {"element": CELL_FIELDS, "node": NODE_FIELDS, "rigid_body": BODY_FIELDS
 
 
 def check_record(record: LogRecord) -> None:
-    """Refuse a record with a field that cannot be given."""
+    """Raise SolveError for a record with an unsupported field."""
     for name in record.fields:
         if name not in _KNOWN[record.kind]:
             raise SolveError(
@@ -50,7 +50,7 @@ def check_record(record: LogRecord) -> None:
 
 
 def record_rows(system: System, state: State, forces: Forces, record: LogRecord) -> tuple[IntArray, Array]:
-    """(ids from 0, values (n_items, n_fields)) of one record."""
+    """Item numbers (from 0) and values (n_items, n_fields) of one record."""
     if record.kind == "rigid_body":
         return _body_rows(system, state, forces, record)
     if record.kind == "node":
@@ -96,7 +96,8 @@ def _cell_rows(system: System, state: State, record: LogRecord) -> tuple[IntArra
 
 
 def mean_places(system: System, points: Array) -> Array:
-    """(n_cells, 3) means over the integration points, of all blocks. FEBio logs first ones of rigid cells."""
+    """Mean positions (n_cells, 3) of the integration points of all cells; for rigid cells FEBio logs the
+    initial ones."""
     blocks = system.model.mesh.blocks
     shares = [shape(block.kind, rule(block.kind)[0])[0].mean(axis=0) for block in blocks]
     places = [np.einsum("k,cki->ci", s, points[b.cells]) for s, b in zip(shares, blocks, strict=True)]
@@ -104,7 +105,7 @@ def mean_places(system: System, points: Array) -> Array:
 
 
 def gauss_fields(system: System, state: State, number: int) -> tuple[Array, Array]:
-    """F (n_cells, n_gauss, 3, 3), of the mesh, and Cauchy stress (n_cells, n_gauss, 3, 3) of a group."""
+    """F of the mesh (without prestrain) and Cauchy stress of a group, both (n_cells, n_gauss, 3, 3)."""
     o = system.operands[number]
     shape = (*o.weight.shape, 3, 3)
     F, S = np.empty(shape), np.empty((*o.weight.shape, 6))
@@ -119,7 +120,7 @@ def gauss_fields(system: System, state: State, number: int) -> tuple[Array, Arra
 
 
 def cell_fields(system: System, state: State, number: int, fields: tuple[str, ...]) -> Array:
-    """(n_cells, n_fields): means over the integration points of a group's cells."""
+    """Fields (n_cells, n_fields) of a group's cells, averaged over the integration points."""
     group = system.groups[number]
     F, stress = gauss_fields(system, state, number)
     x = np.einsum("k,cki->ci", group.shares, (system.X + state.u)[group.cells])
@@ -171,7 +172,7 @@ def pushed(F: Array, CC: Array) -> Array:
 
 
 def pair_push(A: Array, B: Array) -> Array:
-    """(..., 6, 6): component (ij) of A T B' by those (IJ) of a symmetric T, in Voigt order."""
+    """Matrix (..., 6, 6) mapping the Voigt components of a symmetric T to those of A T B'."""
     push = np.zeros((*A.shape[:-2], 6, 6))
     for p in range(6):
         for q in range(6):

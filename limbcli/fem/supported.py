@@ -1,4 +1,4 @@
-"""What the reference solver takes, said before anything is computed; and its one-time compilation."""
+"""Checks, before anything is computed, that the reference solver supports a model; one-time compilation."""
 
 from __future__ import annotations
 
@@ -15,11 +15,13 @@ from limbcli.materials.stress import tangents_at_rest
 from limbcli.model import LimbModel
 from limbcli.progress import Progress
 
-_LEAST_STIFFNESS = 1e-9  # of the largest; a law without any resistance to shear is left with round-off
+# Smallest admissible eigenvalue of the tangent at rest, as a fraction of the largest: the eigenvalues of a
+# law without resistance to shear are round-off.
+_LEAST_STIFFNESS = 1e-9
 
 
 def check_supported(model: LimbModel) -> None:
-    """Raise SolveError, naming the thing, where a model holds what this solver does not do."""
+    """Raise SolveError, naming the feature, if a model uses one that this solver does not support."""
     for contact in model.contacts:
         if contact.kind != "sliding-elastic":
             raise _refused(f"contact of type {contact.kind!r}", f"contact {contact.name!r}")
@@ -44,7 +46,7 @@ def check_supported(model: LimbModel) -> None:
 
 
 def _refuse_no_contact(contact: Contact) -> None:
-    """Numbers with which nothing would press, or friction would push."""
+    """Refuse a penalty that would give no contact force, and a negative friction coefficient."""
     what = ""
     if not contact.penalty > 0:
         what = f"its penalty {contact.penalty:g} is not positive: there would be no contact force"
@@ -59,12 +61,12 @@ def _refuse_no_contact(contact: Contact) -> None:
 
 
 def refuse_limp(model: LimbModel) -> None:
-    """Pass materials that resist deformation from rest; those that follow a load curve are not judged.
+    """Refuse materials that do not resist deformation at rest; those that follow a load curve are skipped.
 
     Raises
     ------
     SolveError
-        If a tangent at rest has an eigenvalue that is not positive.
+        If a tangent at rest has an eigenvalue that is not positive beyond round-off.
     """
     for domain in model.domains:
         compiled = compile_material(model.materials[domain.material], domain.material)
@@ -94,9 +96,9 @@ def _refused(what: str, where: str) -> SolveError:
 
 
 def warm_up(progress: Progress) -> None:
-    """Tell listeners, once, that the kernels are about to be compiled on this machine.
+    """Report, once, that the kernels are about to be compiled on this machine.
 
-    Where other processes are at it already, this waits for them.
+    If other processes are already compiling them, wait for these to finish.
     """
     if not are_there() or background_processes.at_work():
         progress.event("compile", what="the reference solver's kernels: about a minute, once on this machine")
@@ -104,14 +106,14 @@ def warm_up(progress: Progress) -> None:
 
 
 def are_there() -> bool:
-    """Whether kernels were compiled on this machine before (or in this process)."""
+    """Whether the kernels have been compiled on this machine (or in this process) before."""
     from limbcli.fem.elements import simd_kernels
 
     return bool(simd_kernels.internal_force.signatures) or bool(on_disk())
 
 
 def on_disk() -> list[Path]:
-    """numba's index files of the kernel that every simulation needs."""
+    """numba's cache index files of the internal-force kernel, which every simulation uses."""
     from limbcli.fem.elements import simd_kernels
 
     kernel, module = simd_kernels.internal_force, simd_kernels.__name__.rsplit(".", 1)[-1]

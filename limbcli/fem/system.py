@@ -1,8 +1,8 @@
-"""A model made ready for computing: equations, pattern, forces, tangent.
+"""The discretised model: equation numbering, sparsity pattern, forces and tangent.
 
-Unknowns are the free displacements of the tissue's nodes and the free degrees of
-freedom of the rigid bodies, in this order. Nodes tied to a body follow it and have no
-equations; their part of the tangent enters as a few dense columns.
+The unknowns are the free displacements of the tissue's nodes, followed by the free degrees of
+freedom of the rigid bodies. Nodes tied to a body move with it and have no equations of their own;
+their part of the tangent enters as a few dense columns.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from limbcli.fem.motion.rigid_loads import RigidLoads
 from limbcli.fem.motion.state import Forces, State
 from limbcli.model import Array, IntArray, LimbModel, Support
 
-_NOTHING = 1e-9  # of the tissue's stiffness times the square of its size
+_NOTHING = 1e-9  # force regarded as zero, as a fraction of tissue stiffness times tissue size squared
 
 
 class System(RigidLoads, ElementLoops):
     """The equations of one analysis step of a model.
 
-    supports, drives : those in force (the model's and the step's)
-    start : state at the beginning of the step, for relative loads
+    supports, drives : those active in this step (the model's and the step's own)
+    start : state at the beginning of the step, the reference for relative loads
     """
 
     def __init__(
@@ -69,18 +69,18 @@ class System(RigidLoads, ElementLoops):
 
     @property
     def jumps(self) -> bool:
-        """Whether a stress jumps (sheared fibres), so that the tangent is not symmetric."""
+        """Whether a law's stress can be discontinuous (sheared fibres), making the tangent unsymmetric."""
         return any(each.jumps for each in self.operands)
 
     @property
     def least_force(self) -> float:
-        """What counts as no force (N), where nothing loads the tissue: round-off of its stresses, amply."""
+        """Force (N) regarded as zero in unloaded tissue: a generous bound on its stress round-off."""
         stiffest = max((float(abs(o.lame).max()) for o in self.operands), default=0.0)
         return _NOTHING * stiffest * self._size**2
 
     @property
     def drag(self) -> Array:
-        """(n_points,) N/mm: shear modulus at rest times volume, per square of a length of 1 mm."""
+        """Nodal drag coefficients (n_points,), N/mm: shear modulus at rest x nodal volume / 1 mm^2."""
         out = np.zeros(len(self.X))
         for o in self.operands:
             share = np.broadcast_to(o.shear, len(o.cells)) * o.weight.sum(axis=1) / o.cells.shape[1]
@@ -90,7 +90,7 @@ class System(RigidLoads, ElementLoops):
     # ------------------------------------------------------------ time
 
     def at(self, time: float) -> None:
-        """Set the time: material numbers that follow load curves are evaluated."""
+        """Set the time and evaluate the material parameters that follow load curves."""
         self.time = time
         self.operands = [
             g.at(self.curve, scale=s, history=h)
@@ -98,7 +98,7 @@ class System(RigidLoads, ElementLoops):
         ]
 
     def with_materials(self, model: LimbModel) -> None:
-        """Take other material parameters and steps on the same mesh; the penalty follows them."""
+        """Replace materials, load curves and steps on the same mesh, and update the contact penalty."""
         fresh = make_groups(replace(model, mesh=self.model.mesh)) if self._laws_differ(model) else None
         self.model = replace(self.model, materials=model.materials, curves=model.curves, steps=model.steps)
         if fresh is not None:
@@ -107,7 +107,7 @@ class System(RigidLoads, ElementLoops):
         self._set_penalties()
 
     def curve_at_first(self, name: str) -> float:
-        """A load curve's value when the analysis begins, for which penalties are set."""
+        """A load curve's value at time 0, at which contact penalties are evaluated."""
         return self.curve_at(name, 0.0)
 
     def _set_penalties(self) -> None:
@@ -115,7 +115,7 @@ class System(RigidLoads, ElementLoops):
             pair.set_penalty(self.groups, self.curve_at_first, self.model.steps[0].step_size)
 
     def begin(self) -> None:
-        """Back to before any load: contact and history forgotten."""
+        """Reset to the unloaded state; contact and history are discarded."""
         self.start = self.rest()
         self.scales = [1.0] * len(self.groups)
         self.histories = [np.zeros((0, 1, 6))] * len(self.groups)
@@ -124,19 +124,19 @@ class System(RigidLoads, ElementLoops):
         self.at(0.0)
 
     def remember(self, state: State) -> None:
-        """Take a converged step over as the one that friction is measured from."""
+        """Store a converged state as the reference for friction and for the contact search."""
         self.recall(state.hints)
         for pair in self.pairs:
             pair.remember(self.X + state.u, state.bodies[pair.body])
 
     def take_multipliers(self, before: System) -> None:
-        """Those of the augmented contacts, from the system of the step before."""
+        """Copy the multipliers of the augmented contacts from the system of the previous step."""
         for mine, theirs in zip(self.pairs, before.pairs, strict=True):
             for patch, old in zip(mine.patches, theirs.patches, strict=True):
                 patch.multiplier = old.multiplier.copy()
 
     def hints(self) -> tuple[Array, ...]:
-        """The rigid facet that every contact point is with."""
+        """The rigid facet that each contact point touches (-1: none), one array per patch."""
         return tuple(p.state[..., FACET].copy() for pair in self.pairs for p in pair.patches)
 
     def recall(self, hints: tuple[Array, ...]) -> None:
@@ -168,7 +168,7 @@ class System(RigidLoads, ElementLoops):
         applied = self.applied(state.time)
         residual = np.concatenate([nodal[self.free], [bodies[k] - applied[k] for k in self.rigid]])
         held = internal[~self.free]
-        with np.errstate(over="ignore"):  # of a step far astray
+        with np.errstate(over="ignore"):  # a diverging iterate may overflow
             scale = np.sqrt((held**2).sum() + (contact**2).sum() + (applied[:, :3] ** 2).sum())
         scale = max(float(scale), self.least_force)
         mixed = residual
@@ -181,7 +181,7 @@ class System(RigidLoads, ElementLoops):
 
     @contextmanager
     def full_contact_tangent(self, on: bool) -> Iterator[None]:
-        """Contact tangents with or without what leads astray far from equilibrium (see `Pair`)."""
+        """Use the exact contact tangent, or the reduced, more robust one (see `Pair.full_tangent`)."""
         for pair in self.pairs:
             pair.full_tangent = float(on)
         try:
@@ -191,11 +191,11 @@ class System(RigidLoads, ElementLoops):
                 pair.full_tangent = 1.0
 
     def touching(self) -> tuple[NDArray[np.bool_], ...]:
-        """Which points (n_facets, n_gauss) of each patch touch, as searched last."""
+        """Which points (n_facets, n_gauss) of each patch are in contact, according to the last search."""
         return tuple(p.state[..., TRACTION] > 0 for pair in self.pairs for p in pair.patches)
 
     def add_contact(self, state: State, values: Array) -> Array:
-        """The matrix with the symmetric part of the contact (as searched last) added."""
+        """A copy of the matrix values with the symmetric part of the contact tangent (last search) added."""
         values = values.copy()
         for pair in self.pairs:
             for patch, (blocks, touched) in zip(pair.patches, pair.blocks(self.X + state.u), strict=True):
@@ -203,7 +203,10 @@ class System(RigidLoads, ElementLoops):
         return values
 
     def contact_matrix(self, state: State, places: IntArray, n: int) -> sparse.csr_array:
-        """Exact contact tangent (n, n), as searched last, of the unknowns that have places (n_points, 3)."""
+        """Exact contact tangent (n, n) of the last search, for a subset of the unknowns.
+
+        places (n_points, 3) : row of each degree of freedom in the result; -1 leaves it out
+        """
         parts = []
         for pair in self.pairs:
             for patch, (blocks, touched) in zip(pair.patches, pair.blocks(self.X + state.u), strict=True):
@@ -217,7 +220,7 @@ class System(RigidLoads, ElementLoops):
         return sparse.coo_array((values, (row, column)), shape=(n, n)).tocsr()
 
     def within_reach(self) -> IntArray:
-        """Equations of the nodes that the rigid surfaces may come to touch in this step, sorted."""
+        """Sorted equation numbers of the nodes that the rigid surfaces may touch during this step."""
         nodes = [
             near_nodes(self.X, pair.facets2, patch.facets, patch.normals)
             for pair in self.pairs
@@ -227,8 +230,8 @@ class System(RigidLoads, ElementLoops):
         return np.unique(found[found >= 0])
 
     def may_pass(self, state: State, time: float) -> bool:
-        """Whether a rigid surface that touches nothing at a converged state would be moved farther by `time`
-        than its contact is searched for: it might go through the skin unseen."""
+        """Whether a rigid surface not in contact at a converged state would move by more than the contact
+        search radius until `time`, so that it could pass through the skin undetected."""
         ways = np.linalg.norm(self.prescribed(state, time).u - state.u, axis=1)
         hints = iter(state.hints)
         for pair in self.pairs:
@@ -239,7 +242,10 @@ class System(RigidLoads, ElementLoops):
         return False
 
     def contact_times(self, state: State, v: Array, motions: Array) -> tuple[Array, Array]:
-        """Exact contact tangent times nodal and body motions: nodal (n_points, 3), bodies (n_bodies, 6)."""
+        """Exact contact tangent times nodal and body motions.
+
+        Returns forces on the nodes (n_points, 3) and on the bodies (n_bodies, 6).
+        """
         nodal, bodies = np.zeros_like(self.X), np.zeros((len(self.bodies), 6))
         x = self.X + state.u
         for pair in self.pairs:
@@ -251,9 +257,9 @@ class System(RigidLoads, ElementLoops):
     def contact_change(
         self, state: State, step: Array | None = None, *, motions: Array | None = None
     ) -> Array:
-        """Exact contact tangent, at `state` as it was searched last, times a change of the unknowns.
+        """Exact contact tangent at `state` (last search) times a change of the unknowns.
 
-        motions (n_bodies, 6) : given motions of the bodies besides
+        motions (n_bodies, 6) : additional prescribed motions of the bodies
         """
         step = np.zeros(self.n_unknowns) if step is None else step
         out = np.zeros_like(step)
@@ -269,7 +275,7 @@ class System(RigidLoads, ElementLoops):
         return out
 
     def contact_residual(self, state: State, *, search: bool = False) -> Array:
-        """The contact's part of the residual, as searched last or searched anew."""
+        """The contact part of the residual, from the last search or (`search`) from a new one."""
         nodal, bodies = np.zeros_like(self.X), np.zeros((len(self.bodies), 6))
         x = self.X + state.u
         for pair in self.pairs:

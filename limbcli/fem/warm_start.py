@@ -1,9 +1,9 @@
-"""First guesses for a solve with other material parameters, from the solves before it.
+"""Initial guesses for a solve with other material parameters, from previous solves.
 
-A level's displacements and pressures are moved along their derivatives from the solved
-parameters that lie nearest. What is moved is what changes most evenly: a bulk stiffness by
-its reciprocal (near incompressibility u and p depend on 1/kappa almost linearly), an exponent by
-its logarithm.
+A level's displacements and pressures are extrapolated linearly, by their derivatives, from the nearest
+solved parameter values. Parameters are transformed so that the response is close to linear: a bulk
+stiffness enters by its reciprocal (near incompressibility u and p are almost linear in 1/kappa), an
+exponent by its logarithm.
 """
 
 from __future__ import annotations
@@ -18,18 +18,19 @@ from limbcli.fem.system import System
 from limbcli.model import Array
 
 Key = tuple[str, str]
-_KEPT = 8
-_BULK = ("kappa", "k", "lam")
-_SOFT = 4.0
+_KEPT = 8  # number of solves that are kept
+_BULK = ("kappa", "k", "lam")  # names of bulk stiffnesses
+_SOFT = 4.0  # offset of a bulk stiffness in its reciprocal measure, as a multiple of c1 (see `even_step`)
 
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """The levels of one solve.
+    """The converged levels of one solve.
 
-    values : the parameters that the solves differ in
-    states, slopes : by time; du/d(parameter) (n_points, 3), where it was asked for
-    lame : pressure per volume change of each group
+    values : parameter values, by (material, name), from which distances and extrapolation steps are computed
+    states : converged state by time
+    slopes : du/d(parameter) (n_points, 3) by time and parameter, where requested
+    lame : of each group, ratio of pressure to volume change, p = lame (J - 1)
     """
 
     values: Mapping[Key, float]
@@ -39,7 +40,7 @@ class Solved:
 
 
 class WarmStart:
-    """Keeps solved levels; `at` picks those nearest to new parameter values."""
+    """Keeps the levels of the last solves; `at` selects the solve nearest to new parameter values."""
 
     def __init__(self) -> None:
         self._solved: list[Solved] = []
@@ -48,7 +49,7 @@ class WarmStart:
 
     @staticmethod
     def by(solved: Solved) -> WarmStart:
-        """From these levels alone."""
+        """A warm start from these levels only."""
         found = WarmStart()
         found.keep(solved)
         return found
@@ -61,12 +62,12 @@ class WarmStart:
         return self._solved[-1] if self._solved else None
 
     def at(self, values: Mapping[Key, float]) -> None:
-        """Set the parameter values that guesses are wanted for."""
+        """Set the parameter values for which guesses are requested."""
         self._values = values
         self._base = min(self._solved, key=lambda each: _distance(each.values, values), default=None)
 
     def guess(self, system: System, time: float) -> State | None:
-        """The level at `time`, moved to the wanted values; None where no solve had it."""
+        """The level at `time`, extrapolated to the requested values; None if the selected solve lacks it."""
         base = self._base
         if base is None or time not in base.states:
             return None
@@ -80,7 +81,7 @@ class WarmStart:
             u = u + step * slope
             if key[1] in _BULK:
                 bulk += step / before
-        # p = lame (J - 1), moved in the same measure: lame J':du + (J - 1) d lame
+        # p = lame (J - 1) is extrapolated likewise: lame J':du + (J - 1) d lame
         volumes = []
         still = system.linear_volumes(state, np.zeros_like(u))
         moved = system.linear_volumes(state, u - state.u)
@@ -91,9 +92,9 @@ class WarmStart:
 
 
 def even_step(name: str, before: float, after: float, *, soft: float = 0.0) -> float:
-    """The change of a parameter, measured so that the response changes evenly with it.
+    """The change of a parameter in a measure in which the response is close to linear.
 
-    soft : stiffness (MPa) below which a bulk stiffness counts linearly
+    soft : offset (MPa) of a bulk stiffness: much below it the measure is linear, above it reciprocal
 
     >>> even_step("kappa", 1.0, 1e9), round(even_step("m1", 2.0, 4.0), 3), even_step("c1", 1.0, 3.0)
     (0.999999999, 1.386, 2.0)
@@ -106,7 +107,7 @@ def even_step(name: str, before: float, after: float, *, soft: float = 0.0) -> f
 
 
 def _distance(a: Mapping[Key, float], b: Mapping[Key, float]) -> float:
-    """Between two sets of values, in logarithms where both have one sign."""
+    """Squared distance between two sets of values, in logarithms where both have the same sign."""
     total = 0.0
     for key in a.keys() & b.keys():
         same_sign = a[key] * b[key] > 0

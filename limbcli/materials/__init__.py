@@ -1,4 +1,4 @@
-"""Constitutive laws. `LAWS` holds every law by its name; see `model.Material` for the convention."""
+"""Constitutive laws. `LAWS` contains all laws by name; see `model.Material` for the conventions."""
 
 from __future__ import annotations
 

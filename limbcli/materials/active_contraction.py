@@ -1,4 +1,4 @@
-"""Prescribed contraction of fibres along a0: Cauchy T0/J (F a0)(F a0), in the reference S = T0 a0 a0.
+"""Prescribed contraction of fibres along a0: Cauchy stress T0/J (F a0)(F a0), i.e. S = T0 a0 a0.
 
 Source: FEBio User Manual 4.0, "Prescribed Fiber Active Contraction".
 """

@@ -1,12 +1,12 @@
-"""Compiled kernels on disk: dropped when the source of a law or of an element loop has changed.
+"""Discards cached compiled kernels when the source of a law or of an element loop has changed.
 
-numba looks only at the file of a kernel itself, not at those of the functions that it calls, so a
-changed law would go on being served from an old cache. Kernels that do not lie beside their sources are
-`kernel_folder`'s.
+numba checks only the file of a kernel itself, not those of the functions it calls, so after a change of a law
+it would keep using an out-of-date cache. Kernels cached elsewhere than next to their sources are handled by
+`kernel_folder`.
 
-What is compiled is what a fresh machine waits for. numba makes a kernel anew, with all that it calls, for
-every constant it is called with: `np.int64(0)` or `np.bool_(True)` instead of 0 or True shares the one there
-is. A slice that is assigned to a slice compiles as much as a law; a loop does not.
+Compilation time is waiting time on a new machine. numba recompiles a kernel, with everything it calls, for
+every literal constant among its arguments: `np.int64(0)` or `np.bool_(True)` instead of 0 or True reuses the
+existing version. Assigning a slice to a slice takes as long to compile as a law; a loop does not.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ _STAMP = "kernels.stamp"
 
 
 def drop_stale_kernels() -> bool:
-    """Delete cached kernels of laws and element loops if a file of theirs changed since they were made.
+    """Delete the cached kernels of laws and finite elements if one of their source files has changed.
 
-    Returns whether anything was deleted. A folder that cannot be written is left alone.
+    Returns whether anything was deleted. Folders that are not writable are skipped.
     """
     here = Path(__file__).parent
     fem = here.parent / "fem"

@@ -1,8 +1,8 @@
-"""One compiled entry for every law: `second_piola` adds up the leaves of a program.
+"""Single compiled entry point for all laws: `second_piola` sums the leaves of a program.
 
-A program is `ops` (n_leaves, 3) int64, each row (the kernel's number, offset of its numbers in the
-parameter row, extra), with one row of numbers `par` per cell (or one for all). Sums of laws (mixtures) are
-several rows. What a number means is stated in `kernel`; it holds in one process.
+A program consists of `ops` (n_leaves, 3) int64, with rows (kernel number, offset of the law's numbers in the
+parameter row, extra), and one row of numbers `par` per cell (or one for all). Sums of laws (mixtures) have
+several rows in `ops`. Kernel numbers are explained in `kernel`; they are valid within one process.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ __all__ = ["second_piola", "workspace"]
 
 @njit(cache=True)
 def second_piola(F, ops, par, S, CC, tangent, work):
-    """S (6) and, if `tangent`, CC (6, 6) of the program at F. Returns det F; below or at 0 nothing is set."""
+    """Set S (6) and, if `tangent`, CC (6, 6) of a program at F; zero where det F <= 0. Returns det F."""
     J = determinant(F)
     S[:] = 0.0
     if tangent:
@@ -26,7 +26,7 @@ def second_piola(F, ops, par, S, CC, tangent, work):
     if J <= 0.0:
         return J
     right_cauchy_green(F, work[0][0])
-    work[1][0, 0] = -1.0  # no principal axes yet
+    work[1][0, 0] = -1.0  # marks the principal axes as not computed
     for leaf in range(ops.shape[0]):
         law, off, extra = ops[leaf, 0], ops[leaf, 1], ops[leaf, 2]
         if law == OGDEN:

@@ -1,7 +1,7 @@
-"""Logarithm and exponential without branches, so that loops over many numbers become vector instructions.
+"""Branch-free logarithm and exponential, so that loops over many numbers are vectorised.
 
-Relative errors below 1e-15 (tests/materials/test_elementary.py). Arguments must be finite, and
-positive for the logarithm; exponents are cut at +-690.
+Relative errors are below 1e-15 (tests/materials/test_elementary.py). Arguments must be finite, and
+positive for the logarithm; arguments of the exponential are clipped to +-690.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from numba import njit
 
 from limbcli.materials.simd import bits, from_bits
 
-_LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # ln 2 in two parts
+_LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # ln 2 as a sum of two numbers
 _PER_LN2 = 1.44269504088896338700
 _HALF = np.int64(0x3FE6A09E667F3BCD)  # bits of sqrt(1/2)
 _MOST = 690.0

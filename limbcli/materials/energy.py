@@ -1,4 +1,4 @@
-"""Strain energy densities of programs, for records and tests (not needed to solve)."""
+"""Strain energy densities of programs, for records and tests (not needed by the solver)."""
 
 from __future__ import annotations
 
@@ -12,31 +12,33 @@ from limbcli.model import Array, IntArray
 
 
 def energy_density(operands: Any, F: Array) -> Array:
-    """Stored energy per reference volume (MPa) at F (n_cells, n_gauss, 3, 3) of the mesh, for the program
-    in `operands` (ops, par, base); a prestrain gradient in `base` comes before F."""
+    """Stored energy density (MPa) at the mesh's F (n_cells, n_gauss, 3, 3) for a group's operands.
+
+    The law's deformation gradient is F times the prestrain gradient in `operands.base`.
+    """
     return program_energy(stored(operands.ops), operands.par, F @ operands.base)
 
 
 def stored(ops: IntArray) -> IntArray:
-    """The leaves of a program that store energy: FEBio logs none of a muscle's work."""
+    """The rows of `ops` that store energy; as in FEBio's log, work done by muscles is excluded."""
     return ops[[not kernel_of(number).works for number in ops[:, 0]]]
 
 
 def program_energy(ops: IntArray, par: Array, F: Array) -> Array:
-    """Sum over the leaves of a program; par (1 or n_cells, n), F (n_cells, n_gauss, 3, 3)."""
+    """Energy density (n_cells, n_gauss) of a program; par (1 or n_cells, n), F (n_cells, n_gauss, 3, 3)."""
     return energy_at(ops, par, deformation_of(F))
 
 
 def deformation_of(F: Array) -> Deformation:
-    """What every law's energy is of, at F (n_cells, n_gauss, 3, 3)."""
+    """The arguments of the energy functions at F (n_cells, n_gauss, 3, 3)."""
     C = np.swapaxes(F, -1, -2) @ F
     return Deformation(C, np.maximum(np.linalg.eigvalsh(C), 1e-300), np.linalg.det(F))
 
 
 def program_energy_change(ops: IntArray, par: Array, F: Array, dF: Array, dpar: Array | None = None) -> Array:
-    """Change of `program_energy` along dF (as F) and dpar (as par), to round-off.
+    """Directional derivative of `program_energy` along dF (as F) and dpar (as par), exact to round-off.
 
-    A complex step; principal squares move by r_i.dC r_i, whatever directions r_i belong to equal ones.
+    By a complex step; principal values change by r_i.dC r_i, for any choice of directions r_i of equal ones.
 
     >>> from limbcli.materials.neo_hooke import KERNEL
     >>> ops, par = np.array([[KERNEL.number, 0, 0]]), np.array([[2.0, 5.0]])
@@ -57,7 +59,7 @@ def program_energy_change(ops: IntArray, par: Array, F: Array, dF: Array, dpar: 
 
 
 def energy_at(ops: IntArray, par: Any, at: Deformation) -> Array:
-    """Density (n_cells, n_gauss) of a program; par (1 or n_cells, n); complex for a complex step."""
+    """Energy density (n_cells, n_gauss) of a program; par (1 or n_cells, n); complex for a complex step."""
     total = np.zeros(at.J.shape, dtype=at.J.dtype)
     for number, off, extra in ops:
         energy = kernel_of(number).energy

@@ -2,12 +2,12 @@
 
 `fiber-exp-pow` (tension only, I4 = a0.C.a0 > lam0^2):
     W = ksi/(alpha beta) (exp(alpha x^beta) - 1) + mu/4 a0.(C - 1)^2.a0,  x = I4 - lam0^2
-(alpha = 0: ksi/beta x^beta). Up to lam0^2 fibre and shear term vanish both.
+(alpha = 0: ksi/beta x^beta). For I4 <= lam0^2 both the fibre and the shear term vanish.
 
-A sheared fibre that begins to be stretched makes the stress of the shear term jump. Cells that would have
-to stand on the jump have no equilibrium, so the term comes in linearly between I4 = lam0^2 and lam0^2 + JUMP
-(or the parameter `band`, which FEBio does not have: a wider one is solved sooner).
-The slope of that belongs to no energy: its tangent is not symmetric, and is added only where it is asked for.
+When a sheared fibre begins to be stretched, the stress of the shear term jumps. A cell whose equilibrium
+would lie on the jump has none, so the term is ramped up linearly from I4 = lam0^2 to lam0^2 + JUMP (or the
+parameter `band`, which FEBio does not have; a wider band converges faster).
+The slope of this ramp does not derive from an energy: its tangent is not symmetric, and is added on request.
 
 Source: FEBio User Manual 4.0, "Fiber with Exponential-Power Law".
 """
@@ -52,7 +52,7 @@ def symmetric_product(A, C, p):
 
 @njit(cache=True)
 def add_fiber(par, off, sloped, J, work, S, CC, tangent):
-    """sloped : add the slope of the shear term's coming in to the tangent"""
+    """Add the law's stress. sloped : include the slope of the shear term's ramp in the tangent"""
     C, A = work[0][0], work[0][1]
     ksi, alpha, beta, mu = par[off], par[off + ALPHA], par[off + BETA], par[off + MU]
     fibre_dyad(par, off + A0, A)
@@ -99,7 +99,7 @@ def add_fiber(par, off, sloped, J, work, S, CC, tangent):
 
 @njit(cache=True)
 def add_fiber_derivative(par, off, which, J, work, S, CC, tangent):
-    """dS with respect to ALPHA, BETA, LAM0 or BAND."""
+    """Derivative of S with respect to ALPHA, BETA, LAM0 or BAND."""
     C, A = work[0][0], work[0][1]
     ksi, alpha, beta = par[off], par[off + ALPHA], par[off + BETA]
     lam0, band = par[off + LAM0], par[off + BAND]

@@ -2,7 +2,7 @@
 
     Q = beta / (lambda + 2 mu) [(2 mu - lambda)(I1 - 3) + lambda (I2 - 3) - (lambda + 2 mu) ln J^2].
 
-Inside: mu, lambda (MPa) and beta. Source: Holmes & Mow 1990, J Biomech 23:1145;
+Parameters: mu, lambda (MPa) and beta. Source: Holmes & Mow 1990, J Biomech 23:1145;
 FEBio User Manual 4.0, "Holmes-Mow".
 """
 
@@ -54,7 +54,7 @@ def add_holmes_mow(par, off, extra, J, work, S, CC, tangent):
 
 @njit(cache=True)
 def add_holmes_mow_derivative(par, off, which, J, work, S, CC, tangent):
-    """dS with respect to mu (which = 0), lambda (1) or beta (2)."""
+    """Derivative of S with respect to mu (which = 0), lambda (1) or beta (2)."""
     C, inverse = work[0][0], work[0][1]
     mu, lam, beta = par[off], par[off + 1], par[off + 2]
     Ha = lam + 2.0 * mu

@@ -1,20 +1,20 @@
-"""What a law is to the solver: a compiled function that adds to the stress, and the energy it belongs to.
+"""Interface between laws and solver: a law's kernel is a compiled function that adds its stress.
 
-The element loops are compiled without the laws. They are given a law's kernel as the address of its machine
-code, one for each leaf of a program, so that a law needs no place in them, and is compiled when it is first
-used. Ogden's unconstrained law alone, the tissue's, is compiled into the loops: its number is OGDEN.
+The element loops are compiled without the laws. They call a law's kernel by the address of its machine code,
+one for each leaf of a program, so that a law need not be known to the loops and is compiled on first use.
+Only Ogden's unconstrained law, the tissue's, is compiled into the loops: its number is OGDEN.
 
-A kernel is `add(par, off, extra, J, work, S, CC, tangent)`, compiled by numba, in doubles throughout:
+A kernel is `add(par, off, extra, J, work, S, CC, tangent)`, compiled by numba, in double precision:
 
-- par : one row of numbers; the law's own begin at `off`
-- extra : the integer of the law's row: a count of terms, or which derivative
+- par : one row of numbers; those of the law start at `off`
+- extra : the integer in the law's row: the number of terms, or which derivative
 - J, work : det F, positive, and the workspace, with C = F'F (6)
-- S (6), CC (6, 6) : second Piola-Kirchhoff stress and dS/dE in the order xx yy zz xy yz xz, MPa, to be
-  added to; CC where `tangent` says so
+- S (6), CC (6, 6) : second Piola-Kirchhoff stress and dS/dE in the order xx yy zz xy yz xz, MPa, to which
+  the law's contribution is added; CC only if `tangent`
 
-The workspace is (six (3, 6), three (4, 3), vectors (3, 3), matrix (3, 3)). `six[0]` is C and must be left as
-it is; `six[1]`, `six[2]`, `three[2]`, `three[3]` and `matrix` are free. `principal.principal_axes(work)` sets
-`three[0]`, `three[1]` and `vectors`.
+The workspace is (six (3, 6), three (4, 3), vectors (3, 3), matrix (3, 3)). `six[0]` is C and must not be
+changed; `six[1]`, `six[2]`, `three[2]`, `three[3]` and `matrix` are free. `principal.principal_axes(work)`
+sets `three[0]`, `three[1]` and `vectors`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-OGDEN = 1  # the number of the law that the loops know; every other number is an address
+OGDEN = 1  # number of the law compiled into the loops; every other number is an address
 
 _ROW, _MATRIX = types.Array(types.float64, 1, "C"), types.Array(types.float64, 2, "C")
 _ARGUMENTS = (
@@ -40,7 +40,10 @@ _ARGUMENTS = (
 
 @dataclass(frozen=True)
 class Deformation:
-    """C (n_cells, n_gauss, 3, 3), its principal squares (.., 3) and J = det F (..); complex for a step."""
+    """C (n_cells, n_gauss, 3, 3), its principal values (.., 3) and J = det F (..).
+
+    Complex in complex-step differentiation.
+    """
 
     C: Any
     squares: Any
@@ -52,15 +55,15 @@ Energy = Callable[[Any, int, Deformation], Any]
 
 @dataclass(frozen=True, eq=False)
 class Kernel:
-    """A law's kernel, or the derivative of one.
+    """The kernel of a law, or of its derivative.
 
-    add : see above; it is compiled for `par` and the like as they are there
+    add : the numba function described in the module docstring
     energy : (numbers (n_cells, n_numbers, 1), extra, deformation) -> density (n_cells, n_gauss), MPa; None
         for a derivative
-    jump : which of its numbers makes the stress jump with the deformation, where it is not 0. With `extra` 1
-        such a kernel adds the slope of the jump to its tangent, which is then not symmetric.
-    known_number : of the one that the loops know
-    works : its energy is work that a muscle does, not stored in the tissue
+    jump : index of the number that, if not 0, makes the stress discontinuous in the deformation. With `extra`
+        1 such a kernel adds the slope of the jump to its tangent, which is then not symmetric.
+    known_number : number of a kernel compiled into the loops
+    works : whether its energy is work done by a muscle, not energy stored in the tissue
     """
 
     add: Any
@@ -71,7 +74,7 @@ class Kernel:
 
     @cached_property
     def number(self) -> int:
-        """What stands for the kernel in a program, in this process."""
+        """The kernel's number in a program; valid in this process only."""
         number = self.known_number
         if number is None:
             self.add.compile(_ARGUMENTS)
@@ -85,19 +88,19 @@ _KERNELS: dict[int, Kernel] = {}
 
 
 def kernel_of(number: int) -> Kernel:
-    """The kernel behind a number of a program of this process."""
+    """The kernel with a given number in this process's programs."""
     return _KERNELS[int(number)]
 
 
 @njit(cache=True)
 def workspace():
-    """C and two more (6 each); squares, logs, tau, d (3 each); vectors, a."""
+    """Workspace of a kernel: C and two more (6 each); squares, logs, tau, d (3 each); vectors; a (3, 3)."""
     return np.zeros((3, 6)), np.zeros((4, 3)), np.zeros((3, 3)), np.zeros((3, 3))
 
 
 @intrinsic
 def call_kernel(typingctx, number, par, off, extra, J, work, S, CC, tangent):  # type: ignore[no-untyped-def]
-    """Call the kernel whose machine code is at `number`; what it raises is raised here."""
+    """Call the kernel whose machine code is at address `number`; its exceptions are propagated."""
     given = (par, off, extra, J, work, S, CC, tangent)
     arrays = [(par, 1), (S, 1), (CC, 2)]
     if not all(isinstance(a, types.Array) and (a.ndim, a.layout) == (n, "C") for a, n in arrays):

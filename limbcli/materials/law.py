@@ -1,4 +1,4 @@
-"""What a law is by name: its parameters, and how these become the numbers of its kernel."""
+"""Definition of a named law: its parameters, and their conversion to the numbers of its kernel."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ Values = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class FebioNames:
-    """What FEBio calls a law. `feb` writes and reads it by these names.
+    """FEBio's names of a law and its parameters, used by `feb` for writing and reading.
 
-    parameters : (FEBio's, ours); elastic_constants : E and v there are mu and lambda here
+    parameters : pairs (FEBio's name, ours)
+    elastic_constants : whether FEBio's E and v correspond to mu and lambda here
     """
 
     material: str
@@ -25,21 +26,23 @@ class FebioNames:
 
 @dataclass(frozen=True)
 class Law:
-    """One elementary law, under the name by which a `Material` asks for it.
+    """An elementary law, with the name by which a `Material` refers to it.
 
-    The stress is linear in most of a kernel's numbers ("slots"); for the others a kernel of their own gives
-    the derivative of the stress, so that dR/dp is the internal-force loop itself.
+    The stress is linear in most of a kernel's numbers ("slots"); for the others a separate kernel computes
+    the derivative of the stress, so that dR/dp is obtained by the same internal-force loop.
 
-    parameters : names with their default (None: it must be given)
-    slots : parameters -> numbers, in the kernel's order; smooth, as it is differentiated with a complex step
-    derivatives : slot -> (kernel, extra); None for a number that is no parameter. Slots not listed are linear
-    extra : parameters -> third number of the kernel's row
+    parameters : names with default values (None: required)
+    slots : parameters -> numbers, in the kernel's order; must be smooth, since it is differentiated with a
+        complex step
+    derivatives : slot -> (kernel, extra), or None if the slot does not depend on a parameter; slots not
+        listed are linear
+    extra : parameters -> third number of the kernel's row in a program
     positive : parameters that must be greater than 0
-    check : given parameters -> (what is wrong, what to do), or None
-    terms : its parameters are those of a sum; terms that are not given are left out
-    fiber : it has a direction, which follows its numbers
-    uncoupled : its stress is a deviator and a pressure apart
-    febio : its names there; None where FEBio does not have it
+    check : given parameters -> (problem, fix), or None
+    terms : whether the parameters belong to a sum of terms; terms that are not given are omitted
+    fiber : whether the law has a fibre direction, stored after its numbers
+    uncoupled : whether the stress splits into an isochoric deviator and a pressure
+    febio : FEBio's names; None if FEBio does not have the law
     """
 
     name: str

@@ -1,6 +1,6 @@
-"""Every law by its name. A new law is a file beside this one and its name in the list here.
+"""Registry of all laws by name. To add a law, create a module in this package and list it here.
 
-A law from outside is added by `register`.
+Laws defined outside the package are added by `register`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from limbcli.materials import (
 )
 from limbcli.materials.law import Law
 
-WRAPPERS = ("mixture", "viscoelastic", "prestrain")  # of laws: see `program`
+WRAPPERS = ("mixture", "viscoelastic", "prestrain")  # laws that wrap other laws: see `program`
 LAWS: dict[str, Law] = {
     each.LAW.name: each.LAW
     for each in (ogden, ogden_uncoupled, mooney_rivlin, neo_hooke, holmes_mow, fiber, active_contraction)
@@ -25,12 +25,12 @@ LAWS: dict[str, Law] = {
 
 
 def register(law: Law) -> None:
-    """Add a law from outside: from then on it is known by its name, in this process.
+    """Register a law defined outside the package under its name, for this process.
 
     Raises
     ------
     SolveError
-        If its name, or FEBio's name for it, is taken.
+        If its name, or FEBio's name for it, is already in use.
     """
     by_febio = {each.febio.material: each.name for each in LAWS.values() if each.febio is not None}
     taken = law.name if law.name in LAWS or law.name in WRAPPERS else None

@@ -1,6 +1,6 @@
-"""Mooney and Rivlin's law, uncoupled: W = c1 (I1 - 3) + c2 (I2 - 3) + k/2 (ln J)^2, of J^(-1/3) l.
+"""Uncoupled Mooney-Rivlin law: W = c1 (I1 - 3) + c2 (I2 - 3) + k/2 (ln J)^2, with I1, I2 of J^(-1/3) l.
 
-These are Ogden terms of exponents 2 and -2 with moduli 4 c.
+It consists of two Ogden terms with exponents 2 and -2 and moduli 4 c.
 Source: FEBio User Manual 4.0, "Mooney-Rivlin".
 """
 

@@ -1,6 +1,6 @@
 """Compressible neo-Hookean solid: W = mu/2 (I1 - 3) - mu ln J + lambda/2 (ln J)^2.
 
-Inside: Lame's mu and lambda (MPa); FEBio's "neo-Hookean" writes E and v.
+Parameters: Lame's mu and lambda (MPa); FEBio's "neo-Hookean" uses E and v.
 Source: Bonet & Wood, Nonlinear Continuum Mechanics, eq. 6.27; FEBio User Manual 4.0.
 """
 

@@ -2,9 +2,9 @@
 
     W = sum_k c_k/m_k^2 (l1^m_k + l2^m_k + l3^m_k - 3 - m_k ln J) + kappa/2 (J - 1)^2
 
-with ground shear modulus sum(c_k)/2 and kappa Lame's lambda. The tissue law of the
-project, Psi = c/(2 m^2) sum(l^m + l^-m - 2) + kappa/2 (J - 1)^2, is c1 = c2 = c/2,
-m1 = m, m2 = -m: the logarithms cancel.
+with ground-state shear modulus sum(c_k)/2 and kappa Lame's lambda. The tissue law of the project,
+Psi = c/(2 m^2) sum(l^m + l^-m - 2) + kappa/2 (J - 1)^2, has c1 = c2 = c/2, m1 = m, m2 = -m, for which the
+logarithms cancel.
 
 Source: FEBio User Manual 4.0, "Ogden Unconstrained".
 """
@@ -29,7 +29,7 @@ MAX_TERMS = 6
 def ogden_type(*, c: float, f_kappa: float, m: float) -> Material:
     """The tissue law: Psi = c/(2 m^2) sum(l^m + l^-m - 2) + f_kappa c/2 (J - 1)^2.
 
-    c : MPa, twice the ground shear modulus; f_kappa, m : without unit. m = 2 is the
+    c : twice the ground-state shear modulus, MPa; f_kappa, m : dimensionless. m = 2 is the
     "Mooney-Rivlin type".
 
     >>> ogden_type(c=0.005, f_kappa=100.0, m=2.0).parameters["kappa"]
@@ -60,7 +60,7 @@ def power_quotient(m, si, sj, pi, pj):
 
 @njit(cache=True)
 def powers(x):
-    """exp(x) - 1, exp(x), exp(-x) - 1 and exp(-x), none of them by cancellation."""
+    """exp(x) - 1, exp(x), exp(-x) - 1 and exp(-x), all without cancellation."""
     above = np.expm1(abs(x))
     high = 1.0 + above
     if x >= 0.0:
@@ -70,7 +70,7 @@ def powers(x):
 
 @njit(cache=True)
 def all_squares(par, off, n_terms):
-    """Whether all exponents are 2 or -2, so that no principal stretches are needed."""
+    """Whether all exponents of nonzero terms are 2 or -2, so that no principal stretches are needed."""
     n_others = 0
     for k in range(n_terms):
         if par[off + 1 + 2 * k] != 0.0 and abs(par[off + 2 + 2 * k]) != 2.0:
@@ -93,7 +93,7 @@ def add_ogden(par, off, n_terms, J, work, S, CC, tangent):
 
 @njit(cache=True)
 def _add_squares(par, off, n_terms, J, C, D, G, S, CC, tangent):
-    """Where all exponents are 2 or -2, in C, D = C^-1 and G = D^2 (6 each, the latter two set).
+    """All exponents 2 or -2: in terms of C, D = C^-1 and G = D^2 (6 each; D and G are workspace).
 
     S = kappa (J - 1) J D + c+/2 (1 - D) + c-/2 (D - G), c+ and c- the sums of c_k of either sign.
     """
@@ -127,7 +127,7 @@ def _add_squares(par, off, n_terms, J, C, D, G, S, CC, tangent):
 
 @njit(cache=True)
 def _add_powers(par, off, n_terms, J, squares, logs, vectors, tau, a, d, S, CC, tangent):
-    """In principal axes; logs = ln l_i."""
+    """Any exponents: in principal axes; logs = ln l_i."""
     pressure = par[off] * (J - 1.0) * J
     slope = par[off] * (2.0 * J - 1.0) * J
     for i in range(3):
@@ -142,7 +142,7 @@ def _add_powers(par, off, n_terms, J, squares, logs, vectors, tau, a, d, S, CC, 
         if c == 0.0:
             continue
         m = par[off + 2 + 2 * k]
-        if k > 0 and m == -par[off + 2 * k] and par[off + 2 * k - 1] != 0.0:  # of the term before
+        if k > 0 and m == -par[off + 2 * k] and par[off + 2 * k - 1] != 0.0:  # previous term's, inverted
             e0, p0, r0, q0 = r0, q0, e0, p0
             e1, p1, r1, q1 = r1, q1, e1, p1
             e2, p2, r2, q2 = r2, q2, e2, p2
@@ -174,7 +174,7 @@ def add_exponent_derivative(par, off, term, J, work, S, CC, tangent):
     add_principal(squares, work[2], tau, work[3], d, S, CC, False)
 
 
-# ---------------------------------------------------------------- a sum of terms, coupled or not
+# ---------------------------------------------------------------- sums of terms, coupled or uncoupled
 
 PARAMETERS: dict[str, float | None] = {"kappa": None, "c1": None, "m1": None}
 PARAMETERS |= {f"{letter}{k}": 0.0 for k in range(2, MAX_TERMS + 1) for letter in "cm"}
@@ -182,7 +182,7 @@ FEBIO_TERMS = tuple((f"{letter}{k}", f"{letter}{k}") for k in range(1, MAX_TERMS
 
 
 def n_terms(values: Values) -> int:
-    """The highest number of a term that is given."""
+    """The highest number of a given term."""
     return max((k for k in range(1, MAX_TERMS + 1) if f"c{k}" in values), default=0)
 
 
@@ -195,12 +195,12 @@ def slots(values: Values) -> list[Any]:
 
 
 def exponents(derivative: Kernel) -> dict[int, tuple[Kernel, int] | None]:
-    """The slots of the exponents, each with the derivative of its term."""
+    """The slots of the exponents, each with the derivative kernel of its term."""
     return {2 + 2 * k: (derivative, k) for k in range(MAX_TERMS)}
 
 
 def check_terms(given: Values) -> tuple[str, str] | None:
-    """A modulus without its exponent, or an exponent of 0."""
+    """Problem and fix if a modulus lacks its exponent or an exponent is 0; otherwise None."""
     for key, value in given.items():
         if key.startswith("c") and f"m{key[1:]}" not in given:
             return f"{key} without m{key[1:]}", f"give m{key[1:]}"
@@ -210,7 +210,7 @@ def check_terms(given: Values) -> tuple[str, str] | None:
 
 
 def _has_0(value: Any) -> bool:
-    """Of a number, or of any cell of a map; a load curve's values are not looked at."""
+    """Whether a number, or any cell of a map, is 0; values of load curves are not checked."""
     if isinstance(value, ElementMap):
         return not value.values.all()
     return isinstance(value, float | int) and value == 0

@@ -29,7 +29,7 @@ from limbcli.materials.principal import add_principal, principal_axes
 
 @njit(cache=True)
 def add_uncoupled(par, off, n_terms, J, work, S, CC, tangent):
-    """The deviator of sum c_k/m_k lt^m_k, plus k ln J; par[off:] = k, c1, m1, c2, m2, ..."""
+    """Kirchhoff stress: deviator of sum c_k/m_k lt^m_k plus k ln J; par[off:] = k, c1, m1, c2, m2, ..."""
     principal_axes(work)
     squares, logs, tau, d = work[1][0], work[1][1], work[1][2], work[1][3]
     a = work[3]
@@ -67,7 +67,7 @@ def add_uncoupled(par, off, n_terms, J, work, S, CC, tangent):
 
 @njit(cache=True)
 def add_uncoupled_exponent_derivative(par, off, term, J, work, S, CC, tangent):
-    """dS/dm of one term."""
+    """Derivative of S with respect to the exponent m of one term."""
     principal_axes(work)
     squares, logs, tau, d = work[1][0], work[1][1], work[1][2], work[1][3]
     c, m = par[off + 1 + 2 * term], par[off + 2 + 2 * term]

@@ -1,8 +1,8 @@
 """Isotropic laws in principal axes: from Kirchhoff stresses to S and its tangent.
 
-A law gives, per principal axis i, the Kirchhoff stress tau_i, the matrix
+A law provides, for each principal axis i, the Kirchhoff stress tau_i, the matrix
 a_ij = d tau_i / d ln(l_j) and the quotients d_ij = (tau_j - tau_i) / (l_j^2 - l_i^2)
-(with their limit when stretches meet). Everything else is common to all laws:
+(or their limit for equal stretches). Everything else is common to all laws:
 S_i = tau_i / l_i^2, the normal block (a_ij - 2 tau_i delta_ij) / (l_i^2 l_j^2) and the
 shear terms (d_ij - tau_i / l_i^2) / l_j^2.
 """
@@ -17,8 +17,8 @@ from limbcli.materials.tensors import FIRST, SECOND, eigen6
 
 @njit(cache=True)
 def principal_axes(work):
-    """Principal squares of C, their logarithms halved and their directions into the workspace of a kernel,
-    if they are not there yet; once for all leaves of a program."""
+    """Store the principal values of C, half their logarithms (ln l_i) and their directions in the workspace,
+    unless another leaf of the program has already done so."""
     squares, logs = work[1][0], work[1][1]
     if squares[0] >= 0.0:
         return
@@ -29,9 +29,9 @@ def principal_axes(work):
 
 @njit(cache=True)
 def add_principal(squares, vectors, tau, a, d, S, CC, tangent):
-    """S += sum S_i r_i r_i and, if wanted, its tangent. d holds d_01, d_12, d_02.
+    """S += sum S_i r_i r_i and, if `tangent`, CC += its tangent. d : d_01, d_12, d_02
 
-    squares (3): principal values of C; vectors (3, 3): their directions in columns.
+    squares (3) : principal values of C; vectors (3, 3) : their directions in columns
     """
     for i in range(3):
         s = tau[i] / squares[i]

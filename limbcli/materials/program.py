@@ -1,8 +1,8 @@
-"""From a `Material` to the rows of numbers that the kernels read.
+"""Translates a `Material` into the rows of numbers that the kernels read.
 
-`compile_material` flattens a law (with its mixtures and wrappers) into leaves;
-`Compiled.rows` evaluates the numbers at a time; `Compiled.derivative` gives the
-programs whose stress is the derivative with respect to one parameter.
+`compile_material` flattens a law (with its mixtures and wrappers) into leaves; `Compiled.program` evaluates
+the numbers at a time; `Compiled.derivative` returns the programs whose stress is the derivative with respect
+to one parameter.
 """
 
 from __future__ import annotations
@@ -24,7 +24,10 @@ CurveAt = Callable[[str], float]
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """ops (n_leaves, 3), par (1 or n_cells, n_numbers); factor: weight of each cell, or None."""
+    """Input of the kernels: ops (n_leaves, 3), par (1 or n_cells, n_numbers) (see `dispatch`).
+
+    factor (n_cells,) : factor on each cell's stress, or None
+    """
 
     ops: IntArray
     par: Array
@@ -33,7 +36,7 @@ class Program:
 
 @dataclass(frozen=True)
 class Leaf:
-    """One elementary law: `path` is its place in the tree ("", "0", "1" ...)."""
+    """One elementary law of a material; `path` is its position in the mixture tree ("", "0", "1.0" ...)."""
 
     path: str
     law: Law
@@ -47,7 +50,7 @@ class Leaf:
 
 @dataclass(frozen=True, eq=False)
 class Compiled:
-    """A material flattened: leaves, Prony series (g0, ((g, t), ...)), prestrain (F0, ramp)."""
+    """A flattened material: leaves, Prony series (g0, ((g, t), ...)), prestrain (F0, ramp)."""
 
     name: str
     leaves: tuple[Leaf, ...]
@@ -57,11 +60,11 @@ class Compiled:
 
     @property
     def varies(self) -> bool:
-        """Whether a number follows a load curve."""
+        """Whether a parameter follows a load curve."""
         return any(isinstance(v, Curved) for leaf in self.leaves for v in leaf.parameters.values())
 
     def program(self, n_cells: int, curve: CurveAt) -> Program:
-        """The stress program at the time for which `curve` gives the load curves' values."""
+        """The stress program, with load curves evaluated by `curve`."""
         columns = [c for leaf in self.leaves for c in _columns(leaf, _numbers(leaf, curve))]
         return Program(self._ops(), _stack(columns, n_cells))
 
@@ -73,7 +76,7 @@ class Compiled:
         return np.array(rows, dtype=np.int64).reshape(-1, 3)
 
     def find(self, parameter: str) -> tuple[Leaf, str]:
-        """The leaf and name behind "c1" or, where several leaves have it, "0.c1"."""
+        """The leaf and parameter name for "c1", or "0.c1" if several leaves have that parameter."""
         path, _, name = parameter.rpartition(".")
         found = [leaf for leaf in self.leaves if name in leaf.parameters and (not path or leaf.path == path)]
         if len(found) != 1:
@@ -96,16 +99,16 @@ class Compiled:
     def derivative(
         self, parameter: str, n_cells: int, curve: CurveAt, *, weights: Array | None = None
     ) -> list[Program]:
-        """Programs whose stresses add up to dS/d(parameter), all else held.
+        """Programs whose stresses sum to dS/d(theta), all other parameters fixed.
 
-        weights (n_cells,): the parameter moves by weights * theta, cell by cell (a map
-        coefficient); None: by theta everywhere.
+        weights (n_cells,) : the parameter changes by weights * theta, cell by cell (coefficient of an element
+            map); None: by theta everywhere
         """
         leaf, numbers, slopes = self._slopes(parameter, curve, weights)
         return _derivative_programs(leaf, _columns(leaf, numbers), slopes, n_cells)
 
     def change(self, parameter: str, n_cells: int, curve: CurveAt, *, weights: Array | None = None) -> Array:
-        """d(par)/d(parameter), shaped as the numbers of `program` (1 or n_cells, n_numbers)."""
+        """d(par)/d(theta) of the program's numbers, (1 or n_cells, n_numbers)."""
         mine, _, slopes = self._slopes(parameter, curve, weights)
         columns: list[Any] = []
         for leaf in self.leaves:
@@ -116,7 +119,7 @@ class Compiled:
     def _slopes(
         self, parameter: str, curve: CurveAt, weights: Array | None
     ) -> tuple[Leaf, dict[str, Any], list[Any]]:
-        """The leaf with the parameter, its parameters' values, and how fast its slots change."""
+        """The leaf with the parameter, its parameter values, and d(slots)/d(theta)."""
         leaf, name = self.find(parameter)
         numbers = _numbers(leaf, curve)
         step = 1e-30
@@ -146,7 +149,7 @@ def _derivative_programs(leaf: Leaf, slots: list[Any], slopes: list[Any], n_cell
 
 
 def jumping(ops: IntArray, par: Array) -> Array:
-    """Which leaves of a program, by its ops and par, have a stress that jumps: sheared fibres (n_leaves,)."""
+    """Mask (n_leaves,) of the leaves of a program whose stress has jumps (sheared fibres)."""
     jumps = [kernel_of(number).jump for number in ops[:, 0]]
     return np.array(
         [j is not None and bool(par[:, off + j].any()) for j, off in zip(jumps, ops[:, 1], strict=True)]
@@ -154,7 +157,7 @@ def jumping(ops: IntArray, par: Array) -> Array:
 
 
 def compile_material(material: Material, name: str) -> Compiled:
-    """Flatten a material; a law or parameter that is unknown or missing raises, nothing is guessed."""
+    """Flatten a material; raises SolveError for unknown or missing laws and parameters."""
     prony, prestrain = None, None
     if material.law == "prestrain":
         prestrain = _prestrain(material, name)
@@ -239,7 +242,7 @@ def _plain(value: Value, key: str, name: str) -> float:
 
 
 def _numbers(leaf: Leaf, curve: CurveAt) -> dict[str, Any]:
-    """Parameters as floats or arrays (n_cells,) at a time."""
+    """Parameter values, floats or arrays (n_cells,), with load curves evaluated."""
     return {key: _evaluate(value, curve) for key, value in leaf.parameters.items()}
 
 

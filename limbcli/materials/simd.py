@@ -1,7 +1,7 @@
-"""Sixteen numbers at a time: rows of a flat array that are multiplied and added as vectors.
+"""Vector operations on rows of sixteen numbers of a flat array: products and sums.
 
-Row r of w is w[16 r : 16 r + 16]. For compiled loops in which the compiler cannot tell by itself
-that the rows do not overlap.
+Row r of w is w[16 r : 16 r + 16]. For compiled loops that the compiler does not vectorise because it cannot
+prove that the rows do not overlap.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def _row(context, builder, array_type, array, row):  # type: ignore[no-untyped-d
 
 
 def plus_product(builder, total, first, second):  # type: ignore[no-untyped-def]
-    """total + first times second, in one instruction where the processor has it."""
+    """total + first times second, as a fused multiply-add where the processor has it."""
     return builder.fadd(total, builder.fmul(first, second, flags=("contract",)), flags=("contract",))
 
 

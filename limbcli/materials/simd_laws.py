@@ -1,12 +1,11 @@
-"""Stress and tangent at sixteen points at once: `dispatch.second_piola` for the element loops.
+"""Stress and tangent at sixteen points at once: the counterpart of `dispatch.second_piola` for element loops.
 
-All numbers of the sixteen points stand in rows of one flat array (`simd_rows`). Ogden's unconstrained
-law, the tissue's, is computed in vectors, from formulas of its own; every other law is added point by point
-by `second_piola`, which a new law needs nothing for. tests/materials/test_simd.py holds both equal.
+All data of the sixteen points are stored in rows of one flat array (`simd_rows`). Ogden's unconstrained law,
+the tissue's, is vectorised with its own implementation; every other law is added point by point by
+`second_piola`, so that a new law needs no code here. tests/materials/test_simd.py checks that both agree.
 
-S = beta D + what is given by the law, with D = C^-1; its tangent is
-alpha D (x) D + the symmetric product of D with X + what is given: pressure, and Ogden's terms with
-exponents 2 and -2, are numbers alpha and beta and a tensor X.
+S = beta D + S_law, with D = C^-1; its tangent is alpha D (x) D + the symmetric product of D with X + CC_law.
+Pressure, and Ogden terms with exponents 2 and -2, are expressed by numbers alpha and beta and a tensor X.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ from limbcli.materials.tensors import FIRST, SECOND, VOIGT
 
 @njit(cache=True, error_model="numpy")
 def measure(w):
-    """J, C and D of all F. Where J is not positive D is 0, and no stress comes of it."""
+    """J, C and D for all F. Where J is not positive, D is set to 0; the stress there is not meaningful."""
     for l in range(LANES):
         a, b, c = w[l], w[LANES + l], w[2 * LANES + l]
         d, e, f = w[3 * LANES + l], w[4 * LANES + l], w[5 * LANES + l]
@@ -72,9 +71,10 @@ def measure(w):
 
 @njit(cache=True, error_model="numpy")
 def add_laws(w, ops, par, rows, tangent, place, six, square, work):
-    """Stress of the program at all points, after `measure`; rows (16,) : of `par`. To be `finish`ed.
+    """Add the stress of the program at all points, after `measure` and before `finish`.
 
-    place (3, 3), six (6,), square (6, 6), work : workspace for laws that go point by point
+    rows (16,) : row of `par` for each point
+    place (3, 3), six (6,), square (6, 6), work : workspace for laws evaluated point by point
     """
     w[S * LANES : (X + 6) * LANES] = 0.0
     spectral = False
@@ -122,7 +122,8 @@ def _add_pressure(w):
 
 @njit(cache=True, error_model="numpy")
 def _add_squares(w, par, rows, off, n_terms):
-    """Terms with exponents 2 and -2: c+/2 (1 - D) + c-/2 (D - D^2), c+, c- the sums of c_k of either sign."""
+    """Terms with exponents 2 and -2: c+/2 (1 - D) + c-/2 (D - D^2); c+, c-: sums of c_k with either sign of
+    exponent."""
     w[PLUS * LANES : (MINUS + 1) * LANES] = 0.0
     for l in range(LANES):
         for k in range(n_terms):
@@ -154,7 +155,7 @@ def _add_squares(w, par, rows, off, n_terms):
 
 @njit(cache=True, error_model="numpy")
 def finish(w, tangent):
-    """Pressures taken in, with SHIFT more; S and, if wanted, CC are then complete."""
+    """Add the pressures, including the extra pressure SHIFT; completes S and, if `tangent`, CC."""
     for l in range(LANES):
         shift = w[SHIFT * LANES + l] * w[J * LANES + l]
         w[ALPHA * LANES + l] += shift

@@ -1,6 +1,7 @@
-"""Terms of Ogden's law with any exponents, at sixteen points at once: in principal axes.
+"""Terms of Ogden's law with arbitrary exponents, at sixteen points at once, in principal axes.
 
-Squares of the stretches and their directions come of Jacobi's method, all points turned alike.
+Squared stretches and their directions are computed by Jacobi's method, with the same sequence of rotations
+for all points.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ from limbcli.materials.simd_rows import (
 )  # fmt: skip
 from limbcli.materials.tensors import FIRST, SECOND
 
-_SWEEPS = 5  # of Jacobi's method: to round-off
-_NEAR = 1e-2  # squares of stretches so near each other that their difference cancels
+_SWEEPS = 5  # number of Jacobi sweeps, enough for round-off accuracy
+_NEAR = 1e-2  # relative difference of squared stretches up to which quotients use a cancellation-free form
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -46,7 +47,7 @@ def _turn(app, aqq, apq):
 
 @njit(cache=True, error_model="numpy")
 def principal_stretches(w):
-    """Squares of the principal stretches, their logarithms (half), and directions, by Jacobi's method."""
+    """Squared principal stretches, logarithms of the stretches, and directions, by Jacobi's method."""
     for k in range(3 * LANES):
         w[SQUARES * LANES + k], w[P * LANES + k] = w[C * LANES + k], w[(C + 3) * LANES + k]
     w[VECTORS * LANES : (VECTORS + 9) * LANES] = 0.0
@@ -61,7 +62,7 @@ def principal_stretches(w):
 
 @njit(cache=True, error_model="numpy")
 def _sweep(w):
-    """Each entry beside the diagonal, at P, made to vanish once."""
+    """One sweep: eliminate each off-diagonal entry, stored at P, once."""
     for l in range(LANES):
         at = SQUARES * LANES + l
         a, b, c = w[at], w[at + LANES], w[at + 2 * LANES]
@@ -144,15 +145,15 @@ def add_powers(w, par, rows, off, n_terms, tangent):
 
 @njit(cache=True, error_model="numpy")
 def _from_principal(w, tangent):
-    """As `principal.add_principal`, where tau_i depends on its own stretch alone."""
-    for l in range(LANES):  # S_i and the normal block's factors in place of tau and slopes
+    """As `principal.add_principal`, for tau_i that depends only on its own stretch."""
+    for l in range(LANES):  # overwrite tau and slopes with S_i and the factors of the normal block
         sound = w[J * LANES + l] > 0.0
         for i in range(3):
             square, tau = w[(SQUARES + i) * LANES + l], w[(TAU + i) * LANES + l]
             per = 1.0 / square if sound else 0.0
             w[(TAU + i) * LANES + l] = tau * per
             w[(SLOPES + i) * LANES + l] = (w[(SLOPES + i) * LANES + l] - 2.0 * tau) * per * per
-    for l in range(LANES):  # and the shear terms' in place of the quotients
+    for l in range(LANES):  # and the quotients with the factors of the shear terms
         sound = w[J * LANES + l] > 0.0
         for pair in range(3):
             i, j = (1 if pair == 1 else 0), (1 if pair == 0 else 2)

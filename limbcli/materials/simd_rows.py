@@ -1,4 +1,4 @@
-"""Where the numbers of sixteen points stand: rows of one flat array (see `simd`)."""
+"""Layout of the data of sixteen integration points: named rows of one flat array (see `simd`)."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ SLOPES, QUOTIENTS, P, H = (_FIRST[name] for name in ("SLOPES", "QUOTIENTS", "P",
 WEIGHT, SHIFT, STRESS = (_FIRST[name] for name in ("WEIGHT", "SHIFT", "STRESS"))
 TANGENT, PRODUCTS = _FIRST["TANGENT"], _FIRST["PRODUCTS"]
 
-UPPER = np.zeros((6, 6), dtype=np.int64)  # row of the tangent's upper triangle
+UPPER = np.zeros((6, 6), dtype=np.int64)  # index of tangent entry (p, q) in the upper triangle
 UPPER[np.triu_indices(6)] = np.arange(21)
 UPPER += np.triu(UPPER, 1).T
 
 
 @njit(cache=True, error_model="numpy")
 def simd_workspace():
-    """The rows, and what point-by-point laws need."""
+    """The rows, and the arrays F, S and CC of a single point for laws evaluated point by point."""
     return np.zeros(N_ROWS * LANES), np.empty((3, 3)), np.empty(6), np.empty((6, 6))

@@ -1,8 +1,8 @@
 """Stresses of a law at given deformation gradients, outside a simulation.
 
-For tests, plots, wave speeds and derivatives, by `dispatch.second_piola` point after point. The internal
-force and the tangent of a simulation come from `simd_laws`, which has Ogden's law a second time, in vectors,
-and calls `second_piola` for every other law; tests/materials/test_simd.py holds the two equal.
+For tests, plots, wave speeds and derivatives, evaluated by `dispatch.second_piola` point by point. The
+internal force and tangent of a simulation use `simd_laws`, which has a second, vectorised implementation of
+Ogden's law and calls `second_piola` for all others; tests/materials/test_simd.py checks that both agree.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def _evaluate(F, ops, par, S, CC, tangent):
 
 
 def tangents_at_rest(program: Program) -> Array:
-    """dS/dE at F = 1, Voigt (n, 6, 6) MPa; n is 1 where the numbers are those of all cells."""
+    """dS/dE at F = 1, Voigt (n, 6, 6) MPa; n is 1 if all cells have the same numbers."""
     n = len(program.par)
     F = np.repeat(np.eye(3)[None], n, axis=0)
     S, CC = np.zeros((n, 6)), np.zeros((n, 6, 6))
@@ -38,14 +38,14 @@ def tangents_at_rest(program: Program) -> Array:
 def second_piola_kirchhoff(material: Material, F: Array, *, time_s: float = 0.0) -> tuple[Array, Array]:
     """S (n, 3, 3) MPa and its tangent CC = dS/dE (n, 3, 3, 3, 3) of an elastic law at F (n, 3, 3).
 
-    Load curves count as 1. Where det F <= 0 both are zero.
+    Load curves are taken as 1. Where det F <= 0 both are zero. `time_s` is not used.
     """
     program = compile_material(material, material.law).program(len(F), lambda name: 1.0)
     return program_stress(program, F)
 
 
 def program_stress(program: Program, F: Array) -> tuple[Array, Array]:
-    """As `second_piola_kirchhoff`, of numbers that are laid out already (one row, or one a gradient)."""
+    """As `second_piola_kirchhoff`, for a program with one row of numbers, or one per deformation gradient."""
     F = np.ascontiguousarray(F, dtype=float)
     S, CC = np.zeros((len(F), 6)), np.zeros((len(F), 6, 6))
     _evaluate(F, program.ops, program.par, S, CC, True)
@@ -66,13 +66,13 @@ def cauchy_stress(material: Material, F: Array) -> Array:
 
 
 def penalty_modulus(C: Array, normals: Array) -> Array:
-    """Stiffness along `normals` (n, 3) that FEBio's automatic contact penalty is built on.
+    """Stiffness along `normals` (n, 3) used by FEBio's automatic contact penalty, MPa.
 
-    1 / (nn : S : nn) with S the inverse of the tangents C (n, 6, 6), Voigt, at F = 1. FEBio takes the
-    6x6 inverse, whose shears are engineering compliances, for the components of a tensor;
-    hence the factor 2 on the shear products. For normals along an axis this is Young's
-    modulus; for others it is lower, in nearly incompressible tissue by 1 % at 2 degrees and to 0.3 of it at
-    45. Found by comparing nodal forces with FEBio 4.11's.
+    1 / (nn : S : nn), with S the inverse of the tangents C (n, 6, 6), Voigt, at F = 1. FEBio uses the entries
+    of the 6x6 inverse, whose shears are engineering compliances, as tensor components; hence the factor 2 on
+    the shear products. For normals along a coordinate axis this is Young's modulus; otherwise it is lower, in
+    nearly incompressible tissue by 1 % at 2 degrees, and 0.3 of it at 45 degrees. Identified by comparing
+    nodal forces with those of FEBio 4.11.
     """
     n = normals
     products = np.stack(

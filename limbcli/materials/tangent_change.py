@@ -1,8 +1,8 @@
-"""How a law's tangent changes: by central differences of the law itself, point by point.
+"""Directional derivative of a law's tangent, by central differences of the law at each point.
 
-A derivative of the tangent is a third derivative of the energy, which no kernel gives. The law alone is
-cheap and smooth: with a step of 6e-6 (the cube root of round-off) of F and of its numbers, about nine
-digits are right, six with exponents of a hundred.
+The derivative of the tangent is a third derivative of the energy, which the kernels do not provide. The law
+itself is cheap and smooth: with a step of 6e-6 (the cube root of round-off) in F and in its numbers, about
+nine digits are correct, six with exponents of a hundred.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ _STEP = 6e-6
 
 
 def tangent_change(ops: IntArray, par: Array, F: Array, dF: Array, dpar: Array) -> Array:
-    """Change (n, 6, 6) of CC = dS/dE, Voigt order, along dF (n, 3, 3) and dpar (n or 1, n_numbers).
+    """Derivative (n, 6, 6) of CC = dS/dE, Voigt order, along dF (n, 3, 3) and dpar (n or 1, n_numbers).
 
-    par, dpar (n or 1, n_numbers) : of a program; F (n, 3, 3). Each point has a step of its own, so
-    that F moves by 6e-6 at the most and every number by 6e-6 of itself. Where a fibre stands on the
-    beginning of its stretch the tangent jumps, and has no change.
+    par, dpar (n or 1, n_numbers) : of a program; F (n, 3, 3). The step is chosen for each point such that F
+    changes by at most 6e-6 and every number by at most 6e-6 of itself. Where a fibre is exactly at the onset
+    of its stretch the tangent is discontinuous and the result is meaningless.
     """
     sizes = np.where(par == 0.0, 1.0, abs(par))
     fastest = np.maximum(abs(dF).max(axis=(1, 2)), (abs(dpar) / sizes).max(axis=1, initial=0.0))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-# place of (i, j) among the six
+# index of component (i, j) among the six
 VOIGT = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2]], dtype=np.int64)
 FIRST = np.array([0, 1, 2, 0, 1, 0], dtype=np.int64)
 SECOND = np.array([0, 1, 2, 1, 2, 2], dtype=np.int64)
@@ -78,7 +78,7 @@ def _rotation(app, aqq, apq):
 
 @njit(cache=True)
 def _turn(vectors, p, q, c, s):
-    """Columns p and q turned."""
+    """Rotate columns p and q of the eigenvectors."""
     for k in range(3):
         x, y = vectors[k, p], vectors[k, q]
         vectors[k, p] = c * x - s * y
@@ -89,8 +89,8 @@ def _turn(vectors, p, q, c, s):
 def eigen6(C, values, vectors):
     """Eigenvalues and orthonormal eigenvectors (columns) of a symmetric tensor.
 
-    Cyclic Jacobi: slower than the closed form, but the vectors stay orthonormal
-    to round-off however close the eigenvalues are.
+    Cyclic Jacobi method: slower than the closed form, but the vectors are orthonormal
+    to round-off even for very close eigenvalues.
     """
     a00, a11, a22, a01, a12, a02 = C[0], C[1], C[2], C[3], C[4], C[5]
     for i in range(3):

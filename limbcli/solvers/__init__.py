@@ -1,4 +1,4 @@
-"""Solvers behind one contract: FEBio, and the bundled reference solver."""
+"""Solvers behind one interface: FEBio, and the bundled reference solver."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from limbcli.errors import CaseError, LimbError
 from limbcli.solvers.base import Solver
 
 KINDS = ("auto", "febio", "reference")
-ABSENT = "absent"  # in place of a solver that is asked for and cannot be had
+ABSENT = "absent"  # identity of a requested solver that is not available
 
 
 def choose(kind: str = "auto", febio: Path | None = None, *, threads: int | None = None) -> Solver:
@@ -20,7 +20,7 @@ def choose(kind: str = "auto", febio: Path | None = None, *, threads: int | None
     CaseError
         If `kind` is none of these.
     ToolError
-        If FEBio is asked for, by kind or by naming its binary here or in the environment, and is not there.
+        If FEBio is requested, by kind or by naming its binary here or in the environment, and not found.
     """
     from limbcli.solvers.febio import FebioSolver
 
@@ -40,19 +40,21 @@ def choose(kind: str = "auto", febio: Path | None = None, *, threads: int | None
 
 
 def is_named(febio: Path | None) -> bool:
-    """Whether a FEBio is named, here or in the environment, and so must be there."""
+    """Whether a FEBio binary is named, here or in the environment, and therefore required."""
     from limbcli.solvers.febio import VARIABLE
 
     return febio is not None or bool(os.environ.get(VARIABLE))
 
 
 def identity(kind: str = "auto", febio: Path | None = None) -> str:
-    """What `choose` would give, in words that change where its results may: for keys of results.
+    """A string that identifies the solver `choose` would return, for cache keys of results.
+
+    It changes whenever the solver's results may change; `ABSENT` if no solver can be chosen.
 
     >>> identity("reference")
     'reference'
     """
     try:
         return choose(kind, febio).identity()
-    except LimbError:  # the stage that needs it says so
+    except LimbError:  # reported by the stage that needs the solver
         return ABSENT

@@ -1,8 +1,7 @@
-"""What every solver answers: five verbs, each callable alone, and one result.
+"""The interface of all solvers: five independent operations, and the result type `Simulation`.
 
-`found` and `version` report what is there; `write` leaves the input file; `run`
-computes and leaves the result files; `read` turns result files, whoever made
-them, into a `Simulation`.
+`found` and `version` report the installation; `write` writes the input file; `run` computes and writes
+the result files; `read` turns the result files of any solver into a `Simulation`.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ LOG_FILE = "model.log"
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """One log record read back: values (n_times, n_items, n_fields), items numbered from 0."""
+    """One log record: values (n_times, n_items, n_fields), items numbered from 0."""
 
     fields: tuple[str, ...]
     times: Array
@@ -29,13 +28,13 @@ class Table:
     values: Array
 
     def column(self, name: str) -> Array:
-        """(n_times, n_items) of one field."""
+        """The values (n_times, n_items) of one field."""
         return self.values[:, :, self.fields.index(name)]
 
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """A finished simulation: every converged step's time, and the tables the model asked for.
+    """A finished simulation: the times of all converged steps, and the tables requested by the model.
 
     rigid : by body name; nodes, elements : by file name of the record
     """
@@ -52,16 +51,16 @@ class Simulation:
     linear_solver: str = ""
 
     def probe_force(self, body: str = "probe") -> Array:
-        """(n_times,) N, compression positive: minus the rigid body's Fz."""
+        """Probe force (n_times,), N, compression positive: minus the rigid body's Fz."""
         return -self.rigid[body].column("Fz")[:, 0]
 
     def probe_depth(self, body: str = "probe") -> Array:
-        """(n_times,) mm: minus the height of the probe face (the body's centre of mass)."""
+        """Probe depth (n_times,), mm: minus the height of the probe face (the body's centre of mass)."""
         return -self.rigid[body].column("z")[:, 0]
 
 
 class Solver(Protocol):
-    """The contract that `solvers.febio` and `solvers.reference` keep."""
+    """The interface implemented by `solvers.febio` and `solvers.reference`."""
 
     name: str
 
@@ -70,13 +69,13 @@ class Solver(Protocol):
     def version(self) -> str: ...
 
     def identity(self) -> str:
-        """Words that change where another program would be started; our own sources are not meant."""
+        """A string that changes if a different program would be run; limbcli's own sources do not count."""
         ...
 
     def write(self, model: LimbModel, folder: Path) -> Path: ...
 
     def run(self, feb: Path, *, progress: Progress, time_limit_s: float | None = None) -> None:
-        """Compute; raises SolveError where the end of the load was not reached."""
+        """Compute; raises SolveError if the end of the load was not reached."""
         ...
 
     def read(self, feb: Path) -> Simulation: ...

@@ -1,4 +1,4 @@
-"""FEBio as a solver: found, started, watched, stopped, and judged by its log."""
+"""FEBio as a solver: locates, runs, monitors and stops it, and evaluates its log."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ BINARIES = ("febio4", "febio")
 VARIABLE = "LIMBCLI_FEBIO"
 _POLL_S = 0.1
 _GRACE_S = 3.0
-LINGERS_S = 10.0  # after the last line of a log that says how the run ended
+LINGERS_S = 10.0  # seconds after its log reports the end of the run before a lingering process is stopped
 _VERSION_TIMEOUT_S = 5.0
 _VERSION_BYTES = 20_000
 _SCREEN_FILE = "febio-screen.txt"
-_LEFTOVERS = (".xplt", ".dmp")  # the plot and restart files: large, and not asked for
+_LEFTOVERS = (".xplt", ".dmp")  # plot and restart files, deleted: large and not used
 
 
 @dataclass
 class FebioSolver:
-    """FEBio 4 behind the five verbs.
+    """FEBio 4 behind the common solver interface.
 
-    binary : the file to start; None: the variable LIMBCLI_FEBIO, then `febio4`, `febio` on PATH
-    threads : of OpenMP; None: OMP_NUM_THREADS, else all processors
+    binary : executable to run; None: the variable LIMBCLI_FEBIO, then `febio4`, `febio` on PATH
+    threads : OpenMP threads; None: OMP_NUM_THREADS, else all processors
     """
 
     binary: Path | None = None
@@ -52,7 +52,7 @@ class FebioSolver:
     name: str = "febio"
 
     def path(self) -> Path | None:
-        """The binary that would be started, or None."""
+        """The executable that would be run, or None."""
         named = self._named()
         if named is not None and named.is_file():
             return named.resolve() if os.access(named, os.X_OK) else None
@@ -63,7 +63,7 @@ class FebioSolver:
         return None
 
     def _named(self) -> Path | None:
-        """A file, from here or from the root, or else the name of a program on PATH."""
+        """The binary named here or in the environment: a file path, or the name of a program on PATH."""
         named = self.binary or (Path(os.environ[VARIABLE]) if os.environ.get(VARIABLE) else None)
         return named.expanduser() if named is not None else None
 
@@ -71,7 +71,7 @@ class FebioSolver:
         return self.path() is not None
 
     def version(self) -> str:
-        """As FEBio prints it ("4.11.0"); "unknown" if it prints none within 5 s. A run's log reports it too.
+        """The version that FEBio prints ("4.11.0"); "unknown" if none appears within 5 s. Logs state it too.
 
         Raises
         ------
@@ -107,7 +107,7 @@ class FebioSolver:
         return reader.version or "unknown"
 
     def identity(self) -> str:
-        """By the binary's content, and by the version that it reports: its libraries are files of their own.
+        """Hash of the binary and the version it reports; the latter because its libraries are separate files.
 
         Raises
         ------
@@ -122,9 +122,9 @@ class FebioSolver:
         return write_feb(model, folder / MODEL_FILE)
 
     def run(self, feb: Path, *, progress: Progress, time_limit_s: float | None = None) -> None:
-        """Run a model file in its folder; the log and the record files appear beside it.
+        """Run a model file in its folder; the log and the record files are written next to it.
 
-        time_limit_s : None: by the model's size (`default_limit_s`)
+        time_limit_s : None: from the model's size (`default_limit_s`)
 
         Raises
         ------
@@ -133,8 +133,8 @@ class FebioSolver:
         ToolError
             If there is no FEBio, or it cannot be started.
         SolveError
-            If the time limit passes, or FEBio's log does not say that the end of the
-            load of this very model was reached, whatever the exit status.
+            If the time limit is exceeded, or FEBio's log does not report that the end of the load of this
+            model was reached, regardless of the exit status.
         """
         outline = read_outline(feb)
         check_output(outline, feb)
@@ -156,15 +156,15 @@ class FebioSolver:
         shown.unlink()
 
     def read(self, feb: Path) -> Simulation:
-        """What a finished run left beside its model file; its stresses must be those of the model's laws."""
+        """The results of a finished run, whose stresses must agree with the model's laws (`law_check`)."""
         simulation = read_finished(self.name, feb)
         if can_be_checked(simulation.elements):
-            with contextlib.suppress(CaseError):  # a model with what limbcli does not know: FEBio's to judge
+            with contextlib.suppress(CaseError):  # a model with features unknown to limbcli is not checked
                 check_first_step(read_feb(feb), simulation.elements, feb.parent)
         return simulation
 
     def need(self) -> Path:
-        """The binary; a ToolError says where it was looked for."""
+        """The executable; raises ToolError, listing the places searched, if there is none."""
         path = self.path()
         if path is None:
             named = self._named()
@@ -200,7 +200,8 @@ class FebioSolver:
 
 @cache
 def _identity(binary: Path, changed_ns: int, size: int) -> str:
-    """Asked once a process while the file is the same; its date stands for content that cannot be read."""
+    """Identity string, cached per process while the file is unchanged; an unreadable file is identified by
+    size and modification time."""
     try:
         content = sha256(binary)
     except PermissionError:
@@ -217,7 +218,7 @@ def _not_startable(binary: Path, error: OSError) -> ToolError:
 
 
 def _stop(process: subprocess.Popen[bytes]) -> None:
-    """End the process, if it still runs, and whatever it started: first politely, then not."""
+    """Stop the process group, if still running: SIGTERM first, then SIGKILL."""
     if process.poll() is not None:
         return
     for wish in (signal.SIGTERM, signal.SIGKILL):
@@ -228,9 +229,9 @@ def _stop(process: subprocess.Popen[bytes]) -> None:
 
 
 def _watch(process: subprocess.Popen[bytes], watcher: LogWatcher, limit_s: float, *, given: bool) -> None:
-    """Follow the log until the process ends; a sign of life where the log is silent for long.
+    """Follow the log until the process ends, reporting a heartbeat while the log is silent.
 
-    One whose log has said that it is at its end, and that does not end, is ended.
+    A process that does not exit although its log reports the end of the run is stopped.
     """
     start = last_sign = time.monotonic()
     while process.poll() is None:
@@ -258,7 +259,7 @@ def _watch(process: subprocess.Popen[bytes], watcher: LogWatcher, limit_s: float
 
 
 def _judge(log: Path, outline: Outline, status: int | None, screen: TextIO) -> None:
-    """The log decides; without one, what FEBio printed is shown."""
+    """Check completion by the log; without a log, raise SolveError quoting FEBio's screen output."""
     if log.is_file():
         check_complete(read_log(log), log, end_time=outline.end_time)
         return

@@ -1,4 +1,4 @@
-"""What can be reported of FEBio while it runs: its iterations, signs of life, and how long it may take."""
+"""Progress reports on a running FEBio: iterations, heartbeat, and the default time limit."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from limbcli.feb.log import Iteration, LogReader
 from limbcli.feb.outline import Outline
 from limbcli.progress import Progress
 
-HEARTBEAT_S = 15.0  # of silence, after which a sign of life is reported
-# Wide: a model of 30,000 nodes has 17 hours. It is there for a run that hangs, not for one that is slow.
+HEARTBEAT_S = 15.0  # seconds without log output after which a heartbeat is reported
+# Default time limit: minimum (s), and seconds per node and level. Generous (a model of 30,000 nodes and ten
+# levels has 17 hours): it is meant to stop a run that hangs, not one that is slow.
 _LEAST_LIMIT_S, _LIMIT_S_PER_NODE_AND_LEVEL = 1800.0, 0.2
 
 
 def default_limit_s(outline: Outline) -> float:
-    """How long a simulation may take where nobody says: by its nodes and its levels.
+    """Default time limit of a simulation (s), from its numbers of nodes and levels.
 
     >>> small = Outline(1.0, (), np.arange(-1, 100), np.zeros(1, int), (0.5, 1.0))
     >>> default_limit_s(small)
@@ -42,7 +43,7 @@ class LogWatcher:
         return self.reader.times[-1] if self.reader.times else 0.0
 
     def look(self) -> bool:
-        """Read on; whether an iteration was reported."""
+        """Read new log lines; returns whether an iteration was reported."""
         try:
             with self.log.open("rb") as stream:
                 stream.seek(self._offset)
@@ -59,7 +60,7 @@ class LogWatcher:
         return last is not None
 
     def alive(self, seconds: float, limit_s: float) -> None:
-        """A sign of life: FEBio still runs, though its log shows nothing new."""
+        """Report a heartbeat: FEBio is still running although its log shows nothing new."""
         self._progress.event(
             "alive",
             name="FEBio",

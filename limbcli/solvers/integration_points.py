@@ -1,4 +1,4 @@
-"""Where a solved mesh's cells are integrated: places, deformation gradients and volumes there."""
+"""Integration points of a solved mesh: positions, deformation gradients and volumes."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from limbcli.fem.elements.element import reference_gradients, shape
 from limbcli.fem.elements.quadrature import rule
 from limbcli.model import Array, Block, IntArray
 
-# F is linear in a straight tet10, so that four points determine it; other kinds have their usual rule.
+# F is linear in a straight-sided tet10, so four points determine it; other kinds use their default rule.
 _RULES = {"tet10": "TET10G4"}
 
 
 @dataclass(frozen=True, eq=False)
 class IntegrationPoints:
-    """Of a block of cells, q a cell.
+    """The q integration points of each cell of a block.
 
-    cells (n_cells, n_nodes); rest (n_cells, q, 3) mm, unloaded; volume (n_cells, q) mm^3
+    cells (n_cells, n_nodes); rest (n_cells, q, 3) : reference positions, mm; volume (n_cells, q) : mm^3
     """
 
     cells: IntArray
@@ -29,7 +29,7 @@ class IntegrationPoints:
 
     @staticmethod
     def of(points: Array, block: Block) -> IntegrationPoints:
-        """points (n_points, 3) mm : the mesh's, unloaded"""
+        """Integration points of a block. points (n_points, 3) : the mesh's reference positions, mm"""
         chosen = rule(_RULES.get(block.kind, block.kind))
         values, _ = shape(block.kind, chosen[0])
         slope, volume = reference_gradients(points, block.cells, block.kind, chosen)
@@ -42,5 +42,5 @@ class IntegrationPoints:
         return np.asarray(np.eye(3) + np.einsum("cni,cqnj->cqij", moved, self._slope, optimize=True))
 
     def places(self, displacement: Array) -> Array:
-        """(n_cells, q, 3) mm, deformed."""
+        """Deformed positions (n_cells, q, 3), mm."""
         return self.rest + np.einsum("qn,cni->cqi", self._shape, displacement[self.cells], optimize=True)

@@ -1,8 +1,9 @@
-"""Tabulated stresses against the law of the model: record files of another material do not pass.
+"""Checks recorded stresses against the model's law, to detect record files of another material.
 
-The first loaded step is taken, where a mean over a cell is still the law's stress at the mean deformation;
-only the deviatoric part, because the pressure of nearly incompressible tissue swings within a quadratic cell.
-Only plain elastic laws of one number per parameter are judged, without element maps, mixtures and rules.
+The first loaded step is used, where a cell's mean stress is still the law's stress at the mean deformation;
+only the deviatoric part, because the pressure of nearly incompressible tissue oscillates within a quadratic
+cell. Only plain elastic laws with scalar parameters are checked, not element maps, mixtures, fibre or
+uncoupled laws, or domains with an element rule.
 """
 
 from __future__ import annotations
@@ -20,15 +21,17 @@ from limbcli.solvers.base import Table
 
 _GRADIENT = ("Fxx", "Fxy", "Fxz", "Fyx", "Fyy", "Fyz", "Fzx", "Fzy", "Fzz")
 _STRESS = ("sx", "sy", "sz", "sxy", "syz", "sxz")
-_CELLS = 200  # with the largest stresses
-_TOLERANCE = 0.03  # of the stress: tet10's mean over a cell leaves 0.7 % even where it is pressed deep
-_LOADED = 0.05  # of the largest stress: less is round-off where a cell is at rest
-_SHEARED = 1e-3  # of the whole stress: under pressure alone there is nothing to compare
-_STRAIN = 0.08  # of the cells looked at, at most: beyond, means over curved cells are less informative
+_CELLS = 200  # number of cells compared, those with the largest deviatoric stresses
+# Largest median relative difference of the stress: averaging over a tet10 cell gives 0.7 % even when it is
+# deeply indented.
+_TOLERANCE = 0.03
+_LOADED = 0.05  # smallest stress compared, relative to the largest: in unloaded cells it is round-off
+_SHEARED = 1e-3  # smallest deviatoric part of the stress: under pure pressure there is nothing to compare
+_STRAIN = 0.08  # largest entry of |F - 1| of the cells compared; beyond, means over curved cells are inexact
 
 
 def can_be_checked(elements: Mapping[str, Table]) -> bool:
-    """Whether any table holds deformation and stress."""
+    """Whether any table contains both deformation gradient and stress."""
     return any(_has_stress(each) for each in elements.values())
 
 
@@ -37,12 +40,12 @@ def _has_stress(table: Table) -> bool:
 
 
 def check_first_step(model: LimbModel, elements: Mapping[str, Table], folder: Path) -> None:
-    """The tables that hold deformation and stress, each against its cells' laws.
+    """Check every table with deformation gradient and stress against its cells' laws.
 
     Raises
     ------
     SolveError
-        If the median cell's stress is not that of its law.
+        If the median deviation from the law exceeds 3 %.
     """
     laws = _laws_by_cell(model)
     for name, table in elements.items():
@@ -59,7 +62,7 @@ def check_first_step(model: LimbModel, elements: Mapping[str, Table], folder: Pa
 
 
 def _laws_by_cell(model: LimbModel) -> dict[int, Material]:
-    """The plain laws of the solid cells, by the cell's number over all blocks."""
+    """The laws of the cells that can be checked, by cell number counted over all blocks."""
     of_block = {each.block: each for each in model.domains}
     found: dict[int, Material] = {}
     start = 0
@@ -79,7 +82,7 @@ def _is_plain(law: Material) -> bool:
 
 
 def _deviation(table: Table, laws: Mapping[int, Material]) -> float | None:
-    """Median relative difference of the deviatoric stress where it is large; None where none is borne."""
+    """Median relative difference of the deviatoric stress where it is large; None if no cell is loaded."""
     known = np.array([int(each) in laws for each in table.items])
     loaded = np.flatnonzero(table.times > 0)
     if not known.any() or not len(loaded):
@@ -102,7 +105,7 @@ def _deviation(table: Table, laws: Mapping[int, Material]) -> float | None:
 
 
 def _deviator(stress: Array) -> Array:
-    """(n, 6) without the mean of the first three."""
+    """Deviatoric part (n, 6): the mean of the first three components is subtracted from them."""
     return np.concatenate([stress[:, :3] - stress[:, :3].mean(axis=1, keepdims=True), stress[:, 3:]], axis=1)
 
 

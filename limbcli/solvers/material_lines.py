@@ -1,9 +1,9 @@
-"""Material lines below the probe: points of the unloaded tissue on the beam, carried by a simulation.
+"""Material points on the ultrasound beam below the probe, tracked through a simulation.
 
-The interfaces of skin, fat and muscle are lines of the tissue: where they were seen at first touch they are
-marked in the unloaded mesh, and the displacements, interpolated by the elements' own shape functions, say
-where they are at any other time. Depths count from the skin's own point on the beam, so that a probe that
-sinks into the skin by its contact's penalty does not count.
+The interfaces of skin, fat and muscle are material lines: they are marked in the unloaded mesh at the depths
+measured at first touch, and the displacements, interpolated by the elements' shape functions, give their
+positions at any other time. Depths are measured from the skin's material point on the beam, so that the
+probe's penetration into the skin due to the contact penalty has no effect.
 
 Source: isoparametric interpolation, Zienkiewicz & Taylor, The Finite Element Method, chapter 8.
 """
@@ -21,17 +21,19 @@ from limbcli.solvers.base import Simulation, Table
 
 FILE = "material_lines.csv"
 _TETRAHEDRA = ("tet4", "tet10")
-_ITERATIONS, _SETTLED = 12, 1e-12
-_OUTSIDE = 1e-6  # of the natural coordinates, by which a point on a facet may seem to lie outside
-_STEP = 1e-4
+_ITERATIONS, _SETTLED = 12, 1e-12  # of Newton's method for natural coordinates: limit; tolerance in mm
+_OUTSIDE = 1e-6  # tolerance, in natural coordinates or mm, for points on the boundary of a cell
+_STEP = 1e-4  # mm, of the difference quotient for the slopes
 
 
 @dataclass(frozen=True, eq=False)
 class MaterialLines:
-    """rest (n_lines,) mm below the skin on the beam (x = y = 0 in the site's frame) before loading.
+    """Material lines on the beam (x = y = 0 in the site's frame), and how nodal displacements move them.
 
-    items (n_items,) : the nodes that carry them; weights (n_lines, n_items) : of their displacements along
-    z, the skin's less the line's, so that the depth below the skin is rest + weights @ u_z
+    rest (n_lines,) : depth below the skin before loading, mm
+    items (n_items,) : nodes whose displacements determine the lines and the skin point
+    weights (n_lines, n_items) : interpolation weights, skin minus line, so that the depth below the skin is
+        rest + weights @ u_z
     slopes (n_lines, n_items) : d weights / d rest, 1/mm
     """
 
@@ -42,29 +44,29 @@ class MaterialLines:
 
     @property
     def record(self) -> LogRecord:
-        """What a simulation must write."""
+        """The record that a simulation must write."""
         return LogRecord("node", ("ux", "uy", "uz"), FILE, self.items)
 
     def below_skin(self, u_z: Array) -> Array:
-        """mm (..., n_lines) below the skin, of displacements (..., n_items) of `items`."""
+        """Depths below the skin (..., n_lines), mm, from displacements (..., n_items) of `items` along z."""
         return np.asarray(self.rest + u_z @ self.weights.T)
 
     def by_rest(self, u_z: Array) -> Array:
-        """d(below_skin) / d(rest) (..., n_lines): the tissue's stretch along the beam at the line."""
+        """d(below_skin) / d(rest) (..., n_lines): stretch of the tissue along the beam at the line."""
         return np.asarray(1.0 + u_z @ self.slopes.T)
 
     def drift(self, u: Array) -> float:
-        """mm that lines leave the beam sideways at most, of displacements (n_times, n_items, 3)."""
+        """Largest lateral offset (mm) of a line from the skin point, for u (n_times, n_items, 3)."""
         moved = np.abs(np.einsum("li,tid->tld", self.weights, u[..., :2]))
         return float(np.linalg.norm(moved, axis=-1).max(initial=0.0))
 
     def of_table(self, table: Table) -> Array:
-        """Displacements (n_times, n_items, 3) of `items`, from a record of these or of more nodes.
+        """Displacements (n_times, n_items, 3) of `items`, from a record of at least these nodes.
 
         Raises
         ------
         MeasurementError
-            If the record lacks some.
+            If the record lacks some of them.
         """
         place = np.full(max(int(table.items.max(initial=0)), int(self.items.max())) + 1, -1)
         place[table.items] = np.arange(len(table.items))
@@ -75,12 +77,12 @@ class MaterialLines:
 
 
 def displacements(lines: MaterialLines, simulation: Simulation) -> Array:
-    """(n_times, n_items, 3) of the nodes that carry the lines.
+    """Displacements (n_times, n_items, 3) of the nodes that determine the lines.
 
     Raises
     ------
     MeasurementError
-        If the simulation recorded no displacements of them.
+        If the simulation did not record them.
     """
     for table in simulation.nodes.values():
         if {"ux", "uy", "uz"} <= set(table.fields):
@@ -91,12 +93,12 @@ def displacements(lines: MaterialLines, simulation: Simulation) -> Array:
 def material_lines(model: LimbModel, rest: Array) -> MaterialLines:
     """Lines at depths `rest` (n_lines,) mm below the skin of a model in the site's frame.
 
-    NaN marks the bone: a line that stays where it is.
+    NaN stands for the bone surface, which does not move.
 
     Raises
     ------
     MeasurementError
-        If the beam meets no tissue, or a line lies beyond the bone.
+        If the beam does not intersect the tissue, a cell is not a tetrahedron, or a line lies below the bone.
     """
     column = _Column(model)
     rest = np.asarray(rest, dtype=float)
@@ -126,7 +128,7 @@ def material_lines(model: LimbModel, rest: Array) -> MaterialLines:
 
 
 class _Column:
-    """The tetrahedra that the beam may cross."""
+    """The tetrahedra that the beam may intersect."""
 
     def __init__(self, model: LimbModel):
         self.points = model.mesh.points
@@ -142,7 +144,7 @@ class _Column:
             self.cells += [(block.kind, cell) for cell in block.cells[near]]
 
     def ends(self) -> tuple[float, float]:
-        """Heights of the skin and of the tissue's end below it (the bone), mm."""
+        """Heights (mm) of the skin and of the end of the continuous tissue below it (the bone)."""
         spans = sorted(span for kind, cell in self.cells if (span := self._span(cell)) is not None)
         if not spans:
             raise MeasurementError(
@@ -156,7 +158,7 @@ class _Column:
         return top, bottom
 
     def _span(self, cell: IntArray) -> tuple[float, float] | None:
-        """Heights between which the beam is in a cell (by its corners)."""
+        """Heights between which the beam lies in a cell with straight edges; None if it misses the cell."""
         at, up = self._affine(cell)
         low, high = -np.inf, np.inf
         for a, b in zip(at, up, strict=True):
@@ -170,13 +172,13 @@ class _Column:
         return (float(low), float(high)) if high - low > _OUTSIDE else None
 
     def _affine(self, cell: IntArray) -> tuple[Array, Array]:
-        """Barycentric coordinates of (0, 0, z): at + up z, (4,) each."""
+        """Coefficients at, up (4,) of the barycentric coordinates at + up z of the point (0, 0, z)."""
         corners = np.vstack([self.points[cell[:4]].T, np.ones(4)])
         solved = np.linalg.solve(corners, np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 1.0], [1.0, 0.0]]))
         return solved[:, 0], solved[:, 1]
 
     def weights(self, z: float) -> tuple[IntArray, Array]:
-        """Nodes and what each counts at (0, 0, z)."""
+        """Nodes, and their interpolation weights at (0, 0, z)."""
         best: tuple[float, IntArray, Array] | None = None
         for kind, cell in self.cells:
             natural = self._natural(kind, cell, z)
@@ -187,7 +189,7 @@ class _Column:
         return best[1], best[2]
 
     def _natural(self, kind: str, cell: IntArray, z: float) -> Array:
-        """Natural coordinates (3,), by Newton's method where edges are bent."""
+        """Natural coordinates (3,) of (0, 0, z), by Newton's method in a tet10."""
         at, up = self._affine(cell)
         natural, X = (at + up * z)[1:], self.points[cell]
         for _ in range(_ITERATIONS if kind == "tet10" else 0):

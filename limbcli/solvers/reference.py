@@ -1,6 +1,6 @@
-"""The bundled reference solver: reads a `.feb` file, leaves the files that FEBio would leave.
+"""The bundled reference solver: reads a `.feb` file and writes the same result files as FEBio.
 
-`ReferenceSolver` keeps the contract of all solvers; `limbcli.solvers.session` keeps a model in memory.
+`ReferenceSolver` implements the common solver interface; `limbcli.solvers.session` keeps a model in memory.
 """
 
 from __future__ import annotations
@@ -29,20 +29,21 @@ if TYPE_CHECKING:
     from limbcli.fem.linear_solvers.direct import LinearSolver
 
 NAME = "reference"
-_SMOOTH_TOLERANCE = 1e-11  # without contact, Newton's last digits cost next to nothing
-# Times the tolerance: what will do with friction where iterations no longer lessen the residual. A point that
-# sticks is pushed along the way to its anchor, one that slips along its normal: between the two its pressure
-# jumps, and there may be no equilibrium to the last digits.
+_SMOOTH_TOLERANCE = 1e-11  # relative residual without contact, where quadratic convergence makes it cheap
+# Relative residual accepted on stagnation with friction, as a multiple of the tolerance. The force on a
+# sticking point acts along its offset from the anchor, the pressure of a slipping point along the normal: the
+# pressure jumps between the two, so an equilibrium to the full tolerance may not exist.
 _STALLED_WITH_FRICTION = 100.0
-_AT_THE_END = 1e-6  # of the load's time: rounding of the steps' sum
+_AT_THE_END = 1e-6  # relative difference from the end time that is round-off of the summed steps
 
 
 @dataclass
 class ReferenceSolver:
-    """The reference solver behind the five verbs.
+    """The reference solver behind the common interface.
 
-    threads : 1 or 2 and so on; linear : "auto" (our own "multifrontal"), "pardiso" or "superlu"
-    tolerance : residual over the forces at play
+    threads : number of threads
+    linear : "auto" (our own "multifrontal"), "pardiso" or "superlu"
+    tolerance : relative residual (norm of the residual over norm of the acting forces)
     """
 
     threads: int = 2
@@ -63,16 +64,16 @@ class ReferenceSolver:
         return write_feb(model, folder / MODEL_FILE)
 
     def run(self, feb: Path, *, progress: Progress, time_limit_s: float | None = None) -> None:
-        """Solve a model file in its folder; the log and the record files appear beside it.
+        """Solve a model file in its folder; the log and the record files are written next to it.
 
-        A run that is stopped leaves its converged levels there, from which the next run of the same
-        file goes on.
+        A run that is stopped leaves its converged levels there, and the next run of the same file
+        resumes from them.
 
         Raises
         ------
         CaseError, SolveError
-            If the file holds something that is not supported (before anything is
-            computed), if a level is not reached, or if the time limit passes before the end is reached.
+            If the file uses an unsupported feature (before anything is computed), if a level is not
+            reached, or if the time limit is exceeded before the end is reached.
         """
         model = read_feb(feb)
         outline, mark = read_outline(feb), marked(feb, ".feb")
@@ -121,7 +122,7 @@ class ReferenceSolver:
             analysis.close()
 
     def read(self, feb: Path) -> Simulation:
-        """What a finished run left beside its model file."""
+        """The results of a finished run, from the files next to its model file."""
         return read_finished(self.name, feb)
 
 
@@ -134,7 +135,7 @@ def prepare(
     tolerance: float = 1e-6,
     stalled: float = 0.0,
 ) -> Analysis:
-    """An analysis of a model, after checking that all of it is supported."""
+    """An analysis of a model, after checking that all of its features are supported."""
     from limbcli.fem.supported import check_supported, refuse_limp, warm_up
 
     check_supported(model)
@@ -152,14 +153,14 @@ def prepare(
 
 
 def kernels_are_there() -> bool:
-    """Whether the solver's kernels were compiled on this machine before."""
+    """Whether the solver's kernels have been compiled on this machine before."""
     from limbcli.fem.supported import are_there
 
     return are_there()
 
 
 def direct_solver(indptr: IntArray, indices: IntArray, *, single: bool) -> LinearSolver:
-    """The usual direct solver of a matrix's pattern (upper triangle, CSR)."""
+    """The default direct solver for a matrix pattern (upper triangle, CSR)."""
     from limbcli.fem.linear_solvers.direct import make
 
     return make(indptr, indices, single=single)

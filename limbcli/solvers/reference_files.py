@@ -1,4 +1,4 @@
-"""Log and record files of the reference solver, in the form that FEBio gives them."""
+"""Log and record files of the reference solver, in FEBio's format."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _RULE = "=" * 75
 
 
 def _unloaded(forces: Forces) -> Forces:
-    """Reactions before the first step: none, as FEBio has them, since nothing is in equilibrium there."""
+    """Forces with zero reactions, as FEBio logs before the first step, where nothing is in equilibrium."""
     return replace(forces, nodal=np.zeros_like(forces.nodal), bodies=np.zeros_like(forces.bodies))
 
 
 class RunFiles:
-    """Open files of one run; leaving the block by an error writes an error termination.
+    """Open files of one run; a context manager that logs an error termination on an exception.
 
-    outline : of the model's file, whose ids of nodes, cells and rigid materials the records carry
+    outline : outline of the model file, whose ids of nodes, cells and rigid materials the records use
     """
 
     def __init__(self, model: LimbModel, folder: Path, *, outline: Outline, version: str, mark: str):
@@ -61,7 +61,7 @@ class RunFiles:
         self._stack.close()
 
     def step(self, analysis: Analysis, snapshot: Snapshot) -> None:
-        """A converged step: its line in the log, and its rows in every record file."""
+        """Write a converged step to the log and to every record file."""
         if not self._said_solver:
             self._first(analysis)
         time = snapshot.state.time
@@ -76,7 +76,7 @@ class RunFiles:
         self._log.flush()
 
     def finish(self, analysis: Analysis, seconds: float) -> None:
-        """Totals and the line by which a finished run is known."""
+        """Write the totals and the line that marks a finished run."""
         counts = analysis.totals()
         self._write_log(" N O N L I N E A R   I T E R A T I O N   S U M M A R Y\n")
         self._write_log(f"\tTotal number of equilibrium iterations ............ : {counts.iterations}\n")

@@ -1,7 +1,7 @@
-"""The converged levels of a run that was stopped, kept beside its records until it is finished.
+"""Restart file: the converged levels of an unfinished run, stored next to its records.
 
-A run of the same model with the same solver takes them up: each is in balance already, which costs one
-evaluation of the forces to see, and its rows are written again.
+A later run of the same model with the same solver resumes from them: each level is already in equilibrium,
+which takes one force evaluation to confirm, and its records are written again.
 """
 
 from __future__ import annotations
@@ -27,10 +27,11 @@ RESTART_FILE = "restart.npz"
 
 
 class Restart:
-    """Levels of a run by their time.
+    """Converged levels of a run, by time.
 
-    feb : the model file; settings : of the solver, in words. Levels of another model, of other settings
-        or of another version of the solver are not taken up.
+    feb : the model file
+    settings : the solver's settings as text. Levels of another model, other settings or another solver
+        version are ignored.
     """
 
     def __init__(self, feb: Path, settings: str):
@@ -42,12 +43,12 @@ class Restart:
         self.n_stored = len(self._stored)
 
     def guess(self, system: System, time: float) -> State | None:
-        """The level at a time, where the run before reached it."""
+        """The level at a time, if the previous run reached it."""
         state = self._stored.get(time)
         return state if state is not None and state.u.shape == system.X.shape else None
 
     def keep(self, state: State) -> None:
-        """Add a converged level; the file is whole at any time."""
+        """Add a converged level; the file is replaced atomically."""
         self._states[state.time] = state
         if len(self._states) <= self.n_stored and state.time in self._stored:
             return
@@ -59,7 +60,7 @@ class Restart:
         self.path.unlink(missing_ok=True)
 
     def _read(self) -> dict[float, State]:
-        """What the file holds; nothing where it is of another model, or damaged."""
+        """The levels in the file; none if it belongs to another model or is damaged."""
         unusable = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
         with contextlib.suppress(*unusable), np.load(self.path, allow_pickle=False) as stored:
             if str(stored["key"]) == self.key:
@@ -68,14 +69,14 @@ class Restart:
 
 
 def solved_arrays(solved: Solved) -> dict[str, Any]:
-    """A solve's levels, which later ones start from, as arrays to be stored by name."""
+    """The levels of a solve as named arrays for storage."""
     lame = {f"lame{k}": each for k, each in enumerate(solved.lame)}
     names, values = np.array(list(solved.values)), np.array(list(solved.values.values()))
     return {**level_arrays(solved.states), "names": names, "values": values, "n_lame": len(lame), **lame}
 
 
 def solved_of(stored: Any) -> Solved:
-    """The levels out of what `solved_arrays` gave."""
+    """The inverse of `solved_arrays`; derivatives (slopes) are not stored."""
     from limbcli.fem.warm_start import Solved
 
     names = [(str(material), str(name)) for material, name in stored["names"]]
@@ -85,7 +86,7 @@ def solved_of(stored: Any) -> Solved:
 
 
 def level_arrays(states: Mapping[float, State]) -> dict[str, Any]:
-    """Converged levels as arrays to be stored by name."""
+    """Converged levels as named arrays for storage."""
     arrays: dict[str, Any] = {"times": np.array(list(states))}
     for k, each in enumerate(states.values()):
         arrays[f"u{k}"] = each.u
@@ -96,7 +97,7 @@ def level_arrays(states: Mapping[float, State]) -> dict[str, Any]:
 
 
 def levels_of(stored: Any) -> dict[float, State]:
-    """The levels, by time, out of what `level_arrays` gave."""
+    """The inverse of `level_arrays`: levels by time."""
     states = [_state(stored, k, float(time)) for k, time in enumerate(stored["times"])]
     return {each.time: each for each in states}
 

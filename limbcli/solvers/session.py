@@ -1,5 +1,6 @@
-"""A model kept in memory: solved again with other parameters from where it was, with exact
-derivatives of the probe's force.
+"""Sessions: a model kept in memory and solved repeatedly with other parameters.
+
+Each solve starts from previous solutions and can return exact derivatives of the probe's force.
 """
 
 from __future__ import annotations
@@ -36,13 +37,13 @@ if TYPE_CHECKING:
     from limbcli.fem.system import System
     from limbcli.fem.warm_start import Solved, WarmStart
 
-_BODY_FILE = "*{}"  # the name of a body's record
-_DIFFERENCE = 1e-3  # of a parameter, for responses that cannot be differentiated exactly
+_BODY_FILE = "*{}"  # internal file name of a body's record
+_DIFFERENCE = 1e-3  # relative parameter step of central differences, for path-dependent responses
 
 
 @dataclass(frozen=True, eq=False)
 class MustPoints:
-    """The levels: times (s), depths (mm, positive down) and probe forces (N, compression positive)."""
+    """The converged levels: times (s), depths (mm, positive down), probe forces (N, compression positive)."""
 
     times: Array
     depths: Array
@@ -51,18 +52,18 @@ class MustPoints:
 
 @dataclass(frozen=True, eq=False)
 class SessionResult:
-    """One solve.
+    """The result of one solve.
 
     Attributes
     ----------
-    simulation : every converged step, and the tables that were asked for
+    simulation : all converged steps, and the requested tables
     must_points : times, depths and forces at the levels
     force_gradient : d(force)/d(parameter) at the must-points, by (material, parameter)
-    field_gradient : d(field)/d(parameter) there, tables by record file (of bodies by name), if asked for
-    levels : the states at the levels, which other solves may start from
-    differenced : the gradients are central differences of whole solves, because the response
-        depends on the way the load went (viscoelastic law, friction, augmented contact, a step that is
-        defined from the end of the one before)
+    differenced : whether the gradients are central differences of whole solves, because the response is
+        path-dependent (viscoelastic law, friction, augmented contact, a step defined relative to the end of
+        the previous one)
+    field_gradient : d(field)/d(parameter) there, if requested: tables by record file, or by name of the body
+    levels : the states at the levels, as initial guesses for other solves
     """
 
     simulation: Simulation
@@ -74,29 +75,29 @@ class SessionResult:
 
 
 class ReferenceSession:
-    """A model kept in memory, to be solved again and again with other material parameters.
+    """A model kept in memory, to be solved repeatedly with other material parameters.
 
-    Every solve starts from the converged levels of the nearest one before, moved along their
-    derivatives where these are known. A `with` block closes it.
+    Every solve starts from the converged levels of the previous solve with the nearest parameter values,
+    extrapolated linearly where their derivatives are known. Also a context manager that closes the session.
 
     Parameters
     ----------
-    model : its mesh (points (n_points, 3) in mm), laws (MPa), contact and load
-    progress : where "newton" events go; `Progress(f)` calls f(kind, facts)
-    threads : of the linear solver
-    linear : "auto", or one of the direct solvers by name
-    tolerance : residual over the forces at play, at which a level has converged
-    stalled : residual that will do where iterations no longer lessen it; 0: none beyond the tolerance,
-        or with friction a hundred times it
-    body : whose force is meant; by default the body of the first contact
+    model : mesh (points (n_points, 3) in mm), laws (MPa), contact and load
+    progress : receives "newton" events; `Progress(f)` calls f(kind, facts)
+    threads : number of threads of the solver
+    linear : "auto", or the name of a direct solver
+    tolerance : relative residual (over the norm of the acting forces) at which a level has converged
+    stalled : relative residual accepted where the iteration stagnates; 0: the tolerance, or with friction
+        a hundred times the tolerance
+    body : rigid body whose force is reported; by default that of the first contact
 
     Raises
     ------
     SolveError
-        If the model holds what the reference solver does not support, or has no rigid body, or none of
-        that name.
+        If the model uses features that the reference solver does not support, or has no rigid body, or
+        none of that name.
 
-    Source: total Lagrangian elements and penalty contact, as the FEBio theory manual 4 describes them.
+    Source: total Lagrangian elements and penalty contact, as described in the FEBio Theory Manual 4.
     """
 
     def __init__(
@@ -136,35 +137,34 @@ class ReferenceSession:
         afresh: bool = False,
         led_by: Solved | None = None,
     ) -> SessionResult:
-        """Solve the model, or `model2`: the same mesh, contact and supports with other materials and curves.
+        """Solve the model, or `model2` with the same mesh, contact and supports.
 
         Parameters
         ----------
-        model2 : None: the model as it is
-        wrt : (material, parameter) pairs, such as ("tissue", "c1"), to differentiate by; ("tissue",
-            "m1-m2") is m1 and m2 together, the one up and the other down
-        weights : for those of `wrt` that are maps, how much each cell's value (n_cells,) moves when
-            theta moves by 1, and for a prestrain's "F0" each of its nine numbers: their derivative is by
-            theta
-        records : also fill the node and element tables that the model asks for
-        field_gradients : fill them, and differentiate all that they hold by `wrt`, or those of these files
-        required : how many levels must be reached, the rest as far as the solver gets; None: all
-        hoped : how many are worth the full effort, later ones are tried briefly; None: those required
-        last : how many are tried at all; None: all
-        patient : where Newton's method fails, let the tissue come to rest, which takes long
-        leads : later solves may start from its levels
-        afresh : nothing of earlier solves is used but the levels of those that lead: the result does not
-            depend on what else was solved
-        enough_force : N on the body, at which the levels are enough; None: all are solved
-        led_by : start from these levels, not from those of the nearest solve that leads
+        model2 : variant in materials, load curves, steps and records; None: the session's current model
+        wrt : (material, parameter) pairs to differentiate by, such as ("tissue", "c1"); ("tissue", "m1-m2")
+            increases m1 and decreases m2 together
+        weights : for element maps in `wrt`, the change of each cell's value (n_cells,) per unit of theta; for
+            a prestrain's "F0", that of its nine numbers. The derivative is with respect to theta
+        records : also fill the node and element tables that the model requests
+        field_gradients : fill these tables and differentiate their fields by `wrt`; True for all, or the
+            record files to differentiate
+        required : number of levels that must be reached, later ones only if possible; None: all
+        hoped : number of levels solved with full effort, later ones attempted briefly; None: as `required`
+        last : number of levels attempted; None: all
+        patient : where Newton's method fails, fall back on pseudo-time relaxation, which is slow
+        leads : keep the levels as initial guesses for later solves
+        enough_force : force on the body (N) at which no further levels are solved; None: all are solved
+        afresh : use nothing from earlier solves except the levels kept by `leads`, so that the result does
+            not depend on any other solves
+        led_by : start from these levels instead of those of the nearest solve with `leads`
 
         Raises
         ------
         CaseError
-            If `model2` differs in more.
+            If `model2` differs in anything else.
         SolveError
-            If a level is not reached, or `model2` holds what is not supported; the session can be used
-            further.
+            If a level is not reached, or `model2` uses an unsupported feature; the session remains usable.
         """
         from limbcli.fem.supported import check_supported, refuse_limp
         from limbcli.fem.warm_start import Solved, WarmStart
@@ -221,27 +221,27 @@ class ReferenceSession:
 
     @property
     def led(self) -> Solved | None:
-        """The levels of the last solve that leads."""
+        """The levels of the last solve with `leads`; None if there is none."""
         return self._warm.last if self._warm is not None else None
 
     def lead(self, solved: Solved) -> None:
-        """Take levels that an earlier session kept as those of a solve of this one."""
+        """Add levels of an earlier session to the initial guesses of this one."""
         from limbcli.fem.warm_start import WarmStart
 
         self._warm = self._warm or WarmStart()
         self._warm.keep(solved)
 
     def begin_beside(self, other: LimbModel, displacements: Mapping[float, Array]) -> None:
-        """Take first guesses from another mesh of the same body, where no earlier solve of this one has any.
+        """Use a solution on another mesh of the same body for initial guesses where no earlier solve has any.
 
-        A mesh of other cells than tetrahedra leads nowhere.
+        A mesh of cells other than tetrahedra is ignored.
 
-        displacements : mm (n_points, 3) of the other model's nodes, by this model's times (s)
+        displacements : nodal displacements (n_points, 3), mm, of the other model, by this model's times (s)
 
         Raises
         ------
         CaseError
-            If displacements are not those of the other model's nodes.
+            If the displacements do not have the shape of the other model's nodes.
         """
         from limbcli.fem.other_mesh import OtherMesh
 
@@ -255,13 +255,13 @@ class ReferenceSession:
         self._other = OtherMesh.of(other, displacements)
 
     def start_like(self, other: ReferenceSession) -> None:
-        """Take first guesses from another session's levels so far, where its model has the same nodes."""
+        """Use another session's levels as initial guesses, if its model has as many nodes and bodies."""
         same = self.model.mesh.points.shape == other.model.mesh.points.shape
         if same and len(self.model.bodies) == len(other.model.bodies):
             self._warm = copy(other._warm)
 
     def close(self) -> None:
-        """Free the factors of the matrix and its threads."""
+        """Release the matrix factor and the solver's threads."""
         self._analysis.close()
 
     def __enter__(self) -> Self:
@@ -284,9 +284,9 @@ class ReferenceSession:
         led_by: Solved | None,
         **options: Any,
     ) -> SessionResult:
-        """The solve, with gradients by central differences of 1e-3 of each parameter.
+        """A solve with gradients by central differences with a relative parameter step of 1e-3.
 
-        Its levels are those that all of the solves reached.
+        The result is limited to the levels that all of the solves reached.
         """
         found = self.solve(
             model, records=records or bool(fields), last=last, leads=leads, enough_force=enough_force,
@@ -370,7 +370,7 @@ class ReferenceSession:
 def _table_differences(
     up: SessionResult, down: SessionResult, width: float, times: Array, files: bool | Collection[str]
 ) -> dict[str, Table]:
-    """Differences of the tables of `files` at the levels' times, over `width`."""
+    """Difference quotients, over `width`, of the tables of `files` at the levels' times."""
     found: dict[str, Table] = {}
     for kind in ("rigid", "nodes", "elements"):
         for key, one in getattr(up.simulation, kind).items():
@@ -384,7 +384,7 @@ def _table_differences(
 
 
 def path_dependent(model: LimbModel) -> bool:
-    """Whether the response depends on the way to a load, not on the load alone."""
+    """Whether the response depends on the loading path, not only on the load."""
     viscoelastic = any(each.is_viscoelastic for each in model.materials.values())
     by_the_way = viscoelastic or model.has_friction or any(each.augmented for each in model.contacts)
     return by_the_way or model.goes_on_from_steps
@@ -400,7 +400,7 @@ def _named_body(model: LimbModel, name: str) -> str:
 
 
 def _contact_body(model: LimbModel) -> str:
-    """The body that the first contact pushes with, else the first body."""
+    """The body whose blocks contain the first contact's secondary surface, else the first body."""
     names = [body.name for body in model.bodies]
     if not names:
         raise SolveError("the model has no rigid body", where="session", fix="add the probe")

@@ -1,4 +1,4 @@
-"""Which models one session solves: those that differ in materials, load curves, steps and records alone."""
+"""Checks which models one session can solve: they may differ only in materials, curves, steps and records."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ _SET_UP = ("mesh", "domains", "bodies", "supports", "drives", "springs", "contac
 
 
 def check_same_set_up(model: LimbModel, other: LimbModel) -> None:
-    """Refuse another model than a session of `model` can solve.
+    """Refuse a model that a session of `model` cannot solve.
 
     Raises
     ------
     CaseError
-        If they differ in mesh, contact, supports, bodies or what drives them: these are of the session.
+        If they differ in mesh, domains, bodies, supports, drives, springs or contacts, which are fixed for
+        a session.
     """
     different = [name for name in _SET_UP if not _alike(getattr(model, name), getattr(other, name))]
     if different:
@@ -33,7 +34,7 @@ def check_same_set_up(model: LimbModel, other: LimbModel) -> None:
 
 
 def _alike(a: Any, b: Any) -> bool:
-    """Whether two values, arrays in them included, say the same."""
+    """Whether two values are equal, including any arrays they contain."""
     if a is b:
         return True
     if isinstance(a, np.ndarray) or isinstance(b, np.ndarray):

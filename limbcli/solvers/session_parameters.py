@@ -1,4 +1,4 @@
-"""The parameters that a session differentiates by, named by (material, parameter)."""
+"""The parameters by which a session differentiates, named by (material, parameter)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _GRADIENT = "F0"
 
 
 def tied_parts(name: str) -> list[tuple[str, float]]:
-    """The parameters behind a name, and how far each moves.
+    """The parameters that a name combines, and the rate at which each changes.
 
     >>> tied_parts("m1-m2"), tied_parts("0.c1")
     ([('m1', 1.0), ('m2', -1.0)], [('0.c1', 1.0)])
@@ -40,8 +40,16 @@ def check_materials(wrt: Sequence[Parameter], model: LimbModel) -> None:
 
 
 def law_parameter(key: Parameter, weights: Array | None, model: LimbModel) -> LawParameter | Tied | Prestrain:
-    """What a key stands for; of a prestrained material "ramp" is its prestrain's, and "F0", or "F0" with any
-    ending, its gradient, whose nine numbers move by `weights`."""
+    """The differentiable parameter that a key names.
+
+    For a prestrained material, "ramp" is the ramp of its prestrain, and "F0", with any suffix, its prestrain
+    gradient, whose nine numbers change by `weights`.
+
+    Raises
+    ------
+    SolveError
+        If "F0" is requested without nine weights.
+    """
     from limbcli.fem.derivatives.parameters import LawParameter, Prestrain, Tied
 
     material, name = key
@@ -65,7 +73,11 @@ def law_parameter(key: Parameter, weights: Array | None, model: LimbModel) -> La
 def parameter_values(
     model: LimbModel, wrt: Sequence[Parameter], weights: Mapping[Parameter, Array]
 ) -> dict[Parameter, float]:
-    """Every number of the model's laws; of a map along `weights` its coefficient; of tied ones the first."""
+    """The current value of every scalar parameter of the model's laws, and of the parameters in `wrt`.
+
+    For an element map, or a prestrain gradient, the value is its projection onto `weights`; for combined
+    parameters that of the first.
+    """
     out: dict[Parameter, float] = {}
     for material in model.materials:
         for name, value in _own(model, material).parameters.items():
@@ -86,7 +98,7 @@ def parameter_values(
 
 
 def _own(model: LimbModel, name: str) -> Material:
-    """A material, or what it is prestrained of: their parameters are named alike."""
+    """A material, or for a prestrained one the material it wraps, whose parameter names it shares."""
     material = model.materials[name]
     return material.parts[0] if material.law == "prestrain" else material
 
@@ -94,15 +106,16 @@ def _own(model: LimbModel, name: str) -> Material:
 def nudged(
     model: LimbModel, name: Parameter, relative: float, *, along: Array | None = None
 ) -> tuple[LimbModel, float]:
-    """The model with a parameter moved up or down by a part of itself, and by how much (unsigned).
+    """The model with a parameter changed by a fraction `relative` of itself, and the size of the change.
 
-    Tied ones move together, by a part of the first. A map moves alike in all cells or along `along`
-    (n_cells,), and a prestrain's gradient along its nine numbers: by a part of the largest.
+    Combined parameters change together, by a fraction of the first. A map changes uniformly, or along
+    `along` (n_cells,), and a prestrain gradient along its nine numbers, by a fraction of the largest entry.
 
     Raises
     ------
     SolveError
-        If the material has no such parameter, or several, or it cannot be moved by a part of itself.
+        If the material has no such parameter, or several, or its value cannot be changed by a fraction of
+        itself: it is zero, not a number or map, or `along` is missing or does not fit.
     """
     material = model.materials[name[0]]
     is_gradient = material.law == "prestrain" and name[1].startswith(_GRADIENT)
@@ -128,7 +141,7 @@ def nudged(
 def _tree(
     material: Material, route: tuple[int, ...] = (), at: str = ""
 ) -> Iterator[tuple[tuple[int, ...], str, Material]]:
-    """A material and all that it is made of: which part of which, its place as in "0.c1", and it."""
+    """A material and its nested parts: (index route, prefix as in "0.c1", material)."""
     yield route, at, material
     for k, part in enumerate(material.parts):
         place = at if material.law != "mixture" else f"{at}.{k}" if at else str(k)
@@ -144,7 +157,7 @@ def _with_part(material: Material, route: tuple[int, ...], part: Material) -> Ma
 
 
 def _size(value: Value | None, along: Array | None) -> float:
-    """What a step is a part of; 0 where the parameter cannot be moved."""
+    """The magnitude that a relative step refers to; 0 if the parameter cannot be changed."""
     if isinstance(value, float | int | Curved):
         return abs(value.value if isinstance(value, Curved) else value) if along is None else 0.0
     if value is None or (along is None and not isinstance(value, ElementMap)):

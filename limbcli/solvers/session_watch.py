@@ -1,4 +1,4 @@
-"""What a session takes down at every converged time: records, and derivatives at the levels."""
+"""Collects a session's results: records at every converged time, and derivatives at the levels."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ Rows = list[tuple[IntArray, Array]]
 
 
 class StateObserver:
-    """Called with every converged state of an analysis.
+    """Visitor that is called with every converged state of an analysis.
 
-    rows : (ids, values) of each record, time by time
-    forces : d(force)/d(parameter) on the body at the levels; slopes : du/d(parameter) by time
-    fields : of each record, where asked for (of_fields: all, or those of these files)
+    of_fields : differentiate all record fields (True), or those of these files
+    rows : (ids, values) of each record at each time
+    forces : d(force)/d(parameter) on the body at the levels
+    slopes : du/d(parameter) by time and parameter
     """
 
     def __init__(
@@ -54,7 +55,7 @@ class StateObserver:
             self._differentiate(running, snapshot)
 
     def force(self) -> float:
-        """N on the body at the last converged time, compression positive."""
+        """Force on the body (N, compression positive) at the last converged time."""
         record = next(each for each in self.requested if each.items == self.body)
         _, values = self.rows[record.file][-1]
         return -float(np.asarray(values).ravel()[record.fields.index("Fz")])
@@ -76,7 +77,7 @@ class StateObserver:
                     self._fields[name][record.file].append(values)
 
     def field_gradient(self) -> dict[Parameter, dict[str, Table]]:
-        """d(field)/d(parameter) at the levels: tables by record file, of bodies by their names."""
+        """d(field)/d(parameter) at the levels: tables by record file name, or by name of the body."""
         times = np.array(self._times)
         return {
             name: {
@@ -91,10 +92,10 @@ class StateObserver:
 
 
 def is_requested(file: str, of_fields: bool | Collection[str]) -> bool:
-    """Whether the fields of a file are to be differentiated."""
+    """Whether the fields of a record file are to be differentiated."""
     return of_fields if isinstance(of_fields, bool) else file in of_fields
 
 
 def key_of(record: LogRecord) -> str:
-    """Under which name a record's table is found."""
+    """The key of a record's table: the body's name, or the file name."""
     return str(record.items) if record.kind == "rigid_body" else record.file

@@ -1,4 +1,4 @@
-"""Record files of a finished run as a `Simulation`: the same for every solver."""
+"""Reads the record files of a finished run into a `Simulation`; common to all solvers."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ class Tables:
 
 
 def read_finished(solver: str, feb: Path) -> Simulation:
-    """What a finished run of a solver left beside its model file.
+    """The results of a finished run, from the files next to its model file.
 
     Raises
     ------
     SolveError
-        If the log reports no complete run or another model, or a record file is not whole.
+        If the log reports an incomplete run or another model, or a record file is incomplete.
     """
     outline = read_outline(feb)
     path = feb.parent / LOG_FILE
@@ -53,12 +53,12 @@ def read_finished(solver: str, feb: Path) -> Simulation:
 
 
 def read_tables(outline: Outline, folder: Path) -> Tables:
-    """All record files of a model, checked against each other.
+    """Read all record files of a model and check them against each other.
 
     Raises
     ------
     SolveError
-        If a file is missing, cut, does not fit its record, or its times differ from the others'.
+        If a file is missing, truncated or inconsistent with its record, or its times differ from the others'.
     """
     rigid: dict[str, Table] = {}
     nodes: dict[str, Table] = {}
@@ -82,7 +82,7 @@ def read_tables(outline: Outline, folder: Path) -> Tables:
 
 
 def _side_by_side(one: Table, other: Table) -> Table:
-    """One table of two records of a body: the fields of the other that the first lacks come after its own."""
+    """Merge two records of a body: fields of `other` that `one` lacks are appended."""
     new = [k for k, name in enumerate(other.fields) if name not in one.fields]
     return replace(
         one,

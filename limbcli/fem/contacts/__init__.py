@@ -1,1 +1,1 @@
-"""Contact of soft facets with rigid bodies: search, pairs, penalty, friction, and their compiled loops."""
+"""Contact between soft facets and rigid bodies: search, contact pairs, penalty, friction, compiled loops."""

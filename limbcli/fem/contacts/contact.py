@@ -1,4 +1,4 @@
-"""The contacts of a model, made ready: patches of soft facets against the facets of a rigid body."""
+"""Builds the contact pairs of a model: patches of soft facets against the facets of a rigid body."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _CORNERS = {"tri3": 3, "tri6": 3, "quad4": 4}
 
 
 def make_pairs(model: LimbModel, groups: Sequence[Group], bodies: Sequence[Body]) -> list[Pair]:
-    """The model's contacts; whatever cannot be computed is refused."""
+    """The contact pairs of a model; raises SolveError for unsupported contacts and settings."""
     pairs: list[Pair] = []
     for contact in model.contacts:
         _refuse(contact)
@@ -30,7 +30,7 @@ def make_pairs(model: LimbModel, groups: Sequence[Group], bodies: Sequence[Body]
         primary = _surface(model, contact.primary)
         body, facets2 = _rigid_side(secondary, bodies, contact)
         patches = [_patch(model, kind, facets, groups, contact) for kind, facets in primary.facets.items()]
-        if contact.friction:  # a point that sticks does not slide off
+        if contact.friction:  # no fading at the rim: a sticking point does not slide off
             sharp = np.zeros(facets2.shape)
             pairs.append(FrictionPair(contact, body, facets2, patches, sharp, bodies[body]))
         else:
@@ -47,7 +47,7 @@ def _surface(model: LimbModel, name: str) -> Surface:
     return model.mesh.surfaces[name]
 
 
-# Settings that may be on: of how FEBio searches, of fluids, and those that `Pair.augment` takes.
+# Settings that may be switched on: FEBio's search options, fluid options, and those used by `Pair.augment`.
 _TAKEN = {"seg_up", "minaug", "maxaug", "ptol", "pressure_penalty", "contact_frac"}
 
 

@@ -1,7 +1,7 @@
-"""Compiled loops of the contact between a soft surface and a rigid one: force and tangent.
+"""Compiled loops of frictionless contact between a soft surface and a rigid one: force and tangent.
 
-The soft side takes the traction t = eps g (plus a multiplier) against its normal, per current
-area, where it was found to touch (see `contact_search`; columns and symbols in `contact_points`).
+Where contact was found (see `contact_search`), the soft side bears a traction t = eps g (plus a multiplier)
+against its normal, per current area. Columns of `state` and symbols are explained in `contact_points`.
 
 Source: FEBio Theory Manual 4.0, section 7.2 (sliding-elastic).
 """
@@ -43,7 +43,7 @@ def force(facets, N, weights, state, center, out, body):
 
 @njit(cache=True, nogil=True)
 def scaled_force(facets, N, weights, state, deps, center, out, body):
-    """Derivative of `force` where eps changes by deps (n_facets,), the positions held."""
+    """Derivative of `force` for a change deps (n_facets,) of eps at fixed positions."""
     f3 = np.empty(3)
     for f in range(facets.shape[0]):
         for k in range(N.shape[0]):
@@ -57,7 +57,8 @@ def scaled_force(facets, N, weights, state, deps, center, out, body):
 
 @njit(cache=True)
 def _gap_change(row, gap, nu, dr, dnu, slip):
-    """Change of the gap as the point moves by dr, its normal turns and the rigid facet moves by `slip`."""
+    """Change of the gap for changes dr of the point and dnu of its normal, and motion `slip` of the rigid
+    facet."""
     top, bottom = 0.0, 0.0
     for i in range(3):
         top += row[OTHER + i] * (dr[i] - gap * dnu[i] - slip[i])
@@ -69,8 +70,8 @@ def _gap_change(row, gap, nu, dr, dnu, slip):
 def times(x, facets, N, dN, weights, eps, state, turning, center, v, motion, out, body):
     """Derivative of `force` along v (n_points, 3) and the body's motion (6).
 
-    motion: translation of the centre and small rotation vector about it.
-    turning: 1 for the derivative, 0 to leave out what the traction does as the normal turns.
+    motion : translation of the centre and small rotation vector about it
+    turning : 1 for the exact derivative, 0 to omit the terms due to the rotation of the normal
     """
     r, g1, g2, n, nu = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     dr, d1, d2, dn, dnu = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -93,7 +94,7 @@ def times(x, facets, N, dN, weights, eps, state, turning, center, v, motion, out
             dg = _gap_change(row, gap, nu, dr, dnu, slip)
             dt = row[WEIGHT] * eps[f] * dg
             for i in range(3):
-                arm[i] = dr[i] - dg * nu[i] - gap * dnu[i]  # change of the point of contact
+                arm[i] = dr[i] - dg * nu[i] - gap * dnu[i]  # change of the contact point q
                 dt += t / row[WEIGHT] * row[SLIDE + i] * (arm[i] - slip[i])
             for i in range(3):
                 df[i] = weights[k] * (dt * n[i] + t * dn[i])
@@ -107,10 +108,10 @@ def times(x, facets, N, dN, weights, eps, state, turning, center, v, motion, out
 
 @njit(cache=True, nogil=True)
 def blocks(x, facets, N, dN, weights, eps, state, turning, out):
-    """Contact tangent of each soft facet that touches, out (n_facets, n, 3, n, 3); returns which do.
+    """Contact tangent of each touching soft facet, out (n_facets, n, 3, n, 3); returns which facets touch.
 
     The block of nodes a, b is w N_a (n dt_b + t dn_b) with dn_b = -[c_b]x,
-    c_b = dN_b,1 g2 - dN_b,2 g1 and dt_b as in `times`, as is `turning`.
+    c_b = dN_b,1 g2 - dN_b,2 g1; dt_b and `turning` as in `times`.
     """
     nodes = facets.shape[1]
     r, g1, g2, n, c = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)

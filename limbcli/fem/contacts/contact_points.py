@@ -1,13 +1,13 @@
-"""Integration points of soft facets in contact: what the compiled loops of contact share.
+"""Integration points of soft facets in contact: kinematics and state shared by the compiled contact loops.
 
-At every integration point of the soft facets: current position r, area vector
-n = g1 x g2, unit normal nu; the line along nu meets the rigid surface at q with
-gap g = nu.(r - q), positive inside. `state` (n_facets, n_gauss, 16) holds gap, n, m (normal
-of the rigid facet at q), q, traction, rigid facet, weight and how the weight changes with q.
+Every integration point of the soft facets has a current position r, area vector n = g1 x g2 and unit normal
+nu; the line along nu intersects the rigid surface at q with gap g = nu.(r - q), positive for penetration.
+`state` (n_facets, n_gauss, 16) holds gap, n, m (normal of the rigid facet at q), q, traction, rigid facet,
+weight, and the gradient of the weight with respect to q.
 
-A rigid surface that is not closed ends at a rim. There the traction fades, by a weight that goes
-from 1 to 0 round the rim, over a small part of the soft facets' size: a point that loses its whole
-traction as it slides off, and gains it as it springs back, has no equilibrium.
+A rigid surface that is not closed ends at a rim. There the traction is faded out by a weight that falls from
+1 to 0 across the rim, over a small fraction of the soft facets' size: without it, a point loses its whole
+traction as it slides off and regains it as it springs back, so that no equilibrium exists.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def normal_change(g1, g2, n, d1, d2, dn, dnu):
 
 @njit(cache=True)
 def push(f3, row, center, nodes, N, out, body):
-    """A force f3 at the point of contact: on the soft nodes, out (n_points, 3), and on the rigid body (6)."""
+    """Add a force f3 at the contact point to the soft nodes, out (n_points, 3), and to the rigid body (6)."""
     arm, moment = np.empty(3), np.empty(3)
     for i in range(3):
         arm[i] = row[POINT + i] - center[i]
@@ -86,7 +86,7 @@ def push(f3, row, center, nodes, N, out, body):
 
 @njit(cache=True)
 def spread(f3, nodes, N, out):
-    """A force at an integration point, shared by the nodes of its facet."""
+    """Distribute a force at an integration point to the nodes of its facet."""
     for a in range(nodes.shape[0]):
         for i in range(3):
             out[nodes[a], i] += N[a] * f3[i]
@@ -94,7 +94,7 @@ def spread(f3, nodes, N, out):
 
 @njit(cache=True, nogil=True)
 def add_symmetric(blocks, touched, pairs, slots, values):
-    """The symmetric part of the touched facets' blocks (n_facets, n, 3, n, 3), added to the upper triangle.
+    """Add the symmetric part of the touching facets' blocks (n_facets, n, 3, n, 3) to the upper triangle.
 
     pairs, slots : see `fem.elements.simd_kernels.tangent`
     """

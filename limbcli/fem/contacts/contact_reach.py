@@ -1,4 +1,4 @@
-"""Which nodes of a soft surface a rigid one may come to touch."""
+"""Estimates which nodes of a soft surface a rigid surface may touch."""
 
 from __future__ import annotations
 
@@ -6,14 +6,17 @@ import numpy as np
 
 from limbcli.model import Array, IntArray
 
-_MARGIN = 0.0  # edges of a facet: a wider root costs more than it gains
+_MARGIN = 0.0  # margin, in mean facet edge lengths: a larger root front costs more than it gains
 
 
 def near_nodes(X: Array, rigid: IntArray, soft: IntArray, normals: Array) -> IntArray:
-    """Nodes of the facets `soft` whose middle lies under the facets `rigid`, seen along the mean normal.
+    """Nodes of the facets `soft` whose centroid lies under the facets `rigid`, seen along the mean normal.
 
-    X (n_points, 3): places at rest; rigid (n, 4), -1 where a facet has three corners. "Under": within the
-    rectangle around them along their principal axes, and a margin. Contact is searched everywhere.
+    "Under" means inside their bounding rectangle along their principal axes, plus a margin. This only sizes
+    the root front; contact itself is searched on all facets.
+
+    X (n_points, 3) : reference positions
+    rigid (n, 4) : nodes; the last is -1 in a triangle
     """
     if not len(rigid) or not len(soft):
         return np.zeros(0, dtype=np.int64)

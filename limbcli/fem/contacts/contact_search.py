@@ -1,7 +1,6 @@
-"""Compiled search of contact: where the normals of soft facets meet a rigid surface.
+"""Compiled contact search: intersections of the soft facets' normals with a rigid surface.
 
-Source: FEBio Theory Manual 4.0, section 7.2 (sliding-elastic); the same law is
-used here point by point.
+Source: FEBio Theory Manual 4.0, section 7.2 (sliding-elastic), applied at each integration point.
 """
 
 from __future__ import annotations
@@ -22,12 +21,12 @@ from limbcli.fem.contacts.contact_points import (
     point_geometry,
 )
 
-_PLACE, _ALONG = 7, 9  # in what a hit gives, behind g, m, q: natural coordinates, and their gradients
+_PLACE, _ALONG = 7, 9  # columns of a hit after g, m, q: natural coordinates, and their gradients
 
 
 @njit(cache=True)
 def _hit_triangle(x2, first, second, third, r, nu, tolerance, out):
-    """Where the line r - g nu meets a flat facet. False: it does not.
+    """Intersect the line r - g nu with a triangle; returns whether it hits.
 
     out (15) : g, m (3), q (3), natural coordinates s, t and their gradients along the facet (3 each)
     """
@@ -62,7 +61,7 @@ def _hit_triangle(x2, first, second, third, r, nu, tolerance, out):
 
 @njit(cache=True)
 def _write_projection(g, m, r, nu, s, t, along_s, along_t, out):
-    """out of a hit; along_s, along_t : how the place moves with s and t."""
+    """Fill `out` for a hit; along_s, along_t : derivatives of the position with respect to s and t."""
     out[0], out[_PLACE], out[_PLACE + 1] = g, s, t
     cross(along_t, m, out[_ALONG : _ALONG + 3])
     cross(m, along_s, out[_ALONG + 3 : _ALONG + 6])
@@ -76,7 +75,7 @@ def _write_projection(g, m, r, nu, s, t, along_s, along_t, out):
 
 @njit(cache=True)
 def _hit_quad(x2, nodes, r, nu, tolerance, out):
-    """The same for a bilinear facet: its two triangles first, then Newton's method in its coordinates."""
+    """Intersect the line with a bilinear facet: first its two triangles, then Newton's method."""
     if not _hit_triangle(x2, nodes[0], nodes[1], nodes[3], r, nu, tolerance, out) and not _hit_triangle(
         x2, nodes[2], nodes[3], nodes[1], r, nu, tolerance, out
     ):
@@ -120,14 +119,14 @@ def _hit_quad(x2, nodes, r, nu, tolerance, out):
 
 @njit(cache=True)
 def _hit(x2, nodes, rim, r, nu, tolerance, out):
-    """out of the line's meeting with a facet; rim (4) : as in `search`."""
+    """Intersect the line with a triangle or quadrilateral; rim (4) : as in `search`."""
     quad = nodes[3] >= 0
     wide = max(tolerance, rim[0], rim[1], rim[2], rim[3])
     if quad:
         met = _hit_quad(x2, nodes, r, nu, wide, out)
     else:
         met = _hit_triangle(x2, nodes[0], nodes[1], nodes[2], r, nu, wide, out)
-    if met and wide > tolerance:  # beyond the other edges no further than anywhere
+    if met and wide > tolerance:  # at edges without a rim the usual tolerance applies
         for edge in range(4 if quad else 3):
             if rim[edge] == 0.0 and _beyond(edge, quad, out[_PLACE], out[_PLACE + 1]) > tolerance:
                 return False
@@ -136,7 +135,7 @@ def _hit(x2, nodes, rim, r, nu, tolerance, out):
 
 @njit(cache=True)
 def _beyond(edge, quad, s, t):
-    """How far (s, t) is outside of an edge, in natural coordinates; edges go from each node to the next."""
+    """Distance of (s, t) outside an edge, in natural coordinates; edge k goes from node k to the next."""
     if quad:
         return (-1.0 - t, s - 1.0, t - 1.0, -1.0 - s)[edge]
     return (-t, s + t - 1.0, -s)[edge]
@@ -144,7 +143,7 @@ def _beyond(edge, quad, s, t):
 
 @njit(cache=True)
 def _fade(out, quad, rim, row):
-    """Weight of the traction at a hit, and how it changes as the place slides (see `contact_points`)."""
+    """Fading weight of the traction at a hit; its gradient goes to row[SLIDE:] (see `contact_points`)."""
     weight = 1.0
     row[SLIDE] = row[SLIDE + 1] = row[SLIDE + 2] = 0.0
     for edge in range(4 if quad else 3):
@@ -176,13 +175,13 @@ def search(
 ):
     """Fill `state` of facets start..stop; traction 0 means no contact. Returns the number in contact.
 
-    A point stays with the rigid facet that it touched when it was searched last, as long as its
-    line meets that facet. Any other point takes, of the facing facets that its line meets within
-    the radius, the nearest. So does FEBio.
+    As in FEBio, a point keeps the rigid facet of the last search as long as its normal line hits that
+    facet. Otherwise the nearest facing facet that the line hits within the search radius is taken.
 
-    rim (n_facets2, 4): for edges that end the rigid surface, how far to either side of them tractions
-    fade, in the facet's natural coordinates; 0 for other edges
-    spheres (n_facets2, 4): centre and radius of each rigid facet; box (2, 3): their bounds.
+    rim (n_facets2, 4) : half-width of the fading zone at free edges of the rigid surface, in the facet's
+        natural coordinates; 0 at other edges
+    spheres (n_facets2, 4) : centre and radius of a bounding sphere of each rigid facet
+    box (2, 3) : bounding box of the rigid surface
     """
     r, g1, g2, n, nu = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     out, best = np.empty(15), np.empty(15)

@@ -1,7 +1,7 @@
 """Contact with Coulomb friction: FEBio's `sliding-elastic` with `fric_coeff`.
 
-The answer depends on the way: a step is measured from the converged one before it, and a point that
-comes into contact within a step slips. See `friction_kernels` for the law.
+The response is path-dependent: slip is measured from the previous converged step, and a point that comes
+into contact within a step slips. See `friction_kernels` for the law.
 """
 
 from __future__ import annotations
@@ -19,9 +19,11 @@ from limbcli.model import Array
 
 @dataclass(eq=False)
 class FrictionPair(Pair):
-    """A contact with friction; it remembers the last converged step.
+    """A contact with friction; stores the last converged step.
 
-    rigid : the body it touches; was, now : where that was at the converged step, and is
+    rigid : the body on the rigid side
+    was, now : its position at the last converged step, and at the last search
+    before : per patch, the state of its points at the last converged step (see `friction_kernels`)
     """
 
     rigid: Body
@@ -44,13 +46,13 @@ class FrictionPair(Pair):
 
     @property
     def move(self) -> Array:
-        """(4, 3): rotation since the converged step, in rows, and translation."""
+        """Motion (4, 3) of the body since the converged step: rotation matrix, then translation."""
         turn = self.now.turn @ self.was.turn.T
         center = self.rigid.center
         return np.concatenate([turn, (center + self.now.shift - turn @ (center + self.was.shift))[None]])
 
     def remember(self, x: Array, at: BodyState) -> None:
-        """Take a converged step as the one that the next is measured from."""
+        """Store a converged step as the reference for the next one."""
         super().search(x, at)
         for p, before in zip(self.patches, self.before, strict=True):
             friction_kernels.remember(x, p.facets, p.N, p.dN, p.state, before)

@@ -1,26 +1,26 @@
 """Compiled loops of Coulomb friction between a soft surface and a rigid one.
 
-Every integration point of the soft facets remembers, from the last converged step, where it was, its
-tangents, and where its normal met the rigid body (its anchor, which moves with the body). With
-d = r - anchor, in the current configuration, and the normal pressure p = eps g of frictionless contact:
+For every integration point of the soft facets, position, tangents and contact point on the rigid body (the
+anchor, which moves with the body) are stored at the last converged step. With d = r - anchor in the current
+configuration, and the normal pressure p = eps g of frictionless contact:
 
     stick   T = eps d                  where T.nu > 0 and |T - (T.nu) nu| < mu T.nu
-    slip    T = p (nu + mu s)          elsewhere, and where the point has no anchor
+    slip    T = p (nu + mu s)          otherwise, and if the point has no anchor
     s = y/max(|y|, mu g),  y = (1 - nu nu)(dx1 - dx2 - g c),  c = (1 - nu nu) m/|n|,  m = dg1 x g2 + g1 x dg2
 
-T is what the skin pushes with, per current area; dx1, dx2, dg1, dg2 are changes since the last
-converged step of the point, of the rigid body's matter now opposite to it, and of the tangents. FEBio
-has s = y/|y|, which jumps where a point that has just come into contact turns back; a slip shorter than
-that of a sticking point is taken here to be resisted by the same penalty.
+T is the traction exerted by the skin, per current area; dx1, dx2, dg1, dg2 are the changes since the last
+converged step of the point, of the material point of the rigid body now opposite to it, and of the tangents.
+FEBio uses s = y/|y|, which is discontinuous where a point that has just come into contact reverses; here a
+slip shorter than mu g is resisted by the same penalty as a sticking point.
 
-Along a slip the derivative has no resistance at all, and Newton's method overshoots: points turn back, stick
-and slip by turns. Far from equilibrium the tangent therefore has mu p/|y| in every tangential direction, that
-of the quadratic that has the same force and lies above mu p |y| everywhere (Weiszfeld 1937, Tohoku Math. J.
-43:355).
+Along a slip the exact derivative has no stiffness, and Newton's method overshoots: points reverse, and
+alternate between stick and slip. Far from equilibrium the tangent therefore has stiffness mu p/|y| in every
+tangential direction, that of the quadratic with the same force that majorises mu p |y| (Weiszfeld 1937,
+Tohoku Math. J. 43:355).
 
-Columns of `state` beyond those of `contact_points`: whether it sticks, T. Columns of `before`: the point,
-its tangents g1 and g2, the anchor, the anchor's facet (or -1), all of the last converged step. `move` (4, 3):
-the rotation of the body since then, in rows, and its translation: place now = move[:3] place + move[3].
+Columns of `state` after those of `contact_points`: stick flag, T. Columns of `before`, from the last
+converged step: position, tangents g1 and g2, anchor, facet of the anchor (or -1). `move` (4, 3): rotation
+matrix and translation of the body since then: current position = move[:3] position + move[3].
 
 Source: FEBio Theory Manual 4.0, section 7.2 (sliding-elastic with friction): Zimmerman & Ateshian 2018,
 J Biomech Eng 140:081013.
@@ -54,7 +54,7 @@ N_BEFORE = 13
 
 @njit(cache=True)
 def remember(x, facets, N, dN, state, before):
-    """Fill `before` from a converged step, whose contact was searched for along the normals."""
+    """Fill `before` from a converged step, after a frictionless contact search."""
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for f in range(facets.shape[0]):
         for k in range(N.shape[0]):
@@ -70,7 +70,7 @@ def remember(x, facets, N, dN, state, before):
 
 @njit(cache=True)
 def _slip(row, before, move, r, g1, g2, n, y, c, m):
-    """y, c and m of a point in contact (see above); returns |n|."""
+    """Set y, c and m (see the module docstring) of a point in contact; returns |n|."""
     size = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
     old, w = np.empty(3), np.empty(3)
     cross(before[TANGENTS : TANGENTS + 3], g2, m)
@@ -80,7 +80,7 @@ def _slip(row, before, move, r, g1, g2, n, y, c, m):
         m[i] = 2.0 * n[i] - m[i] - w[i]
         along += n[i] * m[i] / size
         old[i] = 0.0
-        for j in range(3):  # where the body's matter at q was
+        for j in range(3):  # previous position of the body's material point at q
             old[i] += move[j, i] * (row[POINT + j] - move[3, j])
     total = 0.0
     for i in range(3):
@@ -94,7 +94,7 @@ def _slip(row, before, move, r, g1, g2, n, y, c, m):
 
 @njit(cache=True, nogil=True)
 def resist(x, facets, N, dN, eps, mu, before, move, state):
-    """Take stick or slip of every point that touches, and its push; returns how many stick."""
+    """Determine stick or slip and the traction T of every touching point; returns how many stick."""
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     y, c, m, anchor, thrust = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     sticking = 0
@@ -150,10 +150,10 @@ def force(facets, N, weights, state, center, out, body):
 
 @njit(cache=True)
 def _change(row, before, move, eps, mu, yields, center, r, g1, g2, n, y, c, m, dr, d1, d2, motion, df, darm):
-    """Change of |n| T, and of the arm from the body's centre, for changes of the point and the body.
+    """Change of |n| T, and of the lever arm from the body's centre, for changes of the point and the body.
 
-    y, c, m : of `_slip`, where the point slips
-    yields : 1 for the derivative; 0 where a slip is resisted along its direction as across it, by mu p/|y|
+    y, c, m : from `_slip`, used if the point slips
+    yields : 1 for the exact derivative; 0 for stiffness mu p/|y| along a slip as well as across it
     """
     dn, dnu, w, v = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     size = normal_change(g1, g2, n, d1, d2, dn, dnu)
@@ -161,7 +161,7 @@ def _change(row, before, move, eps, mu, yields, center, r, g1, g2, n, y, c, m, d
     for i in range(3):
         dsize += n[i] * dn[i] / size
         v[i] = row[POINT + i] - center[i]
-    cross(motion[3:6], v, w)  # turning of the body
+    cross(motion[3:6], v, w)  # due to the body's rotation
     if row[STICKS] > 0.0:
         for i in range(3):
             df[i] = size * eps * (dr[i] - motion[i] - w[i]) + dsize * row[PUSH + i]
@@ -177,7 +177,7 @@ def _change(row, before, move, eps, mu, yields, center, r, g1, g2, n, y, c, m, d
     for i in range(3):
         dq[i] = dr[i] - dg * nu[i] - row[GAP] * dnu[i]
         darm[i] = dq[i] - motion[i]
-        v[i] = darm[i] - w[i]  # the touching point's way over the body
+        v[i] = darm[i] - w[i]  # motion of the contact point relative to the body
     length = np.sqrt(y[0] ** 2 + y[1] ** 2 + y[2] ** 2)
     p, dp = row[TRACTION], eps * dg
     if length > 0.0:
@@ -192,7 +192,7 @@ def _change(row, before, move, eps, mu, yields, center, r, g1, g2, n, y, c, m, d
             turn += dnu[i] * m[i]
         for i in range(3):
             dc[i] = (dm[i] - along * nu[i] - turn * nu[i] - mnu * dnu[i] - dsize * c[i]) / size
-        # y is (1 - nu nu) z; only z along the normal is missing in y
+        # y = (1 - nu nu) z; the change of the projection needs z's normal component, recomputed here
         znu, zdnu, dz_nu = 0.0, 0.0, 0.0
         for i in range(3):
             back = 0.0
@@ -206,7 +206,7 @@ def _change(row, before, move, eps, mu, yields, center, r, g1, g2, n, y, c, m, d
             znu += z * nu[i]
             zdnu += z * dnu[i]
             dz_nu += dy[i] * nu[i]
-        along = 0.0  # the length of y
+        along = 0.0  # change of |y|
         for i in range(3):
             dy[i] -= dz_nu * nu[i] + zdnu * nu[i] + znu * dnu[i]
             along += dy[i] * y[i] / length
@@ -222,7 +222,7 @@ def _change(row, before, move, eps, mu, yields, center, r, g1, g2, n, y, c, m, d
 
 @njit(cache=True, nogil=True)
 def times(x, facets, N, dN, weights, eps, mu, yields, before, move, state, center, v, motion, out, body):
-    """Derivative of `force` along v (n_points, 3) and the body's motion (6); stick and slip held."""
+    """Derivative of `force` along v (n_points, 3) and the body's motion (6), at fixed stick-slip status."""
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     dr, d1, d2, df, darm = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     y, c, m, f3, w = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -249,7 +249,7 @@ def times(x, facets, N, dN, weights, eps, mu, yields, before, move, state, cente
 
 @njit(cache=True, nogil=True)
 def blocks(x, facets, N, dN, weights, eps, mu, yields, before, move, state, center, out):
-    """Tangent of each soft facet that touches, out (n_facets, n, 3, n, 3); returns which do."""
+    """Tangent of each touching soft facet, out (n_facets, n, 3, n, 3); returns which facets touch."""
     nodes = facets.shape[1]
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     y, c, m = np.empty(3), np.empty(3), np.empty(3)

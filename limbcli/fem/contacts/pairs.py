@@ -23,18 +23,20 @@ from limbcli.fem.motion.rigid import BodyState
 from limbcli.materials.program import CurveAt
 from limbcli.model import Array, IntArray
 
-_MOST_AUGMENTATIONS = 10  # FEBio's `maxaug`, where a model does not give it
-_FADE, _MOST_FADE = 0.03, 0.2  # to either side of a rim: of the soft facets' size, of the rigid facet's
+_MOST_AUGMENTATIONS = 10  # FEBio's default of `maxaug`
+# Half-width of the fading zone at a rim, as a fraction of the soft facets' size, and its upper limit as a
+# fraction of the rigid facet's size.
+_FADE, _MOST_FADE = 0.03, 0.2
 
 
 @dataclass(eq=False)
 class Pair:
     """One contact of the model: soft patches against the facets of a body.
 
-    rim (n_facets2, 4) : where tractions fade, at the edges that end the rigid surface (see `rim_widths`)
-    full_tangent : 1 for the derivative, 0 for one without what leads astray far from equilibrium: what the
-        tractions do as the normals turn (they are many times what they will be), and with friction that
-        a slip yields along its way
+    rim (n_facets2, 4) : half-widths of the fading zones at the free edges of the rigid surface (`rim_widths`)
+    full_tangent : 1 for the exact tangent; 0 omits terms that are harmful far from equilibrium, where the
+        tractions are many times too large: their change due to rotating normals, and with friction the
+        zero stiffness along a slip
     """
 
     contact: Contact
@@ -46,8 +48,8 @@ class Pair:
     threads: Threads = field(default_factory=lambda: Threads(1), kw_only=True)
 
     def search(self, x: Array, at: BodyState) -> int:
-        """Refresh the state of all points at current places x (n_points, 3), with the body at `at`; how
-        many touch."""
+        """Search contact at positions x (n_points, 3) with the body at `at`, and update the state of all
+        points; returns how many touch."""
         spheres, box = _bounds(x, self.facets2)
         return sum(
             sum(self.threads.run(partial(self._search, p, x, spheres, box), len(p.facets)))
@@ -88,14 +90,14 @@ class Pair:
         return found
 
     def remember(self, x: Array, at: BodyState) -> None:
-        """Take a converged step over; without friction nothing is remembered."""
+        """Store a converged step; nothing to store without friction."""
 
     def set_penalty(self, groups: Sequence[Group], curve: CurveAt, dt: float) -> None:
         for p in self.patches:
             p.eps = penalties(self.contact, p, groups, curve, dt)
 
     def forget(self) -> None:
-        """As before any load: no facet touched, no multiplier."""
+        """Reset to the unloaded state: no contact, multipliers zero."""
         for p in self.patches:
             p.state[:] = 0.0
             p.state[..., FACET] = -1
@@ -103,15 +105,15 @@ class Pair:
 
     @property
     def is_augmented(self) -> bool:
-        """As in FEBio 4.11, no tolerance above 0 leaves the augmentations out."""
+        """Whether augmentations are done; as in FEBio 4.11, only if one of the tolerances is positive."""
         return self.contact.augmented and max(self.contact.tolerance, self.contact.gap_tolerance) > 0
 
     def augment(self, n_before: int) -> bool:
-        """Take the tractions over as multipliers; whether these have settled.
+        """Set the multipliers to the current tractions; returns whether they have converged.
 
-        That is where the relative change of their sum of squares is within the tolerance, and the largest
-        gap of the points that press within `gap_tolerance` (mm), each if it is set; not before the
-        `minaug`-th augmentation of a load step, and at the latest at the one after `maxaug`.
+        Convergence requires that the relative change of their sum of squares is within the tolerance, and
+        that the largest gap of points in contact is within `gap_tolerance` (mm), each if set; not before
+        `minaug` augmentations of a load step, and unconditionally after `maxaug`.
 
         n_before : augmentations of this load step so far
 
@@ -137,11 +139,11 @@ def _count(contact: Contact, name: str, default: int) -> int:
 
 
 def rim_widths(points: Array, facets2: IntArray, patches: Sequence[Patch]) -> Array:
-    """(n, 4) half-widths over which tractions fade at edges that belong to one rigid facet only.
+    """Half-widths (n, 4) of the fading zones at free edges, those that belong to a single rigid facet.
 
-    In the facet's natural coordinates; 0 at other edges.
+    In the facet's natural coordinates; 0 at other edges. Edge k goes from node k to the next node.
 
-    facets2 (n, 4) : nodes; triangles end in -1. An edge goes from each node to the next.
+    facets2 (n, 4) : nodes; the last is -1 in a triangle
     """
     following = np.roll(facets2, -1, axis=1)
     triangles = facets2[:, 3] < 0
@@ -154,7 +156,7 @@ def rim_widths(points: Array, facets2: IntArray, patches: Sequence[Patch]) -> Ar
     found[there] = counts[which.ravel()] == 1
     a, b, c, d = (points[facets2[:, k]] for k in (0, 1, 2, 3))
     d[triangles] = a[triangles]
-    area = 0.5 * np.linalg.norm(np.cross(c - a, d - b), axis=1)  # of triangles as well
+    area = 0.5 * np.linalg.norm(np.cross(c - a, d - b), axis=1)  # also valid for triangles
     length = np.linalg.norm(points[following] - points[facets2], axis=2)
     across = np.where(triangles, 2.0, 1.0)[:, None] * area[:, None] / np.maximum(length, 1e-300)
     soft = np.concatenate([np.sqrt(each.areas) for each in patches])

@@ -14,8 +14,10 @@ from limbcli.model import Array, IntArray
 class Patch:
     """Soft facets of one kind with their integration points.
 
-    group, cell : the group of cells behind each facet, and the cell's row in it
-    areas (mm^2), ratio (area over volume behind, 1/mm), normals : of the reference state
+    N, dN, weights : shape functions, their derivatives, and weights of the integration rule
+    group, cell : cell group behind each facet, and the cell's row in it
+    areas (mm^2), ratio (facet area over volume of the cell behind, 1/mm), normals : reference configuration
+    eps (n_facets,) : penalty, MPa/mm; multiplier, state : per integration point (see `contact_points`)
     """
 
     facets: IntArray

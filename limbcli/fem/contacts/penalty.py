@@ -1,8 +1,8 @@
 """The penalty of a contact, as FEBio's `auto_penalty` sets it.
 
-The penalty of a facet is eps = penalty x E x A / V, taken at the reference state and kept: E the
-stiffness of the law along the facet's normal (see `materials.stress.penalty_modulus`), A the facet's
-area, V the volume of the cell behind it.
+The penalty of a facet is eps = penalty x E x A / V, evaluated once in the reference configuration: E is the
+stiffness of the law along the facet's normal (see `materials.stress.penalty_modulus`), A the facet's area,
+V the volume of the cell behind it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,10 @@ from limbcli.model import Array, IntArray
 def penalties(
     contact: Contact, patch: Patch, groups: Sequence[Group], curve: CurveAt, dt: float = 1.0
 ) -> Array:
-    """eps (n_facets,) of a patch, MPa/mm. dt : first step (s): a viscoelastic law is as stiff as in it."""
+    """Penalties eps (n_facets,) of a patch, MPa/mm.
+
+    dt : first time step (s), at which the stiffness of a viscoelastic law is evaluated
+    """
     eps = np.full(len(patch.facets), float(contact.penalty))
     if contact.auto_penalty:
         for k, group in enumerate(groups):
@@ -36,7 +39,7 @@ def penalties(
 
 
 def _stiffening(group: Group, dt: float) -> float:
-    """Tangent of a Prony series over its elastic law's, in a step of length dt."""
+    """Ratio of a Prony series' tangent in a step of length dt to that of its elastic law."""
     if group.material.prony is None:
         return 1.0
     g0, terms = group.material.prony
@@ -60,7 +63,7 @@ def penalty_derivative(
     change: Array,
     dt: float = 1.0,
 ) -> Array:
-    """d eps/d theta (n_facets,), where the law's numbers in group `number` move by `change`."""
+    """d eps/d theta (n_facets,), where `change` is d(par)/d(theta) of the law in group `number`."""
     out = np.zeros(len(patch.facets))
     mine = patch.group == number
     if not (contact.auto_penalty and mine.any()):

@@ -1,1 +1,1 @@
-"""Exact derivatives of the response by material parameters, shape and motion; and the fields of records."""
+"""Exact derivatives of the response and of record fields with respect to material, shape and motion."""

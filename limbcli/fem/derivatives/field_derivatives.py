@@ -1,8 +1,8 @@
-"""Derivatives of everything that can be logged by a parameter, from a sensitivity.
+"""Derivatives of all record fields with respect to a parameter, given the sensitivity of the response.
 
-Cell fields follow the changes at the integration points (`point_changes`) by the chain rule; node and
-body fields those of displacements, reactions and motions. Derivatives of the spatial tangent are
-differences of the law alone, right to about nine digits; all others are exact.
+Cell fields are obtained by the chain rule from the changes at the integration points (`point_changes`), node
+and body fields from those of displacements, reactions and motions. Derivatives of the spatial tangent are
+finite differences of the law, accurate to about nine digits; all others are exact.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from limbcli.fem.record_fields import (
 from limbcli.fem.system import System
 from limbcli.model import Array, IntArray, LogRecord
 
-_SAME = 1e-9  # principal stresses closer than this, of the largest, count as equal
+_SAME = 1e-9  # difference at which principal stresses count as equal, relative to the largest
 
 
 def record_derivatives(
     system: System, state: State, record: LogRecord, parameter: Parameter, sensitivity: Sensitivity
 ) -> tuple[IntArray, Array]:
-    """(ids from 0, d(field)/d(theta) (n_items, n_fields)) of one record at a converged state.
+    """Item numbers (from 0) and d(field)/d(theta) (n_items, n_fields) of one record at a converged state.
 
     Raises
     ------
     SolveError
-        Where the record has a field that cannot be given.
+        If the record has an unsupported field.
     """
     check_record(record)
     if record.kind == "rigid_body":
@@ -54,7 +54,7 @@ def record_derivatives(
     else:
         values = np.zeros((sum(len(b.cells) for b in system.model.mesh.blocks), len(record.fields)))
         for k, name in enumerate(record.fields):
-            if name in _CENTER:  # of rigid cells
+            if name in _CENTER:  # positions of rigid cells; those of other cells are overwritten below
                 _, rest = _node_changes(system, state, parameter, sensitivity)
                 values[:, k] = mean_places(system, rest)[:, _CENTER.index(name)]
         for number, group in enumerate(system.groups):
@@ -74,8 +74,8 @@ def cell_field_derivatives(
 ) -> Array:
     """d(field)/d(theta) (n_cells, n_fields) of a group's cells.
 
-    Where principal stresses are equal, theirs are those towards growing theta, in the order that they
-    have there; towards falling theta the same values belong to them in the opposite order.
+    Where principal stresses coincide, the derivatives are one-sided, for increasing theta and in the order
+    the stresses then have; for decreasing theta the same values apply in the opposite order.
     """
     tangent = bool(set(TANGENT_FIELDS) & set(fields))
     at = point_changes(system, state, number, parameter, sensitivity.displacement, tangent=tangent)
@@ -107,10 +107,10 @@ def cell_field_derivatives(
 
 
 def principal_changes(stress: Array, change: Array) -> Array:
-    """Changes (n, 3) of the principal values, largest first, of stress (n, 3, 3) along `change`.
+    """Derivatives (n, 3) of the principal values, largest first, of stress (n, 3, 3) along `change`.
 
-    dl_i = n_i . dS n_i. Of equal values: the principal values of dS within their plane (or in space),
-    largest first, which is right for a step forward.
+    dl_i = n_i . dS n_i. For coincident values: the principal values of dS restricted to their eigenspace,
+    largest first, which is the one-sided derivative in the forward direction.
 
     >>> equal, change = np.diag([1.0, 1.0, -1.0])[None], np.diag([-3.0, 2.0, 0.5])[None]
     >>> principal_changes(equal, change)
@@ -142,12 +142,12 @@ def _tangent_change(at: PointChanges) -> Array:
 def _node_changes(
     system: System, state: State, parameter: Parameter, sensitivity: Sensitivity
 ) -> tuple[Array, Array]:
-    """Changes (n_points, 3) of the nodes' displacements and of their places at rest; of bodies' own too."""
+    """Derivatives (n_points, 3) of displacements and of reference positions of all nodes, also rigid ones."""
     moves, rest = sensitivity.displacement.copy(), np.zeros_like(system.X)
     if isinstance(parameter, ShapeParameter):
         rest += parameter.directions
     for b, body in enumerate(system.bodies):
-        own = np.setdiff1d(body.points, body.tied)  # those that are tied are among the displacements
+        own = np.setdiff1d(body.points, body.tied)  # tied nodes are already part of the displacements
         turn, arm = state.bodies[b].turn, system.X[own] - body.center
         shift, spin = sensitivity.motions[b, :3], sensitivity.motions[b, 3:]
         moves[own] += shift + np.cross(spin, arm @ turn.T)
@@ -161,7 +161,7 @@ def _node_changes(
 def node_field_derivatives(
     system: System, state: State, fields: tuple[str, ...], parameter: Parameter, sensitivity: Sensitivity
 ) -> Array:
-    """d(field)/d(theta) (n_points, n_fields) of places, displacements and reactions."""
+    """d(field)/d(theta) (n_points, n_fields) of positions, displacements and reactions."""
     reactions = np.zeros(0)
     if {"Rx", "Ry", "Rz"} & set(fields):
         reactions = reaction_changes(system, state, parameter, sensitivity)
@@ -191,7 +191,7 @@ def body_field_derivatives(
 
 
 def _vector_change(vector: Array, spin: Array) -> Array:
-    """Change of the rotation vector of a body that turns on by `spin` (rad), about axes fixed in space.
+    """Change of a body's rotation vector for a further small rotation `spin` (rad) about spatial axes.
 
     >>> _vector_change(np.array([0.0, 0.0, 2.0]), np.array([0.0, 0.0, 1.0]))
     array([0., 0., 1.])

@@ -1,7 +1,7 @@
-"""What the response can be differentiated by, and how the residual depends on it.
+"""Parameters by which the response can be differentiated, and the derivative of the residual.
 
-`partial` gives dR/dtheta at held displacements: nodal forces (n_points, 3) and forces and moments
-on the bodies (n_bodies, 6).
+`partial` gives dR/dtheta at fixed displacements: nodal forces (n_points, 3), and forces and moments on the
+bodies (n_bodies, 6).
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ from limbcli.model import Array, Curved
 
 @dataclass(frozen=True, eq=False)
 class LawParameter:
-    """A number of a material: "c1" of "tissue" ("0.mu" in a mixture's first part).
+    """A parameter of a material law: "c1" of "tissue" ("0.mu" for the first part of a mixture).
 
-    block : only where the region is this block (a region's own stiffness)
-    weights (n_cells,) : where given, cell e of the block moves by weights[e] theta (a map coefficient)
+    block : restrict the change to this block (a region's own stiffness); None: all blocks of the material
+    weights (n_cells,) : if given, the value of cell e of the block changes by weights[e] theta (coefficient
+        of an element map)
     """
 
     material: str
@@ -39,16 +40,16 @@ class LawParameter:
 
 @dataclass(frozen=True, eq=False)
 class Tied:
-    """Numbers of materials that move together: each by its rate times theta."""
+    """Material parameters that change together, each by its rate times theta."""
 
     parts: tuple[tuple[LawParameter, float], ...]
 
 
 @dataclass(frozen=True, eq=False)
 class BodyMotion:
-    """Where a body starts: `motion` (6) per unit theta, a translation (mm) and a rotation vector
-    about its centre (rad). (1, 0, 0, 0, 0, 0) is an offset along x, (0, 0, 0, 0, 1, 0) a tilt about y.
-    What turns it later turns this as well; the rotation that is logged counts from the start."""
+    """Initial position of a body: `motion` (6) per unit theta, a translation (mm) and a rotation vector about
+    its centre (rad). (1, 0, 0, 0, 0, 0) is an offset along x, (0, 0, 0, 0, 1, 0) a tilt about y. Later
+    rotations of the body also rotate the tilt; the logged rotation is relative to the initial position."""
 
     body: str
     motion: tuple[float, float, float, float, float, float]
@@ -56,9 +57,10 @@ class BodyMotion:
 
 @dataclass(frozen=True, eq=False)
 class ShapeParameter:
-    """Places of nodes in the reference state: node n moves by directions[n] theta (a layer's
-    thickness). The residual's dependence on the places is taken by central differences of `step` mm,
-    the response's dependence on the residual exactly."""
+    """Shape of the reference configuration: node n moves by directions[n] theta (a layer's thickness).
+
+    The residual is differentiated by central differences of `step` mm; the derivative of the response for a
+    given derivative of the residual is exact."""
 
     directions: Array
     step: float = 1e-4
@@ -67,9 +69,11 @@ class ShapeParameter:
 
 @dataclass(frozen=True, eq=False)
 class Prestrain:
-    """The prestrain of a material's regions: F0 moves by `direction` (3, 3) per unit theta; without a
-    direction its ramp by one (before its load curve, where it follows one). The residual's dependence is
-    taken by central differences of `step`, the response's dependence on the residual exactly."""
+    """Prestrain of a material: F0 changes by `direction` (3, 3) per unit theta; without a direction, the ramp
+    changes by one (its factor, if it follows a load curve).
+
+    The residual is differentiated by central differences of `step`; the derivative of the response for a
+    given derivative of the residual is exact."""
 
     material: str
     direction: Array | None = None
@@ -80,7 +84,7 @@ Parameter = LawParameter | Tied | BodyMotion | ShapeParameter | Prestrain
 
 
 def partial(system: System, state: State, parameter: Parameter) -> tuple[Array, Array]:
-    """dR/dtheta at held displacements."""
+    """dR/dtheta at fixed displacements: nodal (n_points, 3), bodies (n_bodies, 6)."""
     if isinstance(parameter, LawParameter):
         return _law(system, state, parameter)
     if isinstance(parameter, Tied):
@@ -97,7 +101,7 @@ def partial(system: System, state: State, parameter: Parameter) -> tuple[Array, 
 
 
 def programs(system: System, parameter: LawParameter) -> dict[int, list[Program]]:
-    """Derivative programs by group; raises where no region is made of the material."""
+    """Derivative programs by group number; raises SolveError if no region has the material."""
     where = f"derivative with respect to {parameter.material}.{parameter.name}"
     found = {}
     for number, group in enumerate(system.groups):
@@ -158,7 +162,7 @@ def _add_internal(system: System, state: State, number: int, found: list[Program
 
 
 def given_motions(system: System, state: State, parameter: Parameter) -> Array:
-    """Motions (n_bodies, 6) that a BodyMotion gives its body, as it stands now."""
+    """Motions (n_bodies, 6) per unit theta that a BodyMotion causes at the current position of its body."""
     motions = np.zeros((len(system.bodies), 6))
     if not isinstance(parameter, BodyMotion):
         return motions
@@ -189,7 +193,7 @@ def _motion(system: System, state: State, parameter: BodyMotion) -> tuple[Array,
 
 
 def _nodal_forces(system: System, state: State) -> Array:
-    """Internal and contact forces (n_points, 3), the contact as searched last."""
+    """Internal and contact forces (n_points, 3), with contact from the last search."""
     nodal, _, _ = system.internal(state)
     for pair in system.pairs:
         pair.force(system.center(pair.body, state), nodal, np.zeros(6))
@@ -210,7 +214,7 @@ def _shape(system: System, state: State, parameter: ShapeParameter) -> tuple[Arr
 
 def moved_system(system: System, parameter: ShapeParameter, sign: float) -> System:
     groups, moved = parameter._systems.get(sign, (None, None))
-    if moved is None or groups is not system.groups:  # other laws, or another model
+    if moved is None or groups is not system.groups:  # out of date: the laws or the model have changed
         mesh = system.model.mesh
         points = mesh.points + sign * parameter.step * parameter.directions
         model = replace(system.model, mesh=replace(mesh, points=points))
@@ -243,7 +247,7 @@ def _prestrain(system: System, state: State, parameter: Prestrain) -> tuple[Arra
 
 
 def prestrain_change(group: Group, parameter: Prestrain, curve: CurveAt) -> Array:
-    """Change (3, 3) of the prestrain (1 - r) 1 + r F0 of a group that has one."""
+    """Derivative (3, 3) of a group's prestrain gradient (1 - r) 1 + r F0 with respect to the parameter."""
     assert group.material.prestrain is not None
     F0, ramp = group.material.prestrain
     on_curve = curve(ramp.curve) if isinstance(ramp, Curved) else 1.0
@@ -254,7 +258,7 @@ def prestrain_change(group: Group, parameter: Prestrain, curve: CurveAt) -> Arra
 
 
 def nudged(system: System, number: int, parameter: Prestrain, change: float) -> Operands:
-    """A group's operands with its prestrain moved."""
+    """A group's operands with its prestrain parameter changed by `change`."""
     group = system.groups[number]
     assert group.material.prestrain is not None
     F0, ramp = group.material.prestrain

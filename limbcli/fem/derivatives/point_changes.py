@@ -1,13 +1,13 @@
-"""How deformation, stress, energy and tangent at the points of a group change along a parameter.
+"""Derivatives of deformation, stress, energy and tangent at the integration points of a group.
 
-With v = du/dtheta the mesh's F = 1 + grad u moves by grad v. Besides, at held u:
+With v = du/dtheta, the mesh's F = 1 + grad u changes by grad v. In addition, at fixed u:
 
-- places at rest that move with velocities V (a layer's thickness) change F by -(F - 1) grad V;
-- a prestrain G that moves changes F G, the deformation that the law sees;
-- a number of the law changes what the law answers, by its derivative programs.
+- reference positions that move with velocities V (a layer's thickness) change F by -(F - 1) grad V;
+- a change of the prestrain G changes F G, the deformation gradient passed to the law;
+- a change of a law parameter changes the stress, as given by its derivative programs.
 
-Then dS = CC : sym(F' dF) + dS/dtheta, and so on by the chain rule: exact, apart from the tangent,
-see `materials.tangent_change`.
+Then dS = CC : sym(F' dF) + dS/dtheta, and so on by the chain rule. All derivatives are exact except that of
+the tangent, see `materials.tangent_change`.
 """
 
 from __future__ import annotations
@@ -37,10 +37,11 @@ from limbcli.model import Array
 
 @dataclass(frozen=True, eq=False)
 class PointChanges:
-    """Values and changes at the points of a group, all (n_cells, n_gauss, 3, 3).
+    """Values and derivatives at the integration points of a group, (n_cells, n_gauss, 3, 3) unless stated.
 
-    F : of the mesh; law_F : what the law sees (F times its prestrain); stress : Cauchy's, MPa
-    dpar (1 or n_cells, n_numbers) : change of the law's numbers
+    F : deformation gradient of the mesh; law_F : that passed to the law (F times the prestrain)
+    S : second Piola-Kirchhoff stress, MPa; CC (n_cells, n_gauss, 6, 6) : dS/dE; stress : Cauchy stress, MPa
+    dpar (1 or n_cells, n_numbers) : derivative of the law's numbers
     """
 
     operands: Operands
@@ -67,7 +68,7 @@ class PointChanges:
 
     @property
     def d_volume(self) -> Array:
-        """Change (n_cells, n_gauss) of det F of the mesh."""
+        """Derivative (n_cells, n_gauss) of det F of the mesh."""
         return np.asarray(
             np.linalg.det(self.F) * np.trace(np.linalg.solve(self.F, self.dF), axis1=-2, axis2=-1)
         )
@@ -79,13 +80,13 @@ class PointChanges:
 
     @property
     def d_energy(self) -> Array:
-        """Change (n_cells, n_gauss) of the energy that is logged."""
+        """Derivative (n_cells, n_gauss) of the logged strain energy density."""
         o = self.operands
         return program_energy_change(stored(o.ops), o.par, self.law_F, self.law_dF, self.dpar)
 
     @property
     def d_tangent(self) -> Array:
-        """Change (n_cells, n_gauss, 6, 6) of CC = dS/dE."""
+        """Derivative (n_cells, n_gauss, 6, 6) of CC = dS/dE."""
         o, (n_cells, n_gauss) = self.operands, self.operands.weight.shape
         par, dpar = (np.repeat(p, n_gauss, axis=0) if len(p) > 1 else p for p in (o.par, self.dpar))
         F, dF = (each.reshape(-1, 3, 3) for each in (self.law_F, self.law_dF))
@@ -96,7 +97,10 @@ class PointChanges:
 def point_changes(
     system: System, state: State, number: int, parameter: Parameter, v: Array, *, tangent: bool = False
 ) -> PointChanges:
-    """At a converged state of a group, for du/dtheta = v (n_points, 3). tangent : CC is asked for as well."""
+    """Derivatives at the points of a group at a converged state, for du/dtheta = v (n_points, 3).
+
+    tangent : whether `CC` and `d_tangent` will be used
+    """
     group, o = system.groups[number], system.operands[number]
     shape = o.weight.shape
     law_F, S, CC = np.empty((*shape, 3, 3)), np.empty((*shape, 6)), np.empty((*shape, 6, 6))
@@ -120,7 +124,7 @@ def point_changes(
 
 
 def _of_the_law(system: System, state: State, number: int, parameter: Parameter) -> tuple[Array, Array]:
-    """Change of S (n_cells, n_gauss, 6) at held deformation, and of the law's numbers."""
+    """Derivatives of S (n_cells, n_gauss, 6) at fixed deformation, and of the law's numbers."""
     group, o = system.groups[number], system.operands[number]
     dS, dpar = np.zeros((*o.weight.shape, 6)), np.zeros((1, o.par.shape[1]))
     parts = parameter.parts if isinstance(parameter, Tied) else ()

@@ -1,8 +1,8 @@
 """Exact derivatives of the response at a converged state, by direct differentiation.
 
-At equilibrium R(u(theta), theta) = 0, hence K du/dtheta = -dR/dtheta at held u, and a force
-F(u, theta) changes by dF/dtheta = dF/dtheta|u + dF/du du/dtheta. One linear solve per parameter and
-level, with the factor that is already there; K is the exact tangent of the converged state.
+At equilibrium R(u(theta), theta) = 0, hence K du/dtheta = -dR/dtheta at fixed u, and a force F(u, theta)
+has the derivative dF/dtheta = dF/dtheta|u + dF/du du/dtheta. This takes one linear solve per parameter and
+level, reusing the existing factor; K is the exact tangent of the converged state.
 """
 
 from __future__ import annotations
@@ -39,16 +39,17 @@ __all__ = [
     "sensitivities",
 ]
 
-_TOLERANCE = 1e-7
-_ENOUGH = 1e-6
+_TOLERANCE = 1e-7  # relative residual at which GMRES stops
+_ENOUGH = 1e-6  # relative residual that is accepted
 
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """What an answer changes by.
+    """Derivative of the response with respect to a parameter.
 
-    displacement (n_points, 3) : du/dtheta; bodies (n_bodies, 6) : of the forces that hold the bodies
-    motions (n_bodies, 6) : of bodies that are free to move, translation and rotation
+    displacement (n_points, 3) : du/dtheta
+    bodies (n_bodies, 6) : derivative of the forces and moments that hold the bodies
+    motions (n_bodies, 6) : translation and rotation of bodies with free degrees of freedom
     """
 
     displacement: Array
@@ -59,12 +60,12 @@ class Sensitivity:
 def sensitivities(
     newton: Newton, state: State, forces: Forces, parameters: list[Parameter]
 ) -> list[Sensitivity]:
-    """Derivatives at a converged state by each parameter.
+    """Derivatives of the response at a converged state with respect to each parameter.
 
     Raises
     ------
     SolveError
-        Where the state is not a function of its load alone.
+        If the response is path-dependent, or a linear system cannot be solved accurately.
     """
     system = newton.system
     if any(pair.contact.friction for pair in system.pairs):
@@ -90,7 +91,7 @@ def sensitivities(
 
 
 def reaction_changes(system: System, state: State, parameter: Parameter, sensitivity: Sensitivity) -> Array:
-    """Changes (n_points, 3) of the reactions at driven nodes."""
+    """Derivatives (n_points, 3) of the reactions at nodes with prescribed displacements."""
     nodal, _ = partial(system, state, parameter)
     v = sensitivity.displacement - system.follow(state, given_motions(system, state, parameter))
     contact, _ = system.contact_times(state, v, sensitivity.motions)
@@ -134,7 +135,7 @@ def _solve(newton: Newton, state: State, forces: Forces, rhs: Array) -> Array:
 
 
 def _force_change(system: System, state: State, forces: Forces, v: Array, motions: Array) -> Array:
-    """Change (n_bodies, 6) of the bodies' forces along nodal and body motions."""
+    """Change (n_bodies, 6) of the bodies' forces and moments for nodal and body motions."""
     nodal, bodies = system.contact_times(state, v, motions)
     if any(len(body.tied) for body in system.bodies):
         nodal += system.tangent_times(state, v)

@@ -1,1 +1,1 @@
-"""The tissue's elements: shape functions, groups of cells, compiled loops over them, the matrix's pattern."""
+"""Tissue elements: shape functions, cell groups, compiled element loops, sparsity pattern of the matrix."""

@@ -1,4 +1,4 @@
-"""From cells to a sparse matrix: equation numbers, fixed pattern, threads."""
+"""Assembly of cells into a sparse matrix: node pairs, fixed sparsity pattern, threads."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from limbcli.model import Array, IntArray
 
 
 class Threads:
-    """Splits a range over a few threads; kernels release the interpreter's lock."""
+    """Splits a range over a few threads; the kernels release the GIL."""
 
     def __init__(self, n: int):
         self.n = max(1, n)
         self._pool = ThreadPoolExecutor(self.n) if self.n > 1 else None
 
     def run(self, task: Callable[[int, int, int], Any], n_items: int) -> list[Any]:
-        """task(worker, start, stop) over equal parts of range(n_items)."""
+        """Run task(worker, start, stop) over equal parts of range(n_items)."""
         if self._pool is None or n_items < 64:
             return [task(0, 0, n_items)]
         edges = np.linspace(0, n_items, self.n + 1).astype(int)
@@ -31,7 +31,7 @@ class Threads:
         return [each.result() for each in futures]
 
     def run_halves(self, task: Callable[[int, int, int], Any], n_items: int) -> None:
-        """The same over two halves, whatever the number of threads."""
+        """Run task(half, start, stop) over two halves of range(n_items), for any number of threads."""
         cut = n_items // 2
         if self._pool is None or n_items < 64:
             task(0, 0, cut)
@@ -47,7 +47,7 @@ class Threads:
 
 
 def total(parts: list[Array]) -> Array:
-    """What the threads added up, each into its own part, in one array: the first of them."""
+    """Sum of the threads' partial arrays, accumulated in place into the first."""
     for each in parts[1:]:
         parts[0] += each
     return parts[0]
@@ -55,12 +55,13 @@ def total(parts: list[Array]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """Pairs of nodes with a block of the stiffness matrix, and its upper triangle in CSR.
+    """Node pairs that have a block in the stiffness matrix, and the matrix's upper triangle in CSR.
 
-    first (n_points + 1,), high (n_pairs,) : pairs by their lower node, in order, and the higher node of each
-    slots (n_pairs, 3, 3) : place of a block's entry in the CSR values, or -1; sources : the other way round
-    pairs : one array per list of cells given, (n_cells, n (n + 1) / 2): 2 * pair + swapped, for a <= b
-        row by row of b
+    first (n_points + 1,), high (n_pairs,) : pairs sorted by lower node: row pointers, and higher node of each
+    slots (n_pairs, 3, 3) : index of a block's entry in the CSR values, or -1
+    sources : the inverse: index into the flat blocks of each CSR value
+    pairs : for each list of cells, (n_cells, n (n + 1) / 2) codes 2 * pair + swapped, for local nodes a <= b,
+        with a varying fastest; swapped: node a has the higher number
     """
 
     indptr: IntArray
@@ -76,7 +77,7 @@ class Pattern:
         return len(self.indptr) - 1
 
     def values(self, blocks: Array) -> Array:
-        """Upper triangle of the unknowns' matrix from the blocks (n_pairs, 3, 3) of all pairs."""
+        """CSR values of the upper triangle from the blocks (n_pairs, 3, 3) of all pairs."""
         return np.take(blocks.ravel(), self.sources)
 
     def matrix(self, values: Array) -> sparse.csr_matrix:
@@ -86,7 +87,7 @@ class Pattern:
 
 
 def make_pattern(equations: IntArray, cell_lists: Sequence[IntArray]) -> Pattern:
-    """Pattern of a matrix whose entries couple nodes that share a cell.
+    """Pattern of a matrix that couples the nodes of each cell.
 
     equations (n_points, 3): equation number of each degree of freedom, -1 where it has none.
     """
@@ -121,7 +122,7 @@ def _pair_codes(cells: IntArray, n_points: int) -> tuple[IntArray, IntArray, Int
 def _slots(
     low: IntArray, high: IntArray, equations: IntArray
 ) -> tuple[NDArray[np.int32], IntArray, IntArray]:
-    """Places of the blocks' entries, and the pattern; equations must ascend with their nodes."""
+    """Slots of the blocks' entries, and the CSR pattern; equation numbers must ascend with node numbers."""
     n = int(equations.max()) + 1 if equations.size else 0
     slots = np.full((len(low), 3, 3), -1, dtype=np.int32)
     indptr = np.zeros(n + 1, dtype=np.int64)
@@ -134,7 +135,7 @@ def _slots(
 
 @njit(cache=True)
 def _count(low, high, equations, indptr):  # type: ignore[no-untyped-def]
-    """Entries of every row, one place further on."""
+    """Count the entries of each row i into indptr[i + 1]."""
     for k in range(len(low)):
         for i in range(3):
             row = equations[low[k], i]
@@ -145,7 +146,7 @@ def _count(low, high, equations, indptr):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _place(low, high, equations, at, indices, slots):  # type: ignore[no-untyped-def]
-    """Columns row by row; pairs are sorted, so each row's come in order."""
+    """Fill column indices and slots; pairs are sorted, so the columns of each row are in order."""
     for k in range(len(low)):
         for i in range(3):
             row = equations[low[k], i]

@@ -6,7 +6,7 @@ import numpy as np
 
 from limbcli.model import Array, IntArray
 
-# corners of the edges that carry the midside nodes
+# corner nodes of the edges, in the order of their midside nodes
 _TET10_EDGES = ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3))
 _TRI6_EDGES = ((0, 1), (1, 2), (2, 0))
 _HEX8 = np.array(

@@ -1,4 +1,4 @@
-"""Loops over the tissue's cells: internal forces, volume ratios, tangent; shared by a few threads."""
+"""Multithreaded loops over the tissue's cells: internal forces, volume ratios, tangent."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ _NO_VOLUMES = np.zeros((0, 1))
 
 
 class ElementLoops:
-    """The tissue's cells in groups, with the numbers of the time that was set last.
+    """The tissue's cell groups, with material parameters at the current time.
 
-    X (n_points, 3) : places at rest; scales, histories : of viscoelastic stresses, by group
+    X (n_points, 3) : reference positions
+    scales, histories : scale and history stress of viscoelastic laws, by group (see `equilibrium.history`)
     """
 
     X: Array
@@ -33,7 +34,7 @@ class ElementLoops:
     histories: list[Array]
 
     def internal(self, state: State) -> tuple[Array, float, tuple[int, int]]:
-        """Internal nodal forces, smallest det F and where."""
+        """Internal nodal forces (n_points, 3), smallest det F, and its (group, cell)."""
         parts = [np.zeros_like(self.X) for _ in range(self.threads.n)]
         worst, place = np.inf, (-1, -1)
         for k, o in enumerate(self.operands):
@@ -44,8 +45,10 @@ class ElementLoops:
         return total(parts), worst, place
 
     def smallest_mean_volume(self, state: State) -> tuple[float, tuple[int, int]]:
-        """Smallest det of a cell's mean F, and where: a bent quadratic cell may have turned inside out though
-        none of its integration points has."""
+        """Smallest determinant of a cell's mean F, and its (group, cell).
+
+        A curved quadratic cell may be inverted although det F is positive at all of its integration points.
+        """
         worst, place = np.inf, (-1, -1)
         for k, (group, o) in enumerate(zip(self.groups, self.operands, strict=True)):
             F = o.base + np.einsum("eni,enj->eij", state.u[o.cells], group.mean_grad(o.grad))
@@ -62,7 +65,8 @@ class ElementLoops:
         return out
 
     def volume_force(self, state: State) -> Array:
-        """What pressures at the state's own volume ratios add to the internal forces (n_points, 3)."""
+        """Change (n_points, 3) of the internal forces if pressures are evaluated at the independent volume
+        ratios `state.volumes` instead of det F."""
         parts = [np.zeros_like(self.X) for _ in range(self.threads.n)]
         for o, volumes in zip(self.operands, state.volumes, strict=True):
             args = (o.cells, o.grad, o.weight, o.base, o.lame, volumes)
@@ -70,8 +74,8 @@ class ElementLoops:
         return total(parts)
 
     def stiffness(self, state: State) -> Array:
-        """Blocks (n_pairs, 3, 3) of the elastic tangent of all pairs of nodes (see `Pattern`), without
-        contact; its symmetric part."""
+        """Blocks (n_pairs, 3, 3) of the symmetric part of the elastic tangent, without contact, for all node
+        pairs (see `Pattern`)."""
         n_pairs = len(self.pattern.high)
         blocks = np.zeros((n_pairs + max((len(h.shared) for h in self.halves), default=0), 3, 3))
         for k, (o, halves) in enumerate(zip(self.operands, self.halves, strict=True)):
@@ -87,7 +91,7 @@ class ElementLoops:
         return blocks[:n_pairs]
 
     def tangent_times(self, state: State, v: Array) -> Array:
-        """Elastic tangent of all nodes times v (n_points, 3); with the slope of a stress that jumps."""
+        """Elastic tangent of all nodes times v (n_points, 3), including the slope of stress jumps."""
         parts = [np.zeros_like(self.X) for _ in range(self.threads.n)]
         for k, o in enumerate(self.operands):
             args = (*o.sloped().arguments(), *self._mixed(state, k), v)
@@ -101,7 +105,7 @@ class ElementLoops:
     def _add(
         self, kernel: Callable[..., Any], state: State, o: Operands, args: tuple[Any, ...], parts: list[Array]
     ) -> list[Any]:
-        """Run a kernel over a group's cells, each thread into its own part."""
+        """Run a kernel over a group's cells; each thread adds to its own array."""
 
         def task(worker: int, begin: int, end: int) -> Any:
             return kernel(begin, end, state.u, *args, parts[worker])

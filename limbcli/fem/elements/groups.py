@@ -1,4 +1,4 @@
-"""Groups of cells that share a kind and a material: what the element kernels run over."""
+"""Groups of cells with the same kind and material, over which the element kernels run."""
 
 from __future__ import annotations
 
@@ -24,11 +24,12 @@ _RULES = {"tet10": ("TET10G8", "TET10G4"), "tet4": ("TET4G1",), "hex8": ("HEX8G8
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Cells of one domain.
+    """The cells of one domain.
 
     first : number of its first cell, counted over all blocks in order
-    grad (n_cells, n_gauss, n_nodes, 3), weight (n_cells, n_gauss) : reference configuration
-    shares (n_nodes,) : of the nodes' places in the mean place of a cell's integration points
+    grad (n_cells, n_gauss, n_nodes, 3), weight (n_cells, n_gauss) : shape gradients and integration weights
+        times Jacobian in the reference configuration
+    shares (n_nodes,) : weights of the nodes in the mean position of a cell's integration points
     """
 
     block: str
@@ -42,7 +43,7 @@ class Group:
     _cache: dict[str, Any] = field(default_factory=dict)
 
     def at(self, curve: CurveAt, *, scale: float = 1.0, history: Array = _NO_HISTORY) -> Operands:
-        """What the kernels take, for the time at which `curve` reads the load curves."""
+        """The kernel arguments at the time for which `curve` evaluates the load curves."""
         if self.material.varies or "program" not in self._cache:
             self._cache["program"] = self.material.program(len(self.cells), curve)
         program: Program = self._cache["program"]
@@ -52,7 +53,7 @@ class Group:
         )
 
     def _moduli(self, program: Program) -> tuple[Array, Array]:
-        """Lame's lambda (pressure per volume change) and mu at rest, of the whole law (1 or n_cells)."""
+        """Lame's lambda (pressure per volume change) and mu of the complete law at F = 1, (1 or n_cells,)."""
         if self._cache.get("lame_of") is not program:
             F = np.repeat(np.eye(3)[None], len(program.par), axis=0)
             S, CC = np.zeros((len(F), 6)), np.zeros((len(F), 6, 6))
@@ -63,7 +64,7 @@ class Group:
         return np.asarray(self._cache["lame"]), np.asarray(self._cache["shear"])
 
     def mean_grad(self, grad: Array) -> Array:
-        """(n_cells, n_nodes, 3) over the integration points, of this group's `grad` as it is now."""
+        """Mean (n_cells, n_nodes, 3) over the integration points of `grad`, cached."""
         if self._cache.get("mean_of") is not grad:
             self._cache["mean_of"], self._cache["mean_grad"] = grad, grad.mean(axis=1)
         return np.asarray(self._cache["mean_grad"])
@@ -90,7 +91,14 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class Operands:
-    """The arrays of one group in the order in which the kernels take them."""
+    """The arrays of one group, with the kernel arguments in their order.
+
+    cells, grad, weight : as in `Group`, with the prestrain included in grad and weight
+    ops, par : program of the law (see `materials.dispatch`)
+    base (3, 3) : unit tensor, or prestrain gradient
+    scale, history : stress is scale * S + history
+    lame, shear (1 or n_cells,) : Lame's constants at F = 1
+    """
 
     cells: IntArray
     grad: Array
@@ -108,11 +116,11 @@ class Operands:
 
     @property
     def jumps(self) -> bool:
-        """Whether the stress jumps with the deformation, so that its tangent is not symmetric."""
+        """Whether the stress can be discontinuous in the deformation, making its tangent unsymmetric."""
         return bool(jumping(self.ops, self.par).any())
 
     def sloped(self) -> Operands:
-        """With the slope of the jumps in the tangent."""
+        """The same operands with the slope of stress jumps included in the tangent."""
         if not self.jumps:
             return self
         ops = self.ops.copy()
@@ -120,7 +128,7 @@ class Operands:
         return replace(self, ops=ops)
 
     def with_program(self, program: Program) -> Operands:
-        """The same cells with another law (a derivative's), weighted by its factor; no history."""
+        """The same cells with another program (of a derivative), weighted by its factor; no history."""
         weight = self.weight if program.factor is None else self.weight * program.factor[:, None]
         return replace(self, weight=weight, ops=program.ops, par=program.par, history=_NO_HISTORY)
 
@@ -162,7 +170,7 @@ def _group(model: LimbModel, domain: Domain, block: Block, first: int) -> Group:
     grad, weight = reference_gradients(model.mesh.points, block.cells, block.kind, (points, weights))
     check_volumes(model, block, weight)
     cells = np.ascontiguousarray(block.cells, dtype=np.int64)
-    if weight.shape[1] > LANES or cells.shape[1] > WIDTH:  # the compiled loops would write beyond their rows
+    if weight.shape[1] > LANES or cells.shape[1] > WIDTH:  # the compiled loops would write out of bounds
         raise NotImplementedError(f"{block.kind} with {cells.shape[1]} nodes and {weight.shape[1]} points")
     shares = shape(block.kind, points)[0].mean(axis=0)
     return Group(block.name, block.kind, first, cells, grad, weight, compiled, shares)
@@ -182,7 +190,7 @@ def _rule(domain: Domain, block: Block) -> str:
 
 
 def check_volumes(model: LimbModel, block: Block, weight: Array) -> None:
-    """Raise MeshError where a cell has no positive volume in the reference state."""
+    """Raise MeshError if a cell has no positive volume in the reference configuration."""
     bad = np.flatnonzero((weight <= 0).any(axis=1) | ~np.isfinite(weight).all(axis=1))
     if len(bad):
         place = model.mesh.points[block.cells[bad[0]]].mean(axis=0)

@@ -1,14 +1,13 @@
-"""Compiled element loops, point by point: volumes, tangent times a vector, state of stress.
+"""Compiled element loops that process one integration point at a time: volumes, tangent products, stresses.
 
-Those that a simulation spends its time in, internal force and tangent, are in `simd_kernels`.
+The time-critical loops, internal force and tangent, are in `simd_kernels`.
 
-All run over a range of cells and release the interpreter's lock, so that two
-threads can share the work. `u` is (n_points, 3); F = base + sum u (x) grad N, where
-base is the unit tensor, or the prestrain gradient (with grad N transformed to
-match). Stress is scale * S + history, which holds Prony series as well.
+All loops run over a range of cells and release the GIL, so that threads can share the work. `u` is
+(n_points, 3); F = base + sum u (x) grad N, where base is the unit tensor, or the prestrain gradient (with
+grad N transformed accordingly). Stress is scale * S + history, which covers Prony series.
 
-One group of cells is (cells, grad, weight, ops, par, base, scale, history): see
-`fem.groups.Group`. Each loop returns the smallest det F and the cell it is in.
+A group of cells is passed as (cells, grad, weight, ops, par, base, scale, history): see
+`fem.elements.groups.Operands`.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from limbcli.materials.tensors import FIRST, SECOND, VOIGT, inverse6, right_cauc
 
 @njit(cache=True)
 def _gather(u, nodes, own):
-    """The cell's own rows of u, into own (n_nodes, 3)."""
+    """Copy the rows of u of a cell's nodes to own (n_nodes, 3)."""
     for a in range(nodes.shape[0]):
         n = nodes[a]
         own[a, 0], own[a, 1], own[a, 2] = u[n, 0], u[n, 1], u[n, 2]
@@ -30,7 +29,7 @@ def _gather(u, nodes, own):
 
 @njit(cache=True)
 def _scatter(own, nodes, out):
-    """Add the cell's own rows to those of out (n_points, 3)."""
+    """Add a cell's nodal values own (n_nodes, 3) to out (n_points, 3)."""
     for a in range(nodes.shape[0]):
         n = nodes[a]
         out[n, 0] += own[a, 0]
@@ -123,7 +122,7 @@ def linear_volumes(start, stop, u, v, cells, grad, base, out):
 
 @njit(cache=True, nogil=True)
 def volume_force(start, stop, u, cells, grad, weight, base, lame, volumes, force):
-    """force (n_points, 3) += what pressures taken at `volumes` instead of det F add to the internal force."""
+    """force (n_points, 3) += change of the internal force for pressures at `volumes` instead of det F."""
     F, B = np.empty((3, 3)), np.empty((3, 3))
     own = np.empty((cells.shape[1], 3))
     pushes = np.empty((cells.shape[1], 3))
@@ -143,7 +142,7 @@ def volume_force(start, stop, u, cells, grad, weight, base, lame, volumes, force
 
 @njit(cache=True)
 def _strain_change(F, dF, E):
-    """E (6,), shear doubled = change of Green's strain with a change dF of F."""
+    """E (6,) = change of Green's strain, with engineering shears, for a change dF of F."""
     for i in range(3):
         for j in range(i, 3):
             value = 0.0
@@ -156,7 +155,7 @@ def _strain_change(F, dF, E):
 def tangent_times(
     start, stop, u, cells, grad, weight, ops, par, base, scale, history, lame, volumes, v, force
 ):
-    """force (n_points, 3) += K(u) v; pressures at `volumes` (n_cells, n_gauss), where it has cells."""
+    """force (n_points, 3) += K(u) v; pressures at `volumes` (n_cells, n_gauss) unless it is empty."""
     work = workspace()
     F, S, CC = np.empty((3, 3)), np.empty(6), np.empty((6, 6))
     dF, E, dS, P = np.empty((3, 3)), np.empty(6), np.empty(6), np.empty((3, 3))
@@ -200,8 +199,11 @@ def tangent_times(
 
 @njit(cache=True, nogil=True)
 def slope_times(start, stop, nodes, grad, F, slope, v, force):
-    """force (n_points, 3) += K v of single points: of their cells' nodes (n, n_nodes), with grad N
-    (n, n_nodes, 3), F (n, 3, 3) and a tangent times volume (n, 6, 6)."""
+    """force (n_points, 3) += K v of individual integration points.
+
+    nodes (n, n_nodes) : of their cells; grad (n, n_nodes, 3) : grad N; F (n, 3, 3)
+    slope (n, 6, 6) : tangent times the point's volume
+    """
     zero = np.zeros((3, 3))
     dF, E, P = np.empty((3, 3)), np.empty(6), np.empty((3, 3))
     change, pushes = np.empty((nodes.shape[1], 3)), np.empty((nodes.shape[1], 3))
@@ -223,7 +225,7 @@ def slope_times(start, stop, nodes, grad, F, slope, v, force):
 
 @njit(cache=True, nogil=True)
 def stress_state(start, stop, u, cells, grad, weight, ops, par, base, scale, history, F_out, S_out, CC_out):
-    """F (n_cells, n_gauss, 3, 3), S (.., 6) and, if CC_out has cells, the tangent (.., 6, 6)."""
+    """F (n_cells, n_gauss, 3, 3), S (.., 6) and, if CC_out has n_cells rows, the tangent (.., 6, 6)."""
     work = workspace()
     CC = np.empty((6, 6))
     want = CC_out.shape[0] == cells.shape[0]

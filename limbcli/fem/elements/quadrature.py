@@ -1,8 +1,8 @@
-"""Integration rules by name: natural coordinates and weights, as FEBio has them.
+"""Integration rules by name: natural coordinates and weights, as in FEBio.
 
 Source: FEBio Theory Manual 4.0, section 4.1; the 8-point rule of the tet10 is
 Keast's fourth-order rule (Keast 1986, Comput Methods Appl Mech Eng 55:339), with the
-ten digits that FEBio carries.
+ten digits used by FEBio.
 """
 
 from __future__ import annotations

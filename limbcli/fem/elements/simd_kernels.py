@@ -1,7 +1,7 @@
-"""Compiled element loops over sixteen integration points at a time: internal force and tangent.
+"""Compiled element loops that process sixteen integration points at a time: internal force and tangent.
 
-Arguments as in `kernels`; the points of one cell, or of a few, share the vectors of `materials.lanes`.
-Each loop returns the smallest det F and the cell it is in.
+Arguments as in `kernels`. The points of one or a few cells share the vectors of `materials.simd_laws`.
+`internal_force` returns the smallest det F and its cell.
 """
 
 from __future__ import annotations
@@ -27,13 +27,16 @@ from limbcli.materials.simd_rows import (
 )
 from limbcli.materials.tensors import VOIGT
 
-WIDTH = 12  # at least the nodes of a cell, and a multiple of four
+WIDTH = 12  # padded number of nodes per cell: a multiple of four, at least the largest number of nodes
 _LONG = 6 * WIDTH
 
 
 @njit(cache=True, error_model="numpy")
 def _gradients(w, lane, u, nodes, grad, base):
-    """F = base + sum of u (x) grad N at the points of a cell (n_gauss, n_nodes, 3), from `lane` on."""
+    """F = base + sum of u (x) grad N at the points of a cell, into lanes from `lane` on.
+
+    grad (n_gauss, n_nodes, 3)
+    """
     own = np.empty(3 * WIDTH)
     n_nodes = nodes.shape[0]
     for a in range(n_nodes):
@@ -66,7 +69,7 @@ def _gradients(w, lane, u, nodes, grad, base):
 
 @njit(cache=True, error_model="numpy")
 def _fill(w, rows, some, u, cells, grad, weight, par, base):
-    """F and weights of the points of some cells, and how many; those that are not there are at rest."""
+    """Fill F and weights of the points of some cells, F = 1 in unused lanes; returns how many points."""
     lane = np.int64(0)
     for e in some:
         _gradients(w, lane, u, cells[e], grad[e], base)
@@ -84,7 +87,7 @@ def _fill(w, rows, some, u, cells, grad, weight, par, base):
 
 @njit(cache=True, error_model="numpy")
 def _take_history(w, some, n_gauss, scale, history, tangent):
-    """Stress scale S + history, and the tangent with it."""
+    """Stress = scale S + history, and the tangent scaled likewise."""
     if scale != 1.0:
         rows = 27 if tangent else 6
         for k in range(S * LANES, (S + rows) * LANES):
@@ -114,7 +117,7 @@ def _first_piola(w):
 
 @njit(cache=True, error_model="numpy")
 def _push(w, lane, nodes, grad, force):
-    """force (n_points, 3) += P grad N at the points of a cell, from `lane` on."""
+    """force (n_points, 3) += P grad N at the points of a cell, whose lanes begin at `lane`."""
     own = np.zeros(3 * WIDTH)
     n_nodes = nodes.shape[0]
     flat = grad.reshape(-1)
@@ -139,7 +142,7 @@ def _push(w, lane, nodes, grad, force):
 
 @njit(cache=True, error_model="numpy")
 def _worst(w, n):
-    """The smallest det F of the first n points, and which."""
+    """The smallest det F of the first n points, and its lane."""
     worst, place = 1e300, -1
     for l in range(n):
         jac = w[J * LANES + l]
@@ -174,7 +177,7 @@ def internal_force(start, stop, u, cells, grad, weight, ops, par, base, scale, h
 
 @njit(cache=True, error_model="numpy")
 def _first_tangent(w):
-    """PRODUCTS, nine for each i <= k in VOIGT's order: weight dP_ij/dF_kl, j by j."""
+    """PRODUCTS = weight dP_ij/dF_kl: nine rows (j, l) for each i <= k in VOIGT's order."""
     for k in range(S, S + 27):
         for l in range(LANES):
             w[k * LANES + l] *= w[WEIGHT * LANES + l]
@@ -202,7 +205,7 @@ def _first_tangent(w):
 def _add_products(w, lane, grad, G, DG, K):
     """K[a, (ik, b)] = sum over points, j, l of grad[a, j] A[ij, kl] grad[b, l], for i <= k.
 
-    Long rows, with zeros beyond the nodes, so that the loops over them become vector instructions.
+    Rows are padded with zeros beyond the nodes, so that the loops over them are vectorised.
     """
     n_gauss, n_nodes = grad.shape[0], grad.shape[1]
     for g in range(n_gauss):
@@ -227,7 +230,7 @@ def _add_products(w, lane, grad, G, DG, K):
 
 @njit(cache=True, error_model="numpy")
 def _scatter_blocks(pairs, K, n_nodes, blocks):
-    """A cell's K added to the flat blocks of its pairs of nodes."""
+    """Add a cell's K to the flat blocks of its node pairs."""
     for b in range(n_nodes):
         for a in range(b + 1):
             code = pairs[b * (b + 1) // 2 + a]
@@ -251,11 +254,11 @@ def tangent(
 ):
     """blocks (n_pairs, 3, 3) += element tangents.
 
-    volumes (n_cells, n_gauss): volume ratios that the pressures are taken at instead of det F;
-    without cells, det F. lame (1 or n_cells): pressure per volume change.
-
-    order (n_cells,): the cells as they are gone through; pairs (n_cells, n_nodes (n_nodes + 1) / 2):
-    number of the node pair, times two, plus one where the pair is stored the other way round.
+    volumes (n_cells, n_gauss) : volume ratios at which pressures are evaluated; if empty, det F is used
+    lame (1 or n_cells) : pressure per volume change
+    order (n_cells,) : order in which the cells are processed
+    pairs (n_cells, n_nodes (n_nodes + 1) / 2) : twice the number of the node pair, plus one if the pair is
+        stored in reversed order
     """
     w, one, six, square = simd_workspace()
     rows, work = np.zeros(LANES, dtype=np.int64), workspace()

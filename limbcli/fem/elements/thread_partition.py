@@ -1,4 +1,4 @@
-"""Two threads that add to one array of blocks: which cells each takes, and what both would add to."""
+"""Partition of a group's cells between two threads that add to one array of blocks without conflicts."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from limbcli.model import Array, IntArray
 
 @dataclass(frozen=True, eq=False)
 class Halves:
-    """The cells of a group in an order whose two halves have few pairs of nodes in common.
+    """The cells of a group ordered so that the two halves share few node pairs.
 
-    order (n_cells,) : numbers of the cells, cut by a plane through the middle
-    pairs (n_cells, n_nodes (n_nodes + 1) / 2) : as in `assembly.Pattern`, but the second half's that the
-        first half has too are numbered on their own, from n_pairs on
-    shared : the pairs that these stand for
+    order (n_cells,) : cell numbers, sorted along the longest axis
+    pairs (n_cells, n_nodes (n_nodes + 1) / 2) : codes as in `assembly.Pattern`, except that pairs of the
+        second half that also occur in the first get separate numbers, from n_pairs on
+    shared : the original numbers of these pairs, in order
     """
 
     order: IntArray
@@ -26,7 +26,7 @@ class Halves:
 
 
 def halve(middles: Array, pairs: NDArray[np.int32], n_pairs: int) -> Halves:
-    """Cells at `middles` (n_cells, 3), with codes `pairs`, cut across the longest axis."""
+    """Halve the cells with centroids `middles` (n_cells, 3) and codes `pairs` along the longest axis."""
     axis = int(np.argmax(np.ptp(middles, axis=0))) if len(middles) else 0
     order = np.argsort(middles[:, axis], kind="stable")
     cut = len(order) // 2

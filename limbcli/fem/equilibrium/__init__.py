@@ -1,1 +1,1 @@
-"""Equilibrium: the times to be solved for, increments towards them, Newton's method, the tangent."""
+"""Equilibrium solution: solve times, load increments, Newton's method, tangent."""

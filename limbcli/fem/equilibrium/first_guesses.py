@@ -1,4 +1,4 @@
-"""First guesses from converged states: beside an earlier solve, and on the polynomial through them."""
+"""Initial guesses from converged states: increments of an earlier solve, and polynomial extrapolation."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
 from limbcli.model import Array
 
-_STRAIGHT = 1 - 1e-6  # cosine
+_STRAIGHT = 1 - 1e-6  # cosine of the angle between two displacements up to which a path counts as straight
 
 
 def continued(system: System, last: State, before: State, after: State) -> State:
-    """The last state plus what an earlier solve changed by, between two of its load steps."""
+    """The last state plus the increment of an earlier solve between the same two load steps."""
     still = np.zeros_like(last.u)
     change = [b - a for a, b in zip(_ratios(system, before), _ratios(system, after), strict=True)]
     volumes = [a + each for a, each in zip(system.linear_volumes(last, still), change, strict=True)]
@@ -28,7 +28,7 @@ def _ratios(system: System, state: State) -> tuple[Array, ...]:
 
 
 def extrapolate(system: System, states: list[State], time: float) -> State:
-    """First guess on the polynomial through converged states; pressures follow theirs."""
+    """Initial guess by polynomial extrapolation of converged states; volume ratios likewise."""
     *along, aim = _coordinate(system, states, time)
     weights = lagrange(np.array(along), aim)
     last = states[-1]
@@ -47,10 +47,10 @@ def extrapolate(system: System, states: list[State], time: float) -> State:
 
 
 def _coordinate(system: System, states: list[State], time: float) -> list[float]:
-    """What the states, and the one at `time`, are a smooth function of.
+    """The extrapolation variable: its values at the states and at `time`.
 
-    The way of the driven bodies where that is straight: a load curve may go at any pace, by kinks.
-    Otherwise the time.
+    The path length of the driven bodies if their path is straight, because a load curve may have kinks in
+    time; otherwise the time.
     """
     aim = system.prescribed(states[-1], time)
     places = np.array([[body.shift for body in each.bodies] for each in (*states, aim)])
@@ -64,7 +64,7 @@ def _coordinate(system: System, states: list[State], time: float) -> list[float]
 
 
 def lagrange(times: np.ndarray, time: float) -> np.ndarray:
-    """Weights of the polynomial through `times`, at `time`.
+    """Lagrange weights of the values at `times` for the interpolating polynomial at `time`.
 
     >>> lagrange(np.array([0.0, 1.0]), 2.0)
     array([-1.,  2.])

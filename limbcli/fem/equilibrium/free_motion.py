@@ -1,7 +1,7 @@
-"""Parts of the tissue that nothing holds: found by their rigid motions, before any load.
+"""Detects unconstrained parts of the tissue by testing their rigid motions before any load.
 
-A factor in single precision cannot distinguish zero stiffness from round-off, so the motions themselves
-are tried: of every connected part, those that leave its given displacements alone.
+A factor in single precision cannot distinguish zero stiffness from round-off, so the rigid motions
+themselves are tested: for every connected part, those that are compatible with its supports.
 """
 
 from __future__ import annotations
@@ -16,21 +16,24 @@ from limbcli.fem.linear_solvers.singular import SingularMatrix
 from limbcli.fem.motion.state import State
 from limbcli.model import Array, IntArray
 
-_NOTHING = 1e-8  # resistance, of what the same displacements meet node by node
-_HELD = 1e-6  # of the largest way, above which a given displacement hinders a motion
+# Resistance v.K v of a rigid motion regarded as zero, as a fraction of the same with K's diagonal only.
+_NOTHING = 1e-8
+# Displacement at constrained degrees of freedom above which a support prevents a rigid motion, relative to
+# the motion's largest displacement.
+_HELD = 1e-6
 _NAMES = ("along x", "along y", "along z", "about x", "about y", "about z")
 
 
 def check_held(tangent: Tangent, state: State) -> None:
-    """Raise where a part of the tissue can move as a rigid body against no resistance.
+    """Raise if a part of the tissue can move as a rigid body without resistance.
 
-    Contact counts as it was searched last; tied nodes move with their bodies, which are checked for
-    themselves (`tangent.check_rigid_modes`).
+    Contact is included as last searched; nodes tied to bodies are treated as constrained, the bodies are
+    checked separately (`tangent.check_rigid_modes`).
 
     Raises
     ------
     SingularMatrix
-        With the motion, the number of nodes of the part and its middle.
+        Reports the motion, the part's number of nodes and its centroid.
     """
     system = tangent.system
     for nodes in _parts(len(system.X), [g.cells for g in system.groups]):
@@ -49,7 +52,7 @@ def check_held(tangent: Tangent, state: State) -> None:
 
 
 def _parts(n_points: int, cell_lists: list[IntArray]) -> list[IntArray]:
-    """Nodes of every connected part."""
+    """The nodes of each connected part."""
     links = [
         np.stack([cells[:, :1].repeat(cells.shape[1] - 1, axis=1).ravel(), cells[:, 1:].ravel()])
         for cells in cell_lists
@@ -63,7 +66,7 @@ def _parts(n_points: int, cell_lists: list[IntArray]) -> list[IntArray]:
 
 
 def _free_motions(X: Array, free: NDArray[np.bool_]) -> tuple[Array, list[str]]:
-    """Rigid motions (n_motions, n_nodes, 3) that leave all alone that is not free, and their names."""
+    """Rigid motions (n_motions, n_nodes, 3) that move no constrained degree of freedom, and their names."""
     x = X - X.mean(axis=0)
     size = max(float(np.abs(x).max(initial=0.0)), 1e-12)
     turns = [np.cross(axis, x) / size for axis in np.eye(3)]
@@ -76,7 +79,7 @@ def _free_motions(X: Array, free: NDArray[np.bool_]) -> tuple[Array, list[str]]:
 
 
 def _resistance(tangent: Tangent, state: State, v: Array) -> float:
-    """v.K v over the same sum with K's diagonal alone."""
+    """v.K v relative to the same with only K's diagonal; 1 where the latter is zero."""
     system = tangent.system
     step = np.zeros(system.n_unknowns)
     step[: system.n_tissue] = v[system.free]

@@ -3,8 +3,8 @@
     S = g0 Se + sum g_i H_i,   H_i <- e_i H_i + h_i (Se - Se_before),
     e_i = exp(-dt/t_i),   h_i = (1 - e_i) t_i / dt,
 
-so that within a step S = scale Se + held with scale = g0 + sum g_i h_i, a number, and `held` a
-tensor per integration point that does not change in the step.
+so that within a step S = scale Se + held, with the number scale = g0 + sum g_i h_i and a tensor `held`
+per integration point that is constant during the step.
 
 Source: Puso & Weiss 1998, J Biomech Eng 120:62; FEBio Theory Manual 4.0, section 5.5.
 """
@@ -37,7 +37,11 @@ def factors(dt: float, times: Sequence[float]) -> tuple[Array, Array]:
 
 @dataclass(eq=False)
 class Prony:
-    """History of one group: elastic stress of the last step; series (n_terms, n_cells, n_gauss, 6)."""
+    """Stress history of one group.
+
+    before (n_cells, n_gauss, 6) : elastic stress Se at the last accepted step
+    series (n_terms, n_cells, n_gauss, 6) : H_i
+    """
 
     terms: Terms
     before: Array
@@ -48,7 +52,7 @@ class Prony:
         return cls(terms, np.zeros((*shape, 6)), np.zeros((len(terms[1]), *shape, 6)))
 
     def step(self, dt: float) -> tuple[float, Array]:
-        """(scale, held) of a step of length dt."""
+        """(scale, held) for a step of length dt."""
         g0, pairs = self.terms
         held = np.zeros_like(self.before)
         scale = g0
@@ -58,7 +62,7 @@ class Prony:
         return scale, held
 
     def accept(self, dt: float, elastic: Array) -> None:
-        """Take the converged elastic stress over into the history."""
+        """Update the history with the converged elastic stress."""
         e, h = factors(dt, [t for _, t in self.terms[1]])
         for k in range(len(self.series)):
             self.series[k] = e[k] * self.series[k] + h[k] * (elastic - self.before)
@@ -68,7 +72,7 @@ class Prony:
 class Histories:
     """The histories of all viscoelastic groups of a system.
 
-    system : the one of the step at hand; those of other steps have the same groups
+    system : that of the current step; the systems of all steps have the same groups
     """
 
     def __init__(self, system: System):
@@ -80,18 +84,18 @@ class Histories:
         }
 
     def begin(self, dt: float) -> None:
-        """Set scale and held stresses for a step of length dt."""
+        """Set the system's stress scales and history stresses for a step of length dt."""
         for k, prony in self.prony.items():
             self.system.scales[k], self.system.histories[k] = prony.step(dt)
 
     def accept(self, dt: float, state: State) -> None:
-        """After convergence."""
+        """Update the histories after convergence."""
         for k, prony in self.prony.items():
             prony.accept(dt, elastic_stress(self.system, state, k))
 
 
 def elastic_stress(system: System, state: State, number: int) -> Array:
-    """Elastic S (n_cells, n_gauss, 6) of a group, without the series."""
+    """Elastic second Piola-Kirchhoff stress (n_cells, n_gauss, 6) of a group, without the Prony series."""
     o = replace(system.operands[number], scale=1.0, history=np.zeros((0, 1, 6)))
     F, S = np.empty((*o.weight.shape, 3, 3)), np.empty((*o.weight.shape, 6))
     args = o.arguments()

@@ -1,12 +1,15 @@
-"""The increments on the way to one load step: what is tried, and what may become of it.
+"""Increments towards one load step, and their possible outcomes.
 
-    Newton's method converges               CONVERGED: taken, the next one may be longer
-    it does not, but the tissue relaxes     CAME_TO_REST: taken, the next one is as long
-    neither, and it can be shorter          SHORTEN: tried again at half its length
-    it cannot                               BEGIN_AGAIN: once, from the last load step, by displacements alone
-    nor that, or nothing holds the tissue   HOPELESS: an error with its cause
+    Newton's method converges                  CONVERGED: accepted, the next increment may be longer
+    it fails, but pseudo-time relaxation       CAME_TO_REST: accepted, the next increment is as long
+      finds equilibrium
+    both fail, the increment can be cut        SHORTEN: retried at half its length
+    it cannot be cut further                   BEGIN_AGAIN: once, from the last load step, without
+                                                 independent volume ratios
+    that fails too, or the tissue is           HOPELESS: an error that states the cause
+      unconstrained
 
-A load step that is tried briefly, or whose response depends on the way, is not begun again.
+A load step that is attempted briefly, or whose response is path-dependent, is not begun again.
 """
 
 from __future__ import annotations
@@ -19,7 +22,7 @@ from limbcli.fem.motion.state import State
 
 
 class IncrementOutcome(Enum):
-    """What becomes of an increment."""
+    """Outcome of an increment."""
 
     CONVERGED = auto()
     CAME_TO_REST = auto()
@@ -30,10 +33,11 @@ class IncrementOutcome(Enum):
 
 @dataclass(frozen=True)
 class Increment:
-    """One try: from a time to a time (s).
+    """One attempted increment, from time `begin` to time `aim` (s).
 
-    rest : from its beginning to the load step; is_last : it ends there
-    iterations_before : Newton's, of the analysis so far
+    rest : time from its beginning to the load step
+    iterations_before : Newton iterations of the analysis so far
+    is_last : whether it ends at the load step
     """
 
     begin: float
@@ -49,13 +53,13 @@ class Increment:
 
 @dataclass
 class LoadStepPath:
-    """The way to one load step, at time `target`.
+    """Progress towards one load step, at time `target`.
 
-    known : first guess at its end, from an earlier solve, as long as it was not tried
-    brief : tried briefly, with few cuts and up to `most_iterations` of the analysis
-    start : states reached, increments pressed and points touching at its beginning
-    cuts : since the last increment that was taken; all_cuts : on this way
-    restless : times that the tissue did not come to rest
+    known : initial guess at `target` from an earlier solve, until it has been tried
+    brief : limited to few cuts and to a total of `most_iterations` of the analysis
+    start : at its beginning, the number of states reached, of increments in contact and of touching points
+    cuts : since the last accepted increment; all_cuts : since the last load step
+    restless : number of failed relaxations
     """
 
     target: float
@@ -71,7 +75,7 @@ class LoadStepPath:
 
     @property
     def is_exhausted(self) -> bool:
-        """Whether the next increment will not be cut once more."""
+        """Whether the limit of cuts is reached."""
         return self.cuts >= self.most_cuts
 
     def note_cut(self) -> None:

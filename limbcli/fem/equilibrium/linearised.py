@@ -1,8 +1,9 @@
-"""The tissue linearised at a state, against the contact as it is.
+"""The linear systems of Newton's method: linearised tissue with the current contact.
 
-Every linear system has the tissue's tangent of the last assembly and the exact contact tangent,
-which is not symmetric. It is solved by GMRES with a factor of the tissue's tangent of that or an
-earlier state, in which the contact is kept up to date where the direct solver can do that.
+The matrix of every linear system is the tissue tangent of the last assembly plus the exact contact
+tangent, which is not symmetric. It is solved by GMRES, preconditioned with a factor of the tissue
+tangent at the same or an earlier state; where the direct solver supports it, the contact part of the
+factor is kept up to date.
 """
 
 from __future__ import annotations
@@ -21,30 +22,32 @@ from limbcli.fem.motion.state import State, norm
 from limbcli.fem.system import System
 from limbcli.model import Array
 
-_LEAST_KRYLOV, _MAX_KRYLOV = 30, 40  # the less compressible, the more even a fresh factor needs
-_OLD_KRYLOV = 1.5  # factorisations: Krylov iterations after which an older factor is given up
-_LARGE = 6_000  # equations, from which on single precision pays
-_FRESH = 2.0  # Krylov iterations a decade takes with a fresh factor
-_PER_SOLVE = 0.7  # Krylov iterations that a factor is worth, over `solves_per_factor` (0.2 to 1.0 tried)
-_OUTDATED = 0.4  # of a factorisation wasted, from which on a new factor is made
-_MEMORY = 0.5  # of what older factors wasted: weight of the last
-_FORGETTING = 0.9  # of the same, where none was tried
-_ROUNDS = 8  # of contact in one step
-_OLD_ROUNDS = 2  # of its patience: what an older factor may take over all of them
-_NOWHERE = 0.999  # of the residual left by a factor of this very tangent: there is no step
-_ROUGH = 0.1  # to which the linear system is solved while the set of touching points changes
+# Bounds on the Krylov iterations per solve: the closer to incompressible, the more even a fresh factor needs.
+_LEAST_KRYLOV, _MAX_KRYLOV = 30, 40
+_OLD_KRYLOV = 1.5  # limit of Krylov iterations with an older factor, as a multiple of a factorisation's cost
+_LARGE = 6_000  # number of equations above which a single-precision factor is faster overall
+_FRESH = 2.0  # Krylov iterations per decade of residual reduction with a fresh factor
+# Cost of a factorisation in Krylov iterations, per unit of `solves_per_factor` (0.2 to 1.0 tried).
+_PER_SOLVE = 0.7
+_OUTDATED = 0.4  # extra Krylov cost, in factorisations, above which a new factor is computed
+_MEMORY = 0.5  # weight of the latest tangent in the running average `ageing`
+_FORGETTING = 0.9  # decay of `ageing` per tangent at which no older factor was used
+_ROUNDS = 8  # maximum number of contact updates (linear solves) in one Newton step
+_OLD_ROUNDS = 2  # limit of Krylov iterations per Newton step with an older factor, in units of `patience`
+_NOWHERE = 0.999  # relative GMRES residual above which a matrix with an up-to-date factor counts as singular
+_ROUGH = 0.1  # relative tolerance of the linear solve while the set of touching points changes
 
 
 class Linearised:
-    """Tangent and factor of one system, and what solving with them costs.
+    """Tangent and factor of one system, with cost estimates that decide when to refactor.
 
-    reuse_cost : Krylov iterations that a fresh factor would have saved, in factorisations: at 1 the old
-        one has cost as much as a new one
-    ageing : what an older factor has lately wasted at one tangent, in factorisations: above 1 none is used
-        (the less compressible the tissue, the sooner its factor is too old)
-    rate : Krylov iterations per decade, last time
-    stuck : the last step was not solved for: the factor is too old to be of use
-    drag : what holds the tissue where it is, in the next tangents (see `Newton.relax`)
+    reuse_cost : Krylov iterations that a fresh factor would have saved, in units of a factorisation: at 1
+        keeping the old factor has cost as much as a new one
+    ageing : running average of the extra cost per tangent of using an older factor, in the same unit; above
+        1 no older factor is used (the closer to incompressible the tissue, the sooner a factor ages)
+    rate : Krylov iterations per decade of the last solve
+    stuck : the last linear solve did not converge: the factor is too old
+    drag : coefficient of the drag on the diagonal of the next tangents (see `relaxation.relax`)
     """
 
     def __init__(self, system: System, settings: Settings, counts: Counts):
@@ -72,36 +75,35 @@ class Linearised:
         )
 
     def forget(self) -> None:
-        """As before the first tangent."""
+        """Discard tangent, factor and cost estimates."""
         self.tangent = self.inverse = None
         self.reuse_cost = self.ageing = self._wasted = 0.0
         self.rate, self.stuck = _FRESH, False
 
     @property
     def is_outdated(self) -> bool:
-        """Whether there is no factor, or one that has cost more than a new one, or will."""
+        """Whether a new factor should be computed: there is none, or the old one costs too much."""
         return self.inverse is None or self.reuse_cost > _OUTDATED or self.ageing > 1.0
 
     @property
     def per_factor(self) -> float:
-        """What a factorisation costs, in Krylov iterations."""
+        """Cost of a factorisation in Krylov iterations."""
         return _PER_SOLVE * float(self.linear.solves_per_factor) if self.linear is not None else 1.0
 
     @property
     def patience(self) -> int:
-        """Krylov iterations after which a factor is given up: a new one is cheaper by then."""
+        """Maximum number of Krylov iterations per solve; beyond it a new factor is cheaper."""
         if self._is_old:
             return int(np.clip(_OLD_KRYLOV * self.per_factor, _LEAST_KRYLOV // 2, _MAX_KRYLOV))
         return int(np.clip(self.per_factor, _LEAST_KRYLOV, _MAX_KRYLOV))
 
     @property
     def _is_old(self) -> bool:
-        """Whether the factor is of an earlier tangent."""
+        """Whether the factor belongs to an earlier tangent."""
         return self.inverse is not None and self.inverse.tangent is not self.tangent
 
     def refresh(self, state: State, nodal: Array) -> None:
-        """Assemble and factor the tangent at a state, the contact as searched last; `nodal` are the forces
-        there."""
+        """Assemble and factor the tangent at a state with contact as last searched; `nodal`: forces there."""
         self._learn()
         self.tangent = assemble(self.system, state, nodal, drag=self.drag)
         if state.time == 0.0:
@@ -113,12 +115,12 @@ class Linearised:
         self.reuse_cost, self.rate = 0.0, _FRESH
 
     def assemble(self, state: State, nodal: Array) -> None:
-        """The tangent at a state; the factor stays."""
+        """Assemble the tangent at a state; the factor is kept."""
         self._learn()
         self.tangent = assemble(self.system, state, nodal, drag=self.drag)
 
     def _learn(self) -> None:
-        """Take what the factor wasted at the tangent that is left."""
+        """Update `ageing` with the factor's extra cost at the tangent that is about to be replaced."""
         if self._is_old:
             self.ageing += _MEMORY * (self._wasted - self.ageing)
         else:
@@ -126,7 +128,10 @@ class Linearised:
         self._wasted = 0.0
 
     def ready_for(self, n_solves: int, decades: float, state: State, nodal: Array) -> None:
-        """The exact tangent at a state, with a new factor if that pays for so many solves to come."""
+        """Assemble the exact tangent at a state, with a new factor if it pays off.
+
+        n_solves, decades : number of solves to come, and residual reduction of each in decades
+        """
         wasted = n_solves * decades * (self.rate - _FRESH)
         if self.inverse is None or wasted > self.per_factor:
             self.refresh(state, nodal)
@@ -134,7 +139,13 @@ class Linearised:
             self.assemble(state, nodal)
 
     def solve(self, state: State, rhs: Array, tolerance: float) -> Array:
-        """Solve with the tissue's tangent as assembled last and the contact's at `state`, searched last."""
+        """Solve with the last assembled tissue tangent and the contact tangent at `state` (last search).
+
+        Raises
+        ------
+        SingularMatrix
+            If GMRES does not reduce the residual although the factor is up to date.
+        """
         assert self.tangent is not None
         assert self.inverse is not None
         tangent = self.tangent
@@ -160,15 +171,15 @@ class Linearised:
     def settle(
         self, base: State, tissue: Array, goal: float, *, first: Array | None = None, far: bool = False
     ) -> Array:
-        """Step from `base` to equilibrium between the linearised tissue and the contact as it is there.
+        """Newton step from `base`: equilibrium of the linearised tissue with nonlinear contact.
 
-        tissue : the tissue's part of the residual at `base`, which changes linearly
-        goal : size of the residual that will do
-        first : step to begin with
-        far : the tractions are not yet near those of equilibrium (see `Pair.full_tangent`)
+        tissue : tissue part of the residual at `base`; it is extrapolated linearly
+        goal : norm of the residual at which the iteration stops
+        first : initial step
+        far : contact tractions are still far from those at equilibrium (see `Pair.full_tangent`)
 
-        Contact is searched anew after each linear solve: a semismooth Newton iteration (Hintermueller,
-        Ito and Kunisch 2002, SIAM J. Optim. 13, 865-888), which needs no loop over the cells.
+        Contact is searched again after each linear solve: a semismooth Newton iteration (Hintermueller,
+        Ito and Kunisch 2002, SIAM J. Optim. 13, 865-888) that needs no loop over the cells.
         """
         system, tangent = self.system, self.tangent
         assert tangent is not None
@@ -204,7 +215,8 @@ class Linearised:
     def _shortened(
         self, base: State, tissue: Array, step: Array, change: Array, moved: Array, size: float
     ) -> tuple[float, State, Array]:
-        """Length, state and residual: of the first length that brings it down, else of the best."""
+        """Line search: length, state and residual of the first length that reduces the residual, else of the
+        one with the smallest residual."""
         tried = []
         for length in (1.0, 0.5, 0.25):
             at = self.system.moved(base, step + length * change)
@@ -218,7 +230,7 @@ class Linearised:
 
     @property
     def n_unstable(self) -> int:
-        """Negative pivots of the tissue's last factor: ways in which it would give way by itself."""
+        """Number of negative pivots of the last tissue factor, i.e. of unstable modes."""
         return int(getattr(self.linear, "n_negative", 0))
 
     def close(self) -> None:

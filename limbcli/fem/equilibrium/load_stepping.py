@@ -1,4 +1,4 @@
-"""Stepping to a load in increments that Newton's method can take: first guesses, and step cutting."""
+"""Load stepping with increments for which Newton's method converges: initial guesses and step cutting."""
 
 from __future__ import annotations
 
@@ -16,63 +16,64 @@ from limbcli.fem.linear_solvers.singular import SingularMatrix
 from limbcli.fem.motion.state import Forces, RoughState, State, norm
 from limbcli.model import LimbModel, Step
 
-_MAX_CUTS = 8
-BRIEF_CUTS, _BRIEF_ITERATIONS = 2, 40  # of a load step that is tried briefly
-_SMALLEST = 1e-3  # of the nominal step: an increment below it is given up
-# Residual at which an increment on the way is good enough, and once one was cut at the load step:
-# loose ones then lead nowhere, however short.
+_MAX_CUTS = 8  # limit of successive cuts of an increment, unless the step allows more
+BRIEF_CUTS, _BRIEF_ITERATIONS = 2, 40  # limits of cuts and of Newton iterations for a brief load step
+_SMALLEST = 1e-3  # increments shorter than this fraction of the model's step size are not cut further
+# Relative residual at which an intermediate increment is accepted, by default and once an increment of the
+# load step has been cut: states solved to the loose tolerance then fail as starting points at any length.
 _LOOSE, _FIRM = 3e-2, 1e-3
-_RESTED = 1e-2  # the same of tissue that came to rest
-_NEAR = 0.3  # error from which tissue is let come to rest from where Newton's method left it
-_FIRST = 4.0  # of the model's step: the first increment, where the response does not depend on the way
-_MOST_RESTLESS = 3  # times that the tissue may not come to rest on the way to a load step
-_FAR_OUT = 3.0  # error of a first guess above which an increment is shortened untried
+_RESTED = 1e-2  # the same for an intermediate increment solved by relaxation
+_NEAR = 0.3  # relative residual up to which relaxation starts from Newton's best iterate
+_FIRST = 4.0  # first increment as a multiple of the model's step size, for a path-independent response
+_MOST_RESTLESS = 3  # number of failed relaxations per load step after which none is attempted
+_FAR_OUT = 3.0  # relative residual of an initial guess above which an increment is shortened without a try
 _FAR_OFF = 0.5  # the same for a guess from an earlier solve
-_FAR_OFF_ROUGH = 10.0  # the same from another mesh
-_WARY = 5  # increments after a cut before they may grow again
-_EASY = 4  # iterations up to which the next increment may be longer
+_FAR_OFF_ROUGH = 10.0  # the same for a guess from another mesh
+_WARY = 5  # number of increments after a cut during which they do not grow
+_EASY = 4  # Newton iterations up to which an increment counts as easy, so that the next may be longer
 
 
 def is_timed(model: LimbModel) -> bool:
-    """Whether the response depends on the length of every increment taken."""
+    """Whether the response depends on the time step sizes (viscoelastic materials)."""
     return any(material.is_viscoelastic for material in model.materials.values())
 
 
 class LoadStepping:
-    """Goes through the load steps of one step after the other; remembers how long an increment may be."""
+    """Advances through the load steps of each analysis step and adapts the increment length."""
 
     _newton: Newton
     _step: Step
     _histories: Histories | None
     _reached: list[State]
-    _tried: Forces  # at the last first guess
+    _tried: Forces  # at the last initial guess that was evaluated
 
     def __init__(self) -> None:
         self._wary = 0
         self._forces: Forces | None = None  # at the last load step
-        self.patient = True  # where Newton's method fails, whether the tissue is let come to rest
+        self.patient = True  # whether to fall back on relaxation where Newton's method fails
 
     def begin(self, model: LimbModel, step: Step, newton: Newton, histories: Histories | None) -> None:
-        """Stand at the start of a step. histories : those that every increment is a step of, if any"""
+        """Initialise for an analysis step. histories : stress histories to advance with every increment"""
         self._step, self._newton, self._histories = step, newton, histories
         self._has_friction, self._timed = model.has_friction, is_timed(model)
-        # increments are short steps that serve as first guesses only
+        # increments shorter than a load step only provide initial guesses
         self._incremental = bool(model.contacts) and not self._timed
         self._increment = _FIRST * step.step_size if self._incremental else np.inf
         self._reached = [newton.system.start]
-        self._known: State | None = None  # of an earlier solve, at the last load step
-        self._n_touching = self._n_pressed = 0  # points that touched last; increments that ended in contact
+        self._known: State | None = None  # the earlier solve's state at the last load step
+        # points in contact at the last state; increments that ended in contact
+        self._n_touching = self._n_pressed = 0
 
     def advance_to(
         self, target: float, load_step: LoadStep, known: State | None, *, brief: bool
     ) -> tuple[State, Forces]:
-        """Equilibrium at a time, by increments that Newton's method can take.
+        """Equilibrium at a time, reached by increments for which Newton's method converges.
 
-        known : first guess there, from an earlier solve
+        known : initial guess at the target, from an earlier solve
         brief : give up after a few cuts and iterations
 
-        Increments on the way serve as first guesses only: they are solved loosely and not kept.
-        What becomes of each has a name, see `increments.Outcome`.
+        Intermediate increments only provide initial guesses and are solved to a loose tolerance, except
+        with a viscoelastic law. For their outcomes see `increments.IncrementOutcome`.
         """
         newton = self._newton
         newton.mixed = newton.settings.mixed
@@ -99,7 +100,7 @@ class LoadStepping:
                 self._shorten(way, increment)
 
     def _next(self, way: LoadStepPath) -> Increment:
-        """What is tried next; raises NotConverged where a load step that is tried briefly takes long."""
+        """The next increment to try; raises NotConverged if a brief load step exceeds its iterations."""
         newton, begin = self._newton, self._reached[-1].time
         before = newton.counts.iterations
         if way.most_iterations is not None and before > way.most_iterations:
@@ -118,7 +119,7 @@ class LoadStepping:
     def _attempt(
         self, way: LoadStepPath, increment: Increment
     ) -> tuple[IncrementOutcome, tuple[State, Forces] | None, SolveError | None]:
-        """What becomes of an increment, with its equilibrium where there is one, or the error."""
+        """The outcome of an increment, with the equilibrium found or the error."""
         patient = way.is_exhausted or self._newton.system.jumps
         try:
             found = self._solve(way, increment, patient=patient)
@@ -138,7 +139,7 @@ class LoadStepping:
     def _outcome(
         self, way: LoadStepPath, increment: Increment, error: SolveError, exhausted: bool
     ) -> IncrementOutcome:
-        """Of an increment that has no equilibrium: how to go on."""
+        """How to continue after an increment without an equilibrium."""
         if _has_no_factor(error, self._reached):
             return IncrementOutcome.HOPELESS
         if not exhausted and increment.length >= _SMALLEST * self._step.step_size:
@@ -150,7 +151,7 @@ class LoadStepping:
     def _take(
         self, way: LoadStepPath, increment: Increment, outcome: IncrementOutcome, state: State, forces: Forces
     ) -> tuple[State, Forces]:
-        """The state that an increment ended at, accepted: at the load step, or on the way to it."""
+        """Accept the final state of an increment and adapt the increment length."""
         easily = False
         if outcome is IncrementOutcome.CAME_TO_REST:
             way.known = None
@@ -166,18 +167,18 @@ class LoadStepping:
         return state, forces
 
     def _shorten(self, way: LoadStepPath, increment: Increment) -> None:
-        """Half the increment; or the same without the guess from an earlier solve, if there was one."""
+        """Halve the increment; if a guess from an earlier solve was used, retry without it instead."""
         newton = self._newton
         self._increment = increment.rest if way.known is not None else 0.5 * increment.length
         self._wary = _WARY if way.known is None else 0
         way.known = None
         if newton.counts.iterations > increment.iterations_before:
-            newton.linearised.reuse_cost = np.inf  # else the factor is of the state to start from
+            newton.linearised.reuse_cost = np.inf  # without an iteration the factor is still up to date
         newton.system.recall(self._reached[-1].hints)
 
     def _begin_again(self, way: LoadStepPath, increment: Increment) -> Increment:
-        """Back to the last load step, for a try without pressures of their own: they go further, but now and
-        then astray. Returns the whole way as one increment."""
+        """Return to the last load step, to retry without independent volume ratios: these allow longer
+        steps but occasionally diverge. Returns the whole load step as one increment."""
         n_reached, self._n_pressed, self._n_touching = way.start
         self._newton.mixed = False
         del self._reached[n_reached:]
@@ -187,14 +188,14 @@ class LoadStepping:
     def _at_rest(
         self, way: LoadStepPath, increment: Increment, error: SolveError
     ) -> tuple[State, Forces] | None:
-        """The state that the tissue relaxes to; None if it does not.
+        """The state found by pseudo-time relaxation; None if it fails or is not attempted.
 
-        From where Newton's method came nearest to equilibrium, if that is near; else, or where that did not
-        come to rest, from the last increment's. A guess from an earlier solve, or the first one so
-        far out that no iteration was made, is better left and a shorter increment tried.
+        It starts from Newton's best iterate if that is close to equilibrium; otherwise, or after a failed
+        relaxation, from the last increment's state. After a guess from an earlier solve, or at a first cut
+        where no Newton iteration was made, a shorter increment is tried instead.
         """
         newton, begin = self._newton, self._reached[-1]
-        # the response is by the way, or by forces on bodies
+        # path-dependent response, or bodies with free degrees of freedom
         given = self._timed or self._has_friction or bool(newton.system.rigid)
         restless = way.restless >= _MOST_RESTLESS
         if given or restless or not isinstance(error, NotConverged) or self._n_pressed < 2:
@@ -218,7 +219,7 @@ class LoadStepping:
             self._newton.linearised.inverse = None
 
     def _accept(self, state: State, forces: Forces, *, easily: bool) -> None:
-        """Take an increment: the next begins at its end, and may be longer after an easy one."""
+        """Accept an increment: the next one starts at its end, and may be longer if this one was easy."""
         length = state.time - self._reached[-1].time
         self._wary = max(self._wary - 1, 0)
         if length >= 0.6 * self._increment and easily and not self._wary:
@@ -237,18 +238,18 @@ class LoadStepping:
         if self._histories is not None:
             self._histories.begin(increment.length)
         guess, forces = self._guess(aim, way.load_step, way.known, patient)
-        if way.known is not None:  # a load step away from where the factor was made
+        if way.known is not None:  # the factor was computed a load step earlier
             newton.linearised.reuse_cost = np.inf
         return newton.equilibrate(guess, way.load_step, forces=forces, tolerance=tolerance, patient=patient)
 
     def _guess(
         self, time: float, load_step: LoadStep, known: State | None, patient: bool
     ) -> tuple[State, Forces | None]:
-        """The best of the first guesses there are; with the contact searched for it.
+        """The best available initial guess, and the forces there if contact was last searched for it.
 
-        From an earlier solve: its state as it is, and its change added to the last state. Else on
-        the line and on the parabola through the last states, or, where that leads nowhere, along the tangent.
-        An increment whose guesses are all far out is refused at once, which is cheaper than to fail.
+        With an earlier solve: its state, and the last state plus its increment. Otherwise linear and
+        quadratic extrapolation of the last states, or, if these are poor, the tangent predictor. If all
+        guesses are far from equilibrium the increment is rejected at once, which is cheaper than iterating.
         """
         system, reached = self._newton.system, self._reached
         if known is not None:
@@ -256,7 +257,7 @@ class LoadStepping:
             if self._known is not None and len(reached) > 1 and reached[-1].time == self._known.time:
                 guesses.append(system.prescribed(continued(system, reached[-1], self._known, known), time))
         else:
-            # the unloaded state is of no use, nor are those in the air
+            # neither the unloaded state nor states without contact are extrapolated
             most = min(self._n_pressed if system.pairs else len(reached) - 1, 3)
             guesses = [extrapolate(system, reached[-n:], time) for n in range(2, most + 1)]
         rough = isinstance(known, RoughState)
@@ -271,9 +272,9 @@ class LoadStepping:
         return guess, forces
 
     def _best(self, guesses: list[State], time: float) -> tuple[float, State | None, Forces | None]:
-        """The guess with the smallest error whose cells are sound, that error, and the forces there.
+        """The guess with the smallest error among those without inverted cells; its error and forces.
 
-        The forces are left out where another guess was searched for contact after it.
+        The forces are None if contact was searched for another guess afterwards.
         """
         newton, system = self._newton, self._newton.system
         system.at(time)
@@ -282,7 +283,7 @@ class LoadStepping:
             system.recall(each.hints)
             found = self._tried = newton.forces(each)
             error = found.error
-            if len(guesses) > 1:  # a guess that loses contact misleads
+            if len(guesses) > 1:  # penalise loss of contact, which lowers the residual misleadingly
                 error += max(1.0 - found.n_touching / max(self._n_touching, 1), 0.0)
             else:
                 error = min(norm(found.mixed) / max(found.scale, 1e-14), error)
@@ -295,7 +296,7 @@ class LoadStepping:
         return best
 
     def _explained(self, error: SolveError, load_step: LoadStep, time: float) -> SolveError:
-        """The error with the load step it belongs to, what is behind it, and how far there is an answer."""
+        """The error, completed with its load step, the likely cause and the depth reached."""
         newton, n_reached = self._newton, len(self._reached) - 1
         place = load_step.at(time, newton.depth_at(time))
         what = error.what if isinstance(error, NotConverged) else f"{place}: {error.what}"
@@ -316,7 +317,7 @@ class LoadStepping:
         )
 
     def _augmented(self, state: State, forces: Forces, load_step: LoadStep) -> tuple[State, Forces]:
-        """Augmentations of the contact pressure until the multipliers of every contact settle."""
+        """Augmented Lagrangian iterations until the multipliers of every contact have converged."""
         pairs = [pair for pair in self._newton.system.pairs if pair.is_augmented]
         n_before = 0
         while True:
@@ -328,5 +329,5 @@ class LoadStepping:
 
 
 def _has_no_factor(error: SolveError, reached: list[State]) -> bool:
-    """No factor of the unloaded tissue: shorter steps will not give one."""
+    """Whether the unloaded tissue's matrix is singular: shorter steps would not help."""
     return isinstance(error, SingularMatrix) and len(reached) == 1 and reached[0].time == 0.0

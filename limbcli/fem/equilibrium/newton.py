@@ -1,4 +1,4 @@
-"""Equilibrium at one time: Newton's method with few factorisations."""
+"""Equilibrium at one time: Newton's method that reuses matrix factors."""
 
 from __future__ import annotations
 
@@ -17,30 +17,31 @@ from limbcli.progress import SILENT, Progress
 
 __all__ = ["Counts", "LoadStep", "Newton", "NotConverged", "Settings"]
 
-_PATIENCE, _PATIENT_ITERATIONS = 10.0, 4
-_ROUND_OFF = 1e-6  # of the least force: what no iteration takes away
-_FORCING = (1e-4, 0.1)  # part of the residual that a step may leave: near equilibrium, far from it
-_ROUGH = 0.1  # of the load's change: what a first guess may leave
-_FAR = 0.1  # error from which on contact tractions are not yet what they will be
-_NEARLY_FLAT = 0.4  # volume ratio of an element that is about to turn inside out
-_SHARE = 0.6  # of what Newton's method leaves by itself
+_PATIENCE, _PATIENT_ITERATIONS = 10.0, 4  # growth of the residual allowed per step, in the first iterations
+_ROUND_OFF = 1e-6  # residual regarded as round-off, as a fraction of `System.least_force`
+_FORCING = (1e-4, 0.1)  # bounds on the forcing term, the relative tolerance of the linear solve
+_ROUGH = 0.1  # relative tolerance of the linear solve of the tangent predictor
+_FAR = 0.1  # relative residual above which contact tractions are regarded as far from those at equilibrium
+_NEARLY_FLAT = 0.4  # volume ratio below which an element is reported as about to invert
+_SHARE = 0.6  # forcing term as a fraction of the residual reduction expected of quadratic convergence
 
 
 class NotConverged(SolveError):
-    """Newton's method gave up at one time; the caller may cut the step."""
+    """Newton's method did not converge at one time; the caller may cut the step."""
 
 
 class Newton:
-    """Equilibrium of one system; keeps its tangent and factor between times.
+    """Newton solver of one system; keeps its tangent and factor between times.
 
-    nearest : the least error of the last try, at pressures of their own, and its state
+    mixed : whether independent volume ratios are in use (see `with_volumes`)
+    nearest : smallest relative residual (`Forces.mixed`) of the last attempt, and its state
     """
 
     def __init__(self, system: System, settings: Settings, progress: Progress = SILENT):
         self.system, self.settings, self.progress = system, settings, progress
         self.counts = Counts()
         self.linearised = Linearised(system, settings, self.counts)
-        self.mixed = settings.mixed  # pressures of their own, now
+        self.mixed = settings.mixed
         self.nearest: tuple[float, State | None] = (np.inf, None)
 
     @property
@@ -53,7 +54,10 @@ class Newton:
         return self.system.forces(state)
 
     def predict(self, state: State, time: float) -> State:
-        """The state moved to `time` along the tangent: no element sees the whole step at once."""
+        """Tangent predictor: the state extrapolated linearly to `time`.
+
+        Boundary motions are distributed over the tissue, so that no single element takes the whole step.
+        """
         system, linearised = self.system, self.linearised
         system.at(time)
         forces = self.forces(replace(state, time=time, volumes=()))
@@ -76,13 +80,13 @@ class Newton:
         return self.with_volumes(system.moved(aim, step), state)
 
     def with_volumes(self, guess: State, state: State) -> State:
-        """The guess with pressures that follow its step from `state` linearly.
+        """The guess with volume ratios, and hence pressures, linear in its step from `state`.
 
-        A step of the displacements changes the volumes in second order too; times the bulk stiffness
-        that is a pressure far beyond those at play, and its tangent leads nowhere. So the tangent is
-        taken at pressures of their own, which catch up as the iteration converges: Newton's method on
-        displacements and pressures, the latter eliminated (Magisano, Leonetti and Garcea 2017, Comput.
-        Methods Appl. Mech. Eng. 313, 986-1005, do so with all stresses).
+        A displacement step changes volumes in second order too; multiplied by the bulk stiffness this is a
+        pressure far beyond the actual ones, and the tangent there is useless. The tangent is therefore
+        evaluated at independent volume ratios, which agree with the displacements at convergence: Newton's
+        method in displacements and pressures, with the pressures eliminated (Magisano, Leonetti and Garcea
+        2017, Comput. Methods Appl. Mech. Eng. 313, 986-1005, do so with all stresses).
         """
         if not self.mixed:
             return guess
@@ -97,11 +101,11 @@ class Newton:
         tolerance: float | None = None,
         patient: bool = True,
     ) -> tuple[State, Forces]:
-        """The equilibrium near a guess; raises NotConverged.
+        """Solve for equilibrium from an initial guess; raises NotConverged.
 
-        forces : at the guess, where nothing else was evaluated since
-        tolerance : other than the settings', for an increment on the way
-        patient : False gives up early, where a shorter step is the better answer
+        forces : forces at the guess, if these were the last ones evaluated
+        tolerance : relative residual, in place of the settings', for an intermediate increment
+        patient : False gives up early if a shorter step is more promising
         """
         system, settings = self.system, self.settings
         target = settings.tolerance if tolerance is None else tolerance
@@ -140,13 +144,13 @@ class Newton:
         raise self.failure(state, forces, load_step, iteration, "Newton's method made no further progress")
 
     def is_reached(self, forces: Forces, target: float) -> bool:
-        """Whether this is equilibrium, to a tolerance or to round-off."""
+        """Whether the residual is within the tolerance or at round-off level."""
         return forces.error <= target or norm(forces.residual) <= _ROUND_OFF * self.system.least_force
 
     def accepted(
         self, state: State, forces: Forces, load_step: LoadStep, iteration: int
     ) -> tuple[State, Forces]:
-        """An equilibrium as it is kept; raises NotConverged where a cell of it is inside out."""
+        """The converged state with its contact hints; raises NotConverged if a cell's mean F is inverted."""
         worst, place = self.system.smallest_mean_volume(state)
         if worst <= 0:
             self.nearest = np.inf, None
@@ -158,14 +162,14 @@ class Newton:
         stagnation.note(replace(state, hints=self.system.hints(), volumes=()), forces)
 
     def least_of(self, stagnation: Stagnation) -> tuple[State, Forces]:
-        """The state that left least, with its contact found anew."""
+        """The state with the smallest residual, with its contact searched again."""
         assert stagnation.state is not None
         self.system.recall(stagnation.state.hints)
         forces = self.forces(stagnation.state)
         return replace(stagnation.state, hints=self.system.hints()), forces
 
     def direction(self, state: State, forces: Forces, renew: bool, target: float) -> Array:
-        """Newton step: elastic tangent renewed where asked, factor renewed where GMRES has become slow."""
+        """Newton step: reassembles the tangent if `renew`, refactors if GMRES has become slow."""
         linearised = self.linearised
         if linearised.is_outdated:
             linearised.refresh(state, forces.nodal)
@@ -177,7 +181,7 @@ class Newton:
         tissue = forces.residual - self.system.contact_residual(state)
         far = error > _FAR
         step = linearised.settle(state, tissue, goal, far=far)
-        if linearised.stuck:  # the factor is too old to be of use
+        if linearised.stuck:  # the factor is too old
             self.forces(state)
             linearised.refresh(state, forces.nodal)
             step = linearised.settle(state, tissue, goal, far=far)
@@ -186,10 +190,10 @@ class Newton:
     def search(
         self, state: State, forces: Forces, step: Array, iteration: int
     ) -> tuple[State, Forces, float]:
-        """Shorten the step until no cell is inverted and the residual does not run away.
+        """Line search: shorten the step until no cell is inverted and the residual does not diverge.
 
-        Far from equilibrium the residual of a good step may be several times the one before; only
-        later must it fall, at the step's own pressures or at those of its displacements.
+        In the first iterations the residual of a good step may be several times the previous one; later it
+        must decrease, with either the independent volume ratios or those of the displacements.
         """
         before, before_all = norm(forces.mixed), norm(forces.residual)
         full = self.system.moved(state, step)
@@ -235,7 +239,7 @@ class Newton:
     def failure(
         self, state: State, forces: Forces, load_step: LoadStep, iteration: int, why: str
     ) -> NotConverged:
-        """The error of a load step that was not reached, with the worst place."""
+        """The error for a load step that was not reached, with the location of the worst cell or node."""
         system = self.system
         if forces.worst <= 0:
             k, cell = forces.place
@@ -257,17 +261,17 @@ class Newton:
         )
 
     def depth(self, state: State) -> float:
-        """How far the body of the first contact, else the first, has gone in, mm; 0 without bodies."""
+        """Indentation depth (mm) of the first contact's body, or else of the first body; 0 without bodies."""
         system = self.system
         b = system.pairs[0].body if system.pairs else 0
         return -float(system.center(b, state)[2]) if system.bodies else 0.0
 
     def depth_at(self, time: float) -> float:
-        """The same, where it is given, at a time."""
+        """The prescribed indentation depth (mm) at a time."""
         return self.depth(self.system.prescribed(self.system.start, time))
 
     def weakness(self, state: State) -> str:
-        """What is about to happen to tissue that could not be followed beyond a state, and where."""
+        """The likely reason, with its location, why no equilibrium was found beyond a state."""
         system = self.system
         system.at(state.time)
         forces = self.forces(state)
@@ -298,7 +302,7 @@ def _between(nows: tuple[Array, ...], aims: tuple[Array, ...], part: float) -> t
 
 
 def _too_long(sizes: list[float]) -> bool:
-    """Whether a step whose residuals these are is better given up and halved."""
+    """Whether a step with these residuals should be abandoned and halved."""
     now, first = sizes[-1], sizes[0]
     running_away = len(sizes) > 3 and now > max(0.5 * first, 0.15)
     stagnation = len(sizes) > 6 and now > 0.5 * sizes[-6]

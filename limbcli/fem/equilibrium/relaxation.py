@@ -1,4 +1,4 @@
-"""Equilibrium by pseudo-time: tissue held back by a drag comes to rest where Newton's method runs astray."""
+"""Equilibrium by pseudo-time relaxation with a drag, for loads at which Newton's method diverges."""
 
 from __future__ import annotations
 
@@ -10,24 +10,25 @@ from limbcli.fem.equilibrium.stagnation import Stagnation
 from limbcli.fem.motion.state import Forces, State, norm
 from limbcli.model import Array
 
-_RELAXED = 60  # steps of pseudo-time at most
-# Drag at first, the most, and below which it is nothing: of waves of 6 mm, 0.2 mm and 200 mm.
+_RELAXED = 60  # maximum number of pseudo-time steps
+# Multiples of `System.drag`: initial, maximum, and value below which it is set to 0. They equal the shear
+# resistance of tissue at wavelengths of 6 mm, 0.2 mm and 200 mm.
 _DRAG, _MOST_DRAG, _LEAST_DRAG = 1.0, 1e3, 1e-3
-_HELD = 0.1  # of the tolerance: what equilibrium may leave after a step that drag has held back
-_FIRMER = (4.0, 100.0)  # times the drag after a step that went too far: at least, at most
-_BENT = 2.0  # of the residual before: what a step may leave beyond what the drag on it does
+_HELD = 0.1  # factor on the tolerance after a step with drag
+_FIRMER = (4.0, 100.0)  # smallest and largest factor on the drag after a rejected step
+_BENT = 2.0  # nonlinear residual, relative to the previous residual, above which a step is rejected
 
 
 def relax(
     newton: Newton, guess: State, load_step: LoadStep, *, tolerance: float | None = None
 ) -> tuple[State, Forces]:
-    """The equilibrium that tissue held back by a drag comes to from a guess; raises NotConverged.
+    """Solve for equilibrium from a guess by pseudo-transient continuation; raises NotConverged.
 
-    Implicit steps in a pseudo-time, with the drag over the step's length on the tangent's diagonal
-    (Kelley and Keyes 1998, SIAM J. Numer. Anal. 35, 508-523); the straighter the tissue responds, the
-    longer. Along a soft mode a drag leaves little residual and yet a long way to go: after a step with it,
-    equilibrium is asked for more strictly. Such steps go on where the tangent has lost its definiteness
-    and Newton's method runs astray.
+    Implicit steps in pseudo-time, with drag over step length added to the tangent's diagonal (Kelley and
+    Keyes 1998, SIAM J. Numer. Anal. 35, 508-523); the more linear the response, the longer the steps.
+    Along a soft mode the residual can be small although equilibrium is still far: after a step with drag a
+    tighter tolerance applies. The method still works where the tangent is indefinite and Newton's method
+    diverges.
     """
     system, linearised = newton.system, newton.linearised
     target = newton.settings.tolerance if tolerance is None else tolerance
@@ -49,7 +50,7 @@ def relax(
             found = _after(newton, state, step)
             bent = np.inf if found is None else _bent(newton, forces, found[1], step)
             if bent > _BENT:
-                # along a soft mode the step is as 1 / drag, what it leaves as its square
+                # along a soft mode the step scales as 1 / drag, and the residual it leaves as its square
                 firmer = float(np.clip(np.sqrt(_BENT * bent), *_FIRMER))
                 linearised.drag = firmer * max(linearised.drag, _LEAST_DRAG)
                 newton.forces(state)
@@ -68,7 +69,7 @@ def relax(
 
 
 def _after(newton: Newton, state: State, step: Array) -> tuple[State, Forces] | None:
-    """State and forces after a step; None where a cell is turned inside out."""
+    """State and forces after a step; None if a cell is inverted."""
     trial = newton.with_volumes(newton.system.moved(state, step), state)
     found = newton.forces(trial)
     sound = found.worst > 0 and np.isfinite(norm(found.mixed))
@@ -76,7 +77,7 @@ def _after(newton: Newton, state: State, step: Array) -> tuple[State, Forces] | 
 
 
 def _bent(newton: Newton, before: Forces, after: Forces, step: Array) -> float:
-    """What a step left beyond what the linearised tissue would leave (the drag), over the residual."""
+    """Nonlinear part of the residual after a step, i.e. beyond the drag force, over the residual before."""
     system, linearised = newton.system, newton.linearised
     left = after.mixed.copy()
     held = system.collect(np.repeat(system.drag[:, None], 3, axis=1))

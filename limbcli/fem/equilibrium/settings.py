@@ -1,4 +1,4 @@
-"""How equilibrium is sought, and what it cost."""
+"""Settings of the equilibrium solver, and counts of its work."""
 
 from __future__ import annotations
 
@@ -7,14 +7,16 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Settings:
-    """How equilibrium is sought.
+    """Settings of the equilibrium solver.
 
-    tolerance : residual over the forces at play, both as norms
-    stalled : residual that will do where iterations no longer lessen it, as a contact point comes and goes
-    renew_ratio : the elastic tangent is renewed after an iteration that gains less than this
-    single : factor in single precision (None: for large systems); GMRES makes up for it
+    tolerance : relative residual, i.e. norm of the residual over norm of the acting forces
+    stalled : relative residual accepted where the iteration stagnates, as when a contact point alternates
+        between open and closed
+    renew_ratio : the elastic tangent is reassembled after an iteration that leaves more than this fraction
+        of the residual
+    single : factor in single precision (None: for large systems); GMRES restores the accuracy
     linear : "auto", "multifrontal", "pardiso" or "superlu"
-    mixed : pressures of their own on the way to equilibrium (see `Newton.with_volumes`)
+    mixed : use independent volume ratios during the iteration (see `Newton.with_volumes`)
     """
 
     tolerance: float = 1e-6
@@ -29,7 +31,7 @@ class Settings:
 
 @dataclass
 class Counts:
-    """What the work cost."""
+    """Counts of the work done, and its time."""
 
     iterations: int = 0
     residuals: int = 0
@@ -41,12 +43,12 @@ class Counts:
 
 @dataclass(frozen=True)
 class LoadStep:
-    """Where the load stands, for messages."""
+    """Number and depth (mm) of a load step, for messages."""
 
     number: int
     n_steps: int
     depth: float
 
     def at(self, time: float, depth: float) -> str:
-        """In words, on the way to it: at a time and the depth there."""
+        """Text for a time on the way to this load step and the depth (mm) there."""
         return f"load step {self.number} of {self.n_steps} (time {time:.6g}, depth {depth:.2f} mm)"

@@ -1,4 +1,4 @@
-"""The times of a step that are solved for."""
+"""The times within an analysis step that are solved for."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from collections.abc import Callable
 
 from limbcli.model import Step
 
-# How FEBio's stepper lets steps grow after an easy one: by a part of what is missing to the largest,
-# and no more than so many times (FEBio 4.11, as its logs show).
+# Growth of FEBio's automatic time step after an easy step: by this fraction of the difference to the largest
+# step, and at most by this factor (FEBio 4.11, from its logs).
 _GROWTH, _MOST = 0.2, 5.0
-_NEAR = 1e-9  # of the step's length
+_NEAR = 1e-9  # difference at which two times count as equal, as a fraction of the step's duration
 
 
 def step_times(
     step: Step, *, every: bool = False, largest: Callable[[float], float] | None = None
 ) -> list[float]:
-    """Times (s, from the start of the step) that are solved for: must-points and the end, else all steps.
+    """Times (s, from the start of the step) to solve for: must-points and the end, else all time steps.
 
-    An automatic stepper's steps are no longer than its largest, towards which they grow, as they do where
-    each is easy: what is hard for this solver is cut within a step. A must-point is hit by a shorter step,
-    after which steps are as long as before. Where steps are not automatic, those from one must-point to the
-    next are alike.
+    Automatic time steps grow towards the largest step size as in FEBio when every step converges easily;
+    where this solver does not, it subdivides the step. A must-point is met by a shortened step, after which
+    steps continue at the previous size. Without automatic stepping, the steps between two must-points are
+    of equal length.
 
-    every : the steps between must-points as well, for a response that depends on the way
-    largest : size of a step by time (s, from the start of the step), where it is not `dt_max` throughout
+    every : include the time steps between must-points, for a path-dependent response
+    largest : largest step size as a function of time (s, from the start of the step), if `dt_max` varies
 
     >>> step_times(Step(n_steps=4, step_size=0.25, must_points=(0.5,)))
     [0.5, 1.0]
@@ -63,6 +63,6 @@ def step_times(
 
 
 def _evenly(begin: float, end: float, size: float) -> list[float]:
-    """Times from `begin` to `end`, without the first, equally far apart: about a step's size."""
+    """Equidistant times from `begin` (excluded) to `end`, about `size` apart."""
     n = max(round((end - begin) / size), 1)
     return [*(begin + (end - begin) * k / n for k in range(1, n)), end]

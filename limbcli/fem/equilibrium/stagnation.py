@@ -1,7 +1,7 @@
-"""Whether iterations still lead anywhere.
+"""Detects stagnation of the iterations.
 
-A contact point that touches in one iteration and parts in the next leaves the same few residuals in turn for
-ever: there is no state between the two that the discretised contact would call equilibrium.
+A contact point that closes in one iteration and opens in the next repeats the same residuals indefinitely:
+the discretised contact has no equilibrium between the two states.
 """
 
 from __future__ import annotations
@@ -10,15 +10,16 @@ from dataclasses import dataclass, field
 
 from limbcli.fem.motion.state import Forces, State
 
-_SAME = 0.01  # relative difference of residuals that are the same
-_CERTAIN = 12  # residuals in turn after which nothing else is to come; a drag that grows repeats fewer
+_SAME = 0.01  # relative difference up to which two residuals count as equal
+_CERTAIN = 12  # repeating residuals that prove a cycle; while the drag is being increased fewer may repeat
 
 
 @dataclass
 class Stagnation:
-    """The least residual so far, and whether it will do.
+    """Tracks the smallest residual and detects a two-iteration cycle.
 
-    stalled : error that will do where iterations stand
+    stalled : relative residual accepted on stagnation
+    state, error : state with the smallest relative residual so far, and that residual
     """
 
     stalled: float
@@ -27,7 +28,7 @@ class Stagnation:
     _errors: list[float] = field(default_factory=list)
 
     def note(self, state: State, forces: Forces) -> None:
-        """One more iteration, with the hints of its contact."""
+        """Record an iteration; `state` carries its contact hints."""
         self._errors.append(forces.error)
         if forces.worst > 0 and forces.error < self.error:
             self.state, self.error = state, forces.error
@@ -38,8 +39,8 @@ class Stagnation:
 
     @property
     def goes_round(self) -> bool:
-        """Whether the last residuals are those of two iterations before: four of them where the least will
-        do, else `_CERTAIN`, as a long way may have a slow stretch."""
+        """Whether the last residuals repeat with a period of two: four of them if the smallest residual is
+        acceptable, else `_CERTAIN`, since a converging iteration may also be slow for a while."""
         n = 4 if self.will_do else _CERTAIN
         last = self._errors[-n:]
         return len(last) == n and all(

@@ -1,8 +1,8 @@
-"""Where a stress jumps with the deformation (sheared fibres that begin to be stretched): what the slope of
-the jump adds to the tangent, which is not symmetric there.
+"""Contribution of stress discontinuities to the tangent, which is not symmetric there.
 
-Few of a model's points stand on a jump. They are found when the tangent is assembled, so that a product
-with it needs no law.
+Sheared fibres that begin to be stretched have a stress that jumps with the deformation; the jump is
+represented by a finite slope. Few integration points lie on a jump. They are collected when the tangent is
+assembled, so that matrix-vector products do not evaluate the law.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from limbcli.model import Array, IntArray
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Points of one group that stand on a jump.
+    """Integration points of one group that lie on a stress jump.
 
-    nodes (n, n_nodes) : of their cells; grad (n, n_nodes, 3); F (n, 3, 3)
-    slope (n, 6, 6) : d(second Piola stress)/d(Green strain) of the jump alone, times the point's volume
+    nodes (n, n_nodes) : nodes of their cells; grad (n, n_nodes, 3) : shape gradients; F (n, 3, 3)
+    slope (n, 6, 6) : the jump's part of d(second Piola stress)/d(Green strain), times the point's volume
     """
 
     nodes: IntArray
@@ -41,7 +41,7 @@ class Jumps:
     threads: Threads
 
     def times(self, v: Array) -> Array:
-        """The slopes' part of the tangent times v (n_points, 3)."""
+        """The jumps' part of the tangent times v (n_points, 3)."""
         parts = [np.zeros_like(v) for _ in range(self.threads.n)]
         for p in self.groups:
 
@@ -53,7 +53,7 @@ class Jumps:
 
 
 def find_jumps(system: System, state: State) -> Jumps | None:
-    """The points that stand on a jump at a state; None for laws without any."""
+    """The integration points on a jump at a state; None if no law has jumps."""
     if not system.jumps:
         return None
     found = tuple(_points(system.threads, state, o) for o in system.operands if o.jumps)

@@ -1,10 +1,9 @@
-"""The tangent as an operator, and its approximate inverse.
+"""The tangent as an operator, and its approximate inverse (preconditioner).
 
-The operator is the elastic tangent of the last assembly plus the *exact* contact
-tangent, which is not symmetric. The approximate inverse is the factor of the
-symmetric part, possibly of an earlier state. GMRES closes the gap in a few
-iterations, so that neither a non-symmetric factorisation nor a fresh one is needed.
-Rigid unknowns are a border of dense columns, eliminated by their Schur complement.
+The operator is the elastic tangent of the last assembly plus the *exact* contact tangent, which is not
+symmetric. The preconditioner is a factor of the symmetric part, possibly from an earlier state. GMRES
+corrects the difference in a few iterations, so that neither an unsymmetric nor a fresh factorisation is
+needed. Rigid unknowns form a border of dense columns, eliminated by their Schur complement.
 """
 
 from __future__ import annotations
@@ -25,17 +24,17 @@ from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
 from limbcli.model import Array
 
-_FEW = 0.02  # of the touching points changed: not worth a new root
+_FEW = 0.02  # fraction of touching points changed up to which the root front is not updated
 
 
 @dataclass(eq=False)
 class Tangent:
     """Elastic tangent assembled at `state`, with the border of the rigid unknowns.
 
-    blocks (n_pairs, 3, 3) : of all pairs of nodes, see `assembly.Pattern`
-    columns (n_rigid, n_points, 3) : elastic forces per unit motion of each rigid unknown
-    corner (n_rigid, n_rigid) : springs and the turning of tied forces, and those elastic forces
-    jumps : what makes the elastic tangent unsymmetric; `blocks` are of its symmetric part
+    blocks (n_pairs, 3, 3) : stiffness blocks of all node pairs, see `assembly.Pattern`
+    columns (n_rigid, n_points, 3) : elastic nodal forces per unit motion of each rigid unknown
+    corner (n_rigid, n_rigid) : rigid-rigid part: springs, rotating lever arms of tied forces, elastic forces
+    jumps : unsymmetric part of the elastic tangent; `blocks` hold the symmetric part
     """
 
     system: System
@@ -46,11 +45,11 @@ class Tangent:
     jumps: Jumps | None = None
 
     def times(self, state: State, step: Array) -> Array:
-        """Tangent times a change of the unknowns; contact at `state` as it was searched last."""
+        """Tangent times a change of the unknowns; contact at `state`, from the last search."""
         return self.tissue_times(step) + self.system.contact_change(state, step)
 
     def tissue_times(self, step: Array) -> Array:
-        """The same of the tissue alone, without contact."""
+        """Tangent without contact times a change of the unknowns."""
         system = self.system
         n = system.n_tissue
         x = step[:n]
@@ -72,7 +71,7 @@ class Tangent:
         return out
 
     def _times_blocks(self, v: Array) -> Array:
-        """The symmetric matrix of all pairs of nodes times v (n_points, 3), pairs shared by the threads."""
+        """The symmetric matrix of all node pairs times v (n_points, 3); the pairs are split over threads."""
         pattern, threads = self.system.pattern, self.system.threads
         parts = [np.zeros_like(v) for _ in range(threads.n)]
 
@@ -85,23 +84,27 @@ class Tangent:
         return total(parts)
 
     def upper(self) -> Array:
-        """Upper triangle of the unknowns' matrix, its values in CSR (see `assembly.Pattern`)."""
+        """CSR values of the upper triangle of the unknowns' matrix (see `assembly.Pattern`)."""
         return self.system.pattern.values(self.blocks)
 
     def diagonal(self) -> Array:
         """Diagonal (n_tissue,) of the unknowns' matrix."""
         first = self.system.pattern.first
-        nodes = np.flatnonzero(np.diff(first))  # each comes first in its own row
+        nodes = np.flatnonzero(np.diff(first))  # the pair (n, n) is the first of node n
         nodal = np.zeros_like(self.state.u)
         nodal[nodes] = np.einsum("nii->ni", self.blocks[first[nodes]])
         return self.system.collect(nodal)
 
 
 def assemble(system: System, state: State, nodal: Array, *, drag: float = 0.0) -> Tangent:
-    """The tangent at a state; `nodal` are the forces there. drag : of `System.drag`, times that"""
+    """The tangent at a state.
+
+    nodal (n_points, 3) : nodal forces there
+    drag : multiple of `System.drag` added to the diagonal
+    """
     blocks = system.stiffness(state)
     if drag:
-        nodes = np.flatnonzero(np.diff(system.pattern.first))  # each comes first in its own row
+        nodes = np.flatnonzero(np.diff(system.pattern.first))  # the pair (n, n) is the first of node n
         blocks[system.pattern.first[nodes]] += drag * system.drag[nodes, None, None] * np.eye(3)
     columns, corner = _border(system, state, nodal)
     return Tangent(system, state, blocks, columns, corner, find_jumps(system, state))
@@ -131,19 +134,20 @@ def _border(system: System, state: State, nodal: Array) -> tuple[Array, Array]:
 
 
 class Inverse:
-    """Approximate inverse of a tangent: factor of the tissue's symmetric part with the exact contact in its
-    root front, and the Schur complement of the rigid unknowns' border.
+    """Approximate inverse of a tangent, used as preconditioner.
 
-    Where the skin bends round the edge of the probe its normals and the probe's differ, and the contact's
-    tangent is far from symmetric: with its symmetric part alone GMRES takes ten times the iterations.
+    A factor of the tissue's symmetric part with the exact contact tangent in its root front, and the Schur
+    complement of the border of rigid unknowns. Where the skin bends around the edge of the probe, its
+    normals differ from the probe's and the contact tangent is far from symmetric: with the symmetric part
+    alone GMRES takes ten times the iterations.
 
-    The factor belongs to the state where it was made; the contact follows (`follow`) where the direct solver
-    has a root.
+    The tissue part belongs to the state that was factored; the contact part is updated (`follow`) if the
+    direct solver has a root front.
     """
 
     def __init__(self, tangent: Tangent, state: State, linear: LinearSolver):
         self.linear, self.tangent = linear, tangent
-        self.rooted: Any = linear  # used as such where it has a root
+        self.rooted: Any = linear  # the same object, accessed through its root-front interface
         system = tangent.system
         self.n = system.n_tissue
         root = getattr(linear, "root", None)
@@ -155,14 +159,14 @@ class Inverse:
             places[root] = np.arange(self.n_root)
             self.places = places[system.equations]
             exact = self._contact(state)
-            self.inside = 0.5 * (exact + exact.T)  # of what was factored
+            self.inside = 0.5 * (exact + exact.T)  # contact part contained in the factored matrix
             self._take(exact)
         self._set_border(state)
 
     def follow(self, state: State) -> None:
-        """Take the contact at `state`, as it was searched last, into the root of the factor.
+        """Update the root front with the contact tangent at `state` (last search), if it changed enough.
 
-        Where all of it was lost, on the way, the factor stays as it is.
+        If all contact is lost during the iteration, the factor is not updated.
         """
         if not self.n_root:
             return
@@ -173,19 +177,19 @@ class Inverse:
             self._set_border(state)
 
     def _take(self, contact: sparse.csr_array) -> None:
-        """The contact's tangent into the root."""
+        """Update the root front with a contact tangent."""
         self.met = self._meeting()
         if contact.nnz or self.inside.nnz:
             self.rooted.update_root(contact - self.inside)
 
     def _meeting(self) -> tuple[NDArray[np.bool_], list[float]]:
-        """What the contact's tangent was made of: points that touch, and whether normals turn."""
+        """What the contact tangent depends on: touching points, and `Pair.full_tangent` of each pair."""
         system = self.tangent.system
         touching = [each.ravel() for each in system.touching()]
         return np.concatenate(touching), [pair.full_tangent for pair in system.pairs]
 
     def _contact(self, state: State) -> sparse.csr_array:
-        """The contact tangent of the root."""
+        """The contact tangent of the root front's unknowns."""
         return self.tangent.system.contact_matrix(state, self.places, self.n_root)
 
     def _set_border(self, state: State) -> None:
@@ -216,7 +220,7 @@ class Inverse:
 
 
 def check_rigid_modes(system: System, schur: Array, corner: Array) -> None:
-    """Raise where a rigid unknown meets no resistance."""
+    """Raise SolveError if a rigid unknown has no stiffness."""
     scale = np.abs(np.diag(corner)).max(initial=0.0)
     weak = np.abs(np.diag(schur)) <= 1e-9 * scale
     if scale == 0.0 or weak.any() or not np.isfinite(schur).all():
@@ -234,7 +238,7 @@ def check_rigid_modes(system: System, schur: Array, corner: Array) -> None:
 
 @njit(cache=True, nogil=True)
 def blocks_times(begin, end, first, high, blocks, v, out):  # type: ignore[no-untyped-def]
-    """out += the blocks of the lower nodes begin..end, and their mirror images, times v; all flat."""
+    """out += (blocks of the lower nodes begin..end and their transposes) times v; all arrays are flat."""
     for low in range(begin, end):
         at = 3 * low
         x, y, z = v[at], v[at + 1], v[at + 2]

@@ -1,1 +1,1 @@
-"""Linear equations: direct solvers behind one interface (our own is `multifrontal`), and GMRES."""
+"""Linear solvers: direct solvers behind one interface (our own is `multifrontal`), and GMRES."""

@@ -1,8 +1,8 @@
 """Direct solvers for symmetric matrices behind one small interface.
 
-Our own is in `multifrontal`. `Pardiso` (Intel MKL, through pypardiso's library handle) and
-`SuperLU` (scipy) are there to compare it with. All take the upper triangle as fixed CSR arrays,
-analysed once, and new values at each `factor`.
+Our own is in `multifrontal`. `Pardiso` (Intel MKL, through pypardiso's library handle) and `SuperLU` (scipy)
+are provided for comparison. All take the upper triangle as a fixed CSR pattern, analysed once, and new values
+at each `factor`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from limbcli.model import Array, IntArray
 
 
 class LinearSolver(Protocol):
-    """factor(values) then solve(rhs); counts what it did."""
+    """Interface: factor(values), then solve(rhs); counts factorisations, solves and seconds."""
 
     name: str
     n_factorisations: int
@@ -43,7 +43,7 @@ class LinearSolver(Protocol):
 
 
 def check_supported(solver: LinearSolver) -> None:
-    """Raise where the last factor, of tissue at rest, was only had by making up for pivots that are zero."""
+    """Raise SingularMatrix if the last factor, of unloaded tissue, has perturbed (zero) pivots."""
     if solver.n_perturbed:
         raise singular(f"{solver.n_perturbed} zero pivots before any load")
 
@@ -51,8 +51,8 @@ def check_supported(solver: LinearSolver) -> None:
 class Pardiso:
     """MKL Pardiso for a symmetric indefinite matrix, analysed once.
 
-    single : factor in single precision (half the memory and traffic); the caller
-        then has to correct the solution iteratively.
+    single : factor in single precision (half the memory and memory traffic); the caller
+        must then refine the solution iteratively.
     """
 
     def __init__(self, indptr: IntArray, indices: IntArray, *, threads: int = 2, single: bool = False):
@@ -66,7 +66,7 @@ class Pardiso:
         self._values = np.ones(len(indices), dtype=self._type)
         self._pt = np.zeros(64, dtype=np.int64)
         self._iparm = np.zeros(64, dtype=np.int32)
-        self._iparm[0] = 1  # own settings
+        self._iparm[0] = 1  # do not use default settings
         self._iparm[1] = 3 if threads > 1 else 2  # nested dissection
         self._iparm[9] = 8  # pivot perturbation 1e-8
         self._iparm[20] = 1  # Bunch-Kaufman pivoting
@@ -97,14 +97,14 @@ class Pardiso:
 
     @property
     def n_perturbed(self) -> int:
-        """Pivots of the last factor that were too small to divide by."""
+        """Number of perturbed pivots in the last factor."""
         return int(self._iparm[13])
 
     @property
     def solves_per_factor(self) -> float:
-        """What a factorisation costs, in solves, as found for limbs of 14,000 to 49,000 equations.
+        """Cost of a factorisation in solves, fitted to limb models of 14,000 to 49,000 equations.
 
-        A rule, not a measured time, so that the same model always takes the same way.
+        A formula rather than a measured time, so that a model is always solved in the same way.
         """
         return 12.0 + self.n / 3000.0
 
@@ -155,7 +155,7 @@ class Pardiso:
 
 
 class SuperLU:
-    """scipy's SuperLU, for machines without MKL: slower, same answers."""
+    """scipy's SuperLU, for machines without MKL: slower, same results."""
 
     def __init__(self, indptr: IntArray, indices: IntArray, *, threads: int = 2, single: bool = False):
         self.name = "SuperLU (scipy)"
@@ -188,7 +188,7 @@ class SuperLU:
 
     @property
     def n_perturbed(self) -> int:
-        """0: what SuperLU cannot factor, it refuses."""
+        """Always 0: SuperLU raises an error instead of perturbing pivots."""
         return 0
 
     @property
@@ -205,7 +205,7 @@ _LIBRARY: list[Any] = []
 def _mkl() -> Any:
     """The MKL library with pardiso's signature set, loaded once."""
     if not _LIBRARY:
-        # threads that wait must not spin: on a busy machine that costs more than it saves
+        # no busy waiting of idle threads: on a loaded machine it costs more than it saves
         os.environ.setdefault("KMP_BLOCKTIME", "0")
         from pypardiso import PyPardisoSolver
 
@@ -231,9 +231,9 @@ def make(
     single: bool = False,
     last: IntArray | None = None,
 ) -> LinearSolver:
-    """The solver named: our own "multifrontal" ("auto" too), or "pardiso", or "superlu".
+    """Create a direct solver: "multifrontal" (our own, also "auto"), "pardiso" or "superlu".
 
-    last : equations to be eliminated last, for the multifrontal solver's root
+    last : equations to eliminate last, which form the multifrontal solver's root front
     """
     if kind in ("auto", "multifrontal"):
         from limbcli.fem.linear_solvers.multifrontal import Multifrontal

@@ -1,4 +1,4 @@
-"""GMRES with an approximate inverse from the right."""
+"""Right-preconditioned GMRES."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from limbcli.fem.linear_solvers.singular import singular
 from limbcli.fem.motion.state import norm
 from limbcli.model import Array
 
-_NOTHING = 1e-12  # of a column: a pivot that is round-off
+_NOTHING = 1e-12  # pivot regarded as round-off, relative to the largest entry of its column
 
 
 def gmres(
@@ -22,14 +22,14 @@ def gmres(
     tolerance: float,
     max_iterations: int = 60,
 ) -> tuple[Array, int, float]:
-    """Right-preconditioned GMRES: (solution, iterations, reached relative residual).
+    """Right-preconditioned GMRES: (solution, iterations, relative residual reached).
 
-    Where it breaks down (what is left of the space is mapped to nothing) it ends with what it has.
+    On breakdown (the new Krylov vector is mapped to zero) the current solution is returned.
 
     Raises
     ------
     SingularMatrix
-        If a number is not finite.
+        If the right-hand side or a matrix-vector product is not finite.
     """
     size = norm(rhs)
     if not np.isfinite(size):
@@ -77,10 +77,10 @@ def gmres(
 
 @njit(cache=True, fastmath={"reassoc", "contract"})
 def orthogonalise(V, n, w, h):  # type: ignore[no-untyped-def]
-    """Take the first n rows of V out of w, one after the other; h gets the coefficients. The norm left.
+    """Modified Gram-Schmidt: orthogonalise w against the first n rows of V, coefficients to h; returns |w|.
 
-    Once is enough for GMRES (Paige, Rozloznik and Strakos 2006, SIAM J. Matrix Anal. Appl. 28, 264-284).
-    A plain loop: the threads of a BLAS are no help on vectors of this length.
+    One pass is enough for GMRES (Paige, Rozloznik and Strakos 2006, SIAM J. Matrix Anal. Appl. 28, 264-284).
+    A plain loop: multithreaded BLAS is no faster for vectors of this length.
     """
     for j in range(n):
         dot = 0.0

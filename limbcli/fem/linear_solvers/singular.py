@@ -1,4 +1,4 @@
-"""The error of a matrix that has no usable factor."""
+"""The error raised for a matrix that has no usable factor."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What moves and what is given: rigid bodies and their loads, load curves, the state of a model."""
+"""Kinematics and loads: rigid bodies and their loads, load curves, prescribed values, model states."""

@@ -1,4 +1,4 @@
-"""What moves and what is given: equation numbers, prescribed values, load curves, rigid motions."""
+"""Kinematics of a model: equation numbers, prescribed values, load curves, rigid motions."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _AXES = {"x": 0, "y": 1, "z": 2}
 
 
 class Kinematics:
-    """The unknowns of a model in one analysis step, and the states that they lead to.
+    """The unknowns of a model in one analysis step, and the states they define.
 
-    supports, drives : those in force (the model's and the step's)
-    coupled (n_points,) : nodes that belong to cells
-    start : state at the beginning of the step, for relative loads
+    supports, drives : those active in this step (the model's and the step's own)
+    coupled (n_points,) : nodes that belong to deformable cells
+    start : state at the beginning of the step, the reference for relative loads
     """
 
     def __init__(
@@ -75,11 +75,12 @@ class Kinematics:
             self.n_tissue = 0
 
     def _find_prescribed(self, free: Array) -> list[tuple[IntArray, int, Array, str | None, bool]]:
-        """(nodes, axis, values, curve, relative) of every support; frees are cleared.
+        """(nodes, axis, values, curve, relative) of every support; clears the constrained entries of `free`.
 
-        Where two are on one node, what is prescribed stands above what is held; else the later one counts.
+        If two supports act on one degree of freedom, a prescribed value takes precedence over a fixed one;
+        otherwise the later support takes precedence.
 
-        Source: FEBio, FEFixedBC::Activate, which takes open degrees of freedom only.
+        Source: FEBio, FEFixedBC::Activate, which fixes open degrees of freedom only.
         """
         found = []
         for each in sorted(self.supports, key=lambda support: support.value is not None):
@@ -109,7 +110,7 @@ class Kinematics:
         return found
 
     def _refuse_rigid(self, nodes: IntArray, support: Support) -> None:
-        """FEBio says so as well."""
+        """Refuse prescribed displacements on nodes of a rigid body, as FEBio does."""
         for body in self.bodies:
             n = int(np.isin(nodes, [*body.tied, *body.points]).sum())
             if n:
@@ -121,13 +122,13 @@ class Kinematics:
                 )
 
     def spread(self, x: Array) -> Array:
-        """Values (n_tissue,) of the tissue's unknowns as (n_points, 3), 0 elsewhere."""
+        """Scatter values (n_tissue,) of the tissue's unknowns to nodes (n_points, 3), 0 elsewhere."""
         out = np.zeros_like(self.X)
         out.ravel()[self._places] = x
         return out
 
     def collect(self, nodal: Array) -> Array:
-        """Those of (n_points, 3) that belong to the tissue's unknowns (n_tissue,)."""
+        """Gather the values (n_tissue,) of the tissue's unknowns from nodal values (n_points, 3)."""
         return np.take(nodal.ravel(), self._places)
 
     @property
@@ -147,7 +148,7 @@ class Kinematics:
         return self.curve_at(name, self.time)
 
     def prescribed(self, state: State, time: float) -> State:
-        """The state with everything that is given moved to `time`; all else as it was."""
+        """The state with all prescribed values set to those at `time`; the unknowns are unchanged."""
         u = state.u.copy()
         for nodes, axis, values, curve, relative in self._prescribed:
             factor = 1.0 if curve is None else self.curve_at(curve, time)
@@ -175,8 +176,11 @@ class Kinematics:
         return BodyState(shift, self._turn(body, now, begin, vector))
 
     def _turn(self, body: Body, now: BodyState, begin: BodyState, vector: Array) -> Array:
-        """The body's rotation; where all of it is given and some of it driven, `vector` is its rotation
-        vector: a component that is fixed is 0 then, and relative ones are added to those at the step's begin.
+        """The body's rotation.
+
+        If all three components are given and at least one is prescribed, `vector` is the rotation vector,
+        with 0 for fixed components; relative rotations are added to the rotation vector at the start of the
+        step. If all are fixed, the rotation at the start of the step is kept.
 
         Source: FEBio, FERigidSolverNew::UpdateRigidBodies and FERigidPrescribedBC::Activate.
         """
@@ -201,7 +205,7 @@ class Kinematics:
         return now.turn
 
     def followed(self, state: State) -> State:
-        """Tied nodes and the bodies' own points put where the bodies are."""
+        """Place the tied nodes and the bodies' own nodes according to the bodies' motion (in place)."""
         for body, at in zip(self.bodies, state.bodies, strict=True):
             for nodes in (body.tied, body.points):
                 if len(nodes):
@@ -219,7 +223,7 @@ class Kinematics:
         return self.followed(State(state.time, u, tuple(bodies)))
 
     def motions(self, step: Array) -> Array:
-        """Motions (n_bodies, 6) contained in a change of the unknowns."""
+        """The rigid-body part (n_bodies, 6) of a change of the unknowns."""
         out = np.zeros((len(self.bodies), 6))
         for k, (b, dof) in enumerate(self.rigid):
             out[b, dof] = step[self.n_tissue + k]
@@ -229,7 +233,7 @@ class Kinematics:
         return self.bodies[b].center + state.bodies[b].shift
 
     def follow(self, state: State, motions: Array) -> Array:
-        """Velocities (n_points, 3) of tied nodes for motions (n_bodies, 6)."""
+        """Velocities (n_points, 3) of the tied nodes for body motions (n_bodies, 6)."""
         v = np.zeros_like(self.X)
         for b, body in enumerate(self.bodies):
             if len(body.tied) and motions[b].any():

@@ -6,14 +6,14 @@ import numpy as np
 
 from limbcli.model import Array, Curve
 
-_NEAR = 1e-3  # of a curve's length: where FEBio takes the slope of a smooth curve's ends
+_NEAR = 1e-3  # distance over which FEBio evaluates the end slope of a smooth curve, per length of the curve
 
 
 def value(curve: Curve, time: float) -> float:
     """The curve's value at a time (s).
 
-    "step" takes the value of the next point as soon as a point is reached. "smooth" is a parabola
-    through each three points, two of them blended where they overlap.
+    "step" takes the value of the next point as soon as a point is reached. "smooth" fits a parabola
+    through each three consecutive points and blends the two linearly where they overlap.
 
     >>> value(Curve(((0.0, 0.0), (2.0, 1.0))), 1.0)
     0.5
@@ -35,7 +35,7 @@ def value(curve: Curve, time: float) -> float:
         return _beyond(curve.interpolate, times, values, time)
     turns = np.floor((time - first) / (last - first))
     if time > last and time == first + turns * (last - first):
-        turns -= 1  # a period's end is its last point, not the next one's first
+        turns -= 1  # the end of a period is its last point, not the first point of the next period
     offset = turns * (values[-1] - values[0]) if curve.extend == "repeat offset" else 0.0
     return float(_inside(curve.interpolate, times, values, time - turns * (last - first)) + offset)
 
@@ -58,7 +58,7 @@ def _inside(kind: str, times: Array, values: Array, time: float) -> float:
 
 
 def _beyond(kind: str, times: Array, values: Array, time: float) -> float:
-    """On the line that continues the curve; a step curve continues level."""
+    """Extrapolate the curve linearly; a step curve stays constant."""
     before = time < times[0]
     if kind == "step":
         return float(values[0] if before else values[-1])

@@ -1,4 +1,4 @@
-"""Rigid bodies: what of their motion is given, what is free, and how tied nodes follow."""
+"""Rigid bodies: prescribed and free degrees of freedom, tied nodes, rotations and springs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ DOFS = ("x", "y", "z", "u", "v", "w")
 
 
 def rotation_matrix(vector: Array) -> Array:
-    """Rotation by |vector| radians about it (Rodrigues).
+    """Matrix of the rotation by |vector| radians about the axis `vector` (Rodrigues' formula).
 
     >>> rotation_matrix(np.array([0.0, 0.0, np.pi / 2])).round(12)[0, 1]
     np.float64(-1.0)
@@ -37,17 +37,17 @@ def rotation_vector(R: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class BodyState:
-    """Where a body is: translation of its centre (mm) and rotation."""
+    """Position of a body: translation of its centre (mm) and rotation matrix."""
 
     shift: Array
     turn: Array
 
     def moved(self, step: Array) -> BodyState:
-        """After a further translation and small rotation vector `step` (6)."""
+        """The position after a further translation and rotation vector, `step` (6)."""
         return BodyState(self.shift + step[:3], rotation_matrix(step[3:]) @ self.turn)
 
     def place(self, points: Array, center: Array) -> Array:
-        """Current places of points of the body, given their places at the start."""
+        """Current positions of points of the body, given their reference positions."""
         return (points - center) @ self.turn.T + center + self.shift
 
 
@@ -58,9 +58,9 @@ AT_REST = BodyState(np.zeros(3), np.eye(3))
 class Body:
     """A rigid body of the model.
 
-    drives : by degree of freedom ("x" .. "w"); one that has none is free, as is one with loads, of which
-        the last stands here
-    tied : node numbers of the tissue that move with it: of its node sets, and those its blocks share
+    drives : by degree of freedom ("x" .. "w"); one without a drive is free, and so is one with loads, of
+        which only the last is stored here
+    tied : tissue nodes that move with the body: those of its node sets and those shared with its blocks
     """
 
     name: str
@@ -76,7 +76,7 @@ class Body:
 
 
 def make_bodies(model: LimbModel, drives: tuple[Drive, ...]) -> list[Body]:
-    """The model's bodies with the drives in force."""
+    """The model's rigid bodies with their active drives."""
     names = {body.name for body in model.bodies}
     for each in drives:
         if each.body not in names:
@@ -115,7 +115,7 @@ def _body(model: LimbModel, body: RigidBody, drives: tuple[Drive, ...]) -> Body:
 
 
 def _nodes(model: LimbModel, blocks: tuple[str, ...]) -> IntArray:
-    """(n,) those of the blocks' cells, each once."""
+    """Unique node numbers (n,) of the blocks' cells."""
     cells = [model.mesh.block(name).cells.ravel() for name in blocks]
     return np.unique(np.concatenate(cells)) if cells else np.zeros(0, dtype=np.int64)
 
@@ -144,7 +144,7 @@ def spring_forces(spring: Spring, bodies: dict[str, tuple[Body, BodyState]]) -> 
     on_b = -np.concatenate([pull, np.cross(rb, pull)])
     B = np.concatenate([-np.eye(3), skew(ra), np.eye(3), -skew(rb)], axis=1)  # d(line)
     K = B.T @ k @ B
-    K[3:6, 3:6] -= skew(pull) @ skew(ra)  # the arms turn
+    K[3:6, 3:6] -= skew(pull) @ skew(ra)  # the lever arms rotate with the bodies
     K[9:12, 9:12] += skew(pull) @ skew(rb)
     return on_a, on_b, K
 

@@ -1,4 +1,4 @@
-"""Forces between rigid bodies, tied nodes, springs and what is applied from outside."""
+"""Forces on rigid bodies: from tied nodes, from springs, and applied loads."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from limbcli.model import Array
 
 
 class RigidLoads(Kinematics):
-    """The rigid bodies' part of the equations."""
+    """The rigid-body part of the equations."""
 
     def gather_tied(self, state: State, nodal: Array, bodies: Array) -> None:
         """Add the forces of nodes that are tied to a body to the body's forces and moments."""
@@ -31,7 +31,7 @@ class RigidLoads(Kinematics):
             bodies[index[spring.body_b]] -= on_b
 
     def applied(self, time: float) -> Array:
-        """(n_bodies, 6) forces (N) and moments (N mm); several on one degree of freedom add up."""
+        """Applied forces (N) and moments (N mm), (n_bodies, 6); loads on one degree of freedom are summed."""
         out = np.zeros((len(self.bodies), 6))
         index = {body.name: b for b, body in enumerate(self.bodies)}
         for drive in self.drives:
@@ -52,7 +52,7 @@ class RigidLoads(Kinematics):
         return out
 
     def tied_turning(self, state: State, nodal: Array, b: int) -> Array:
-        """(3, 3): how the moment of the tied nodes' forces changes as their arms turn with the body."""
+        """Derivative (3, 3) of the moment of the tied nodes' forces as their arms rotate with the body."""
         body = self.bodies[b]
         arm = self.X[body.tied] + state.u[body.tied] - self.center(b, state)
         return sum(

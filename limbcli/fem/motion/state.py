@@ -1,4 +1,4 @@
-"""A state of the model, and what acts at it."""
+"""A state of the model, and the forces acting at it."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from limbcli.model import Array
 
 
 def norm(v: Array) -> float:
-    """Euclidean norm; waking the threads of a BLAS costs more than this sum."""
+    """Euclidean norm without BLAS, whose thread start-up costs more than the sum."""
     return float(np.sqrt(np.einsum("i,i", v, v)))
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Displacements u (n_points, 3) of all nodes, where the bodies are, and (where converged) what
-    rigid facets the contact points are with.
+    """Displacements u (n_points, 3) of all nodes, and positions of the bodies.
 
-    volumes : volume ratios (n_cells, n_gauss) of each group that pressures are taken at on the way to
-        equilibrium; empty: those of u, as at equilibrium
+    hints : at a converged state, the rigid facet that each contact point touches
+    volumes : independent volume ratios (n_cells, n_gauss) of each group, at which pressures are evaluated
+        during the iteration; empty: the volume ratios of u, as at equilibrium
     """
 
     time: float
@@ -33,18 +33,18 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class RoughState(State):
-    """A first guess that is rough from cell to cell and near on the whole: its residual says little."""
+    """An initial guess with cell-by-cell errors but close displacements; its residual is not informative."""
 
 
 @dataclass(frozen=True, eq=False)
 class Forces:
-    """What acts at a state.
+    """Forces at a state.
 
-    nodal (n_points, 3) : internal plus contact force of every node; at held nodes the reaction
-    bodies (n_bodies, 6) : force and moment needed from outside to hold each body
-    residual : of the unknowns; scale : size of the forces at play (N)
+    nodal (n_points, 3) : internal plus contact force at every node; at constrained nodes the reaction
+    bodies (n_bodies, 6) : external force and moment needed to hold each body in place
+    residual : out-of-balance forces of the unknowns; scale : norm of the acting forces (N)
     worst, place : smallest det F and its (group, cell)
-    mixed : residual with the pressures taken at the state's own volume ratios
+    mixed : residual with the pressures evaluated at the state's independent volume ratios
     """
 
     nodal: Array
@@ -58,5 +58,5 @@ class Forces:
 
     @property
     def error(self) -> float:
-        """Norm of the residual over the forces at play."""
+        """Relative residual: norm of the residual over the norm of the acting forces."""
         return norm(self.residual) / max(self.scale, 1e-14)

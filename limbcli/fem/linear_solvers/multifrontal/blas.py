@@ -1,8 +1,8 @@
-"""Calls of scipy's BLAS and LAPACK from compiled loops that hold no lock.
+"""Calls of scipy's BLAS and LAPACK from compiled loops without the GIL.
 
-The addresses are those that scipy offers to compiled code (`scipy.linalg.cython_blas`, `cython_lapack`),
-given to the loops as numbers, so that compiled loops can be cached. Matrices are flat
-arrays with an offset and a leading dimension, column after column.
+The routine addresses are those that scipy exports (`scipy.linalg.cython_blas`, `cython_lapack`); they are
+passed to the loops as numbers, so that the compiled loops can be cached. Matrices are flat arrays in
+column-major order with an offset and a leading dimension.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ GEMM, SYRK, TRSM, GETRF = range(len(_ROUTINES))
 
 
 def addresses(single: bool) -> IntArray:
-    """Where the routines are, in the order GEMM, SYRK, TRSM, GETRF."""
+    """Addresses of the routines, in the order GEMM, SYRK, TRSM, GETRF."""
     letter = "s" if single else "d"
     found = [
         get_cython_function_address(f"scipy.linalg.cython_{library}", letter + routine)
@@ -62,7 +62,7 @@ def _table(context, builder, signature, args):  # type: ignore[no-untyped-def]
 
 
 def _gemm(turned):  # type: ignore[no-untyped-def]
-    """turned : "T" where B is given as its transpose, else "N"."""
+    """GEMM intrinsic; turned : "T" if B is passed as its transpose, else "N"."""
 
     def typed(typingctx, table, m, n, k, alpha, a, oa, lda, b, ob, ldb, beta, c, oc, ldc):  # type: ignore[no-untyped-def]
         i = types.intp
@@ -129,7 +129,7 @@ def syrk(typingctx, table, n, k, alpha, a, oa, lda, beta, c, oc, ldc):  # type: 
 
 @intrinsic
 def solve_unit_lower(typingctx, table, m, n, a, oa, lda, b, ob, ldb):  # type: ignore[no-untyped-def]
-    """B (m, n) = L^-1 B, L the lower triangle of A with ones on its diagonal."""
+    """B (m, n) = L^-1 B, with L the unit lower triangle of A."""
     i = types.intp
     signature = types.void(table, i, i, a, i, i, b, i, i)
 
@@ -155,7 +155,7 @@ def solve_unit_lower(typingctx, table, m, n, a, oa, lda, b, ob, ldb):  # type: i
 
 @intrinsic
 def getrf(typingctx, table, m, n, a, oa, lda, pivots, op):  # type: ignore[no-untyped-def]
-    """LU of A (m, n) in place; pivots[op:] (int32) gets the rows exchanged, counted from 1."""
+    """LU of A (m, n) in place; the exchanged rows, counted from 1, go to pivots[op:] (int32)."""
     i = types.intp
     signature = types.void(table, i, i, a, i, i, pivots, i)
 

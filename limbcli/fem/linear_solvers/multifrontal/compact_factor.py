@@ -1,9 +1,8 @@
-"""A factor as it is kept for substitution, apart from the panels in which it is made.
+"""Compact storage of a factor for substitution, separate from the panels in which it is computed.
 
-Sixteen pivot columns at a time: the inverse of the triangle on their diagonal, and what is below it
-in chunks (see `tiles`). In single precision the latter are short integers, 1/32767 of the largest
-number of their column: the factor is an approximate inverse for GMRES, and the time of a
-substitution is that of reading it.
+For every sixteen pivot columns: the inverse of their diagonal triangle, and the rows below in chunks (see
+`tiles`). In single precision the latter are 16-bit integers in units of 1/32767 of their column's largest
+number: the factor is an approximate inverse for GMRES, and substitution is limited by memory bandwidth.
 """
 
 from __future__ import annotations
@@ -17,12 +16,16 @@ from numpy.typing import NDArray
 from limbcli.fem.linear_solvers.multifrontal.tiles import TILE, down_part, keep_column, times_tile, up_part
 from limbcli.model import IntArray
 
-PAD = 3 * TILE  # space beyond the rows of a front
+PAD = 3 * TILE  # padding of vectors beyond the rows of a front
 _MOST = 32767.0
 
 
 class CompactFactor(NamedTuple):
-    """parts : below the diagonal; scales : of each pivot column; inverses, transposed : of the triangles"""
+    """The stored factor.
+
+    parts : rows below the diagonal triangles; scales : scale of each pivot column
+    inverses, transposed : inverses of the diagonal triangles, and their transposes
+    """
 
     parts: NDArray[Any]
     scales: NDArray[Any]
@@ -35,14 +38,14 @@ class CompactFactor(NamedTuple):
 
 
 def make_kept(n: int, n_tiles: int, size: int, kind: Any) -> CompactFactor:
-    """Workspace for a factor of n pivots; `kind` is that of its panels."""
+    """Memory for a factor of n pivots; `kind` is the floating-point type of its panels."""
     part = np.int16 if kind is np.float32 else kind
     tiles = np.empty((2, n_tiles * TILE * TILE), dtype=kind)
     return CompactFactor(np.empty(size, dtype=part), np.zeros(n + TILE, dtype=kind), tiles[0], tiles[1])
 
 
 def sizes(p: IntArray, m: IntArray) -> tuple[IntArray, IntArray]:
-    """Tiles, and numbers in the parts, of fronts of p pivots and m rows.
+    """Number of tiles, and of numbers in the parts, for fronts of p pivots and m rows.
 
     >>> sizes(np.array([20]), np.array([40]))
     (array([2]), array([640]))
@@ -65,9 +68,9 @@ def _largest(a, first, stop):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def keep(kept, tile, at, first, panel, o, ld, p, m, half):  # type: ignore[no-untyped-def]
-    """Take over a front's panel (m, p); its first tile, part and pivot are numbers tile, at, first.
+    """Store a front's panel (m, p), from tile number `tile`, part offset `at` and pivot `first` on.
 
-    half : 0 or 1, for one of two threads, or -1 for all of it
+    half : 0 or 1 for the tiles of one of two threads, -1 for all
     """
     parts = kept.parts
     exact = parts.itemsize == panel.itemsize
@@ -105,7 +108,7 @@ def keep(kept, tile, at, first, panel, o, ld, p, m, half):  # type: ignore[no-un
 
 @njit(cache=True, nogil=True)
 def _keep_triangle(a, d, ld, n, inverses, transposed, at):  # type: ignore[no-untyped-def]
-    """The inverse of n columns of L, filled up with those of the unit matrix, and its transpose."""
+    """Store the inverse, and its transpose, of n columns of L, padded with the unit matrix."""
     one = a.dtype.type(1)
     for i in range(TILE * TILE):
         inverses[at + i] = 0
@@ -125,7 +128,10 @@ def _keep_triangle(a, d, ld, n, inverses, transposed, at):  # type: ignore[no-un
 
 @njit(cache=True, nogil=True)
 def down(kept, tile, at, first, p, m, y, z):  # type: ignore[no-untyped-def]
-    """y -> L^-1 y for the first p, less L2 times that for the others; y has PAD more, z is workspace."""
+    """Forward substitution: y1 -> L^-1 y1 for the first p rows, then y2 -> y2 - L2 y1 for the others.
+
+    y has PAD more rows; z is workspace.
+    """
     for j0 in range(0, p, TILE):
         j1 = min(j0 + TILE, p)
         width, chunks = (j1 - j0 + 3) // 4 * 4, (m - j1 + TILE - 1) // TILE
@@ -141,7 +147,7 @@ def down(kept, tile, at, first, p, m, y, z):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def up(kept, tile, at, first, p, m, y, z):  # type: ignore[no-untyped-def]
-    """The first p of y -> L^-T (y - L2^T of the others); tile, at : where the next front's begin."""
+    """Backward substitution: y1 -> L^-T (y1 - L2^T y2); tile, at : start of the next front's storage."""
     for j0 in range((p - 1) // TILE * TILE, -1, -TILE):
         j1 = min(j0 + TILE, p)
         width, chunks = (j1 - j0 + 3) // 4 * 4, (m - j1 + TILE - 1) // TILE

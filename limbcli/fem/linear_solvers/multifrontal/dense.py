@@ -1,8 +1,7 @@
-"""A front's dense arithmetic: A = L S L^T with S = diag(+-1), pivots in their given order.
+"""Dense factorisation of a front: A = L S L^T with S = diag(+-1), without pivoting.
 
-Columns are finished block by block (left-looking): one product with all that lies to the
-left, then the block itself in narrow tiles, whose inverses turn the triangular solves below
-them into products.
+Left-looking, block by block: one product with all columns to the left, then the block itself in narrow
+tiles, whose inverses turn the triangular solves below them into products.
 """
 
 from __future__ import annotations
@@ -14,14 +13,14 @@ from limbcli.fem.linear_solvers.multifrontal.blas import gemm_nt, syrk
 from limbcli.fem.linear_solvers.multifrontal.vectors import add_scaled
 
 NOT_FINITE = -1
-TILE = 32  # columns that are factored by plain loops
-STRIP = 512  # rows that are solved for at once
-ALIGNED = 16  # leading dimensions, and the first rows and columns of parts of a front, are multiples
+TILE = 32  # columns factored by plain loops
+STRIP = 512  # rows processed at a time below a diagonal block
+ALIGNED = 16  # leading dimensions, and first rows and columns of parts of a front, are multiples of this
 
 
 @njit(cache=True, nogil=True)
 def signed_copy(a, oa, lda, n, k, sign, first, out):  # type: ignore[no-untyped-def]
-    """out (n, k), column after column: a with each column times its sign. Returns whether any is negative."""
+    """out (n, k), column-major = a with each column times its sign, if any is negative; returns whether."""
     negative = False
     for j in range(k):
         negative |= sign[first + j] < 0
@@ -34,9 +33,9 @@ def signed_copy(a, oa, lda, n, k, sign, first, out):  # type: ignore[no-untyped-
 
 @njit(cache=True, nogil=True)
 def reduce_block(blas, a, o, ld, j0, j1, r0, r1, sign, first, work):  # type: ignore[no-untyped-def]
-    """Take from rows r0..r1 of columns j0..j1 what the columns before j0 contribute.
+    """Subtract the contribution of the columns before j0 from rows r0..r1 of columns j0..j1.
 
-    r0 is j0 or a multiple of ALIGNED, like j0; what lies above the diagonal is left to chance.
+    r0 is j0 or a multiple of ALIGNED, like j0; values above the diagonal are undefined.
     """
     one = a.dtype.type(1)
     if j0 == 0 or r1 <= r0:
@@ -51,9 +50,9 @@ def reduce_block(blas, a, o, ld, j0, j1, r0, r1, sign, first, work):  # type: ig
 
 @njit(cache=True, nogil=True)
 def factor_diagonal(blas, a, o, ld, j0, j1, sign, first, tiny, inverse, work):  # type: ignore[no-untyped-def]
-    """Factor the diagonal block of columns j0..j1; pivots perturbed, or NOT_FINITE.
+    """Factor the diagonal block of columns j0..j1; returns the number of perturbed pivots, or NOT_FINITE.
 
-    inverse : gets S L^-1 of the TILE x TILE blocks on its diagonal, column after column
+    inverse : output, S L^-1 of the TILE x TILE blocks on its diagonal, column-major
     """
     made_up = 0
     for k0 in range(j0, j1, TILE):
@@ -70,7 +69,7 @@ def factor_diagonal(blas, a, o, ld, j0, j1, sign, first, tiny, inverse, work):  
 
 @njit(cache=True, nogil=True)
 def reduce_tile(blas, a, o, ld, j0, k0, k1, r0, r1, sign, first, work):  # type: ignore[no-untyped-def]
-    """Take from rows r0..r1 of columns k0..k1 what columns j0..k0 contribute."""
+    """Subtract the contribution of columns j0..k0 from rows r0..r1 of columns k0..k1."""
     one = a.dtype.type(1)
     if k0 == j0 or r1 <= r0:
         return
@@ -84,7 +83,7 @@ def reduce_tile(blas, a, o, ld, j0, k0, k1, r0, r1, sign, first, work):  # type:
 
 @njit(cache=True, nogil=True)
 def _factor_tile(a, d, ld, n, sign, first, tiny, inverse, work):  # type: ignore[no-untyped-def]
-    """L S L^T of n <= TILE columns, in loops of one length; S L^-1 column after column."""
+    """L S L^T of n <= TILE columns, in loops of fixed length; S L^-1 goes to `inverse`, column-major."""
     one, none = a.dtype.type(1), a.dtype.type(0)
     made_up = 0
     for j in range(n):
@@ -115,7 +114,7 @@ def _factor_tile(a, d, ld, n, sign, first, tiny, inverse, work):  # type: ignore
 
 @njit(cache=True, nogil=True)
 def invert_tile(tile, at, n, sign, first, inverse):  # type: ignore[no-untyped-def]
-    """S L^-1, column after column, of the n columns of L at tile[at]; what was there is lost."""
+    """S L^-1, column-major, of the n columns of L at tile[at], which are overwritten."""
     one, none = tile.dtype.type(1), tile.dtype.type(0)
     for j in range(n):
         for i in range(TILE):
@@ -135,7 +134,7 @@ def invert_tile(tile, at, n, sign, first, inverse):  # type: ignore[no-untyped-d
 
 @njit(cache=True, nogil=True)
 def solve_tile(blas, a, o, ld, k0, k1, r0, r1, inverse, work):  # type: ignore[no-untyped-def]
-    """Rows r0..r1 of columns k0..k1 times L^-T S of the tile, given its inverse."""
+    """Multiply rows r0..r1 of columns k0..k1 by L^-T S of the tile, given its inverse."""
     one, none = a.dtype.type(1), a.dtype.type(0)
     n, m = k1 - k0, r1 - r0
     if m <= 0:
@@ -148,7 +147,7 @@ def solve_tile(blas, a, o, ld, k0, k1, r0, r1, inverse, work):  # type: ignore[n
 
 @njit(cache=True, nogil=True)
 def solve_block(blas, a, o, ld, j0, j1, r0, r1, sign, first, inverse, work):  # type: ignore[no-untyped-def]
-    """Rows r0..r1 of columns j0..j1, once their diagonal block is factored."""
+    """Solve for rows r0..r1 of columns j0..j1 after their diagonal block has been factored."""
     for b0 in range(r0, r1, STRIP):
         b1 = min(b0 + STRIP, r1)
         for k0 in range(j0, j1, TILE):
@@ -160,7 +159,10 @@ def solve_block(blas, a, o, ld, j0, j1, r0, r1, sign, first, inverse, work):  # 
 
 @njit(cache=True, nogil=True)
 def factor_panel(blas, a, o, ld, p, m, block, sign, first, tiny, inverse, work):  # type: ignore[no-untyped-def]
-    """The first p columns of a front of m rows; pivots perturbed, or NOT_FINITE."""
+    """Factor the first p columns of a front of m rows; returns how many pivots were perturbed, or NOT_FINITE.
+
+    block : columns per block
+    """
     made_up = 0
     for j0 in range(0, p, block):
         j1 = min(j0 + block, p)
@@ -175,7 +177,7 @@ def factor_panel(blas, a, o, ld, p, m, block, sign, first, tiny, inverse, work):
 
 @njit(cache=True, nogil=True)
 def form_update(blas, a, o, ld, p, m, u, ou, ldu, c0, c1, block, sign, first, work):  # type: ignore[no-untyped-def]
-    """Columns c0..c1 of the lower triangle of U = -L2 S L2^T, L2 the rows of a panel below its pivots."""
+    """Columns c0..c1 of the lower triangle of U = -L2 S L2^T, with L2 the panel's rows below its pivots."""
     one, none = a.dtype.type(1), a.dtype.type(0)
     r = m - p
     negative = False

@@ -1,4 +1,4 @@
-"""The memory of a factor, allocated once and used again."""
+"""The memory of a factor, allocated once and reused."""
 
 from __future__ import annotations
 
@@ -11,16 +11,18 @@ from limbcli.fem.linear_solvers.multifrontal.compact_factor import make_kept
 from limbcli.fem.linear_solvers.multifrontal.dense import ALIGNED, STRIP, TILE
 from limbcli.fem.linear_solvers.multifrontal.plan import Layout
 
-BLOCK = 192  # columns of a block where two threads are at work on one front
-_TINY = {True: 1e-6, False: 1e-8}  # of a pivot, next to its diagonal entry of 1
+BLOCK = 192  # columns per block of a front factored by two threads
+# Size below which a pivot of the scaled matrix is perturbed, in single (True) and double (False) precision.
+_TINY = {True: 1e-6, False: 1e-8}
 
 
 class Store:
     """Arrays in the factor's precision.
 
-    kept : the factor, but for the last front
-    panels, updates : pivot columns of a front for each of two threads; update matrices (see `Plan`)
-    values : the matrix, scaled; scaling (n,) : by equation number; sign (n,) : of the pivots, in order
+    kept : the factor, without the last front
+    panels : pivot columns of a front, for each of two threads; updates : update matrices (see `Plan`)
+    values : the scaled matrix; scaling (n,) : scale factors by equation number
+    sign (n,) : signs of the pivots, in elimination order
     work, inverses : workspace for each of two threads
     """
 
@@ -31,7 +33,7 @@ class Store:
         self.tiny = self.kind(_TINY[single])
         plan = layout.plan
         self.kept = make_kept(n, int(plan.tile_at[-2]), int(plan.part_at[-2]), self.kind)
-        workspace = layout.panel_size + ALIGNED  # the last vector may reach over
+        workspace = layout.panel_size + ALIGNED  # vector instructions may read beyond the last column
         self.panels = [np.empty(workspace, dtype=self.kind) for _ in range(2)]
         self.updates = np.empty(layout.update_size, dtype=self.kind)
         self.values = np.empty(n_values, dtype=self.kind)

@@ -1,8 +1,8 @@
-"""LU of one dense matrix, partial pivoting, by two threads that hold no lock.
+"""LU factorisation of a dense matrix with partial pivoting, by two threads without the GIL.
 
-Panel by panel from the left: while one thread brings the next panel up to date and factors it, the other
-does the columns beyond. LAPACK's own, by threads of the BLAS, leaves these waiting in loops that take the
-processor from ours. Cut the same whatever the number of threads, so that the sums agree.
+Panel by panel from the left: while one thread updates and factors the next panel, the other updates the
+columns beyond it. LAPACK's multithreaded version is not used because idle BLAS threads busy-wait and take
+processor time from ours. The work is divided in the same way for any number of threads, so that sums agree.
 Source: Golub & Van Loan, Matrix Computations, 4th ed., section 3.4 (blocked, right-looking).
 """
 
@@ -20,12 +20,16 @@ from limbcli.fem.linear_solvers.multifrontal.blas import gemm_nn, getrf, solve_u
 from limbcli.fem.linear_solvers.multifrontal.sharing import ThreadTeam
 from limbcli.model import Array, IntArray
 
-PANEL = 256  # columns: 128 and 192 take as long
-_PIECES = 3  # that what lies beyond the next panel is done in
+PANEL = 256  # columns per panel; 128 and 192 take as long
+_PIECES = 3  # number of tasks into which the update beyond the next panel is divided
 
 
 class Lu:
-    """n : equations; kind : of number; blas : of that kind, see `blas.addresses`; team : who does the work"""
+    """Dense LU factor.
+
+    n : number of equations; kind : floating-point type
+    blas : routine addresses for that type, see `blas.addresses`; team : threads
+    """
 
     def __init__(self, n: int, kind: Any, blas: IntArray, team: ThreadTeam):
         self.n, self.blas, self.team = n, blas, team
@@ -35,11 +39,11 @@ class Lu:
 
     @property
     def matrix(self) -> Array:
-        """(n, n), to be filled before `factor`; its factors afterwards."""
+        """Matrix (n, n), to be filled before `factor`; contains the factors afterwards."""
         return self._flat.reshape(self.n, self.n).T
 
     def factor(self) -> None:
-        """Of `matrix`, in place; a pivot may come out as 0."""
+        """Factor `matrix` in place; pivots may be zero."""
         n = self.n
         edges = [*range(0, n, PANEL), n]
         where = self.blas, self._flat, n, self._pivots
@@ -59,13 +63,13 @@ class Lu:
         self.team.run([partial(_exchange_left, *where[1:], panels[half::2]) for half in range(2)])
 
     def solve(self, rhs: Array, *, transposed: bool = False) -> Array:
-        """x (n,) of A x = rhs, or of A^T x = rhs."""
+        """Solution x (n,) of A x = rhs, or of A^T x = rhs."""
         return np.asarray(self._getrs(self.matrix, self._pivots, rhs, trans=int(transposed))[0])
 
 
 @njit(cache=True, nogil=True)
 def _panel(blas, a, n, pivots, j0, j1):  # type: ignore[no-untyped-def]
-    """Factor columns j0..j1 below row j0; pivots : rows of the matrix, from 0."""
+    """Factor columns j0..j1 from row j0 down; pivots : row numbers of the matrix, from 0."""
     getrf(blas, n - j0, j1 - j0, a, j0 + j0 * n, n, pivots, j0)
     for j in range(j0, j1):
         pivots[j] += j0 - 1
@@ -73,7 +77,7 @@ def _panel(blas, a, n, pivots, j0, j1):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _exchange(a, n, pivots, j0, j1, c0, c1):  # type: ignore[no-untyped-def]
-    """The rows of columns c0..c1 that the pivots of columns j0..j1 exchange."""
+    """Apply the row exchanges of pivot columns j0..j1 to columns c0..c1."""
     for c in range(c0, c1):
         at = c * n
         for j in range(j0, j1):
@@ -86,7 +90,7 @@ def _exchange(a, n, pivots, j0, j1, c0, c1):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _behind(blas, a, n, pivots, j0, j1, c0, c1):  # type: ignore[no-untyped-def]
-    """What the factored columns j0..j1 do to columns c0..c1, on the right of them."""
+    """Update columns c0..c1, to the right, with the factored columns j0..j1."""
     one = a.dtype.type(1)
     _exchange(a, n, pivots, j0, j1, c0, c1)
     solve_unit_lower(blas, j1 - j0, c1 - c0, a, j0 + j0 * n, n, a, j0 + c0 * n, n)
@@ -97,6 +101,6 @@ def _behind(blas, a, n, pivots, j0, j1, c0, c1):  # type: ignore[no-untyped-def]
 
 
 def _exchange_left(a: Any, n: int, pivots: Any, panels: list[tuple[int, int]]) -> None:
-    """In factored panels what later pivots exchange."""
+    """Apply the row exchanges of later pivots to factored panels."""
     for j0, j1 in panels:
         _exchange(a, n, pivots, j1, n, j0, j1)

@@ -1,4 +1,4 @@
-"""Places for the update matrices, which live from their front to the parent's."""
+"""Memory layout of the update matrices, which are live from their own front to the parent's."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from limbcli.model import IntArray
 
 
 class Pieces:
-    """Memory handed out first fit; `size` is the most that was ever needed."""
+    """First-fit memory allocator; `size` is the largest extent needed so far."""
 
     def __init__(self, base: int = 0):
         self.free: list[tuple[int, int]] = []
@@ -45,7 +45,7 @@ class Pieces:
 
 
 def place_updates(parent: IntArray, sizes: IntArray, shares: WorkShares) -> tuple[IntArray, int]:
-    """Where each front's update matrix goes, and the size of all: subtrees apart, then the top."""
+    """Offset of each front's update matrix, and the total size; subtrees get separate memory."""
     children: list[list[int]] = [[] for _ in parent]
     for s, up in enumerate(parent):
         if up >= 0:

@@ -1,4 +1,4 @@
-"""From values to factor: fronts gathered, factored, and their update matrices passed up."""
+"""Numerical factorisation: assembly and factorisation of fronts, and their update matrices."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from limbcli.fem.linear_solvers.multifrontal.compact_factor import keep
 from limbcli.fem.linear_solvers.multifrontal.dense import NOT_FINITE, factor_panel, form_update
 from limbcli.fem.linear_solvers.multifrontal.vectors import add
 
-BLOCK = 192  # columns of a block where one thread is at work
+BLOCK = 192  # columns per block of a front factored by one thread
 
 
 @njit(cache=True, nogil=True)
 def scales(indptr, indices, values, first, stop, out):  # type: ignore[no-untyped-def]
-    """1/sqrt of the diagonal's size, for rows first..stop; 0 where there is nothing on it."""
+    """Scale factors 1/sqrt(|diagonal|) of rows first..stop; 0 where the diagonal is zero."""
     for i in range(first, stop):
         diagonal = 0.0
         for k in range(indptr[i], indptr[i + 1]):
@@ -25,7 +25,7 @@ def scales(indptr, indices, values, first, stop, out):  # type: ignore[no-untype
 
 @njit(cache=True)
 def scales_of_others(indptr, indices, values, out):  # type: ignore[no-untyped-def]
-    """Where there is nothing on the diagonal: by the largest entry, next to the others' scales."""
+    """Scale factors of rows with a zero diagonal, from their largest entry in the scaled matrix."""
     n = len(indptr) - 1
     largest = np.zeros(n)
     for i in range(n):
@@ -42,7 +42,7 @@ def scales_of_others(indptr, indices, values, out):  # type: ignore[no-untyped-d
 
 @njit(cache=True, nogil=True)
 def scale(indptr, indices, values, scaling, first, stop, out):  # type: ignore[no-untyped-def]
-    """Rows first..stop of the matrix, scaled, in the factor's precision."""
+    """Scale rows first..stop of the matrix and convert them to the factor's precision."""
     for i in range(first, stop):
         for k in range(indptr[i], indptr[i + 1]):
             out[k] = values[k] * (scaling[i] * scaling[indices[k]])
@@ -50,7 +50,7 @@ def scale(indptr, indices, values, scaling, first, stop, out):  # type: ignore[n
 
 @njit(cache=True, nogil=True)
 def gather_panel(plan, s, c0, c1, values, panel, updates):  # type: ignore[no-untyped-def]
-    """Columns c0..c1 of front s, before any arithmetic: the matrix and the children's updates."""
+    """Assemble pivot columns c0..c1 of front s: matrix entries plus the children's update matrices."""
     ld = plan.ld[s]
     panel[c0 * ld : c1 * ld] = 0
     first = plan.pivot_at[s]
@@ -62,16 +62,16 @@ def gather_panel(plan, s, c0, c1, values, panel, updates):  # type: ignore[no-un
 
 @njit(cache=True, nogil=True)
 def gather_update(plan, s, c0, c1, updates):  # type: ignore[no-untyped-def]
-    """Add the children's updates to columns c0..c1 of the update matrix of front s."""
+    """Add the children's update matrices to columns c0..c1 of the update matrix of front s."""
     p = plan.pivot_at[s + 1] - plan.pivot_at[s]
-    o = plan.update_at[s] - p * (plan.ldu[s] + 1)  # so that the front's places can be used
+    o = plan.update_at[s] - p * (plan.ldu[s] + 1)  # offset such that positions in the front can be used
     for c in range(plan.child_at[s], plan.child_at[s + 1]):
         _extend(plan, plan.children[c], p + c0, p + c1, o, plan.ldu[s], updates, updates)
 
 
 @njit(cache=True, nogil=True)
 def _extend(plan, c, c0, c1, o, ld, updates, target):  # type: ignore[no-untyped-def]
-    """Add columns of the update matrix of front c that belong to columns c0..c1 of its parent."""
+    """Extend-add: the columns of front c's update matrix that map to columns c0..c1 of its parent."""
     at = plan.rows_at[c]
     n = plan.rows_at[c + 1] - at
     into = plan.into[at : at + n]
@@ -93,9 +93,9 @@ def _extend(plan, c, c0, c1, o, ld, updates, target):  # type: ignore[no-untyped
 
 @njit(cache=True, nogil=True)
 def factor_subtree(blas, plan, start, stop, values, panel, updates, kept, sign, tiny, inverse, work):  # type: ignore[no-untyped-def]
-    """Fronts start..stop, one after the other; pivots perturbed, or NOT_FINITE."""
+    """Factor fronts start..stop one after another; returns the number of perturbed pivots, or NOT_FINITE."""
     made_up = 0
-    begin, whole, block = np.int64(0), np.int64(-1), np.int64(BLOCK)  # shared: see `materials.cache`
+    begin, whole, block = np.int64(0), np.int64(-1), np.int64(BLOCK)  # shared kernels: see `materials.cache`
     for s in range(start, stop):
         first = plan.pivot_at[s]
         p = plan.pivot_at[s + 1] - first

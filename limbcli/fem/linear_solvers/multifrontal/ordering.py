@@ -1,7 +1,7 @@
-"""The order of elimination: nested dissection of a compressed graph.
+"""Elimination order: nested dissection of a compressed graph.
 
-Equations with the same pattern (the degrees of freedom of a node) become one vertex with
-a weight: the graph is three times smaller, and so is all the analysis.
+Equations with the same pattern (the degrees of freedom of a node) are merged into one weighted vertex: the
+graph, and hence the whole analysis, becomes three times smaller.
 """
 
 from __future__ import annotations
@@ -14,14 +14,15 @@ from numba import njit
 
 from limbcli.model import IntArray
 
-_TRIALS, _UNEVEN = 2, 100  # separators tried; 1/1000 by which halves may differ: 5 to 15 % less work
+# METIS options: number of separators tried, and allowed imbalance in 1/1000; they save 5 to 15 % of the work.
+_TRIALS, _UNEVEN = 2, 100
 
 
 @dataclass(frozen=True, eq=False)
 class Graph:
-    """Vertices, each a set of equations with the same pattern.
+    """Compressed graph; each vertex is a set of equations with the same pattern.
 
-    indptr, indices : neighbours of each vertex, itself left out
+    indptr, indices : neighbours of each vertex, without itself
     members_at, members : equations of each vertex, ascending
     """
 
@@ -42,7 +43,7 @@ class Graph:
 def compress(indptr: IntArray, indices: IntArray, last: IntArray) -> Graph:
     """The graph of a symmetric matrix given by its upper triangle (CSR, diagonal optional).
 
-    Equations in `last` share vertices only among themselves.
+    Equations in `last` are not merged with others.
     """
     n = len(indptr) - 1
     at, neighbours = _symmetric(indptr, indices)
@@ -60,7 +61,7 @@ def compress(indptr: IntArray, indices: IntArray, last: IntArray) -> Graph:
 
 
 def order(graph: Graph, last: IntArray, *, metis: bool = True) -> IntArray:
-    """Vertices in their order of elimination: those of `last` (a mask) at the end."""
+    """Vertices in elimination order, with those of `last` (a mask) at the end."""
     inner = np.flatnonzero(~last)
     number = np.full(graph.n, -1)
     number[inner] = np.arange(len(inner))
@@ -86,7 +87,7 @@ def _metis(indptr: IntArray, indices: IntArray, weights: IntArray) -> IntArray |
 
 
 def minimum_degree(indptr: IntArray, indices: IntArray) -> IntArray:
-    """Minimum degree as SuperLU has it: twice the work of nested dissection, always at hand."""
+    """Minimum-degree order from SuperLU: twice the work of nested dissection, but always available."""
     n = len(indptr) - 1
     weights = np.full(len(indices), -1.0)
     matrix = sparse.csc_matrix((weights, indices, indptr), shape=(n, n))
@@ -134,7 +135,7 @@ def _codes(at, neighbours, colour):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _classes(by_code, code, flag, at, neighbours):  # type: ignore[no-untyped-def]
-    """For each equation, the first of those with its pattern (compared, not only its code)."""
+    """For each equation, the first one with the same pattern; equal hash codes are verified."""
     n = len(at) - 1
     vertex = np.arange(n)
     stamp = np.full(n, -1, dtype=np.int64)
@@ -192,7 +193,7 @@ def _part(inner, number, indptr, indices):  # type: ignore[no-untyped-def]
 
 
 def positions(order_of: IntArray) -> IntArray:
-    """The inverse of an order: the place of each."""
+    """The inverse permutation: the position of each item in an order."""
     place = np.empty(len(order_of), dtype=np.int64)
     place[order_of] = np.arange(len(order_of))
     return place

@@ -1,7 +1,7 @@
-"""The order of the pivots within a front, such that the rows of the fronts below lie side by side.
+"""Order of the pivots within a front, chosen so that the rows of its descendants are contiguous.
 
-Any order of a front's own pivots costs the same arithmetic; the one that keeps together
-what the same descendants reach makes for long runs where update matrices are added.
+The arithmetic is the same for any order of a front's own pivots; keeping together the pivots that are updated
+by the same descendants gives long contiguous runs when update matrices are added.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from limbcli.model import IntArray
 
 
 def longer_runs(start: IntArray, rows_at: IntArray, rows: IntArray) -> IntArray:
-    """Old places in their new order: within each front split again and again by who reaches what.
+    """Old positions in the new order: each front's pivots are successively split by its descendants' rows.
 
-    start, rows_at, rows : as in `Fronts`; widest fronts split first
+    start, rows_at, rows : as in `Fronts`; the descendants with the most rows are used first
     """
     widest = np.argsort(-np.diff(rows_at), kind="stable")
     return _refine(start, rows_at, rows, widest)
@@ -25,7 +25,7 @@ def longer_runs(start: IntArray, rows_at: IntArray, rows: IntArray) -> IntArray:
 def _refine(start, rows_at, rows, widest):  # type: ignore[no-untyped-def]
     n = start[-1]
     order = np.arange(n)
-    group = np.zeros(n, dtype=np.int64)  # first place of the group that a place belongs to
+    group = np.zeros(n, dtype=np.int64)  # first position of the group that a position belongs to
     for s in range(len(start) - 1):
         group[start[s] : start[s + 1]] = start[s]
     front = np.empty(n, dtype=np.int64)
@@ -50,8 +50,8 @@ def _refine(start, rows_at, rows, widest):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _split(first, stop, order, group, hit, held):  # type: ignore[no-untyped-def]
-    """Each group of the places first..stop cut in those that are hit and those that are not."""
-    before = False  # whether the last place was hit
+    """Split each group of the positions first..stop into those marked in `hit` and the others."""
+    before = False  # whether the preceding part consists of marked positions
     begin = first
     while begin < stop:
         end = begin + 1

@@ -1,6 +1,6 @@
-"""Where everything goes: fronts in terms of equations, maps, memory and the sharing of work.
+"""Data layout of the factorisation: fronts in terms of equations, index maps, memory, division of work.
 
-Made once for a pattern; the compiled loops read it as they go through the fronts.
+Computed once per pattern and read by the compiled loops over the fronts.
 """
 
 from __future__ import annotations
@@ -18,20 +18,21 @@ from limbcli.fem.linear_solvers.multifrontal.sharing import WorkShares, share_fo
 from limbcli.fem.linear_solvers.multifrontal.symbolic import Fronts, cost
 from limbcli.model import IntArray
 
-_GRAIN = 0.12  # of the work: the most that one thread does by itself in one go
+_GRAIN = 0.12  # largest subtree given to one thread, as a fraction of the total work
 
 
 class Plan(NamedTuple):
-    """Front s has pivots pivot_at[s]..pivot_at[s + 1] and below them the rows rows[rows_at[s]..].
+    """Index arrays of the fronts.
 
-    All are places in the order of elimination. Its panel (m, p) has leading dimension ld[s] and is kept
-    in tiles and parts from tile_at[s], part_at[s] (see `compact_factor`); its update matrix (m - p, m - p),
-    lower triangle, begins at update_at[s] with leading dimension ldu[s].
+    Front s has pivots pivot_at[s]..pivot_at[s + 1] and, below them, rows rows[rows_at[s]..rows_at[s + 1]],
+    all as positions in the elimination order. Its panel (m, p) has leading dimension ld[s] and is stored in
+    tiles and parts from tile_at[s], part_at[s] (see `compact_factor`); its update matrix (m - p, m - p),
+    lower triangle, starts at update_at[s] with leading dimension ldu[s].
 
-    into : for each row, its place in the parent's front; run_at, runs : where, within the rows of
-        a front, these places stop being consecutive
-    child_at, children : the fronts whose update matrices go into a front
-    column_at : of each pivot, the matrix entries entry_from that go to entry_to of the panel
+    into : position of each row in the parent's front
+    run_at, runs : within the rows of a front, where runs of consecutive `into` start
+    child_at, children : fronts whose update matrices are assembled into a front
+    column_at : for each pivot, its range in entry_from (matrix values) and entry_to (panel indices)
     """
 
     pivot_at: IntArray
@@ -53,9 +54,9 @@ class Plan(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """A plan, the order of elimination (equation numbers), the sizes, and who does what.
+    """A plan with elimination order (equation numbers), sizes, and division of work between threads.
 
-    panel_size : of the largest panel but the last front's
+    panel_size : size of the largest panel, the last front's excluded
     """
 
     plan: Plan
@@ -71,7 +72,7 @@ class Layout(NamedTuple):
 
 
 def make_plan(graph: Graph, fronts: Fronts, indptr: IntArray, indices: IntArray) -> Layout:
-    """The layout of the factor of a matrix (upper triangle, CSR) with the given fronts."""
+    """The layout of the factor of a matrix (upper triangle, CSR) for given fronts."""
     equations, at = _expand(graph, fronts.order)
     pivot_at = at[fronts.start]
     rows_at, rows = _rows(fronts.rows_at, fronts.rows, at)
@@ -108,7 +109,7 @@ def _round_up(n: IntArray) -> IntArray:
 
 
 def _expand(graph: Graph, order: IntArray) -> tuple[IntArray, IntArray]:
-    """Equations in the order of the vertices, and where each vertex's begin."""
+    """Equations in the order of the vertices, and the start of each vertex's equations."""
     at = np.concatenate([[0], np.cumsum(graph.weights[order])])
     first = np.repeat(graph.members_at[:-1][order], graph.weights[order])
     within = np.arange(at[-1]) - np.repeat(at[:-1], graph.weights[order])

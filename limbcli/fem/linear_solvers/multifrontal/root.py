@@ -1,6 +1,6 @@
-"""The last front by itself: its Schur complement, changed and factored again.
+"""The root (last) front: its Schur complement can be changed and refactored separately.
 
-What is added to it need not be symmetric: the front is then small enough for a dense LU.
+The matrix added to it need not be symmetric; the front is then factored by a dense LU.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from limbcli.model import Array, IntArray
 
 
 class Root:
-    """equations : numbers of the root's equations in the front's order"""
+    """The root front. equations : equation numbers in the front's order"""
 
     def __init__(self, store: Store, top: Top, order: IntArray, *, kept: bool):
         plan = store.plan
@@ -47,19 +47,19 @@ class Root:
         return len(self.equations)
 
     def gathered(self) -> None:
-        """Take the gathered front; it is factored when it is needed, as it is or changed."""
+        """Accept the newly assembled panel; it is factored when needed, unchanged or after `update`."""
         self._is_unsymmetric, self._made_up, self.is_factored = False, 0, False
         if len(self._unfactored):
             self._unfactored[:] = self.panel
 
     def factor(self) -> None:
-        """Factor the front as it was gathered, unless a factor is there."""
+        """Factor the front as assembled, unless it is already factored."""
         if not self.is_factored:
             self._made_up, self.is_factored = self._factor(), True
 
     @property
     def made_up(self) -> int:
-        """Pivots perturbed."""
+        """Number of perturbed pivots."""
         return self._made_up
 
     def _factor(self) -> int:
@@ -70,12 +70,12 @@ class Root:
         return made_up
 
     def schur(self) -> Array:
-        """What the elimination of all others leaves of the matrix, (n, n), unscaled."""
+        """Schur complement (n, n) after elimination of all other equations, unscaled."""
         self._need_kept()
         return _unscaled(self._unfactored, self.ld, self.store.scaling[self.equations])
 
     def update(self, addition: sparse.sparray | None) -> None:
-        """Factor the Schur complement with a matrix added, symmetric or not."""
+        """Factor the Schur complement plus a matrix that need not be symmetric (None: nothing is added)."""
         self._need_kept()
         self._is_unsymmetric = False
         if addition is None:
@@ -108,7 +108,7 @@ class Root:
             raise ValueError("no Schur complement is kept unless `last` is given")
 
     def solve(self, w: Any) -> None:
-        """Solve for the root's part of w (n,), scaled and in the order of elimination."""
+        """Solve for the root's part of the scaled vector w, which is in elimination order (in place)."""
         if self._is_unsymmetric:
             w[self.first :] = self._lu.solve(w[self.first :], transposed=True)
             return
@@ -120,7 +120,7 @@ _TILE = 32
 
 @njit(cache=True, nogil=True)
 def _mirrored(lower, ld, first, stop, out):  # type: ignore[no-untyped-def]
-    """Columns first..stop of a lower triangle, and the rows that mirror them."""
+    """Copy columns first..stop of a lower triangle to `out`, and mirror them to the upper triangle."""
     n = len(out)
     for j0 in range(first, stop, _TILE):
         for i0 in range(j0, n, _TILE):

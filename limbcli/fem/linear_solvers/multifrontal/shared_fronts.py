@@ -1,4 +1,4 @@
-"""The fronts above the subtrees, each worked on by two threads at once."""
+"""Factorisation of the fronts above the subtrees, each by two threads together."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from limbcli.fem.linear_solvers.multifrontal.sharing import ThreadTeam
 
 
 class Top:
-    """Factors single fronts. All is cut in two, whatever the number of threads, so that the sums agree."""
+    """Factors single fronts, with the work split in two for any number of threads, so that sums agree."""
 
     def __init__(self, store: Store, team: ThreadTeam):
         self.team, self.store = team, store
@@ -30,7 +30,7 @@ class Top:
         self.inverse = store.inverses[0]
 
     def gather(self, s: int, panel: Any) -> None:
-        """The panel of front s before any arithmetic."""
+        """Assemble the panel of front s."""
         plan, store = self.store.plan, self.store
         p = int(plan.pivot_at[s + 1] - plan.pivot_at[s])
         r = int(plan.rows_at[s + 1] - plan.rows_at[s])
@@ -40,7 +40,7 @@ class Top:
         )
 
     def factor(self, s: int, panel: Any) -> int:
-        """The pivot columns of front s, once gathered; pivots perturbed, or NOT_FINITE."""
+        """Factor the assembled panel of front s; returns the number of perturbed pivots, or NOT_FINITE."""
         plan, made_up = self.store.plan, 0
         ld, first = int(plan.ld[s]), int(plan.pivot_at[s])
         p = int(plan.pivot_at[s + 1]) - first
@@ -73,7 +73,7 @@ class Top:
         return made_up
 
     def update(self, s: int, panel: Any) -> None:
-        """The update matrix of front s, with what its children pass on."""
+        """Compute the update matrix of front s, including the contributions of its children."""
         plan, updates = self.store.plan, self.store.updates
         first = int(plan.pivot_at[s])
         p = int(plan.pivot_at[s + 1]) - first
@@ -90,7 +90,7 @@ class Top:
         self.team.run([partial(columns, a, b, w) for (a, b), w in zip(edges, self.work, strict=False)])
 
     def keep(self, s: int, panel: Any, kept: CompactFactor, *, alone: bool = False) -> None:
-        """The panel of front s, once factored, taken over; alone : as the only one of `kept`."""
+        """Store the factored panel of front s in `kept`; alone : as its only front."""
         plan = self.store.plan
         first = int(plan.pivot_at[s])
         p = int(plan.pivot_at[s + 1]) - first
@@ -101,7 +101,7 @@ class Top:
 
 
 def even_area(p: int, m: int) -> list[tuple[int, int]]:
-    """Two runs of the first p columns of a lower triangle of m rows, of the same area."""
+    """Split the first p columns of a lower triangle of m rows into two ranges of equal area."""
     area = (p * m - p * p / 2) / 2
     cut = int(m - np.sqrt(max(m * m - 2 * area, 0.0)) + 0.5)
     cut = min(max(_aligned(cut), 0), p)

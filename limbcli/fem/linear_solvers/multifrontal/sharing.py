@@ -1,4 +1,4 @@
-"""Which subtrees of the assembly tree are done side by side, and which fronts above them together."""
+"""Division of work: subtrees of the assembly tree in parallel, and the fronts above them one at a time."""
 
 from __future__ import annotations
 
@@ -12,12 +12,17 @@ import numpy as np
 
 from limbcli.model import Array, IntArray
 
-_UNEVEN = 0.05  # what one thread may have more to do than the mean
-_MANY = 48  # subtrees
+_UNEVEN = 0.05  # allowed load of one thread above the mean, as a fraction of the mean
+_MANY = 48  # maximum number of subtrees
 
 
 class WorkShares(NamedTuple):
-    """subtrees : (first, stop) ranges of fronts, costliest first; owner : thread of each; top : the rest"""
+    """A cut through the assembly tree.
+
+    subtrees : (first, stop) ranges of fronts, costliest first
+    owner : thread of each subtree
+    top : fronts above the cut
+    """
 
     subtrees: list[tuple[int, int]]
     owner: list[int]
@@ -25,12 +30,12 @@ class WorkShares(NamedTuple):
 
 
 def share_for_two(parent: IntArray, cost: Array, *, largest: float) -> WorkShares:
-    """Cut the tree (in postorder) as little as gives both threads the same cost below the cut.
+    """Cut the tree (in postorder) at the highest level that balances two threads below the cut.
 
-    For two threads, even where there is only one: so the sums are the same. The last front is
-    always above the cut.
+    The cut is for two threads even if there is only one, so that sums are formed in the same order. The last
+    front is always above the cut.
 
-    largest : part of the whole cost that one subtree may have
+    largest : largest cost of one subtree, as a fraction of the total cost
     """
     limit = largest * cost.sum()
     for pieces, _, load in _cuts(parent, cost):
@@ -41,7 +46,7 @@ def share_for_two(parent: IntArray, cost: Array, *, largest: float) -> WorkShare
 
 
 def share_top_alone(parent: IntArray, cost: Array) -> WorkShares:
-    """The cut with the least time where one thread does all above it by itself."""
+    """The cut with the shortest time if a single thread processes all fronts above it."""
     best = min(_cuts(parent, cost), key=lambda cut: cut[1] + max(cut[2]))
     return _shares(parent, best[0])
 
@@ -50,7 +55,7 @@ Pieces = list[tuple[float, int]]
 
 
 def _cuts(parent: IntArray, cost: Array) -> Iterator[tuple[Pieces, float, list[float]]]:
-    """Ever deeper cuts: subtrees (less their cost, front), cost above them, load of each thread."""
+    """Successively deeper cuts: subtrees (negative cost, front), cost above them, load of each thread."""
     n = len(parent)
     total = cost.copy()
     children: list[list[int]] = [[] for _ in range(n)]
@@ -96,14 +101,14 @@ def _loads(costs: Sequence[float]) -> tuple[list[float], list[int]]:
 
 
 class ThreadTeam:
-    """Threads that take tasks from a list until it is empty; the caller is one of them."""
+    """Threads, including the caller's, that process a list of tasks until it is empty."""
 
     def __init__(self, threads: int):
         self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
         self._helpers = max(threads - 1, 0)
 
     def run(self, tasks: Sequence[Callable[[], Any]]) -> list[Any]:
-        """What each task returns; they are begun in order."""
+        """Run the tasks, started in order; returns their results."""
         results: list[Any] = [None] * len(tasks)
         if self._pool is None or len(tasks) < 2:
             return [task() for task in tasks]

@@ -1,4 +1,4 @@
-"""Forward and backward through the fronts, for one right-hand side."""
+"""Compiled forward and backward substitution through the fronts, for one right-hand side."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from limbcli.fem.linear_solvers.multifrontal.tiles import TILE
 
 @njit(cache=True, nogil=True)
 def enter(order, scaling, rhs, out):  # type: ignore[no-untyped-def]
-    """Right-hand side (n,) in the order of elimination, scaled."""
+    """Scale the right-hand side (n,) and permute it to elimination order."""
     for i in range(len(order)):
         e = order[i]
         out[i] = rhs[e] * scaling[e]
@@ -25,7 +25,7 @@ def leave(order, scaling, x, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def forward(plan, start, stop, kept, sign, w, y, z):  # type: ignore[no-untyped-def]
-    """Fronts start..stop: pivots of w solved for, rows below reduced. y, z: workspace (a front, a tile)."""
+    """Forward substitution through fronts start..stop. y, z : workspace (a front, a tile)"""
     for s in range(start, stop):
         first, at = plan.pivot_at[s], plan.rows_at[s]
         p = plan.pivot_at[s + 1] - first
@@ -43,7 +43,7 @@ def forward(plan, start, stop, kept, sign, w, y, z):  # type: ignore[no-untyped-
 
 @njit(cache=True, nogil=True)
 def backward(plan, start, stop, kept, w, y, z):  # type: ignore[no-untyped-def]
-    """Fronts stop..start downwards: pivots of w from what is above them."""
+    """Backward substitution through fronts stop - 1 down to start."""
     for s in range(stop - 1, start - 1, -1):
         first, at = plan.pivot_at[s], plan.rows_at[s]
         p = plan.pivot_at[s + 1] - first
@@ -61,7 +61,7 @@ def backward(plan, start, stop, kept, w, y, z):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def whole(kept, sign, w, y, z):  # type: ignore[no-untyped-def]
-    """w -> (L S L^T)^-1 w, of a matrix that is one front."""
+    """w -> (L S L^T)^-1 w for a matrix that is a single front."""
     n = len(w)
     y[:n] = w
     y[n : n + PAD] = 0

@@ -1,4 +1,4 @@
-"""`Multifrontal`: factors of the matrices of one pattern, and solutions with them."""
+"""`Multifrontal`: factorisation and solution of matrices with one sparsity pattern."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from limbcli.model import Array, IntArray
 
 
 class Multifrontal:
-    """L S L^T of a symmetric matrix (upper triangle, CSR), S = diag(+-1), analysed once.
+    """L S L^T factorisation of a symmetric matrix (upper triangle, CSR), S = diag(+-1).
 
-    Pivots keep their order; those that come out as next to nothing are perturbed and
-    counted. The matrix is scaled to a diagonal of +-1.
+    The pattern is analysed once. There is no pivoting; pivots close to zero are perturbed and counted. The
+    matrix is scaled to a diagonal of +-1.
 
-    single : made in single precision, kept as short integers (`compact_factor`): an approximate inverse,
-        good to 1e-4
-    last : equation numbers to be eliminated last, as the root front, whose part of the
-        matrix can be changed afterwards (`update_root`)
-    metis : nested dissection by METIS if it is there; otherwise minimum degree
+    single : factor in single precision, stored as 16-bit integers (`compact_factor`): an approximate inverse
+        with an accuracy of 1e-4
+    last : equation numbers to eliminate last, which form the root front; its part of the matrix can be
+        changed after the factorisation (`update_root`)
+    metis : order by nested dissection (METIS) if available; otherwise by minimum degree
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class Multifrontal:
     # ------------------------------------------------------------ factor
 
     def factor(self, values: Array) -> None:
-        """Factor the matrix with these values, in the places of `indices`."""
+        """Factor the matrix with these CSR values; the root front is factored when it is needed."""
         started = time.perf_counter()
         with self._blas_threads.limit(limits=1):
             self._scale(np.ascontiguousarray(values, dtype=float))
@@ -75,7 +75,7 @@ class Multifrontal:
         self.seconds += time.perf_counter() - started
 
     def _scale(self, values: Array) -> None:
-        """The matrix scaled to a diagonal of +-1, in the factor's precision."""
+        """Scale the matrix to a diagonal of +-1 and convert it to the factor's precision."""
         store, matrix = self._store, (self._indptr, self._indices, values)
         middle = int(np.searchsorted(self._indptr, len(self._indices) // 2))
         halves = [(a, b) for a, b in ((0, middle), (middle, self.n)) if b > a]
@@ -135,7 +135,7 @@ class Multifrontal:
         return x
 
     def _finish(self) -> None:
-        """The root's factor, where it was not made yet."""
+        """Factor the root front if this has not been done."""
         if not self._root.is_factored:
             with self._blas_threads.limit(limits=1):
                 self._root.factor()
@@ -149,7 +149,7 @@ class Multifrontal:
 
     @property
     def schur(self) -> Array:
-        """What the elimination of all others left, (n_root, n_root), before any `update_root`."""
+        """Schur complement of the root's equations, (n_root, n_root), without any `update_root`."""
         return self._root.schur()
 
     def update_root(self, addition: sparse.sparray | None) -> None:
@@ -163,21 +163,21 @@ class Multifrontal:
 
     @property
     def n_perturbed(self) -> int:
-        """Pivots of the last factor that were too small to divide by."""
+        """Number of perturbed pivots in the last factor."""
         self._finish()
         return self._made_up + self._root.made_up
 
     @property
     def n_negative(self) -> int:
-        """Negative pivots of the last factor, the root's aside."""
+        """Number of negative pivots of the last factor, not counting the root front's."""
         return int(np.count_nonzero(np.signbit(self._store.sign[: self._root.first])))
 
     @property
     def solves_per_factor(self) -> float:
-        """What a factorisation costs, in solves, by its operations: about half of what is measured.
+        """Cost of a factorisation in solves, from its operation count: about half of the measured ratio.
 
-        A rule, not a measured time, so that the same model always takes the same way; what is made of it
-        (`linearised`) was tuned with the rule as it is.
+        A formula rather than a measured time, so that a model is always solved in the same way; the constants
+        in `linearised` were tuned with this formula.
         """
         return 14.0 + self.layout.flops / 8e9
 

@@ -1,4 +1,4 @@
-"""A right-hand side through a factor: subtrees on two threads, what is above them on one."""
+"""Forward and backward substitution: subtrees on two threads, the fronts above them on one."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from limbcli.fem.linear_solvers.multifrontal.tiles import TILE
 
 
 class Substitution:
-    """Each of two threads adds what its subtrees pass on to a vector of its own."""
+    """Substitution; each of two threads accumulates the contributions of its subtrees in its own vector."""
 
     def __init__(self, layout: Layout, store: Store, team: ThreadTeam):
         self.store, self.team, self.layout = store, team, layout
@@ -25,7 +25,7 @@ class Substitution:
             [each for each, k in zip(shares.subtrees, shares.owner, strict=True) if k == thread]
             for thread in range(2)
         ]
-        self._top = [(int(s), int(s) + 1) for s in shares.top[:-1]]  # the last front is the root's
+        self._top = [(int(s), int(s) + 1) for s in shares.top[:-1]]  # without the root front
         self._of_second = np.zeros(len(layout.order), dtype=bool)
         pivot_at = layout.plan.pivot_at
         for start, stop in self._mine[1]:
@@ -34,19 +34,19 @@ class Substitution:
         self._workspaces = [tuple(np.zeros(n, dtype=store.kind) for n in lengths) for _ in range(2)]
 
     def enter(self, rhs: Any) -> Any:
-        """Right-hand side (n,) in the order of elimination, scaled."""
+        """The right-hand side (n,) scaled and permuted to elimination order."""
         w = np.empty(rhs.shape, dtype=self.store.kind)
         solve.enter(self.layout.order, self.store.scaling, rhs, w)
         return w
 
     def leave(self, w: Any) -> Any:
-        """Solution by equation number, unscaled."""
+        """The solution unscaled and permuted back to equation numbers."""
         out = np.empty(w.shape)
         solve.leave(self.layout.order, self.store.scaling, w, out)
         return out
 
     def forward(self, w: Any) -> None:
-        """All fronts but the root's."""
+        """Forward substitution through all fronts except the root."""
         other = np.zeros_like(w)
         other[self._of_second] = w[self._of_second]
         w[self._of_second] = 0
@@ -56,7 +56,7 @@ class Substitution:
         self._forward(self._top, w, 0)
 
     def backward(self, w: Any) -> None:
-        """All fronts but the root's, whose part of w is known."""
+        """Backward substitution through all fronts except the root, whose part of w is already solved."""
         self._backward(self._top[::-1], w, 0)
         self.team.run([partial(self._backward, self._mine[k], w, k) for k in range(2)])
 

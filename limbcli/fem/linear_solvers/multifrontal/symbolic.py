@@ -1,6 +1,6 @@
-"""Which fronts there are: columns gathered in supernodes, small ones merged into larger.
+"""Symbolic factorisation: columns are grouped into supernodes (fronts), small ones merged into larger ones.
 
-Everything here is about vertices in the order of elimination; `plan` goes on to equations.
+All indices refer to vertices in elimination order; `plan` translates them to equations.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from limbcli.model import IntArray
 class Fronts:
     """The assembly tree, children before parents.
 
-    order : vertices in their final order of elimination
-    start (n + 1,) : where the pivots of each front begin in it
+    order : vertices in the final elimination order
+    start (n + 1,) : start of each front's pivots in `order`
     parent (n,) : -1 for a root
-    rows_at (n + 1,), rows : places (in the order) of what each front couples its pivots with, ascending
+    rows_at (n + 1,), rows : positions (in the order) of the rows below each front's pivots, ascending
     """
 
     order: IntArray
@@ -37,7 +37,7 @@ class Fronts:
 
 
 def analyse(graph: Graph, order: IntArray, n_last: int) -> Fronts:
-    """Fronts for an order of elimination; the `n_last` last vertices are the pivots of the last front."""
+    """Fronts for an elimination order; the `n_last` last vertices are the pivots of the last front."""
     place = positions(order)
     at, rows, parent = _structure(graph.indptr, graph.indices, order, place, graph.n - n_last)
     weights = graph.weights[order].astype(np.float64)
@@ -49,7 +49,7 @@ def analyse(graph: Graph, order: IntArray, n_last: int) -> Fronts:
 def _structure(indptr, indices, order, place, n_inner):  # type: ignore[no-untyped-def]
     """Rows below the diagonal of each column of the factor, unsorted, and the elimination tree.
 
-    The columns from n_inner on are taken as full: only their tree is a chain, no rows are listed.
+    Columns from n_inner on are treated as dense: in the tree they form a chain, and no rows are listed.
     """
     n = len(order)
     parent = np.full(n, -1, dtype=np.int64)
@@ -98,7 +98,7 @@ def _structure(indptr, indices, order, place, n_inner):  # type: ignore[no-untyp
 
 @njit(cache=True)
 def cost(p, m):  # type: ignore[no-untyped-def]
-    """Seconds that a front of p pivots and m rows takes, roughly: calls, traffic, arithmetic."""
+    """Estimated time (s) of a front of p pivots and m rows: call overhead, memory traffic, arithmetic."""
     r = m - p
     work = p * p * p / 3.0 + p * p * r + p * r * r
     return 4e-6 + 1.5e-10 * p * m + 3e-10 * r * r + work * (1.0 + 24.0 / p) / 1.1e11
@@ -106,9 +106,10 @@ def cost(p, m):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _supernodes(at, rows, parent, weights, n_inner):  # type: ignore[no-untyped-def]
-    """Column that each column is merged into (its own for the top one), and the tree of those.
+    """The head column of each column's supernode (itself for a head), and the parent of each head.
 
-    First columns with the same rows, then whatever saves time although it adds zeros.
+    First columns with the same rows are merged (fundamental supernodes), then children whose merging saves
+    time although it adds explicit zeros.
     """
     n = len(weights)
     head = np.arange(n)
@@ -117,7 +118,7 @@ def _supernodes(at, rows, parent, weights, n_inner):  # type: ignore[no-untyped-
         for k in range(at[j], at[j + 1]):
             below[j] += weights[rows[k]]
     pivots = weights.copy()
-    for j in range(n_inner):  # fundamental: the one child with the same rows goes into its parent
+    for j in range(n_inner):  # fundamental supernodes: merge a child with the same rows into its parent
         up = parent[j]
         if 0 <= up < n_inner and at[j + 1] - at[j] == at[up + 1] - at[up] + 1 and pivots[up] == weights[up]:
             head[j] = up
@@ -152,7 +153,7 @@ def _supernodes(at, rows, parent, weights, n_inner):  # type: ignore[no-untyped-
 
 @njit(cache=True)
 def _absorb(s, child, sibling, pivots, below, head, top):  # type: ignore[no-untyped-def]
-    """Merge into front s those children that are cheaper there."""
+    """Merge children into front s, the largest saving first, as long as it reduces the estimated time."""
     while True:
         best, gain, before = -1, 0.0, -1
         last = -1
@@ -185,7 +186,7 @@ def _absorb(s, child, sibling, pivots, below, head, top):  # type: ignore[no-unt
 def _renumber(
     order: IntArray, at: IntArray, rows: IntArray, head: IntArray, top: IntArray, n_last: int
 ) -> Fronts:
-    """Fronts in postorder, with the final places of their rows."""
+    """Fronts in postorder, with the final positions of their rows."""
     n = len(order)
     heads = np.flatnonzero(head == np.arange(n))
     parent = top[heads]
@@ -213,7 +214,7 @@ def _sorted(at, rows):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _postorder(parent):  # type: ignore[no-untyped-def]
-    """Children before parents, each subtree in one run; the last root stays last."""
+    """Postorder: children before parents, each subtree contiguous; the last root stays last."""
     n = len(parent)
     child = np.full(n + 1, -1, dtype=np.int64)
     sibling = np.full(n, -1, dtype=np.int64)

@@ -1,8 +1,8 @@
 """Products with parts of a factor, sixteen rows by up to sixteen columns at a time.
 
-A part is kept chunk by chunk: sixteen rows of every column, then the next sixteen, so that it is
-read from one end to the other. Its numbers may be short integers, each column with a scale that the
-caller applies: half the memory of single precision, and a factor is read as fast as memory gives it.
+A part is stored in chunks: sixteen rows of every column, then the next sixteen, so that it is read
+sequentially. Its numbers may be 16-bit integers, with a scale per column that the caller applies: this halves
+the memory of single precision, and substitution is limited by memory bandwidth.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from numba.extending import intrinsic
 from limbcli.fem.linear_solvers.multifrontal.vectors import _everywhere, _load, _start, _store
 from limbcli.materials.simd import plus_product
 
-TILE = 16  # rows of a chunk, and its most columns
+TILE = 16  # rows of a chunk, and its maximum number of columns
 _INDEX = ir.IntType(32)
 
 
 def _load_chunk(builder, start, at, real):  # type: ignore[no-untyped-def]
-    """Sixteen kept numbers as floating-point ones."""
+    """Load sixteen stored numbers and convert them to floating point."""
     kind = start.type.pointee
     pointer = builder.bitcast(builder.gep(start, [at]), ir.VectorType(kind, TILE).as_pointer())
     value = builder.load(pointer, align=kind.width // 8 if isinstance(kind, ir.IntType) else 4)
@@ -38,7 +38,7 @@ def _zero(real):  # type: ignore[no-untyped-def]
 
 
 def _rows(builder, n, body):  # type: ignore[no-untyped-def]
-    """body(first row, number of the chunk) over n chunks."""
+    """Emit a loop of body(first row, chunk number) over n chunks."""
     with cgutils.for_range(builder, n, intp=n.type) as loop:
         body(builder.mul(loop.index, ir.Constant(n.type, TILE)), loop.index)
 
@@ -79,7 +79,7 @@ def _down(width: int) -> Any:
 def _up(width: int) -> Any:
     @intrinsic
     def up(typingctx, q, at, n, y, to, out):  # type: ignore[no-untyped-def]
-        """out[c] = product of each column of a part with y[to : to + 16 n]; 0 up to sixteen."""
+        """out[c] = dot product of column c of a part with y[to : to + 16 n]; padded with 0 to sixteen."""
         i = types.intp
 
         def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
@@ -111,7 +111,7 @@ def _up(width: int) -> Any:
 
 
 def _sums(builder, vectors):  # type: ignore[no-untyped-def]
-    """The sum over each of sixteen vectors, as one vector in their order."""
+    """The element sums of sixteen vectors, as one vector."""
     stride = 1
     while len(vectors) > 1:
         low = [lane for k in range(0, TILE, 2 * stride) for lane in _mixed(k, stride)]
@@ -156,7 +156,7 @@ def times_tile(typingctx, tiles, at, x, first, out, to):  # type: ignore[no-unty
 
 @intrinsic
 def keep_column(typingctx, q, to, stride, a, at, n, factor):  # type: ignore[no-untyped-def]
-    """16 n numbers of a to q's chunks `stride` apart: times the factor, rounded if q is of integers."""
+    """Store 16 n numbers of a in q's chunks, `stride` apart, times the factor and rounded if q is integer."""
     i = types.intp
 
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]

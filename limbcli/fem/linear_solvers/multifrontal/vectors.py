@@ -1,7 +1,6 @@
-"""Runs of numbers added and multiplied, sixteen at a time and then what is left: 8, 4, 2, 1.
+"""Vectorised addition and scaling of short runs: sixteen numbers at a time, the remainder in 8, 4, 2, 1.
 
-For compiled loops whose runs are too short, or share too many arrays, for the compiler's
-own way of taking a loop apart.
+For compiled loops that the compiler does not vectorise well, because runs are short or arrays may alias.
 """
 
 from __future__ import annotations
