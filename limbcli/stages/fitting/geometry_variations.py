@@ -89,7 +89,7 @@ def variations(imaging: Imaging, *, depth: float, bones: int) -> tuple[Variation
 
 
 def depth_deviation(stated: float, seen: Mapping[str, Any]) -> float:
-    """Standard deviation (mm) of the bone's depth: a reading's combined with the modelled bone's misfit to it.
+    """Standard deviation (mm) of the bone's depth: a reading's combined with the modelled bone's misfit.
 
     seen : a site of `geometry` in segment.json
 

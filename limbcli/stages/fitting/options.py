@@ -16,7 +16,7 @@ OBJECTIVES = ("force", "joint", "states")
 COMPARISON = "--compare-element"
 
 # Fields of FitOptions that have no effect on each kind of fit. `joint` and `states` search on a surrogate
-# with its own stopping rule and always compute intervals; a comparison of elements consists of two plain fits.
+# with its own stopping rule and always compute intervals; a comparison of elements is of two plain fits.
 _OF_FORCE = ("tolerance", "max_iterations", "intervals", "templates", "time_limit_s")
 _SAYS_NOTHING: Mapping[str, Sequence[str]] = {
     "joint": _OF_FORCE,

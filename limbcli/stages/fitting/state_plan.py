@@ -55,7 +55,7 @@ class StretchPlan:
         return float(self.stretches(k, values)[self.ways.index(way)]) if way in self.ways else 1.0
 
     def first_places(self) -> tuple[Array, list[Array]]:
-        """Elastic stretches (n_ways,) of the first simulations: the middle of the states, points around it."""
+        """Elastic stretches (n_ways,) of the first simulations: the states' middle and points around it."""
         values = np.array([each.start for each in self.parameters])
         logs = np.log([self.stretches(k, values) for k in range(len(self.offsets))])
         low, high = np.minimum(logs.min(axis=0), -_REACH), np.maximum(logs.max(axis=0), _REACH)
