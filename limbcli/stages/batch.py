@@ -1,9 +1,9 @@
-"""batch: every stage of every case, in order, redoing only what changed.
+"""batch: run every stage of every case in order, repeating only what is out of date.
 
-One site's or one case's failure never stops the others: it is kept as
-`error.json` in the stage's folder, the report shows it, and the batch says so at
-its end. A case's work falls into parts, `CaseRun.first`, `site`, `diagnosis` (each of
-several, side by side if need be) and `last`.
+The failure of one site or case never stops the others: it is written to `error.json` in the
+stage's folder, shown in the report and listed at the end of the batch. The work on a case is
+divided into parts: `CaseRun.first`, `site`, `diagnosis` and `last`. There can be several `site`
+and `diagnosis` parts, which can run in parallel.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ DIAGNOSE = "diagnose"
 def batch(
     folder: Path, *, out: Path, options: BatchOptions | None = None, progress: Progress = SILENT
 ) -> CaseOutcome:
-    """Run one case through all stages; whatever fails is in the outcome and on its page.
+    """Run all stages of one case; failures are recorded in the outcome and shown in the report.
 
     Raises
     ------
     CaseError
-        If there is no such folder.
+        If the folder does not exist.
     """
     case = opened(folder, out)
     if isinstance(case, CaseOutcome):
@@ -54,12 +54,12 @@ def batch(
 
 
 def opened(folder: Path, out: Path) -> Case | CaseOutcome:
-    """The case; where it cannot be read, how it went: a page that says so.
+    """Open the case; if it cannot be read, write a report page that says why and return the failed outcome.
 
     Raises
     ------
     CaseError
-        If there is no such folder.
+        If the folder does not exist.
     """
     from limbcli.stages.report_pages.failure import report_failure
 
@@ -74,8 +74,10 @@ def opened(folder: Path, out: Path) -> Case | CaseOutcome:
 
 @dataclass(frozen=True)
 class StartedCase:
-    """key : of what the sites' stages rest on; done : whether they can be run
-    places : sites that are to be diagnosed together, by name
+    """Result of the first part of a case.
+
+    key : hash of what the sites' stages depend on; done : whether those stages can be run
+    places : names of the sites to be diagnosed together, one tuple per place
     """
 
     key: str
@@ -84,9 +86,9 @@ class StartedCase:
 
 
 class CaseRun:
-    """One case on its way through the stages.
+    """The run of one case through the stages.
 
-    outcome : how it went so far; parts that ran elsewhere are added to it
+    outcome : outcome so far; the outcomes of parts run in other processes are added to it
     """
 
     def __init__(
@@ -100,7 +102,7 @@ class CaseRun:
         self.chain = Chain(case, out)
 
     def first(self) -> StartedCase:
-        """What all sites share."""
+        """Run `segment`, which all sites depend on."""
         from limbcli.stages.segment import edited_labels, segment
 
         raw, images = self.case.raw, self.case.imaging
@@ -118,7 +120,7 @@ class CaseRun:
         return StartedCase(key, done, self._places() if done and self.options.diagnose else ())
 
     def _seen(self) -> tuple[object, ...]:
-        """What the geometry is made of besides [imaging], where no image shows the bone."""
+        """Inputs of the geometry other than [imaging] when no image shows the bone; otherwise none."""
         if self.case.imaging.bone_radius is None:
             return ()
         sites = self.case.sites
@@ -133,7 +135,11 @@ class CaseRun:
         return tuple(tuple(site.name for site in place) for place in found)
 
     def diagnosis(self, names: Sequence[str], keys: Sequence[str]) -> None:
-        """Of sites that share a place, by their keys; one made by hand stays as long as it holds."""
+        """Diagnose sites that share a place.
+
+        A diagnosis made by hand is kept for as long as it is valid.
+        keys : those of the last stage of each site
+        """
         from limbcli.stages.diagnose import DiagnoseOptions, diagnose
 
         own = ("templates",) if self.options.templates else ()
@@ -163,7 +169,10 @@ class CaseRun:
         self._stage(DIAGNOSE, names[0], key, work, beside=names[1:])
 
     def last(self, first: str, keys: Sequence[str]) -> None:
-        """What needs all sites: fits made on demand, and the report; by the keys of the parts before."""
+        """Update what depends on all sites: the fits made on demand, and the report.
+
+        first, keys : keys of the first part and of each site's part
+        """
         from limbcli.stages.report import report
 
         made = [self._extra(each, keys) for each in extras(self.case, self.out, progress=self.progress)]
@@ -181,7 +190,7 @@ class CaseRun:
             self.outcome.report = stage_folder(self.out, "report") / "report.html"
 
     def keep(self, failure: StepFailure) -> None:
-        """See that a failure is on the page, also where its process was lost and could leave nothing."""
+        """Record a failure for the report, in case its process was lost before it could do so itself."""
         stage, site = failure.stage, failure.site
         if (stage_folder(self.out, stage, site) / ERROR_FILE).is_file():
             return
@@ -193,7 +202,7 @@ class CaseRun:
             self._skip(SITE_STAGES[SITE_STAGES.index(stage) + 1 :], site, because=stage)
 
     def _extra(self, extra: FitOnDemand, keys: Sequence[str]) -> str:
-        """A fit that was made on demand: fresh, or made again; a hash of what it is now, for the report."""
+        """Bring a fit made on demand up to date; return the hash of its folder, for the report's key."""
         folder = stage_folder(self.out, extra.stage, extra.site)
         by_site = zip(self.case.sites, keys, strict=False)
         key = key_of(extra.stage, *(each for site, each in by_site if site.name in extra.sites))
@@ -208,7 +217,7 @@ class CaseRun:
         return sha256(folder)
 
     def _memory(self, stage: str, site: str | None) -> Memory:
-        """Each site has its own, as parts of a case may run side by side."""
+        """Each site has its own memory because the parts of a case may run in parallel."""
         if site is None or stage not in (*SITE_STAGES, FIT_STATES, DIAGNOSE):
             return self.memory
         if site not in self._of_sites:
@@ -216,9 +225,9 @@ class CaseRun:
         return self._of_sites[site]
 
     def _requested(self, stage: str, site: str | None, *, without: Sequence[str] = ()) -> dict[str, Any]:
-        """Options of the stage's last call by hand; kept, and said.
+        """Options of the stage's last manual call; stored for later batches and reported.
 
-        without : those that something stronger stands in for (the batch's own option)
+        without : options not returned because another one (the batch's own option) takes precedence
         """
         memory = self._memory(stage, site)
         requested = {} if self.options.defaults else memory.requested(stage, site)
@@ -237,7 +246,7 @@ class CaseRun:
         return {"out": self.out, "progress": self.progress}
 
     def site(self, name: str, key: str) -> str:
-        """The stages of one site; returns the key of the last, for the report."""
+        """Run the stages of one site; return the key of the last one, for the report's key."""
         own = ("templates",) if self.options.templates else ()
         without = {"mesh": ("element",) if self.options.element else ()}
         stages = (*SITE_STAGES, *([FIT_STATES] if self.case.site(name).states else []))
@@ -253,17 +262,20 @@ class CaseRun:
         return key
 
     def _fit_is_there(self, site: str) -> bool:
-        """Whether a fit made by hand is what this batch would make."""
+        """Whether an existing fit made by hand is the one that this batch would make."""
         made = self._memory("fit", site).made_since("fit", site) and not self.options.defaults
         return made and made_by_hand(self.case, self.out, site, solver=self.options.solver)
 
     def _skip(
         self, stages: Sequence[str], site: str | None, *, because: str, keep_result: bool = False
     ) -> None:
-        """Stages that cannot run say so, and results of an earlier run no longer count."""
+        """Mark stages that cannot run as failed, which invalidates their earlier results.
+
+        because : the stage whose failure prevents them; keep_result : keep the earlier result's file
+        """
         for stage in stages:
             memory = self._memory(stage, site)
-            if not self.options.defaults:  # the result that holds what was requested by hand goes
+            if not self.options.defaults:  # the result that holds the options given by hand is removed
                 memory.keep_requested(stage, site, memory.requested(stage, site))
             error = CaseError(
                 f"`{stage}` was not run, because `{because}` failed",
@@ -276,9 +288,10 @@ class CaseRun:
         self, stage: str, site: str | None, key: str, work: Callable[[], object], *,
         keep_result: bool = False, beside: Sequence[str] = (),
     ) -> bool:  # fmt: skip
-        """Run a stage unless it is fresh; False if it failed (`keep_result`: the one before stays).
+        """Run a stage unless its result is up to date; False if it failed.
 
-        beside : other sites whose results the same work leaves
+        keep_result : keep the earlier result if the stage fails
+        beside : other sites whose results the same work writes
         """
         label = f"{stage} {site}" if site else stage
         memories = {each: self._memory(stage, each) for each in (site, *beside)}
@@ -305,7 +318,7 @@ class CaseRun:
         return True
 
     def _holds(self, stage: str, site: str | None) -> bool:
-        """Whether all that a result was made from is as it was (also what no key sees, such as a place)."""
+        """Whether all inputs of a result are unchanged, including those in no key (such as a place)."""
         try:
             return self.chain.broken(read_result(self.out, stage, site=site)) is None
         except CaseError:

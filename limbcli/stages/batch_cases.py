@@ -1,4 +1,4 @@
-"""Several cases: where each one's results go, how many processes share them, and how one of them is run."""
+"""Batches of several cases: output folders, number of processes, and how a single case is run."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from limbcli.stages.expect import EXPECTED_FILE, Comparison, compare
 
 
 def output_folders(cases: Iterable[Path], out: Path | None) -> list[tuple[Path, Path]]:
-    """Each case once, with its output folder: `out` of a single one, a folder below it of several.
+    """Each case once, with its output folder: `out` for a single case, a subfolder of it for several.
 
     Raises
     ------
     CaseError
-        If two cases would have the same.
+        If two cases would have the same output folder.
     """
     several = list({case.resolve(): case for case in cases}.values())
     taken: dict[Path, Path] = {}
@@ -41,7 +41,7 @@ def output_folders(cases: Iterable[Path], out: Path | None) -> list[tuple[Path, 
 
 
 def n_processes(jobs: int | None, scheduler: str | None, n_cases: int) -> int:
-    """Local processes: those asked for, else what suits several cases; one where Dask is not installed."""
+    """Number of local processes: as requested, else by the number of cases; one if Dask is not installed."""
     from limbcli.stages.batching.cluster import is_installed, jobs_for
 
     if jobs is not None or scheduler is not None:
@@ -52,19 +52,19 @@ def n_processes(jobs: int | None, scheduler: str | None, n_cases: int) -> int:
 def one_case(
     case: Path, out: Path, options: BatchOptions, *, wait: bool = True, progress: Progress = SILENT
 ) -> CaseOutcome:
-    """One case in this process; whatever goes wrong, also what nobody foresaw, is in its outcome."""
+    """Run one case in this process; every error, including unexpected ones, is recorded in its outcome."""
     progress.event("stage", name=f"case {case}")
     try:
         turn = one_writer(out, wait=wait, progress=progress)
         with turn if case.is_dir() else nullcontext():
             return batch(case, out=out, options=options, progress=progress)
-    except Exception as error:  # one case's fault never stops the others
+    except Exception as error:  # an error in one case never stops the others
         failure = StepFailure("", None, pasted(in_words(error, out), case, out))
         return CaseOutcome(case, out, failures=[failure], begun=False)
 
 
 def _readable(folder: Path) -> Case | None:
-    """The case; None where it cannot be read, which the batch itself reports."""
+    """The case, or None if it cannot be read (the batch itself reports that)."""
     try:
         return Case.open(folder)
     except CaseError:
@@ -74,7 +74,7 @@ def _readable(folder: Path) -> Case | None:
 def expectations(
     case: Path, out: Path, *, progress: Progress = SILENT
 ) -> tuple[list[Comparison], list[StepFailure]]:
-    """What was compared with the case's expected.toml, and what of it does not hold."""
+    """All comparisons with the case's expected.toml, and a failure for each that is not met."""
     file = case / EXPECTED_FILE
     if not file.is_file():
         progress.event("note", text=f"{case}: no {EXPECTED_FILE}, nothing to compare with")

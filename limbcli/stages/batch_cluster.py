@@ -1,4 +1,4 @@
-"""A batch that several processes share: which part of which case may begin, and how all went."""
+"""A batch shared by several processes: schedules the parts of each case and collects their outcomes."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailu
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-_TELL_S = 4.0  # between two signs of life of a part; more where there are many workers
-_LOOK_S = 10.0  # between two looks whether any worker is left
+_TELL_S = 4.0  # s, minimum interval between two progress events of a part; longer with many workers
+_LOOK_S = 10.0  # s between two checks whether any worker is left
 _SAME = "call the same batch again: finished work is not repeated"
 
 
 @dataclass
 class CaseProgress:
-    """One case on its way: what its parts left so far."""
+    """Progress of one case: the results of its parts so far."""
 
     place: int
     outcome: CaseOutcome
@@ -59,12 +59,12 @@ def together(
     cases: Sequence[tuple[Path, Path]], options: BatchOptions, *, scheduler: str | None, jobs: int,
     wait: bool, progress: Progress,
 ) -> list[CaseOutcome]:  # fmt: skip
-    """Run all (case, output folder) on a cluster, or in so many local processes; outcomes in their order.
+    """Run all (case, output folder) pairs on a cluster or in `jobs` local processes; outcomes in input order.
 
     Raises
     ------
     ToolError
-        If no scheduler answers, a worker has other code, or the scheduler is lost on the way.
+        If no scheduler answers, a worker runs different code, or the scheduler is lost during the run.
     """
     with connected(scheduler=scheduler, jobs=jobs, progress=progress) as client:
         n_workers = len(client.scheduler_info(n_workers=-1)["workers"])
@@ -78,7 +78,7 @@ def together(
 
 
 def options_of_call(command: Sequence[str], cases: Sequence[Path]) -> tuple[str, ...]:
-    """Of a command line all but the cases and the output folder, which are a part's own.
+    """A command line's options without the cases and the output folder, which differ from part to part.
 
     >>> options_of_call(["limbcli", "batch", "a", "--out", "out", "--element", "tet4"], [Path("a")])
     ('--element', 'tet4')
@@ -97,7 +97,7 @@ class _Together:
         self.client, self.call, self.progress = client, call, progress
         self.ways = [CaseProgress(k, CaseOutcome(case, out)) for k, (case, out) in enumerate(cases)]
         self.parts: dict[Any, tuple[CaseProgress, BatchTask]] = {}
-        self.stages: dict[str, str] = {}  # part: the stage it was at when it was last heard of
+        self.stages: dict[str, str] = {}  # by part name, the stage that it last reported
         self.refused: set[str] = set()  # addresses of workers
         self.n_parts, self.n_done, self.n_cases_done = len(self.ways), 0, 0
         self._begun, self._speaking = time.monotonic(), threading.Lock()
@@ -118,7 +118,7 @@ class _Together:
                 running.update(self._next(future))
         finally:
             over.set()
-            with contextlib.suppress(Exception):  # where the scheduler is gone, there is nobody to notify
+            with contextlib.suppress(Exception):  # if the scheduler is gone, there is nothing to notify
                 self.client.cancel(list(self.parts), force=True)
                 self.client.unsubscribe_topic(self.call.topic)
         lost = lost_workers(self.client) - before
@@ -131,11 +131,11 @@ class _Together:
     # ------------------------------------------------------------ parts
 
     def _submit(self, way: CaseProgress, part: BatchTask) -> Future:
-        """Parts of earlier cases go first, so that cases end one after the other."""
+        """Submit a part; parts of earlier cases have priority, so that cases finish one after the other."""
         way.n_open += 1
-        part = copy.deepcopy(part)  # the case's outcome goes on changing here
-        # Dask takes parts of a kind for a group by what stands before the number: those of a large group wait
-        # with the scheduler, not with a worker that may be lost.
+        part = copy.deepcopy(part)  # the case's outcome continues to change in this process
+        # Dask groups tasks by the part of the key before the number. Tasks of a large group are queued at the
+        # scheduler rather than at a worker, which may be lost.
         key = f"{part.kind}-0-{part.name.replace(' ', '-')}-{uuid.uuid4().hex}"
         future = self.client.submit(
             work, part, self.call, key=key, pure=False, priority=-way.place, workers=self._usable(),
@@ -144,7 +144,13 @@ class _Together:
         return future
 
     def _usable(self) -> list[str] | None:
-        """None: any worker; else those that did not refuse."""
+        """Addresses of the workers that have not refused; None if any worker may be used.
+
+        Raises
+        ------
+        ToolError
+            If all workers have refused.
+        """
         if not self.refused:
             return None
         there = set(self.client.scheduler_info(n_workers=-1)["workers"]) - self.refused
@@ -157,7 +163,7 @@ class _Together:
         return sorted(there)
 
     def _next(self, future: Future) -> list[Future]:
-        """Note how a part went; the parts that may begin now."""
+        """Record the outcome of a part; return the newly submitted parts."""
         way, part = self.parts.pop(future)
         way.n_open -= 1
         try:
@@ -165,7 +171,7 @@ class _Together:
         except WorkerRefused as error:
             self._refuse(error)
             return [self._submit(way, part)]
-        except Exception as error:  # the part itself reports what it foresaw
+        except Exception as error:  # errors within a part are in its outcome; this one came from Dask
             done = self._without_answer(way, part, error)
         future.release()
         self.n_done += 1
@@ -193,7 +199,7 @@ class _Together:
         return [self._submit(way, BatchTask(case, out, SITE, (site,), done.begun)) for site in sites]
 
     def _diagnoses(self, way: CaseProgress) -> list[Future]:
-        """Of the places whose sites have all ended."""
+        """Submit the diagnosis of each place whose sites have all finished."""
         ready = [place for place in way.places if way.keys.keys() >= set(place)]
         way.places = [place for place in way.places if place not in ready]
         assert way.first is not None
@@ -229,12 +235,12 @@ class _Together:
             self._publish("note", text=f"{error.what} ({error.where}); other workers take over. {error.fix}")
 
     def _without_answer(self, way: CaseProgress, part: BatchTask, error: Exception) -> PartOutcome:
-        """The part as failed, where Dask gave it up.
+        """A failed outcome for a part that Dask abandoned.
 
         Raises
         ------
         ToolError
-            If the scheduler is gone.
+            If the connection to the scheduler is lost.
         """
         from distributed import KilledWorker
 
@@ -265,7 +271,7 @@ class _Together:
     # ------------------------------------------------------------ progress
 
     def _hear(self, event: tuple[float, dict[str, Any]]) -> None:
-        """What a worker reports (in Dask's own thread)."""
+        """Handle a progress event of a worker (called in Dask's own thread)."""
         facts = event[1]
         part, stage = facts["part"], facts["stage"]
         if facts["text"]:
@@ -276,12 +282,12 @@ class _Together:
         self._count(f"{part}: {stage}" if stage else part)
 
     def _watch(self, over: threading.Event) -> None:
-        """Say when the last worker has gone, and when one is there again (in a thread of its own)."""
-        there = True  # at the beginning that is reported by `connected`
+        """Report when no worker is left and when one is available again (runs in its own thread)."""
+        there = True  # at the start, `connected` reports a lack of workers
         while not over.wait(_LOOK_S):
             try:
                 n_workers = len(self.client.scheduler_info(n_workers=-1)["workers"])
-            except Exception:  # the scheduler is gone: the main thread hears of it
+            except Exception:  # the scheduler is gone: the main thread raises the error
                 return
             if there and not n_workers:
                 self._publish("note", text="no worker is left: waiting for one (restart jobs that ended)")
@@ -297,7 +303,7 @@ class _Together:
         )  # fmt: skip
 
     def _left(self) -> str:
-        """Of time, by the parts done so far; nothing before there are some."""
+        """Estimated remaining time, from the mean time per finished part; empty before the first."""
         if not self.n_done or self.n_done >= self.n_parts:
             return ""
         each = (time.monotonic() - self._begun) / self.n_done

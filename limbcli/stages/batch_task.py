@@ -1,4 +1,4 @@
-"""What one process does of a batch that several share: one part of one case."""
+"""One part of one case: the unit of work that a process takes from a batch shared by several processes."""
 
 from __future__ import annotations
 
@@ -19,18 +19,19 @@ from limbcli.stages.batching.steps import SITE_STAGES
 
 FIRST, SITE, DIAGNOSIS, LAST = "first", "site", "diagnosis", "last"
 FIRST_STAGE = {FIRST: "segment", SITE: SITE_STAGES[0], DIAGNOSIS: DIAGNOSE, LAST: "report"}
-WAITING = "waiting"  # how a note begins that another's lock is waited for
+WAITING = "waiting"  # first word of the note that a part waits for a lock held by another process
 NOT_BEGUN = StartedCase("", done=False)
 Tell = Callable[[str, dict[str, Any]], None]
 
 
 @dataclass(frozen=True)
 class Call:
-    """What all parts of a batch share.
+    """Settings common to all parts of a batch.
 
-    client : the code that calls; typed_options : the options as they were typed; called : the call from
-        Python, where it was one; threads : of each process
-    topic : of Dask's events, for progress, of which one comes every `event_interval_s` at least
+    client : version and source hash of the calling process; typed_options : the options as typed on the
+        command line; called : the call, if it was made from Python; threads : number for each process
+    topic : Dask's topic for progress events; event_interval_s : longest time without an event while work
+        progresses (s)
     """
 
     client: WorkerStanding
@@ -45,9 +46,9 @@ class Call:
 
 @dataclass(frozen=True)
 class BatchTask:
-    """A case's first or last part, or one of its sites', or the diagnosis of sites that share a place.
+    """A part of a case: its first, its last, that of one site, or the diagnosis of sites sharing a place.
 
-    begun, keys : what the parts before left; outcome : how the case went so far, for those that ask
+    begun, keys : results of the preceding parts; outcome : that of the case so far (diagnosis and last part)
     """
 
     case: Path
@@ -64,14 +65,16 @@ class BatchTask:
 
     @property
     def site(self) -> str | None:
-        """The first of them."""
+        """The first of the part's sites."""
         return self.sites[0] if self.sites else None
 
 
 @dataclass(frozen=True)
 class PartOutcome:
-    """sites : of the case, after its first part; key : of what a site's part left
-    is_all : nothing follows
+    """Outcome of a part.
+
+    sites : the case's sites, from its first part; key : key of the last stage, from a site's part
+    is_all : whether no further part follows
     """
 
     outcome: CaseOutcome
@@ -82,12 +85,12 @@ class PartOutcome:
 
 
 def work(part: BatchTask, call: Call) -> PartOutcome:
-    """One part, on a worker; whatever goes wrong with it is in its outcome.
+    """Run one part on a worker; its errors are recorded in its outcome.
 
     Raises
     ------
     WorkerRefused
-        If this worker's code is not the client's.
+        If this worker's code differs from the client's.
     """
     from distributed import get_worker
 
@@ -105,7 +108,7 @@ def work(part: BatchTask, call: Call) -> PartOutcome:
 
 
 class _EventLog:
-    """Passes on each stage once, that another's lock is waited for, and now and then that work goes on."""
+    """Forwards each change of stage, notes about waiting for a lock, and periodic signs of progress."""
 
     def __init__(self, part: str, every_s: float, send: Callable[[dict[str, Any]], None]):
         self._part, self._every_s, self._send = part, every_s, send
@@ -123,19 +126,22 @@ class _EventLog:
 
 
 def done(part: BatchTask, call: Call, listener: Tell) -> PartOutcome:
-    """The same in this process; `listener` hears of its progress."""
+    """Run one part in this process; its errors are recorded in its outcome.
+
+    listener : called with each progress event
+    """
     heard = _Heard("check" if part.kind == FIRST else FIRST_STAGE[part.kind])
     progress = Progress(heard, listener)
     outcome = CaseOutcome(part.case, part.out)
     try:
         return _KINDS[part.kind](part, call, progress)
-    except Exception as error:  # one part's fault never stops the others
+    except Exception as error:  # an error in one part never stops the others
         outcome.failures.append(StepFailure(heard.stage, part.site, in_words(error, part.out)))
     return PartOutcome(outcome, is_all=not part.case.is_dir())
 
 
 def in_words(error: Exception, out: Path) -> LimbError:
-    """The error that a person reads; what nobody foresaw leaves a file in the output folder."""
+    """The error as shown to the user; an unexpected one is also written to a file in the output folder."""
     from limbcli.errors.file_system import in_words as in_words_of_system
     from limbcli.errors.unexpected import unforeseen
 
@@ -147,7 +153,7 @@ def in_words(error: Exception, out: Path) -> LimbError:
 
 @dataclass
 class _Heard:
-    """Listens for the stage that is on."""
+    """Listener that keeps the name of the current stage."""
 
     stage: str
 
@@ -186,7 +192,7 @@ def _diagnosis(part: BatchTask, call: Call, progress: Progress) -> PartOutcome:
 
     own = _so_far(part)
     with ExitStack() as turns:
-        for site in sorted(part.sites):  # in one order, so that nobody waits for each other
+        for site in sorted(part.sites):  # always in the same order, to prevent deadlock
             turns.enter_context(site_writer(part.out, site, wait=call.wait, progress=progress))
         CaseRun(Case.open(part.case), part.out, call.options, progress, own).diagnosis(part.sites, part.keys)
     return PartOutcome(_only_new(part, own), part.begun)
@@ -206,7 +212,7 @@ def _last(part: BatchTask, call: Call, progress: Progress) -> PartOutcome:
 
 
 def _so_far(part: BatchTask) -> CaseOutcome:
-    """An outcome of its own that knows what failed before."""
+    """A new outcome that starts with the failures of the preceding parts."""
     failures = [] if part.outcome is None else list(part.outcome.failures)
     return CaseOutcome(part.case, part.out, failures=failures)
 

@@ -1,6 +1,6 @@
-"""build-feb: the local mesh and the measurement become a FEBio model.
+"""build-feb: build a FEBio model from the local mesh and the measurement.
 
-c comes from the shear-wave speed at level 0; f_kappa and m are start values. The probe
+c is computed from the shear-wave speed at level 0; f_kappa and m are initial guesses. The probe
 is driven through every measured loading depth, so that the simulated curve has a point
 at each.
 """
@@ -53,17 +53,18 @@ from limbcli.stages.site_model.site_levels import levels_of
 from limbcli.units import kpa_from_mpa, mpa_from_kpa
 
 STAGE = "build-feb"
-_WIDE_GAP = 0.25  # mm: about the deviation of a depth reading
-_LINE_NEEDS = 3  # speeds, to estimate c at 0 N by a line
+_WIDE_GAP = 0.25  # mm, gap at first touch that is reported: about one standard deviation of a depth reading
+_LINE_NEEDS = 3  # least number of speeds to extrapolate c linearly to 0 N
 __all__ = ["PROBE", "TISSUE", "TissueOptions", "build_feb", "indentation_model", "tissue_stiffness"]
 
 
 @dataclass(frozen=True)
 class TissueOptions:
-    """Start values of the law. c_kpa: c = 2 mu by hand (None: from SWE at level 0).
+    """Initial guesses of the law's parameters.
 
-    layers : a table (law, c_kpa, f_kappa, m, beta) for "skin" or "fat", over what the case says
-    contact_penalty : multiple of the skin's stiffness at rest; None: the one FEBio converges with
+    c_kpa : c = 2 mu given by hand (None: from SWE at level 0)
+    layers : a table (law, c_kpa, f_kappa, m, beta) for "skin" or "fat", which overrides the case's values
+    contact_penalty : multiple of the skin's stiffness at rest; None: the value with which FEBio converges
     """
 
     c_kpa: float | None = None
@@ -87,7 +88,7 @@ def build_feb(
     Raises
     ------
     CaseError
-        If `mesh` has not been run since its inputs changed, or a template is faulty.
+        If the mesh is missing or out of date, or a template is faulty.
     MeasurementError
         If the levels cannot be used, or c is neither measured nor given.
     """
@@ -132,14 +133,14 @@ def _build_site(
 
 
 def tissue_stiffness(levels: Levels, site: Site, *, c_kpa: float | None = None) -> tuple[float, str]:
-    """c (MPa) = 2 mu = 2 rho v^2 of the mean shear-wave speed at level 0, and where it comes from.
+    """c (MPa) = 2 mu = 2 rho v^2 of the mean shear-wave speed v at level 0, and its source in words.
 
-    Without a level 0 it is that of the first row, and is said to be.
+    Without a level 0 the speed of the first row is used, and the source says so.
 
     Raises
     ------
     MeasurementError
-        If level 0 has no speed and no c is given, or the given c is not possible.
+        If level 0 has no speed and no c is given, or the given c is out of range.
     """
     if c_kpa is not None:
         low, high = C_KPA
@@ -168,7 +169,7 @@ def _first_level(levels: Levels) -> str:
 
 
 def no_level_0(levels: Levels, site: Site) -> str | None:
-    """A warning where c comes from loaded tissue, with c at 0 N by the line through the speeds of loading."""
+    """Warn if c is that of loaded tissue; the warning gives c extrapolated linearly to 0 N where possible."""
     if levels.begins_at_zero:
         return None
     why = f"there is no level 0: c is that of SWE at {_first_level(levels)}, of tissue that is already loaded"
@@ -187,14 +188,14 @@ def no_level_0(levels: Levels, site: Site) -> str | None:
 
 
 def simulated_depths(levels: Levels) -> Array:
-    """The loading depths, sorted, each once (mm); a depth at first touch needs no simulation.
+    """The distinct loading depths, sorted (mm), without those at first touch, which need no simulation.
 
-    Depths closer together than 0.02 mm count as one.
+    Depths less than 0.02 mm apart are merged.
 
     Raises
     ------
     MeasurementError
-        If no loading level is deeper than the start of the simulation.
+        If no loading level is deeper than the initial depth of the simulation.
     """
     depths = np.unique(levels.depth[levels.loading])
     depths = depths[depths > least_level()]
@@ -208,7 +209,7 @@ def simulated_depths(levels: Levels) -> Array:
 
 
 def _report_layers(writer: StageWriter, laws: Mapping[str, LayerLaw]) -> None:
-    """Laws of the layers, which of their values are assumed, and where the element makes them stiffer."""
+    """Report the layers' laws, which of their parameters are assumed, and possible locking of the element."""
     writer.data["layers"] = {name: law.to_json() for name, law in laws.items()}
     for name, law in laws.items():
         given = {key: value for key, value in law.to_json().items() if key not in ("law", "assumed")}

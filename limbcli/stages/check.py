@@ -1,7 +1,7 @@
-"""check: everything about a case that can be known before computing, all problems at once.
+"""check: validate a case before any computation and report all problems at once.
 
-Unlike the stages, which stop at the first thing they cannot use, this reads all
-that can be read even where case.toml itself has faults.
+The stages stop at the first input that they cannot use; `check` reads every file that can be
+read, even if case.toml itself has errors.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from limbcli.stages.site_model.site_states import state_problems
 
 @dataclass(frozen=True)
 class CaseCheck:
-    """What was looked at, what was found wrong with it, and what of it is worth showing (a line each)."""
+    """What was checked, the problems found, and the lines to be shown."""
 
     case: Path
     looked_at: tuple[str, ...]
@@ -39,7 +39,7 @@ class CaseCheck:
 
     @property
     def exit_code(self) -> int:
-        """0, or the exit code of the worst family: the case before the measurement."""
+        """0, or the exit code of the most severe family of problems (case before measurement)."""
         errors = errors_of(self.problems)
         if not errors:
             return 0
@@ -57,7 +57,7 @@ class CaseCheck:
 
 
 def check(folder: Path, *, progress: Progress = SILENT) -> CaseCheck:
-    """Validate a case folder completely; never raises for what is wrong with the case."""
+    """Validate a case folder completely; problems of the case are returned, never raised."""
     progress.event("stage", name="check")
     case, problems = read_case(folder)
     looked_at = [CASE_FILE]
@@ -86,7 +86,7 @@ def _raw(folder: Path) -> Mapping[str, Any]:
 
 
 def _readers(raw: Mapping[str, Any], folder: Path) -> list[tuple[str, Path, Reader]]:
-    """Every file that case.toml names and that is there, with who can read it."""
+    """Every existing file that case.toml names, with the function that checks it."""
     listed: list[tuple[object, Reader]] = []
     files = CaseFiles.of(raw, folder)
     imaging = raw.get("imaging")
@@ -164,7 +164,7 @@ def _caught(read: Callable[[], object]) -> list[Problem]:
 
 
 def _contradictions(case: Any) -> list[Problem]:
-    """What each file may say alone, but not together with the others."""
+    """Inconsistencies between files that are each valid."""
     from limbcli.meshing.probe import ProbeShape, check_shape
 
     problems = []
@@ -197,7 +197,7 @@ def _contradictions(case: Any) -> list[Problem]:
 
 
 def _shared_files(case: Any) -> list[Problem]:
-    """A file of readings that two sites name: copied with its [[site]], and counted twice by a joint fit."""
+    """Warn of measurement files that two sites name (a copied [[site]]); a joint fit counts them twice."""
     owner: dict[Path, str] = {}
     problems = []
     for site in case.sites:
@@ -215,7 +215,7 @@ def _shared_files(case: Any) -> list[Problem]:
 
 
 def _unmeasured(site: Site, folder: Path) -> list[Problem]:
-    """Levels that are still to be read from what the instruments recorded."""
+    """Warn if levels.csv has yet to be made from the instruments' recordings."""
     if site.levels.is_file():
         return []
     command = f"limbcli measure {shlex.quote(str(folder))} --site {site.name} --write"
@@ -230,7 +230,7 @@ def _unmeasured(site: Site, folder: Path) -> list[Problem]:
 
 
 def _too_few(site: Site) -> list[Problem]:
-    """Fewer levels past first touch than a fit of two parameters needs, in the cycle that it takes."""
+    """A problem if the fitted cycle has fewer levels beyond first touch than a two-parameter fit needs."""
     try:
         levels = levels_of(site) if site.levels.is_file() else None
     except LimbError:
@@ -244,7 +244,7 @@ def _too_few(site: Site) -> list[Problem]:
 
 
 def _other_distance(site: Site, file: str) -> list[Problem]:
-    """The site's skin_bone_mm against that of its level 0."""
+    """Warn if the site's skin_bone_mm differs from the distance read at level 0."""
     from limbcli.stages.site_model.mesh_checks import SKIN_BONE_TOLERANCE, skin_bone_of_levels
 
     seen = skin_bone_of_levels(site)
@@ -258,7 +258,7 @@ def _other_distance(site: Site, file: str) -> list[Problem]:
 
 
 def _missing_maps(site: Any, probe_length: float) -> list[Problem]:
-    """A map for every row of levels.csv, where there are maps; none too wide, none at odds with it."""
+    """Shear-wave maps that are missing for a row of levels.csv, too wide, or contradict levels.csv."""
     from limbcli.measurement.elastography import check_maps, check_mean, check_width, map_file
     from limbcli.measurement.indentation import check_levels
 

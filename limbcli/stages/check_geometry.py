@@ -1,4 +1,4 @@
-"""check, the geometry: what skin, bones, label map and sites say of each other."""
+"""check, the geometry: consistency of skin, bones, label map and sites."""
 
 from __future__ import annotations
 
@@ -10,15 +10,14 @@ from limbcli.case import Case
 from limbcli.errors import LimbError
 from limbcli.errors.problems import Problem
 
-_ROUGH = 15.0  # mm: a marker's height and a voxel may lie between the rough skin and the place
-_EDGE = 4.0  # mm: triangles of a label map's surfaces, coarse, only to be looked at
+_ROUGH = 15.0  # mm, largest distance of a place from the rough skin: the height of a marker and a voxel
+_EDGE = 4.0  # mm, edge length of the surfaces made from a label map; coarse, for these checks only
 
 
 def geometry_problems(case: Case, known: Sequence[Problem]) -> list[Problem]:
-    """Bones outside the skin, a label map elsewhere than its series, sites off the skin.
+    """Problems of the geometry: bones outside the skin, a label map off its series, sites off the skin.
 
-    known : problems found so far; what is among them already is not reported again, and a file that cannot be
-        read is left to them
+    known : problems found so far; they are not repeated, and files that they report as unreadable are skipped
     """
     try:
         if case.imaging.assumed:
@@ -44,7 +43,7 @@ def _surfaces(case: Case) -> list[Problem]:
 
 
 def _assumed(case: Case) -> list[Problem]:
-    """That the geometry was not imaged; numbers and measurements that do not go together."""
+    """Warn that the geometry was not imaged; problems where its numbers contradict the measurements."""
     from limbcli.errors.problems import errors_of
     from limbcli.meshing.anatomy import SKIN, limb_problems
     from limbcli.meshing.places import place_problems
@@ -62,7 +61,7 @@ def _assumed(case: Case) -> list[Problem]:
 
 
 def _images(case: Case) -> list[Problem]:
-    """Sites against the images alone: outside them, or far from anything that stands out from the air."""
+    """Sites that lie outside the images or far from any tissue visible in them."""
     if case.imaging.mri is None or not _places(case):
         return []
     from limbcli.imaging.image_files import read_image

@@ -1,4 +1,4 @@
-"""check, the instruments' own files: what `limbcli measure` would stop at."""
+"""check, the instruments' own files: problems at which `limbcli measure` would stop."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 
 def instrument_problems(case: Case) -> list[Problem]:
-    """Records and images that cannot be read, or do not have as many levels as each other.
+    """Records and images that cannot be read, or whose numbers of levels differ.
 
-    Where levels.csv is there already, nothing waits for them: these are warnings then.
+    If levels.csv exists already they are not needed, and the problems are only warnings.
     """
     return [problem for site in case.sites for problem in _of_site(site, str(case.file))]
 
@@ -28,7 +28,7 @@ def _of_site(site: Site, file: str) -> list[Problem]:
     found = []
     for kind, table in site.instruments.items():
         if severity == "warning" and table["path"] == site.trace:
-            continue  # a trace beside its levels is read as one
+            continue  # a trace that accompanies levels.csv is checked as a trace
         try:
             levels = _levels(kind, table)
             counts[kind] = len(levels)
@@ -45,7 +45,7 @@ def _of_site(site: Site, file: str) -> list[Problem]:
 
 
 def _of_holds(holds: Sequence[Hold], table: Any, site: str, severity: Any) -> list[Problem]:
-    """What no level can have, among a record's holds."""
+    """Impossible values among a record's holds."""
     from limbcli.stages.measuring.holds import column_problems, columns_of
 
     columns = columns_of(holds, float(table["step_n"]))

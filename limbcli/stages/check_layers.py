@@ -1,4 +1,4 @@
-"""What `check` shows of the layers that were measured: how thick they are, and how they thin under load."""
+"""The lines of `check` about measured layers: their thickness, and how it decreases under load."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def stated_layer_noise(site: Mapping[str, Any]) -> LayerNoise:
-    """Of a site's raw table in case.toml; the usual values where it states none that can be used."""
+    """Layer noise of a site's raw table in case.toml; default values where it states no usable ones."""
     from limbcli.measurement.indentation import LayerNoise
 
     table, usual = site.get("noise"), StatedNoise()
@@ -25,9 +25,9 @@ def stated_layer_noise(site: Mapping[str, Any]) -> LayerNoise:
 
 
 def layer_lines(case: Case) -> list[str]:
-    """A line for each site that has layers.
+    """One line for each site that has layers.
 
-    Files that cannot be read have been reported of already.
+    Unreadable files are skipped, as they have been reported already.
     """
     from limbcli.measurement.indentation import check_levels
 
@@ -40,7 +40,7 @@ def layer_lines(case: Case) -> list[str]:
 
 
 def layer_words(levels: Levels) -> str:
-    """Thickness at the first and at the last loading level that has it, mm.
+    """Each layer's thickness (mm) at the first and last loading level at which it was read.
 
     >>> from types import SimpleNamespace
     >>> some = SimpleNamespace(

@@ -1,6 +1,7 @@
-"""A cohort: every row of a table identified with one family of models, then the population behind them.
+"""A cohort: identify every row of a table with one family of models, then estimate the populations.
 
-The table's rows are people's sites; what is written is `cohort.json`, `rows.csv`, a page and its pictures.
+Each row of the table is a measurement at a site of a person. The results are `cohort.json`, `rows.csv`, and a
+page with its pictures.
 """
 
 from __future__ import annotations
@@ -36,24 +37,25 @@ from limbcli.stages.cohorts.result import (
 )
 
 STAGE, RESULT, ROWS, PAGE = "cohort", "cohort.json", "rows.csv", "cohort.html"
-_TOLD_OF = (ROWS, PAGE)  # whose hashes the result holds: what one run left belongs together
-_ROWS_BEGIN = b"subject,location,line,"  # the header line of rows.csv
-FEWEST_PEOPLE = 5  # of a site, for a population
-FEWEST_DRAWS = 30  # effective ones behind an interval that can be relied on
-_MUCH_MISSED = 0.05  # of the force, by the emulator
+_TOLD_OF = (ROWS, PAGE)  # files whose hashes the result records, to check that all are of the same run
+_ROWS_BEGIN = b"subject,location,line,"  # beginning of the header line of rows.csv
+FEWEST_PEOPLE = 5  # least number of people at a site to estimate a population
+FEWEST_DRAWS = 30  # least effective number of draws for a reliable interval
+_MUCH_MISSED = 0.05  # error of the emulator, as a fraction of the force, above which a warning is given
 
 
 def cohort(
     table: Path, *, out: Path, seed: int = 7, templates: Path | None = None, progress: Progress = SILENT
 ) -> StageResult:
-    """Identify every row of a table, estimate the population of each site, predict who was left out.
+    """Identify every row of a table, estimate each site's population, and predict left-out people.
 
     Raises
     ------
     MeasurementError
         If the table cannot be used; every problem is named with its line.
     CaseError, ToolError
-        If the folder cannot be written or holds what is none of ours, or the emulator's solves are missing.
+        If the folder cannot be written or holds files that `cohort` did not write, or the emulator's
+        simulations are missing.
     """
     started = time.process_time()
     progress.event("stage", name="cohort")
@@ -77,7 +79,7 @@ def cohort(
 
 
 def _refuse_foreign(out: Path, table: Path) -> None:
-    """Files of a user's under the names that a cohort leaves would be lost, the table itself among them."""
+    """Refuse to overwrite files of the user, such as the table itself, that have the names of our results."""
     rows = out / ROWS
     own_rows = rows.is_file() and not rows.read_bytes().startswith(_ROWS_BEGIN)
     pictures = out / PICTURES
@@ -96,7 +98,7 @@ def _refuse_foreign(out: Path, table: Path) -> None:
 
 
 def _with_enough(table: CohortTable) -> tuple[CohortTable, list[str]]:
-    """Without sites of so few people that they are no population, however often each was measured."""
+    """The table without sites that have too few people for a population, and warnings that name them."""
     counts = {site: len(set(table.person[table.site == site].tolist())) for site in table.sites}
     few = [site for site, n in counts.items() if n < FEWEST_PEOPLE]
     if len(few) == len(counts):
@@ -119,7 +121,7 @@ def _problem_text(each: Problem) -> str:
 
 
 def _trust(estimates: list[SiteEstimate], family: LayeredFamily) -> list[str]:
-    """What a reader must know before believing the numbers."""
+    """Warnings that limit the validity of the results."""
     outside = sum(int((~each.model.inside).sum()) for each in estimates)
     thin = sum(int((each.found.effective < FEWEST_DRAWS).sum()) for each in estimates)
     ends = sum(int(each.model.at_an_end(each.found.mode).sum()) for each in estimates)
@@ -213,12 +215,12 @@ def _result(out: Path, content: dict[str, Any]) -> StageResult:
 
 
 def read_cohort(out: Path) -> StageResult:
-    """What an earlier run left in `out`.
+    """Read the result of an earlier run from `out`.
 
     Raises
     ------
     CaseError
-        If there is none, it cannot be read, or table and page are not of the same run as the result.
+        If it is missing or unreadable, or if the table and the page are not of the same run as the result.
     """
     path = out / RESULT
     if not path.is_file():

@@ -1,4 +1,4 @@
-"""doctor: what this machine has of what limbcli needs, tried and not only looked up."""
+"""doctor: test (not only look up) whether this machine has what limbcli needs."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from limbcli.version import __version__
 
 State = Literal["good", "note", "missing"]
 _LEAST_PYTHON = (3, 11)
-_LEAST_MEMORY_GB, _USUAL_MEMORY_GB = 2.0, 4.0  # a coarse site; a tet10 site at 2.5 mm
+_LEAST_MEMORY_GB, _USUAL_MEMORY_GB = 2.0, 4.0  # GB, for a coarse site; for a tet10 site with 2.5 mm edges
 _GB = 1e9
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing looked at: what was found, and what to do where it does not serve."""
+    """The result of one check: what was found, and what to do if it is not sufficient."""
 
     topic: str
     name: str
@@ -53,12 +53,12 @@ class DoctorResult:
 
 
 def doctor(*, febio: Path | None = None, progress: Progress = SILENT) -> DoctorResult:
-    """Versions, packages, system libraries, solvers with a self test, cores and memory.
+    """Check versions, packages, system libraries, solvers (with a self test), cores and memory.
 
-    febio : the FEBio binary, where it is not found by itself; then it is needed, as is one that
-        LIMBCLI_FEBIO names
+    febio : the FEBio binary, if it is not found automatically; FEBio is then required to work, as it is if
+        LIMBCLI_FEBIO names one
 
-    Nothing is raised for what is missing: each is a finding with its way out.
+    Nothing missing raises an error: it becomes a finding with its remedy.
     """
     progress.event("stage", name="doctor")
     trials = {package: libraries.start(package) for package in libraries.TRIALS}
@@ -72,7 +72,7 @@ def doctor(*, febio: Path | None = None, progress: Progress = SILENT) -> DoctorR
 
 
 def solver_versions() -> list[str]:
-    """Name and version of each solver there is, FEBio's place with it."""
+    """Name and version of each available solver; for FEBio also its path."""
     lines = [f"reference solver {__version__}"]
     try:
         solver = choose("febio")
@@ -98,7 +98,7 @@ def _versions() -> list[Finding]:
 
 
 def _packages() -> list[Finding]:
-    """Every dependency that limbcli's own metadata name, with its version."""
+    """Every dependency listed in limbcli's own metadata, with its version."""
     try:
         named = metadata.requires("limbcli") or []
     except metadata.PackageNotFoundError:
@@ -141,13 +141,13 @@ def _solvers(febio: Path | None, progress: Progress) -> list[Finding]:
 
 
 def _tested(kind: str, febio: Path | None, progress: Progress) -> Finding:
-    """The self test with one solver; FEBio is needed only where it is there, but then it must work."""
+    """Run the self test with one solver; FEBio is optional, but must work if it is installed."""
     from limbcli.stages.machine.kernels import compile_ahead
     from limbcli.stages.machine.self_test import TOLERANCE, self_test
 
     try:
         if kind == "reference":
-            compile_ahead()  # and waited for, before the test is timed
+            compile_ahead()  # waited for, so that the test's time does not include compilation
         test = self_test(choose(kind, febio), progress=progress)
     except LimbError as error:
         return Finding("solvers", kind, "missing", f"the self test failed: {error.what}", error.fix)
@@ -179,7 +179,7 @@ def _computer() -> list[Finding]:
 
 
 def memory_bytes() -> int | None:
-    """Memory that this process may use: the machine's, or less where a container allows less."""
+    """Memory (bytes) that this process may use: the machine's, or a container's lower limit."""
     try:
         machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (ValueError, OSError, AttributeError):

@@ -42,12 +42,12 @@ _BY_SITE = {"site": "fit", "elements": "fit-elements", "states": "fit-states", "
 _OF_THE_CASE = ("segment", "fit-joint")
 _NUMBERS = frozenset({"value", "tolerance", "relative", "min", "max"})
 _RULES = _NUMBERS | {"is"}
-_DIGITS = 10  # by which a value beside its range is told from it
+_DIGITS = 10  # significant digits printed, so that a value just outside its range is distinguishable from it
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """One expectation and what was found; digits enough to see why it does not hold.
+    """One expectation and the value found, printed with enough digits to show why it is not met.
 
     >>> print(Comparison("m", 2.0000004, "2 to 2", False))
     FAIL m: 2.0000004 (expected 2 to 2)
@@ -66,15 +66,15 @@ class Comparison:
 
 
 def keep_expected(folder: Path, work: Path) -> None:
-    """What a user expects of a case outlives its being made again, in `work`."""
+    """Copy the expected.toml of a case that is made again into the new folder `work`."""
     if (folder / EXPECTED_FILE).is_file():
         shutil.copyfile(folder / EXPECTED_FILE, work / EXPECTED_FILE)
 
 
 def compare(folder: Path, out: Path, *, case: Case | None = None) -> list[Comparison]:
-    """Every expectation of a case against the results in `out`.
+    """Compare every expectation of a case with the results in `out`.
 
-    case : with it a result counts only while all that it was made from is as it was
+    case : if given, a result counts only if its inputs have not changed since
 
     Raises
     ------
@@ -130,7 +130,7 @@ def _table(
 
 
 def _why_stale(chain: Chain | None, result: StageResult) -> str:
-    """Why a result is out of date with the case; empty where it is not."""
+    """Why a result is out of date with respect to the case; empty if it is not."""
     if chain is None:
         return ""
     sites = {each.name: each for each in chain.case.sites}
@@ -146,7 +146,7 @@ def _why_stale(chain: Chain | None, result: StageResult) -> str:
 
 
 def _looked_up(data: Mapping[str, Any], key: str) -> tuple[object, bool]:
-    """The value, or what to say where there is none of that name; whether there is one.
+    """(value, True), or (message, False) if there is no value of that name.
 
     >>> _looked_up({"flags": {"m": "weak"}}, "flags.m"), _looked_up({"element": "tet4"}, "elements")
     (('weak', True), ("not there (did you mean 'element'?)", False))
@@ -161,7 +161,7 @@ def _looked_up(data: Mapping[str, Any], key: str) -> tuple[object, bool]:
 
 
 def _rule(name: str, rule: object, path: Path) -> Mapping[str, Any]:
-    """The same rule, if it says something that can fail."""
+    """Validate a rule and return it unchanged; a rule that cannot fail is rejected."""
     wrong = ""
     if not isinstance(rule, dict) or not rule or set(rule) - _RULES:
         fix = suggestion(str(next(iter(set(rule) - _RULES), "") if isinstance(rule, dict) else rule), _RULES)

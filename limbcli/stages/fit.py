@@ -1,7 +1,7 @@
-"""fit: the tissue parameters of a site, from its force-depth curve.
+"""fit: identify the tissue parameters of a site from its force-depth curve.
 
-The paper's method: c from the shear-wave speed at level 0 and held fixed; f_kappa with
-m = 2 first, then f_kappa and m. Beside each number stands how far it can be trusted.
+The paper's method: c is computed from the shear-wave speed at level 0 and held fixed; f_kappa is
+identified with m = 2 first, then f_kappa and m together. Every value is reported with its uncertainty.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ __all__ = [
 
 STAGE = "fit"
 START = np.array([START_F_KAPPA, 2.0])
-_FIRST_SOLVES = 2  # more simulations for the interval of the first step, at most
+_FIRST_SOLVES = 2  # greatest number of additional simulations for the interval of the first step
 
 
 def fit(
@@ -78,19 +78,19 @@ def fit(
 ) -> list[StageResult]:
     """Identify the tissue parameters of each site with the model that `build-feb` wrote.
 
-    Leaves fit.json, curves.csv (measured and simulated forces), fit.png, profiles.png,
+    Writes fit.json, curves.csv (measured and simulated forces), fit.png, profiles.png,
     parameters.csv, fit.mat, material.feb, fitted.feb and the records of its run, and the shear-wave
-    speeds that the fitted model predicts: swe.csv, swe/level_00.csv ..., swe.png, swe-maps.png; where
-    layers were read, layers.csv and layers.png.
+    speeds that the fitted model predicts: swe.csv, swe/level_00.csv ..., swe.png, swe-maps.png; if
+    layers were read, also layers.csv and layers.png.
 
     Raises
     ------
     CaseError
-        If `build-feb` has not been run since what the model was made from changed.
+        If the model of `build-feb` is missing or out of date.
     MeasurementError
         If the levels cannot be used, or c is neither measured nor given.
     SolveError, FitError
-        If the model cannot be solved at the start values, or the search does not settle.
+        If the model cannot be solved at the initial guess, or the search does not converge.
     """
     options = options or FitOptions()
     check_numbers(options)
@@ -179,7 +179,11 @@ def _intervals(
     curve: SolvedPoints, knots: Array, data: ForceDepth, known: Sequence[Stiffness],
     steps: Sequence[FittedStep], limit: int, progress: Progress, modes: Array | None = None,
 ) -> tuple[Intervals, Intervals]:  # fmt: skip
-    """Of both steps, `known`: what is at each; `modes`: with the uncertainty of the geometry."""
+    """Profile-likelihood intervals of both steps.
+
+    known : c and its uncertainty at each step; limit : greatest number of additional simulations
+    modes : changes of ln force by the uncertain geometry, to be included; None without it
+    """
     theta = steps[-1].theta
     curve.expect(limit + _FIRST_SOLVES)
     full = force_intervals(
@@ -194,7 +198,7 @@ def _intervals(
 def _tissue_c(
     model: LimbModel, levels: Levels, site: Site, options: FitOptions, writer: StageWriter
 ) -> tuple[Stiffness, str, float | ElementMap]:
-    """c and how well it is known, where it comes from, and c as the law takes it: a number or a map."""
+    """c with its uncertainty, its source in words, and c as the law takes it: a number or a map (MPa)."""
     if not options.stiffness_map:
         stiffness, source = initial_stiffness(levels, site, options)
         return stiffness, source, stiffness.c
@@ -213,10 +217,10 @@ def _tissue_c(
 
 
 def built_model(case: Case, site: Site, out: Path, writer: StageWriter, *, label: str = "") -> LimbModel:
-    """What build-feb wrote for this site, if all that it was made from is as it was.
+    """Read the model that build-feb wrote for this site, after checking that its inputs are unchanged.
 
-    label : goes before the names of the inputs recorded and before what is said of the levels, where
-        several sites are used
+    label : prefix for the recorded names of the inputs and for warnings about the levels, where several
+        sites are used
     """
     prefix = f"{label}/" if label else ""
     built = Chain(case, out).result("build-feb", site=site.name)
@@ -234,17 +238,17 @@ def built_model(case: Case, site: Site, out: Path, writer: StageWriter, *, label
 
 
 def force_depth_data(levels: Levels, site: Site) -> ForceDepth:
-    """The loading levels, with the noise the case states."""
+    """The loading levels, with the noise stated by the case."""
     rows = levels.loading
     noise = site.noise
     return ForceDepth(levels.force[rows], levels.depth[rows], noise.force, noise.depth)
 
 
 def initial_stiffness(levels: Levels, site: Site, options: FitOptions) -> tuple[Stiffness, str]:
-    """c = 2 rho v^2 of level 0, or the value given by hand; and where it comes from.
+    """c = 2 rho v^2 of level 0 or the value given by hand, with its uncertainty, and its source in words.
 
-    The deviation of ln c is twice that of the mean speed: the share common to a level's
-    pixels, and the pixels' own share divided by the root of their number.
+    The standard deviation of ln c is twice the relative one of the mean speed. That combines the error common
+    to all pixels of a level and the error of a single pixel divided by the square root of their number.
     """
     c, source = tissue_stiffness(levels, site, c_kpa=options.c_kpa)
     if options.c_deviation is not None:
@@ -255,8 +259,8 @@ def initial_stiffness(levels: Levels, site: Site, options: FitOptions) -> tuple[
 def _first_solve(
     solver: Solver, model: LimbModel, c: float | ElementMap, options: FitOptions, progress: Progress
 ) -> tuple[SolvedPoints, Array, float, Callable[[Array], Array]]:
-    """The curve, the depths of its levels, the seconds of the first (cold) solve, and theta -> how much of
-    ln c reaches ln force."""
+    """The force curve, the depths of its levels (mm), the time of the first (cold) solve (s), and a function
+    theta -> d ln force / d ln c."""
     clock = time.perf_counter()
     if solver.name == "reference":
         exact = ReferenceCurve(model, c=c, progress=progress)
@@ -274,7 +278,8 @@ def _first_solve(
 
 
 def _share_of_c(share_of_c: Callable[[Array], Array], theta: Array, writer: StageWriter) -> Array | None:
-    """How much of ln c reaches ln force at the levels, beside layers that keep a stiffness of their own."""
+    """d ln force / d ln c at the levels of a model with layers of fixed stiffness; None (full propagation,
+    with a warning) if it cannot be computed."""
     try:
         share = share_of_c(theta)
     except SolveError as error:
@@ -290,7 +295,7 @@ def _share_of_c(share_of_c: Callable[[Array], Array], theta: Array, writer: Stag
 def _write_fitted_run(
     fitted: LimbModel, solver: Solver, writer: StageWriter, options: FitOptions, progress: Progress
 ) -> Simulation:
-    """fitted.feb, ready for FEBio Studio, and the records of its run."""
+    """Write fitted.feb, which FEBio Studio can open, run it, and register the records of its run."""
     feb = write_feb(fitted, writer.file("feb", "fitted.feb"), options.templates)
     solver.run(feb, progress=progress, time_limit_s=options.time_limit_s)
     for name in ["model.log", *(record.file for record in fitted.records)]:

@@ -1,7 +1,7 @@
-"""fit --compare-element: the same mesh in tet4 and in tet10, and what of f_kappa is the mesh.
+"""fit --compare-element: fit the same mesh with tet4 and tet10, to show how locking affects f_kappa.
 
-Linear tetrahedra lock: with them f_kappa sets how stiff the mesh is, not how compressible
-the tissue. Shown by forces at the same parameters, f_kappa swept, and by both fits.
+Linear tetrahedra lock: with them f_kappa controls the stiffness of the mesh, not the compressibility of
+the tissue. This is shown by the forces at equal parameters, by a sweep of f_kappa, and by both fits.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ SWEEP = (10.0, 100.0, 650.0)
 
 @dataclass(frozen=True, eq=False)
 class ElementFit:
-    """One element's answers: depths (n,) mm, forces (n,) N at f_kappa 100, m 2 and after the fit,
-    the last force over the sweep of f_kappa, and the two steps.
+    """Results with one element type: depths (n,) mm, forces (n,) N at the start values and after the fit,
+    the last force at each f_kappa of the sweep, and the two steps of the fit.
 
-    linear_force : forces (n,) N with the parameters that the fit found with tet4, NaN where
-        they could not be solved
+    linear_force : forces (n,) N with the parameters fitted with tet4, NaN if the model could not be
+        solved with them
     """
 
     element: str
@@ -69,12 +69,12 @@ def compare_elements(
     options: FitOptions | None = None,
     progress: Progress = SILENT,
 ) -> list[StageResult]:
-    """Fit each site with both elements, with the reference solver.
+    """Fit each site with both element types, using the reference solver.
 
     Raises
     ------
     MeshError
-        If the mesh is not of tetrahedra; else as `fit`.
+        If the mesh does not consist of tetrahedra. Other errors are as in `fit`.
     """
     options = options or FitOptions()
     check_numbers(options)
@@ -121,7 +121,7 @@ def _compare_site(
 
 
 def _forces_with(curve: SolvedPoints, theta: Array, writer: StageWriter) -> Array:
-    """Forces at these parameters, or NaN and a warning where they cannot be solved."""
+    """Forces at these parameters, or NaN and a warning if the model cannot be solved with them."""
     try:
         return curve(theta).values
     except SolveError as error:
@@ -130,7 +130,7 @@ def _forces_with(curve: SolvedPoints, theta: Array, writer: StageWriter) -> Arra
 
 
 def _unknowns(model: LimbModel) -> int:
-    """Free displacements: of nodes of solid cells that no support holds whole."""
+    """Number of displacement unknowns: three per node of a solid cell that is not fully fixed."""
     nodes = np.unique(np.concatenate([block.cells.ravel() for block in model.mesh.solid_blocks]))
     held = [model.mesh.node_sets[s.node_set] for s in model.supports if len(s.dofs) == 3]
     return 3 * len(np.setdiff1d(nodes, np.concatenate(held) if held else np.zeros(0, np.int64)))
@@ -193,7 +193,7 @@ def _row(each: ElementFit) -> dict[str, Any]:
 
 
 def _draw(writer: StageWriter, found: list[ElementFit], depth: Array, force: Array) -> None:
-    """elements.png: forces at the same parameters and after each fit; the last force over f_kappa."""
+    """Draw elements.png: forces at equal parameters and after each fit; the last force against f_kappa."""
     with style():
         figure = new_figure(7.6, 4.4)
         left, right = figure.subplots(1, 2)

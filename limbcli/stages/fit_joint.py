@@ -1,9 +1,9 @@
-"""fit --objective joint: one tissue for all sites, from depth, shear-wave speed and layers together.
+"""fit --objective joint: one set of tissue parameters for all sites, from depths, wave speeds and layers.
 
-Depth is the noisy reading, so it is what the simulation predicts at the measured force;
-each level's speed enters by its logarithm, its layers by their thickness; c is free. Beside layers that
-keep a stiffness of their own what c does is simulated, else forces are in proportion to it. Only the
-reference solver can do it: exact derivatives, and the deformation that the speeds need.
+Depth is the noisier reading, so the simulation predicts the depth at the measured force. Speeds enter by
+their logarithm, layers by their thickness, and c is free. With layers of fixed stiffness the effect of c on
+the force is simulated; otherwise forces are proportional to c. Only the reference solver can be used,
+because the fit needs exact derivatives and the deformation from which speeds are predicted.
 """
 
 from __future__ import annotations
@@ -54,10 +54,11 @@ STAGE = "fit-joint"
 
 @dataclass(frozen=True)
 class JointOptions:
-    """law : one of `fit_laws.LAWS`; compare_laws : all of them, by held-out error
+    """Options of the joint fit.
 
-    gain_deviation : of simulated forces, relative (None: from `mesh --study` where it was run,
-    else by element and edge length)
+    law : one of `fitting.laws.LAWS`; compare_laws : fit all laws and compare them by held-out error
+    gain_deviation : relative numerical error of simulated forces, one standard deviation (None: from
+        `mesh --study` if it was run, else by element type and edge length)
     """
 
     law: str = "ogden"
@@ -68,11 +69,12 @@ class JointOptions:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """A site as it enters: its model, its levels.
+    """A site's contribution to the fit: its model and its levels.
 
-    c : MPa, by hand or of its own SWE reading; None where there is neither, and other sites tell it
-    studied_error : numerical error of the force, relative, where `mesh --study` was run
-    layers, lines : what was read of layers, and their borders in the model; None where they are not used
+    c : MPa, given by hand or from the site's own SWE reading; None if there is neither, and c follows from
+        other sites
+    studied_error : relative numerical error of the force, if `mesh --study` was run
+    layers, lines : layer readings, and the layers' borders in the model; None if layers are not used
     """
 
     site: Site
@@ -93,9 +95,9 @@ def fit_joint(
     options: FitOptions | None = None,
     progress: Progress = SILENT,
 ) -> StageResult:
-    """One set of parameters for the sites named (all), by the joint likelihood.
+    """Identify one set of parameters for the named sites (default: all) by the joint likelihood.
 
-    Leaves fit-joint.json, a table of levels a site, fit-joint.png, parameters.csv, fit.mat
+    Writes fit-joint.json, a table of levels for each site, fit-joint.png, parameters.csv, fit.mat
     and material.feb; with `compare_laws` also laws.csv.
 
     Raises
@@ -170,7 +172,7 @@ def _measured(case: Case, site: Site, out: Path, writer: StageWriter, options: F
 
 
 def _report_free(measured: Sequence[Measured], options: FitOptions, writer: StageWriter) -> None:
-    """What was given of c by hand holds nothing fixed where any site has speeds."""
+    """Report that a c given by hand is not held fixed if any site has speeds."""
     given = in_words(
         {key: value for key, value in options.requested().items() if key in ("c_kpa", "c_deviation")}
     )
@@ -185,7 +187,7 @@ def _report_free(measured: Sequence[Measured], options: FitOptions, writer: Stag
 
 
 def _start_c(measured: Sequence[Measured], options: FitOptions) -> float:
-    """The mean of what sites tell of c. Raises MeasurementError where none does."""
+    """Mean of the sites' own values of c (MPa). Raises MeasurementError if no site has one."""
     told = [each.c for each in measured if each.c is not None]
     first = measured[0]
     told = told or [initial_stiffness(first.levels, first.site, options)[0].c]
@@ -195,7 +197,10 @@ def _start_c(measured: Sequence[Measured], options: FitOptions) -> float:
 def _curves(
     measured: Sequence[Measured], law: FitLaw, c0: float, curves_open: ExitStack, progress: Progress
 ) -> list[LawCurve]:
-    """A site's forces and speeds by the law, at a common c to begin with, beside layers by c / that c too."""
+    """For each site a curve of forces and speeds by the law, at the common reference value `c0` of c.
+
+    With layers of fixed stiffness, c / c0 is one more parameter of the curve.
+    """
     curves = []
     for each in measured:
         own = law.along(fibre_direction(each.model))
@@ -238,7 +243,7 @@ def _check_directions(
     writer: StageWriter, measured: Sequence[Measured], law: FitLaw, problem: JointProblem, found: Intervals,
     out: Path, progress: Progress,
 ) -> None:  # fmt: skip
-    """What fibres one deviation off would change, at every site that states how well they are known."""
+    """Effect of turning the fibres by one standard deviation, at every site where that is known."""
     for each in measured:
         deviation = stated_deviation(out, each.site)
         if deviation is not None:
@@ -252,7 +257,7 @@ def _check_contacts(
     writer: StageWriter, measured: Sequence[Measured], curves: Sequence[LawCurve], problem: JointProblem,
     found: Intervals, progress: Progress,
 ) -> None:  # fmt: skip
-    """What a harder contact would change at every site, as a share: c scales tissue and contact alike."""
+    """Relative effect of a stiffer contact at every site; c scales tissue and contact alike."""
     for k, (each, curve) in enumerate(zip(measured, curves, strict=True)):
         place = problem.place(k, found.best)
         try:
@@ -281,7 +286,7 @@ def site_data(measured: Measured, knots: Array, joint: JointOptions, *, speeds: 
 
 
 def _layer_data(measured: Measured) -> LayerData:
-    """Thicknesses under load, layer after layer; none where no layers are used."""
+    """Thicknesses under load, layer by layer; empty if layers are not used."""
     layers, levels = measured.layers, measured.levels
     if layers is None or measured.lines is None:
         return NO_LAYERS
@@ -298,7 +303,7 @@ def _layer_data(measured: Measured) -> LayerData:
 
 
 def check_noise(site: Site, *, speeds: bool) -> None:
-    """A likelihood needs the noise of all that it weighs."""
+    """Raise CaseError if a reading that the likelihood weights has no stated noise."""
     noise = site.noise
     none = [] if noise.force > 0 or noise.depth > 0 else ["force_n", "depth_mm"]
     if speeds and not (noise.swe_level_fraction > 0 or noise.swe_pixel_fraction > 0):
@@ -313,6 +318,6 @@ def check_noise(site: Site, *, speeds: bool) -> None:
 
 
 def _c_prior(measured: Sequence[Measured], options: FitOptions) -> float:
-    """Deviation of ln c where no speed enters at any site: that of what was given by hand."""
+    """Prior standard deviation of ln c if no site has speeds: that of the value given by hand."""
     each = measured[0]
     return initial_stiffness(each.levels, each.site, options)[0].log_deviation

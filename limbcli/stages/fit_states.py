@@ -1,7 +1,7 @@
-"""fit --objective states: one tissue in several states, each stretched before the probe touched it.
+"""fit --objective states: one tissue measured in several states, each stretched before the probe touches it.
 
-The likelihood is the joint fit's; c is free. A state adds to it where on a common curve of the simulation it
-lies: the tissue's stretch before the probe touched (`site_model.prestretch`).
+The likelihood is that of the joint fit; c is free. All states share one simulated curve, evaluated for each
+state at the tissue's stretch before the probe touches it (`site_model.prestretch`).
 """
 
 from __future__ import annotations
@@ -38,16 +38,19 @@ from limbcli.stages.site_model.site_layers import held_layers
 from limbcli.stages.site_model.site_states import MeasuredState, states_of
 
 STAGE = "fit-states"
-_KNOTS = 6  # levels that are simulated
-_BEYOND, _BEND = 1.05, 1.25  # of the deepest reading; how much denser they are at first touch
-_LEAST_DEPTH = 0.5  # mm, of the first of them
+_KNOTS = 6  # number of simulated depths
+# Largest simulated depth as a multiple of the deepest reading; exponent of the spacing of simulated depths
+# (above 1 they are denser near first touch).
+_BEYOND, _BEND = 1.05, 1.25
+_LEAST_DEPTH = 0.5  # mm, least value of the first simulated depth
 
 
 @dataclass(frozen=True)
 class StatesOptions:
-    """law : one of `fitting.laws.LAWS`; gain_deviation : as of `fit`
+    """Options of the fit of states.
 
-    max_rounds : of simulations for the intervals
+    law : one of `fitting.laws.LAWS`; gain_deviation : as in `fit`
+    max_rounds : greatest number of rounds of simulations for the intervals
     """
 
     law: str = "ogden"
@@ -64,19 +67,20 @@ def fit_states(
     options: FitOptions | None = None,
     progress: Progress = SILENT,
 ) -> list[StageResult]:
-    """A common law and a stretch for every state, of each site that has states.
+    """Identify a common law, and a stretch for every state, at each site that has states.
 
-    Leaves fit-states.json, states.png (speed at rest over stretch), fit-states.png, profiles.png, a table of
-    levels a state, parameters.csv, fit.mat, material.feb, and <state>.feb: each fitted state for FEBio.
+    Writes fit-states.json, states.png (speed at rest against stretch), fit-states.png, profiles.png, a table
+    of levels for each state, parameters.csv, fit.mat, material.feb, and <state>.feb (each fitted state for
+    FEBio).
 
     Raises
     ------
     CaseError
-        If no site has states, they do not differ, or `build-feb` has not been run since its inputs changed.
+        If no site has states, they do not differ, or the model of `build-feb` is missing or out of date.
     MeasurementError
         If the levels of a state cannot be used, or lack a speed at rest.
     SolveError, FitError
-        If the model cannot be solved at the start values, or the search does not settle.
+        If the model cannot be solved at the initial guess, or the search does not converge.
     """
     states, options = states or StatesOptions(), options or FitOptions()
     check_numbers(options, gain_deviation=states.gain_deviation)
@@ -142,7 +146,7 @@ def _fit_site(
 
 
 def state_data(site: Site, model: LimbModel, each: MeasuredState, depths: Array) -> SiteMeasurement:
-    """A state's loading with its stated noise; depths : of the simulated levels."""
+    """A state's loading levels with their stated noise; depths : of the simulated levels (mm)."""
     taken = Measured(site, model, each.levels, 0.0)
     return replace(site_data(taken, depths, JointOptions(), speeds=True), name=each.state.name)
 
@@ -151,9 +155,9 @@ def identify(
     curve: StateCurve, law: FitLaw, plan: StretchPlan, data: Sequence[SiteMeasurement], *, c0: float,
     gain: float, max_rounds: int, progress: Progress = SILENT,
 ) -> tuple[StatesProblem, Intervals]:  # fmt: skip
-    """First simulations, then the fit with its profiles.
+    """Run the first simulations, then the fit with its profile likelihoods.
 
-    curve : of the law, or beside layers of `law.beside_layers()`
+    curve : of `law`, or of `law.beside_layers()` in a model with layers of fixed stiffness
     """
     memory = SolvedPoints(curve)
     first_simulations(memory, curve.law, plan, progress=progress)
@@ -170,7 +174,8 @@ def identify(
 def first_simulations(
     memory: SolvedPoints, law: FitLaw, plan: StretchPlan, *, progress: Progress = SILENT
 ) -> None:
-    """The law's start shapes amid the states' stretches, and the first of them at the ends of these."""
+    """Simulate the law's start shapes at the middle of the states' stretches, and the first of the shapes at
+    points around that middle."""
     shapes = first_shapes(law)
     middle, places = plan.first_places()
     thetas = [*(np.r_[shape, middle] for shape in shapes), *(np.r_[shapes[0], place] for place in places)]
@@ -180,7 +185,13 @@ def first_simulations(
 
 
 def knots(measured: Sequence[MeasuredState]) -> list[float]:
-    """Depths (mm) that are simulated: to a little beyond the deepest reading of all states."""
+    """Simulated depths (mm), up to slightly beyond the deepest reading of all states.
+
+    Raises
+    ------
+    MeasurementError
+        If no reading is deeper than 1 mm.
+    """
     deepest = max(float(np.max(each.levels.depth[each.levels.loading])) for each in measured)
     if deepest < 2 * _LEAST_DEPTH:
         raise MeasurementError(
@@ -192,7 +203,7 @@ def knots(measured: Sequence[MeasuredState]) -> list[float]:
 
 
 def knots_to(deepest: float) -> list[float]:
-    """Depths (mm) to a little beyond the deepest, denser at first touch.
+    """Simulated depths (mm) up to slightly beyond `deepest`, denser near first touch.
 
     >>> knots_to(4.0)
     [0.5, 1.064, 1.766, 2.53, 3.344, 4.2]
@@ -203,7 +214,7 @@ def knots_to(deepest: float) -> list[float]:
 
 
 def _start_c(site: Site, measured: Sequence[MeasuredState], plan: StretchPlan) -> float:
-    """c = 2 rho v^2 of the state that is nearest to unloaded at the start values."""
+    """c = 2 rho v^2 (MPa) at rest in the state that is least stretched at the start values."""
     values = np.array([each.start for each in plan.parameters])
     strain = [float(np.abs(np.log(plan.stretches(k, values))).max()) for k in range(len(measured))]
     speed = measured[int(np.argmin(strain))].levels.swe_mean_m_per_s[:1]
@@ -211,7 +222,8 @@ def _start_c(site: Site, measured: Sequence[MeasuredState], plan: StretchPlan) -
 
 
 def starts(c0: float, law: FitLaw, plan: StretchPlan) -> list[Array]:
-    """Every start shape with the stretches' start values, and the last with each of these moved."""
+    """Initial guesses: every start shape with the start stretches, and the last shape with each stretch
+    changed by a factor of 0.88 and 1.14."""
     shapes, values = first_shapes(law), np.array([each.start for each in plan.parameters])
     found = [np.r_[c0, shape, values] for shape in shapes]
     for j, parameter in enumerate(plan.parameters):

@@ -1,8 +1,8 @@
-"""measure: from the instruments' files to the rows of levels.csv.
+"""measure: turn the instruments' files into the rows of levels.csv.
 
-The load cell's record gives the force of every hold, the B-mode images the loss of
-skin-bone distance, the colour overlays the shear-wave speeds. Whatever is not named
-in case.toml is taken from an existing levels.csv or left empty.
+The load cell's record gives the force of every hold, the B-mode images the reduction of the
+skin-bone distance, the colour overlays the shear-wave speeds. Quantities whose instrument is not
+named in case.toml are taken from an existing levels.csv or left empty.
 """
 
 from __future__ import annotations
@@ -47,14 +47,14 @@ def measure(
     write: bool = False,
     progress: Progress = SILENT,
 ) -> list[StageResult]:
-    """Read the instruments' files of each site; with `write`, leave levels.csv where the case names it.
+    """Read the instruments' files of each site; with `write`, write levels.csv where the case names it.
 
     Raises
     ------
     CaseError
         If a site names no instrument, or `write` would overwrite a file.
     MeasurementError
-        If a record or image cannot be read, or they do not have as many levels.
+        If a record or image cannot be read, or their numbers of levels differ.
     """
     results = []
     for site in case.selected(sites):
@@ -106,7 +106,7 @@ def _measure_site(case: Case, site: Site, out: Path, writer: StageWriter, progre
     path = writer.file("levels", "levels.csv")
     path.write_text(text, encoding="utf-8")
     if {"force_n", "depth_mm"} <= set(columns):
-        # What a later stage would refuse is refused here.
+        # Reject here what a later stage would reject.
         problems = check_levels(path, noise=layer_noise(site))[1]
         found = [replace(each, where=f"the levels of site {site.name}") for each in problems]
         raise_errors(found, MeasurementError)
@@ -117,7 +117,7 @@ def _measure_site(case: Case, site: Site, out: Path, writer: StageWriter, progre
 
 
 def _of_known(known: Levels, instruments: Mapping[str, Any]) -> Columns:
-    """The columns of an existing levels.csv, but for those that the other instruments read."""
+    """The columns of an existing levels.csv except those read by the instruments."""
     columns: Columns = {"force_n": list(known.force), "depth_mm": list(known.depth)}
     if known.cycles != (1,) or not known.loading.all():
         columns |= {"cycle": known.cycle.tolist(), "phase": list(known.phase)}
@@ -174,7 +174,7 @@ def _check_lengths(columns: Mapping[str, Sequence[Any]], site: Site) -> None:
 
 
 def _check_agreement(columns: Mapping[str, Sequence[Any]], known: Levels | None, writer: StageWriter) -> None:
-    """Against the levels.csv that is already there (read by hand, perhaps)."""
+    """Compare the readings with an existing levels.csv (which may have been read by hand)."""
     if known is None or len(known) != len(next(iter(columns.values()))):
         return
     for name, values, tolerance in (("force_n", known.force, 0.2), ("depth_mm", known.depth, 0.5)):
@@ -208,14 +208,14 @@ def _as_csv(columns: Mapping[str, Sequence[Any]]) -> str:
 
 
 def _as_cell(value: str | float) -> str:
-    """Empty where there is no reading."""
+    """Text of a cell; empty if there is no reading."""
     if isinstance(value, str):
         return value
     return f"{value:.6g}" if np.isfinite(value) else ""
 
 
 def _write_maps(site: Site, result: StageResult) -> None:
-    """The decoded maps where case.toml names their folder, if it is not there yet."""
+    """Write the decoded maps to the folder that case.toml names, unless it exists."""
     if site.swe_maps is None or site.swe_maps.exists() or not (result.folder / "swe").is_dir():
         return
     with atomic_folder(site.swe_maps) as folder:

@@ -1,4 +1,4 @@
-"""mesh: surfaces and site to the local finite-element model, for every site of a case."""
+"""mesh: build the local finite-element model of every site from the surfaces and the site's place."""
 
 from __future__ import annotations
 
@@ -57,18 +57,18 @@ def mesh(
     study: bool = False,
     progress: Progress = SILENT,
 ) -> list[StageResult]:
-    """The local model of each site (all, or those named): model.npz, mesh.vtu, mesh.png.
+    """Mesh each site (all, or those named): model.npz, mesh.vtu, mesh.png.
 
-    element, margin : instead of the case's; size, far_size : edges (mm) under the probe, far from it
-    skin_layer, fat_layer : thickness (mm) of blocks of their own that follow the skin, 0 for none, or
-        "mri" for what `segment` found there; None: as the case's `[site.layers]` says
-    place : (angle in degrees, height in mm) round and along the limb, instead of one site's place
-    study : also a refinement study of each site (its result follows the site's)
+    element, margin : override the case's; size, far_size : edge lengths (mm) under the probe, far from it
+    skin_layer, fat_layer : thickness (mm) of separate blocks that follow the skin, 0 for none, or
+        "mri" for the thickness found by `segment`; None: according to the case's `[site.layers]`
+    place : (angle in degrees, height in mm) around and along the limb, instead of one site's place
+    study : also run a refinement study of each site (its result follows the site's)
 
     Raises
     ------
     CaseError
-        If a site or option cannot be used, or `segment` has not been run since its inputs changed.
+        If a site or option cannot be used, or the result of `segment` is missing or out of date.
     MeshError
         If no volume mesh of sufficient quality could be made.
     """
@@ -110,7 +110,7 @@ def mesh(
 def mesh_options(
     case: Case, *, element: str | None, size: float | None, far_size: float | None, margin: float | None
 ) -> MeshOptions:
-    """The case's options with those of this run on top."""
+    """The case's mesh options, overridden by those of this run."""
     usual = Sizes()
     sizes = Sizes(under_probe=size or usual.under_probe, far=far_size or max(usual.far, size or 0.0))
     margin = case.model.margin if margin is None else float(margin)
@@ -125,14 +125,14 @@ def mesh_options(
 
 
 def read_limb(segmented: StageResult) -> Limb:
-    """The surfaces that `segment` left, repaired."""
+    """The surfaces written by `segment`, repaired."""
     paths = sorted(segmented.path(name) for name in segmented.files if name.startswith("bone_"))
     skin = read_surface(segmented.folder / "skin.ply")
     return mend(skin, [read_surface(each) for each in paths], where=str(segmented.folder))
 
 
 def site_position(site: Site, segmented: StageResult) -> tuple[float, float, float]:
-    """Where a site lies (LPS, mm): as given, or its marker's place.
+    """Position of a site (LPS, mm): as given, or that of its marker.
 
     Raises
     ------
@@ -164,7 +164,7 @@ def mesh_site(
     *,
     facts: Mapping[str, Any] | None = None,
 ) -> StageResult:
-    """One site's folder below `out`; `facts` are noted with its result.
+    """Mesh one site and write its folder below `out`; `facts` are stored in its result.
 
     Raises
     ------
@@ -212,7 +212,7 @@ def mesh_site(
 def _report_layers(
     writer: StageWriter, layers: tuple[Layer, ...], sources: dict[str, str], found: SiteModel
 ) -> None:
-    """What was asked for, and what of it the model has: over bone layers thin out."""
+    """Report the requested layer thickness and that in the model: layers become thinner over bone."""
     figures, kept = found.quality, found.layers
     writer.data["layers"] = {f"{each.name}_mm": each.thickness for each in layers}
     writer.data["layer_sources"] = sources

@@ -1,4 +1,4 @@
-"""new: a case folder to fill in, with a comment at every value and a place for every file."""
+"""new: create a case folder to fill in, with a comment at every value and a place for every file."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def new(folder: Path, *, sites: Sequence[str] = ("p1",)) -> StageResult:
 
     Parameters
     ----------
-    folder : absent, or empty; nothing that is there is ever changed
+    folder : must be absent or empty; existing files are never changed
     sites : names of the places that will be measured
 
     Raises
     ------
     CaseError
-        If the folder holds anything, a file is in its place, or a site's name cannot be one.
+        If the folder is not empty, the path is a file, or a site's name is invalid.
     """
     names = _checked(sites)
     _refuse_used(folder)
@@ -109,7 +109,7 @@ def _fill_absent(folder: Path, fill: Callable[[Path], None]) -> None:
 
 
 def _fill_empty(folder: Path, fill: Callable[[Path], None]) -> None:
-    """The folder itself stays (a shell may stand in it); what was begun goes if it cannot be ended."""
+    """Fill an empty folder in place (a shell may be open in it); on an error remove what was written."""
     try:
         fill(folder)
     except BaseException:

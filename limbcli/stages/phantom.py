@@ -1,13 +1,14 @@
-"""`limbcli phantom DIR`: a synthetic subject whose truth is known, as a whole case folder.
+"""`limbcli phantom DIR`: a synthetic subject with known true parameters, as a complete case folder.
 
-    DIR/case.toml, mri/, p1/{levels.csv, trace.csv, swe/}, ...    what a user would bring
-    DIR/truth/{truth.toml, labels.nii.gz, skin.ply, bone_*.ply}   what no stage reads
+    DIR/case.toml, mri/, p1/{levels.csv, trace.csv, swe/}, ...    the files that a user would provide
+    DIR/truth/{truth.toml, labels.nii.gz, skin.ply, bone_*.ply}   the truth, which no stage reads
 
-The force-depth curves come from a simulation on the truth surfaces, on a mesh of
-its own (see `stages.synth`), with noise added. The same seed gives the same folder.
-`cases/phantom` also carries an `expected.toml` for `limbcli batch --expect`, in
+The force-depth curves are simulated on the true surfaces, on a mesh other than the fitted one
+(see `stages.synth`), with noise added. The same seed gives the same folder.
+
+`cases/phantom` also contains an `expected.toml` for `limbcli batch --expect`, in
 the format of `stages.expect`: a table [site.p1] with `m = {value = 6.0, tolerance = 1.5}`,
-`r2 = {min = 0.98}` and so on. Making the folder again keeps it.
+`r2 = {min = 0.98}` and so on. It is kept when the folder is made again.
 """
 
 from __future__ import annotations
@@ -45,11 +46,12 @@ USUAL_SITES = ("p1",)
 
 @dataclass(frozen=True)
 class PhantomOptions:
-    """What to make. voxel : mm; site_names : some of `subject.PLACES` (one keeps a trial short).
+    """Options of the synthetic subject.
 
-    element : that case.toml asks for; synth : how to simulate and measure, None for a case
-    without measurements (its seed is this one's); noise : what case.toml states, before the
-    factor in `synth`.
+    voxel : mm; site_names : some of `subject.PLACES` (a single one keeps a trial short)
+    element : the element type in case.toml; synth : how to simulate and measure, None for a case
+        without measurements (its seed is replaced by this one's); noise : the noise in case.toml, before
+        the factor in `synth`
     """
 
     seed: int = 7
@@ -62,12 +64,12 @@ class PhantomOptions:
 
 
 def refuse_unheard(plan: SynthOptions) -> None:
-    """Tissue and measurement are given only where there is something to measure.
+    """Refuse options of tissue and measurement for a case without measurements.
 
     Raises
     ------
     CaseError
-        If any of `plan` is not the usual; the element is the case's in any way.
+        If any option of `plan` except the element (which case.toml also states) is not the default.
     """
     usual = SynthOptions()
     if replace(plan, seed=usual.seed, element=None) != usual:
@@ -85,13 +87,13 @@ def phantom(
     force: bool = False,
     progress: Progress = SILENT,
 ) -> StageResult:
-    """Make the case folder, whole or not at all.
+    """Make the case folder, completely or not at all.
 
     Raises
     ------
     CaseError
-        If the folder is there already and `force` is not given, or if it holds
-        anything but a synthetic subject; or if the subject's id cannot be one.
+        If the folder exists and `force` is not given, or if it holds anything other than a
+        synthetic subject; or if the subject's id is invalid.
     """
     if (wrong := plain_name(options.subject_id)) is not None:
         raise CaseError(f"the subject's id {wrong}", where="--id", fix="give a short name, such as S1")
@@ -148,7 +150,7 @@ def _write_image(
 
 
 def _write_geometry(subject: Subject, volume: SimulatedVolume, work: Path) -> None:
-    """Truth label map and surfaces."""
+    """Write the true label map and surfaces."""
     folder = work / TRUTH
     folder.mkdir()
     truth.write_labels(folder / LABELS, volume.labels, subject.grid)
@@ -182,7 +184,7 @@ def _measure(
 
 
 def _truth_case(subject: Subject, work: Path, folder: Path, options: PhantomOptions) -> Path:
-    """A case without images: the truth surfaces, every site at its true position."""
+    """A case without images: the true surfaces, every site at its true position."""
     surfaces = {path.stem: str(path.resolve()) for path in (work / TRUTH).glob("*.ply")}
     bones = sorted(path for name, path in surfaces.items() if name.startswith("bone"))
     sites = []
@@ -196,7 +198,7 @@ def _truth_case(subject: Subject, work: Path, folder: Path, options: PhantomOpti
         sites=sites,
         element=options.element,
     )
-    mine = {"files": {"allow_outside": True}}  # they lie in the subject that is being made
+    mine = {"files": {"allow_outside": True}}  # the surfaces lie in the subject that is being made
     (folder / "case.toml").write_text(toml({**table, **mine}), encoding="utf-8")
     return folder
 
@@ -204,7 +206,7 @@ def _truth_case(subject: Subject, work: Path, folder: Path, options: PhantomOpti
 def _write_case(
     subject: Subject, work: Path, options: PhantomOptions, law: NoiseLaw, *, measured: bool
 ) -> None:
-    """case.toml; without measurements every levels.csv holds its header only."""
+    """Write case.toml; without measurements every levels.csv consists of its header only."""
     sites = []
     for place in subject.places:
         marker = 1 if place.by_marker else None  # markers are numbered from distal to proximal

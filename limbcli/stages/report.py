@@ -1,4 +1,4 @@
-"""report: what the stages left, as one page that a person can read and print."""
+"""report: present the results of all stages on one page that can be read and printed."""
 
 from __future__ import annotations
 
@@ -26,15 +26,14 @@ def report(
 ) -> StageResult:
     """Write `<out>/report/report.html`, one self-contained page, and its figures as PNG and SVG.
 
-    A stage that has not been run or that failed gets a place of its own on the page,
-    with its error and the command that makes it; nothing missing stops the report.
-
-    templates : a folder whose `report/` is looked at before ours
+    A stage that has not been run or that failed gets its own place on the page, with its error
+    and the command that runs it; missing results never stop the report.
+    templates : a folder whose `report/` takes precedence over limbcli's templates
 
     Raises
     ------
     ToolError
-        If the templates are not found, ours or those that are named.
+        If limbcli's templates or the named ones are not found.
     """
     templates_folder(templates)  # before their content is hashed
     page = gather(case, out=out, progress=progress)
@@ -83,7 +82,7 @@ def _write_page(
 
 
 def _not_drawn(page: ReportData) -> list[SiteMaterial]:
-    """Sites with a simulation whose model or records cannot be read (cut, damaged)."""
+    """Sites with a simulation whose model or records cannot be read (truncated or damaged)."""
     never_run = SiteMaterial.why_not_deformed
     return [each for each in page.sites if each.deformed is None and each.why_not_deformed != never_run]
 
@@ -93,7 +92,7 @@ def _probe(case: Case) -> str:
 
 
 def _data(page: ReportData, glance: Overview) -> dict[str, Any]:
-    """What the page says, for machines and for the index of several subjects."""
+    """The content of the page as data, for other programs and for the index of several subjects."""
     return {
         "mood": glance.mood,
         "limb": page.case.limb,
@@ -107,7 +106,7 @@ def _data(page: ReportData, glance: Overview) -> dict[str, Any]:
 
 
 def _fitted(page: ReportData) -> dict[str, Any]:
-    """Which fit of each site the page shows, by when it ended."""
+    """For each site, the fit that the page shows, with the time at which it ended."""
     fits = (each for each in page.outcomes.done if each.stage == "fit")
     return {str(each.site): each.result.provenance.get("finished_utc") for each in fits if each.result}
 

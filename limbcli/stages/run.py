@@ -1,4 +1,4 @@
-"""run: simulate the indentation with FEBio or the reference solver; the same files either way."""
+"""run: simulate the indentation with FEBio or the reference solver; both give the same files."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from limbcli.stages.running.vtu import write_series
 from limbcli.stages.site_model.site_levels import levels_of
 
 STAGE = "run"
-_OF_A_CASE = ("segment", "mesh", "build-feb", "fit")  # stages that leave nothing where only files were run
+_OF_A_CASE = ("segment", "mesh", "build-feb", "fit")  # stages whose results show that a folder is a case's
 
 
 @dataclass(frozen=True)
 class RunOptions:
-    """time_limit_s : of each simulation; vtu : also a time series for ParaView."""
+    """time_limit_s : time limit of each simulation; vtu : also write a time series for ParaView."""
 
     time_limit_s: float | None = None
     vtu: bool = False
@@ -51,18 +51,18 @@ def run(
 ) -> list[StageResult]:
     """Run each site's model.
 
-    Leaves model.feb, model.log, the record files, force-depth.csv and force-depth.png.
-    A run that fails or is stopped leaves its model, its log and a run.json that says why in `<site>-failed`;
-    the reference solver goes on from there when the same model is run again.
+    Writes model.feb, model.log, the record files, force-depth.csv and force-depth.png.
+    A run that fails or is stopped leaves its model, its log and a run.json with the reason in
+    `<site>-failed`; the reference solver continues from there when the same model is run again.
 
     Raises
     ------
     CaseError
-        If `build-feb` has not been run since its inputs changed.
+        If the model of `build-feb` is missing or out of date.
     ToolError
-        If FEBio is asked for and is not there.
+        If FEBio is requested but not found.
     SolveError
-        If the end of the load is not reached, or the model holds what the solver does not support.
+        If the end of the load is not reached, or the solver does not support a feature of the model.
     """
     engine = choose(solver, febio)
     results = []
@@ -81,14 +81,14 @@ def run_file(
     options: RunOptions = RunOptions(),
     progress: Progress = SILENT,
 ) -> StageResult:
-    """Run a model file of its own; its result is `<out>/run`, where no case has its own.
+    """Run a model file that belongs to no case; the result is `<out>/run`.
 
     Raises
     ------
     CaseError
-        If the output folder holds the results of a case; and as `run` does.
+        If the output folder holds the results of a case. Also as in `run`.
     ToolError, SolveError
-        As `run` does.
+        As in `run`.
     """
     _refuse_results_of_a_case(out, feb)
     engine = choose(solver, febio)
@@ -102,7 +102,7 @@ def run_file(
 
 
 def _refuse_results_of_a_case(out: Path, feb: Path) -> None:
-    """A file's result would take the place of `run/`, with all sites in it."""
+    """Refuse an output folder with a case's results: a file's result would replace `run/` of all sites."""
     stages = [stage_folder(out, each) for each in _OF_A_CASE]
     found = [
         *(each for each in stages if each.is_dir()),
@@ -188,7 +188,7 @@ def _simulate(
 
 
 def _check_readable(feb: Path, source: Path) -> None:
-    """A time series needs the model, of which FEBio takes more than limbcli: told before it is run."""
+    """Check before the run that limbcli can read the model, as a time series requires; FEBio reads more."""
     try:
         read_feb(feb)
     except CaseError as error:
@@ -203,7 +203,7 @@ def _version(engine: Solver) -> str:
 
 
 def _keep(writer: StageWriter, error: LimbError, engine: Solver) -> Path:
-    """Copy what a stopped run left, and a run.json that says why, into the folder for that; its path."""
+    """Copy a failed run's files and a run.json with the reason to `<site>-failed`; return that folder."""
     folder = writer.target.with_name(writer.target.name + FAILED)
     failure = {"error": type(error).__name__, "what": error.what, "where": error.where, "fix": error.fix}
     writer.data.update(solver=engine.name, failed=True, failure={**failure, "facts": plain(error.facts)})
@@ -218,7 +218,7 @@ def _keep(writer: StageWriter, error: LimbError, engine: Solver) -> Path:
 
 
 def _kept(error: LimbError, writer: StageWriter, engine: Solver) -> LimbError:
-    """The same error, with model and log kept where it says."""
+    """Keep a failed run's files; return the same error, naming the folder that holds them."""
     folder = _keep(writer, error, engine)
     where = f"{writer.site or writer.subject}: {folder / LOG_FILE}"
     place = error.where.replace(str(writer.work), str(folder))
@@ -228,6 +228,6 @@ def _kept(error: LimbError, writer: StageWriter, engine: Solver) -> LimbError:
 
 
 def _of_source(error: LimbError, feb: Path, source: Path) -> LimbError:
-    """The same error, naming the file that the user has, not the copy that was to be run."""
+    """The same error, naming the user's file instead of the copy that was run."""
     what, where, fix = (text.replace(str(feb), str(source)) for text in (error.what, error.where, error.fix))
     return type(error)(what, where=where, fix=fix, **error.facts)

@@ -1,7 +1,7 @@
-"""segment: MRI or CT series, label map or surfaces to skin, bones, fat and markers.
+"""segment: obtain skin, bones, fat and markers from an MRI or CT series, a label map or surfaces.
 
-Whatever the case brings, later stages find the same files: skin.ply, bone_*.ply. What
-the user has edited by hand (OUT/segment/labels.nii.gz) wins over all of it.
+Whatever the case provides, later stages find the same files: skin.ply, bone_*.ply. A label map that
+the user has edited by hand (OUT/segment/labels.nii.gz) takes precedence over all other inputs.
 """
 
 from __future__ import annotations
@@ -38,8 +38,10 @@ from limbcli.stages.segmenting.assumed import from_assumed
 from limbcli.stages.segmenting.places import report_places
 from limbcli.stages.segmenting.surfaces import check_limb, from_surfaces, write_surfaces
 
-SKIN_EDGE, BONE_EDGE = 2.0, 1.5  # mm: edge lengths of the surfaces' triangles
-_GONE = 0.15  # of a bone's volume in the label map: what smoothing of the usual width does not take
+SKIN_EDGE, BONE_EDGE = 2.0, 1.5  # mm, edge lengths of the surfaces' triangles
+# Loss of a bone's volume by smoothing, as a fraction of that in the label map, above which a warning is
+# given; smoothing of the usual width removes less.
+_GONE = 0.15
 LABELS = "labels.nii.gz"
 EDITED = "edited labels"
 
@@ -57,7 +59,7 @@ class _Options:
         return requested_of({**vars(self), "seeds": self.seeds or None}, {"smooth": SMOOTH})
 
     def hints(self, limb: Side) -> SegmentationHints:
-        """Hints for the segmentation; limb : the case's, which holds where no other was requested."""
+        """Hints for the segmentation; limb : side stated by the case, used if no other was requested."""
 
         def points(kind: str) -> np.ndarray | None:
             found = [place for name, place in self.seeds if name == kind]
@@ -79,22 +81,22 @@ def segment(
 ) -> StageResult:
     """Find skin, bones, fat and markers; write label map, surfaces and contact sheet.
 
-    A label map that the user has edited in the output folder wins; else the case's surfaces
-    are taken, else its label map, else its series is segmented.
+    In order of precedence the source is a label map edited by the user in the output folder, the
+    case's surfaces, its label map, and its image series, which is segmented.
 
     Parameters
     ----------
-    seeds : ("bone", (x, y, z)) adds the bone whose marrow holds the point (patient LPS, mm);
-        ("soft", (x, y, z)) says that what was taken for bone there is none
-    smooth : standard deviation of the smoothing of the surfaces, mm
-    threshold : signal between air and skin, image units (HU on CT)
-    limb : which of two limbs in view; None: the one that the case is of
-    fresh : leave an edited label map aside and start anew
+    seeds : ("bone", (x, y, z)) adds the bone whose marrow contains the point (patient LPS, mm);
+        ("soft", (x, y, z)) states that a region taken for bone at the point is not bone
+    smooth : standard deviation of the surfaces' smoothing, mm
+    threshold : signal that separates air from skin, image units (HU on CT)
+    limb : which of two limbs in the image; None: that stated by the case
+    fresh : ignore an edited label map and start again
 
     Raises
     ------
     CaseError
-        If the input cannot be used; the message says why and what to do.
+        If the input cannot be used; the message gives the reason and the remedy.
     """
     progress.event("stage", name="segment")
     options = _Options(_checked(seeds, case), smooth, threshold, limb)
@@ -138,7 +140,7 @@ def _checked(seeds: Sequence[Seed], case: Case) -> tuple[Seed, ...]:
 def edited_labels(out: Path) -> Path | None:
     """The label map in the output folder, if the user has changed it since it was written.
 
-    So has, as far as anybody knows, one without a result next to it that could show it.
+    One without a result that could show it is unchanged is also taken as edited.
     """
     path = out / "segment" / LABELS
     if not path.is_file():
@@ -152,7 +154,7 @@ def edited_labels(out: Path) -> Path | None:
 
 
 def _check_edited(case: Case, out: Path, path: Path) -> None:
-    """A label map edited by hand is this subject's, and of the series that the case names today."""
+    """Check that a label map edited by hand is of this subject and of the series that the case now names."""
     aside = "copy it to where you want to keep it, then run `limbcli segment` with --fresh"
     try:
         before = read_result(out, "segment")
@@ -186,7 +188,7 @@ def _from_series(case: Case, path: Path, options: _Options, writer: StageWriter,
 
 
 def _from_labels(case: Case, path: Path, options: _Options, writer: StageWriter, progress: Progress) -> None:
-    """A label map replaces the automatic segmentation."""
+    """Use a label map instead of the automatic segmentation."""
     writer.used("labels", path, role="imaging/labels")
     labels = read_label_file(path)
     writer.data["source"] = "labels"
@@ -199,12 +201,12 @@ def _from_labels(case: Case, path: Path, options: _Options, writer: StageWriter,
 
 
 def _image_of(case: Case, labels: Volume, path: Path, writer: StageWriter, progress: Progress) -> Volume:
-    """The series that a label map belongs to, in its order of axes, where the grid is the same; else the map.
+    """The image series in the label map's axis order if both have the same grid; else the label map itself.
 
     Raises
     ------
     CaseError
-        If the label map does not lie where the series does.
+        If label map and series do not cover the same region.
     """
     if case.imaging.mri is None:
         return labels
@@ -221,7 +223,7 @@ def _image_of(case: Case, labels: Volume, path: Path, writer: StageWriter, progr
 
 
 def _from_edited(case: Case, path: Path, options: _Options, writer: StageWriter, progress: Progress) -> None:
-    """The user's own edit of an earlier result; it is kept as it is."""
+    """Use the user's edit of an earlier label map."""
     writer.used("edited_labels", path)
     labels = read_label_file(path)
     writer.data["source"] = EDITED
@@ -282,7 +284,7 @@ def _write(
 
 
 def _thinned(name: str, bone: Volume, surface: ClosedSurface) -> list[str]:
-    """Whether smoothing took much of a thin bone."""
+    """A warning if smoothing removed a large part of a thin bone's volume."""
     gone = 1.0 - surface.volume / (float(bone.values.sum()) * bone.voxel_volume)
     if gone <= _GONE:
         return []
@@ -300,7 +302,7 @@ def _report_markers(found: Segmentation, lowered: list[float], writer: StageWrit
 
 
 def _report_layers(case: Case, found: Segmentation, skin: ClosedSurface, writer: StageWriter) -> None:
-    """Thickness of skin and fat under each site whose place is known."""
+    """Report the thickness of skin and fat under each site whose position is known."""
     places = {each.number: each.position for each in found.markers}
     layers = {}
     for site in case.sites:

@@ -1,9 +1,9 @@
-"""`limbcli synth CASE`: measurements with known parameters, on the geometry of an existing case.
+"""`limbcli synth CASE`: simulated measurements with known parameters, on the geometry of an existing case.
 
-A new case folder is written that holds the old one's images and the simulated
-measurements; what is true of them lies beside it, in a file that no stage reads.
-The simulation runs on a mesh of its own unless `same_mesh` is asked for. A site with states is measured in
-each of them, its tissue stretched before the probe touches it.
+A new case folder is written with the original's images and the simulated measurements; the true
+values are written next to it, in a file that no stage reads. The simulation uses a different mesh
+from the fit unless `same_mesh` is set. A site with states is measured in each of them, its tissue
+stretched before the probe touches it.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ from limbcli.stages.site_model.indentation_model import with_penalty
 from limbcli.stages.site_model.site_layers import MRI, held_layers
 from limbcli.temporary_folders import scratch_folder
 
-# Residual over the forces at play: far below what noise hides, or as good as it gets.
+# Relative residual at convergence (norm of the residual over that of the forces): a value far below the noise
+# of the readings, and a stricter one for readings without noise.
 _TOLERANCE, _FINE_TOLERANCE = 1e-4, 1e-6
 
 
@@ -63,13 +64,13 @@ def synth(
     force: bool = False,
     progress: Progress = SILENT,
 ) -> StageResult:
-    """Write a case like `case`, its measurements simulated; the truth to `truth_file(out_case)`.
+    """Write a copy of `case` with simulated measurements, and the true values to `truth_file(out_case)`.
 
     Raises
     ------
     CaseError
-        If `out_case` is there already and `force` is not given, or is the case itself; if layers are to be
-        read and `segment` found none; if a state's true stretch is not given.
+        If `out_case` exists and `force` is not given, or is the case itself; if layers are to be
+        read but `segment` found none; if a state's true stretch is not given.
     MeshError, SolveError
         If a site cannot be meshed or simulated.
     """
@@ -89,12 +90,12 @@ def synth(
             (work / CASE_FILE).write_text(toml(table), encoding="utf-8")
             keep_expected(out_case, work)
             if (before := truth_file(out_case)).exists():
-                os.truncate(before, 0)  # a kill from here on leaves no truth, and not another case's
+                os.truncate(before, 0)  # if killed from here on, an empty truth file rather than a wrong one
     return _result(case, out_case, measured)
 
 
 def truth_file(out_case: Path) -> Path:
-    """Where the truth of a simulated case lies: beside the folder, not in it.
+    """Path of the file with the true values of a simulated case: next to its folder, not in it.
 
     >>> truth_file(Path("data/calf-synth")).as_posix()
     'data/calf-synth.truth.toml'
@@ -122,12 +123,12 @@ def _check_target(case: Case, out_case: Path, *, force: bool) -> None:
 def measure_sites(
     case: Case, sites: tuple[Site, ...], *, out: Path, options: SynthOptions, progress: Progress = SILENT
 ) -> list[SyntheticSite]:
-    """Simulate every site on its mesh and read it off. `segment` and `mesh` run where they are missing.
+    """Simulate every site on its mesh and take the readings; run `segment` and `mesh` if necessary.
 
     Raises
     ------
     CaseError
-        If the mesh that is fitted is to be taken, and another element or other sizes are given.
+        If the fitted mesh is to be used, but another element type or other sizes are given.
     """
     _refuse_unheard(options)
     numbers = {each.name: k for k, each in enumerate(case.sites)}
@@ -144,7 +145,7 @@ def measure_sites(
 
 
 def _refuse_unheard(options: SynthOptions) -> None:
-    """Sizes are those of a mesh of its own."""
+    """Refuse mesh options that have no effect when the fitted mesh is used."""
     usual, names = SynthOptions(), ("size", "far_size", "margin")
     if options.same_mesh and any(getattr(options, each) != getattr(usual, each) for each in names):
         raise CaseError(
@@ -185,7 +186,7 @@ def _meshed(case: Case, site: Site, folder: Path, options: SynthOptions, progres
 def _measure_site(
     case: Case, site: Site, folder: Path, options: SynthOptions, number: int, progress: Progress
 ) -> list[SyntheticSite]:
-    """One measurement; of a site with states one in each."""
+    """Simulate one measurement of a site, or one in each of its states."""
     progress.event("stage", name="synth", site=site.name)
     if site.states and options.layers:
         raise CaseError(
@@ -231,9 +232,9 @@ def _measure_site(
 def read_off(
     true: TrueLevels, law: NoiseLaw, options: SynthOptions, number: int, *, state: int | None = None
 ) -> Readings:
-    """One measurement of what is true at the case's site of this number, with the noise of `options.seed`.
+    """Simulated readings of the true levels at the case's site `number`, with noise by `options.seed`.
 
-    state : the number of the state it is measured in, each with noise of its own
+    state : number of the state in which it is measured; each state has independent noise
     """
     rng = np.random.default_rng([options.seed, 3, number, *([] if state is None else [state])])
     readings = measure(true, law, protocol=options.protocol, rng=rng)
@@ -244,7 +245,7 @@ def read_off(
 
 
 def _change(found: Sequence[Alter | None]) -> Alter | None:
-    """All changes of the loaded model, one after the other."""
+    """The composition of all changes of the loaded model, in order; None if there are none."""
     changes = [each for each in found if each is not None]
     if not changes:
         return None
@@ -258,7 +259,7 @@ def _change(found: Sequence[Alter | None]) -> Alter | None:
 
 
 def noise_law(noise: StatedNoise) -> NoiseLaw:
-    """The case's noise as the law to measure with."""
+    """The case's stated noise as a noise law for simulated readings."""
     return NoiseLaw(noise.force, noise.depth, noise.swe_level_fraction, noise.swe_pixel_fraction, noise.layer)
 
 

@@ -1,1 +1,1 @@
-"""What `batch` is made of: the steps of a site, their outcome, who works on them, fits on demand."""
+"""Parts of `batch`: the steps of a site, their outcome, the processes that run them, fits on demand."""

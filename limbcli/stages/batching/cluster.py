@@ -1,8 +1,8 @@
-"""Who works on the parts of a batch: processes of this computer, or a cluster named by its address.
+"""The processes that run the parts of a batch: local processes, or a cluster given by its address.
 
-Dask distributed does all of it: it starts processes, gives out work, gives that of a lost process to
-another, and shows all on its dashboard. Here is only what limbcli asks of its workers: the same code as
-the one who calls, and one part at a time in a process.
+Dask distributed starts the processes, distributes the work, reassigns the work of a lost process and
+provides a dashboard. This module only enforces limbcli's requirements on workers: the same code as the
+caller's, and one part at a time in each process.
 """
 
 from __future__ import annotations
@@ -29,9 +29,10 @@ if TYPE_CHECKING:
     from distributed import Client, LocalCluster
 
 EXTRA = "cluster"
-_GB_A_WORKER = 2.0  # of memory: what a large series takes in `segment`
-_WAIT_S = 30  # for a scheduler to answer
-# Of local processes: no part waits with one that may be lost; where none is left, parts fail after a while.
+_GB_A_WORKER = 2.0  # GB of memory for each worker: what `segment` needs for a large series
+_WAIT_S = 30  # s, time limit for a scheduler to answer
+# Dask settings for local processes: parts queue at the scheduler, not at a worker that may be lost; if no
+# worker is left, parts fail after the timeout.
 _LOCAL = {
     "distributed.scheduler.worker-saturation": 1.0,
     "distributed.scheduler.no-workers-timeout": "5 minutes",
@@ -41,12 +42,12 @@ _LIBRARY_THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"
 
 
 class WorkerRefused(ToolError):
-    """This worker does not have what the client asks of it; its address is among the facts."""
+    """The worker does not meet the client's requirements; its address is among the facts."""
 
 
 @dataclass(frozen=True)
 class WorkerStanding:
-    """What a worker is: its limbcli, the hash of its sources, and how many parts it takes at a time."""
+    """A worker's limbcli version, the hash of its sources, and the number of parts it runs at a time."""
 
     version: str
     code: str
@@ -57,7 +58,7 @@ class WorkerStanding:
         return WorkerStanding(__version__, code_hash(), n_threads)
 
     def why_not(self, client: WorkerStanding) -> str:
-        """Why a client of that code may not use this worker; empty where it may.
+        """Why this client may not use the worker; empty if it may.
 
         >>> ours = WorkerStanding("1.0", "abcdef0123", 1)
         >>> WorkerStanding("1.0", "abcdef0123", 1).why_not(ours)
@@ -81,7 +82,7 @@ def is_installed() -> bool:
 
 
 def jobs_for(n_cases: int) -> int:
-    """Local processes for so many cases: as many as there are cores, and memory for (2 GB each)."""
+    """Number of local processes for `n_cases` cases, limited by the cores and the memory (2 GB each)."""
     from dask.system import CPU_COUNT
     from distributed.system import MEMORY_LIMIT
 
@@ -89,7 +90,7 @@ def jobs_for(n_cases: int) -> int:
 
 
 def threads_of(jobs: int) -> int:
-    """Of each of so many local processes, so that together they have no more threads than there are cores."""
+    """Threads for each of `jobs` local processes, such that their total does not exceed that of the cores."""
     from dask.system import CPU_COUNT
 
     return int(max(1, CPU_COUNT // jobs))
@@ -97,7 +98,7 @@ def threads_of(jobs: int) -> int:
 
 @contextlib.contextmanager
 def connected(*, scheduler: str | None, jobs: int, progress: Progress) -> Iterator[Client]:
-    """A client of the cluster at that address, else of so many local processes, which end with the block.
+    """A client of the cluster at that address, or of `jobs` local processes, which end with the context.
 
     Raises
     ------
@@ -114,7 +115,7 @@ def connected(*, scheduler: str | None, jobs: int, progress: Progress) -> Iterat
     import dask
     from distributed import Client
 
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is reported by the batch
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # the batch itself reports what matters
     with contextlib.ExitStack() as stack:
         if scheduler is None:
             folder = str(stack.enter_context(scratch_folder()))
@@ -130,12 +131,12 @@ def connected(*, scheduler: str | None, jobs: int, progress: Progress) -> Iterat
 
 
 def _local(jobs: int, folder: str) -> LocalCluster:
-    """Processes on this computer; what waits does so with the scheduler, and is not lost with a process.
+    """Start local processes; waiting parts queue at the scheduler and are not lost with a process.
 
     Raises
     ------
     ToolError
-        If they do not start, as where each would call the very batch again that starts it.
+        If they do not start, e.g. because each new process would run the calling script again.
     """
     import dask
     from distributed import LocalCluster
@@ -159,7 +160,7 @@ def _local(jobs: int, folder: str) -> LocalCluster:
 
 
 def dask_setup(_worker: Any) -> None:
-    """Called by Dask in a local process at its beginning: Ctrl-C is for the batch, which ends them all."""
+    """Called by Dask when a local process starts: ignore Ctrl-C, as the batch ends all processes on it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
@@ -178,12 +179,12 @@ def _at(scheduler: str) -> Client:
 
 
 def refuse_unlike(client: Client) -> None:
-    """Ask all workers that are there now.
+    """Check all currently connected workers.
 
     Raises
     ------
     ToolError
-        If any of them has other code than this process, or takes several parts at a time.
+        If any of them runs different code from this process, or several parts at a time.
     """
     found = client.run(_standing, on_error="return")
     refused = {address: why for address, each in sorted(found.items()) if (why := _why_not(each))}
@@ -210,12 +211,12 @@ def _why_not(found: WorkerStanding | BaseException) -> str:
 
 
 def refuse_other(client: WorkerStanding) -> None:
-    """On a worker, before it begins: those that came after all were asked must be asked too.
+    """Check this worker before it runs a part; it may have joined after `refuse_unlike`.
 
     Raises
     ------
     WorkerRefused
-        If this worker is not what the client needs.
+        If this worker does not meet the client's requirements.
     """
     from distributed import get_worker
 
@@ -232,7 +233,7 @@ def refuse_other(client: WorkerStanding) -> None:
 
 @contextlib.contextmanager
 def as_called(command: Sequence[str], threads: int) -> Iterator[None]:
-    """On a worker: results record the command that was given, and nothing takes more threads than these."""
+    """On a worker: let results record the given command, and limit the number of threads."""
     from threadpoolctl import threadpool_limits
 
     environment = dict.fromkeys((THREADS, *_LIBRARY_THREADS), str(threads))
@@ -249,7 +250,7 @@ def as_called(command: Sequence[str], threads: int) -> Iterator[None]:
 
 
 def lost_workers(client: Client) -> int:
-    """How many have ended without having been asked to, since the scheduler began."""
+    """Number of workers that ended unexpectedly since the scheduler was started."""
     events = client.get_events("all") or ()
     reported = [event for _, event in events if isinstance(event, dict)]
     return sum(each.get("action") == "remove-worker" and not each.get("expected") for each in reported)

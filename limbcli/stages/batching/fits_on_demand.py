@@ -1,8 +1,8 @@
-"""The fits that are made on demand, kept up to date by a batch once they have been made.
+"""Fits made on demand, which a batch keeps up to date once they have been made.
 
-`fit-joint` and `fit-elements` are not part of every batch. Where one lies in the output
-folder, a batch looks at it as at any stage: fresh as long as what it was made from is
-unchanged, made again in the same way where it is not.
+`fit-joint` and `fit-elements` are not part of every batch. If the output folder contains one, a
+batch treats it like any stage: it is up to date while its inputs are unchanged, and is otherwise
+made again with the same options.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.provenance.requested_options import options_of
 from limbcli.version import __version__
 
-SHOWN_ONLY = (("diagnose", True), ("mesh-study", True))  # (stage, whether one a site)
+SHOWN_ONLY = (("diagnose", True), ("mesh-study", True))  # (stage, whether there is one result per site)
 
 
 @dataclass(frozen=True, eq=False)
 class FitOnDemand:
-    """A result that is there: of which sites, whether its inputs are today's, and how to make it again."""
+    """An existing result: its sites, whether its inputs are unchanged, and a function that makes it again."""
 
     stage: str
     site: str | None
@@ -37,7 +37,7 @@ class FitOnDemand:
 
 
 def extras(case: Case, out: Path, *, progress: Progress = SILENT) -> Iterator[FitOnDemand]:
-    """Those that lie in `out`; one that cannot be read is left alone (its page says so)."""
+    """The fits on demand found in `out`; an unreadable one is skipped (the report shows it)."""
     names = tuple(site.name for site in case.sites)
     joint = _there(out, "fit-joint", None)
     if joint is not None:
@@ -56,7 +56,7 @@ def extras(case: Case, out: Path, *, progress: Progress = SILENT) -> Iterator[Fi
 
 
 def shown_only(case: Case, out: Path) -> list[Path]:
-    """Results that a batch does not make but its page shows."""
+    """Results that a batch does not make but the report shows."""
     found = [
         stage_folder(out, stage, site.name if by_site else None) / f"{stage}.json"
         for stage, by_site in SHOWN_ONLY
@@ -73,13 +73,13 @@ def _there(out: Path, stage: str, site: str | None) -> StageResult | None:
 
 
 def _requested(found: StageResult) -> Mapping[str, Any]:
-    """What a fit was asked for beyond its defaults; nothing where that is damaged."""
+    """A fit's options that differ from the defaults; empty if their record is damaged."""
     given = found.data.get("asked")
     return given if isinstance(given, Mapping) else {}
 
 
 def made_by_hand(case: Case, out: Path, site: str, *, solver: str) -> bool:
-    """Whether a site's fit is of today's model and measurement, this version and this solver."""
+    """Whether a site's fit is of the current model and measurement, this version and this solver."""
     found = _there(out, "fit", site)
     if found is None or (stage_folder(out, "fit", site) / ERROR_FILE).exists():
         return False
@@ -94,7 +94,7 @@ def made_by_hand(case: Case, out: Path, site: str, *, solver: str) -> bool:
 
 
 def _is_current(case: Case, out: Path, found: StageResult, sites: tuple[str, ...], *, labelled: bool) -> bool:
-    """Whether models and measurements are still those it was made from."""
+    """Whether the models and measurements from which it was made are unchanged."""
     if Chain(case, out).broken(found) is not None:
         return False
     used = found.provenance.get("inputs_sha256", {})

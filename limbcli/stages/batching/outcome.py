@@ -1,4 +1,4 @@
-"""What a batch is asked for, and how one case went: what ran, what was fresh, what failed and why."""
+"""Options of a batch, and the outcome of one case: stages run, up to date, or failed (and why)."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from limbcli.atomic_files import atomic_file
 from limbcli.errors import LimbError
 from limbcli.results import ERROR_FILE, plain, stage_folder
 
-_KEPT = ("segment",)  # whose result tells whether the label map beside it was edited by hand since
+_KEPT = ("segment",)  # result is kept on failure, as it shows whether the label map has been edited since
 
 
 @dataclass(frozen=True)
 class BatchOptions:
-    """What the stages are asked for: `element` None is the case's own; `force` redoes everything.
+    """Options of a batch. element : None for the case's own; force : repeat everything.
 
-    defaults : stages forget what they were asked for by hand; else each is called as it was last called
-    diagnose : every place is diagnosed, too, once its sites are fitted
+    defaults : discard options of manual calls; otherwise each stage is called as it was last called by hand
+    diagnose : also diagnose every place once its sites are fitted
     """
 
     element: str | None = None
@@ -32,7 +32,7 @@ class BatchOptions:
 
     @classmethod
     def of(cls, *, febio: Path | None, templates: Path | None, **others: Any) -> BatchOptions:
-        """With paths that hold in other processes, too; a FEBio that is no file here is a program's name."""
+        """Options with absolute paths, for other processes; a `febio` that is no file is a command name."""
         named = febio.absolute() if febio is not None and febio.exists() else febio
         return cls(febio=named, templates=None if templates is None else templates.absolute(), **others)
 
@@ -51,10 +51,10 @@ class StepFailure:
 
 @dataclass
 class CaseOutcome:
-    """How one case went: what ran, what was fresh, what failed, and its report.
+    """Outcome of one case: stages run, stages up to date, failures, and its report.
 
-    kept : options that a stage was called with by hand and is called with again, in words
-    begun : whether there was a case folder, and nobody else wrote into its output folder
+    kept : by stage, options of a manual call that are used again, in words
+    begun : False if the case folder did not exist or another process was writing to the output folder
     """
 
     case: Path
@@ -67,7 +67,7 @@ class CaseOutcome:
     begun: bool = True
 
     def add(self, part: CaseOutcome) -> None:
-        """What another part of the same case's work left."""
+        """Add the outcome of another part of the same case."""
         self.ran += part.ran
         self.fresh += part.fresh
         self.kept |= part.kept
@@ -91,18 +91,17 @@ class CaseOutcome:
 def keep_error(
     out: Path, stage: str, site: str | None, error: LimbError, *, keep_result: bool = False
 ) -> None:
-    """Leave a stage's failure where the report finds it; the stale result no longer counts.
+    """Write a stage's failure where the report finds it, and remove the stale result.
 
-    keep_result : it stays beside the failure, to tell another time how to make it again (as that of
-        `segment` always does)
+    keep_result : keep the stale result, which records how to make it again (always so for `segment`)
     """
     folder = stage_folder(out, stage, site)
     if error.facts.get("foreign") == str(folder):
-        return  # a file of ours in a user's folder would make it ours
+        return  # never write to a folder that belongs to the user
     try:
         with atomic_file(folder / ERROR_FILE) as path:
             path.write_text(json.dumps(error_json(error), indent=1), encoding="utf-8")
-    finally:  # also where the disk is full
+    finally:  # even if the disk is full
         if not keep_result and stage not in _KEPT:
             (folder / f"{stage}.json").unlink(missing_ok=True)
 

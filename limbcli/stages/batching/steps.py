@@ -1,4 +1,4 @@
-"""The stages of one site as a batch runs them: what each depends on, and its call."""
+"""The stages of one site as run by a batch: the inputs and the call of each."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from limbcli.stages.batching.outcome import BatchOptions
 from limbcli.stages.provenance.requested_options import Requested, options_of
 
 SITE_STAGES = ("mesh", "build-feb", "run", "fit")
-# Keys of a [[site]] that its mesh is made from; the others are looked at once there is a model.
+# Keys of a [[site]] that its mesh depends on; the later stages depend on the others.
 _OF_MESH = (
     "name", "position_mm", "marker", "long_axis", "layers", "fibre_direction", "pennation", "skin_bone_mm",
 )  # fmt: skip
-FIT_STATES = "fit-states"  # after these, of a site that has states
+FIT_STATES = "fit-states"  # run after the other stages, for a site that has states
 
 
 @dataclass(frozen=True, eq=False)
 class SiteStep:
-    """parts : what the stage depends on beside the stage before it; paths count by their content"""
+    """parts : inputs of the stage other than the preceding stage; paths are hashed by their content"""
 
     stage: str
     parts: Sequence[object]
@@ -35,7 +35,7 @@ def site_steps(
     case: Case, name: str, options: BatchOptions, requested: Mapping[str, Requested], *, out: Path,
     progress: Progress,
 ) -> list[SiteStep]:  # fmt: skip
-    """In order. `requested`: of each stage, the options of its last call by hand."""
+    """The steps in order. `requested`: for each stage, the options of its last manual call."""
     from limbcli.stages.build_feb import TissueOptions, build_feb
     from limbcli.stages.fit import FitOptions, fit
     from limbcli.stages.mesh import mesh
@@ -96,7 +96,7 @@ def _states_fit(case: Case, requested: Requested, common: Mapping[str, Any]) -> 
 
 
 def _fibre_parts(case: Case, name: str) -> tuple[object, ...]:
-    """What the fibres of a site's mesh depend on beside its own table."""
+    """Inputs of a site's fibres other than its own table."""
     site = case.site(name)
     named = {each.orientation for each in site.fibres.pennation} - {name}
     axes = [(each.name, each.long_axis) for each in case.sites if each.name in named]
@@ -106,10 +106,10 @@ def _fibre_parts(case: Case, name: str) -> tuple[object, ...]:
 
 
 def parts_of(requested: Requested) -> tuple[object, ...]:
-    """What a key sees of options that were asked for."""
+    """Requested options as parts of a key."""
     return (sorted(requested.items()),) if requested else ()
 
 
 def path_of(text: str | None) -> Path | None:
-    """Of an option that was kept as text."""
+    """Path of an option that was stored as text."""
     return Path(text) if text else None

@@ -1,1 +1,1 @@
-"""What `cohort` is made of: the family of models, the estimate, compliance of people left out, the page."""
+"""Parts of `cohort`: the family of models, the estimate, compliance of left-out people, the page."""

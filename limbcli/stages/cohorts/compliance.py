@@ -1,4 +1,4 @@
-"""How well compliance of held-out people is predicted, and how much of the error no model can remove."""
+"""Prediction error of the compliance of held-out people, and the part of it that no model can remove."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from limbcli.measurement.cohort_table import OF_PERSON, CohortTable
 from limbcli.model import Array
 from limbcli.stages.cohorts.estimate import noise_of
 
-_PAIRS = 8  # repeated measurements, from which on repeatability is reported
-_OFF_OF_GAUSSIAN = np.sqrt(2.0 / np.pi)  # mean absolute value of a standard deviation of 1
+_PAIRS = 8  # least number of repeated measurements for which repeatability is reported
+_OFF_OF_GAUSSIAN = np.sqrt(2.0 / np.pi)  # mean absolute value of a standard normal variable
 
 
 def compliance_left_out(
     table: CohortTable, family: LayeredFamily, slope_deviation: float, layer_deviation: Array, *, seed: int
 ) -> tuple[dict[str, Any], list[str]]:
-    """The entry of cohort.json, and what to warn of.
+    """The entry of cohort.json, and warnings.
 
-    slope_deviation, layer_deviation : of all rows, for what measuring again would differ by
+    slope_deviation, layer_deviation : noise of all rows, from which repeatability is estimated
     """
     n_people = len(table.people)
     if n_people < FOLDS:
@@ -97,11 +97,11 @@ def compliance_left_out(
 
 
 class _Slab:
-    """ln compliance of the slab with the mean tissue of the training people, site by site.
+    """ln compliance of the slab with the mean tissue of the training people, for each site.
 
-    The tissue of a training row is found under one and the same prior, so that no row knows of another but by
-    the noise estimated from them together; a fold's mean tissue is then that of its training rows, and so is
-    the strain that is typical of a site.
+    The tissue of each training row is identified with the same fixed prior, so that rows are coupled only
+    through the noise estimated from all of them. A fold's mean tissue and typical strain at a site are those
+    of its training rows.
     """
 
     def __init__(self, table: CohortTable, family: LayeredFamily):
@@ -109,7 +109,7 @@ class _Slab:
         self._strain = table.depth / table.whole
 
     def _tissue(self, train: Array) -> Array:
-        """theta (n, 3) of the training rows, by the noise estimated from them; NaN of the others."""
+        """theta (n, 3) of the training rows, with the noise estimated from them; NaN for the other rows."""
         part = self._table.rows(train)
         noise = noise_of(part)
         model = CohortModel.of(self._family, part.thickness, part.face, part.depth / part.whole)
@@ -139,7 +139,7 @@ class _Slab:
 
 
 def _with_person(table: CohortTable, features: Array, physics: _Slab, seed: int) -> dict[str, Any] | None:
-    """The same with what is known of the person; None where the table does not give it."""
+    """The same prediction with the columns about the person; None if the table does not have them."""
     columns, names = [], []
     for name in OF_PERSON:
         values = table.others.get(name)
@@ -159,7 +159,8 @@ def _with_person(table: CohortTable, features: Array, physics: _Slab, seed: int)
 
 
 def _repeatability(table: CohortTable, slope_deviation: float, layer_deviation: Array) -> dict[str, Any]:
-    """What measuring again would differ by: from repeated trials, else only what marks and slope leave."""
+    """Repeatability of the compliance: from repeated trials if there are enough, and from the noise of layer
+    marks and slope alone."""
     marks = layer_deviation.max() / table.depth
     deviation = np.sqrt(slope_deviation**2 + marks**2)
     entry: dict[str, Any] = {
@@ -186,9 +187,9 @@ def _repeatability(table: CohortTable, slope_deviation: float, layer_deviation: 
 
 
 def _person_share(table: CohortTable, residual: Array) -> float | None:
-    """Share of the residuals' variance that a person's sites have in common (0: each site on its own).
+    """Share of the residuals' variance common to a person's sites (0: sites are independent).
 
-    Trials of one person's site are that one site, by their mean.
+    Repeated trials at one site of a person are replaced by their mean.
     """
     groups: dict[tuple[str, str], list[float]] = {}
     for each, *key in zip(residual, table.person.astype(str), table.site.astype(str), strict=True):

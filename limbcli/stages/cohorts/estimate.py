@@ -1,4 +1,4 @@
-"""Every site of a cohort's table: its noise, its population, and the tissue of its rows."""
+"""Estimates for the sites of a cohort's table: noise, population, and the tissue of each row."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from limbcli.progress import SILENT, Progress
 
 @dataclass(frozen=True, eq=False)
 class SiteEstimate:
-    """One site's rows (numbers in the table), their model and what was found."""
+    """One site's rows (indices in the table), their model and the estimates."""
 
     name: str
     rows: IntArray
@@ -37,7 +37,7 @@ class SiteEstimate:
 
 @dataclass(frozen=True, eq=False)
 class CohortNoise:
-    """What the table's own noise is: of layers' shortening (mm), and of the ln of stiffness."""
+    """Noise of the table: of the layers' shortening (mm), and of ln stiffness."""
 
     layers: EdgeNoise
     slope: float
@@ -60,9 +60,9 @@ def estimate_sites(
     seed: int = 7,
     progress: Progress = SILENT,
 ) -> list[SiteEstimate]:
-    """The population of every site and its rows' own tissue.
+    """Estimate the population of every site and the tissue of its rows.
 
-    Rows are taken by person and trial: draws go with them, not with their place in the table.
+    Rows are sorted by person and trial, so that the random draws do not depend on their order in the table.
     """
     found = []
     named = np.lexsort((table.trial.astype(str), table.person.astype(str)))

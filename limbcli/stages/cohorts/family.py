@@ -1,17 +1,18 @@
-"""The family behind `cohort`: a layered slab under the probe, solved by the reference solver over its shape
-and its tissue.
+"""The family of models behind `cohort`: a layered slab under the probe, simulated with the reference solver
+for a range of geometries and tissue parameters.
 
-Everything is in sizes of the probe's face: lengths over the root of its area, forces over its area and
-the muscle's c. So one family serves every probe of about these proportions. Its numbers:
+All quantities are scaled by the probe's face: lengths by the square root of its area, forces by its area and
+the muscle's c. One family is therefore valid for every probe of about these proportions. Its parameters:
 
-    thickness  the whole, skin to bone, over the root of the face's area
-    fat_share  fat over fat and muscle
-    skin       skin over the root of the face's area
+    thickness  total thickness, skin to bone, divided by the root of the face's area
+    fat_share  fat thickness divided by that of fat and muscle
+    skin       skin thickness divided by the root of the face's area
     ratio      c_fat / c_muscle
     m          exponent, of all three layers
 
-Held: skin five times as stiff as muscle, f_kappa 100, a face four times as long as wide, no friction, a flat
-rigid base to which the tissue sticks, flanks free at one thickness and one root of the area beside the face.
+Fixed: skin five times as stiff as muscle, f_kappa 100, a face four times as long as wide, no friction, a flat
+rigid base to which the tissue adheres, free flanks at a distance of one thickness plus one root of the area
+from the face.
 """
 
 from __future__ import annotations
@@ -32,23 +33,23 @@ from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.session import ReferenceSession, SessionResult
 
-ROOT_AREA = 20.0  # mm: the size at which the family is solved
+ROOT_AREA = 20.0  # mm, square root of the face's area at which the family is solved
 ASPECT, EDGE_SHARE = 4.0, 0.12
 F_KAPPA = 100.0
 PENALTY = 80.0
 STRAINS = (0.05, 0.12, 0.2, 0.3, 0.4)
-_C = 0.01  # MPa; the answers are given over it
+_C = 0.01  # MPa, c of the muscle in the simulations; answers are divided by it
 _LARGEST_STRIDE_S = 0.3
 _RECORD = "axis.csv"
 _FEWEST = 2
-# What the derivatives by ln ratio and ln m are summed from: (material, parameter, rate).
+# Terms of the derivatives by ln ratio and ln m: (material, parameter, derivative of the parameter).
 _BY_RATIO = (("fat", "c1", 0.5), ("fat", "c2", 0.5), ("fat", "kappa", F_KAPPA))
 _BY_M = tuple((layer, "m1-m2", 1.0) for layer in LAYERS)
 
 
 @dataclass(frozen=True)
 class Member:
-    """One place of the family."""
+    """One set of parameters of the family."""
 
     thickness: float
     fat_share: float
@@ -57,7 +58,7 @@ class Member:
     m: float
 
     def slab(self) -> Slab:
-        """In mm, on a face of ROOT_AREA squared."""
+        """The slab in mm, under a face of area ROOT_AREA squared."""
         whole, skin = self.thickness * ROOT_AREA, self.skin * ROOT_AREA
         fat = self.fat_share * (whole - skin)
         probe = ProbeShape(
@@ -68,11 +69,11 @@ class Member:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a member answers at strains (n,) of the whole thickness.
+    """A member's response at strains (n,) of the total thickness.
 
-    force : over c_muscle, the face's area and the strain
-    below_skin, below_fat : how far the borders went over how far the skin went
-    *_slopes : (n, 2) derivatives by ln ratio and ln m (of the force: of its logarithm)
+    force : divided by c_muscle, the face's area and the strain
+    below_skin, below_fat : displacement of the layers' borders divided by that of the skin
+    *_slopes : (n, 2) derivatives by ln ratio and ln m (for the force, those of its logarithm)
     """
 
     strain: Array
@@ -93,7 +94,7 @@ def solve_member(
     gradients: bool = True,
     progress: Progress = SILENT,
 ) -> Answer:
-    """Press the member step by step, as far as the solver gets.
+    """Simulate the indentation of a member up to the last strain that the solver reaches.
 
     Raises
     ------
@@ -148,14 +149,14 @@ def _answer(member: Member, slab: Slab, plan: Schedule, found: SessionResult, gr
 
 
 def _from_surface(values: Array, items: IntArray) -> Array:
-    """Columns in the order surface, below skin, below fat: nodes on the axis count up with height."""
+    """Columns in the order surface, below skin, below fat; node numbers on the axis increase with height."""
     return np.asarray(values[:, np.argsort(items)[::-1]])
 
 
 def _slopes(
     member: Member, found: SessionResult, keep: Array, depth: Array, force: Array
 ) -> tuple[Array, Array, Array]:
-    """Derivatives (n, 2) by ln ratio and ln m of ln force and of both borders' shares."""
+    """Derivatives (n, 2) by ln ratio and ln m of ln force and of both borders' relative displacements."""
     moved = (
         [(key, rate * member.ratio * _C) for *key, rate in _BY_RATIO],
         [(key, rate * member.m) for *key, rate in _BY_M],

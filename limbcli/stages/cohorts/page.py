@@ -1,4 +1,4 @@
-"""The page of a cohort, with its pictures beside it."""
+"""The page of a cohort, and its pictures in a folder next to it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def cohort_page(data: Mapping[str, Any], out: Path, name: str, *, templates: Pat
 
 
 def is_ours(path: Path) -> bool:
-    """Whether a file in the folder of pictures has a name that a cohort's has.
+    """Whether a file in the folder of pictures has the name of a cohort's picture.
 
     >>> is_ours(Path("pictures/left-out-data.csv")), is_ours(Path("pictures/holiday.png"))
     (True, False)

@@ -1,4 +1,4 @@
-"""What is reported of a cohort: of every site, of every row, and who stands out."""
+"""The results of a cohort: for every site, for every row, and the outliers."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ _FAT_BANDS_MM = (0.0, 2.0, 4.0, 8.0, 15.0, np.inf)
 
 
 def natural(theta: Array) -> Array:
-    """c_muscle (kPa), c_fat (kPa), m from their logarithms (..., 3), c in MPa."""
+    """c_muscle (kPa), c_fat (kPa) and m from their logarithms (..., 3), where c is in MPa."""
     values = np.exp(theta)
     values[..., [C_MUSCLE, C_FAT]] = kpa_from_mpa(values[..., [C_MUSCLE, C_FAT]])
     return np.asarray(values)
 
 
 def within_family(theta: Array, middle: Array) -> Array:
-    """theta (n, 3) with c_fat and m no farther than the family's ends, seen from the rows' c_muscle.
+    """theta (n, 3) with c_fat and m clipped to the range of the family at c_muscle of the rows (`middle`).
 
-    Beyond an end the readings are those of the end: nothing is known there but the side.
+    Outside the range the model's readings are those of its end, so only the side is known there.
     """
     out = theta.copy()
     apart = theta[:, C_FAT] - middle[:, C_MUSCLE]
@@ -42,7 +42,7 @@ def within_family(theta: Array, middle: Array) -> Array:
 
 
 def site_entry(table: CohortTable, site: SiteEstimate) -> dict[str, Any]:
-    """Population of a site: geometric means with 95 % intervals, spread as a factor, what the rows say."""
+    """Population of a site: geometric means with 95 % intervals, spread as a factor, and row statistics."""
     people = site.population
     middle = natural(people.mean)
     low, high = map(natural, people.mean_interval)
@@ -84,21 +84,21 @@ def site_entry(table: CohortTable, site: SiteEstimate) -> dict[str, Any]:
 
 
 def family_ends() -> str:
-    """Of tissue, in words."""
+    """The range of the family's tissue parameters in words."""
     low, high = np.exp([LOW, HIGH])
     named = (("c_fat/c_muscle", RATIO), ("m", EXPONENT))
     return ", ".join(f"{name} {low[k]:.3g} to {high[k]:.3g}" for name, k in named)
 
 
 def m_beyond(mean: Array) -> str | None:
-    """In words, where the population's m lies beyond the family's ends: then only that is known."""
+    """In words, if the population's m is outside the family's range: then only the side is known."""
     low, high = np.exp([LOW[EXPONENT], HIGH[EXPONENT]])
     m = float(np.exp(mean[M]))
     return f"below {low:.3g}" if m < low else f"above {high:.3g}" if m > high else None
 
 
 def c_fat_beyond(mean: Array) -> str | None:
-    """The same of c_fat / c_muscle."""
+    """The same for c_fat / c_muscle."""
     low, high = np.exp([LOW[RATIO], HIGH[RATIO]])
     ratio = float(np.exp(mean[C_FAT] - mean[C_MUSCLE]))
     if low <= ratio <= high:
@@ -107,9 +107,9 @@ def c_fat_beyond(mean: Array) -> str | None:
 
 
 def missed_by_one_tissue(site: SiteEstimate) -> Array:
-    """By how many noise deviations (n,) fat shortens more than if fat and muscle were one tissue.
+    """Excess shortening of fat (n,) over that of a homogeneous tissue, in standard deviations of the noise.
 
-    c of the one tissue is that of the row's force, m the row's own.
+    The homogeneous tissue has c_muscle and m of the row.
     """
     theta = site.found.mean.copy()
     theta[:, C_FAT] = theta[:, C_MUSCLE]
@@ -118,7 +118,7 @@ def missed_by_one_tissue(site: SiteEstimate) -> Array:
 
 
 def homogeneous(table: CohortTable, site: SiteEstimate) -> dict[str, Any]:
-    """How one tissue misses what the layers did, in deviations of the noise of their edges."""
+    """Misfit of a homogeneous tissue to the layers' shortening, in standard deviations of the edge noise."""
     missed = missed_by_one_tissue(site)
     fat = table.thickness[site.rows, 1]
     bands = {}
@@ -142,7 +142,7 @@ def homogeneous(table: CohortTable, site: SiteEstimate) -> dict[str, Any]:
 def row_entries(
     table: CohortTable, sites: list[SiteEstimate], predicted: dict[str, Any]
 ) -> list[dict[str, Any]]:
-    """Every row, in the table's order: its tissue with intervals, its misfits, its left-out compliance."""
+    """Every row, in the table's order: tissue with intervals, misfits, compliance predicted when left out."""
     entries: dict[int, dict[str, Any]] = {}
     left_out = predicted["rows"]
     for site in sites:
@@ -194,7 +194,7 @@ def row_entries(
 
 
 def outliers(table: CohortTable, sites: list[SiteEstimate]) -> dict[str, Any]:
-    """Rows and people that their population does not expect, after Holm's adjustment over all looked at."""
+    """Rows and people that are outliers of their population, after Holm's adjustment for their number."""
     rows, p_rows = [], []
     for site in sites:
         for i, row in enumerate(site.rows):
@@ -216,7 +216,7 @@ def outliers(table: CohortTable, sites: list[SiteEstimate]) -> dict[str, Any]:
 
 
 def people_apart(table: CohortTable, sites: list[SiteEstimate]) -> list[dict[str, Any]]:
-    """People whose muscle is stiffer or softer than others' over all of their sites."""
+    """People whose muscle is significantly stiffer or softer than others' over all of their sites."""
     scores: dict[str, list[float]] = {}
     for site in sites:
         persons = table.person[site.rows].astype(str)
@@ -242,10 +242,10 @@ def people_apart(table: CohortTable, sites: list[SiteEstimate]) -> list[dict[str
 
 
 def person_scores(scores: Sequence[Sequence[float]]) -> Array:
-    """z (n,) of people's means over their sites, by each one's scores, which have variance 1 at every site.
+    """z (n,) of each person's mean score over sites; scores have variance 1 at every site.
 
-    What is expected of a mean over so many sites follows from how alike the sites of all people are, not from
-    the few who were measured at as many.
+    The variance of a mean over several sites follows from the correlation between sites estimated from all
+    people, not only from the few who were measured at equally many sites.
     """
     counts = np.array([len(each) for each in scores])
     total = np.array([np.sum(each) for each in scores])
@@ -269,7 +269,7 @@ def holm(p: Array) -> Array:
 
 
 def summary_lines(data: dict[str, Any], page: Path) -> list[str]:
-    """What a person reads on the terminal."""
+    """The summary printed on the terminal."""
     lines = [f"{data['n_rows']} rows of {data['n_people']} people"]
     for name, site in data["sites"].items():
         reported = []

@@ -1,1 +1,1 @@
-"""What `fit` is made of: force curves, laws, options, uncertainty of geometry, mesh and contact, results."""
+"""Parts of `fit`: force curves, laws, options, uncertainty of geometry, mesh and contact, and results."""

@@ -1,8 +1,8 @@
-"""What the contact's penalty takes from the force: the fitted model once more, with a harder contact.
+"""Effect of the penalty contact on the force: solve the fitted model again with a stiffer contact.
 
-A penalty lets the probe sink into the skin. It is a multiple of the tissue's stiffness at rest, so
-where the tissue stiffens, at a large m and deep in, the probe sinks further, the force is too low there, and
-a fit makes up for that with a larger m.
+A penalty contact lets the probe penetrate the skin. The penalty is a multiple of the tissue's stiffness at
+rest, so where the tissue stiffens (large m, large depth) the penetration grows and the force is too low,
+for which the fit compensates with a larger m.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from limbcli.results import StageWriter
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.site_model.indentation_model import with_penalty
 
-HARDER = 4.0  # times the model's penalty
-MATTERS = 0.05  # of the force; below it a mesh's own uncertainty is larger
+HARDER = 4.0  # penalty of the check, as a multiple of the model's
+MATTERS = 0.05  # relative change of force above which a warning is given; below it the mesh error is larger
 _TOLERANCE = 1e-4
-# Of the forces at play: what will do where iterations go round, as they do where fibres begin to be
-# stretched. On a limb with fibres it moved the force of one level of eight by 0.06 %.
+# Relative residual that is accepted where the iterations stall, as they do where fibres begin to be
+# stretched. On a limb with fibres this changed the force of one level of eight by 0.06 %.
 _STALLED = 1e-2
 
 
@@ -30,15 +30,15 @@ def forces_with_penalty(
     model: LimbModel, penalty: float, *, like: ReferenceSession | None = None, threads: int = 2,
     progress: Progress = SILENT,
 ) -> Array:  # fmt: skip
-    """Forces (n_reached,) N at the model's levels with another penalty of its contact.
+    """Forces (n_reached,) N at the model's levels with another contact penalty.
 
-    like : a session that has solved the model, whose levels lead this one's. Those that are not reached soon
-        from there are left out, with all beyond them: a difference need not have every level
+    like : a session that has solved the model; its levels are the initial guesses of this solve. The solve
+        ends at the first level not reached quickly from there, as a comparison does not need every level
 
     Raises
     ------
     SolveError
-        If the model cannot be solved with it.
+        If the model cannot be solved with this penalty.
     """
     model = with_penalty(model, penalty)
     session = ReferenceSession(
@@ -61,11 +61,11 @@ def write_contact_check(
     penalty: float, forces: Array, depths: Array, harder: Callable[[float], Array], writer: StageWriter, *,
     site: str | None = None, progress: Progress = SILENT,
 ) -> None:  # fmt: skip
-    """`contact_check` of a fit, a sentence about it, and a warning where it matters.
+    """Write `contact_check` of a fit, a line of the summary, and a warning if the change exceeds `MATTERS`.
 
-    penalty, forces (n_levels,), depths (n_levels,) : of the model that was fitted
-    harder : the same model's forces (n_reached,) with the penalty it is called with; raises SolveError
-    site : where the fit is of several, each has a check of its own
+    penalty, forces (n_levels,), depths (n_levels,) : of the fitted model
+    harder : penalty -> forces (n_reached,) of the same model; raises SolveError
+    site : name of the site, in a fit of several sites, each of which has its own check
     """
     found = writer.data if site is None else writer.data.setdefault("contact_check", {})
     key, at = ("contact_check", "") if site is None else (site, f"{site}: ")

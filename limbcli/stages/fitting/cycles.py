@@ -1,4 +1,4 @@
-"""Which cycle is fitted, the model driven through its depths, and what the other cycles say to that."""
+"""The loading cycle that is fitted: the model driven through its depths, and comparison with other cycles."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from limbcli.stages.build_feb import simulated_depths
 from limbcli.stages.site_model.indentation_model import PROBE, start_at, starting_depth
 from limbcli.stages.site_model.site_levels import all_levels_of, cycles_of
 
-_SAME_TOUCH = 0.02  # mm: depths are not counted afresh for less
+_SAME_TOUCH = 0.02  # mm, shift of first touch against cycle 1 below which it is not mentioned
 
 
 def through_cycle(model: LimbModel, levels: Levels, site: Site) -> LimbModel:
     """The built model, driven through the depths of these levels.
 
-    `build-feb` drives it through those of the last cycle; then it stays as it is.
+    `build-feb` drives it through those of the last cycle, for which the model is returned unchanged.
     """
     usual = all_levels_of(site)
     if int(levels.cycle[0]) == usual.chosen_cycle():
@@ -38,9 +38,9 @@ def through_cycle(model: LimbModel, levels: Levels, site: Site) -> LimbModel:
 
 
 def write_cycle(levels: Levels, site: Site, writer: StageWriter, *, label: str = "") -> None:
-    """`cycle` of fit.json where there are several; a warning where later cycles contradict the fitted one.
+    """Write `cycle` of fit.json if there are several; warn if later cycles contradict the fitted one.
 
-    label : the site's name, where several sites are fitted together; then `cycle` is given by site
+    label : the site's name if several sites are fitted together; `cycle` is then given for each site
     """
     every = all_levels_of(site)
     if len(every.cycles) == 1:
@@ -77,7 +77,7 @@ def write_cycle(levels: Levels, site: Site, writer: StageWriter, *, label: str =
 
 
 def contradiction(difference: Difference) -> str:
-    """How a later loading compares with an earlier one."""
+    """A sentence on how a later loading differs from an earlier one."""
     k = difference.largest
     return (
         f"cycle {difference.later} contradicts the fitted cycle {difference.earlier}: at "

@@ -27,17 +27,17 @@ PARAMETER_COLUMNS = (
     "flag",
     "words",
 )
-_LONGEST = 63  # letters of a MATLAB field's name
+_LONGEST = 63  # greatest number of characters of a MATLAB field name
 
 
 def write_exports(writer: StageWriter, rows: Sequence[Mapping[str, Any]], model: LimbModel) -> None:
-    """parameters.csv and material.feb."""
+    """Write parameters.csv and material.feb."""
     write_parameters(writer.file("parameters", "parameters.csv"), rows)
     writer.file("material", "material.feb").write_text(material_snippet(model), encoding="utf-8")
 
 
 def parameter_rows(site: str, step: str, parameters: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """A row a parameter, from the `parameters` of fit.json."""
+    """One row for each parameter, from the `parameters` of fit.json."""
     return [
         {
             "site": site, "step": step, "parameter": name, "value": each["value"],
@@ -49,7 +49,7 @@ def parameter_rows(site: str, step: str, parameters: Mapping[str, Mapping[str, A
 
 
 def write_parameters(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """One row a parameter; an empty end of an interval is open."""
+    """Write one row for each parameter; an empty interval bound means that the interval is open there."""
     with path.open("w", newline="", encoding="utf-8") as stream:
         table = csv.DictWriter(stream, PARAMETER_COLUMNS)
         table.writeheader()
@@ -64,12 +64,12 @@ def _cell(value: object) -> object:
 
 
 def write_mat_file(writer: StageWriter) -> None:
-    """fit.mat, of all that the result holds by now: the last thing that a fit leaves."""
+    """Write fit.mat with everything that the result contains; must be the last output of a fit."""
     write_mat(writer.file("mat", "fit.mat"), writer.data)
 
 
 def write_mat(path: Path, content: Mapping[str, Any]) -> None:
-    """A MATLAB 5 file with one struct `fit`; names that MATLAB forbids are changed."""
+    """Write a MATLAB 5 file with one struct `fit`; names that MATLAB does not allow are changed."""
     savemat(path, {"fit": _for_matlab(content)}, do_compression=True, long_field_names=True)
 
 
@@ -89,7 +89,7 @@ def _for_matlab(value: Any) -> Any:
 
 
 def _matlab_names(names: Sequence[str]) -> list[str]:
-    """A field for every name: those that would be one are numbered.
+    """A distinct MATLAB field name for every name; numbers are appended where several would coincide.
 
     >>> _matlab_names(["bent-30", "bent.30", "bent_30_2"])
     ['bent_30', 'bent_30_3', 'bent_30_2']
@@ -113,7 +113,7 @@ def _matlab_name(name: str) -> str:
 
 
 def material_snippet(model: LimbModel) -> str:
-    """The `<Material>` section of the model's FEBio file: the tissue alone."""
+    """The `<Material>` section of the model's FEBio file, with the tissue only."""
     law: Material = model.materials[TISSUE]
     text = render(model.with_material(TISSUE, law))
     found = re.search(r"<material\b[^>]*name=\"" + TISSUE + r"\".*?</material>", text, flags=re.S)
@@ -124,7 +124,7 @@ def material_snippet(model: LimbModel) -> str:
 
 
 def write_table(path: Path, columns: Mapping[str, Array | Sequence[object]]) -> None:
-    """A CSV file from columns of equal length."""
+    """Write columns of equal length to a CSV file."""
     with path.open("w", newline="", encoding="utf-8") as stream:
         rows = csv.writer(stream)
         rows.writerow(columns)

@@ -1,4 +1,4 @@
-"""fit with fibres: how the images lie to them, and what the orientations measured can determine, in words."""
+"""fit with fibres: orientation of the images to the fibres, and what the measured orientations determine."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from limbcli.meshing.fibres import mean_axis
 from limbcli.model import ElementMap, LimbModel
 from limbcli.results import StageWriter
 
-_ALIKE = 0.25  # shares along fibres closer than that are one orientation
+_ALIKE = 0.25  # difference of shares along fibres below which two images have the same orientation
 _ACROSS, _ALONG = 0.25, 0.75
 
 
 def share_along(model: LimbModel) -> float:
-    """How much of the fibres' shear stiffness the image's waves feel: f_x^2 + f_z^2 (0 across, 1 along)."""
+    """Share of the fibres' shear stiffness in the image's wave speed: f_x^2 + f_z^2 (0 across, 1 along)."""
     direction = fibre_direction(model)
     axes = direction.values if isinstance(direction, ElementMap) else np.array([direction], dtype=float)
     axis, _ = mean_axis(axes)
@@ -26,9 +26,9 @@ def share_along(model: LimbModel) -> float:
 def write_orientations(
     models: Sequence[tuple[str, LimbModel]], has_speeds: Sequence[bool], writer: StageWriter
 ) -> None:
-    """`orientations` of fit-joint.json, and in words what they cannot determine.
+    """Write `orientations` of fit-joint.json, and warnings about what they cannot determine.
 
-    models : site name and model; has_speeds : whether the site's speeds were read
+    models : site name and model; has_speeds : for each site, whether speeds were read
     """
     shares = {name: share_along(model) for name, model in models}
     writer.data["orientations"] = {
@@ -51,7 +51,7 @@ def write_orientations(
 
 
 def undetermined(shares: Sequence[float], has_speeds: Sequence[bool]) -> list[str]:
-    """What records of these orientations leave open.
+    """Sentences on what measurements in these orientations cannot determine.
 
     >>> undetermined([0.0, 1.0], [True, True])
     []
@@ -85,7 +85,7 @@ def undetermined(shares: Sequence[float], has_speeds: Sequence[bool]) -> list[st
 
 
 def write_moduli(c_kpa: float, fibre_shear: float, writer: StageWriter) -> None:
-    """The shear moduli along and across, as elastography states them."""
+    """Write the shear moduli along and across the fibres, as reported in elastography."""
     across = c_kpa / 2
     writer.data["mu_across_kpa"], writer.data["mu_along_kpa"] = across, across * (1 + fibre_shear)
     writer.summary.append(

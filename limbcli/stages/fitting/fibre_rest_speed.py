@@ -1,4 +1,4 @@
-"""fit with fibres: the speed of shear waves in unloaded tissue, along each image."""
+"""fit with fibres: shear-wave speed in unloaded tissue, in the plane of each image."""
 
 from __future__ import annotations
 
@@ -14,19 +14,20 @@ from limbcli.shear_waves.pixels import pixel_averages
 from limbcli.stages.fitting.laws import FitLaw
 from limbcli.units import mpa_from_pa
 
-_SHEAR, _TENSION = 1, 2  # of the shape
-_BEAM_AND_SIDE = [2, 1]  # z, y: what waves along x move
+_SHEAR, _TENSION = 1, 2  # indices of fibre_shear and fibre_tension in the shape
+_BEAM_AND_SIDE = [2, 1]  # axes z, y: polarisations of waves along x
 
 
 def rest_speed(model: LimbModel, law: FitLaw, *, c: float, density_kg_per_m3: float) -> RestSpeed:
-    """shape -> ln of the mean speed (m/s) over the scanner's window in unloaded tissue, and d / d ln shape.
+    """Function: shape -> ln of the mean speed (m/s) over the scanner's window at rest, and d / d ln shape.
 
-    Along x, moving along z: rho v^2 = c (1/2 + (s/2) (f_x^2 + f_z^2) + 4 t f_x^2 f_z^2) for fibres f.
+    For propagation along x and polarisation along z, rho v^2 = c (1/2 + (s/2) (f_x^2 + f_z^2) +
+    4 t f_x^2 f_z^2), where f is the fibre direction, s is fibre_shear and t is fibre_tension.
 
     Raises
     ------
     MeasurementError
-        If the window holds no tissue.
+        If the window contains no tissue.
     """
     items = next(each.items for each in model.records if each.kind == "element")
     cells = np.concatenate([block.cells[:, :4] for block in model.mesh.solid_blocks])
@@ -49,7 +50,7 @@ def rest_speed(model: LimbModel, law: FitLaw, *, c: float, density_kg_per_m3: fl
     def at(shape: Array) -> tuple[float, Array]:
         factors = np.r_[1.0, shape[_SHEAR], shape[_TENSION]]
         values, vectors = np.linalg.eigh(np.einsum("k,knij->nij", factors, tensors))
-        mode = np.abs(vectors[:, 0, :]).argmax(axis=1)  # moves most along the beam
+        mode = np.abs(vectors[:, 0, :]).argmax(axis=1)  # the mode polarised most along the beam
         a = np.take_along_axis(vectors, mode[:, None, None], axis=2)[:, :, 0]
         modulus = np.take_along_axis(values, mode[:, None], axis=1)[:, 0]
         speed = weight * np.sqrt(modulus)
@@ -62,9 +63,10 @@ def rest_speed(model: LimbModel, law: FitLaw, *, c: float, density_kg_per_m3: fl
 
 
 def _tensors_at_rest(model: LimbModel, law: FitLaw, items: IntArray, c: float) -> Array:
-    """(3, n, 2, 2) MPa: Q at rest, across x, is their sum, the second times fibre_shear, the third tension.
+    """Three parts (3, n, 2, 2), MPa, of the acoustic tensor Q at rest for waves along x, in the axes z, y.
 
-    items : solid cells, numbered over all blocks; c and m stand in the first alone.
+    Q is the sum of the first, fibre_shear times the second and fibre_tension times the third.
+    items : solid cells, numbered over all blocks
     """
     first, n_cells = 0, 0
     for block in model.mesh.blocks:
@@ -86,7 +88,7 @@ def _tensors_at_rest(model: LimbModel, law: FitLaw, items: IntArray, c: float) -
 
 
 def _alike_together(tensors: Array, weights: Array) -> tuple[Array, Array]:
-    """Cells whose tensors are the same to nine digits as one, with their weights together."""
+    """Merge cells whose tensors agree to nine digits, adding their weights."""
     scale = float(np.abs(tensors).max())
     keys = np.round(np.moveaxis(tensors, 1, 0).reshape(len(weights), -1) / scale, 9)
     _, first, member = np.unique(keys, axis=0, return_index=True, return_inverse=True)

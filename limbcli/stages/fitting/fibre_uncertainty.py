@@ -1,4 +1,4 @@
-"""What a direction known to a few degrees does to a fit with fibres: the fitted model, fibres turned."""
+"""Effect of an uncertain fibre direction: solve the fitted model again with the fibres turned."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from limbcli.results import StageWriter, read_result
 from limbcli.stages.fitting.force_curves import LawCurve
 from limbcli.stages.fitting.laws import FitLaw
 
-_MATTERS = 0.05  # of force or speed
+_MATTERS = 0.05  # relative change of force or speed above which a warning is given
 _LEAST_IN_SKIN = 1e-6
 
 
 def stated_deviation(out: Path, site: Site) -> float | None:
-    """One deviation of the site's fibre direction (deg), as `mesh` left it; None where it is not known."""
+    """Standard deviation of the site's fibre direction (deg), from the result of `mesh`; None if unknown."""
     try:
         value = read_result(out, "mesh", site=site.name).data["fibres"]["deviation_deg"]
     except (LimbError, KeyError, TypeError):
@@ -30,7 +30,7 @@ def stated_deviation(out: Path, site: Site) -> float | None:
 
 
 def turned(direction: Value, angle_deg: float) -> Value:
-    """Fibres turned towards the skin's normal by an angle, in the plane of fibre and normal.
+    """Rotate fibres towards the skin's normal by an angle, in the plane of fibre and normal.
 
     >>> np.round(turned((0.0, 1.0, 0.0), 30.0), 3)
     array([0.   , 0.866, 0.5  ])
@@ -49,7 +49,8 @@ def write_direction_uncertainty(
     model: LimbModel, site: Site, law: FitLaw, c: float, shape: Array, deviation_deg: float,
     writer: StageWriter, *, progress: Progress = SILENT,
 ) -> None:  # fmt: skip
-    """`direction_uncertainty` of fit-joint.json: what fibres one deviation off change in force and speed."""
+    """Write `direction_uncertainty` of fit-joint.json: change of force and speed by fibres turned by one
+    standard deviation."""
     direction = fibre_direction(model)
     values = []
     for angle in (0.0, deviation_deg):

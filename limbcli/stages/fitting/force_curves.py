@@ -1,8 +1,7 @@
-"""Force at the depth levels as a function of (f_kappa, m): what `fit` asks a solver.
+"""Force at the depth levels as a function of (f_kappa, m), the forward model of `fit`.
 
-With the reference solver one session keeps the converged states and returns exact
-derivatives; any other solver is run on files, the shifted parameter sets side by side on the cores
-there are.
+With the reference solver, one session keeps the converged states and returns exact derivatives. Any
+other solver is run on files, with finite differences whose runs share the available cores.
 """
 
 from __future__ import annotations
@@ -36,13 +35,13 @@ from limbcli.stages.site_model.indentation_model import TISSUE
 from limbcli.temporary_folders import scratch_folder
 
 _SAME_TIME = 1e-6
-_C_STEP = 1.1  # of c, by which a solver without derivatives is asked; its forces are good to 1e-3
+_C_STEP = 1.1  # factor on c in finite differences, for solvers without derivatives; their forces err by 1e-3
 
 
 def with_tissue(model: LimbModel, *, c: float | ElementMap, f_kappa: float, m: float) -> LimbModel:
-    """The model with the Ogden-type law of these parameters as its tissue.
+    """The model with the Ogden-type law of these parameters for its tissue.
 
-    c : MPa; as a map of the tissue's elements, c1, c2 and kappa become maps
+    c : MPa; if a map over the tissue's elements, c1, c2 and kappa become maps
     """
     if not isinstance(c, ElementMap):
         return model.with_material(TISSUE, ogden_type(c=c, f_kappa=f_kappa, m=m))
@@ -87,17 +86,17 @@ def at_levels(simulation: Simulation, values: Array, times: Array) -> Array:
 
 
 class ReferenceCurve:
-    """Forces at the levels and their exact derivatives, by one session of the reference solver.
+    """Forces at the levels and their exact derivatives, from one session of the reference solver.
 
-    `depths` (n_levels,) mm, `last` and `n_solves` follow the last solve; `at_most` solves are reported
-    to whoever waits, where that is known.
+    `depths` (n_levels,) mm and `n_solves` are updated by each solve; `at_most`, the greatest number of
+    solves, is part of the progress events if it is set.
     """
 
     def __init__(
         self, model: LimbModel, *, c: float | ElementMap, threads: int = 2, progress: Progress = SILENT
     ):
         self._model, self._c = model, c
-        # d kappa / d f_kappa, cell by cell: kappa = f_kappa c(x).
+        # d kappa / d f_kappa for each cell: kappa = f_kappa c(x).
         self._weights = {(TISSUE, "kappa"): c.values} if isinstance(c, ElementMap) else {}
         self._session = ReferenceSession(model, progress=progress, threads=threads)
         self._progress = progress
@@ -143,20 +142,21 @@ class ReferenceCurve:
         self._session.close()
 
 
-# Of I4, over which fibres that begin to be stretched come in. On a limb with mu along twice that across, 0.05
-# lowers the force by about 5 %, 0.01 by 1 to 3 %, whose solves hardly take longer where others lead them.
+# Width in I4 of the band over which the stiffness of fibres sets in as they begin to be stretched. On a limb
+# with mu along the fibres twice that across, 0.05 lowers the force by about 5 %, 0.01 by 1 to 3 %; solves
+# with 0.01 take hardly longer when they start from converged levels.
 FIBRE_BAND = 0.01
-# Of the forces at play: what will do where iterations no longer lessen it. Points where fibres begin to be
-# stretched come and go from iteration to iteration.
+# Relative residual that is accepted where the iterations stall: points at which fibres begin to be stretched
+# can switch on and off from one iteration to the next.
 _STALLED_WITH_FIBRES = 5e-4
 
 
 class LawCurve:
-    """Forces, mean wave speeds and layers at the levels for any law, as a function of its shape.
+    """Forces, mean wave speeds and layer borders at the levels for any law, as a function of its shape.
 
-    Values are forces (n_levels,), then with `speeds` speeds (n_levels,), then with `lines` their depths below
-    the skin (mm), all of the first level, all of the second, ...; forces and lines have exact derivatives,
-    speeds none. `depths` (n_levels,) mm after a solve.
+    Values are the forces (n_levels,) N, then with `speeds` the speeds (n_levels,) m/s, then with `lines` the
+    lines' depths below the skin (mm), level by level. Forces and lines have exact derivatives, speeds none.
+    `depths` (n_levels,) mm is set by a solve.
     """
 
     def __init__(
@@ -178,11 +178,12 @@ class LawCurve:
         self.n_solves = 0
 
     def _eased(self, model: LimbModel) -> LimbModel:
-        """Fibres that begin to be stretched come in over a band; waves feel the law as it is."""
+        """The model with the fibres' stiffness setting in over a band; wave speeds use the exact law."""
         return softer_jumps(model, FIBRE_BAND) if self.law.has_fibres else model
 
     def _solve(self, model: LimbModel, **options: Any) -> SessionResult:
-        """The eased model, from the levels there are; with fibres else from those of a wider band."""
+        """Solve the smoothed model from the levels converged so far; if that fails with fibres, from those
+        with a wider band."""
         if not self.law.has_fibres:
             return self._session.solve(model, **options)
         if self._session.led is not None:
@@ -192,9 +193,9 @@ class LawCurve:
         return self._session.solve(self._eased(model), **options)
 
     def with_penalty(self, theta: Array, penalty: float) -> Array:
-        """Forces (n_reached,) N with another penalty of the contact, from levels of these and with their law.
+        """Forces (n_reached,) N with another contact penalty and the same law, from converged levels.
 
-        Raises SolveError where not even the first level is reached.
+        Raises SolveError if not even the first level is reached.
         """
         model = self._eased(self._model.with_material(TISSUE, self.law.material(self._c, theta)))
         return forces_with_penalty(
@@ -237,12 +238,12 @@ class LawCurve:
 
 
 def _line_depths(lines: MaterialLines, result: SessionResult, rows: Array) -> Array:
-    """mm below the skin (n_levels * n_lines,)."""
+    """Depths of the lines below the skin, mm (n_levels * n_lines,)."""
     return lines.below_skin(result.simulation.nodes[LINES].column("uz")[rows]).ravel()
 
 
 def _line_slopes(lines: MaterialLines, result: SessionResult, searched: Mapping[str, Array]) -> Array:
-    """d below skin / d shape (n_levels * n_lines, n_shape); searched: d material parameter / d shape."""
+    """d line depth / d shape (n_levels * n_lines, n_shape); searched: d material parameter / d shape."""
     total: Array | float = 0.0
     for name, slope in searched.items():
         moved = result.field_gradient[(TISSUE, name)][LINES].column("uz") @ lines.weights.T
@@ -251,9 +252,9 @@ def _line_slopes(lines: MaterialLines, result: SessionResult, searched: Mapping[
 
 
 class FileCurve:
-    """Forces at the levels by a solver that works on files; a folder of its own each run.
+    """Forces at the levels from a solver that works on files; every run has its own folder.
 
-    cores : that may be used: processes side by side, and threads of each, are never more together
+    cores : greatest total number of threads of all processes that run in parallel
     """
 
     def __init__(
@@ -270,7 +271,7 @@ class FileCurve:
         return self._forces(self._c, theta)
 
     def share_of_c(self, theta: Array) -> Array:
-        """d ln force / d ln c (n_levels,), by a run with a stiffer tissue and one with a softer."""
+        """d ln force / d ln c (n_levels,) by central differences: runs with stiffer and softer tissue."""
 
         def at(factor: Array) -> Array:
             return self._forces(_times(self._c, float(factor[0])), theta)
@@ -288,12 +289,13 @@ class FileCurve:
         return at_levels(simulation, simulation.probe_force(), self._times)
 
     def differentiable(self, *, relative_step: float = 0.05) -> Differences:
-        """With forward differences, whose runs go side by side."""
+        """The curve with derivatives by forward differences, whose runs are made in parallel."""
         upper = (F_KAPPA_BOUNDS[1], M_BOUNDS[1])
         return Differences(self, upper=upper, relative_step=relative_step, run_all=self.run_side_by_side)
 
     def run_side_by_side(self, evaluate: Callable[[Array], Any], thetas: Iterable[Array]) -> Iterable[Any]:
-        """All, as many at once as there are cores; the first error is raised after the others have ended."""
+        """Evaluate all thetas, in parallel on the available cores; the first error is raised once all have
+        ended."""
         todo = list(thetas)
         processes, threads = shares(len(todo), self._cores)
         if isinstance(self._solver, FebioSolver):
@@ -303,7 +305,7 @@ class FileCurve:
 
 
 def available_cores() -> int:
-    """Cores that this process may use, and a batch leaves to it."""
+    """Number of cores that this process may use, within the limit set by a batch."""
     try:
         return at_most(len(os.sched_getaffinity(0)))
     except AttributeError:  # not on this system
@@ -311,7 +313,7 @@ def available_cores() -> int:
 
 
 def shares(n_runs: int, cores: int) -> tuple[int, int]:
-    """(processes at once, threads of each) of so many runs: together never more than the cores.
+    """(parallel processes, threads of each) for `n_runs` runs, in total never more than `cores`.
 
     >>> shares(3, 2), shares(1, 4), shares(3, 8), shares(0, 2)
     ((2, 1), (1, 4), (3, 2), (1, 2))

@@ -1,8 +1,8 @@
-"""What a geometry that nobody imaged does to a fit: computed, by varying what is assumed.
+"""Uncertainty of a fit due to an assumed (not imaged) geometry, computed by varying the assumptions.
 
-The fitted model's mesh is moved to other shapes and solved again at the fitted parameters. Each variation
-(`geometry_variations`) is one deviation; two that are opposite count half each. c, from the shear-wave
-speed, is not changed by any of them.
+The fitted model's mesh is morphed to other shapes and solved again at the fitted parameters. Each variation
+(`geometry_variations`) is one standard deviation; two opposite ones have weight one half each. None of them
+changes c, which comes from the shear-wave speed.
 """
 
 from __future__ import annotations
@@ -35,7 +35,10 @@ _TOLERANCE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Varied:
-    """A variation and ln of the force's change at the model's levels (n_levels,); `why_not`: in words."""
+    """A variation and ln of the force ratio that it causes at the model's levels (n_levels,).
+
+    part : share of the variation that the cells could take; why_not : reason in words if it was not solved
+    """
 
     variation: Variation
     log_force: Array | None
@@ -44,14 +47,14 @@ class Varied:
 
     @property
     def known(self) -> Array:
-        """(n_levels,) of a variation that was solved."""
+        """ln of the force ratio (n_levels,) of a variation that was solved."""
         assert self.log_force is not None
         return self.log_force
 
 
 @dataclass(frozen=True, eq=False)
 class GeometryUncertainty:
-    """All variations of one site's model, of what `words` say was assumed."""
+    """All variations of one site's model; `words` states what was assumed."""
 
     words: str
     varied: tuple[Varied, ...]
@@ -64,12 +67,12 @@ class GeometryUncertainty:
 
     @property
     def modes(self) -> Array:
-        """(n_modes, n_levels) of ln force, one deviation each."""
+        """Changes of ln force (n_modes, n_levels), one standard deviation each."""
         return np.array([np.sqrt(w) * each.known for w, each in zip(self.weights, self.done, strict=True)])
 
     @property
     def weights(self) -> Array:
-        """Share (n_modes,) in the square of its kind's deviation; one whose opposite failed counts whole."""
+        """Weights (n_modes,) in the variance of each kind: 1/2 in a pair, 1 if the opposite failed."""
         kinds = [each.variation.kind for each in self.done]
         return np.array([1.0 / kinds.count(each) for each in kinds])
 
@@ -78,11 +81,11 @@ def site_geometry_uncertainty(
     case: Case, site: Site, out: Path, fitted: LimbModel, forces: Array, writer: StageWriter, *,
     progress: Progress = SILENT,
 ) -> GeometryUncertainty | None:  # fmt: skip
-    """The uncertainty of a site's geometry, where it was assumed; None where it was imaged.
+    """The uncertainty due to a site's assumed geometry; None if imaged, or if no variation could be solved.
 
     forces : (n_levels,) N of the fitted model at its levels
 
-    What an earlier fit left is taken where model, parameters and geometry are the same.
+    Results of an earlier fit are reused if model, parameters and geometry are the same.
     """
     if not case.imaging.assumed:
         return None
@@ -114,7 +117,7 @@ def site_geometry_uncertainty(
 
 
 def rod_in_model(geometry: Mapping[str, Any], site: str, patient_from_model: Array) -> Rod:
-    """The bone that a site looks at, in the site's frame; its first line is that towards this site."""
+    """The bone below a site as a rod in the site's frame; `towards` points from its axis to the site."""
     bone = geometry["bones"][geometry["sites"][site]["bone"]]
     to_model = np.linalg.inv(patient_from_model)
     turn = to_model[:3, :3]
@@ -153,7 +156,7 @@ def _solve_all(
 
 
 def _remembered(path: Path, key: str, todo: tuple[Variation, ...]) -> GeometryUncertainty | None:
-    """What an earlier fit of the same model left."""
+    """Results stored by an earlier fit of the same model, or None."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["key"] != key:

@@ -1,4 +1,4 @@
-"""What `fit` reports of an assumed geometry: every variation, and both parts of the intervals."""
+"""The report of `fit` on an assumed geometry: every variation, and the intervals with and without it."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from limbcli.stages.fitting.table import NAMES, Identified, inside
 def write_geometry(
     found: Identified, uncertainty: GeometryUncertainty, of_noise: Intervals | None, writer: StageWriter
 ) -> None:
-    """`geometry_uncertainty` of fit.json, and a line of the summary.
+    """Write `geometry_uncertainty` of fit.json, and a line of the summary.
 
-    of_noise : intervals of the measurement's noise alone; None where none were computed
+    of_noise : intervals due to the measurement's noise alone; None if none were computed
     """
     rows = _rows(found, uncertainty)
     share = total_share(list(uncertainty.modes))
@@ -66,7 +66,7 @@ def _rows(found: Identified, uncertainty: GeometryUncertainty) -> list[dict[str,
 
 
 def _deviations(rows: list[dict[str, Any]], uncertainty: GeometryUncertainty) -> dict[str, float]:
-    """Of ln f_kappa and ln m by the geometry alone."""
+    """Standard deviations of ln f_kappa and ln m due to the geometry alone."""
     weights = uncertainty.weights
     return {
         name: float(np.sqrt(weights @ np.square([each["log_shift"][name] for each in rows])))

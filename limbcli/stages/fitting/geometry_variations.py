@@ -1,23 +1,25 @@
-"""What is assumed of a limb that nobody imaged, varied by one deviation each, and the model in that shape.
+"""Variations of a limb's assumed geometry by one standard deviation each, and the model morphed accordingly.
 
 bone's radius    times 0.7 and 1.4: the tibia of OpenLimb's limbs has 9 to 20 mm (`case.schema`)
-bone's depth     by the noise of a depth reading that the case states, else 0.3 mm; where one straight bone
-                 lies under several sites, also by what it misses this site's reading by
-bone's slope     7.4 degrees along the limb against the skin
-bone's side      the beam meets it 22 degrees off its nearest line
-second bone      of 0.3 times the radius, 16 mm of tissue beside the first, where the first is alone
-roundness        of a limb in numbers only: the skin's radius of curvature times 0.7 and 1.7 at the same
-                 circumference. Round residual limbs it is 0.68 to 1.8 times that of a circle of the same
-                 circumference
-taper            of a limb in numbers only: sections grow by 24 % over 100 mm
-scale            of a scanned skin only: by what the case states (`skin_scale_fraction`), else 1 %
+bone's depth     by the case's stated noise of a depth reading, else 0.3 mm; if one straight bone lies
+                 under several sites, combined with its deviation from this site's reading
+bone's slope     7.4 degrees along the limb relative to the skin
+bone's side      the beam meets the bone 22 degrees off its line nearest to the skin
+second bone      of 0.3 times the radius, separated from the first by 16 mm of tissue; only if the first is
+                 the only bone
+roundness        only for a limb given by numbers: the skin's radius of curvature times 0.7 and 1.7 at
+                 constant circumference. Around residual limbs it is 0.68 to 1.8 times that of a circle of the
+                 same circumference
+taper            only for a limb given by numbers: sections grow by 24 % over 100 mm
+scale            only for a scanned skin: by the value stated by the case (`skin_scale_fraction`), else 1 %
 
-All but the last are of sections 3 to 15 cm above the end, the mean and four virtual limbs of OpenLimb
-(Sunderland et al. 2024, doi 10.1101/2024.11.27.24317622): slope, side and taper are what 68 % of them stay
-below (beams along the skin's normal, up to 60 degrees round from where tibia and skin are nearest), the
-fibula's size and distance are medians. Limits of agreement (two deviations) of perimeters of scanned
-limb models are below 3.5 % (Cutti et al. 2024, Sensors 24:2350); 1 % is chosen. Slope, side and taper are
-varied one way only: to a site whose tissue is alike on both sides the other way is the same.
+All but the last were determined from sections 3 to 15 cm above the end of the mean and four virtual limbs of
+OpenLimb (Sunderland et al. 2024, doi 10.1101/2024.11.27.24317622): slope, side and taper are their 68 %
+quantiles (for beams along the skin's normal, up to 60 degrees around the limb from where tibia and skin are
+nearest); the fibula's size and distance are medians. Limits of agreement (two standard deviations) of
+perimeters of scanned limb models are below 3.5 % (Cutti et al. 2024, Sensors 24:2350); 1 % is chosen. Slope,
+side and taper are varied in one direction only: for a site with similar tissue on both sides, the opposite
+variation is equivalent.
 """
 
 from __future__ import annotations
@@ -35,24 +37,25 @@ from limbcli.meshing.rods import Rod
 from limbcli.model import Array, IntArray, LimbModel, Mesh
 
 RADIUS, ROUNDNESS, USUAL_DEPTH = (0.7, 1.4), (0.7, 1.7), 0.3
-SLOPE, SIDE_DEG, TAPER = 0.13, 22.0, 0.0024  # mm per mm; degrees; ln of a section's size per mm
-SECOND_RADIUS, SECOND_BESIDE = 0.3, 16.0  # of the first bone's; mm of tissue between them
+SLOPE, SIDE_DEG, TAPER = 0.13, 22.0, 0.0024  # mm/mm; degrees; 1/mm, change of ln of a section's size
+SECOND_RADIUS, SECOND_BESIDE = 0.3, 16.0  # fraction of the first bone's radius; mm of tissue between them
 _FACTORS = ("radius", "roundness", "scale")
-_PARTS = (1.0, 0.5, 0.25, 0.1)  # of a variation, where cells would be crushed: what it does is then scaled up
-_FEWEST = 6  # nodes that a second bone must hold
+_PARTS = (1.0, 0.5, 0.25, 0.1)  # fractions tried if cells would be crushed; the effect is then scaled up
+_FEWEST = 6  # least number of nodes within a second bone
 _FIXED = "fixed"
 
 
 @dataclass(frozen=True)
 class Variation:
-    """What is varied, in words; `value`: a factor, mm, a slope, radians, or the share of a second bone."""
+    """One variation; `value`: a factor, mm, a slope, radians or 1/mm, depending on the kind (1 for a second
+    bone); `words`: its description."""
 
     kind: str
     value: float
     words: str
 
     def part(self, share: float) -> float:
-        """The value of a smaller step of the same kind.
+        """The value of a fraction of this variation.
 
         >>> Variation("depth", 0.3, "").part(0.5), Variation("radius", 4.0, "").part(0.5)
         (0.15, 2.0)
@@ -61,7 +64,10 @@ class Variation:
 
 
 def variations(imaging: Imaging, *, depth: float, bones: int) -> tuple[Variation, ...]:
-    """What is assumed of a limb, varied by one deviation; `depth`: mm, the bone's; `bones`: how many."""
+    """The variations of a limb's assumptions, one standard deviation each.
+
+    depth : standard deviation of the bone's depth, mm; bones : number of bones
+    """
     slope, taper = np.degrees(np.arctan(SLOPE)), 100 * TAPER
     found = [Variation("radius", each, f"bone's radius times {each:g}") for each in RADIUS]
     found += [
@@ -83,7 +89,7 @@ def variations(imaging: Imaging, *, depth: float, bones: int) -> tuple[Variation
 
 
 def depth_deviation(stated: float, seen: Mapping[str, Any]) -> float:
-    """mm of the bone's depth: of a reading, and by which the bone made misses it.
+    """Standard deviation (mm) of the bone's depth: a reading's combined with the modelled bone's misfit.
 
     seen : a site of `geometry` in segment.json
 
@@ -96,12 +102,12 @@ def depth_deviation(stated: float, seen: Mapping[str, Any]) -> float:
 
 
 def shaped(model: LimbModel, rod: Rod, variation: Variation) -> tuple[LimbModel, float]:
-    """The model in its varied shape, and how much of the variation its cells could take.
+    """The model in its varied shape, and the fraction of the variation that could be applied.
 
     Raises
     ------
     MeshError
-        If they cannot take any of it.
+        If not even the smallest fraction can be applied.
     """
     if variation.kind == "second bone":
         return model.with_mesh(with_second_bone(model.mesh, rod)), 1.0
@@ -114,7 +120,7 @@ def shaped(model: LimbModel, rod: Rod, variation: Variation) -> tuple[LimbModel,
 
 
 def varied_mesh(mesh: Mesh, rod: Rod, variation: Variation, part: float = 1.0) -> Mesh:
-    """A site's mesh in another shape; it is touched at the origin.
+    """A site's mesh morphed to another shape; first touch stays at the origin.
 
     Raises
     ------
@@ -145,7 +151,7 @@ def varied_mesh(mesh: Mesh, rod: Rod, variation: Variation, part: float = 1.0) -
 
 
 def _of_rod(points: Array, rod: Rod, moved: Array) -> Array:
-    """Of a rod's points only: other bones stay."""
+    """Displacements of the points on a rod; zero for other bones."""
     return np.where((np.abs(_radial(points, rod) - rod.radius) < 0.5 * rod.radius)[:, None], moved, 0.0)
 
 
@@ -155,14 +161,15 @@ def _radial(points: Array, rod: Rod) -> Array:
 
 
 def with_second_bone(mesh: Mesh, rod: Rod) -> Mesh:
-    """The mesh with the nodes of a thinner rod held, beside the first and as deep as its middle.
+    """The mesh with a second, thinner rod next to the first at equal depth: its nodes are fixed.
 
-    Where tissue reaches less far it lies half-way; on the side where it holds more nodes of the tissue.
+    If the tissue does not extend far enough, the rod lies half-way. It is placed on the side where it
+    contains more nodes of the tissue.
 
     Raises
     ------
     MeshError
-        If the tissue does not reach that far, or the mesh is too coarse to hold it.
+        If there is no room for the rod in the tissue, or the mesh is too coarse to resolve it.
     """
     radius, side = SECOND_RADIUS * rod.radius, np.cross(rod.axis, rod.towards)
     tissue = np.unique(np.concatenate([block.cells.ravel() for block in mesh.solid_blocks]))

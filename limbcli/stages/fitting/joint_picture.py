@@ -1,4 +1,4 @@
-"""The picture of a joint fit: force over depth, speed, layers over force, a row a site; the profiles."""
+"""The figures of a joint fit: depth, speed and layers with the force (one row per site), and the profiles."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def draw_joint(
     sites: Sequence[SiteMeasurement], predict: Callable[[int], SitePrediction], found: Intervals,
     writer: StageWriter, *, file: str = "fit-joint.png", of: str = "site",
 ) -> None:  # fmt: skip
-    """fit-joint.png and profiles.png; `of`: what each row of panels is."""
+    """Draw fit-joint.png and profiles.png; `of`: what a row of panels represents ("site" or "state")."""
     with style():
         layered = any(len(each.layers) for each in sites)
         figure = new_figure(10.4 if layered else 7.6, 3.0 * len(sites))
@@ -59,7 +59,7 @@ def draw_joint(
 
 
 def _layers(axes: Axes, data: SiteMeasurement, seen: SitePrediction) -> None:
-    """Thickness of every layer that is counted, over force."""
+    """Thickness of every layer that enters the likelihood, against force."""
     axes.set(xlabel="probe force [N]", ylabel="thickness [mm]")
     if not len(data.layers):
         _nothing(axes, "no layers enter")
@@ -76,7 +76,7 @@ def _layers(axes: Axes, data: SiteMeasurement, seen: SitePrediction) -> None:
 
 
 def _nothing(axes: Axes, words: str) -> None:
-    """A panel that says why it is empty, without scales of nothing."""
+    """An empty panel with the reason as text and no ticks."""
     axes.set(xticks=[], yticks=[])
     axes.text(0.5, 0.5, words, ha="center", transform=axes.transAxes)
 
@@ -101,7 +101,7 @@ def _draw_profiles(found: Intervals, writer: StageWriter) -> None:
 
 
 def _short(name: str) -> str:
-    """A parameter's name as a panel has room for.
+    """A parameter's name, shortened to fit in a panel.
 
     >>> _short("unloaded_stretch_along"), _short("stretch_along_bent"), _short("f_kappa")
     ('unloaded along', 'along bent', 'f_kappa')

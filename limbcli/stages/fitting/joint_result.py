@@ -1,4 +1,4 @@
-"""What the joint fit leaves: fit-joint.json, tables, exports, and the table of laws."""
+"""The outputs of the joint fit: fit-joint.json, tables, exports, and the comparison of laws."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from limbcli.stages.fitting.joint_picture import draw_joint
 from limbcli.stages.fitting.laws import FIBRE_F_KAPPA, FitLaw
 from limbcli.units import kpa_from_mpa
 
-_POOR = 1e-4  # chance of a chi-square by noise, below which a fit is called poor
+_POOR = 1e-4  # p-value of the chi-square statistic below which a fit is called poor
 
 
 def write_joint(
@@ -36,7 +36,7 @@ def write_joint(
     found: Intervals,
     n_solves: int,
 ) -> None:
-    """fit-joint.json, levels by site, exports and pictures; `measured`: site name and its model."""
+    """Write fit-joint.json, the levels of each site, exports and figures; `measured`: (site name, model)."""
     parameters = parameter_table(problem, found)
     judge_given_c(parameters["c_kpa"], problem.task, found.scale)
     c = float(found.best[0])
@@ -76,7 +76,7 @@ def write_joint(
 
 
 def warn_poor(found: Intervals, writer: StageWriter) -> None:
-    """Before all other warnings: that the fit misses the data by more than their stated noise explains."""
+    """Insert, as the first warning, that the misfit exceeds what the stated noise explains."""
     chance = float(chi2.sf(found.chi_square, found.n_freedom))
     if chance >= _POOR:
         return
@@ -91,7 +91,7 @@ def warn_poor(found: Intervals, writer: StageWriter) -> None:
 
 
 def warn_locking(law: FitLaw, writer: StageWriter) -> None:
-    """That what was found with linear tetrahedra (`element` of the result) holds on their mesh."""
+    """Warn that parameters found with linear tetrahedra (`element` of the result) hold on that mesh only."""
     if "tet4" not in writer.data["element"]:
         return
     words = (
@@ -104,7 +104,7 @@ def warn_locking(law: FitLaw, writer: StageWriter) -> None:
 
 
 def parameter_table(problem: EstimationProblem, found: Intervals) -> dict[str, dict[str, Any]]:
-    """c in kPa and what is profiled after it: value, error, interval, flag and words."""
+    """Table of c (kPa) and the other profiled parameters: value, error, interval, flag and words."""
     n = len(problem.profiled)
     logs = found.fit.jacobian * found.fit.theta
     rows = np.linalg.pinv(logs)[:n]
@@ -137,9 +137,9 @@ def parameter_table(problem: EstimationProblem, found: Intervals) -> dict[str, d
 
 
 def judge_given_c(c: dict[str, Any], task: JointTask, scale: float) -> None:
-    """c is called fixed where it was given and the data determine it less precisely.
+    """Flag c as fixed if it was given and the data determine it less precisely than that.
 
-    c : its row of the table; scale : of the noise's variance, by which that of what was given counts too
+    c : its row of the table, changed in place; scale : factor on the variances of noise and of the given c
     """
     if task.c_deviation is None or c["standard_error"] < np.sqrt(0.5 * scale) * task.c_deviation * c["value"]:
         return
@@ -152,7 +152,7 @@ def judge_given_c(c: dict[str, Any], task: JointTask, scale: float) -> None:
 
 
 def _in_unit(parameter: FitParameter, unit: float) -> FitParameter:
-    """The parameter with its numbers times `unit`."""
+    """The parameter with its values multiplied by `unit`."""
     return replace(
         parameter, start=unit * parameter.start, low=unit * parameter.low, high=unit * parameter.high
     )
@@ -161,7 +161,7 @@ def _in_unit(parameter: FitParameter, unit: float) -> FitParameter:
 def write_level_table(
     writer: StageWriter, several: Sequence[SiteMeasurement], predict: Callable[[int], SitePrediction]
 ) -> None:
-    """levels-<site>.csv: measured and predicted depths, speeds and layers at each force."""
+    """Write levels-<site>.csv: measured and predicted depths, speeds and layers at each force."""
     for k, data in enumerate(several):
         seen = predict(k)
         quantity = ["depth_mm"] * len(data.force) + ["speed_m_per_s"] * len(data.log_speed)
@@ -177,7 +177,7 @@ def write_level_table(
 
 
 def law_row(law: FitLaw, problem: JointProblem, found: Intervals, n_solves: int) -> dict[str, Any]:
-    """One law of the comparison: what it missed of the levels left out, and what it found."""
+    """One law's row of the comparison: its error on left-out levels, and its parameters."""
     depth, speed = held_out_error(problem, found)
     shape = dict(zip([each.name for each in law.shape], problem.solved_at(found.best), strict=True))
     return {
@@ -190,7 +190,7 @@ def law_row(law: FitLaw, problem: JointProblem, found: Intervals, n_solves: int)
 
 
 def write_comparison(writer: StageWriter, table: list[dict[str, Any]]) -> None:
-    """laws.csv, best first: by the error of levels that were left out, never by R2."""
+    """Write laws.csv, best first, ranked by the error on left-out levels and never by R2."""
     table.sort(key=lambda row: row["held_out_depth_mm"])
     writer.data["laws"] = table
     writer.data["best_law"] = table[0]["law"]

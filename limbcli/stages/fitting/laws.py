@@ -1,8 +1,8 @@
 """The laws that `fit` can identify, written so that c scales every stress.
 
-A law's shape is what is left once c = 2 mu is taken out: f_kappa, m, ... At fixed shape
-forces are proportional to c where all is of this law. Beside layers that keep a stiffness of their own
-they are not: there c, as a ratio, is one more of the curve's parameters (`beside_layers`).
+A law's shape is the set of its parameters other than c = 2 mu: f_kappa, m, ... At fixed shape, forces are
+proportional to c if the whole model follows this law. With layers of fixed stiffness they are not, and c,
+as a ratio, becomes one more parameter of the simulated curve (`beside_layers`).
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ FIBRE_F_KAPPA = (
 
 @dataclass(frozen=True)
 class FitLaw:
-    """name, what it is in words, the shape's parameters, and (c, shape) -> Material.
+    """A law: its name, description, shape parameters, and function (c, shape) -> Material.
 
-    has_fibres : its fibres run along y until `along` turns them; fixed : parameters of the shape held fixed
-    has_ratio : the shape begins with a factor of c
+    has_fibres : has fibres, along y unless `along` sets their direction; fixed : parameters held fixed
+    has_ratio : the first shape parameter is a factor on c
     """
 
     name: str
@@ -44,11 +44,11 @@ class FitLaw:
     has_ratio: bool = False
 
     def along(self, direction: Value) -> FitLaw:
-        """The law with its fibres in this direction (a unit vector, or one a cell); itself without fibres."""
+        """The law with its fibres in this direction (one unit vector, or one per cell), if it has fibres."""
         return replace(self, build=partial(_fibres, direction=direction)) if self.has_fibres else self
 
     def beside_layers(self) -> FitLaw:
-        """The law with a factor of c as the first of its shape: what c does is simulated, too."""
+        """The law with a factor on c as additional first shape parameter, so that its effect is simulated."""
         return replace(self, shape=(_C_RATIO, *self.shape), has_ratio=True)
 
     def material(self, c: float, shape: Array | Sequence[float]) -> Material:
@@ -69,7 +69,7 @@ class FitLaw:
 
 
 def _numbers(material: Material) -> dict[str, float]:
-    """Those of a mixture's solids together: no two of ours share a name."""
+    """Numeric parameters of a material and its parts in one mapping; parts of our laws share no names."""
     own = {name: float(each) for name, each in material.parameters.items() if isinstance(each, float | int)}
     for part in material.parts:
         own |= _numbers(part)
@@ -77,7 +77,8 @@ def _numbers(material: Material) -> dict[str, float]:
 
 
 def _fibres(c: float, shape: Array, direction: Value = (0.0, 1.0, 0.0)) -> Material:
-    """mu along fibres = (c/2) (1 + fibre_shear); tension adds 4 fibre_tension c + 2 fibre_shear c to that."""
+    """Ogden-type law with fibres: mu along them is (c/2) (1 + fibre_shear). In tension the fibres add
+    4 fibre_tension c + 2 fibre_shear c to the stiffness along them."""
     m, shear, tension = (float(each) for each in shape)
     ground = ogden_type(c=c, f_kappa=FIBRE_F_KAPPA, m=m)
     strands: dict[str, Value] = {"ksi": tension * c, "alpha": 0.0, "beta": 2.0, "mu": shear * c, "lam0": 1.0}
@@ -127,7 +128,7 @@ LAWS: Mapping[str, FitLaw] = {
         ),
         FitLaw(
             "holmes-mow", "Holmes-Mow: exponential, lambda = f_kappa c",
-            # Its exponent grows with lambda: nearly incompressible it cannot be solved far.
+            # Its exponent grows with lambda: nearly incompressible, it can only be solved to small depths.
             (
                 FitParameter("f_kappa", 2.0, 0.01, 50.0, "log"),
                 FitParameter("beta", 0.3, 0.01, 50.0, "log", step_factor=M_STEP_FACTOR),
@@ -148,7 +149,8 @@ LAWS: Mapping[str, FitLaw] = {
 
 
 def first_shapes(law: FitLaw) -> list[Array]:
-    """Where to start: the usual values, and each parameter moved by its step factor (f_kappa: a tenth)."""
+    """Initial guesses: the default shape, and shapes with one parameter changed by its step factor (f_kappa:
+    a tenth)."""
     base = np.array([each.start for each in law.shape])
     shapes = [base]
     for k, parameter in enumerate(law.shape):
@@ -159,12 +161,12 @@ def first_shapes(law: FitLaw) -> list[Array]:
 
 
 def law_named(name: str) -> FitLaw:
-    """One law by its name.
+    """The law of this name.
 
     Raises
     ------
     CaseError
-        If there is none of that name.
+        If there is no such law.
     """
     if name not in LAWS:
         raise CaseError(

@@ -1,7 +1,7 @@
-"""Where the fitted model puts the borders of skin, fat and muscle, beside where they were seen.
+"""Comparison of the layer borders (skin, fat, muscle) predicted by the fitted model with those measured.
 
-Nothing of the layers went into the fit of the force: a homogeneous tissue moves its material lines in its own
-way, and where that is not how the layers moved, the tissue is not homogeneous.
+The fit of the force does not use the layers. A homogeneous tissue displaces its material lines in a definite
+way; if the measured layers moved differently, the tissue is not homogeneous.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from limbcli.stages.fitting.exports import write_table
 from limbcli.stages.fitting.predicted_speeds import AT_REST, simulated_rows
 from limbcli.stages.site_model.layer_readings import LayerReadings, layer_readings
 
-_FAR = 3.0  # mm sideways: beyond it a border on the beam is no longer where it was marked
+_FAR = 3.0  # mm, lateral drift of the marked border off the beam above which a warning is given
 
 
 @dataclass(frozen=True, eq=False)
 class PredictedLayers:
-    """Loading levels, numbered among those fitted; thickness (n, n_layers) mm; drift mm, off the beam."""
+    """Indices of the loading levels; thickness (n, n_layers) mm; drift off the beam, mm."""
 
     levels: IntArray
     thickness: Array
@@ -39,7 +39,7 @@ class PredictedLayers:
 def write_layers(
     fitted: LimbModel, simulation: Simulation, levels: Levels, site: Site, writer: StageWriter
 ) -> None:
-    """layers.csv and layers.png, where layers were read; a warning where they cannot be predicted."""
+    """Write layers.csv and layers.png if layers were read; a warning if they cannot be predicted."""
     layers = layer_readings(levels, site)
     if layers is None:
         return
@@ -67,12 +67,12 @@ def write_layers(
 def predict_layers(
     model: LimbModel, simulation: Simulation, levels: Levels, layers: LayerReadings
 ) -> PredictedLayers:
-    """What the simulation makes of the layers at every loading level.
+    """The simulated layer thicknesses at every loading level.
 
     Raises
     ------
     MeasurementError
-        If a border lies beyond the model's tissue, or no displacements were recorded.
+        If a border lies outside the model's tissue, or no displacements were recorded.
     """
     numbers, rows = simulated_rows(levels, simulation.probe_depth())
     lines = layers.lines(model)
@@ -83,7 +83,7 @@ def predict_layers(
 
 
 def _report(layers: LayerReadings, found: PredictedLayers, levels: Levels, writer: StageWriter) -> None:
-    """data["layers"], a line of the summary, and a warning where the layers speak against the model."""
+    """Write data["layers"], a line of the summary, and a warning if the layers contradict the model."""
     used, k = layers.used(levels)[found.levels], found.levels
     deviance, n, reported = 0.0, 0, {}
     for j, name in enumerate(layers.names[: layers.n_counted]):

@@ -1,4 +1,4 @@
-"""At which stretch the speed at rest is least: by the fitted law, and by the measured states alone."""
+"""The stretch at which the speed at rest is lowest, by the fitted law and by the measured states alone."""
 
 from __future__ import annotations
 
@@ -18,16 +18,20 @@ from limbcli.stages.fitting.state_plan import StretchPlan
 
 _GRID = np.linspace(
     np.log(0.35), np.log(1.8), 241
-)  # where the law's curve is lowest may lie beyond any state
-_PACE = 0.04  # of ln stretch, of the walk to an interval's end
+)  # the minimum of the law's curve may lie outside the range of the states
+_PACE = 0.04  # step in ln stretch of the search for the ends of an interval
 _AT_END = 0.01
 
 
 @dataclass(frozen=True, eq=False)
 class LeastStiffness:
-    """Of one way. by_law: of ln stretch, in the case's count where it gives stretches; of_states: of the
-    same, None where fewer than three states give theirs. counted : "case" or "unloaded"; measured : ln of
-    the least and the greatest stretch of the states, at the best fit
+    """The minimum of the speed at rest in one direction (`way`).
+
+    by_law : ln stretch at the minimum of the law's curve, with its interval, on the case's scale if the case
+        gives stretches; of_states : the same by a parabola through the states, None if fewer than three
+        states give different stretches
+    counted : scale of the stretches, "case" or "unloaded" (relative to the unloaded length)
+    measured : ln of the least and greatest stretch of the states, at the best fit
     """
 
     way: str
@@ -38,7 +42,7 @@ class LeastStiffness:
 
     @property
     def is_beyond(self) -> bool:
-        """Whether it lies outside the states measured: then it rests on the law's curve alone."""
+        """Whether the minimum lies outside the measured states, and so is extrapolated by the law."""
         return not self.measured[0] <= self.by_law.value <= self.measured[1]
 
     @property
@@ -46,7 +50,7 @@ class LeastStiffness:
         return not (self.by_law.open_low or self.by_law.open_high)
 
     def words(self) -> str:
-        """One sentence, which says so where the data do not determine it."""
+        """The result in one sentence, including whether the data determine it."""
         frame = (
             "on the stretch scale of the case"
             if self.counted == "case"
@@ -75,7 +79,7 @@ class LeastStiffness:
         return f"only stretches below {low:.2f} are excluded (95 %)"
 
     def to_json(self) -> dict[str, Any]:
-        """stretch, low, high (1); null ends are open."""
+        """stretch, low, high (dimensionless); an open end of the interval is null."""
         law, states = self.by_law, self.of_states
         of_states: dict[str, Any] = {"stretch": None, "low": None, "high": None, "told": False}
         if states is not None:
@@ -100,9 +104,9 @@ def least_stiffness(
     problem: StatesProblem, found: Intervals, curve: StateCurve, plan: StretchPlan,
     given: Callable[[str], Sequence[float | None]],
 ) -> list[LeastStiffness]:  # fmt: skip
-    """For every way in which states are stretched.
+    """One result for every direction (way) in which states are stretched.
 
-    given : way -> the stretches that the states give
+    given : way -> the stretches given for the states
     """
     return [_of_way(problem, found, curve, plan, way, given(way)) for way in plan.ways]
 
@@ -120,7 +124,7 @@ def _of_way(
     grid[:, column] = np.exp(_GRID)
 
     def counted(theta: Array) -> float:
-        """ln of the given stretch that is unloaded."""
+        """ln of the stretch, on the case's scale, at which the tissue is unloaded."""
         return float(np.log(theta[place] if place is not None else zero)) if in_case else 0.0
 
     def quantity(theta: Array) -> float:

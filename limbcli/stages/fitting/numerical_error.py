@@ -1,4 +1,4 @@
-"""How far a mesh alone may put the simulated force off: what intervals have to allow for."""
+"""Discretisation error of the simulated force, which the intervals include."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from limbcli.model import LimbModel
 from limbcli.results import StageWriter, read_result, stage_folder
 from limbcli.stages.provenance.chain import Chain
 
-# What the mesh may add to the force, relative: of tet10 the change under refinement and with
-# the penalty (2 to 3 % at 2.5 mm edges); of tet4 what locking leaves at f_kappa 1 (13 %).
+# Relative error of the force due to the mesh: for tet10 the change with refinement and with the
+# penalty (2 to 3 % at 2.5 mm edges), for tet4 that due to locking at f_kappa 1 (13 %).
 GAIN_DEVIATION = {"tet10": 0.03, "tet4": 0.13}
 _USUAL_SIZE, _NEAR_CENTRE = 2.5, 10.0
-# Force of tet4 over that of tet10, by f_kappa: a punch of the probe's size on a 25 mm layer, edges 2.5 to
-# 3 mm. Limbs give the same (2.2 to 2.6 at 98, 6.1 to 7.4 at 641); halving the edges helps little.
+# Ratio of the tet4 force to the tet10 force, by f_kappa: a punch of the probe's size on a 25 mm layer, edges
+# 2.5 to 3 mm. Limbs give similar ratios (2.2 to 2.6 at 98, 6.1 to 7.4 at 641); halving the edge length
+# reduces them little.
 _LOCKED_F_KAPPA = (1.0, 10.0, 50.0, 100.0, 200.0, 650.0, 1000.0)
 _LOCKED_FORCE = (1.13, 1.31, 1.90, 2.47, 3.39, 6.29, 8.0)
 
@@ -27,11 +28,14 @@ _LOCKED_FORCE = (1.13, 1.31, 1.90, 2.47, 3.39, 6.29, 8.0)
 def gain_deviation(
     model: LimbModel, given: float | None, *, studied: float | None = None, f_kappa: float | None = None
 ) -> float:
-    """Numerical error of ln force, one standard deviation: stated, studied, or by element and edge length.
+    """Numerical error of ln force, one standard deviation.
 
-    studied : of a mesh study at the start values, None where there is none
-    f_kappa : where it is known, what locking makes of linear tetrahedra there counts too, also where the
-        mesh was studied (at another f_kappa); an error of one sign, taken for two standard deviations.
+    It is the given one, else that of a mesh study, else an estimate by element type and edge length.
+
+    studied : from a mesh study at the start values, None if there is none
+    f_kappa : if given, the locking error of linear tetrahedra at this value is a lower limit, even if
+        the mesh was studied (at another f_kappa). The error has a definite sign and is taken as two
+        standard deviations.
     """
     if given is not None:
         return given
@@ -45,7 +49,7 @@ def gain_deviation(
 
 
 def edge_under_probe(model: LimbModel) -> float:
-    """Median edge (mm) of the skin's facets within 10 mm of the probe's centre; 2.5 where there are none."""
+    """Median edge length (mm) of the skin's facets within 10 mm of the probe's centre; 2.5 if none."""
     surface, points = model.mesh.surfaces.get("contact"), model.mesh.points
     if surface is None:
         return _USUAL_SIZE
@@ -59,7 +63,7 @@ def edge_under_probe(model: LimbModel) -> float:
 
 
 def studied_error(case: Case, site: Site, out: Path, writer: StageWriter, *, label: str = "") -> float | None:
-    """What the mesh study of this site found, if there is one of a mesh like today's."""
+    """Relative error of the force by the site's mesh study; None unless the study is of the current mesh."""
     study = stage_folder(out, "mesh-study", site.name) / "mesh-study.json"
     if not study.is_file():
         return None
@@ -85,7 +89,7 @@ def studied_error(case: Case, site: Site, out: Path, writer: StageWriter, *, lab
 
 
 def _differences(studied: Mapping[str, Any], site: Site, out: Path) -> str:
-    """In words, where the mesh that was studied is not the one in the output folder."""
+    """How the mesh that was studied differs from the current one, in words; empty if it does not."""
     try:
         meshed = read_result(out, "mesh", site=site.name).data
     except CaseError:

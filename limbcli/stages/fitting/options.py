@@ -1,4 +1,4 @@
-"""How to fit, and whether what is asked for goes together."""
+"""Options of `fit`, and checks that they are compatible."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from limbcli.stages.site_model.indentation_model import C_KPA
 OBJECTIVES = ("force", "joint", "states")
 COMPARISON = "--compare-element"
 
-# Fields of FitOptions that have no effect on what is requested. The likelihoods of `joint` and `states`
-# search on a surrogate to its own end, always with intervals; a comparison of elements is of two fits alone.
+# Fields of FitOptions that have no effect on each kind of fit. `joint` and `states` search on a surrogate
+# with its own stopping rule and always compute intervals; a comparison of elements is of two plain fits.
 _OF_FORCE = ("tolerance", "max_iterations", "intervals", "templates", "time_limit_s")
 _SAYS_NOTHING: Mapping[str, Sequence[str]] = {
     "joint": _OF_FORCE,
@@ -29,16 +29,16 @@ _SAYS_NOTHING: Mapping[str, Sequence[str]] = {
 
 @dataclass(frozen=True)
 class FitOptions:
-    """How to fit.
+    """Options of the fit.
 
     c_kpa : c given by hand (None: from the shear-wave speed at level 0), with its relative
         standard deviation `c_deviation` (None: that of the shear-wave reading)
-    stiffness_map : c(x), element by element, from the shear-wave map of level 0
-    intervals : profile intervals (more simulations), or only standard errors
-    gain_deviation : numerical error of the force, relative, that intervals allow for (None: from
-        `mesh --study` where it was run, else by element and edge length)
-    cycle : whose loading is fitted, a number or "last" (the last one with three levels of loading)
-    contact_check : solve the fitted model once more with a harder contact, and report what that changes
+    stiffness_map : use c(x), element by element, from the shear-wave map of level 0
+    intervals : compute profile intervals (more simulations) instead of standard errors only
+    gain_deviation : relative numerical error of the force that intervals include (None: from
+        `mesh --study` if it was run, else by element type and edge length)
+    cycle : the cycle whose loading is fitted, a number or "last" (the last one with three levels of loading)
+    contact_check : solve the fitted model again with a stiffer contact and report the change
     """
 
     c_kpa: float | None = None
@@ -55,7 +55,7 @@ class FitOptions:
     time_limit_s: float | None = None
 
     def requested(self, kind: str = "force") -> dict[str, Any]:
-        """What another run of the same kind, an objective or `COMPARISON`, needs to be given.
+        """The options needed to repeat a run of this kind (an objective or `COMPARISON`).
 
         >>> FitOptions(tolerance=0.01, contact_check=False).requested(COMPARISON)
         {'tolerance': 0.01}
@@ -74,16 +74,16 @@ def check_choice(
     options: FitOptions | None = None,
     febio: Path | None = None,
 ) -> None:
-    """Whether these options go together.
+    """Check that these options are compatible.
 
-    joint_only : options given that speak to the joint fit (or that of states) alone
-    options : the others, of which none may be given that has no effect on what is requested
+    joint_only : given options that apply only to the joint fit (or that of states)
+    options : the other options; one that has no effect on the requested fit is an error
 
     Raises
     ------
     CaseError
-        If the objective is unknown, FEBio is asked for what only the reference solver does, a
-        stiffness map for what takes one c, or an option has no effect on what was requested.
+        If the objective is unknown, if FEBio is requested for a fit that only the reference solver supports,
+        or a stiffness map for a fit with a single c, or if an option has no effect on the requested fit.
     """
     if objective not in OBJECTIVES:
         fix = f"use {', '.join(OBJECTIVES[:-1])} or {OBJECTIVES[-1]}"
@@ -137,14 +137,14 @@ def check_choice(
 
 
 def check_numbers(options: FitOptions, *, gain_deviation: float | None = None) -> None:
-    """Whether the numbers given by hand can be meant.
+    """Check the range of numbers given by hand.
 
-    gain_deviation : that of another fit's own options, which takes the place of the one in `options`
+    gain_deviation : that of another fit's own options, which replaces the one in `options`
 
     Raises
     ------
     CaseError
-        Naming the option and what is possible.
+        If one is out of range; the message names the option and its range.
     """
     if options.cycle != LAST and not (options.cycle.isdecimal() and int(options.cycle) >= 1):
         fix = "give the number of a cycle (1, 2, ...) or last"

@@ -1,8 +1,7 @@
-"""What shear waves should show of the fitted model, beside what they showed.
+"""Comparison of the shear-wave speeds predicted by the fitted model with those measured.
 
-Only the speed at level 0 went into the fit; the rest is a prediction from the
-deformation (small waves on a large deformation), on the pixels of the measured maps
-where there are any.
+The fit uses only the speed at level 0; the others are predictions from the deformation
+(small waves superposed on a large deformation), on the pixels of the measured maps if there are any.
 """
 
 from __future__ import annotations
@@ -29,13 +28,13 @@ from limbcli.solvers.base import Simulation
 from limbcli.stages.fitting.exports import write_table
 from limbcli.stages.fitting.stiffness_map import probe_length
 
-_SAME_DEPTH = 0.03  # mm; levels closer together than 0.02 mm were simulated as one
+_SAME_DEPTH = 0.03  # mm, tolerance to match levels and simulated depths (those within 0.02 mm were merged)
 FOLDER = "swe"
 
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """Loading levels (numbers of rows of levels.csv): simulated force N, predicted and measured maps."""
+    """Loading levels (row indices of levels.csv) with simulated force (N), predicted and measured maps."""
 
     levels: IntArray
     force: Array
@@ -50,7 +49,8 @@ class Predicted:
 def write_speeds(
     fitted: LimbModel, simulation: Simulation, levels: Levels, site: Site, writer: StageWriter
 ) -> None:
-    """swe.csv, a predicted map a level in swe/, swe.png and swe-maps.png; a warning where it cannot be."""
+    """Write swe.csv, the predicted map of each level in swe/, swe.png and swe-maps.png; if speeds cannot be
+    predicted, only a warning."""
     try:
         found = _predict(fitted, simulation, levels, site, writer)
     except LimbError as error:
@@ -98,7 +98,7 @@ def _predict(
 
 
 def simulated_rows(levels: Levels, depths: Array) -> tuple[IntArray, IntArray]:
-    """Loading levels that were simulated, and the simulation's time of each (AT_REST at first touch)."""
+    """Indices of the simulated loading levels, and of each one's time (AT_REST at first touch)."""
     numbers, rows = [], []
     for k in np.flatnonzero(levels.loading):
         nearest = int(np.abs(depths - levels.depth[k]).argmin())
@@ -112,7 +112,7 @@ def simulated_rows(levels: Levels, depths: Array) -> tuple[IntArray, IntArray]:
 
 
 def _measured_map(site: Site, levels: Levels, level: int, width: float, writer: StageWriter) -> SweMap | None:
-    """The level's own map where there is one; one that cannot be read is left out, and said."""
+    """The level's measured map if there is one; an unreadable map is omitted with a warning."""
     row = int(levels.rows[level])
     if site.swe_maps is None or not map_file(site.swe_maps, row).is_file():
         return None

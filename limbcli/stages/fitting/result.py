@@ -1,4 +1,4 @@
-"""What `fit` leaves: the numbers of fit.json, the curves, the pictures."""
+"""The outputs of `fit`: the numbers of fit.json, the curves, the figures."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def write_result(
     found: Identified, fitted: LimbModel, simulation: Simulation, writer: StageWriter, site: Site, *,
     seconds: float,
 ) -> None:  # fmt: skip
-    """Fill fit.json, curves.csv and the pictures."""
+    """Write fit.json, curves.csv and the figures."""
     tables = {step.name: step_table(found, k) for k, step in enumerate(found.steps)}
     last = tables[OGDEN]
     writer.data.update({key: last[key] for key in _TOP})
@@ -83,8 +83,8 @@ def _warn_unsolved(best: Intervals, writer: StageWriter) -> None:
 
 
 def write_curves(found: Identified, path: Path) -> None:
-    """curves.csv: a row for every level, two where two have one depth; there and between them the simulated
-    curves of the first guess and of the steps."""
+    """Write curves.csv: a row for every level (also where two have the same depth) and rows in between,
+    with the simulated curves of the initial guess and of the steps."""
     measured = found.data.depth
     between = np.setdiff1d(np.linspace(0.0, found.knots[-1], _FINE), measured)
     depths = np.r_[measured, between]
@@ -99,7 +99,7 @@ def write_curves(found: Identified, path: Path) -> None:
 
 
 def draw_fit(found: Identified, site: Site, writer: StageWriter) -> None:
-    """fit.png: measured levels, the curves, what is left between; profiles.png where computed."""
+    """Draw fit.png (measured levels, curves, residuals) and, if profiles were computed, profiles.png."""
     from limbcli.reporting.figures.profiles import ProfileCurve, profile_figure
 
     depths = np.linspace(0.0, found.knots[-1], _FINE)
@@ -175,7 +175,7 @@ def _headline(name: str, content: Mapping[str, Any]) -> str:
     text, flag, ends = content["headline"], content["flag"], (content["low"], content["high"])
     if not text[0].isdigit():
         return f"{name}: {text}{' (95 %)' if ends != (None, None) else ''}: {flag}"
-    if "(" in text:  # its interval, or that it has none, is reported with it
+    if "(" in text:  # the text already contains the interval, or the remark that there is none
         return f"{name} = {text}: {flag}"
     interval = "no interval" if None in ends else f"95 %: {short(ends[0])} to {short(ends[1])}"
     return f"{name} = {text} ({interval}): {flag}"

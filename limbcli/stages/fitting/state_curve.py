@@ -1,4 +1,4 @@
-"""Forces and wave speeds of a site's model in any state, by the law's shape and its stretches."""
+"""Forces and wave speeds of a site's model in any state, as functions of the law's shape and stretches."""
 
 from __future__ import annotations
 
@@ -34,24 +34,26 @@ from limbcli.stages.site_model.site_layers import held_layers
 from limbcli.units import mpa_from_pa
 
 _NODES = "nodes.csv"
-_STEP = 1e-4  # of ln of a stretch or a law's parameter
-_NO_WAVE = 1e-3  # m/s, where no wave can run
+_STEP = 1e-4  # finite-difference step in ln of a stretch or of a parameter of the law
+_NO_WAVE = 1e-3  # m/s, speed reported where no wave can propagate
 _ALIGNED = 1e-6
-_BEYOND, _BEYOND_SHARE = 0.5, 0.1  # mm, and of the last depth: simulated beyond it, as the skin may have sunk
-_FURTHEST = 0.7  # of the last depth: simulated at least, else there is no answer
-_CLEAR = 0.05  # mm: levels that are hardly touched are left out
+# Additional simulated depth beyond the last, mm and as a fraction of that depth, because the skin may recede
+# when stretched.
+_BEYOND, _BEYOND_SHARE = 0.5, 0.1
+_FURTHEST = 0.7  # least depth from first touch that must be simulated, as a fraction of the last depth
+_CLEAR = 0.05  # mm from first touch, below which simulated levels are left out
 
 
 class StateCurve:
-    """One model for all states: what they differ in are two stretches.
+    """The simulated curve of all states, which differ only in two stretches.
 
-    Called with theta = (the law's shape, then the stretch of each of `ways`), any other stretch being 1.
-    Beside layers that keep a stiffness of their own the shape is that of `law.beside_layers()`.
-    Values are forces (n_levels,) N at depths from first touch, as it is in that state, then speeds
-    (n_levels,) and the speed at rest (1,) over those of tissue that is stretched evenly (`even_speed`).
-    Forces have exact derivatives, speeds none.
+    Called with theta = (the law's shape, then the stretch of each of `ways`); a stretch not in `ways` is 1.
+    With layers of fixed stiffness the shape is that of `law.beside_layers()`. Values are the forces
+    (n_levels,) N at depths from first touch in that state, then the speeds (n_levels,) and the speed at rest
+    (1,), both divided by the speed at rest in uniformly stretched tissue (`even_speed`). Forces have exact
+    derivatives, speeds none.
 
-    depths (n_levels,) mm, from first touch; law : its fibres as the model has them
+    depths (n_levels,) : mm from first touch; law : its fibres get the model's directions
     """
 
     def __init__(
@@ -66,7 +68,7 @@ class StateCurve:
         offsets = (
             abs(self.axes.along[1]),
             abs(self.axes.around[1]),
-        )  # of each way to the image's lateral axis
+        )  # offset of each stretch direction from the image's lateral axis
         self._aligned = int(np.argmin(offsets)) if min(offsets) < _ALIGNED else None
         self.n_shape, self.n_solves = len(law.shape), 0
         shape = np.array([each.start for each in law.shape])
@@ -79,7 +81,7 @@ class StateCurve:
         self._session = ReferenceSession(self._eased(first), progress=progress, threads=threads)
 
     def stretches(self, theta: Array) -> tuple[float, float]:
-        """Along and around."""
+        """The stretches along and around the limb."""
         along, around = self._pairs(theta[None, self.n_shape :])[0]
         return float(along), float(around)
 
@@ -121,11 +123,12 @@ class StateCurve:
     def _from_touch(
         self, depths: Array, forces: Array, force_slopes: Array, rise_slopes: Array, speeds: Array
     ) -> Prediction:
-        """What was simulated at `depths` from first touch (n,), read at those of the curve.
+        """Interpolate what was simulated at `depths` from first touch (n,) at the depths of the curve.
 
-        A little beyond the last of them forces and speeds go on straight.
+        Slightly beyond the last simulated depth, forces and speeds are extrapolated linearly.
 
-        force_slopes (n, n_theta), rise_slopes (n_theta,) : by theta; speeds (1 + n,) : at rest first
+        force_slopes (n, n_theta), rise_slopes (n_theta,) : derivatives by theta
+        speeds (1 + n,) : the first is that at rest
         """
         if depths[-1] < _FURTHEST * self.depths[-1]:
             raise SolveError(
@@ -147,7 +150,7 @@ class StateCurve:
         )
 
     def even_speed(self, theta: Array) -> tuple[float, Array]:
-        """ln of the speed (m/s) at rest in tissue that is stretched evenly, and d / d ln theta (n,)."""
+        """ln of the speed (m/s) at rest in uniformly stretched tissue, and d / d ln theta (n_theta,)."""
         shape, stretches = theta[: self.n_shape], theta[self.n_shape :]
         n, slopes = len(stretches), np.zeros(len(theta))
         moved = np.exp(_STEP * np.vstack([np.zeros(n), np.eye(n), -np.eye(n)]))
@@ -161,7 +164,7 @@ class StateCurve:
         return float(found[0]), slopes
 
     def even_speeds(self, shape: Array, stretches: Array) -> Array:
-        """ln of the speed (n,) at c0 for stretches (n, n_ways) of `ways`."""
+        """ln of the speed (n,) in uniformly stretched tissue at c0, for stretches (n, n_ways) of `ways`."""
         return self._even_speeds(np.asarray(shape), np.asarray(stretches))
 
     def _even_speeds(self, shape: Array, stretches: Array) -> Array:
@@ -176,18 +179,18 @@ class StateCurve:
         return np.asarray(0.5 * np.log(modulus / mpa_from_pa(self._density)))
 
     def _pairs(self, stretches: Array) -> Array:
-        """(n, 2) along and around, of those of `ways` (n, n_ways)."""
+        """Stretches (n, 2) along and around, from those of `ways` (n, n_ways)."""
         pairs = np.ones((len(stretches), 2))
         pairs[:, [WAYS.index(way) for way in self.ways]] = stretches
         return pairs
 
     def in_state(self, model: LimbModel, theta: Array, *, c: float) -> LimbModel:
-        """The model with this tissue, its layers stretched with it."""
+        """The model with the tissue of theta, and its layers stretched equally."""
         gradient = self.axes.gradient(*self.stretches(theta))
         return with_layers_stretched(model, gradient).with_material(TISSUE, self.tissue(theta, c=c))
 
     def tissue(self, theta: Array, *, c: float) -> Material:
-        """The law with its prestretch at another c."""
+        """The law of theta with its prestretch, at this c."""
         law = self.law.material(c, theta[: self.n_shape])
         return prestretched(law, self.axes.gradient(*self.stretches(theta)))
 
@@ -195,13 +198,13 @@ class StateCurve:
         self._session.close()
 
     def _direction(self, theta: Array, way: str) -> Array:
-        """d F_pre / d stretch, nine numbers."""
+        """d F_pre / d stretch (9,)."""
         along, around = self.stretches(theta)
         stretch = along if way == "along" else around
         return np.ravel(self.axes.slope(along, around, way)) / stretch
 
     def _slopes(self, found: Mapping[Parameter, Any], searched: Mapping[str, Array]) -> Array:
-        """By theta (n, n_theta), of what was differentiated by material parameters and by the prestrain."""
+        """Derivatives by theta (n, n_theta), from those by material parameters and prestrain gradient."""
         by_shape = sum(np.outer(found[(TISSUE, name)], slope) for name, slope in searched.items())
         by_stretch = [
             np.atleast_1d(sum(found[(name, f"F0.{way}")] for name in self._stretched)) for way in self.ways
@@ -213,7 +216,7 @@ class StateCurve:
 
 
 def _moved(shape: Array, k: int, step: float) -> Array:
-    """One parameter moved by a step of its logarithm."""
+    """The shape with one parameter changed by a step of its logarithm."""
     out = np.array(shape, dtype=float)
     out[k] *= np.exp(step)
     return out

@@ -1,8 +1,9 @@
-"""What of the states' stretches is known, what is searched for, and where each state lies by that.
+"""Which of the states' stretches are known, which are searched for, and each state's elastic stretch.
 
-Told stretches count from lengths that the user chose. Of each way (along, around) the tissue is unloaded at
-one of them: it is given, or, where all states give the same, that one; else it is searched for. A state's
-elastic stretch is what it gives over that. Stretches that are not given are searched for as they are.
+Stretches given in a case are relative to a length chosen by the user. In each direction (way: along, around)
+the tissue is unloaded at one such stretch: the case gives it; or it is that of all states, if all give the
+same; otherwise it is searched for. A state's elastic stretch is its given stretch divided by the unloaded
+one. For stretches that are not given, the elastic stretch itself is searched for.
 """
 
 from __future__ import annotations
@@ -18,18 +19,20 @@ from limbcli.inference.parameter import FitParameter
 from limbcli.model import Array
 from limbcli.stages.site_model.prestretch import WAYS
 
-LOW, HIGH = 0.6, 1.6  # elastic stretches that are searched
+LOW, HIGH = 0.6, 1.6  # range of elastic stretches that is searched
 _STEP_FACTOR = 1.2
-_REACH = 0.1  # of a stretch's logarithm, to either side, where the first simulations lie
+_REACH = 0.1  # least half-range, in ln stretch, of the first simulations
 
 
 @dataclass(frozen=True, eq=False)
 class StretchPlan:
-    """ways : those in which any state is stretched; parameters : what is searched for
+    """The known and the searched stretches of a site's states.
+
+    ways : directions in which any state is stretched; parameters : those searched for
     offsets (n_states, n_ways), factors (n_states, n_ways, n_parameters) : ln of the elastic stretches is
-    offset + factor . ln parameters
-    unloaded : by way, the given stretch that is unloaded where that is not searched for
-    taken : ways in which that was taken, because all states give the same
+        offset + factor . ln parameters
+    unloaded : by way, the given stretch at which the tissue is unloaded, if that is not searched for
+    taken : ways in which it was assumed to be the stretch of all states, because all give the same
     """
 
     ways: tuple[str, ...]
@@ -44,15 +47,15 @@ class StretchPlan:
         return np.exp(self.offsets[k] + self.factors[k] @ np.log(values))
 
     def is_known(self, k: int, way: str) -> bool:
-        """Whether nothing of it is searched for."""
+        """Whether the state's stretch in this direction does not depend on searched parameters."""
         return way not in self.ways or not self.factors[k, self.ways.index(way)].any()
 
     def elastic(self, k: int, way: str, values: Array) -> float:
-        """One elastic stretch of state k; 1 in a way in which no state is stretched."""
+        """One elastic stretch of state k; 1 in a direction in which no state is stretched."""
         return float(self.stretches(k, values)[self.ways.index(way)]) if way in self.ways else 1.0
 
     def first_places(self) -> tuple[Array, list[Array]]:
-        """Elastic stretches (n_ways,) amid the states', and some round it, for first simulations."""
+        """Elastic stretches (n_ways,) of the first simulations: the states' middle and points around it."""
         values = np.array([each.start for each in self.parameters])
         logs = np.log([self.stretches(k, values) for k in range(len(self.offsets))])
         low, high = np.minimum(logs.min(axis=0), -_REACH), np.maximum(logs.max(axis=0), _REACH)
@@ -66,7 +69,7 @@ class StretchPlan:
 
 
 def stretch_plan(site: Site) -> StretchPlan:
-    """The plan of a site's states. Raises as `plan_of`."""
+    """The plan of a site's states. Raises the errors of `plan_of`."""
     given = {way: [getattr(each.stretch, way) for each in site.states] for way in WAYS}
     unloaded = {way: getattr(site.unloaded, way) for way in WAYS}
     return plan_of(given, unloaded, [each.name for each in site.states], where=f"site {site.name}")
@@ -76,11 +79,11 @@ def plan_of(
     given: Mapping[str, Sequence[float | None]], known_unloaded: Mapping[str, float | None],
     states: Sequence[str], *, where: str = "the case",
 ) -> StretchPlan:  # fmt: skip
-    """What is searched for.
+    """The plan for these given stretches.
 
-    given : by way, the stretch of every state, None where it is unknown; ways that are left out are not
-    stretched
+    given : by way, the stretch of every state, None if unknown; ways that are left out are not stretched
     known_unloaded : by way, the given stretch at which the tissue is known to be unloaded
+
 
     Raises
     ------
@@ -90,7 +93,7 @@ def plan_of(
     ways: list[str] = []
     columns: list[Array] = []
     parameters: list[FitParameter] = []
-    entries: list[tuple[int, int, int, float]] = []  # state, way, parameter, factor
+    entries: list[tuple[int, int, int, float]] = []  # state, way, parameter, exponent of the parameter
     unloaded: dict[str, float] = {}
     taken: list[str] = []
     for way, stretches in given.items():
@@ -126,7 +129,7 @@ def plan_of(
 def _searched(
     states: Sequence[str], way: str, given: Sequence[float | None], zero: float | None, middle: float
 ) -> tuple[list[FitParameter], list[tuple[int, int, float]]]:
-    """What is searched for in one way, and (state, number of the parameter, its power in the stretch)."""
+    """Parameters searched for in one way, and (state, index of parameter, its exponent in the stretch)."""
     parameters, entries = [], []
     known = [each for each in given if each is not None]
     if zero is None and known:

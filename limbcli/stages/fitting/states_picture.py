@@ -1,4 +1,4 @@
-"""The picture of a fit of several states: speed at rest over stretch, and where it is least."""
+"""The figure of a fit of several states: speed at rest against stretch, and where it is lowest."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ def draw_states(
     writer: StageWriter, site: Site, plan: StretchPlan, curve: StateCurve, problem: StatesProblem,
     found: Intervals, lowest: Sequence[LeastStiffness],
 ) -> None:  # fmt: skip
-    """states.png: a panel for every way in which states are stretched."""
+    """Draw states.png: one panel for every direction in which states are stretched."""
     panels = [_panel(each, site, plan, curve, problem, found) for each in lowest]
     save_figure(states_figure(panels), writer.file("states", "states.png"))
 
 
 def stretch_ends(k: int, way: str, plan: StretchPlan, found: Intervals) -> tuple[float | None, float | None]:
-    """95 % ends of a state's elastic stretch, None where open: it follows one parameter, or is known."""
+    """95 % interval of a state's elastic stretch, which depends on at most one parameter; None if open."""
     if way not in plan.ways:
         return 1.0, 1.0
     w = plan.ways.index(way)
@@ -66,7 +66,7 @@ def _panel(
 def _reading(
     k: int, site: Site, way: str, zero: float, plan: StretchPlan, problem: StatesProblem, found: Intervals
 ) -> StateReading:
-    """Where it was given, a stretch has no interval: it is exact on the case's scale."""
+    """A state's point in the figure; a given stretch has no interval, as it is exact on the case's scale."""
     state, data = site.states[k], problem.task.states[k].data
     rest = int(np.argmin(data.speed_force))
     speed = float(np.exp(data.log_speed[rest]))

@@ -1,4 +1,4 @@
-"""What the fit of several states leaves: fit-states.json, tables, pictures, and each state for FEBio."""
+"""The outputs of the fit of several states: fit-states.json, tables, figures, and each state for FEBio."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from limbcli.stages.fitting.states_picture import draw_states, stretch_ends
 from limbcli.stages.site_model.indentation_model import TISSUE
 from limbcli.stages.site_model.prestretch import WAYS, through_depths
 
-_WIDE = 1.35  # upper over lower end of a stretch's interval, from which on it is weakly identified
+_WIDE = 1.35  # ratio of the ends of a stretch's interval above which it is called weakly identified
 
 
 def write_states(
     writer: StageWriter, site: Site, model: LimbModel, law: FitLaw, plan: StretchPlan, curve: StateCurve,
     problem: StatesProblem, found: Intervals,
 ) -> None:  # fmt: skip
-    """fit-states.json, tables, exports, pictures and a model a state."""
+    """Write fit-states.json, tables, exports, figures and a model of each state."""
     parameters = _with_stretches_judged(parameter_table(problem, found), plan)
     values = {name: each["value"] for name, each in parameters.items()}
     c, shape = float(found.best[0]), found.best[1 : 1 + problem.n_shape]
@@ -74,7 +74,8 @@ def _stated(site: Site, way: str) -> list[float | None]:
 
 
 def _with_stretches_judged(table: dict[str, dict[str, Any]], plan: StretchPlan) -> dict[str, dict[str, Any]]:
-    """A stretch is known to a few hundredths or not at all: a factor of three means that it is unknown."""
+    """Flag stretches with wide intervals as weak: a useful stretch is known to a few hundredths, while the
+    general limit, a factor of three, is as wide as all possible values."""
     for parameter in plan.parameters:
         each = table[parameter.name]
         low, high = each["low"], each["high"]
@@ -88,7 +89,7 @@ def _with_stretches_judged(table: dict[str, dict[str, Any]], plan: StretchPlan) 
 def _state(
     k: int, site: Site, plan: StretchPlan, curve: StateCurve, problem: StatesProblem, found: Intervals
 ) -> dict[str, Any]:
-    """One state: what it gave, its elastic stretches with their intervals, its speed at rest."""
+    """One state: its given stretches, its elastic stretches with their intervals, its speed at rest."""
     data, seen = problem.task.states[k].data, problem.predict(k, found.best)
     values, out = problem.stretch_values(found.best), {}
     for way in WAYS:
@@ -112,7 +113,7 @@ def _state(
 def _undetermined(
     parameters: dict[str, dict[str, Any]], plan: StretchPlan, lowest: Sequence[LeastStiffness]
 ) -> list[str]:
-    """A sentence for everything that these data leave open."""
+    """One sentence for each quantity that these data do not determine."""
     stretches = [each.name for each in plan.parameters]
     found = [
         f"not determined by these data: {each['words'].rstrip('.')}"
@@ -126,7 +127,7 @@ def _write_models(
     writer: StageWriter, site: Site, model: LimbModel, curve: StateCurve, problem: StatesProblem,
     found: Intervals,
 ) -> None:  # fmt: skip
-    """<state>.feb: the fitted law, prestretched, driven through the depths that were simulated."""
+    """Write <state>.feb: the fitted law with the state's prestretch, driven through the simulated depths."""
     depths = [float(each) for each in curve.depths]
     base = through_depths(model, depths, clear=False)
     for k, state in enumerate(site.states):

@@ -1,4 +1,4 @@
-"""The stiffness map of a fit: c(x) of the level-0 wave speeds on the elements of a site's model."""
+"""The stiffness map of a fit: c(x) from the level-0 wave speeds on the elements of a site's model."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from limbcli.results import StageWriter
 from limbcli.stages.site_model.indentation_model import PROBE, TISSUE
 from limbcli.units import kpa_from_mpa
 
-_MOST_OUTSIDE = 0.2  # share of pixels without tissue that goes without a warning
+_MOST_OUTSIDE = 0.2  # share of the map's pixels outside the model's tissue above which a warning is given
 
 
 @dataclass(frozen=True, eq=False)
 class TissueMap:
-    """c of every element of the tissue (MPa), and the map that it comes from.
+    """c of every element of the tissue (MPa), and the shear-wave map from which it was computed.
 
-    median : MPa, of the map, and of all elements far from it
-    n_inside, n_outside : elements within the image; pixels of the map without tissue of the model
+    median : median of the map, MPa, which is also c of all elements far from the map
+    n_inside : number of elements within the image; n_outside : number of pixels outside the model's tissue
     """
 
     c: ElementMap
@@ -48,26 +48,26 @@ class TissueMap:
         )
 
     def stiffness(self, site: Site) -> Stiffness:
-        """The median, and the deviation of its logarithm: what all pixels of a level share, and
-        the pixels' own part divided by the root of their number."""
+        """The median, and the standard deviation of its logarithm, which combines the error common to all
+        pixels of a level with the error of a single pixel divided by the square root of their number."""
         noise = site.noise
         own = noise.swe_pixel_fraction / np.sqrt(len(self.swe))
         return Stiffness(self.median, 2.0 * float(np.hypot(noise.swe_level_fraction, own)))
 
 
 def tissue_map(model: LimbModel, site: Site, *, row: int = 0) -> TissueMap:
-    """c(x) = 2 rho v0(x)^2 at the middle of every tissue element, from the site's level-0 map.
+    """c(x) = 2 rho v0(x)^2 at the centre of every tissue element, from the site's level-0 map.
 
-    row : of the level in levels.csv, which is its map's number
+    row : row of the level in levels.csv, which is also the number of its map
 
     Raises
     ------
     CaseError
         If the site has no maps.
     MeasurementError
-        If the map of level 0 is missing, faulty, too small, or beside the model.
+        If the map of level 0 is missing, faulty, too small, or outside the model.
     MeshError
-        If the tissue is not one block.
+        If the tissue is not a single block.
     """
     swe = _level_0(site, row)
     raise_errors(check_width(swe, probe_length(model)), MeasurementError)
@@ -86,7 +86,7 @@ def tissue_map(model: LimbModel, site: Site, *, row: int = 0) -> TissueMap:
 
 
 def probe_length(model: LimbModel) -> float:
-    """Of the probe's face along x, mm; 0 where the model has no probe."""
+    """Length of the probe's face along x, mm; 0 if the model has no probe."""
     blocks = next((each.blocks for each in model.bodies if each.name == PROBE), ())
     nodes = [model.mesh.block(name).cells.ravel() for name in blocks]
     return float(np.ptp(model.mesh.points[np.concatenate(nodes), 0])) if nodes else 0.0
@@ -125,7 +125,7 @@ def _range(values: Array) -> str:
 
 
 def _without_tissue(swe: SweMap, middles: Array) -> int:
-    """Pixels with no element nearby, on the scale of the elements there."""
+    """Number of pixels without an element nearby, relative to the local element size."""
     tree = cKDTree(middles)
     places = np.column_stack([swe.lateral, np.zeros(len(swe)), -swe.depth])
     distance, nearest = tree.query(places)
@@ -136,7 +136,7 @@ def _without_tissue(swe: SweMap, middles: Array) -> int:
 def write_tissue_map(
     found: TissueMap, model: LimbModel, levels: Levels, site: Site, writer: StageWriter
 ) -> None:
-    """What fit.json says of the map, its picture, and a warning where it does not suit the levels."""
+    """Write the map's entry in fit.json and its figure, and a warning if it disagrees with the levels."""
     assert found.swe.path is not None
     role = f"site/{site.name}/swe_maps/{found.swe.path.name}"
     writer.used("swe_map_level_0", found.swe.path, role=role)

@@ -1,4 +1,4 @@
-"""The numbers of fit.json: values, standard errors, intervals, verdicts of each step."""
+"""The numbers of fit.json: values, standard errors, intervals and verdicts of each step."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from limbcli.stages.fitting.geometry import GeometryUncertainty
 from limbcli.units import kpa_from_mpa
 
 NAMES = ("f_kappa", "m")
-_LEAST_EXPECTED = 0.5  # of a sum of squares: as many parameters as levels leave no scatter to judge by
+_LEAST_EXPECTED = 0.5  # lower limit of the expected chi-square: with as many parameters as levels it is 0
 
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """Everything the two steps found, before it is written down.
+    """All results of the two steps.
 
-    gains : numerical error of ln force at each step's parameters; none: that of `stiffness`
+    gains : numerical error of ln force at each step's parameters; empty: that of `stiffness`
     """
 
     curve: SolvedPoints
@@ -53,7 +53,7 @@ class Identified:
     gains: Sequence[float] = ()
 
     def gain_of(self, step: FittedStep) -> float:
-        """Numerical error of ln force there, one deviation."""
+        """Numerical error of ln force at the step's parameters, one standard deviation."""
         if not self.gains:
             return self.stiffness.gain_deviation
         return self.gains[next(k for k, each in enumerate(self.steps) if each is step)]
@@ -64,7 +64,7 @@ class Identified:
 
 
 def step_table(found: Identified, k: int) -> dict[str, Any]:
-    """One step of the identification as plain values, keys with units."""
+    """One step of the identification as plain values; keys contain the units."""
     step, c = found.steps[k], found.stiffness.c
     f_kappa, m = (float(each) for each in step.theta)
     covariance = total_covariance(found, step)
@@ -105,9 +105,9 @@ def step_table(found: Identified, k: int) -> dict[str, Any]:
 
 
 def total_covariance(found: Identified, step: FittedStep) -> Array:
-    """Covariance (3, 3) of ln c, ln f_kappa, ln m; NaN for what was not searched or not seen.
+    """Covariance (3, 3) of ln c, ln f_kappa, ln m; NaN for parameters not searched or without influence.
 
-    Where the data scatter more than stated, the noise counts as much more as for the intervals.
+    If the data scatter more than their stated noise, the noise is scaled as for the intervals.
     """
     answer = sensitivities(found.curve, found.knots, found.data, step.theta)
     assert answer.jacobian is not None
@@ -122,7 +122,7 @@ def total_covariance(found: Identified, step: FittedStep) -> Array:
         return covariance
     if not variance.any():  # without stated noise there is no standard error
         return covariance
-    held = np.column_stack([by_c, answer.values])  # ln c, and an error common to all forces
+    held = np.column_stack([by_c, answer.values])  # by ln c, and by an error common to all forces
     deviations = np.array([sigma_c, found.gain_of(step)])
     variance = variance * _noise_scale(found, step, columns, variance, held * deviations)
     block = log_covariance(columns, variance, nuisance=held, nuisance_deviation=deviations)
@@ -138,10 +138,12 @@ def total_covariance(found: Identified, step: FittedStep) -> Array:
 
 
 def _noise_scale(found: Identified, step: FittedStep, columns: Array, variance: Array, held: Array) -> float:
-    """By how much the noise's variance is larger than stated: that of the intervals, else by the residuals.
+    """Factor by which the noise's variance exceeds the stated one: that of the intervals, else by residuals.
 
-    columns (n, p) : sensitivities; held (n, k) N : one deviation each of what was held fixed. Residuals are
-    compared with what noise and these leave of an unweighted fit.
+    columns (n, p) : sensitivities
+    held (n, k) : N, effect of one standard deviation of each quantity held fixed
+
+    The residuals are compared with those expected of an unweighted fit from the noise and these errors.
     """
     if found.intervals:
         return found.intervals[next(k for k, each in enumerate(found.steps) if each is step)].scale
@@ -152,13 +154,13 @@ def _noise_scale(found: Identified, step: FittedStep, columns: Array, variance: 
 
 
 def c_share(found: Identified) -> Array:
-    """d ln force / d ln c (n,) at the loaded levels: 1 where all is tissue."""
+    """d ln force / d ln c (n,) at the loaded levels: 1 if the model has no layers of fixed stiffness."""
     depth, share = found.data.depth[found.data.loaded], found.stiffness.share
     return np.ones(len(depth)) if share is None else at_depths(share[None], found.knots, depth)[:, 0]
 
 
 def geometry_spread(found: Identified, step: FittedStep) -> Array:
-    """N (n, n_modes) at the loaded levels, one deviation each, by what is assumed of the geometry."""
+    """Change of force (n, n_modes), N, at the loaded levels by one standard deviation of each variation."""
     assert found.geometry is not None
     answer = sensitivities(found.curve, found.knots, found.data, step.theta)
     depth = found.data.depth[found.data.loaded]
@@ -166,12 +168,12 @@ def geometry_spread(found: Identified, step: FittedStep) -> Array:
 
 
 def step_misfit(found: Identified, step: FittedStep) -> Misfit:
-    """How far a step's curve lies from the measured forces, against their stated noise."""
+    """Misfit of a step's curve to the measured forces, relative to their stated noise."""
     return misfit(step.fit.residual[found.data.loaded], _variance(found, step), step.r2)
 
 
 def _variance(found: Identified, step: FittedStep) -> Array:
-    """Of the force residuals, (n,) N^2."""
+    """Variance of the force residuals (n,), N^2."""
     data = found.data
     slope = slopes_at(found.curve, found.knots, data.depth[data.loaded], step.theta)
     return force_variance(slope, force_deviation=data.force_deviation, depth_deviation=data.depth_deviation)
@@ -204,7 +206,7 @@ def _verdicts(found: Identified, k: int, covariance: Array) -> dict[str, Verdict
 
 
 def _intervals(found: Identified, k: int, c_kpa: float) -> dict[str, list[float | None]]:
-    """[low, high] by parameter; None where the data exclude nothing up to the bound."""
+    """[low, high] by parameter; None where the interval is open up to the parameter's bound."""
     sigma = found.stiffness.log_deviation
     intervals: dict[str, list[float | None]] = {
         "c_kpa": [c_kpa * float(np.exp(-1.96 * sigma)), c_kpa * float(np.exp(1.96 * sigma))]
@@ -232,7 +234,7 @@ def _parameter(
 
 
 def _profiles(found: Identified, k: int) -> dict[str, dict[str, Any]]:
-    """The profile likelihoods: values, the rise of -2 ln likelihood there, and its limit at 95 %."""
+    """The profile likelihoods: parameter values, increase of -2 ln likelihood, and its limit at 95 %."""
     if not found.intervals:
         return {}
     limit = found.intervals[k].threshold

@@ -1,1 +1,1 @@
-"""This machine: libraries, a self test of a solver, kernels compiled ahead of time."""
+"""Checks and preparation of this machine: system libraries, solver self test, ahead-of-time compilation."""

@@ -1,7 +1,8 @@
-"""The solver's and the mesher's kernels, compiled in two more processes while images are read.
+"""Compile the kernels of solver and mesher in two background processes while images are read.
 
-Only where none is on disk yet and there is more than one core. They compile what a small simulation of
-each kind and a small mesh call, into numba's cache; `fem.supported.warm_up` waits for them.
+This is done only if no kernels are cached on disk yet and there is more than one core. The processes run a
+small simulation of each kind and a small mesh, which fills numba's cache; `fem.supported.warm_up` waits for
+them.
 """
 
 from __future__ import annotations
@@ -18,20 +19,20 @@ from limbcli import background_processes
 from limbcli.config import at_most
 from limbcli.errors import LimbError
 
-_MODULE = "limbcli.stages.machine.kernels"  # also where it is called as a program, and named otherwise
-_RADIUS = 30.0  # mm, of the mesher's limb
-_FINE = 7  # cells along an edge of the self test's block: enough equations for single precision
+_MODULE = "limbcli.stages.machine.kernels"  # explicit, because __name__ differs when run as a program
+_RADIUS = 30.0  # mm, radius of the limb meshed for compilation
+_FINE = 7  # cells along an edge of the self test's block: enough equations to use single precision
 
 
 def compile_ahead(*, solver: str = "reference", febio: Path | None = None) -> None:
-    """Begin, if it is worth it and this solver (as of `solvers.choose`) is the reference solver."""
+    """Start compilation if it is useful and this solver (see `solvers.choose`) is the reference solver."""
     from limbcli.solvers import choose
     from limbcli.solvers.reference import NAME, kernels_are_there
 
     try:
         if choose(solver, febio).name != NAME:
             return
-    except LimbError:  # the stage that needs it says so
+    except LimbError:  # the stage that needs the solver reports it
         return
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     if at_most(cores) > 1 and not background_processes.at_work() and not kernels_are_there():
@@ -40,7 +41,7 @@ def compile_ahead(*, solver: str = "reference", febio: Path | None = None) -> No
 
 
 def equations() -> None:
-    """Of the direct solver, in single precision as for all limbs: a small matrix."""
+    """Compile the direct solver with a small matrix, in single precision as used for all limbs."""
     import scipy.sparse as sparse
 
     from limbcli.solvers.reference import direct_solver
@@ -58,7 +59,7 @@ def equations() -> None:
 
 
 def simulation() -> None:
-    """Of elements, contact and derivatives: a small indentation, with all that a fit asks for."""
+    """Compile elements, contact and derivatives with a small indentation and everything that a fit uses."""
     from limbcli.model import LogRecord
     from limbcli.solvers.session import ReferenceSession
     from limbcli.stages.machine.self_test import indentation
@@ -72,7 +73,7 @@ def simulation() -> None:
 
 
 def mesher() -> None:
-    """Of distances, facets and tetrahedra: a thick cylinder with a bone, meshed coarsely."""
+    """Compile distances, facets and tetrahedra by meshing a thick cylinder with a bone coarsely."""
     import manifold3d
 
     from limbcli.meshing.crop import crop_planes
@@ -93,13 +94,13 @@ def mesher() -> None:
     mesh_volume(make_domain(limb, crop_planes(limb, probe, 15.0), spacing=3.0), probe, Sizes(6.0, 12.0))
 
 
-# What one process compiles after another; the first one takes as long as the others together.
+# The parts to compile; the first takes as long as the others together.
 PARTS: dict[str, Callable[[], None]] = {"simulation": simulation, "equations": equations, "mesher": mesher}
 _PROCESSES = (("simulation",), ("equations", "mesher"))
 
 
 def compile_all() -> None:
-    """All parts, two side by side, where the solver's are not on disk yet."""
+    """Compile all parts, in two parallel processes, if the solver's kernels are not on disk yet."""
     from limbcli.solvers.reference import kernels_are_there
 
     if kernels_are_there():

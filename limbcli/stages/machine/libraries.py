@@ -1,7 +1,7 @@
-"""Libraries of the system that packages with compiled parts need, and the Debian packages that bring them.
+"""System libraries needed by packages with compiled parts, and the Debian packages that provide them.
 
-Packages are tried in processes of their own: a library that is missing, or a processor that is too old,
-may end a process without a word.
+Each package is tried in a separate process, because a missing library or an unsupported processor can
+terminate a process without an error message.
 """
 
 from __future__ import annotations
@@ -50,11 +50,11 @@ DEBIAN: Mapping[str, str] = {
     "libstdc++.so.6": "libstdc++6",
     "libgcc_s.so.1": "libgcc-s1",
 }
-"""The package of Debian 12 (and Ubuntu of its time) that holds each library."""
+"""The package of Debian 12 (and contemporary Ubuntu) that contains each library."""
 
 _TIME_LIMIT_S = 60.0
 _LIBRARY = re.compile(r"(lib[\w.+-]+\.so(?:\.\d+)*)")
-# What limbcli itself asks of each package, as small as it can be.
+# Minimal code for each package that exercises what limbcli uses of it.
 TRIALS: Mapping[str, str] = {
     "pymeshlab": """
 import numpy as np, pymeshlab
@@ -89,7 +89,7 @@ PURPOSES = {
 
 @dataclass(frozen=True)
 class LibraryTrial:
-    """Whether a package does its work here; else why not, and the libraries that are missing."""
+    """Whether a package works on this machine; if not, the reason and the missing libraries."""
 
     package: str
     works: bool
@@ -98,7 +98,7 @@ class LibraryTrial:
 
 
 def start(package: str) -> subprocess.Popen[str]:
-    """Begin a trial; several run side by side."""
+    """Start a trial; several can run in parallel."""
     return subprocess.Popen(
         [sys.executable, "-c", TRIALS[package]],
         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
@@ -106,7 +106,7 @@ def start(package: str) -> subprocess.Popen[str]:
 
 
 def end(package: str, process: subprocess.Popen[str]) -> LibraryTrial:
-    """The trial's outcome; one that does not end is stopped."""
+    """Wait for a trial and return its outcome; it is stopped if it exceeds the time limit."""
     try:
         output, _ = process.communicate(timeout=_TIME_LIMIT_S)
     except subprocess.TimeoutExpired:
@@ -122,7 +122,7 @@ def end(package: str, process: subprocess.Popen[str]) -> LibraryTrial:
 
 
 def missing_libraries(package: str) -> tuple[str, ...]:
-    """Names of the libraries that the package's compiled parts ask for and the system does not have."""
+    """Names of the libraries that the package's compiled parts need but the system lacks."""
     spec = importlib.util.find_spec(package)
     if spec is None or spec.origin is None or shutil.which("ldd") is None:
         return ()
@@ -141,7 +141,7 @@ def missing_libraries(package: str) -> tuple[str, ...]:
 
 
 def not_found(output: str) -> tuple[str, ...]:
-    """What `ldd` did not find.
+    """The libraries that `ldd` did not find.
 
     >>> not_found("/a.so:\\n\\tlibGL.so.1 => not found\\n\\tlibc.so.6 => /lib/libc.so.6 (0x00007f)\\n")
     ('libGL.so.1',)
@@ -151,7 +151,7 @@ def not_found(output: str) -> tuple[str, ...]:
 
 
 def remedy(libraries: tuple[str, ...]) -> str:
-    """The command that brings them on Debian and Ubuntu, and what to look for elsewhere.
+    """The command that installs them on Debian and Ubuntu, and what to look for on other systems.
 
     >>> remedy(("libGL.so.1", "libodd.so.2"))
     'apt-get install libgl1; and the package of your system that holds libodd.so.2'

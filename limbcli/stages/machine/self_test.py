@@ -1,11 +1,12 @@
-"""A tiny indentation whose answer is known in closed form, to see that a solver of this machine works.
+"""A small indentation with a closed-form solution, to verify that a solver works on this machine.
 
-A block of ten-node tetrahedra on a held base, its sides held sideways, is pressed by a plate that covers
-its whole top: every point is in uniaxial strain, J = l, and the force is the area times the nominal stress
+A block of ten-node tetrahedra on a fixed base, its sides constrained laterally, is compressed by a plate that
+covers its whole top: every point is in uniaxial strain, J = l, and the force is the area times the nominal
+stress
 
     P(l) = c/(2 m) (l^(m-1) - l^(-m-1)) + kappa' (l - 1)
 
-where l is the stretch along the load (the derivative of the Ogden type's energy; Ogden, Non-linear Elastic
+where l is the stretch along the load (the derivative of the Ogden-type energy; Ogden, Non-linear Elastic
 Deformations, 1984, section 7.2).
 """
 
@@ -38,14 +39,14 @@ from limbcli.temporary_folders import scratch_folder
 
 SIDE, HEIGHT, DEPTH = 8.0, 6.0, 2.0  # mm
 C, F_KAPPA, M = 0.008, 5.0, 4.0  # MPa, 1, 1
-TOLERANCE = 2e-3  # relative; FEBio stops at a displacement change of 1e-3
-_INSIDE = 0.05  # mm: the plate touches from the start
+TOLERANCE = 2e-3  # relative error of the force; FEBio stops at a relative displacement change of 1e-3
+_INSIDE = 0.05  # mm, initial penetration of the plate, so that it is in contact from the start
 _SIX = ((0, 4, 6, 7), (0, 2, 3, 7), (0, 1, 5, 7), (0, 5, 4, 7), (0, 6, 2, 7), (0, 3, 1, 7))
 
 
 @dataclass(frozen=True)
 class SelfTest:
-    """What came out: the probe's force (N), what it had to be, and how long it took."""
+    """The result: the probe's force (N), the expected force (N), and the time (s)."""
 
     solver: str
     version: str
@@ -63,7 +64,7 @@ class SelfTest:
 
 
 def self_test(solver: Solver, *, progress: Progress = SILENT) -> SelfTest:
-    """Write, run and read the indentation with a solver, and compare with the closed form.
+    """Write, run and read the indentation with a solver, and compare it with the closed-form solution.
 
     Raises
     ------
@@ -92,7 +93,7 @@ def nominal_stress(stretch: float) -> float:
 
 
 def indentation(n: int = 2) -> LimbModel:
-    """The model: 8 x 8 x 6 mm, pressed by 2 mm; n cubes of six tetrahedra along each edge."""
+    """The model: 8 x 8 x 6 mm, compressed by 2 mm; n cubes of six tetrahedra along each edge."""
     points, cells, top = _block(n)
     flat = {axis: np.flatnonzero(_on(points[:, k], (0.0, SIDE))) for k, axis in enumerate("xy")}
     base, face = (np.flatnonzero(_on(points[:, 2], (z,))) for z in (-HEIGHT, 0.0))

@@ -1,1 +1,1 @@
-"""What `measure` reads beside the load cell: elastography screens and B-mode images."""
+"""Readers of `measure`: holds of the load cell's record, elastography screens, B-mode images."""

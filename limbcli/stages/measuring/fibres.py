@@ -11,14 +11,14 @@ from limbcli.measurement.picture import draw_pennation
 from limbcli.measurement.ultrasound_image import UltrasoundImage
 from limbcli.results import StageWriter
 
-_ABOVE_BONE = 2.0  # mm that the bone's own echo takes
-_SKIN_AND_FAT = 0.25  # of the depth to bone, where no border of the fat was read
+_ABOVE_BONE = 2.0  # mm above the bone line that are excluded because of the bone's echo
+_SKIN_AND_FAT = 0.25  # assumed depth of the fat's border as a fraction of the bone's, if it was not read
 
 
 def write_pennation(
     image: UltrasoundImage, borders: Mapping[str, Sequence[BoneLine]], bone: BoneLine, writer: StageWriter
 ) -> None:
-    """`pennation` of measure.json with its picture, and how to use it; or why not."""
+    """Write `pennation` of measure.json with its figure and how to use it, or why it could not be read."""
     fat = borders.get("fat")
     top = fat[0].distance if fat else _SKIN_AND_FAT * bone.distance
     try:

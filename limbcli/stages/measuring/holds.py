@@ -1,4 +1,4 @@
-"""measure: the load cell's record becomes holds: their forces, cycles and phases, and warnings about them."""
+"""measure: detect holds in the load cell's record: forces, cycles and phases, and warnings about them."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from limbcli.measurement.recording import RecordingFormat, read_recording
 from limbcli.measurement.trace import Trace
 from limbcli.results import StageWriter
 
-_FEW_LOST = 0.01  # of the samples
-_SMALL_FORCE = 4.0  # N, of a whole indentation
+_FEW_LOST = 0.01  # share of samples without a force above which a warning is given
+_SMALL_FORCE = 4.0  # N, largest force of an indentation below which the unit is questioned
 _FEWEST_LEVELS = 3
-_ONE_LEVEL = 0.5  # of the protocol's step: levels are further apart
-_TURN = 0.5  # of the protocol's step: what the force goes back by where it turns
+_ONE_LEVEL = 0.5  # fraction of the protocol's step; holds closer than that may be one level
+_TURN = 0.5  # fraction of the protocol's step by which the force must reverse to start a new phase
 
 Columns = dict[str, Sequence[Any]]
 
 
 def force_columns(table: Mapping[str, Any], writer: StageWriter) -> Columns:
-    """Columns of levels.csv by name, a row a hold; cycle and phase where the force was taken back.
+    """Columns of levels.csv by name, one row per hold; cycle and phase if there was unloading.
 
     table : [site.load_cell]
 
     Raises
     ------
     MeasurementError
-        If the record cannot be read, or holds nothing.
+        If the record cannot be read, or contains no hold.
     """
     from limbcli.measurement.picture import draw_holds
 
@@ -55,7 +55,7 @@ def force_columns(table: Mapping[str, Any], writer: StageWriter) -> Columns:
 
 
 def columns_of(holds: Sequence[Hold], step: float) -> Columns:
-    """Columns of levels.csv by name; step : N, of the protocol."""
+    """Columns of levels.csv by name; step : the protocol's force step, N."""
     cycle, phase = cycles_of_holds([each.force for each in holds], turn=_TURN * step)
     columns: Columns = {
         "force_n": [each.force for each in holds],
@@ -73,7 +73,7 @@ def columns_of(holds: Sequence[Hold], step: float) -> Columns:
 
 
 def column_problems(columns: Mapping[str, Sequence[Any]], *, site: str, place: Path) -> list[Problem]:
-    """What no level can have, or too few levels, in columns of levels.csv as the instruments gave them."""
+    """Impossible values, or too few levels, in columns of levels.csv read from the instruments."""
     numbers = {name: values for name, values in columns.items() if name != "phase"}
     found = check_values(numbers, place)
     n = len(next(iter(columns.values())))
@@ -89,7 +89,7 @@ def column_problems(columns: Mapping[str, Sequence[Any]], *, site: str, place: P
 
 
 def holds_of(table: Mapping[str, Any]) -> tuple[Trace, list[Hold]]:
-    """The record, without the weight of the probe, and its holds. Raises as `force_columns`."""
+    """The record, with the probe's weight subtracted, and its holds. Raises as `force_columns`."""
     path: Path = table["path"]
     trace = read_recording(
         path,
@@ -156,9 +156,9 @@ def _report_holds(
 
 
 def found_twice(holds: Sequence[Hold], step: float) -> list[str]:
-    """Neighbouring holds of about one force, which a force that drifts in one hold makes of it.
+    """Warnings of consecutive holds of similar force, probably one hold that a drifting force has split.
 
-    step : N, of the protocol
+    step : the protocol's force step, N
     """
     found = []
     for k, (one, other) in enumerate(pairwise(holds)):
@@ -172,12 +172,12 @@ def found_twice(holds: Sequence[Hold], step: float) -> list[str]:
 
 
 def _follows_unloading(phase: Sequence[str], k: int) -> bool:
-    """Whether a level of loading was come to from above, as the trough between two cycles is."""
+    """Whether level k follows unloading, as does the minimum between two cycles."""
     return k > 0 and phase[k - 1] == "unload"
 
 
 def _report_doubtful_holds(holds: Sequence[Hold], trace: Trace, writer: StageWriter) -> None:
-    """Samples without a force, and forces so small that they may be in another unit."""
+    """Warn of samples without a force, and of forces so small that they may be in another unit."""
     lost = int((~np.isfinite(trace.force)).sum())
     if lost > _FEW_LOST * len(trace.force):
         writer.warnings.append(f"{lost} of {len(trace.force)} samples of the record contain no force")

@@ -1,4 +1,4 @@
-"""measure: elastography screens to speeds, in the tissue between skin, fat and bone."""
+"""measure: shear-wave speeds from elastography screens, in the muscle between fat and bone."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from limbcli.results import StageWriter
 from limbcli.stages.provenance.chain import Chain
 
 _IMAGE_SUFFIXES = {".png", ".bmp", ".dcm", ".dicom", ".jpg", ".jpeg", ".tif", ".tiff"}
-_MANY_SATURATED = 10.0  # % of the pixels in the tissue
-_MANY_UNLIKE = 0.2  # share of the coloured pixels
-_OFF_BONE = 1.5  # mm above the bone line in which its blur is left out
+_MANY_SATURATED = 10.0  # % of saturated pixels in the tissue above which a warning is given
+_MANY_UNLIKE = 0.2  # share of coloured pixels that match no colour of the bar above which a warning is given
+_OFF_BONE = 1.5  # mm above the bone line that are excluded because of its blur
 
 
 @dataclass(frozen=True)
 class TissueBetween:
-    """Where muscle lies below the probe face, mm: from the fat's lower side to the bone, level by level.
+    """Depth range of the muscle below the probe's face, mm, by level: from fat to bone.
 
-    top : None where the images gave no layers; bottom : (n_levels,) or None without B-mode
+    top : None if the images gave no layers; bottom : (n_levels,) or None without B-mode
     """
 
     top: float | None
@@ -52,9 +52,9 @@ class TissueBetween:
 def tissue_between(
     case: Case, site: Site, out: Path, skin_bone: Sequence[float] | None, writer: StageWriter
 ) -> TissueBetween:
-    """From what `segment` found at the site and the distances to bone, of the B-mode images or levels.csv.
+    """The tissue range, from the layers found by `segment` at the site and the skin-bone distances.
 
-    skin_bone : mm at every level, NaN where it was not read
+    skin_bone : from the B-mode images or levels.csv, mm at every level, NaN where it was not read
     """
     bottom = None
     if skin_bone is not None:
@@ -69,9 +69,9 @@ def tissue_between(
 
 
 def images_of(table: Mapping[str, Any], *, box_pixels: Box | None = None) -> list[UltrasoundImage]:
-    """One image a level, in the order of their names; numbers in them count as numbers (9 before 10).
+    """One image per level, sorted by name with numbers in numerical order (9 before 10).
 
-    Of files that hold several frames, those that `frame` gives: a list takes all from the only file.
+    `frame` of the table selects the frame of multi-frame files; a list selects all levels from a single file.
     """
     folder: Path = table["path"]
     paths = sorted(filter(_is_image, folder.iterdir()), key=lambda each: _by_numbers(each.name))
@@ -94,7 +94,7 @@ def images_of(table: Mapping[str, Any], *, box_pixels: Box | None = None) -> lis
 
 
 def _is_image(path: Path) -> bool:
-    """By its ending, or, as scanners often leave DICOM without one, by how it begins; not what is hidden."""
+    """Whether a visible file is an image, by its suffix or, as DICOM often has none, by its header."""
     if path.name.startswith(".") or path.name == "DICOMDIR" or not path.is_file():
         return False
     return path.suffix.lower() in _IMAGE_SUFFIXES or is_dicom(path)
@@ -112,7 +112,7 @@ def _by_numbers(name: str) -> list[tuple[int, str]]:
 def measured_speeds(
     table: Mapping[str, Any], tissue: TissueBetween, writer: StageWriter, progress: Progress
 ) -> dict[str, Sequence[float]]:
-    """The columns of speeds; leaves the maps of all levels and a box plot."""
+    """The columns of speeds; also writes the maps of all levels and a box plot."""
     from limbcli.measurement.picture import draw_speeds
 
     images = images_of(table, box_pixels=box_of(table["image_pixels"]) if table["image_pixels"] else None)
@@ -153,7 +153,7 @@ def measured_speeds(
 def _overlays(
     images: Sequence[UltrasoundImage], table: Mapping[str, Any], writer: StageWriter
 ) -> list[Overlay]:
-    """Bar and box of every image: as case.toml says, else found (the bar once, the box in each)."""
+    """Colour bar and box of every image: from case.toml, else detected (the bar once, the box in each)."""
     bar = box_of(table["bar_pixels"]) if table["bar_pixels"] else find_bar(images[0])
     stated = box_of(table["box_pixels"]) if table["box_pixels"] else None
     boxes = [stated or find_box(each, bar) for each in images]
@@ -168,14 +168,14 @@ def _overlays(
 def within_tissue(
     decoded: Sequence[DecodedMap], table: Mapping[str, Any], tissue: TissueBetween, writer: StageWriter
 ) -> list[SweMap]:
-    """The unsaturated pixels of the region of interest: as stated, else between fat and bone.
+    """The unsaturated pixels in the region of interest: the stated one, else between fat and bone.
 
     table : [site.swe_images]
 
     Raises
     ------
     MeasurementError
-        If a level has none there.
+        If a level has no such pixels.
     """
     lateral = tuple(table["roi_lateral_mm"] or (-np.inf, np.inf))
     stated = tuple(table["roi_depth_mm"]) if table["roi_depth_mm"] else None

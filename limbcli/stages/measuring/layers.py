@@ -16,7 +16,7 @@ _FOLLOWED = ("skin", "fat")
 def read_borders(
     images: Sequence[UltrasoundImage], table: Mapping[str, Any], bone: Sequence[BoneLine], writer: StageWriter
 ) -> dict[str, list[BoneLine]]:
-    """The layers' lower borders by name, those that [site.b_mode] gives at level 0, with a summary.
+    """Track the layers' lower borders that [site.b_mode] gives at level 0; by name. Adds a summary.
 
     Raises
     ------
@@ -41,7 +41,7 @@ def read_borders(
 def layer_columns(
     borders: Mapping[str, Sequence[BoneLine]], bone: Sequence[BoneLine]
 ) -> dict[str, Sequence[float]]:
-    """skin_mm, fat_mm and, where both are there, muscle_mm down to the bone; nothing without borders."""
+    """skin_mm, fat_mm and, if both were read, muscle_mm down to the bone; empty without borders."""
     columns: dict[str, Sequence[float]] = {}
     above = [0.0] * len(bone)
     for name, lines in borders.items():

@@ -1,1 +1,1 @@
-"""What a result was made from: the options asked for, the chain of results, and whether they still hold."""
+"""Provenance of results: their options, inputs and preceding results, and whether they are out of date."""

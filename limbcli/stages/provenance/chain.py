@@ -1,9 +1,9 @@
-"""The chain of results: each is used only while all that it was made from is as it was.
+"""The chain of results: a result is used only if nothing that it was made from has changed.
 
-A result carries hashes of its inputs and of its own files, the values of the case that it used, and
-what it took of earlier results (`made_from` and `files_sha256` in its provenance). Before a stage uses
-a result, the whole chain behind it is looked at again; the first link that does not hold, from the
-images on, is named with the commands that update it.
+A result stores hashes of its inputs and of its own files, the values of the case that it used, and
+what it took from earlier results (`made_from` and `files_sha256` in its provenance). Before a stage uses
+a result, the whole chain behind it is checked; the first broken link, starting from the images, is
+reported with the commands that update it.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from limbcli.version import __version__
 
 @dataclass(frozen=True)
 class BrokenLink:
-    """A link that does not hold: what changed, where, and the stages to run again, the first one first.
+    """A broken link: what changed, where, and the stages to run again, in order.
 
-    before : what to do instead, or before, in words that lead up to the commands
+    before : advice that precedes the commands (an alternative, or a preparation)
     """
 
     what: str
@@ -35,7 +35,7 @@ class BrokenLink:
     before: str = ""
 
     def fix(self, case: Case, out: Path) -> str:
-        """What is to be thought of before, and the commands."""
+        """The advice and the commands."""
         return self.before + commands(self.steps, case.folder, out)
 
     def error(self, case: Case, out: Path) -> CaseError:
@@ -56,14 +56,14 @@ class Chain:
         self.case, self.out = case, out
 
     def result(self, stage: str, *, site: str | None = None, about: Collection[str] = ()) -> StageResult:
-        """A stage's result, after the whole chain behind it was looked at.
+        """A stage's result, after a check of the whole chain behind it.
 
-        about : sites whose own values in a result of the whole case are going to be used
+        about : sites whose values in a result of the whole case are to be used
 
         Raises
         ------
         CaseError
-            If there is none, or a link of the chain does not hold; with the commands that update it.
+            If the result is missing or out of date; the message has the commands that update it.
         """
         found = self._read(stage, site)
         broken = found if isinstance(found, BrokenLink) else self.broken(found, about=about)
@@ -75,12 +75,12 @@ class Chain:
     def present(
         self, stage: str, *, site: str | None = None, about: Collection[str] = ()
     ) -> StageResult | None:
-        """The same, or None where the stage was not run."""
+        """The same, or None if the stage has not been run."""
         there = (stage_folder(self.out, stage, site) / f"{stage}.json").is_file()
         return self.result(stage, site=site, about=about) if there else None
 
     def broken(self, found: StageResult, *, about: Collection[str] | None = None) -> BrokenLink | None:
-        """The first link behind a result that does not hold, from the images on; None if all hold.
+        """The first broken link behind a result, starting from the images; None if the result is current.
 
         about : as in `result`; None: every site of the case
         """
@@ -117,7 +117,7 @@ class Chain:
     def _changes(
         self, found: StageResult, made: Mapping[str, Any], about: Collection[str] | None
     ) -> Iterator[tuple[str, str]]:
-        """(what, where) of every link of this result alone that does not hold."""
+        """(what, where) of every broken link of this result itself, without those of earlier results."""
         after = f"changed after `{found.label}` was run"
         for key, value in made["case"].items():
             if self._matters(key, found, about) and not self._is_as_it_was(key, value, about):
@@ -143,7 +143,7 @@ class Chain:
                 yield f"{path.name}, written by `{found.label}`, was changed since", str(path)
 
     def _matters(self, key: str, found: StageResult, about: Collection[str] | None) -> bool:
-        """Values of one site in a result of the whole case matter where that site is asked about."""
+        """Whether a value of the case matters: one of a single site does only if that site is in `about`."""
         if found.site is not None or not key.startswith("site/"):
             return True
         name = key.split("/")[1]
@@ -159,7 +159,7 @@ class Chain:
 
 
 def _links(found: StageResult) -> dict[str, Any]:
-    """What a result says that it was made from; nothing, by no version, where that is damaged or absent."""
+    """The recorded inputs of a result; empty and without a version if the record is damaged or absent."""
     made = found.provenance.get("made_from")
     kinds = ("case", "files", "results")
     if (
@@ -186,7 +186,7 @@ def _read_named(out: Path, label: str) -> StageResult:
 
 
 def _unlike(link: Mapping[str, Mapping[str, Any]], upstream: StageResult) -> Iterator[str]:
-    """Names of files and data that are no longer what was taken."""
+    """Names of files and data of an earlier result that have changed since they were used."""
     now = upstream.provenance.get("files_sha256", {})
     for name, digest in link["files"].items():
         if now.get(name) != digest:
@@ -197,21 +197,21 @@ def _unlike(link: Mapping[str, Mapping[str, Any]], upstream: StageResult) -> Ite
 
 
 def check_earlier(case: Case, out: Path, sites: Iterable[Site]) -> None:
-    """Look at the chain behind all that earlier stages left for these sites.
+    """Check the chain behind all results of earlier stages for these sites.
 
     Raises
     ------
     CaseError
-        As `Chain.result`; a stage that was not run is no error here.
+        As in `Chain.result`; a stage that has not been run is no error here.
     """
     chain = Chain(case, out)
     for site in sites:
-        for stage in reversed(_EARLIER):  # what the last one rests on is looked at with it
+        for stage in reversed(_EARLIER):  # the check of the last one includes those that it depends on
             chain.present(stage, site=None if stage == "segment" else site.name)
 
 
 def note_earlier(case: Case, out: Path, site: Site, writer: StageWriter) -> None:
-    """Record all that earlier stages left for a site, and its measurement, as what a result is made from."""
+    """Record a site's measurement and all results of earlier stages as inputs of a result."""
     for stage, names in _EARLIER.items():
         of = None if stage == "segment" else site.name
         if (stage_folder(out, stage, of) / f"{stage}.json").is_file():

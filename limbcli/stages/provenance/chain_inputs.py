@@ -1,7 +1,7 @@
-"""What a stage takes from the case, by names that hold wherever the case lies.
+"""Inputs that a stage takes from the case, by names that do not depend on the location of the case.
 
-A role names a file or folder ("site/p1/levels", "imaging/mri"), a key the values of case.toml
-("site/p1/place", "probe"). Anything else a role can be is the absolute path of a file outside the case.
+A role names a file or folder ("site/p1/levels", "imaging/mri"), a key names values of case.toml
+("site/p1/place", "probe"). A role can also be the absolute path of a file outside the case.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _WORDS = {"place": "place (position_mm, marker)", "skin_bone": "skin_bone_mm"}
 
 
 def input_path(case: Case, role: str) -> Path | None:
-    """Where the file or folder of a role lies today; None where the case names none."""
+    """Current path of the file or folder of a role; None if the case names none."""
     if Path(role).is_absolute():
         return Path(role)
     section, name, *rest = role.split("/")
@@ -37,7 +37,7 @@ def input_path(case: Case, role: str) -> Path | None:
 
 
 def case_value(case: Case, key: str) -> Any:
-    """The value of a key today, defaults filled in; None where the case has none."""
+    """Current value of a key, with defaults filled in; None if the case has none."""
     section, *rest = key.split("/")
     if section == SITES:
         return [each.name for each in case.sites]
@@ -53,7 +53,7 @@ def case_value(case: Case, key: str) -> Any:
 
 
 def is_unchanged(case: Case, key: str, before: Any) -> bool:
-    """Whether the value of a key is as it was noted; a probe by another name is the same probe."""
+    """Whether the value of a key equals the recorded one; the name of a probe is ignored."""
     now = case_value(case, key)
     if key == "probe" and isinstance(before, Mapping):
         return {**before, "name": ""} == {**now, "name": ""}
@@ -63,13 +63,13 @@ def is_unchanged(case: Case, key: str, before: Any) -> bool:
 def note_case(
     writer: StageWriter, case: Case, keys: Iterable[str], *, site: Site | None = None, own: Iterable[str] = ()
 ) -> None:
-    """Note these keys of the case, and those of one site's own, as what a result is made from."""
+    """Record these keys of the case, and the keys `own` of one site, as inputs of a result."""
     several = [*keys, *(f"site/{site.name}/{each}" for each in own if site is not None)]
     writer.made_from["case"].update({key: case_value(case, key) for key in several})
 
 
 def note_templates(writer: StageWriter, templates: Path | None) -> None:
-    """Note the user's templates of a model file; those of pages beside them say nothing to it."""
+    """Record the user's templates of model files as inputs; templates of pages do not affect the result."""
     if templates is not None and (templates / "feb").is_dir():
         writer.used("templates", templates / "feb", role=str((templates / "feb").resolve()))
 

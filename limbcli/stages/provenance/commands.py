@@ -1,4 +1,4 @@
-"""The command that makes a result again, as one pastes it into a shell."""
+"""The shell command that makes a result again."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class CommandStep:
-    """A stage to be run again, for one site or the whole case, and how it was asked for."""
+    """A stage to be run again, for one site or the whole case, with its options."""
 
     stage: str
     site: str | None = None
@@ -31,8 +31,8 @@ class CommandStep:
 
     @staticmethod
     def of(result: StageResult) -> CommandStep:
-        """As it was made: a joint fit with the same law, or laws, and of the same sites; a diagnosis of all
-        sites of its place."""
+        """The step that repeats a result: a joint fit with the same law(s) and the same sites, a diagnosis of
+        all sites of its place."""
         given = result.data.get("asked")
         requested = dict(given) if isinstance(given, Mapping) else {}
         sites = tuple(result.data.get("sites") or ())
@@ -59,5 +59,5 @@ class CommandStep:
 
 
 def commands(steps: Iterable[CommandStep], case: Path, out: Path) -> str:
-    """All of them in turn, each once; one that fails stops the rest."""
+    """One command line that runs all steps in order, each once, and stops at the first failure."""
     return " && ".join(each.command(case, out) for each in dict.fromkeys(steps))

@@ -1,7 +1,7 @@
 """Which stages of a batch need not be run again.
 
-A stage is fresh when nothing that went into it changed (files, options, the code,
-the stages before it) and nothing that it left was touched since.
+A stage is fresh (up to date) if its inputs (files, options, the code, preceding stages) and its
+outputs have not changed since it was run.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from limbcli.errors import CaseError
 from limbcli.results import read_result, stage_folder
 
 MEMORY, MEMORY_OF_SITE = ".batch.json", ".batch-"
-_ABSENT = "absent"  # in a key, of a file that `measure` has yet to write
+_ABSENT = "absent"  # stands in a key for a file that does not exist, e.g. one that `measure` has yet to write
 
 
 @cache
@@ -35,7 +35,7 @@ def code_hash() -> str:
 
 
 def key_of(*parts: object) -> str:
-    """One hash of what a stage depends on; paths count by their content, or as absent."""
+    """One hash of everything that a stage depends on; paths are hashed by their content, or as absent."""
     digest = hashlib.sha256()
     for part in parts:
         digest.update(_content(part).encode() + b"\0")
@@ -52,19 +52,19 @@ _ASKED, _SUBJECT = "asked", "subject"
 
 
 class Memory:
-    """What the last batch into this output folder did: a key and an output hash per stage.
+    """Record of the last batch in this output folder: a key and an output hash for each stage.
 
-    And what was requested of stages by hand before it (see `requested`). What was done for another subject
-    is forgotten.
+    It also stores the options of manual calls before it (see `requested`). A record of another subject is
+    discarded.
 
-    site : whose stages are meant; each has a file of its own, as sites may be worked on side by side
+    site : the site whose stages are recorded; each has its own file, as sites can be run in parallel
     """
 
     def __init__(self, out: Path, subject: str = "", *, site: str | None = None):
         self._path = out / (f"{MEMORY_OF_SITE}{site}.json" if site else MEMORY)
         self._out, self._subject = out, subject
         self._done = _remembered(self._path, subject)
-        if site and not self._path.exists():  # an earlier version kept them with those of the case
+        if site and not self._path.exists():  # an earlier version stored sites in the case's file
             self._done = _of_site(_remembered(out / MEMORY, subject), site)
         self._done.setdefault(_ASKED, {})
         self._done[_SUBJECT] = subject
@@ -77,9 +77,9 @@ class Memory:
         return remembered == [key, sha256(folder)]
 
     def made_since(self, stage: str, site: str | None) -> bool:
-        """Whether the stage's result is not the one that was remembered: made, or made again, by hand.
+        """Whether the stage's result differs from the recorded one, i.e. was made (again) by hand.
 
-        One that was removed was not made since.
+        False for a result that was recorded and has been removed.
         """
         remembered, folder = self._done.get(_name(stage, site)), stage_folder(self._out, stage, site)
         return remembered is None or (folder.exists() and remembered[1] != sha256(folder))
@@ -90,18 +90,18 @@ class Memory:
         self._write()
 
     def requested(self, stage: str, site: str | None) -> dict[str, Any]:
-        """The options a stage was last called with by hand: of a result made since, else as kept."""
+        """Options of the stage's last manual call: from a result made since the last batch, else stored."""
         if self.made_since(stage, site):
             with contextlib.suppress(CaseError):
                 found = read_result(self._out, stage, site=site)
                 is_ours = self._subject in ("", found.subject)
                 given = found.data.get("asked")
-                if isinstance(given, dict):  # the page of a case that could not be read does not say
+                if isinstance(given, dict):  # missing in the report of a case that could not be read
                     return dict(given) if is_ours else {}
         return dict(self._done[_ASKED].get(_name(stage, site), {}))
 
     def keep_requested(self, stage: str, site: str | None, requested: Mapping[str, Any]) -> None:
-        """Keep them for batches to come, should the result they were read from go."""
+        """Store them for later batches, in case the result from which they were read is removed."""
         if self._done[_ASKED].get(_name(stage, site), {}) != requested:
             self._done[_ASKED][_name(stage, site)] = dict(requested)
             self._write()
@@ -112,7 +112,7 @@ class Memory:
 
 
 def _remembered(path: Path, subject: str) -> dict[str, Any]:
-    """Nothing where the file is absent, damaged, or of another subject."""
+    """The stored record; empty if the file is absent, damaged, or of another subject."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):

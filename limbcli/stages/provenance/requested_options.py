@@ -1,8 +1,8 @@
-"""The options a stage was called with, so that a batch calls it in the same way again.
+"""The options with which a stage was called, so that a batch can repeat the call.
 
-A stage leaves the options requested beyond its defaults as `asked` in its JSON. What was
-requested by hand holds for every later batch, until the stage is called by hand without it or the batch
-is given `--defaults`.
+A stage stores options that differ from its defaults as `asked` in its JSON. Options of a manual call
+are used by every later batch, until the stage is called by hand without them or the batch is run with
+`--defaults`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _PATHS = ("templates", "effect_file")
 
 
 def requested_of(given: Requested, usual: Requested | None = None) -> dict[str, Any]:
-    """Plain values of what differs from the usual (not there: None).
+    """Plain values of the options that differ from the defaults `usual` (None for those not listed there).
 
     >>> requested_of({"size": None, "margin": 30.0, "smooth": 0.7}, {"smooth": 0.7})
     {'margin': 30.0}
@@ -45,12 +45,12 @@ def requested_of(given: Requested, usual: Requested | None = None) -> dict[str, 
 
 
 def requested_by_options(options: Any) -> dict[str, Any]:
-    """The same of a frozen dataclass of options whose fields have defaults."""
+    """The same for a frozen dataclass of options whose fields have defaults."""
     return requested_of(vars(options), vars(type(options)()))
 
 
 def options_of(kind: type, requested: Requested) -> Any:
-    """A dataclass of options with what was requested; unknown keys are ignored."""
+    """An options dataclass with the requested values; unknown keys are ignored."""
     names = {each.name for each in fields(kind)}
     known = {key: value for key, value in requested.items() if key in names}
     if "effects" in known:
@@ -60,7 +60,7 @@ def options_of(kind: type, requested: Requested) -> Any:
 
 
 def in_words(requested: Requested) -> str:
-    """As one would type it.
+    """The options as typed on the command line.
 
     >>> in_words({"stiffness_map": True, "fat_layer": 6.0, "intervals": False, "place": [90.0, 120.0]})
     '--stiffness-map --fat-mm 6 --no-intervals --at 90 120'

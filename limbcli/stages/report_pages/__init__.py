@@ -1,1 +1,1 @@
-"""What the report's pages are made from: results that still hold, simulated states, the index, failures."""
+"""Content of the report's pages: results, out-of-date results, simulated states, the index, failures."""

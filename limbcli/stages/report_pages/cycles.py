@@ -1,4 +1,4 @@
-"""The page's loops and sentences of a record with several cycles."""
+"""Force-depth loops and sentences of the page for a record with several cycles."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from limbcli.stages.site_model.site_levels import cycles_of
 
 
 def cycle_material(site: Site, levels: Levels, fitted: int | None) -> CycleMaterial | None:
-    """Loops and sentences of all cycles; None where the tissue was loaded once and not unloaded.
+    """Loops and sentences of all cycles; None if the tissue was loaded once and not unloaded.
 
-    levels : of all cycles; fitted : the cycle that `fit` took, None before it
+    levels : of all cycles; fitted : the cycle used by `fit`, None if there is no fit
     """
     if len(levels.cycles) == 1 and levels.loading.all():
         return None

@@ -1,4 +1,4 @@
-"""The page of a subject whose case folder cannot even be read."""
+"""The page of a subject whose case folder cannot be read."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ PAGE_FILE = "report.html"
 
 
 def report_failure(folder: Path, error: LimbError, *, out: Path) -> StageResult:
-    """Write `<out>/report/report.html` that shows why a case could not be opened.
+    """Write an `<out>/report/report.html` that shows why a case could not be opened.
 
-    One subject's unusable folder does not stop a batch; this is that subject's page,
-    and its row in the index.
+    One subject's unusable folder does not stop a batch; that subject still gets a page and a row in
+    the index.
     """
     shown = pasted(error, folder, out)
     failure = Failure(type(shown).__name__, shown.what, shown.where, shown.fix, problems_of(shown.facts))

@@ -42,7 +42,7 @@ class IndexResult:
 
 
 def report_index(folder: Path, *, templates: Path | None = None, progress: Progress = SILENT) -> IndexResult:
-    """Write `<folder>/index.html`: a row a site of every subject with results below `folder`.
+    """Write `<folder>/index.html`: one row per site of every subject with results below `folder`.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def report_index(folder: Path, *, templates: Path | None = None, progress: Progr
 
 
 def _picture(rows: list[IndexRow], folder: Path) -> str:
-    """The parameters side by side as a data URI, with SVG and data beside the page; nothing without a fit."""
+    """Figure comparing the parameters, as a data URI; also writes its SVG and data. Empty without a fit."""
     known = study_rows(rows)
     if not known:
         return ""
@@ -94,9 +94,9 @@ _OF_CASE, _OF_SITES = ("segment", "report"), ("mesh", "build-feb", "run", "fit")
 
 
 def _is_output(folder: Path) -> bool:
-    """A subject's output folder holds a stage's own result, or that its first stage failed.
+    """Whether a folder is a subject's output: it holds a stage's result or the first stage's error.
 
-    Nothing else shows it: a subject's folder in `folder` may be named as a stage's is.
+    Its name cannot tell, because a subject's folder may have the name of a stage.
     """
     if not folder.is_dir() or folder.name.startswith("."):
         return False
@@ -107,7 +107,7 @@ def _is_output(folder: Path) -> bool:
 
 
 def _rows(out: Path, folder: Path) -> list[IndexRow]:
-    """Of one subject; results that are not as limbcli leaves them stop no other's rows."""
+    """The rows of one subject; unreadable results give a row with the error, for this subject only."""
     try:
         report = read_result(out, "report")
         link = quote(relative(report.path("page"), folder))
@@ -135,7 +135,7 @@ def _row(out: Path, report: StageResult, site: str, link: str) -> IndexRow:
         return IndexRow(
             name, report.subject, site, "missing", "not fitted yet", n_warnings, link, assumed=assumed
         )
-    if fitted.subject != report.subject:  # as on the page
+    if fitted.subject != report.subject:  # consistent with the report page
         state = f"the fit is of {fitted.subject}"
         return IndexRow(name, report.subject, site, "missing", state, n_warnings, link, assumed=assumed)
     view, shown_fit = read_fit_view(fitted), report.value(f"fitted_utc/{site}")
@@ -148,7 +148,7 @@ def _row(out: Path, report: StageResult, site: str, link: str) -> IndexRow:
 
 
 def _fitted_all_the_same(out: Path, report: StageResult, site: str) -> FitView | None:
-    """The fit that the page shows beside what failed, such as a joint fit or a diagnosis."""
+    """The fit that the page shows although something else (such as a joint fit or a diagnosis) failed."""
     if report.value("stages") is None or report.data["stages"].get(f"fit {site}") != "done":
         return None
     try:
@@ -164,7 +164,7 @@ def _failure(content: Mapping[str, Any]) -> Failure:
 
 
 def _row_without_report(out: Path, error: CaseError) -> IndexRow:
-    """A subject whose report is missing; its first failure, if one was noted, is the state."""
+    """The row of a subject without a readable report; its state is the first recorded failure, if any."""
     state, shown = error.what, Failure("CaseError", error.what, error.where, error.fix)
     for path in sorted(out.glob("**/error.json")):
         try:

@@ -1,4 +1,4 @@
-"""Collects what a report page needs from the packages that can read it."""
+"""Collects the data of a report page from the results of the stages."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from limbcli.stages.site_model.site_levels import layer_noise
 
 
 def gather(case: Case, *, out: Path, progress: Progress = SILENT) -> ReportData:
-    """Read everything the page shows; what cannot be read becomes a reason on the page."""
+    """Read everything that the page shows; for what cannot be read, the page gets the reason."""
     names = tuple(site.name for site in case.sites)
     outcomes = read_outcomes(out, names, case_name=str(case.folder), subject=case.subject)
     sites = []
@@ -47,14 +47,14 @@ def gather(case: Case, *, out: Path, progress: Progress = SILENT) -> ReportData:
 
 
 def _fitted_cycle(outcomes: Outcomes, name: str) -> int | None:
-    """The cycle that the site's fit took; None where there was one only, or no fit."""
+    """The cycle used by the site's fit; None if there was only one, or no fit."""
     result = outcomes.of("fit", name).result
     cycle = result.data.get("cycle") if result is not None else None
     return int(cycle["fitted"]) if isinstance(cycle, dict) and "fitted" in cycle else None
 
 
 def _measured(site: Site, fitted: int | None) -> SiteMaterial:
-    """The levels of the fitted cycle (else the last) with their speed lines, or why there are none."""
+    """The levels of the fitted (else the last) cycle with their speed lines, or why there are none."""
     material = SiteMaterial(site.name, _place(site))
     levels, problems = check_levels(site.levels, noise=layer_noise(site))
     if levels is None or errors_of(problems):
@@ -93,7 +93,7 @@ def _with_speeds(material: SiteMaterial, levels: Levels) -> SiteMaterial:
 
 
 def _deformed(material: SiteMaterial, outcomes: Outcomes) -> SiteMaterial:
-    """The simulated state, of the fitted model where there is one, and the solver's residuals."""
+    """The simulated state, of the fitted model if there is one, and the solver's residuals."""
     for stage in ("fit", "run"):
         outcome = outcomes.of(stage, material.name)
         if outcome.result is None or outcome.status == "failed":
@@ -119,7 +119,7 @@ def _with_state(
 
 
 def _sides(meshed: StageResult | None) -> tuple[str, str] | None:
-    """The sides of the patient that x and y of the model point to, where the mesh's result says so."""
+    """The sides of the patient to which x and y of the model point, if the mesh's result contains them."""
     try:
         rotation = meshed.data["frame"]["patient_from_model"] if meshed is not None else None
         axes = np.asarray(rotation, dtype=float)[:3, :2]
@@ -133,7 +133,7 @@ _EXTRA = (("mesh", "mesh-study"), ("build-feb", "fit-elements"), ("build-feb", "
 
 
 def _older_results(outcomes: Outcomes, sites: Sequence[str]) -> list[str]:
-    """Results that are older than what they were made from, where they do not say what that was."""
+    """Sentences on results older than those they build on, if they do not record their inputs."""
     pairs: list[tuple[Outcome | None, Outcome | None]] = []
     for site in sites:
         chain = [outcomes.of("segment"), *(outcomes.of(stage, site) for stage in _ORDER[1:])]
@@ -149,7 +149,7 @@ def _older_results(outcomes: Outcomes, sites: Sequence[str]) -> list[str]:
 
 
 def _is_of_the_model(built: Outcome, fitted: Outcome) -> bool:
-    """Whether a fit was made from the very model that lies there, whenever that was written."""
+    """Whether a fit was made from the existing model file, regardless of the file's time."""
     if built.result is None or fitted.result is None:
         return False
     model = built.result.data.get("model_sha256")
@@ -157,7 +157,7 @@ def _is_of_the_model(built: Outcome, fitted: Outcome) -> bool:
 
 
 def _older(before: Outcome | None, after: Outcome | None) -> str:
-    """The sentence for a result made before what it builds on, or nothing."""
+    """The sentence for a result made before the one that it builds on; empty otherwise."""
     if before is None or after is None or before.result is None or after.result is None:
         return ""
     if before.label in after.result.provenance.get("made_from", {}).get("results", {}):

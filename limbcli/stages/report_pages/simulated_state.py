@@ -25,12 +25,12 @@ _GRADIENT = tuple(f"F{row}{column}" for row in "xyz" for column in "xyz")
 
 
 def read_deformed(result: StageResult) -> DeformedState | None:
-    """The last converged state of a stage's simulation, or None if it left none.
+    """The last converged state of a stage's simulation, or None if there is none.
 
     Raises
     ------
     LimbError
-        If model or records cannot be read, or hold no displacements.
+        If model or records cannot be read, or contain no displacements.
     """
     feb = next((path for name in _MODEL_FILES if (path := result.folder / name).is_file()), None)
     if feb is None:
@@ -59,7 +59,7 @@ def read_deformed(result: StageResult) -> DeformedState | None:
 
 
 def _check_end(times: Array, end_time: float | None, feb: Path) -> None:
-    """Records that end before the load does are cut, even at the end of a step."""
+    """Raise SolveError if the records end before the load: they are truncated, even if after a whole step."""
     if end_time is not None and (not len(times) or times[-1] < end_time * (1 - 1e-6)):
         reached = f"{times[-1]:g}" if len(times) else "no step"
         raise SolveError(
@@ -70,7 +70,7 @@ def _check_end(times: Array, end_time: float | None, feb: Path) -> None:
 
 
 def _tissue(model: LimbModel) -> tuple[str, IntArray, IntArray]:
-    """Kind and cells of the solid blocks (those of the first one's kind), and their numbers in the model."""
+    """Element type and cells of the solid blocks of the first one's type, and their indices in the model."""
     solid = model.mesh.solid_blocks
     kind = solid[0].kind
     cells, numbers, first = [], [], 0
@@ -83,7 +83,7 @@ def _tissue(model: LimbModel) -> tuple[str, IntArray, IntArray]:
 
 
 def _displacement(model: LimbModel, nodes: Mapping[str, Table], feb: Path) -> Array:
-    """(n_points, 3) mm at the last time; NaN where a node was not recorded."""
+    """Displacement (n_points, 3), mm, at the last time; NaN where a node was not recorded."""
     table = _table_with(nodes, ("ux", "uy", "uz"))
     if table is None:
         raise SolveError(
@@ -97,7 +97,7 @@ def _displacement(model: LimbModel, nodes: Mapping[str, Table], feb: Path) -> Ar
 
 
 def _shortest(elements: Mapping[str, Table], numbers: IntArray) -> Array | None:
-    """(n_cells,) smallest principal stretch at the last time; NaN where not recorded."""
+    """Smallest principal stretch (n_cells,) at the last time; NaN where not recorded."""
     table = _table_with(elements, _GRADIENT)
     if table is None:
         return None
@@ -129,7 +129,7 @@ def _probe_facets(model: LimbModel) -> dict[str, IntArray]:
 
 
 def read_residuals(result: StageResult) -> Residuals | None:
-    """Every solver iteration's worst norm over its target: from the log, else from the recorded events."""
+    """Largest ratio of a norm to its target in every solver iteration, from the log or recorded events."""
     log, events = result.folder / LOG_FILE, result.folder / PROGRESS_FILE
     found: list[tuple[int, float, float]] = []
     if log.is_file():

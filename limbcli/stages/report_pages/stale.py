@@ -1,4 +1,4 @@
-"""Results on a page that no longer belong to what they were made from: one sentence a cause."""
+"""Results on a page that are out of date, with one sentence per cause."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from limbcli.stages.provenance.commands import commands
 
 
 def stale_results(case: Case, out: Path, outcomes: Outcomes) -> list[str]:
-    """What changed since, the results that are out of date, and the commands that update them."""
+    """Sentences on what has changed, which results are out of date, and the commands that update them."""
     chain = Chain(case, out)
     causes: dict[str, list[tuple[str, BrokenLink]]] = {}
     for outcome in outcomes.done:

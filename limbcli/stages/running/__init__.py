@@ -1,1 +1,1 @@
-"""What `run` leaves: the force-depth curve and its facts, the time series for ParaView."""
+"""Outputs of `run`: the force-depth curve and its data, the time series for ParaView."""

@@ -1,4 +1,4 @@
-"""What `run` leaves beside the solver's own files: force-depth curve, picture, facts."""
+"""Outputs of `run` in addition to the solver's own files: force-depth curve, figure, run.json."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from limbcli.solvers.base import Simulation
 COLUMNS = ("time_s", "depth_mm", "force_n")
 _NEEDED = {"z", "Fz"}
 _PROBE = "probe"
-_FAR_START_MM = 1.0  # of the face from first touch: ours begin at most 0.2 mm inside
+_FAR_START_MM = 1.0  # mm, initial depth of the face that is reported as unusual; limbcli's is at most 0.2
 _DIGITS = 12
-_TIME_DIGITS = 1e-8  # relative: FEBio writes nine digits of a time
+_TIME_DIGITS = 1e-8  # relative tolerance of times: FEBio writes nine digits
 
 
 def write_simulation(
@@ -31,7 +31,7 @@ def write_simulation(
     levels: Levels | None = None,
     site: Site | None = None,
 ) -> None:
-    """Fill run.json, force-depth.csv and force-depth.png."""
+    """Write the data of run.json, force-depth.csv and force-depth.png."""
     writer.data.update(
         solver=simulation.solver,
         solver_version=simulation.version,
@@ -66,7 +66,7 @@ def write_simulation(
 
 
 def curve_warnings(simulation: Simulation, body: str) -> list[str]:
-    """Warnings of a curve that may be another body's, or whose depth does not count from first touch."""
+    """Warnings if the curve may be another body's, or if its depth is not relative to first touch."""
     found = []
     names = _with_curve(simulation)
     if len(names) > 1 and body != _PROBE:
@@ -95,7 +95,7 @@ def _with_curve(simulation: Simulation) -> list[str]:
 
 
 def force_depth_rows(simulation: Simulation, body: str) -> Array:
-    """(n_steps, 3): time s, depth mm, force N of every converged step; the untouched start is left out."""
+    """(n_steps, 3): time s, depth mm, force N of every converged step, without the initial state."""
     rows = np.stack([simulation.times, simulation.probe_depth(body), simulation.probe_force(body)], axis=1)
     return np.asarray(rows[simulation.times > 0])
 
@@ -112,7 +112,7 @@ def _levels(curve: Array, must_points: tuple[float, ...]) -> list[dict[str, floa
 
 
 def at_must_points(curve: Array, must_points: tuple[float, ...]) -> Array:
-    """The converged steps that are must-points, each once: of several within the digits of a time, the last.
+    """The converged steps at must-points, each once: the last of several that agree within the tolerance.
 
     >>> curve = np.array([[0.142857143, 1.0, 2.0], [0.142857143, 1.1, 2.1], [1234.56789, 3.0, 4.0]])
     >>> at_must_points(curve, (1 / 7, 0.5, 1234.567891))[:, 1]
@@ -131,7 +131,7 @@ def draw_curve(
     levels: Levels | None,
     site: Site | None,
 ) -> None:
-    """Simulated force over depth, levels marked, and the measured points where there are any."""
+    """Plot simulated force against depth with the levels marked, and the measured points if there are any."""
     from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth
     from limbcli.reporting.figures.style import new_figure, style
 

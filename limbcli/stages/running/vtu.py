@@ -1,4 +1,4 @@
-"""A finished simulation as a time series for ParaView: one `.vtu` a step and a `.pvd` that lists them."""
+"""A finished simulation as a time series for ParaView: one `.vtu` per step and a `.pvd` that lists them."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ _TENSORS = {
 def write_series(feb: Path, simulation: Simulation, writer: StageWriter) -> Path:
     """Write the converged steps.
 
-    Points carry `displacement` (mm), cells `part` (number of the block), `J`, `stress`
-    (MPa; xx yy zz xy yz xz), `deformation_gradient` (row by row) and whatever else was
-    logged; NaN where nothing was. Rigid bodies are moved with their nodes where those
-    were logged, else by their centre's shift.
+    Points have `displacement` (mm); cells have `part` (index of the block), `J`, `stress`
+    (MPa; xx yy zz xy yz xz), `deformation_gradient` (row by row) and all other logged fields, NaN
+    where a field was not logged. Rigid bodies are moved by their nodes' displacements if those were
+    logged, else by the displacement of their centre.
     """
     model = read_feb(feb)
     writer.file("vtu", SERIES)
@@ -70,7 +70,7 @@ def write_step(model: LimbModel, simulation: Simulation, k: int, path: Path) -> 
 
 
 def _turned_fibres(model: LimbModel, gradient: Array | None) -> Array:
-    """(n_cells, 3), unit: fibres turned with the tissue, F a0 / |F a0|, where F was logged, else as at rest.
+    """Deformed fibre directions (n_cells, 3), F a0 / |F a0|, or those at rest where F was not logged.
 
     0 in cells without fibres.
     """
@@ -85,7 +85,7 @@ def _turned_fibres(model: LimbModel, gradient: Array | None) -> Array:
 
 
 def displacement(model: LimbModel, simulation: Simulation, k: int) -> Array:
-    """(n_points, 3) mm at step k: logged where it was, rigid shift for rigid bodies, else NaN."""
+    """Displacement (n_points, 3), mm, at step k: logged, else a rigid body's translation, else NaN."""
     found = np.full(model.mesh.points.shape, np.nan)
     for body in model.bodies:
         table = simulation.rigid.get(body.name)

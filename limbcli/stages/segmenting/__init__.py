@@ -1,1 +1,1 @@
-"""What `segment` is made of beside images: assumed limbs, given surfaces, and the places of sites."""
+"""Parts of `segment` that do not process images: assumed limbs, given surfaces, and the sites' places."""

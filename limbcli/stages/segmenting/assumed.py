@@ -1,4 +1,4 @@
-"""segment without images: the surfaces of a limb whose shape is assumed, said to be so wherever they go."""
+"""segment without images: the surfaces of a limb whose shape is assumed, marked as such in all results."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FIX = "use an MRI or surfaces of the bones where results depend on it; a fit's i
 
 
 def from_assumed(case: Case, writer: StageWriter) -> None:
-    """Skin and bones of the case's numbers, or of its skin and what ultrasound saw, under the usual names."""
+    """Write skin and bones under the usual names, from numbers or from a scanned skin and ultrasound."""
     limb = assumed_limb(case)
     words = case.imaging.assumed
     writer.data["source"] = "numbers" if limb.shape is not None else "skin and ultrasound"
@@ -43,7 +43,7 @@ def from_assumed(case: Case, writer: StageWriter) -> None:
 
 
 def _note_inputs(case: Case, limb: AssumedLimb, writer: StageWriter) -> None:
-    """Of a bone that ultrasound saw, all that its place was made from."""
+    """Record the inputs of the position of a bone that was located by ultrasound."""
     if case.imaging.skin is not None:
         writer.used("skin", case.imaging.skin, role="imaging/skin")
         note_case(writer, case, ["probe"])

@@ -1,8 +1,9 @@
-"""The limb of a case without images: what is assumed of its shape, made into surfaces.
+"""The limb of a case without images: surfaces made from its assumed shape.
 
-Of numbers only: a straight round tube, one round bone as deep in front as the layers are thick. Of a skin
-that was scanned and a bone that ultrasound saw: a straight round rod along the limb, whose nearest line lies
-at the measured distance under the probe; sites whose rods would overlap by half look at one bone.
+From numbers only: a straight circular tube with one circular bone, whose anterior depth is the sum of the
+layers' thicknesses. From a scanned skin and a bone located by ultrasound: a straight circular rod along the
+limb, whose nearest line lies at the measured distance under the probe; sites whose rods would overlap by half
+share one bone.
 """
 
 from __future__ import annotations
@@ -28,17 +29,18 @@ from limbcli.model import Array
 from limbcli.stages.segmenting.surfaces import read_body
 from limbcli.stages.site_model.mesh_checks import measured_skin_bone
 
-LENGTH = 300.0  # mm of a limb in numbers: longer than any usual model with its margin
-SKIN_EDGE, BONE_EDGE = 2.0, 1.5  # mm, as of imaged surfaces
-_SUM_OFF, _BEYOND_CHANCE = 1.0, 4.0  # mm, and deviations, that the layers may differ from the thickness
-_ASIDE = 0.5  # mm by which the tissue of a site aside differs from the layers in front
-_DEPTH_OFF = 1.0  # mm between a bone that several sites share and what one of them saw
+LENGTH = 300.0  # mm, length of a limb given by numbers: longer than any usual model with its margin
+SKIN_EDGE, BONE_EDGE = 2.0, 1.5  # mm, edge lengths of the triangles, as for imaged surfaces
+# Tolerance of the layers' sum against the skin-bone distance: mm, and standard deviations (the larger).
+_SUM_OFF, _BEYOND_CHANCE = 1.0, 4.0
+_ASIDE = 0.5  # mm, difference from the anterior thickness above which a site is not anterior
+_DEPTH_OFF = 1.0  # mm, deviation of a shared bone's depth from a site's measurement that is reported
 BONE = "bone_1"
 
 
 @dataclass(frozen=True, eq=False)
 class ThicknessComparison:
-    """One site's skin-bone distance (mm): measured, and where that comes from, and in the model made."""
+    """One site's skin-bone distance (mm): measured, with its source, and in the surfaces made."""
 
     measured: float
     source: str
@@ -56,7 +58,7 @@ class ThicknessComparison:
 
 @dataclass(frozen=True, eq=False)
 class AssumedLimb:
-    """Surfaces by the names that segment gives them, the bones as rods, and what each site saw."""
+    """Surfaces by the names used by `segment`, the bones as rods, and each site's skin-bone distance."""
 
     surfaces: Mapping[str, ClosedSurface]
     bones: Mapping[str, Rod]
@@ -66,7 +68,7 @@ class AssumedLimb:
     warnings: tuple[str, ...] = field(default=())
 
     def to_json(self, words: str) -> dict[str, Any]:
-        """`geometry` of segment.json, by which a fit varies what is assumed."""
+        """`geometry` of segment.json, from which a fit varies the assumptions."""
         return {
             "words": words,
             "kind": "from-ultrasound" if self.shape is None else "numbers",
@@ -86,14 +88,14 @@ def assumed_limb(case: Case) -> AssumedLimb:
     Raises
     ------
     CaseError
-        With everything that hinders it: layers that do not add up, a site that gives no distance to the bone.
+        Listing every problem: layers that do not add up, a site without a distance to the bone.
     """
     raise_errors(assumed_problems(case), CaseError)
     return _of_numbers(case.imaging.shape, case) if case.imaging.shape is not None else _of_a_scan(case)
 
 
 def assumed_problems(case: Case) -> list[Problem]:
-    """What numbers and measurements say against each other, before any surface is made."""
+    """Contradictions between numbers and measurements, and missing ones, before any surface is made."""
     if case.imaging.shape is not None:
         return [each for site in case.sites for each in _off_the_sum(case.imaging.shape, site, case)]
     if case.imaging.bone_radius is None:
@@ -121,7 +123,7 @@ def assumed_problems(case: Case) -> list[Problem]:
 
 
 def seen_depth(site: Site) -> tuple[float, str] | None:
-    """mm from skin to bone at first touch, and its source: by hand, else levels.csv, else [b_mode]."""
+    """Skin-bone distance (mm) at first touch and its source: by hand, else levels.csv, else [b_mode]."""
     if site.skin_bone is not None:
         return site.skin_bone, "skin_bone_mm of the site"
     measured = measured_skin_bone(site)
@@ -133,10 +135,10 @@ def seen_depth(site: Site) -> tuple[float, str] | None:
 
 
 def _off_the_sum(shape: Shape, site: Site, case: Case) -> list[Problem]:
-    """What was seen at a site against what the round limb makes there: in front, the sum of the layers."""
+    """Problem if a site's skin-bone distance is not that of the circular limb (anterior: the layers' sum)."""
     seen, (point, normal) = seen_depth(site), _on_tube(shape, site)
     made = _rods(shape)[1].depth_under(point, -normal)
-    allowed = max(_SUM_OFF, _BEYOND_CHANCE * 2.0 * site.noise.layer)  # of three layers and the whole
+    allowed = max(_SUM_OFF, _BEYOND_CHANCE * 2.0 * site.noise.layer)  # sqrt(4): three layers, total
     if seen is None or (made is not None and abs(seen[0] - made) <= allowed):
         return []
     but = f"but the skin-bone distance of site {site.name} is {seen[0]:g} mm ({seen[1]})"
@@ -154,7 +156,7 @@ def _off_the_sum(shape: Shape, site: Site, case: Case) -> list[Problem]:
 
 
 def _rods(shape: Shape) -> tuple[Rod, Rod]:
-    """Skin and bone of a limb in numbers."""
+    """Skin and bone of a limb given by numbers."""
     skin = tube(shape.radius, LENGTH)
     inward = shape.radius - shape.skin_bone - shape.bone_radius
     return skin, Rod(inward * skin.towards, skin.axis, shape.bone_radius, skin.low, skin.high, skin.towards)

@@ -1,4 +1,4 @@
-"""A section of the assumed limb at every site: what was measured, and what was made of it."""
+"""A figure with a section of the assumed limb at every site: the measurement, and the surfaces made."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from limbcli.meshing.surfaces import Triangles
 from limbcli.stages.segmenting.assumed_geometry import AssumedLimb, ThicknessComparison
 
 _SKIN, _BONE, _BEAM, _FAT = "#b08000", "#c03028", "#0050d0", "#3a9a5b"
-_WRAP = 110  # letters of the title in a line
+_WRAP = 110  # characters per line of the title
 
 
 def draw_assumed(path: Path, limb: AssumedLimb, *, title: str) -> None:
-    """A section across the bone through every site's place, with the beam, and the layers where known."""
+    """Draw a section across the bone through every site's place, with the beam, and the layers if known."""
     names = list(limb.sites) or [""]
     figure = Figure(figsize=(5.2 * len(names) + 1.5, 6.0), layout="constrained")
     FigureCanvasAgg(figure)

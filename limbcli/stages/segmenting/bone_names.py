@@ -1,4 +1,4 @@
-"""Which bone a surface is: its file's name says so, or sizes and places do."""
+"""Identification of bones, by the file's name or by sizes and positions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _KNOWN = ("tibia", "fibula", "femur", "patella")
 
 
 def names_of_files(paths: Sequence[Path]) -> list[str]:
-    """bone_tibia where the file's name says so, else bone_1, bone_2 ..."""
+    """Names such as bone_tibia if the file's name contains the bone, else bone_1, bone_2 ..."""
     names: list[str] = []
     for number, path in enumerate(paths, 1):
         known = [each for each in _KNOWN if each in path.stem.lower()]
@@ -26,7 +26,7 @@ def names_of_files(paths: Sequence[Path]) -> list[str]:
 
 
 def names_of_bodies(skin: Triangles, bones: Sequence[Triangles]) -> list[str]:
-    """bone_tibia, ... in the order of the bones where all can be told, else bone_1, bone_2 ...
+    """bone_tibia, ... in the order of the bones if all can be identified, else bone_1, bone_2 ...
 
     skin, bones : mm, patient LPS
     """

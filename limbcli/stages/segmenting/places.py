@@ -1,4 +1,4 @@
-"""Where a site can be: markers, a grid of skin points with their coordinates, and the case's own sites."""
+"""Possible places of sites: markers, a grid of skin points with coordinates, and the case's own sites."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ def report_places(
     markers: Sequence[Mapping[str, Any]],
     writer: StageWriter,
 ) -> None:
-    """Markers and a picture with a grid; what is wrong with the case's sites, as errors in `site_problems`.
+    """Report markers and a figure with a grid; problems of the case's sites are stored in `site_problems`.
 
-    A site that does not lie on the skin does not stop the others: `mesh` refuses it.
+    A site that does not lie on the skin does not stop the others; `mesh` rejects it.
     """
     for each in markers:
         place = np.array(each["position_mm"])
@@ -63,7 +63,7 @@ def _said(what: str, fix: str) -> str:
 
 
 def warnings_of_limb(segmented: StageResult) -> list[str]:
-    """The warnings of a result of segment but those of places: a place may be another one since."""
+    """The warnings of a result of `segment` except those about places, which may have changed since."""
     of_places = [
         _said(each["what"], each["fix"]) for each in segmented.data.get("site_problems", {}).values()
     ]
@@ -71,6 +71,6 @@ def warnings_of_limb(segmented: StageResult) -> list[str]:
 
 
 def site_errors(data: Mapping[str, Any], where: str) -> list[Problem]:
-    """The errors that `report_places` left in a result of segment."""
+    """The errors that `report_places` stored in a result of `segment`."""
     found = data.get("site_problems", {}).values()
     return [Problem(each["what"], where, each["fix"]) for each in found if each["severity"] == "error"]

@@ -18,7 +18,7 @@ from limbcli.meshing.mending import Limb
 from limbcli.model import Array
 from limbcli.stages.segmenting.site_grid import GridPoint
 
-# From where, the axis across the picture with its sign, and the axis towards the reader with its sign.
+# View, axis across the picture with its sign, and axis towards the viewer with its sign.
 _VIEWS = (
     ("from the front (anterior)", (0, 1.0), (1, -1.0)),
     ("from the patient's left", (1, 1.0), (0, 1.0)),
@@ -26,11 +26,11 @@ _VIEWS = (
     ("from the patient's right", (1, -1.0), (0, -1.0)),
 )
 _LETTERS = ("x", "y", "z")
-_NEAR = 10.0  # mm skin to bone: thinner tissue is drawn in another colour
-_SLICE = 15.0  # mm along the limb to either side of a point, whose middle tells which side the point is on
-_ROUND = 12.0  # mm beyond the limb
-_MOST_ACROSS, _MOST_DOWN = 16.0, 9.0  # inches of all views; one scale for all of them
-_LEAST_ACROSS = 2.2  # inches of one view: its title stands there
+_NEAR = 10.0  # mm, skin-bone distance below which a point is drawn in another colour
+_SLICE = 15.0  # mm, half-length of the section whose centre determines on which side of the limb a point is
+_ROUND = 12.0  # mm, margin around the limb
+_MOST_ACROSS, _MOST_DOWN = 16.0, 9.0  # inches, largest size of all views together, which share one scale
+_LEAST_ACROSS = 2.2  # inches, least width of a view, for its title
 _MARGINS = Margins(left=0.8, above=0.35, below=1.0, gap=0.15)
 _THIN, _THICK, _MARKER, _SITE = "#c25a00", "#1b3a1b", "#c000c0", "#0050d0"
 
@@ -44,7 +44,7 @@ def draw_places(
     *,
     title: str,
 ) -> None:
-    """Names of grid points stand where they are; their coordinates are in the table beside the picture."""
+    """Draw the four views, with names at the grid points; the table has their coordinates."""
     low, high = limb.skin.points.min(axis=0) - _ROUND, limb.skin.points.max(axis=0) + _ROUND
     middle, sizes = 0.5 * (low + high), high - low
     across_mm = [float(sizes[axis]) for _, (axis, _), _ in _VIEWS]
@@ -59,7 +59,7 @@ def draw_places(
         _draw_points(axes, grid, markers, sites, limb, across, towards)
         sign = "" if across[1] > 0 else ", turned"
         axes.set(title=name, xlabel=f"{_LETTERS[across[0]]} [mm], patient LPS{sign}", ylabel="z [mm]")
-        half = 0.5 * across[1] * across_mm[number]  # turned where the axis runs to the left
+        half = 0.5 * across[1] * across_mm[number]  # negative (reversed) if the axis points to the left
         axes.set(xlim=(middle[across[0]] - half, middle[across[0]] + half), ylim=(low[2], high[2]))
         axes.label_outer()
         axes.grid(True, linewidth=0.4, alpha=0.5)
@@ -70,7 +70,7 @@ def draw_places(
 def _report_marks(
     figure: Figure, grid: Sequence[GridPoint], markers: Mapping[str, Array], sites: Mapping[str, Array]
 ) -> None:
-    """A legend of what is there."""
+    """Draw a legend of the marks that are present."""
     thin = [each for each in grid if each.skin_bone < _NEAR]
     marks = (
         (len(thin) < len(grid), ".", _THICK, "point of the grid"),
@@ -88,7 +88,7 @@ def _report_marks(
 
 
 def _draw_view(axes: Axes, limb: Limb, across: tuple[int, float], towards: tuple[int, float]) -> None:
-    """The skin's facets that face the reader, shaded from corner to corner, far ones first."""
+    """Draw the skin's facets that face the viewer, with interpolated shading, far ones first."""
     skin = limb.skin
     at_corners = np.zeros_like(skin.points)
     np.add.at(at_corners, skin.faces.ravel(), np.repeat(skin.area_vectors, 3, axis=0))
@@ -111,7 +111,7 @@ def _draw_points(
     across: tuple[int, float],
     towards: tuple[int, float],
 ) -> None:
-    """Those that the reader can see from this side: no other is shown through the limb."""
+    """Draw the points that are visible from this side; points hidden by the limb are not drawn."""
     axis = proximal_direction(limb)
     along = limb.skin.points @ axis
     centre = 0.5 * (limb.skin.points.min(axis=0) + limb.skin.points.max(axis=0))
@@ -134,7 +134,7 @@ def _draw_points(
                 each.name, (x, z), xytext=(0, 3), color=colour,
                 textcoords="offset points", fontsize=8, ha="center",
             )  # fmt: skip
-            label.set_in_layout(False)  # it stands within its view, and looking at each takes time
+            label.set_in_layout(False)  # it lies within its view, and measuring every label takes time
     for points, mark, colour, word, above in (
         (markers, "D", _MARKER, "marker ", -10), (sites, "X", _SITE, "", 4)
     ):  # fmt: skip

@@ -1,4 +1,4 @@
-"""A grid of skin points, by name: where a site can be."""
+"""A grid of named skin points: possible places of sites."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from limbcli.model import Array
 
 _STEP_MM, _MOST_ROWS = 20.0, 24
 _ANGLES = 12
-_BONE_EDGE = 2.0  # mm: bones are so near as their points only where these lie this close
+_BONE_EDGE = 2.0  # mm, longest edge of the divided bones, so that their points represent their surfaces
 _NAMES = "ABCDEFGHIJKLMNOPQRSTUVWX"
 
 
 @dataclass(frozen=True, eq=False)
 class GridPoint:
-    """A skin point and its name: "C4" is row C from distal, column 4 of 12 from anterior over the left."""
+    """A skin point and its name: "C4" is row C from distal, column 4 of 12 from anterior towards the left."""
 
     name: str
     angle_deg: float
@@ -34,7 +34,7 @@ class GridPoint:
 
 
 def grid_points(limb: Limb, *, step: float = _STEP_MM) -> list[GridPoint]:
-    """Skin points every `step` mm along the limb (more where it is long) and every 30 degrees round it.
+    """Skin points every `step` mm along the limb (more if it is long) and every 30 degrees around it.
 
     0 degrees is anterior (-y of LPS), 90 the patient's left. The ends of the limb are left out.
     """
@@ -66,7 +66,7 @@ def grid_points(limb: Limb, *, step: float = _STEP_MM) -> list[GridPoint]:
 
 
 def _section(skin: Triangles, axis: Array, height: float) -> tuple[Array, Array] | None:
-    """The middle (3,) of a cross section, and the corners (n, 3, 3) of the triangles that it cuts."""
+    """The centre (3,) of a cross section, and the corners (n, 3, 3) of the triangles that it cuts."""
     along = skin.points[skin.faces] @ axis
     crossing = (along.min(axis=1) <= height) & (along.max(axis=1) >= height)
     if not crossing.any():

@@ -1,4 +1,4 @@
-"""Surfaces instead of an image: closed or open, one body a file or all in one; and the surfaces' files."""
+"""Surfaces instead of an image: closed or open, one body per file or all in one; and the output files."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from limbcli.results import StageWriter
 from limbcli.stages.segmenting.bone_names import names_of_bodies, names_of_files, numbered
 from limbcli.stages.segmenting.places import report_places
 
-# What follows looks at points and triangles. Those of drawn bodies span the whole limb; a scan's do so at its
-# flat ends alone, and stay as they were given.
-_LONGEST_EDGE = 25.0  # mm
-_DRAWN_SHARE = 0.5  # of a drawn body's area, at least, lies in triangles with a longer edge
+# Later steps use points and triangles. Triangles of drawn (CAD) bodies can span the whole limb and are
+# divided; those of a scan do so only at its flat ends, and are kept as given.
+_LONGEST_EDGE = 25.0  # mm, longest edge of a divided body
+_DRAWN_SHARE = 0.5  # share of area in triangles with a longer edge above which a body is taken as drawn
 
 
 def from_surfaces(case: Case, writer: StageWriter) -> None:
-    """The case's own surfaces, checked and written under the usual names."""
+    """Check the case's own surfaces and write them under the usual names."""
     assert case.imaging.skin is not None
     writer.data["source"] = "surfaces"
     writer.data["markers"] = []
@@ -50,12 +50,12 @@ def from_surfaces(case: Case, writer: StageWriter) -> None:
 
 
 def check_limb(surfaces: Mapping[str, ClosedSurface], case: Case, writer: StageWriter, *, where: str) -> None:
-    """Skin and bones against what a limb can be; what is unusual is a warning.
+    """Check whether skin and bones can be a limb's; unusual findings are warnings.
 
     Raises
     ------
     CaseError
-        With everything that cannot be: a bone outside the skin, sizes of another unit.
+        Listing everything impossible: a bone outside the skin, sizes in another unit.
     """
     triangles = triangles_of(surfaces)
     found = limb_check(triangles, limb=case.limb, where=where)
@@ -68,7 +68,7 @@ def check_limb(surfaces: Mapping[str, ClosedSurface], case: Case, writer: StageW
 def _report_misplaced(
     surfaces: Mapping[str, Triangles], wrong: Sequence[str], case: Case, writer: StageWriter
 ) -> None:
-    """The one shift that would put these bones back into the skin. Nothing is moved."""
+    """Report the common translation that would put these bones into the skin; nothing is moved."""
     right = {name: each for name, each in surfaces.items() if name not in wrong and name != SKIN}
     found = put_back(surfaces[SKIN], right, {name: surfaces[name] for name in wrong}, limb=case.limb)
     writer.data["misplaced"] = {"bones": list(wrong)}
@@ -88,12 +88,12 @@ def triangles_of(surfaces: Mapping[str, ClosedSurface]) -> dict[str, Triangles]:
 
 
 def read_surfaces(case: Case) -> tuple[dict[str, ClosedSurface], dict[str, Path]]:
-    """Skin and bones by name as they were brought, and the files that the case names.
+    """Skin and bones by name as given, and the files named by the case.
 
     Raises
     ------
     CaseError
-        If one cannot be read, is of another size than a body's in mm, or there is no bone.
+        If one cannot be read, its size is not that of a body in mm, or there is no bone.
     """
     assert case.imaging.skin is not None
     names = names_of_files(case.imaging.bones)
@@ -102,7 +102,7 @@ def read_surfaces(case: Case) -> tuple[dict[str, ClosedSurface], dict[str, Path]
     if not case.imaging.bones:
         return _bodies(surfaces[SKIN], case.imaging.skin), paths
     surfaces |= {name: _whole(surfaces[name]) for name in names}
-    if names == numbered(len(names)):  # no file says which bone it holds
+    if names == numbered(len(names)):  # no file name identifies its bone
         triangles = triangles_of(surfaces)
         bodies = [SKIN, *names_of_bodies(triangles[SKIN], [triangles[each] for each in names])]
         surfaces = dict(zip(bodies, surfaces.values(), strict=True))
@@ -111,7 +111,7 @@ def read_surfaces(case: Case) -> tuple[dict[str, ClosedSurface], dict[str, Path]
 
 
 def _bodies(surface: ClosedSurface, path: Path) -> dict[str, ClosedSurface]:
-    """Skin and bones out of one file that holds them all."""
+    """Skin and bones from a single file that contains all of them."""
     skin, *bones = _bodies_of(surface)
     if not bones:
         raise CaseError(
@@ -124,7 +124,7 @@ def _bodies(surface: ClosedSurface, path: Path) -> dict[str, ClosedSurface]:
 
 
 def _whole(bone: ClosedSurface) -> ClosedSurface:
-    """The bone without the walls of its cavities."""
+    """The bone without the inner surfaces of its cavities."""
     pieces = _bodies_of(bone)
     kept = without_cavities(pieces)
     if len(kept) == len(pieces):
@@ -134,7 +134,7 @@ def _whole(bone: ClosedSurface) -> ClosedSurface:
 
 
 def _in_mm(surface: ClosedSurface, name: str, path: Path) -> ClosedSurface:
-    """The surface, a drawn body's in triangles of a limb's scale, if its size is a body's."""
+    """Check a surface's size, and return it with the triangles of a drawn body divided."""
     size = np.ptp(surface.points, axis=0).max()
     if not 5.0 < size < 2000.0:
         raise CaseError(
@@ -149,7 +149,7 @@ def _in_mm(surface: ClosedSurface, name: str, path: Path) -> ClosedSurface:
 
 
 def _is_drawn(surface: ClosedSurface) -> bool:
-    """Whether most of its area lies in long triangles."""
+    """Whether most of its area lies in triangles with long edges."""
     corners = surface.points[surface.triangles]
     edges = corners - np.roll(corners, 1, axis=1)
     long = np.linalg.norm(edges, axis=2).max(axis=1) > _LONGEST_EDGE
@@ -158,19 +158,19 @@ def _is_drawn(surface: ClosedSurface) -> bool:
 
 
 def read_body(path: Path) -> tuple[ClosedSurface, list[str]]:
-    """The skin alone, as it was brought, its normals outward, and what is to be said of it.
+    """The skin of a file as given, with outward normals, and warnings.
 
     Raises
     ------
     CaseError
-        If it cannot be read, or is of another size than a limb's in mm.
+        If it cannot be read, or its size is not that of a limb in mm.
     """
     surface = _in_mm(read_surface(path), "skin", path)
     return _turned(surface, "skin", path)
 
 
 def _usable(surface: ClosedSurface, name: str, path: Path, writer: StageWriter) -> ClosedSurface:
-    """Normals outward; an open surface is passed on with a warning (meshing closes it)."""
+    """The surface with outward normals; an open one gives a warning (meshing closes it)."""
     surface, warnings = _turned(surface, name, path)
     writer.warnings.extend(warnings)
     return surface
@@ -189,7 +189,7 @@ def _turned(surface: ClosedSurface, name: str, path: Path) -> tuple[ClosedSurfac
 
 
 def _largest(surface: ClosedSurface) -> Triangles:
-    """Its largest body: a skin's file may hold bones too, and stray bits."""
+    """The largest body of a surface: a skin's file may also contain bones and fragments."""
     return _bodies_of(surface)[0]
 
 
@@ -198,7 +198,7 @@ def _bodies_of(surface: ClosedSurface) -> list[Triangles]:
 
 
 def _rims(surface: ClosedSurface) -> str:
-    """Where it is open, in words: a flat lid stands there in the model."""
+    """Where a surface is open, in words; the model has a flat lid there."""
     rims = [rim for each in _bodies_of(surface) for rim in open_rims(each)]
     if not rims:
         return ""
@@ -208,7 +208,7 @@ def _rims(surface: ClosedSurface) -> str:
 
 
 def write_surfaces(surfaces: dict[str, ClosedSurface], writer: StageWriter) -> None:
-    """skin.ply, bone_*.ply, and the volumes that they enclose."""
+    """Write skin.ply and bone_*.ply, and record the volumes that they enclose."""
     volumes = {}
     for name, surface in surfaces.items():
         write_surface(writer.file(name, f"{name}.ply"), surface)

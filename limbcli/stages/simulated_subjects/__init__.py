@@ -1,1 +1,1 @@
-"""Simulated measurements with known truth: indentation, hidden effects, the case that they are written as."""
+"""Simulated measurements with known truth: indentation, hidden effects, and the case that is written."""

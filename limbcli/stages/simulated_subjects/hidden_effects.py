@@ -1,7 +1,7 @@
-"""Effects to hide in simulated data: written otherwise than the diagnosis writes them.
+"""Effects to hide in simulated data, modelled differently from the diagnosis' own models.
 
 Fibres stiffen exponentially instead of quadratically, the skin is thinner than the library's,
-relaxation has two terms, wave guidance acts pixel by pixel. What was hidden stands in the truth
+relaxation has two terms, wave guidance acts pixel by pixel. The hidden effects are recorded in the truth
 file, which no stage reads.
 """
 
@@ -28,11 +28,11 @@ from limbcli.phantom.protocol import TrueLevels
 
 @dataclass(frozen=True, eq=False)
 class Hidden:
-    """One effect hidden: a change of the loaded model, of what its waves meet, of what is read off it.
+    """A hidden effect: a change of the loaded model, of the model for wave speeds, or of the readings.
 
-    true : what the truth says of it: its parameters as they are hidden, which is not always as the effect's
-        own model has them
-    preload : N on the probe at the first level
+    true : entry of the truth file: the parameters as hidden, which can differ from those of the effect's own
+        model
+    preload : force on the probe at the first level, N
     """
 
     name: str
@@ -47,12 +47,12 @@ class Hidden:
 
 
 def hide(text: str) -> Hidden:
-    """ "force-zero=1.5" (the first parameter's value), or "skin-layer" (its typical size).
+    """The effect given by "force-zero=1.5" (value of the first parameter) or "skin-layer" (typical size).
 
     Raises
     ------
     CaseError
-        If the effect is unknown, cannot be hidden, or the size is no number within its bounds.
+        If the effect is unknown or cannot be hidden, or the size is not a number within its bounds.
     """
     name, _, size = text.partition("=")
     found = effect(name, option="--effect")
@@ -76,10 +76,10 @@ def hide(text: str) -> Hidden:
 
 
 def in_order(hidden: Sequence[Hidden]) -> tuple[Hidden, ...]:
-    """Effects as one follows from the other, in whatever order they were asked for.
+    """The effects in the order in which they are applied, independent of the order in which they are given.
 
-    In the model factors on all stiffnesses come last, as in `effects.base.applied`; readings are distorted
-    from the tissue to the instruments' scales, in the order of `_READINGS`.
+    In the model, factors on all stiffnesses come last, as in `effects.base.applied`; readings are distorted
+    in the order of `_READINGS`, from the tissue to the instruments' scales.
     """
     readings = list(_READINGS)
 
@@ -90,12 +90,12 @@ def in_order(hidden: Sequence[Hidden]) -> tuple[Hidden, ...]:
 
 
 def check_beside_layers(hidden: Sequence[Hidden], layers: Sequence[str]) -> None:
-    """Refuse skin and fat as effects in a tissue that begins below `layers` of its mesh.
+    """Refuse skin and fat as hidden effects if the mesh has separate `layers`.
 
     Raises
     ------
     CaseError
-        They are identified by the depth below the skin, where the tissue is not.
+        If such an effect is among them: it acts at a depth at which the mesh has layers instead of tissue.
     """
     found = [each.name for each in hidden if each.name in _BELOW_SKIN]
     if layers and found:
@@ -143,11 +143,11 @@ def _cannot(found: Effect) -> CaseError:
 
 _FIBRE_EXPONENT = 1.5
 _SKIN_MM = 1.2
-_TERMS = ((0.6, 1.0), (0.4, 20.0))  # share of what relaxes, time constant in s
+_TERMS = ((0.6, 1.0), (0.4, 20.0))  # (share of the relaxing part, time constant in s)
 
 
 def _otherwise(name: str, theta: Theta) -> dict[str, float | list[float]]:
-    """What of an effect's parameters is hidden otherwise than its own model has it."""
+    """The parameters of an effect that are hidden with other values than in its own model."""
     if name == "anisotropy":
         return {"fibre_exponent": _FIBRE_EXPONENT}
     if name == "skin-layer":
@@ -159,7 +159,7 @@ def _otherwise(name: str, theta: Theta) -> dict[str, float | list[float]]:
 
 
 def _fibres(model: LimbModel, theta: Theta) -> LimbModel:
-    """Mildly exponential fibres with the same stiffness at small stretch."""
+    """Add mildly exponential fibres with the same stiffness at small stretch."""
     c = ground_modulus(model)
     fibre: dict[str, Value] = {
         "ksi": theta["fibre_tension_per_c"] * c, "alpha": _FIBRE_EXPONENT, "beta": 2.0, "band": 0.02,
@@ -169,7 +169,7 @@ def _fibres(model: LimbModel, theta: Theta) -> LimbModel:
 
 
 def _skin(model: LimbModel, theta: Theta) -> LimbModel:
-    """A thinner skin with the same stiffness along it."""
+    """Add a thinner skin with the same in-plane stiffness."""
     return scaled(model, 1.0 + layer_share(model, 0.0, _SKIN_MM) * (_skin_ratio(theta) - 1.0))
 
 
@@ -187,7 +187,7 @@ def _same(values: Array) -> Array:
 def _record(
     readings: Readings, force: Callable[[Array], Array] = _same, depth: Callable[[Array], Array] = _same
 ) -> Array:
-    """The load cell's record with force and depth read otherwise."""
+    """The load cell's record with force and depth transformed."""
     trace = readings.trace
     return np.column_stack([trace[:, 0], force(trace[:, 1]), depth(trace[:, 2]), trace[:, 3:]])
 
@@ -203,7 +203,7 @@ def _force_gain(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
 
 
 def _depth_zero(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
-    """Levels are read from a first frame that is `depth_zero_mm` deep already."""
+    """Depths are relative to a first frame that is already `depth_zero_mm` deep."""
     zero = theta["depth_zero_mm"]
     shown = readings.depth - zero
     record = _record(readings, depth=lambda d: d - zero)
@@ -211,7 +211,7 @@ def _depth_zero(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
 
 
 def _rows(readings: Readings, keep: IntArray) -> Readings:
-    """Only these levels, of readings that have them all."""
+    """The readings with only the levels `keep`."""
     left = sorted(set(range(len(readings.force))) - set(keep.tolist()))
     return replace(
         readings,
@@ -227,7 +227,7 @@ def _rows(readings: Readings, keep: IntArray) -> Readings:
 
 
 def _depth_gain(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
-    """All that the images show along the beam, by one factor."""
+    """Scale all lengths that the images show along the beam by one factor."""
     gain = theta["depth_gain"]
 
     def shown(values: Array | None) -> Array | None:
@@ -243,14 +243,14 @@ def _depth_gain(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
 
 
 def _preload(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
-    """The probe already presses at the first level; force and depth are counted from there."""
+    """The probe is already under load at the first level; force and depth are relative to that level."""
     force, depth = readings.force[0], readings.depth[0]
     record = _record(readings, lambda f: f - force, lambda d: d - depth)
     return replace(readings, force=readings.force - force, depth=readings.depth - depth, trace=record)
 
 
 def _relaxing(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
-    """Two terms, 1 and 20 s, that share what relaxes; waves see the unrelaxed tissue."""
+    """Relaxation with two terms, 1 and 20 s; wave speeds are those of the unrelaxed tissue."""
     share = theta["relaxing_share"]
     extra = np.zeros(len(true.force))
     for part, tau in ((part * share, tau) for part, tau in _TERMS):
@@ -265,7 +265,7 @@ def _relaxing(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
 
 
 def _relaxing_trace(trace: Array, share: float) -> Array:
-    """The load cell's record with the same terms, sample by sample."""
+    """The load cell's record with the same relaxation terms, sample by sample."""
     step = float(np.median(np.diff(trace[:, 0])))
     elastic, added = trace[:, 1], np.zeros(len(trace))
     for part, tau in _TERMS:
@@ -284,14 +284,14 @@ def _depth_bias(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
 
 
 def _support(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
-    """Bone on a spring: the probe travels further than it presses; its travel is recorded."""
+    """Bone on a spring: the probe's recorded travel exceeds the indentation depth."""
     travel = true.depth + theta["support_compliance_mm_per_n"] * true.force
     error = 0.0 if readings.travel_error is None else readings.travel_error
     return replace(readings, travel=travel - travel[0] + error)
 
 
 def _guided(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
-    """Every pixel by its own speed, at the thickness left at its level."""
+    """Change every pixel according to its own speed and the remaining thickness at its level."""
     thick = true.skin_bone if true.skin_bone else 40.0
 
     def change(v: Array, z: Array, k: int) -> Array:
@@ -311,7 +311,7 @@ def _speeds(readings: Readings, change: Callable[[Array, Array, int], Array]) ->
 
 
 _MODELS: dict[str, Callable[[LimbModel, Theta], LimbModel]] = {"anisotropy": _fibres, "skin-layer": _skin}
-# In the order in which they come about: a level that a later one leaves out is still there for the earlier.
+# In the order in which they are applied: effects before one that removes levels still act on all levels.
 _READINGS: dict[str, Callable[[Readings, TrueLevels, Theta], Readings]] = {
     "viscoelasticity": _relaxing, "swe-time-scale": _time_scale, "swe-guided-wave": _guided,
     "swe-depth-bias": _depth_bias, "support-motion": _support, "preload": _preload,

@@ -1,8 +1,8 @@
-"""Indenting a site's model with known tissue, as `synth` and `phantom` do.
+"""Simulated indentation of a site's model with known tissue, for `synth` and `phantom`.
 
-The probe goes down millimetre by millimetre until the force or the strain of the
-protocol is reached. How deep that is, is not known before; so the simulation is
-lengthened piece by piece, each piece starting from the converged levels before.
+The probe moves down millimetre by millimetre until the force or the strain of the protocol is
+reached. As the final depth is not known in advance, the simulation is extended in pieces, each
+starting from the levels converged before.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ from limbcli.units import mpa_from_kpa
 Change = Callable[[LimbModel], LimbModel]
 FIRST_PIECE = 6.0
 _DEEPEST = 40.0
-_STALLED = 5.0  # times the tolerance
-_ENOUGH = 1.02  # a little more than the last level's force
+_STALLED = 5.0  # residual accepted where the iterations stall, as a multiple of the tolerance
+_ENOUGH = 1.02  # force at which the simulation ends, as a multiple of the last level's
 _LEAST_PIECE, _LARGEST_PIECE = 1.0, 7.0
-_TOUCHED = 0.05  # mm below the skin, from which on a level of a state counts
+_TOUCHED = 0.05  # mm, depth from first touch above which a level of a state is used
 
 
 @dataclass(frozen=True)
 class KnownTissue:
-    """The truth: c = 2 mu (kPa), f_kappa = kappa' / c, m."""
+    """The true parameters: c = 2 mu (kPa), f_kappa = kappa' / c, m."""
 
     c_kpa: float = 8.0
     f_kappa: float = 80.0
@@ -65,15 +65,15 @@ def indent(
     borders: Array | None = None,
     stretch: tuple[float, float] | None = None,
 ) -> TrueLevels:
-    """What is true at every level of the protocol on a meshed site.
+    """The true values at every level of the protocol on a meshed site.
 
-    spacing : mm between simulated depths; between them the force is PCHIP
-    tolerance : residual over the forces at play
-    change : of the loaded model, its tissue included; speeds then follow from the changed law,
+    spacing : mm between simulated depths; the force is interpolated by PCHIP
+    tolerance : relative residual (norm of the residual over that of the forces)
+    change : change of the loaded model, including its tissue; speeds then follow from the changed law,
         or from that of `change_for_waves`; the skin-bone distance is that of the changed model
-    borders : mm (2,) below the skin of skin's and fat's lower borders at rest, to be followed
-    stretch : of the tissue along and around the limb over unloaded tissue, before the probe touches it;
-        depths and skin-bone distance are then from first touch in that state. None: not stretched
+    borders : depths (2,) of the lower borders of skin and fat at rest, mm, to be tracked
+    stretch : elastic stretches of the tissue along and around the limb before the probe touches it; depths
+        and skin-bone distance are then relative to first touch in that state. None: not stretched
 
     Raises
     ------
@@ -106,7 +106,7 @@ def indent(
 
 @dataclass(frozen=True, eq=False)
 class Press:
-    """A site's model with its tissue, to be pressed deeper and deeper."""
+    """A site's model with its tissue, whose indentation is extended in pieces."""
 
     meshed: LimbModel
     tissue: KnownTissue
@@ -117,13 +117,13 @@ class Press:
     stretch: tuple[float, float] | None = None
 
     def until(self, force: float, cap: float) -> tuple[LimbModel, Simulation]:
-        """Lengthen the simulation until the force or the depth `cap` is reached.
+        """Extend the simulation until the force or the depth `cap` is reached.
 
-        A piece that fails ends it, with what was reached before.
+        If a piece fails, the levels reached before are returned.
         """
         end = min(FIRST_PIECE, cap)
         model = self._loaded(end)
-        # points that touch and part, or stick and slip, by turns may leave a little more
+        # points that alternate between contact and gap, or stick and slip, may leave a larger residual
         stalled = _STALLED * self.tolerance
         session = ReferenceSession(model, progress=self.progress, tolerance=self.tolerance, stalled=stalled)
         try:
@@ -143,15 +143,15 @@ class Press:
             session.close()
 
     def bare(self, change: Change, simulation: Simulation) -> LimbModel:
-        """The model under its load with another change than that simulated."""
+        """The model under its load with a change other than the simulated one."""
         press = replace(self, change=change)
-        there = self._loaded(FIRST_PIECE)  # for what its change did to the probe's place
+        there = self._loaded(FIRST_PIECE)  # for the effect of its change on the probe's position
         return press._loaded(float(_depth(there, simulation)[-1]))
 
     def _loaded(self, end: float) -> LimbModel:
-        """The model under its load; a depth has the same time in every piece.
+        """The model under its load down to the depth `end`.
 
-        By its time the session finds the converged state of a depth again.
+        A depth has the same time in every piece, by which the session finds its converged state.
         """
         plan = schedule(depths_to(end, self.spacing))
         c = mpa_from_kpa(self.tissue.c_kpa)
@@ -163,7 +163,7 @@ class Press:
         return _evenly(model, plan.times[0]) if model.has_friction else model
 
     def _stretched(self, model: LimbModel, depths: list[float]) -> LimbModel:
-        """The model in its state: what is changed of its law, then stretched."""
+        """The model in its state: first its law is changed, then it is stretched."""
         assert self.stretch is not None
         changed = model if self.change is None else self.change(model)
         if path_dependent(changed) or not _differ_in_laws_alone(model, changed):
@@ -176,7 +176,7 @@ class Press:
 
 
 def _differ_in_laws_alone(model: LimbModel, changed: LimbModel) -> bool:
-    """Apart from laws, and from how hard the contact is."""
+    """Whether the models are the same except for laws and the contact's penalty."""
     others = [each.name for each in fields(LimbModel) if each.name not in ("materials", "contacts")]
     same = all(getattr(model, name) is getattr(changed, name) for name in others)
     contacts = zip(model.contacts, changed.contacts, strict=True)
@@ -184,7 +184,7 @@ def _differ_in_laws_alone(model: LimbModel, changed: LimbModel) -> bool:
 
 
 def _evenly(model: LimbModel, size: float) -> LimbModel:
-    """The same in steps of one size (s): friction begins anew with every step, so a short one loses force."""
+    """The model with equal steps (s): friction restarts at every step, so that a short step loses force."""
     steps = []
     for each in model.steps:
         length = each.n_steps * each.step_size
@@ -198,7 +198,7 @@ def _levels_in_state(
     model: LimbModel, seen: LimbModel, simulation: Simulation, *, protocol: LoadingProtocol, window: Window,
     density_kg_per_m3: float,
 ) -> TrueLevels:  # fmt: skip
-    """What is true in a state: first the stretched tissue at rest, with the probe clear of it."""
+    """The true values in a state: first the stretched tissue at rest, with the probe clear of it."""
     nodes = next(iter(simulation.nodes.values()))
     displacement = np.stack([nodes.column(name)[0] for name in ("ux", "uy", "uz")], axis=1)
     rise, _ = skin_rise(model, nodes.items, displacement)
@@ -214,7 +214,7 @@ def _levels_in_state(
         Indentation(
             np.r_[0.0, depth[rows[1:]]],
             np.r_[0.0, simulation.probe_force(PROBE)[rows[1:]]],
-            np.stack(positions) - [0.0, 0.0, rise],  # heights count from first touch, as those of a face
+            np.stack(positions) - [0.0, 0.0, rise],  # heights are relative to first touch, as for the face
             np.stack(gradients),
         ),
         None,
@@ -227,7 +227,7 @@ def _levels_in_state(
 
 
 def _speed_of(model: LimbModel, states: PointStates, density_kg_per_m3: float) -> Speed:
-    """Speeds of the changed law at the recorded elements' points."""
+    """A function for the speeds of the changed law at the recorded elements' points."""
 
     def speed(F: Array, near: NDArray[np.bool_]) -> Array:
         return block_speeds(model, TISSUE, F, states.items[near], density_kg_per_m3=density_kg_per_m3)
@@ -236,7 +236,7 @@ def _speed_of(model: LimbModel, states: PointStates, density_kg_per_m3: float) -
 
 
 def next_end(depth: Array, force: Array, target: float) -> float:
-    """Depth at which the force will be reached if it goes on growing by the last power of depth.
+    """Depth (mm) to simulate next: power-law extrapolation of the force to `target`, limited to one piece.
 
     >>> float(round(next_end(np.array([4.0, 5.0, 6.0]), np.array([1.6, 2.5, 3.6]), 6.4), 3))
     8.0
@@ -250,7 +250,7 @@ def next_end(depth: Array, force: Array, target: float) -> float:
 
 
 def depths_to(end: float, spacing: float) -> list[float]:
-    """Simulated depths: closer at the start, where contact grows fast; `end` is the last.
+    """Simulated depths, closer at the start, where the contact grows fast; `end` is the last.
 
     >>> depths_to(3.2, 1.0)
     [0.25, 0.5, 1.0, 2.0, 3.2]
@@ -261,14 +261,14 @@ def depths_to(end: float, spacing: float) -> list[float]:
 
 
 def _depth(model: LimbModel, simulation: Simulation) -> Array:
-    """Depths of the probe's lowest point below first touch: a change may have lifted its centre."""
+    """Depths (mm) of the probe's lowest point below first touch; a change may have raised its centre."""
     return simulation.probe_depth(PROBE) + float(model.info.get("depth_offset_mm", 0.0))
 
 
 def _indentation(
     model: LimbModel, simulation: Simulation, states: PointStates, borders: Array | None
 ) -> Indentation:
-    """States from first touch (at rest) on, as arrays over the recorded elements' points."""
+    """All states, beginning with first touch (at rest), as arrays over the recorded elements' points."""
     rows = [AT_REST, *range(len(simulation.times))]
     positions, gradients = zip(*(states.at(row) for row in rows), strict=True)
     return Indentation(
@@ -281,6 +281,6 @@ def _indentation(
 
 
 def _followed(model: LimbModel, simulation: Simulation, rest: Array) -> Array:
-    """mm (n_states, n_borders) below the skin, at rest first."""
+    """Depths of the borders below the skin (n_states, n_borders), mm; the first state is at rest."""
     lines = material_lines(model, rest)
     return np.vstack([rest, lines.below_skin(displacements(lines, simulation)[..., 2])])

@@ -1,4 +1,4 @@
-"""How far the tissue is truly stretched in each state of a site, which a simulated measurement must know."""
+"""True stretches of the tissue in each state of a site, as needed to simulate measurements."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from limbcli.stages.site_model.prestretch import WAYS
 
 @dataclass(frozen=True)
 class KnownStretches:
-    """unloaded : stretches, counted as the case's states are, at which the tissue is truly unloaded
-    states : by the state's name, true stretches over the unloaded tissue, where the case gives none
+    """unloaded : stretches, on the scale of the case's states, at which the tissue is truly unloaded
+    states : by the state's name, true stretches relative to the unloaded tissue, if the case gives none
     """
 
     unloaded: Stretch = field(default_factory=Stretch)
@@ -29,7 +29,7 @@ class KnownStretches:
 
 @dataclass(frozen=True)
 class TrueState:
-    """A state and the elastic stretches of its tissue (1): over the unloaded tissue."""
+    """A state and the elastic stretches of its tissue (1), relative to the unloaded tissue."""
 
     name: str
     along: float
@@ -37,12 +37,12 @@ class TrueState:
 
 
 def parse_stretches(texts: list[str], *, option: str) -> dict[str, float]:
-    """ "STATE=STRETCH" of the command line, by the state's name.
+    """Stretches by the state's name, from "STATE=STRETCH" of the command line.
 
     Raises
     ------
     CaseError
-        If one is none, its stretch is out of bounds, or a state is named twice.
+        If a text is not of this form, its stretch is out of bounds, or a state is named twice.
 
     >>> parse_stretches(["bent=0.8", "straight=1.15"], option="--stretch-along")
     {'bent': 0.8, 'straight': 1.15}
@@ -68,17 +68,18 @@ def parse_stretches(texts: list[str], *, option: str) -> dict[str, float]:
 def known_stretches(
     along: Mapping[str, float], around: Mapping[str, float], unloaded: Stretch = Stretch()
 ) -> KnownStretches:
-    """Of stretches by the state's name, each way by itself."""
+    """Known stretches from those along and around the limb, each by the state's name."""
     names = dict.fromkeys([*along, *around])
     return KnownStretches(unloaded, {name: Stretch(along.get(name), around.get(name)) for name in names})
 
 
 def check_stretches(case: Case, sites: tuple[Site, ...], known: KnownStretches) -> None:
-    """
+    """Check that the true stretches match the sites' states.
+
     Raises
     ------
     CaseError
-        If stretches are given for states that no site has, or any of a site's states lacks its own.
+        If stretches are given for states that no site has, or a state's true stretch is unknown or invalid.
     """
     names = {each.name for site in sites for each in site.states}
     if known.given and not names:
@@ -99,15 +100,15 @@ def check_stretches(case: Case, sites: tuple[Site, ...], known: KnownStretches) 
 
 
 def true_states(site: Site, known: KnownStretches) -> list[TrueState]:
-    """Every state of a site with its true stretches; none where the site has no states.
+    """Every state of a site with its true stretches; empty if the site has no states.
 
-    A stretch that the case gives counts from lengths of the user's choice: it is divided by that at which
-    the tissue is unloaded, of the case or of `known`; states that all give the same are unloaded there.
+    A stretch given by the case is relative to a length of the user's choice. It is divided by the stretch at
+    which the tissue is unloaded, from the case or `known`; if all states give the same stretch, by that one.
 
     Raises
     ------
     CaseError
-        If a stretch is not known, is given both ways, or is beyond what a fit of states searches.
+        If a stretch is unknown, is given twice, or is outside the range that a fit of states searches.
     """
     ways = [[_elastic(site, each, way, known) for each in site.states] for way in WAYS]
     states = [TrueState(each.name, *pair) for each, *pair in zip(site.states, *ways, strict=True)]
@@ -145,7 +146,7 @@ def _elastic(site: Site, state: StretchState, way: str, known: KnownStretches) -
 
 
 def _unloaded(site: Site, way: str, known: KnownStretches) -> float:
-    """The given stretch at which the tissue is unloaded."""
+    """The stretch, on the case's scale, at which the tissue is unloaded."""
     of_case, true = getattr(site.unloaded, way), getattr(known.unloaded, way)
     if of_case is not None and true is not None and of_case != true:
         raise CaseError(

@@ -1,4 +1,4 @@
-"""The case that a simulated one is written as: images copied, case.toml with the new measurements."""
+"""Writing a simulated case: copied images, and case.toml with the new measurements."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from limbcli.phantom.case_folder import NoiseLaw
 from limbcli.results import StageResult
 
 _MADE_ANEW = ("levels", "trace", "swe_maps", "noise", *INSTRUMENTS)
-_FILES = ("mri", "labels", "skin", "fibres")  # of [imaging]
+_FILES = ("mri", "labels", "skin", "fibres")  # keys of [imaging] that name a single file or folder
 
 
 def check_orientations(sites: Sequence[Site]) -> None:
-    """Refuse sites whose pennation is given in the image of a site that will not be in the new case.
+    """Refuse sites whose pennation refers to the image plane of a site that will not be in the new case.
 
     Raises
     ------
     CaseError
-        Naming both.
+        If there is such a site; the message names both.
     """
     names = {"axial", "transverse", *(site.name for site in sites)}
     for site in sites:
@@ -42,7 +42,7 @@ def check_orientations(sites: Sequence[Site]) -> None:
 
 
 def copy_imaging(case: Case, work: Path) -> None:
-    """Images, labels and surfaces under the names that case.toml gives them."""
+    """Copy images, labels and surfaces under the names that case.toml gives them."""
     for name, place in _places(case).items():
         source, target = case.folder / name, work / place
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -53,9 +53,9 @@ def copy_imaging(case: Case, work: Path) -> None:
 
 
 def _places(case: Case) -> dict[str, Path]:
-    """Where each image and surface lies within the new folder, by its name in case.toml.
+    """Path of each image and surface within the new folder, by its name in case.toml.
 
-    What lies outside the case keeps its own name; a second of that name has a folder of its own.
+    Files from outside the case keep their file name; a second file of the same name gets its own folder.
     """
     table = case.raw["imaging"]
     names = dict.fromkeys([*(table[key] for key in _FILES if key in table), *table.get("bones", [])])
@@ -80,7 +80,7 @@ def _is_within(name: str) -> bool:
 
 
 def case_table(case: Case, laws: Mapping[str, NoiseLaw], *, layers: bool = False) -> dict[str, Any]:
-    """case.toml of the sites measured, each with the noise that it was read with.
+    """The content of case.toml for the measured sites, each with the noise of its readings.
 
     layers : whether layers were read
     """
@@ -100,12 +100,12 @@ def case_table(case: Case, laws: Mapping[str, NoiseLaw], *, layers: bool = False
 
 
 def noise_table(law: NoiseLaw, *, layers: bool) -> dict[str, float]:
-    """[site.noise], of layers where they were read."""
+    """[site.noise]; that of layers only if they were read."""
     return {key: value for key, value in vars(law).items() if layers or key != "layer_mm"}
 
 
 def _measured_site(raw: Mapping[str, Any], noise: Mapping[str, float]) -> dict[str, Any]:
-    """A [[site]] table with the measured files' names and the noise they were read with."""
+    """A [[site]] table with the names of the measured files and the noise of the readings."""
     name = raw["name"]
     kept = {key: value for key, value in raw.items() if key not in _MADE_ANEW}
     stated = {**noise, "source": "spec"}
@@ -117,12 +117,12 @@ def _measured_site(raw: Mapping[str, Any], noise: Mapping[str, float]) -> dict[s
 
 
 def borders_at_rest(segmented: StageResult, site: Site) -> Array:
-    """mm (2,) below the skin of skin's and fat's lower borders, as `segment` found them at a site.
+    """Depths (2,) of the lower borders of skin and fat below the skin, mm, found by `segment` at a site.
 
     Raises
     ------
     CaseError
-        If it tells none.
+        If `segment` found none.
     """
     layers = (segmented.data.get("layers") or {}).get(site.name)
     if layers is None:

@@ -1,4 +1,4 @@
-"""What a simulated measurement of a case's sites is to be."""
+"""Options of the simulated measurements of a case's sites."""
 
 from __future__ import annotations
 
@@ -19,13 +19,14 @@ Alter = Callable[[LimbModel], LimbModel]
 class SynthOptions:
     """What to simulate, and how to measure it.
 
-    element None is the case's; size, far_size, margin : of the mesh simulated on (mm), None the
-    usual ones; same_mesh : simulate on the mesh that `mesh` made for the case instead;
-    contact_penalty : multiple of the skin's stiffness at rest (None: that of build-feb), of which a large
-    one keeps the probe from sinking in; noise : factor on the case's [site.noise] (0: none);
-    layers : read skin, fat and muscle too, as thick at first touch as `segment` found them;
-    alter : a change of the meshed model; hidden : effects in tissue and readings;
-    stretches : true ones of the states that the case's sites have.
+    element : None for the case's; size, far_size, margin : of the simulated mesh (mm), None for the
+        defaults; same_mesh : simulate on the case's own mesh instead
+    contact_penalty : multiple of the skin's stiffness at rest (None: that of build-feb); a large one
+        prevents penetration of the probe
+    noise : factor on the case's [site.noise] (0: none)
+    layers : also read skin, fat and muscle, whose thickness at first touch is that found by `segment`
+    alter : change of the meshed model; hidden : effects in tissue and readings
+    stretches : true stretches of the states of the case's sites
     """
 
     tissue: KnownTissue = field(default_factory=KnownTissue)

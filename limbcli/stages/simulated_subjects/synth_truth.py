@@ -1,4 +1,4 @@
-"""What is true of simulated measurements: a site's, or each state's; truth.toml, and a line for people."""
+"""The truth of simulated measurements of a site or of each of its states: truth.toml, and a summary line."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from limbcli.version import __version__
 
 @dataclass(frozen=True, eq=False)
 class SyntheticSite:
-    """One site's truth and readings; of one of its states, where it has any."""
+    """Truth and readings of one site, or of one of its states if it has any."""
 
     site: str
     true: TrueLevels
@@ -30,12 +30,12 @@ class SyntheticSite:
 
     @property
     def label(self) -> str:
-        """Where its files lie."""
+        """Relative path of its files."""
         return self.site if self.state is None else f"{self.site}/{self.state.name}"
 
 
 def truth_table(measured: list[SyntheticSite], options: SynthOptions) -> dict[str, Any]:
-    """What is true of the measurements."""
+    """The content of truth.toml."""
     return {
         "made_by": f"limbcli {__version__}",
         "measurement_seed": options.seed,
@@ -50,7 +50,7 @@ def truth_table(measured: list[SyntheticSite], options: SynthOptions) -> dict[st
 
 
 def _true_site(measured: list[SyntheticSite], options: SynthOptions) -> dict[str, Any]:
-    """What is true of a site: of its one measurement, or of each state's."""
+    """The truth of a site: of its only measurement, or of that in each state."""
     first = measured[0]
     noise = {"noise": noise_table(first.law, layers=first.true.borders is not None)}
     if first.state is None:
@@ -71,7 +71,7 @@ def _true_site(measured: list[SyntheticSite], options: SynthOptions) -> dict[str
 
 
 def _true_readings(each: SyntheticSite) -> dict[str, Any]:
-    """At every level; those that have no row in levels.csv are numbered, from 0."""
+    """True values at every level; indices (from 0) of the levels without a row in levels.csv."""
     left_out = {"levels_not_read": list(each.readings.left_out)} if each.readings.left_out else {}
     return {
         **left_out,
@@ -96,7 +96,7 @@ def _rounded(values: Any) -> list[float]:
 
 
 def summary_of(each: SyntheticSite) -> str:
-    """One line for people."""
+    """The summary line of a site or state."""
     true, n_read = each.true, len(each.readings.force)
     speeds = [float(m.speed_m_per_s.mean()) for m in true.maps]
     return (

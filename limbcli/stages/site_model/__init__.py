@@ -1,1 +1,1 @@
-"""A site as it is simulated: levels, layers, mesh inputs and checks, indentation model, mesh study."""
+"""The model of a site: levels, layers, mesh inputs and checks, indentation model, mesh study."""

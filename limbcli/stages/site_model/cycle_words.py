@@ -1,4 +1,4 @@
-"""What a record's cycles say, in numbers and words: for `check`, `diagnose` and the page."""
+"""Summary of a record's loading cycles in numbers and words, for `check`, `diagnose` and the report."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from limbcli.stages.site_model.site_levels import cycles_of
 
 
 def cycle_sentences(site: Site, levels: Levels, study: CycleStudy) -> list[str]:
-    """From which cycle on the tissue repeats itself, what changed before, whether the support moved."""
+    """Sentences on the cycle from which the response is repeatable, earlier changes, and a moving support."""
     if not study.differences:
         return [
             "There is one complete loading: these data do not show whether the tissue response is repeatable."
@@ -36,7 +36,7 @@ def cycle_sentences(site: Site, levels: Levels, study: CycleStudy) -> list[str]:
 
 
 def cycle_lines(case: Case) -> list[str]:
-    """A line for each site that was loaded several times; of files that cannot be read, none."""
+    """One line for each site that was loaded several times; none for files that cannot be read."""
     lines = []
     for site in case.sites:
         levels = check_levels(site.levels)[0] if site.levels.is_file() else None
@@ -51,7 +51,7 @@ def cycle_lines(case: Case) -> list[str]:
 
 
 def cycle_facts(site: Site, levels: Levels) -> dict[str, Any] | None:
-    """The same for a result's JSON; None where the tissue was loaded once."""
+    """The same as data for a result's JSON; None if the tissue was loaded once."""
     if len(levels.cycles) == 1:
         return None
     study = cycles_of(site, levels)

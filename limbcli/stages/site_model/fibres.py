@@ -1,4 +1,4 @@
-"""The muscle fibres of a site's model, from what its case gives: a direction per element of the tissue."""
+"""The muscle fibres of a site's model, as stated by the case: one direction per element of the tissue."""
 
 from __future__ import annotations
 
@@ -21,18 +21,19 @@ from limbcli.patient_frame import HEAD, side_of
 from limbcli.results import StageWriter
 from limbcli.stages.provenance.chain_inputs import note_case
 
-_LEAST_COVERED = 0.5  # of the tissue's elements near the probe
-_NEAR_PROBE = 30.0  # mm
+_LEAST_COVERED = 0.5  # least share of the tissue's elements near the probe that a fibre map must cover
+_NEAR_PROBE = 30.0  # mm, distance from first touch within which coverage is checked
 _OUT_OF_SKIN_DEG = 60.0
 NOT_TOLD = "no fibre direction is given: along the limb, within the skin"
 
 
 @dataclass(frozen=True, eq=False)
 class SiteFibres:
-    """axes (n_cells, 3) of the tissue's block, unit, in the site's frame; None: nothing is given.
+    """The fibre directions of a site.
 
-    source : in words; deviation_deg : one standard deviation, None where unknown
-    facts : for JSON
+    axes (n_cells, 3) : unit vectors for the cells of the tissue's block, in the site's frame; None if unknown
+    source : in words; deviation_deg : standard deviation of the direction, None if unknown
+    facts : further data for JSON
     """
 
     axes: Array | None
@@ -42,12 +43,12 @@ class SiteFibres:
 
 
 def with_fibres(case: Case, site: Site, model: LimbModel) -> tuple[LimbModel, SiteFibres]:
-    """The meshed model with the fibres that the case gives, and where they come from.
+    """The meshed model with the fibres stated by the case, and the fibres with their source.
 
     Raises
     ------
     CaseError
-        If the angles fix no direction, or the map does not cover the tissue under the probe.
+        If the angles do not determine a direction, or the map does not cover the tissue under the probe.
     """
     found = _site_fibres(case, site, model)
     if found.axes is None:
@@ -121,13 +122,13 @@ def _of_map(case: Case, site: Site, model: LimbModel, to_patient: Array, middles
 
 
 def patient_from_model(model: LimbModel) -> Array:
-    """(4, 4): the site's frame to patient LPS; the unit matrix where the model does not say."""
+    """Transformation (4, 4) from the site's frame to patient LPS; the identity if the model has none."""
     entries = model.info.get("patient_from_model")
     return np.eye(4) if entries is None else np.array(entries, dtype=float).reshape(4, 4)
 
 
 def note_fibres(writer: StageWriter, case: Case, site: Site) -> None:
-    """Record what the fibres of a site are made from."""
+    """Record the inputs of a site's fibres."""
     keys = ["imaging/fibre_frame"] if case.imaging.fibres is not None else []
     named = [each.orientation for each in site.fibres.pennation]
     others = [each for each in case.sites if each.name in named and each.name != site.name]
@@ -141,7 +142,7 @@ def note_fibres(writer: StageWriter, case: Case, site: Site) -> None:
 def write_fibres(
     found: SiteFibres, model: LimbModel, probe: ProbeShape, site: Site, writer: StageWriter
 ) -> None:
-    """What mesh.json holds of the fibres, warnings, and their picture."""
+    """Write the fibres' entry in mesh.json, warnings, and their figure."""
     near = np.array([limb_axis(model)]) if found.axes is None else found.axes
     axis, _ = mean_axis(near)
     to_patient = patient_from_model(model)[:3, :3]

@@ -1,4 +1,4 @@
-"""A site's mesh turned into the indentation that is simulated: tissue, load, settings, records."""
+"""The indentation model made from a site's mesh: tissue, load, solver settings, records."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from limbcli.materials.ogden import ogden_type
 from limbcli.model import Array, IntArray, LimbModel, LogRecord
 
 PROBE, TISSUE, TRAVEL = "probe", "tissue", "probe_travel"
-C_KPA = (0.1, 500.0)  # kPa: c given by hand; beyond it stands another unit (8000 Pa are 8 kPa)
+C_KPA = (0.1, 500.0)  # kPa, range of c given by hand; values outside are probably in another unit (8000 Pa)
 RIGID_FIELDS = ("x", "y", "z", "thx", "thy", "thz", "Fx", "Fy", "Fz", "Mx", "My", "Mz")
 NODE_FIELDS = ("ux", "uy", "uz")
 ELEMENT_FIELDS = (
@@ -22,8 +22,8 @@ ELEMENT_FIELDS = (
     "Fxx", "Fxy", "Fxz", "Fyx", "Fyy", "Fyz", "Fzx", "Fzy", "Fzz",
 )  # fmt: skip
 
-# Elements whose stretch the shear-wave prediction may look at: the scanner's window (12 mm to
-# either side, 25 mm deep, a slice 3 mm thick each way) with room for its smoothing and for
+# mm, region of elements whose deformation is recorded for the shear-wave prediction: the scanner's window
+# (12 mm to either side, 25 mm deep, slice thickness 3 mm each way) with a margin for its smoothing and for
 # tissue that moves into it.
 _SWE_HALF_WIDTH, _SWE_HALF_THICKNESS, _SWE_DEPTH = 20.0, 12.0, 32.0
 _FEWEST_TOUCHING = 12
@@ -32,7 +32,7 @@ _CONTACT_POINTS = np.array([[4.0, 1.0, 1.0], [1.0, 4.0, 1.0], [1.0, 1.0, 4.0]]) 
 
 
 def indentation_model(model: LimbModel, plan: Schedule, *, c: float, f_kappa: float, m: float) -> LimbModel:
-    """The mesh's model with tissue, load through the plan's depths, settings and records.
+    """The meshed model with tissue, a load through the plan's depths, solver settings and records.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def indentation_model(model: LimbModel, plan: Schedule, *, c: float, f_kappa: fl
 
 
 def with_penalty(model: LimbModel, penalty: float) -> LimbModel:
-    """The model with this penalty in its contacts."""
+    """The model with this penalty in all its contacts."""
     return replace(model, contacts=tuple(replace(each, penalty=penalty) for each in model.contacts))
 
 
@@ -73,13 +73,13 @@ def _check(model: LimbModel) -> None:
 
 
 def starting_depth(model: LimbModel, first_level: float) -> float:
-    """How far inside the probe should start (mm) so that at least a dozen contact points touch.
+    """Initial penetration of the probe (mm) at which at least a dozen contact points touch.
 
-    With none, no solver's first iteration has a force to measure its convergence by. Looked
-    at are the three-point contact points of the skin's facets under the flat of the
-    probe; where even the deepest start touches too few, it is taken all the same. Where it
-    touches none (coarse facets cut off the crest that the probe meets first), the
-    start goes on to the first of them, but never beyond half of the first level.
+    Without contact, the first iteration of a solver has no force by which to judge convergence. Counted are
+    the contact points (three per facet) of the skin under the flat of the probe. If even the largest
+    initial depth touches too few, it is used nevertheless. If it touches none (coarse facets cut off the
+    crest that the probe meets first), the probe starts at the first contact point, but never deeper than half
+    of the first level.
     """
     _check(model)
     allowed = [each for each in START_DEPTHS if each <= first_level / 2] or [LEAST_START]
@@ -93,7 +93,7 @@ def starting_depth(model: LimbModel, first_level: float) -> float:
 
 
 def touched_first(model: LimbModel) -> tuple[IntArray, Array]:
-    """The skin's highest contact point under the flat of the probe: its facet's corners and their weights."""
+    """The skin's highest contact point under the flat of the probe, as facet corners and their weights."""
     corners, points, under = _under_flat(model)
     highest = int(np.argmax(np.where(under, points[:, 2], -np.inf)))
     facet, point = divmod(highest, len(_CONTACT_POINTS))
@@ -103,14 +103,14 @@ def touched_first(model: LimbModel) -> tuple[IntArray, Array]:
 def facet_gap(model: LimbModel) -> float:
     """Depth (mm) at which the flat of the probe meets the first contact point of the skin; NaN if none.
 
-    First touch is at the true skin; facets of a bent skin lie below it by their sag.
+    First touch is at the true skin; the facets of a curved skin lie below it by their sagitta.
     """
     heights = _heights_under_flat(model)
     return float(-heights.max()) if len(heights) else float("nan")
 
 
 def touching_points(model: LimbModel) -> int:
-    """Contact points of the skin that lie above the flat of the probe's face, within its outline."""
+    """Number of the skin's contact points above the flat of the probe's face, within its outline."""
     return int((_heights_under_flat(model) > _flat(model)[:, 2].min()).sum())
 
 
@@ -142,7 +142,7 @@ def _body_nodes(model: LimbModel, blocks: tuple[str, ...]) -> IntArray:
 
 
 def start_at(model: LimbModel, depth: float) -> LimbModel:
-    """The model with its probe moved along z so that the face starts `depth` mm inside."""
+    """The model with its probe moved along z so that the face starts `depth` mm below first touch."""
     body = next(each for each in model.bodies if each.name == PROBE)
     x, y, z = body.center_of_mass
     points: Array = model.mesh.points.copy()
@@ -153,14 +153,14 @@ def start_at(model: LimbModel, depth: float) -> LimbModel:
 
 
 def tissue_nodes(model: LimbModel) -> IntArray:
-    """Numbers of all nodes of solid cells, sorted."""
+    """Indices of all nodes of solid cells, sorted."""
     return np.unique(np.concatenate([block.cells.ravel() for block in model.mesh.solid_blocks]))
 
 
 def window_cells(model: LimbModel, deepest: float) -> IntArray:
-    """Tissue cells (numbered over all blocks) that may come into the shear-wave window; all if none does.
+    """Tissue cells (numbered over all blocks) that may enter the shear-wave window; all if none does.
 
-    Not cells of layers: the speeds are read, and predicted, in the tissue.
+    Cells of layers are excluded: speeds are read and predicted in the tissue only.
     """
     of_tissue = {each.block for each in model.domains if each.material == TISSUE}
     found, every, first = [], [], 0

@@ -1,4 +1,4 @@
-"""A site's model against what was measured there: what a user should know before trusting it."""
+"""Checks of a site's model against the measurements there, reported as warnings."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from limbcli.meshing.checks import LayersKept, SiteChecks
 from limbcli.meshing.places import MOVED_MM
 from limbcli.results import StageResult
 
-OVER_TISSUE = 0.95  # part of the face that should have skin below
-SKIN_BONE_TOLERANCE = 0.10  # of the measured distance
-_CLOSE_TO_CUT = 0.9  # of the margin asked for
-_LAYERS_KEPT = 0.9  # of their thickness asked for; thinner ones are others than were meant
+OVER_TISSUE = 0.95  # least share of the probe's face that should be over skin
+SKIN_BONE_TOLERANCE = 0.10  # tolerance of the skin-bone distance, as a fraction of the measured one
+_CLOSE_TO_CUT = 0.9  # least margin of tissue around the probe, as a fraction of the requested one
+_LAYERS_KEPT = 0.9  # least thickness of layers in the model, as a fraction of the requested one
 
 
 def measured_skin_bone(site: Site) -> float | None:
-    """Skin-bone distance (mm) of level 0, or its layers' sum, else what the site states; None without."""
+    """Skin-bone distance (mm) of level 0, or the sum of its layers, else the site's stated one; or None."""
     of_levels = skin_bone_of_levels(site)
     return site.skin_bone if of_levels is None else of_levels
 
 
 def skin_bone_of_levels(site: Site) -> float | None:
-    """Skin-bone distance (mm) on the B-mode image of level 0, or its layers' sum; None without either."""
+    """Skin-bone distance (mm) on the B-mode image of level 0, else the sum of its layers; None without."""
     if not site.levels.is_file():
         return None
     try:
@@ -38,7 +38,9 @@ def skin_bone_of_levels(site: Site) -> float | None:
 
 
 def check_within_tissue(deepest: float, modelled: float | None, site: Site) -> None:
-    """A probe that goes as deep as the bone lies (mm; None: no bone) would be simulated within it.
+    """Check that the probe's deepest level (mm) does not reach the bone of the model.
+
+    modelled : skin-bone distance in the model, mm; None: no bone
 
     Raises
     ------
@@ -57,7 +59,7 @@ def check_within_tissue(deepest: float, modelled: float | None, site: Site) -> N
 
 
 def bone_warnings(modelled: float | None, measured: float | None) -> list[str]:
-    """Whether the bone lies as deep (mm) in the model as on the B-mode image; None: there is none."""
+    """Warn if the bone's depth (mm) in the model differs from the measured one; None: no bone or value."""
     if measured is None:
         return []
     if modelled is None:
@@ -75,8 +77,8 @@ def bone_warnings(modelled: float | None, measured: float | None) -> list[str]:
 
 
 def warnings_now(meshed: StageResult, site: Site) -> list[str]:
-    """The warnings of a mesh; that of the bone by what is measured now, as levels may be read, or corrected,
-    after it."""
+    """The warnings of a mesh; that on the bone's depth uses the current measurement, as levels may have been
+    read or corrected since."""
     if "checks" not in meshed.data:
         return list(meshed.warnings)
     modelled = meshed.data["checks"]["skin_bone_mm"]
@@ -86,9 +88,9 @@ def warnings_now(meshed: StageResult, site: Site) -> list[str]:
 
 
 def geometry_warnings(checks: SiteChecks, *, measured: float | None, margin: float, site: str) -> list[str]:
-    """What does not fit, one sentence each.
+    """Warnings about the geometry, one sentence each.
 
-    measured : skin-bone distance at level 0 (mm) or None; margin : tissue asked for beyond the probe (mm)
+    measured : skin-bone distance at level 0 (mm) or None; margin : requested tissue around the probe (mm)
     """
     out = []
     if checks.over_tissue_share < OVER_TISSUE:
@@ -104,14 +106,14 @@ def geometry_warnings(checks: SiteChecks, *, measured: float | None, margin: flo
 
 
 def moved_warnings(moved: float, site: Site) -> list[str]:
-    """Whether a place lay beside the skin (mm); the middle of a marker stands above it as it should."""
+    """Warn if a place was off the skin by `moved` mm; a marker's centre is expected to be above the skin."""
     if site.marker is not None or moved <= MOVED_MM:
         return []
     return [f"the site was {moved:.1f} mm from the skin and was moved onto it"]
 
 
 def layer_warnings(kept: LayersKept, total: float) -> list[str]:
-    """Whether layers of `total` mm are thinner in the model than was asked for."""
+    """Warn if the layers, of `total` mm as requested, are thinner in the model."""
     if not kept.least < _LAYERS_KEPT:
         return []
     centre = "" if np.isnan(kept.centre) else f", {kept.centre * total:.1f} mm at its centre"

@@ -1,4 +1,4 @@
-"""What a mesh is made from: the surfaces, the site, the probe, and what the options leave to the case."""
+"""The inputs of a mesh: surfaces, site, probe, and the case's values of options that were not given."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from limbcli.stages.provenance.requested_options import Requested
 
 @dataclass(frozen=True, eq=False)
 class MeshInputs:
-    """layered : sites whose layers have the thickness that `segment` saw; requested : the options given"""
+    """layered : sites whose layers have the thickness found by `segment`; requested : the options given"""
 
     case: Case
     segmented: StageResult
@@ -20,7 +20,7 @@ class MeshInputs:
     layered: tuple[str, ...] = ()
 
     def note(self, writer: StageWriter, site: Site) -> None:
-        """Record it for one site."""
+        """Record the inputs of one site's mesh."""
         of_model = [f"model/{name}" for name in ("margin", "element") if name not in self.requested]
         own = ["long_axis", "layers"] + (["place"] if "place" not in self.requested else [])
         note_case(writer, self.case, ["probe", *of_model], site=site, own=own)

@@ -1,4 +1,4 @@
-"""mesh --study: how much of a site's force is the mesh and the crop."""
+"""mesh --study: numerical error of a site's force due to the element size and the extent of the model."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from limbcli.units import kpa_from_mpa, mpa_from_kpa
 STAGE = "mesh-study"
 SIZE_FACTORS = (1.6, 1.25, 1.0, 0.8)
 MARGIN_FACTORS = (0.5, 0.75, 1.0, 1.5)
-_DEPTH = 8.0  # mm, where no measurement says how deep
+_DEPTH = 8.0  # mm, depth of the study if there is no measurement
 _N_LEVELS = 4
 
 ForceOf = Callable[[LimbModel, float], float]
@@ -37,7 +37,7 @@ ForceOf = Callable[[LimbModel, float], float]
 
 @dataclass(frozen=True)
 class StudiedTissue:
-    """The tissue that all meshes of a study share: c (MPa), f_kappa, m, and where they come from."""
+    """The tissue that all meshes of a study share: c (MPa), f_kappa, m, and their source."""
 
     c: float = 0.008
     f_kappa: float = 100.0
@@ -47,7 +47,7 @@ class StudiedTissue:
 
 @dataclass(frozen=True)
 class Variant:
-    """One mesh of the study and the force (N) it gives at full depth."""
+    """One mesh of the study and its force (N) at full depth."""
 
     varied: str  # "size" or "margin"
     size: float
@@ -70,13 +70,13 @@ def study_site(
     margin_factors: tuple[float, ...] = MARGIN_FACTORS,
     progress: Progress = SILENT,
 ) -> StageResult:
-    """Force at the deepest level for finer and coarser meshes and nearer and farther cuts.
+    """Compute the force at the deepest level for finer and coarser meshes and for smaller and larger models.
 
-    The tissue is the same in all: that of the site's fit where there is one (how much linear
-    elements lock depends on it), else c = 8 kPa, f_kappa = 100, m = 2. Layers are as `build-feb` takes
-    them without options. What comes out as
-    `numerical_error_fraction` is the error of the model's own mesh (extrapolated, with a
-    safety factor) and of its crop (against the farthest cut), added as squares.
+    All use the same tissue: that of the site's fit if there is one (as locking of linear elements depends on
+    it), else c = 8 kPa, f_kappa = 100, m = 2. Layers are those of `build-feb` without options. The result
+    `numerical_error_fraction` is the root of the sum of squares of the discretisation error of the model's
+    own mesh (by extrapolation, with a safety factor) and of the error of its extent (relative to the largest
+    model).
     """
     depth = full_depth(site)
     probe = ProbeShape(case.probe.length, case.probe.width, case.probe.edge_radius)
@@ -106,7 +106,7 @@ def study_site(
 def variants(
     options: MeshOptions, size_factors: tuple[float, ...], margin_factors: tuple[float, ...]
 ) -> Iterator[tuple[str, MeshOptions]]:
-    """The model itself first, then other sizes, then other margins."""
+    """Mesh options to study: the model itself first, then other sizes, then other margins."""
     yield "both", options
     for factor in size_factors:
         if factor != 1.0:
@@ -118,7 +118,7 @@ def variants(
 
 
 def full_depth(site: Site) -> float:
-    """The deepest loading level (mm), or 8 mm where no table can be read."""
+    """The deepest loading level (mm), or 8 mm if no table can be read."""
     try:
         levels = levels_of(site)
     except (MeasurementError, CaseError):
@@ -127,7 +127,7 @@ def full_depth(site: Site) -> float:
 
 
 def studied_tissue(site: Site, out: Path, writer: StageWriter) -> StudiedTissue:
-    """The parameters of the site's fit, or usual ones."""
+    """The parameters of the site's fit, or default ones."""
     if not (stage_folder(out, "fit", site.name) / "fit.json").is_file():
         return StudiedTissue()
     fitted = read_result(out, "fit", site=site.name)

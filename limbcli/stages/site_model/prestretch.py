@@ -1,14 +1,15 @@
-"""A site's model in a state: its tissue is stretched, and at rest, before the probe touches it.
+"""A site's model in a state: the tissue is prestretched, and in equilibrium before the probe touches it.
 
-Layers of skin and fat are stretched with the tissue, and unloaded where it is.
+Layers of skin and fat are stretched with the tissue, and are unloaded when the tissue is.
 
-The elastic law sees F_e = F F_pre, the deformation of the mesh times the stretch that the tissue had when the
-mesh was made. F_pre is even and keeps the volume:
+The elastic law is evaluated at F_e = F F_pre, the deformation gradient of the mesh times the stretch that the
+tissue had when the mesh was made. F_pre is uniform and isochoric:
 
     F_pre = l_along a (x) a + l_around t (x) t + 1 / (l_along l_around) z (x) z
 
-with a along the limb, t around it, z outward at the site. It comes in with a load curve, while the probe
-stands clear; the tissue comes to rest between bone, cut planes and a free skin, and then the probe goes down.
+with a along the limb, t around it, z outward at the site. It is applied by a load curve while the probe is
+clear of the skin; the tissue reaches equilibrium between bone, cut planes and the free skin, and then the
+probe moves down.
 
 Source: Johnson and Hoger 1995, J Elasticity 41:177 (split); Maas et al. 2016, J Mech Behav
 Biomed Mater 61:499 ("prestrain elastic" of FEBio, which is what `feb` writes).
@@ -32,8 +33,8 @@ from limbcli.stages.site_model.indentation_model import (
 )
 from limbcli.stages.site_model.site_layers import held_layers
 
-RAMP = "prestretch"  # the name of its load curve
-CLEAR_MM = 5.0  # the probe above first touch, while the tissue comes to rest
+RAMP = "prestretch"  # name of the load curve of the prestretch
+CLEAR_MM = 5.0  # mm, height of the probe above first touch while the prestretch is applied
 _RAMP_S = 0.2
 WAYS = ("along", "around")
 
@@ -51,7 +52,7 @@ class StretchAxes:
         return StretchAxes(along, np.cross([0.0, 0.0, 1.0], along))
 
     def gradient(self, along: float, around: float) -> Array:
-        """F_pre (3, 3) of these stretches.
+        """F_pre (3, 3) for these stretches.
 
         >>> axes = StretchAxes(np.array([0.0, 1.0, 0.0]), np.array([-1.0, 0.0, 0.0]))
         >>> np.diag(axes.gradient(1.25, 1.0))
@@ -62,7 +63,7 @@ class StretchAxes:
         return np.asarray(out)
 
     def slope(self, along: float, around: float, way: str) -> Array:
-        """d F_pre / d ln of one of the stretches (3, 3)."""
+        """d F_pre / d ln stretch (3, 3), for the stretch of direction `way`."""
         axis, stretch = (self.along, along) if way == "along" else (self.around, around)
         out = stretch * np.outer(axis, axis)
         out[2, 2] -= 1.0 / (along * around)
@@ -70,7 +71,7 @@ class StretchAxes:
 
 
 def prestretched(law: Material, gradient: Array) -> Material:
-    """The law with F_pre (3, 3), which comes in with the load curve `RAMP`."""
+    """The law with F_pre (3, 3), applied by the load curve `RAMP`."""
     numbers = tuple(float(each) for each in np.ravel(gradient))
     return Material("prestrain", {"ramp": Curved(1.0, RAMP), "F0": numbers}, (law,), law.density)
 
@@ -83,11 +84,11 @@ def with_layers_stretched(model: LimbModel, gradient: Array) -> LimbModel:
 
 
 def through_depths(model: LimbModel, depths: list[float], *, clear: bool = True) -> LimbModel:
-    """The built model, its prestretch coming in first, then the probe going through these depths (mm).
+    """The built model, loaded first by the prestretch and then by the probe through these depths (mm).
 
-    clear : the probe waits above the skin, and the first level is the tissue at rest; else it waits where it
-        starts, a little inside, with which FEBio converges; then all levels are under load. As the tissue is
-        elastic and slides freely, levels are the same.
+    clear : the probe waits above the skin, and the first level is the tissue at rest. Otherwise it waits at
+        its initial depth, slightly below first touch, with which FEBio converges, and all levels are under
+        load. As the tissue is elastic and slides freely, the loaded levels are the same.
     """
     start = -CLEAR_MM if clear else starting_depth(model, depths[0])
     plan = schedule(depths)
@@ -107,7 +108,7 @@ def through_depths(model: LimbModel, depths: list[float], *, clear: bool = True)
 
 
 def in_state(model: LimbModel, depths: list[float], *, along: float, around: float) -> LimbModel:
-    """The built model with its tissue stretched, then pressed to these depths (mm); first it is at rest."""
+    """The built model with its tissue stretched: one level at rest, then indentation to these depths (mm)."""
     gradient = StretchAxes.of(model).gradient(along, around)
     stretched = with_layers_stretched(model, gradient)
     law = prestretched(model.materials[TISSUE], gradient)
@@ -115,16 +116,17 @@ def in_state(model: LimbModel, depths: list[float], *, along: float, around: flo
 
 
 def with_nodes_moved(model: LimbModel, nodes: IntArray, displacement: Array) -> LimbModel:
-    """The model with nodes (n,) where (n, 3) mm have taken them."""
+    """The model with nodes (n,) moved by the displacement (n, 3), mm."""
     points = model.mesh.points.copy()
     points[nodes] += displacement
     return replace(model, mesh=replace(model.mesh, points=points))
 
 
 def skin_rise(model: LimbModel, nodes: IntArray, displacement: Array) -> tuple[float, Array]:
-    """How much higher (mm) the probe meets the skin after nodes (n,) have moved by (n, 3) mm.
+    """Rise (mm) of the height of first touch when nodes (n,) move by the displacement (n, 3), mm.
 
-    Also what each node's movement along z adds to it (n,): the place that is touched first is that of three.
+    Also the derivatives (n,) of the rise by the nodes' z displacements; only the three nodes of the facet
+    that is touched first contribute.
     """
     moved = with_nodes_moved(model, nodes, displacement)
     points = moved.mesh.points

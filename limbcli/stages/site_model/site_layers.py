@@ -1,7 +1,7 @@
-"""Skin and fat as layers of their own: how thick they are at a site, and what they are made of.
+"""Skin and fat as separate layers: their thickness at a site and their material laws.
 
-What is asked for by option wins over `[site.layers]` of case.toml. A layer's law is held
-fixed: the fit identifies the tissue below. Values that nobody gave are assumed, and said to be:
+Options take precedence over `[site.layers]` of case.toml. A layer's law is held fixed, as the fit
+identifies the tissue below. Values that are not given are assumed and reported as such:
 
 fat   c = 1.5 kPa (mu 0.75 kPa): subcutaneous fat of the human buttock in vivo, uncompressed
       ("Strain-dependent shear properties of human adipose tissue in vivo", J Mech Behav Biomed
@@ -30,8 +30,8 @@ from limbcli.units import kpa_from_mpa, mpa_from_kpa
 
 NAMES = schema.LAYER_NAMES
 MRI = "mri"
-_THINNEST = 0.5  # mm: images do not show thinner layers
-_LOCKS = 10.0  # f_kappa from which linear tetrahedra lock
+_THINNEST = 0.5  # mm, thinnest layer that images can show
+_LOCKS = 10.0  # f_kappa above which linear tetrahedra lock
 
 Thickness = float | str
 """mm, or "mri"."""
@@ -41,7 +41,7 @@ Thickness = float | str
 class LayerLaw:
     """A layer's law in the tissue's parameters: c = 2 mu (MPa), kappa' = f_kappa c, exponent m or beta.
 
-    assumed : the parameters that nobody gave
+    assumed : the parameters that were not given
     """
 
     law: str = "ogden"
@@ -79,9 +79,9 @@ def _shape(law: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Layering:
-    """What this run was asked for: mm, "mri" or None (as the case says).
+    """Requested layer thicknesses of a run: mm, "mri" or None (according to the case).
 
-    seen : whether the images' thickness at the case's sites counts (not for a place of its own)
+    seen : whether thicknesses from images can be used (not for a place that is not one of the case's sites)
     """
 
     skin: Thickness | None
@@ -89,13 +89,13 @@ class Layering:
     seen: bool = True
 
     def is_from_images(self, site: Site) -> bool:
-        """Whether a layer of this site has the thickness that the images show."""
+        """Whether a layer of this site gets its thickness from the images."""
         return MRI in (_requested(site, "skin", self.skin), _requested(site, "fat", self.fat))
 
     def of(
         self, site: Site, segmented: StageResult, *, size: float
     ) -> tuple[tuple[Layer, ...], dict[str, str]]:
-        """The layers of one site and where each thickness comes from."""
+        """The layers of one site and the source of each thickness."""
         if not self.seen and self.is_from_images(site):
             raise CaseError(
                 "the images' thickness is known at the case's sites only",
@@ -113,11 +113,11 @@ def wanted_layers(
     fat: Thickness | None = None,
     size: float,
 ) -> tuple[tuple[Layer, ...], dict[str, str]]:
-    """The layers of a site, outermost first, and where each thickness comes from.
+    """The layers of a site, outermost first, and the source of each thickness.
 
-    skin, fat : mm (0: none) or "mri"; None: as case.toml says. Fat without a skin of its own
-    begins at the surface, so from the images it gets the skin's thickness too: the border to
-    the muscle stays where it was seen.
+    skin, fat : mm (0: none) or "mri"; None: according to case.toml. Without a skin layer, fat begins at the
+        surface; its thickness from images then includes the skin's, so that the border to the muscle is
+        where the images show it.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def _requested(site: Site, name: str, value: Thickness | None) -> Thickness:
 
 
 def _seen(site: Site, segmented: StageResult, name: str) -> float:
-    """What `segment` found at the site (mm)."""
+    """A layer's thickness found by `segment` at the site (mm)."""
     found = (segmented.data.get("layers") or {}).get(site.name, {}).get(f"{name}_mm")
     if found is None or found < _THINNEST:
         what = "give no" if found is None else f"show only {found:.1f} mm as"
@@ -206,7 +206,7 @@ _HOW = "write --layer fat:c_kpa=2,f_kappa=100,m=2 or --layer skin:law=neo_hooke,
 def layer_laws(
     site: Site, names: Sequence[str], given: Mapping[str, Mapping[str, Any]] | None = None
 ) -> dict[str, LayerLaw]:
-    """The law of each layer: by option, else by case.toml, else assumed (and then listed so).
+    """The law of each layer: by option, else by case.toml, else assumed (and listed as such).
 
     Raises
     ------
@@ -238,7 +238,7 @@ def _law(name: str, table: Mapping[str, Any]) -> LayerLaw:
 
 
 def with_layer_laws(model: LimbModel, laws: Mapping[str, LayerLaw]) -> LimbModel:
-    """The model with each layer's block made of its own material."""
+    """The model with a separate material for each layer's block."""
     materials = {**model.materials, **{name: law.material() for name, law in laws.items()}}
     domains = tuple(
         replace(each, material=each.block) if each.block in laws else each for each in model.domains
@@ -247,7 +247,7 @@ def with_layer_laws(model: LimbModel, laws: Mapping[str, LayerLaw]) -> LimbModel
 
 
 def held_layers(model: LimbModel) -> tuple[str, ...]:
-    """The layers that keep a stiffness of their own: forces are not in proportion to the tissue's c then."""
+    """The layers of fixed stiffness; with any of them, forces are not proportional to the tissue's c."""
     held = {each.block for each in model.domains if each.material == each.block}
     return tuple(name for name in NAMES if name in held)
 
@@ -258,7 +258,7 @@ def layers_in(model: LimbModel) -> tuple[str, ...]:
 
 
 def locking_warning(laws: Mapping[str, LayerLaw], element: str) -> list[str]:
-    """Linear tetrahedra make a nearly incompressible layer stiffer than its law."""
+    """Warn of locking: nearly incompressible layers of linear tetrahedra are stiffer than their law."""
     stiff = [name for name, law in laws.items() if law.f_kappa > _LOCKS]
     if element != "tet4" or not stiff:
         return []

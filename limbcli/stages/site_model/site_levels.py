@@ -1,4 +1,4 @@
-"""A site's levels, judged by the noise that its case states."""
+"""A site's levels, checked against the noise stated by its case."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ def layer_noise(site: Site) -> LayerNoise:
 
 
 def all_levels_of(site: Site) -> Levels:
-    """The site's levels.csv, all cycles. Raises as `levels_of`, but for the cycle."""
+    """The site's levels.csv, all cycles. Raises the errors of `levels_of` except those about the cycle."""
     return read_levels(site.levels, noise=layer_noise(site))
 
 
 def levels_of(site: Site, cycle: str = LAST) -> Levels:
-    """One cycle of the site's levels.csv: the last with three levels of loading, or that of a number.
+    """One cycle of the site's levels.csv: the last with three levels of loading, or the one of this number.
 
     Raises
     ------
     CaseError
         If there is no such cycle, or it has too few levels.
     MeasurementError
-        With every problem of the file; layers that grow beyond the stated noise are among them.
+        Listing every problem of the file, including layers that thicken by more than the stated noise.
     """
     levels = all_levels_of(site)
     return levels.of_cycle(levels.chosen_cycle(cycle))
 
 
 def maps_of(site: Site, levels: Levels) -> list[SweMap] | None:
-    """The shear-wave maps of these levels, in order; None where the site has none. Raises as `read_maps`."""
+    """The shear-wave maps of these levels, in order; None if there are none. Raises as `read_maps`."""
     if site.swe_maps is None:
         return None
     maps = read_maps(site.swe_maps, levels.n_in_file)
@@ -47,5 +47,5 @@ def maps_of(site: Site, levels: Levels) -> list[SweMap] | None:
 
 
 def cycles_of(site: Site, levels: Levels) -> CycleStudy:
-    """The site's cycles, judged by the noise that its case states; levels : of all cycles."""
+    """The site's cycles, compared using the noise stated by its case; levels : of all cycles."""
     return study_cycles(levels, force_deviation=site.noise.force, depth_deviation=site.noise.depth)

@@ -1,4 +1,4 @@
-"""The levels of a site's states, each judged as a site's own, and with a speed at rest."""
+"""The levels of a site's states, each checked like a site's own levels and for a speed at rest."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from limbcli.stages.site_model.site_levels import levels_of
 
 @dataclass(frozen=True, eq=False)
 class MeasuredState:
-    """A state and its last loading: depths (mm) from first touch in that state."""
+    """A state and its last loading; depths (mm) are from first touch in that state."""
 
     state: StretchState
     levels: Levels
 
 
 def states_of(site: Site) -> list[MeasuredState]:
-    """Every state of a site with its levels; none where the site has no states.
+    """Every state of a site with its levels; empty if the site has no states.
 
     Raises
     ------
     MeasurementError
-        With every problem of the files, a state without a speed at rest among them.
+        Listing every problem of the files, including states without a speed at rest.
     """
     found, problems = _read(site)
     return checked(found, problems, MeasurementError)
 
 
 def one_state(site: Site) -> str:
-    """What a stage that knows no states says of a site that has some."""
+    """Warning of a stage that does not support states, for a site that has some."""
     return (
         f"site {site.name} was measured in {len(site.states)} states; this uses the "
         f"first ({site.states[0].name}) and treats its tissue as unloaded. `limbcli fit --objective "
@@ -44,7 +44,7 @@ def one_state(site: Site) -> str:
 
 
 def state_problems(case: Case) -> list[Problem]:
-    """What is wrong with the states' rest rows; the rest is left to their files' readers."""
+    """Problems of the states' rows at rest; other problems are reported by the files' readers."""
     return [
         problem
         for site in case.sites
