@@ -1,7 +1,7 @@
-"""The only place where conversion factors live.
+"""All unit conversion factors.
 
-Inside the package every bare number is in mm, N, MPa, s (mass in tonne). What
-crosses a boundary carries its unit in its name and is converted here.
+Inside the package every bare number is in mm, N, MPa, s (mass in tonne). Quantities that enter or leave the
+package carry their unit in their name and are converted here.
 """
 
 from __future__ import annotations
