@@ -90,9 +90,7 @@ def atomic_set(folder: Path, *, last: str) -> Iterator[Path]:
 
 
 def _beside(target: Path) -> Path:
-    """A new name in the target's folder with its suffix; what is created there gets the permissions set by
-    umask.
-    """
+    """A new name in the target's folder with its suffix; files created there get the permissions of umask."""
     return target.parent / f"{_new()}{target.suffix}"
 
 

@@ -122,7 +122,8 @@ def _lay_out(figure: Figure) -> None:
 
 
 def data_file(path: Path) -> Path:
-    """
+    """Path of the CSV that belongs to a figure.
+
     >>> data_file(Path("fit.png")).name
     'fit-data.csv'
     """
@@ -284,9 +285,7 @@ def _pixels(axes: Axes) -> Iterator[Row]:
 
 
 def _corners(path: Outline) -> Array:
-    """Its vertices (n, 2); a closed path repeats its first vertex, or ends with a CLOSEPOLY that is no
-    vertex.
-    """
+    """Vertices (n, 2) of a path, without the repeated first vertex or the CLOSEPOLY of a closed one."""
     corners = np.asarray(path.vertices, dtype=float)
     return corners[:-1] if path.codes is not None and len(corners) > 2 else corners
 

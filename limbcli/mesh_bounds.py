@@ -1,6 +1,4 @@
-"""Limits of the mesh sizes that may be requested (lowest, largest, mm): in case.toml, on the command line, in
-Python.
-"""
+"""Limits (lowest, largest, mm) of requested mesh sizes: in case.toml, on the command line, in Python."""
 
 from __future__ import annotations
 

@@ -1,5 +1,6 @@
-"""`LimbModel`, the data structure shared by all stages: meshing creates it, effects return modified copies,
-solvers consume it, `feb` writes and reads it.
+"""`LimbModel`, the data structure shared by all stages.
+
+Meshing creates it, effects return modified copies, solvers consume it, `feb` writes and reads it.
 
 Everything is immutable; change it with the `with_*` methods or `dataclasses.replace`. Node and cell numbers
 count from 0 here (FEBio's from 1; `feb` converts). The node order inside a cell is VTK's, which is also
@@ -132,8 +133,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Material:
-    """A constitutive law, given by its name in `limbcli.materials.LAWS`, with parameters in the internal
-    convention.
+    """A constitutive law by its name in `limbcli.materials.LAWS`, parameters in the internal convention.
 
     `parts` are the solids of a mixture, or the elastic base of a wrapper law (viscoelastic, prestrain). The
     Ogden law's parameters are those of FEBio's "Ogden unconstrained": c1..c6, m1..m6 and kappa (its cp), so

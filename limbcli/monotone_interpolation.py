@@ -40,8 +40,7 @@ class Monotone:
         return self._values(*self._piece(at))
 
     def with_lines(self, at: Array, first: float, last: float, *, far: float = np.inf) -> Array:
-        """Values (n,) of one curve at positions (n,), extrapolated linearly with the slopes `first` and
-        `last`.
+        """Values (n,) of one curve at positions (n,), with linear extrapolation of slopes `first` and `last`.
 
         far : largest change that the extrapolation may add
 

@@ -121,9 +121,7 @@ def open_stage(out: Path, stage: str, *, subject: str, site: str | None = None) 
 
 
 def _refuse_foreign(target: Path, work: Path, stage: str) -> None:
-    """Refuse to replace a file, or a folder that shares no name with its replacement: it is the user's
-    own.
-    """
+    """Refuse to replace the user's own: a file, or a folder that shares no name with its replacement."""
     if target.is_dir():
         there = {each.name for each in target.iterdir()}
         if not there or there & {ERROR_FILE, *(each.name for each in work.iterdir())}:
@@ -204,8 +202,9 @@ class StageWriter:
         return result
 
     def _hashes(self) -> dict[str, str]:
-        """Hashes of the written files, except pictures, which no stage reads and which may be opened and
-        saved again.
+        """Hashes of the written files, except pictures.
+
+        No stage reads pictures, and a user may open and save them again.
         """
         paths = {name: self.work / each for name, each in self.files.items()}
         return {

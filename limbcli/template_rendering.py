@@ -52,8 +52,9 @@ def filled(environment: jinja2.Environment, template: str, facts: Mapping[str, A
 
 
 def refuse_unused(environment: jinja2.Environment, folder: Path, ours: Path, *, below: str = "") -> None:
-    """Refuse a user's template that replaces none of ours and is included by no other: it would be ignored
-    silently.
+    """Refuse a user's template that replaces none of ours and is included by no other.
+
+    It would be ignored silently.
 
     environment : the environment that rendered the templates
     folder, ours : the user's and limbcli's own folder of one kind of template

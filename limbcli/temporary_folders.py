@@ -93,8 +93,9 @@ def ends_with_this_process() -> Callable[[], None] | None:
 
 
 def _ending_with(parent: int) -> Callable[[], None]:
-    """The function the child calls; everything is looked up beforehand, as little is safe between fork and
-    exec.
+    """The function that the child calls.
+
+    Everything is looked up beforehand, as little is safe between fork and exec.
     """
     if not _CAN_TELL_CHILDREN:
         return lambda: None

@@ -28,10 +28,10 @@ _DAMAGED = (Exception, SystemExit)
 
 
 def read_triangles(path: Path) -> tuple[_Points, _Faces]:
-    """Points (n, 3) and triangles (m, 3) of a surface file, unscaled; other polygons are split into
-    triangles.
+    """Points (n, 3) and triangles (m, 3) of a surface file, unscaled.
 
-    m is 0 if the file contains only other cells; coordinates may be NaN, which the caller must check.
+    Other polygons are split into triangles. m is 0 if the file contains only other cells; coordinates may be
+    NaN, which the caller must check.
 
     Raises
     ------
@@ -122,8 +122,8 @@ _Property = tuple[str, str, str | None]
 def _elements(
     lines: list[list[str]], order: str, all_as: str | None
 ) -> list[tuple[str, int, list[_Property]]]:
-    """Name, count and properties of each element; for a property its name, type, and type of its count
-    (lists).
+    """Name, count and properties of each element; for a property its name, type, and type of a list's
+    count.
     """
     found: list[tuple[str, int, list[_Property]]] = []
     for words in lines:
@@ -138,9 +138,7 @@ def _elements(
 
 
 def _rows(body: bytes, at: int, count: int, properties: list[_Property]) -> tuple[list[NDArray[Any]], int]:
-    """The rows of an element starting at byte `at`, in runs whose lists have equal lengths; and the next
-    byte.
-    """
+    """The rows of an element from byte `at`, in runs whose lists have equal lengths; and the next byte."""
     runs: list[NDArray[Any]] = []
     window = count
     while count:

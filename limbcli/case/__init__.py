@@ -63,8 +63,7 @@ class Case:
 
     @staticmethod
     def open_images(folder: Path) -> Case:
-        """Read a case for which only the images are required; probe, sites and measurements may still be
-        missing.
+        """Read a case of which only the images are needed; probe, sites and measurements may be missing.
 
         Only complete sites are included; if the probe is incomplete, all its dimensions are NaN.
 

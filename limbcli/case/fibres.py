@@ -42,8 +42,10 @@ def read_fibres(values: Mapping[str, Any], label: str, file: str) -> tuple[Fibre
 
 
 def fibre_problems(sites: Sequence[Site], imaging: Imaging, file: str) -> list[Problem]:
-    """Unknown orientations or those of a site elsewhere, a single image across the limb, coinciding planes,
-    and a `fibre_frame` without `fibres`.
+    """Problems of the fibre input that concern several sites or tables.
+
+    Unknown orientations or those of a site elsewhere, a single image across the limb, coinciding planes, and
+    a `fibre_frame` without `fibres`.
     """
     problems = []
     for site in sites:

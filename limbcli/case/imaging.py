@@ -1,6 +1,4 @@
-"""The table [imaging] of case.toml: images, surfaces, a scanned skin with bone seen by ultrasound, or
-numbers.
-"""
+"""The table [imaging] of case.toml: images, surfaces, a scanned skin with bone from ultrasound, numbers."""
 
 from __future__ import annotations
 

@@ -165,9 +165,7 @@ class ModelOptions:
 
 @dataclass(frozen=True)
 class StatedNoise:
-    """Standard deviations of the measurements (`layer`: mm, of a thickness); `source` says where they come
-    from.
-    """
+    """Standard deviations of the measurements (`layer`: mm, of a thickness); `source` is their origin."""
 
     force: float = 0.1
     depth: float = 0.3

@@ -1,6 +1,4 @@
-"""Make commands in error messages ready to paste: the case's path instead of CASE, no removed temporary
-paths.
-"""
+"""Make commands in error messages ready to paste: the case's path for CASE, and no removed paths."""
 
 from __future__ import annotations
 

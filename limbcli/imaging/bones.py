@@ -17,8 +17,9 @@ _JOINT = 0.35
 
 
 def name_bones(bones: tuple[Volume, ...]) -> tuple[str, ...]:
-    """Name bones tibia, fibula, femur, patella by size and position; else by number (see
-    `names_by_size_and_place`).
+    """Name bones tibia, fibula, femur, patella by size and position, else by number.
+
+    See `names_by_size_and_place`.
 
     bones : Volumes of bool, largest first, k along the limb towards proximal
     """

@@ -292,8 +292,9 @@ def _plausible(first: Slice, step: float, folder: Path) -> None:
 
 
 def _facts(dataset: Dataset, volume: Volume) -> dict[str, Any]:
-    """Technical facts only. Free-text tags (descriptions, institution) may identify the patient and are
-    omitted.
+    """Technical facts only.
+
+    Free-text tags (descriptions, institution) may identify the patient and are omitted.
     """
     return {
         "modality": str(dataset.get("Modality", "")),

@@ -1,5 +1,6 @@
-"""Check that slices are of one patient and frame of reference: those of others may fit in position and
-size.
+"""Check that slices are of one patient and frame of reference.
+
+Slices of another patient may fit in position and size.
 """
 
 from __future__ import annotations

@@ -239,9 +239,7 @@ def turned_over(dataset: Dataset) -> bool:
 
 
 def _rescaled(pixels: NDArray, transform: Dataset, header: Dataset, name: str) -> NDArray[np.float32]:
-    """Values after Rescale Slope and Intercept; MONOCHROME1 (high is dark) is inverted, padding becomes
-    air.
-    """
+    """Apply Rescale Slope and Intercept; MONOCHROME1 (high is dark) is inverted, padding becomes air."""
     pixels = _without_padding(pixels, header)
     if turned_over(header):
         pixels = _negative(pixels, header)
@@ -285,9 +283,7 @@ def _without_padding(pixels: NDArray, header: Dataset) -> NDArray:
 
 
 def _darkened(pixels: NDArray, where: NDArray[np.bool_], header: Dataset) -> NDArray:
-    """Set the pixels `where` nothing was measured to the minimum of the others; to 0 if that is all of
-    them.
-    """
+    """Set the pixels `where` nothing was measured to the minimum of the others (0 if there are none)."""
     measured = pixels[~where]
     if not where.any():
         return pixels

@@ -17,7 +17,7 @@ from limbcli.progress import SILENT, Progress
 ENDINGS = {end: read_nifti if ".nii" in end else read_nrrd_image for end in VOLUME_ENDINGS}
 _LEAST = 3  # smallest number of voxels along every axis
 _RIGHT_ANGLE = 1e-2  # largest cosine between two axes that count as perpendicular
-# HU: a volume counts as CT if _AIR_SHARE of its values lie below; the air of a CT is at -1000
+# HU: a volume counts as CT if _AIR_SHARE of its values lie below (air is at -1000), which is so in no MRI
 _AIR_HU = -500.0
 _AIR_SHARE = 5.0  # per cent
 

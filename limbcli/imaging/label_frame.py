@@ -116,10 +116,10 @@ def _share_beyond(labels: Volume, limb: NDArray[np.bool_], image: Volume) -> flo
 
 
 def _overlap(labels: Volume, limb: NDArray[np.bool_], image: Volume) -> float:
-    """Dice overlap of the label map's limb with the bright parts of the image that it meets, slice range of
-    the label map.
+    """Dice overlap of the label map's limb with the bright parts of the image that it meets.
 
-    The image is sampled at the label map's voxels, subsampled if there are many.
+    Only the slices that the label map fills count. The image is sampled at the label map's voxels, subsampled
+    if there are many.
     """
     turned, order, flipped = labels.along_limb()
     limb = np.transpose(limb, order)

@@ -168,9 +168,7 @@ def _left_out(places: Array, kind: str, volume: Volume) -> tuple[str, ...]:
 
 
 def _parts(mask: NDArray[np.bool_], volume: Volume, *, least: float) -> tuple[list[NDArray[np.bool_]], Array]:
-    """Connected components of at least `least` mm^3, largest first; and the centres (n, 3), voxels, of the
-    others.
-    """
+    """Connected components of at least `least` mm^3, largest first; centres (n, 3), voxels, of the others."""
     parts, n_parts = ndimage.label(mask)
     sizes = np.bincount(parts.ravel(), minlength=n_parts + 1)[1:] * volume.voxel_volume
     order = np.argsort(-sizes, kind="stable")
@@ -180,8 +178,9 @@ def _parts(mask: NDArray[np.bool_], volume: Volume, *, least: float) -> tuple[li
 
 
 def _markers(volume: Volume, limb: NDArray[np.bool_]) -> tuple[tuple[MarkerCapsule, ...], Array]:
-    """The capsules, and the centres (n, 3), voxels, of specks, which would otherwise be numbered as
-    capsules.
+    """The capsules, and the centres (n, 3), voxels, of specks.
+
+    Specks would otherwise be numbered as capsules.
     """
     parts, n_parts = ndimage.label(volume.values == MARKER, np.ones((3, 3, 3), bool))
     if n_parts == 0:

@@ -77,9 +77,7 @@ def find_marrow(
 def _candidates(
     smooth: NDArray[np.float32], intensities: TissueIntensities, limb: NDArray[np.bool_], spacing: Array
 ) -> Iterator[Candidate]:
-    """Bright regions that are surrounded by dark voxels, within a few mm, over most of their
-    circumference.
-    """
+    """Bright regions surrounded by dark voxels, within a few mm, over most of their circumference."""
     in_plane = spacing[:2]
     pixel = float(np.prod(in_plane))
     pad = int(np.ceil(_RING / in_plane.min())) + 2

@@ -14,8 +14,9 @@ _GRID = 2.0  # mm: finer grids are subsampled, for speed
 
 
 class RoughSkin:
-    """Boundary voxels of everything that stands out from the air, including markers: off by a marker's height
-    there.
+    """Boundary voxels of everything that stands out from the air.
+
+    Markers are included, so the skin is off by a marker's height there.
     """
 
     def __init__(self, image: Volume):

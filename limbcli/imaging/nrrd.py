@@ -36,9 +36,7 @@ _RAS = ("right-anterior-superior", "ras")
 
 @dataclass(frozen=True, eq=False)
 class Nrrd:
-    """values [i, j, k] or [layer, i, j, k]; affine from voxel to patient LPS; key/value pairs of the
-    header.
-    """
+    """values [i, j, k] or [layer, i, j, k]; affine from voxel to patient LPS; key/value pairs."""
 
     values: NDArray
     affine: Array

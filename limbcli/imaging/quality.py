@@ -135,9 +135,7 @@ def _ends_proximally(limb: Volume) -> int:
 
 
 def _in_two(limb: Volume) -> float:
-    """Fraction of the limb's sections, without small ones, that fall into two comparable parts when
-    thinned.
-    """
+    """Fraction of the limb's larger sections that fall into two comparable parts when thinned."""
     steps = [max(1, int(_COARSE // each)) for each in limb.spacing[:2]]
     areas = _areas(limb.values)
     large = np.flatnonzero(areas > _END * areas.max())[:: max(1, round(_EVERY / limb.spacing[2]))]

@@ -226,8 +226,7 @@ def _bands(strip: Array) -> list[Array]:
 def _match(
     old: Array, new: Array, row: float, reach: float, step: float, half_mm: float
 ) -> tuple[float, float, bool]:
-    """Sub-pixel shift of the neighbourhood of `row`, its correlation, and whether it is at the end of the
-    range.
+    """Sub-pixel shift of the neighbourhood of `row`, its correlation, and whether it is at the range's end.
 
     At the end of the range, a better match may lie beyond.
     """

@@ -28,8 +28,7 @@ TOLD_APART = 6.0  # difference of BIC beyond which the second best explanation i
 
 @dataclass(frozen=True)
 class CycleChange:
-    """One explanation: its size with standard deviation, the residual chi-square, and whether noise explains
-    that.
+    """One explanation: its size and standard deviation, the residual chi-square, whether noise explains it.
 
     name : "residual depth" (mm), "compliance" (fraction) or "force offset" (N)
     """

@@ -199,8 +199,7 @@ def _loading(levels: Levels, cycle: int) -> IntArray:
 
 
 def _linear_weights(knots: Array, at: Array) -> Array:
-    """Weights (n_at, n_knots) of linear interpolation at `at` from values at the knots, extrapolated
-    linearly.
+    """Weights (n_at, n_knots) of linear interpolation and extrapolation at `at` from values at the knots.
 
     >>> _linear_weights(np.array([0.0, 2.0, 4.0]), np.array([1.0, 4.0])).round(3)
     array([[0.5, 0.5, 0. ],

@@ -27,8 +27,9 @@ _EDGES = 2.0  # square root of the four marks, two per image, that determine a s
 
 @dataclass(frozen=True, eq=False)
 class EdgeNoise:
-    """shortened (3,): standard deviation (mm) of the shortening of skin, fat, muscle; from_data (3,): whether
-    from the table.
+    """Noise of the shortenings of skin, fat and muscle.
+
+    shortened (3,) : standard deviation, mm; from_data (3,) : whether it was determined from the table
     """
 
     shortened: Array
@@ -36,15 +37,16 @@ class EdgeNoise:
 
     @property
     def edge(self) -> Array:
-        """Standard deviation (3,), mm, of one marked edge, if the four that determine a shortening have equal
-        noise.
+        """Standard deviation (3,), mm, of one marked edge, assuming equal noise of the four of a
+        shortening.
         """
         return self.shortened / _EDGES
 
 
 def layer_noise(shortened: Array) -> EdgeNoise:
-    """Noise from shortenings (n_rows, n_layers), mm. A layer that never grows takes the largest of the
-    others.
+    """Noise from shortenings (n_rows, n_layers), mm.
+
+    A layer that never grows takes the largest noise of the others.
     """
     n = shortened.shape[1]
     found, known = np.zeros(n), np.zeros(n, dtype=bool)
@@ -57,8 +59,7 @@ def layer_noise(shortened: Array) -> EdgeNoise:
 
 
 def gaussian_part(values: Array) -> float:
-    """Standard deviation of the Gaussian in an exponentially modified Gaussian starting at 0, from values
-    (n,).
+    """Standard deviation of the Gaussian in an exponentially modified Gaussian starting at 0; values (n,).
 
     >>> rng = np.random.default_rng(7)
     >>> values = rng.exponential(0.8, 3000) + rng.normal(0.0, 0.2, 3000)

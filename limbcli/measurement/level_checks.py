@@ -260,9 +260,7 @@ def check_zero(
 
 
 def check_tare(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
-    """Tissue cannot pull on the probe: a force below 0 at first touch is an offset of the load cell at every
-    level.
-    """
+    """Report a force below 0 at first touch: tissue cannot pull, so all readings of the cell are offset."""
     force = float(levels.force[0])
     if force >= -_PULL:
         return []
@@ -273,8 +271,9 @@ def check_tare(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
 
 
 def check_plausible(levels: Levels, path: Path, *, speed_is_possible: bool) -> list[Problem]:
-    """Wrong units show in the stiffness: depths in cm make it ten times too high, forces in kgf ten times too
-    low.
+    """Wrong units show in the stiffness.
+
+    Depths in cm make it ten times too high, forces in kgf ten times too low.
     """
     problems = []
     span_depth = float(np.ptp(levels.depth[levels.loading]))
@@ -298,9 +297,7 @@ def check_plausible(levels: Levels, path: Path, *, speed_is_possible: bool) -> l
 
 
 def _check_stiffness(stiffness: float, expected: float, path: Path) -> list[Problem]:
-    """Compare with the stiffness of limbs, and with that expected from this tissue's wave speed (NaN:
-    unknown).
-    """
+    """Compare with the stiffness of limbs, and with that from this tissue's wave speed (NaN: unknown)."""
     text = f"force over depth is {stiffness:.3g} N/mm"
     stiff_fix = "depth_mm is in mm (is it in cm?), force_n in N (is it in grams?)"
     soft_fix = "force_n is in N (is it in kgf? multiply by 9.80665), depth_mm in mm"

@@ -60,8 +60,9 @@ class PixelNoise:
 
 
 def pixel_noise(maps: Sequence[SweMap], *, usual: float) -> PixelNoise:
-    """Estimate the noise from the maps of a site's levels; with too few, independent with the `usual`
-    deviation.
+    """Estimate the noise from the maps of a site's levels.
+
+    With too few maps or pixels, the noise is independent with the `usual` standard deviation.
 
     >>> rng = np.random.default_rng(7)
     >>> x, z = (each.ravel() for each in np.meshgrid(np.arange(40.0), np.arange(20.0)))
@@ -150,8 +151,10 @@ def _starts(size: int, count: int, step: int) -> NDArray[Any]:
 
 @dataclass(frozen=True, eq=False)
 class _RoughPart:
-    """Residuals of smooth surfaces in blocks (n_blocks, n) with the same pixels, along an orthonormal basis
-    (n_pixels, n); squared distances (n_pixels, n_pixels) mm2.
+    """Residuals of smooth surfaces in blocks with the same available pixels.
+
+    values (n_blocks, n), along an orthonormal basis (n_pixels, n); apart (n_pixels, n_pixels) : squared
+    distances, mm2
     """
 
     values: Array
@@ -160,8 +163,9 @@ class _RoughPart:
 
 
 def _rough_parts(values: Array, apart: Array, surfaces: Array) -> list[_RoughPart]:
-    """Group blocks by their available pixels; if any have gaps, only `_MOST_BLOCKS` evenly chosen blocks are
-    used.
+    """Group blocks by their available pixels.
+
+    If any have gaps, only `_MOST_BLOCKS` evenly chosen blocks are used.
     """
     known = np.isfinite(values)
     if not known.all():

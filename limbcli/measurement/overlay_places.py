@@ -20,12 +20,12 @@ from limbcli.model import Array
 # smallest difference of the largest and smallest channel (of 255) in the bar and in the box
 _BAR_COLOUR, _BOX_COLOUR = 60.0, 24.0
 _SLENDER = 4.0  # smallest length-to-width ratio of a bar
-_SHORTEST, _NARROWEST = 40, 4  # pixels
+_SHORTEST, _NARROWEST = 40, 4  # smallest length and width of a bar, pixels
 _UNEVEN = 14.0  # largest standard deviation of the colours across a bar, of 255
 _EVEN_STEP = 20.0, 45.0  # bounds (of 255) of the colour step between lines above which the bar has ended
 _GREY_END = 0.15  # largest fraction of a bar that may be nearly grey at an end
 _HUES = 0.3  # smallest fraction of the hue circle that a bar spans
-_SMALLEST_BOX = 900  # pixels
+_SMALLEST_BOX = 900  # smallest number of coloured pixels of a box
 _COLOURED = 0.2  # smallest coloured fraction of a row or column of the box, relative to the fullest one
 
 

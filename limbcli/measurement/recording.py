@@ -148,9 +148,7 @@ def _lvm_table(lines: list[str], path: Path, form: RecordingFormat) -> tuple[lis
 
 
 def _clock(own: Mapping[str, list[str]]) -> float | None:
-    """Start time of a segment, s, from the Date and Time in its header; None if they are missing or
-    invalid.
-    """
+    """Start time of a segment, s, from the Date and Time in its header; None if missing or invalid."""
     day, time = (own.get(key, [""])[0].strip() for key in ("Date", "Time"))
     minute, _, seconds = time.replace(",", ".").rpartition(":")
     try:
@@ -205,8 +203,9 @@ def _data_rows(body: list[list[str]]) -> list[list[str]]:
 def _with_times(
     titles: list[str], rows: list[list[str]], own: Mapping[str, list[str]], path: Path, decimal: str | None
 ) -> tuple[list[str], list[list[str]]]:
-    """The table with a time column before each channel; a channel without X0 and Delta_X uses the last
-    ones.
+    """The table with a time column before each channel.
+
+    A channel without X0 and Delta_X uses the last ones.
     """
     starts, steps = (_numbers_of(own.get(key, [])) for key in ("X0", "Delta_X"))
     known = list(zip(starts, steps, strict=False))

@@ -23,8 +23,10 @@ _LEAST_PIXELS = 12
 
 @dataclass(frozen=True, eq=False)
 class Stiffnesses:
-    """c (n_points,) MPa; whether each point lies in the image (n_points,); median: c far from the image
-    (MPa).
+    """Stiffness at given points.
+
+    c (n_points,) : MPa; inside (n_points,) : whether each point lies in the image; median : MPa, c far from
+        the image
     """
 
     c: Array

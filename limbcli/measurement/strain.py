@@ -1,4 +1,4 @@
-"""Stretches of the tissue from its deformation gradient."""
+"""Principal stretches of the tissue from its deformation gradient."""
 
 from __future__ import annotations
 

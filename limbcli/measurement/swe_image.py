@@ -1,9 +1,12 @@
 """Decode shear-wave speeds from a colour-overlay image by means of its own colour bar.
 
-A pixel of the colour box is a colour of the bar blended with the grey B-mode image at some opacity: p = a
-c(v) + (1 - a) g (1, 1, 1). For every colour of the bar the best-fitting grey g is subtracted; the speed is
-that of the colour with the smallest misfit. A pixel without colour, with no matching colour, or with two
-distant speeds that fit equally well, is excluded and counted, never guessed.
+A pixel of the colour box is a colour of the bar blended with the grey B-mode image at some opacity:
+
+    p = a c(v) + (1 - a) g (1, 1, 1)
+
+For every colour of the bar the best-fitting grey g is subtracted; the speed is that of the colour with the
+smallest misfit. A pixel without colour, with no matching colour, or with two distant speeds that fit equally
+well, is excluded and counted, never guessed.
 """
 
 from __future__ import annotations
@@ -23,7 +26,7 @@ _WORST_FIT = 18.0  # largest RGB distance (of 255) to the best colour of the bar
 _AMBIGUOUS_FIT = 6.0  # of 255: a second colour with a misfit larger by less than this ...
 _AMBIGUOUS_SPAN = 0.08  # ... and farther along the bar than this fraction makes the pixel ambiguous
 _MOST_UNLIKE = (
-    0.5  # of the coloured pixels: those that are like the bar are so by chance then, at wrong speeds
+    0.5  # of the coloured pixels: above this fraction, the matching ones match by chance, at wrong speeds
 )
 _BAR_COLOURS = 192
 _CHUNK = 4096

@@ -95,9 +95,7 @@ class UltrasoundImage:
 
     @property
     def is_whole(self) -> bool:
-        """Whether the region is the whole image, so that nothing shows where the ultrasound image lies in
-        it.
-        """
+        """Whether every region is the whole image, so that the ultrasound image is not located in it."""
         rows, columns = self.rgb.shape[:2]
         return all((r.left, r.top, r.right, r.bottom) == (0, 0, columns - 1, rows - 1) for r in self.regions)
 
@@ -254,8 +252,9 @@ def _read_picture(path: Path, frame: int | None) -> _Frame:
 
 
 def _read_dicom(path: Path, frame: int | None) -> _Frame:
-    """Pixels and regions; the error for a corrupt file shows no values of it, which may identify the
-    patient.
+    """Pixels and regions.
+
+    The error for a corrupt file shows no values of it, which may identify the patient.
     """
     from pydicom.errors import BytesLengthException, InvalidDicomError
 

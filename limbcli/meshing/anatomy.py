@@ -133,8 +133,9 @@ def _in_holes(
     ends: tuple[Plane, ...],
     where: str,
 ) -> list[Problem]:
-    """Report bones whose interior lies outside the skin although their surface does not: the skin has holes
-    around them.
+    """Report bones whose interior lies outside the skin although their surface does not.
+
+    The skin then has holes around them.
     """
     found = []
     for name, bone in bones.items():

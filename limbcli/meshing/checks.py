@@ -12,7 +12,7 @@ from limbcli.meshing.mending import Plane
 from limbcli.meshing.probe import ProbeShape
 from limbcli.model import Array
 
-_DEEPEST = 150.0  # search depth of a beam below the skin, mm
+_DEEPEST = 150.0  # search depth of a beam below the face at first touch, mm
 
 
 @dataclass(frozen=True)

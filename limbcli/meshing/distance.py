@@ -98,8 +98,9 @@ def signed_distance(surface: Triangles, grid: Grid) -> Field:
 
 
 class Heights:
-    """Signed distances of points to a closed surface: from a grid in and around it; beyond the grid, to the
-    nearest points.
+    """Signed distances of points to a closed surface.
+
+    They are interpolated on a grid in and around the surface; beyond the grid, the nearest points are used.
     """
 
     def __init__(self, surface: Triangles):
@@ -118,9 +119,7 @@ class Heights:
         return found
 
     def deepest(self, share: float) -> Array:
-        """Samples (n, 3) inside the body, deeper than this fraction of its greatest depth; none for a flat
-        body.
-        """
+        """Samples (n, 3) deeper than this fraction of the body's greatest depth; none if it is flat."""
         values = self._distance.values
         inside = (values < 0) & (values < share * values.min())
         return self._distance.grid.points()[inside]
@@ -260,9 +259,7 @@ def _redistance(phi: Any) -> Any:
 
 @njit(cache=True)
 def _anchors(phi: Any) -> Any:
-    """Distance of the samples adjacent to the zero level, from its crossings with the grid axes; `_FAR`
-    elsewhere.
-    """
+    """Distance of samples adjacent to the zero level, from its crossings with the axes; `_FAR` elsewhere."""
     nx, ny, nz = phi.shape
     d = np.full(phi.shape, _FAR)
     for i in range(nx):

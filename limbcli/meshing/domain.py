@@ -40,9 +40,7 @@ _SPECK = 0.05  # fraction of the largest piece of tissue: the site cannot lie in
 
 @dataclass(frozen=True, eq=False)
 class TissueDomain:
-    """Distance fields of skin and bone in the site's frame, the cutting planes, and notes on what was
-    repaired.
-    """
+    """Distance fields of skin and bone in the site's frame, the cutting planes, and notes on repairs."""
 
     skin: Field
     bone: Field | None

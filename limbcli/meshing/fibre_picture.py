@@ -1,6 +1,4 @@
-"""Picture of the fibre directions: two sections through the site, with the fibre axes of the nearby tissue
-cells.
-"""
+"""Picture of the fibre directions: two sections through the site with the fibre axes of nearby cells."""
 
 from __future__ import annotations
 

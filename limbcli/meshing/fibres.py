@@ -35,8 +35,9 @@ class ImageAngle:
 
 @dataclass(frozen=True, eq=False)
 class FibreDirection:
-    """axis (3,): unit vector; deviation_deg: standard deviation from that of the inputs; how: description in
-    words.
+    """Result of `direction_of_angles`.
+
+    axis : (3,) unit vector; deviation_deg : standard deviation from that of the inputs; how : description
     """
 
     axis: Array

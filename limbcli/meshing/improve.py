@@ -26,9 +26,7 @@ _ON = 0.02  # mm: a boundary node this close to its surface counts as lying on i
 
 @dataclass(frozen=True, eq=False)
 class NodeConstraints:
-    """The surfaces each node must stay on: two columns of SKIN, BONE, CUT + k or FREE; FIXED fixes the
-    node.
-    """
+    """The surfaces each node must stay on: two columns of SKIN, BONE, CUT + k or FREE; FIXED: immobile."""
 
     codes: IntArray  # (n_points, 2)
 

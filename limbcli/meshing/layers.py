@@ -99,10 +99,10 @@ def core_of(domain: TissueDomain, layers: tuple[Layer, ...]) -> TissueDomain:
 
 
 def _tapered(domain: TissueDomain) -> Array:
-    """Fraction of the layers' thickness kept at each sample: less where a cut meets the skin at a grazing
-    angle.
+    """Fraction of the layers' thickness kept at each sample.
 
-    There a layer would extend far along the cut; such places are far from the probe.
+    It is reduced where a cut meets the skin at a grazing angle: there a layer would extend far along the cut.
+    Such places are far from the probe.
     """
     slope = np.stack(list(np.gradient(domain.skin.values, domain.skin.grid.spacing)), axis=-1)
     slope /= np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-6)
@@ -184,9 +184,7 @@ def _odd(order: IntArray) -> NDArray[np.bool_]:
 
 
 def _outer_points(core: VolumeMesh, inner: TissueDomain, skin: Field, base: IntArray) -> Array:
-    """Project each inner node to the skin: along the distance field; within its cut, or the edge of two
-    cuts.
-    """
+    """Project each inner node to the skin along the distance field, staying in its cut or edge of cuts."""
     normals = _cut_normals(core, inner, base)
     start, x = core.points[base], core.points[base].copy()
     for _ in range(_PROJECTIONS):

@@ -49,9 +49,7 @@ class Plane:
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """Closed skin and bones in one frame, the planes where the limb was cut, and notes on what was
-    repaired.
-    """
+    """Closed skin and bones in one frame, the planes where the limb was cut, and notes on repairs."""
 
     skin: Triangles
     bones: tuple[Triangles, ...]
@@ -118,8 +116,9 @@ def skin_and_bones(surface: Triangles) -> list[Triangles]:
 
 
 def without_cavities(pieces: Sequence[Triangles]) -> list[Triangles]:
-    """The bodies, largest first, except those inside another: the wall of a bone's marrow cavity is not a
-    bone.
+    """The bodies, largest first, except those inside another.
+
+    The wall of a bone's marrow cavity is not a bone.
     """
     kept: list[Triangles] = []
     for each in pieces:
@@ -340,9 +339,7 @@ def principal_axis(surface: Triangles) -> tuple[Array, float]:
 
 
 def _principal(surface: Triangles) -> tuple[Array, Array]:
-    """Second moments of a surface's area about its centroid, ascending; their directions (3, 3) in
-    columns.
-    """
+    """Second moments of a surface's area about its centroid, ascending, and their directions in columns."""
     weight = surface.areas
     centred = surface.centroids - np.average(surface.centroids, axis=0, weights=weight)
     values, vectors = np.linalg.eigh((centred * weight[:, None]).T @ centred)

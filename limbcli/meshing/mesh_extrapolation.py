@@ -31,8 +31,8 @@ class Extrapolation:
 def extrapolate(sizes: Sequence[float], values: Sequence[float]) -> Extrapolation:
     """Richardson extrapolation from two or more sizes; only the finest three are used.
 
-    value = limit + a size^p, with p from the three finest meshes if they converge monotonically with 0.5 <= p
-    <= 6, else p = 2 from the two finest. Errors carry the safety factor of the grid convergence index
+    value = limit + a size^p, with p from the three finest meshes if they converge monotonically with p in
+    [0.5, 6], else p = 2 from the two finest. Errors carry the safety factor of the grid convergence index
     (Roache, Ann. Rev. Fluid Mech. 29, 1997): 1.25 with an observed order, 3 with an assumed one.
 
     >>> found = extrapolate([1.0, 2.0, 4.0], [10.1, 10.4, 11.6])

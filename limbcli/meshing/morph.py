@@ -88,9 +88,7 @@ def _carried(points: Array, corners: IntArray, given: np.ndarray, at: Array) -> 
 
 
 def wider(points: Array, rod: Rod, factor: float) -> Array:
-    """Displacement (n, 3) of points on a rod whose radius is scaled by `factor`; its line nearest the skin
-    stays.
-    """
+    """Displacement (n, 3) of points on a rod whose radius is scaled by `factor`; its nearest line stays."""
     away = points - (rod.centre + rod.radius * rod.towards)
     return np.asarray((factor - 1.0) * (away - np.outer(away @ rod.axis, rod.axis)))
 
@@ -123,10 +121,11 @@ def sloping(points: Array, rod: Rod, touched: Array, slope: float) -> Array:
 
 
 def aside(points: Array, rod: Rod, angle: float) -> Array:
-    """Displacement (n, 3) of points on a rod displaced sideways, so that the beam meets its flank at the same
-    point.
+    """Displacement (n, 3) of points on a rod moved sideways, so that the beam meets its flank.
 
-    angle : rad between the beam and the normal of the rod where the beam meets it
+    The point where the beam meets the rod stays.
+
+    angle : rad between the beam and the normal of the rod at that point
     """
     side = np.cross(rod.axis, rod.towards)
     shift = rod.radius * ((1.0 - np.cos(angle)) * rod.towards + np.sin(angle) * side)
@@ -134,8 +133,9 @@ def aside(points: Array, rod: Rod, angle: float) -> Array:
 
 
 def tapered(points: Array, rod: Rod, touched: Array, rate: float) -> Array:
-    """Displacement (n, 3) of a skin whose sections grow by `rate` per mm along the limb; its front line
-    stays.
+    """Displacement (n, 3) of a skin whose sections grow by `rate` per mm along the limb.
+
+    Its front line stays.
 
     touched : (3,) mm, on the front line, at the section whose size is unchanged
     """

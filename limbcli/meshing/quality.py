@@ -74,11 +74,10 @@ def edge_lengths(points: Array, cells: IntArray) -> Array:
 
 
 def scaled_jacobians(points: Array, cells: IntArray) -> Array:
-    """Smallest det(dx/dxi) over a cell's nodes and Gauss points, over that of a regular cell of equal mean
-    edge.
+    """Smallest det(dx/dxi) at a cell's nodes and Gauss points, over that of a regular cell of equal edge.
 
-    1 for a regular tetrahedron, 0 if flat, negative if inverted. For tet10 the mapping is evaluated at all
-    ten nodes and the four Gauss points; for tet4 it is constant.
+    1 for a regular tetrahedron, 0 if flat, negative if inverted; the edge is the mean. For tet10 the mapping
+    is evaluated at all ten nodes and the four Gauss points; for tet4 it is constant.
 
     >>> regular = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
     >>> scaled_jacobians(regular, np.array([[0, 2, 1, 3]])).round(6)

@@ -40,9 +40,7 @@ def facets(faces: IntArray, middle: dict[tuple[int, int], int] | None) -> dict[s
 
 
 def reachable(points: Array, faces: IntArray, probe: ProbeShape) -> Array:
-    """Which faces (m,) can come into contact with the probe: near its outline in plan, not far below it,
-    facing up.
-    """
+    """Which faces (m,) can come into contact with the probe: near it in plan, not far below, facing up."""
     corners = points[faces]
     middle = corners.mean(axis=1)
     up = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0

@@ -57,9 +57,7 @@ class Sizes:
 
 @dataclass(frozen=True, eq=False)
 class SizeField:
-    """Target edge length at any point: fine under the probe, coarse far away, finer in thin or curved
-    places.
-    """
+    """Target edge length at any point: fine under the probe, coarse far away, finer where thin or curved."""
 
     sizes: Sizes
     probe: ProbeShape
@@ -77,9 +75,7 @@ class SizeField:
 
 
 def size_field(domain: TissueDomain, probe: ProbeShape, sizes: Sizes) -> SizeField:
-    """The size field of a domain: thin tissue and strong curvature limit the facets to about their own
-    size.
-    """
+    """The size field of a domain: thickness and radius of curvature limit the size of the facets."""
     limit = np.full(domain.skin.grid.shape, sizes.far)
     if domain.bone is not None:
         thickness = np.abs(domain.bone.values) + np.abs(domain.skin.values)
@@ -125,9 +121,7 @@ def _bend_limit(field: Field, sag: Array, far: float, *, least: float) -> Array:
 
 
 def _cleft_limit(domain: TissueDomain, far: float, *, share: float = 4.0) -> Array:
-    """Edge length limit in narrow tissue or thin bone: `share` times half the width, at its medial
-    surface.
-    """
+    """Edge length limit in narrow tissue or thin bone: `share` times half the width, at mid-width."""
     assert domain.bone is not None
     h = domain.skin.grid.spacing
     tissue = np.minimum(-domain.skin.values, domain.bone.values)
@@ -292,8 +286,9 @@ def _without_ears(points: Array, faces: IntArray, labels: IntArray, domain: Tiss
 
 
 def _ranks(points: Array, faces: IntArray, labels: IntArray) -> tuple[IntArray, NodeConstraints]:
-    """Number of labels meeting at each node (at most 3; 3 also where features branch), and its
-    constraints.
+    """Number of labels meeting at each node, and its constraints.
+
+    At most 3 are counted; nodes where features branch count as 3.
     """
     constraints = NodeConstraints.of_faces(len(points), faces, labels)
     ranks = np.where(constraints.codes[:, 0] == FIXED, 3, np.where(constraints.codes[:, 1] > 0, 2, 1))

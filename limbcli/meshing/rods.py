@@ -54,8 +54,7 @@ class Rod:
         return float((-b - np.sqrt(b * b - a * c)) / a)
 
     def surface(self, *, edge: float) -> Triangles:
-        """The closed surface, normals outward; its sides are chords of the circle, with vertices exactly at
-        `towards`.
+        """The closed surface, normals outward; its sides are chords of the circle, one vertex at `towards`.
 
         edge : mm, edge length round the rod; along it, where it is straight, three times as long
         """
@@ -93,9 +92,7 @@ def tube(radius: float, length: float) -> Rod:
 
 @dataclass(frozen=True, eq=False)
 class BoneHit:
-    """Where a beam from the skin's `point` (3,) against its `normal` (3,) met bone, `depth` mm below the
-    skin.
-    """
+    """A beam from a skin `point` (3,) against its `normal` (3,) that met bone `depth` mm below the skin."""
 
     point: Array
     normal: Array
@@ -166,8 +163,9 @@ def rods_for(
 
 
 def _within_reach(points: Array, reach: float) -> list[list[int]]:
-    """Group points (n, 3) by complete linkage with diameter `reach`, the nearest first; indices in ascending
-    order.
+    """Group points (n, 3) by complete linkage with diameter `reach`, the nearest first.
+
+    Indices within a group are in ascending order.
 
     >>> _within_reach(np.array([[0.0, 0, 0], [8, 0, 0], [14, 0, 0]]), 9.0)
     [[0], [1, 2]]
@@ -207,9 +205,7 @@ def _ring(rod: Rod, at: float) -> Array:
 
 
 def _as_long_as_inside(rod: Rod, limb: Limb, inside: Field, clear: float) -> Rod:
-    """The rod, extended both ways while its whole surface stays `clear` mm inside; it may pass through cut
-    ends.
-    """
+    """The rod, extended both ways while its surface stays `clear` mm inside; it may pass cut ends."""
     low, high = limb.skin.points.min(0), limb.skin.points.max(0)
     most = float(np.linalg.norm(high - low))
     ends = []

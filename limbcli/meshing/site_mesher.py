@@ -40,9 +40,7 @@ _TETGEN = ((1.4, 12.0, 7), (1.8, 8.0, 11), (1.2, 14.0, 13))
 
 @dataclass(frozen=True, eq=False)
 class VolumeMesh:
-    """Tetrahedra (positive volume), labelled boundary faces, the mesher's name, and notes on failed
-    attempts.
-    """
+    """Tetrahedra (positive volume), labelled boundary faces, the mesher's name, notes on failed attempts."""
 
     points: Array
     cells: IntArray
@@ -103,9 +101,7 @@ def mesh_volume(domain: TissueDomain, probe: ProbeShape, sizes: Sizes) -> Volume
 
 
 def _score(mesh: VolumeMesh, probe: ProbeShape) -> float:
-    """Ratio of the smallest dihedral angle to the required one, at the worst cell; 1 or more is
-    sufficient.
-    """
+    """Smallest ratio of a cell's dihedral angle to the required one; 1 or more is sufficient."""
     lowest = dihedral_angles_deg(mesh.points, mesh.cells).min(axis=1)
     near = under_probe(mesh.points, mesh.cells, probe)
     return float((lowest / np.where(near, MIN_ANGLE_UNDER_PROBE_DEG, MIN_ANGLE_DEG)).min())

@@ -159,9 +159,7 @@ def _figures(mesh: Mesh, volume: VolumeMesh, probe: ProbeShape) -> MeshQuality:
 
 
 def _model(mesh: Mesh, options: MeshOptions, info: Mapping[str, Any]) -> LimbModel:
-    """Placeholder laws and load on a mesh: indentation along -z, all other degrees of freedom of the probe
-    fixed.
-    """
+    """Placeholder laws and load on a mesh: indentation along -z, all else of the probe fixed."""
     half = _STIFFNESS / 2
     tissue = Material(
         "ogden",

@@ -1,9 +1,8 @@
-"""A quarter of a layered slab on a rigid base under the probe: the simplest geometry with a finite thickness,
-layers and a probe of finite size.
+"""A quarter of a layered slab on a rigid base under the probe.
 
-Two planes of symmetry (x = 0, y = 0) pass through the centre of the probe. The base is fixed like bone, the
-far sides are free like a limb's flanks. Cells conform to the layer interfaces, so that each interface is a
-row of nodes.
+It is the simplest geometry with a finite thickness, layers and a probe of finite size. Two planes of symmetry
+(x = 0, y = 0) pass through the centre of the probe. The base is fixed like bone, the far sides are free like
+a limb's flanks. Cells conform to the layer interfaces, so that each interface is a row of nodes.
 """
 
 from __future__ import annotations
@@ -45,9 +44,7 @@ class Slab:
 
 @dataclass(frozen=True)
 class CellCounts:
-    """Numbers of cells: along the probe's half sides (x, y), beside its ends (x) and flanks (y), through the
-    layers.
-    """
+    """Numbers of cells along the probe's half sides (x, y), beside it (x, y), and through the layers."""
 
     along: int = 3
     across: int = 2
@@ -61,8 +58,7 @@ class CellCounts:
 def slab_model(
     slab: Slab, laws: Mapping[str, Material], *, counts: CellCounts = CellCounts(), start: float = 0.0
 ) -> LimbModel:
-    """The quarter slab as a tet10 model, with the probe's face `start` mm inside; `laws` by the names in
-    LAYERS.
+    """The quarter slab as a tet10 model, the probe's face `start` mm inside; `laws` by the names in LAYERS.
 
     Its node set `axis` holds the interface nodes under the probe's centre, from the outside in: surface, skin
     to fat, fat to muscle.

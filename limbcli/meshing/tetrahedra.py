@@ -28,9 +28,7 @@ class Tetrahedra:
 
 
 def interior_points(boundary: Boundary, field: SizeField, *, seed: int = 7) -> Array:
-    """Interior points (n, 3), about one target edge length apart and off the boundary (Poisson disc
-    sampling).
-    """
+    """Interior points (n, 3), about one target edge length apart (Poisson discs), off the boundary."""
     rng = np.random.default_rng(seed)
     grid = field.domain.skin.grid
     inside = field.domain.skin.values < 0

@@ -1,6 +1,4 @@
-"""Shear-wave speed under the probe at simulated levels: maps as the scanner would show them, and their
-means.
-"""
+"""Shear-wave speed under the probe at simulated levels: maps as the scanner shows them, and their means."""
 
 from __future__ import annotations
 
@@ -60,7 +58,7 @@ class PointStates:
         return PointStates(np.concatenate(items), rest, tuple(found), moved)
 
     def at(self, row: int) -> tuple[Array, Array]:
-        """Positions (n, 3) mm and deformation gradients (n, 3, 3) at one of the simulation's times, or at
+        """Positions (n, 3) mm and deformation gradients (n, 3, 3) at a time of the simulation, or at
         AT_REST.
         """
         if row == AT_REST:
