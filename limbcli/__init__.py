@@ -1,10 +1,10 @@
 """Soft-tissue parameters of a residual limb from MRI, indentation and elastography.
 
-Units inside the package: mm, N, MPa, s (mass in tonne). What is public is imported from here:
+Units inside the package: mm, N, MPa, s (mass in tonne). The public interface is imported from here:
 
     from limbcli import Case, segment, mesh, build_feb, fit, report
 
-A name opens the files that it needs when it is first used, so that `import limbcli` itself is quick.
+The module behind a name is imported on first use of the name, so that `import limbcli` itself is fast.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ if TYPE_CHECKING:
     from limbcli.solvers.session import ReferenceSession as ReferenceSession
     from limbcli.solvers.session import SessionResult as SessionResult
 
-# Where each public name lives; a test holds this list, and the signatures, against what was promised.
+# Module of each public name; a test compares this list, and the signatures, with the documented interface.
 _PUBLIC = {
     "api.base": ("Result", "SiteResults"),
     "api.cohorts": ("BatchResult", "CaseResult", "CohortResult", "FailedStage", "batch", "cohort"),

@@ -1,7 +1,7 @@
-"""Files that are whole or absent.
+"""Atomic writing of files and folders: they are either complete or absent.
 
-Every result is written beside its place and renamed into it, so a run that is
-interrupted leaves the previous result, or nothing, and never a half.
+Every result is written to a temporary name in the same folder and then renamed, so an interrupted run leaves
+the previous result or nothing, and never a partial one.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from pathlib import Path
 from limbcli.errors.file_system import PARTIAL, file_system_errors
 
 _OLD = "-old-"
-_TOKEN_BYTES = 6  # of a new name: no two are alike
-_NAME_LENGTH = 60  # of a computer's name within a file's
+_TOKEN_BYTES = 6  # bytes of the random part of a temporary name, which makes it unique
+_NAME_LENGTH = 60  # largest number of characters of the host name in a temporary name
 _ABANDONED_S = 24 * 3600.0
 
 
 @contextlib.contextmanager
 def atomic_file(target: Path) -> Iterator[Path]:
-    """A path to write to; it becomes `target` when the block ends well.
+    """A path to write to; it replaces `target` when the block ends without an error.
 
     >>> import tempfile
     >>> folder = Path(tempfile.mkdtemp())
@@ -50,10 +50,10 @@ def atomic_file(target: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def atomic_folder(target: Path) -> Iterator[Path]:
-    """An empty folder to fill; it replaces `target` when the block ends well.
+    """An empty folder to fill; it replaces `target` when the block ends without an error.
 
-    What an interrupted earlier run left behind is cleared first. Where `target` is a link to a folder
-    elsewhere, that folder is replaced and the link stays.
+    Remains of interrupted earlier runs are removed first. If `target` is a symbolic link to a folder, that
+    folder is replaced and the link is kept.
     """
     with file_system_errors(target):
         target = Path(os.path.realpath(target)) if target.is_symlink() else target
@@ -70,10 +70,11 @@ def atomic_folder(target: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def atomic_set(folder: Path, *, last: str) -> Iterator[Path]:
-    """An empty folder to fill; what is in it replaces its namesakes in `folder` when the block ends well.
+    """An empty folder to fill; its files replace those of the same names in `folder` when the block ends.
 
-    All is written before the first is replaced. File systems replace one name at a time: a kill in that
-    moment leaves some of the old set, so the file named `last` should hold the hashes of the others.
+    Nothing is replaced if the block raises an error. All files are written before the first is replaced. File
+    systems replace one name at a time: a kill during the replacement leaves part of the old set, so the file
+    named `last`, which is replaced last, should hold the hashes of the others.
     """
     with file_system_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -89,17 +90,17 @@ def atomic_set(folder: Path, *, last: str) -> Iterator[Path]:
 
 
 def _beside(target: Path) -> Path:
-    """A new name beside the target, of its kind; what gets it has the rights that umask leaves."""
+    """A new name in the target's folder with its suffix; files created there get the permissions of umask."""
     return target.parent / f"{_new()}{target.suffix}"
 
 
 def _new() -> str:
-    """How a name begins that was never there, not even in this process."""
+    """Prefix of a name that has never been used, not even in this process."""
     return f"{PARTIAL}{_maker()}-{secrets.token_hex(_TOKEN_BYTES)}"
 
 
 def _put_in_place(partial: Path, target: Path) -> None:
-    """A file or folder takes the target's place; a folder that was there comes back if that fails."""
+    """Move a file or folder to the target; a folder that was there is restored if that fails."""
     retired = target.parent / f"{_new()}{_OLD}{target.name}"
     try:
         if target.is_dir() and partial.is_dir():
@@ -113,10 +114,10 @@ def _put_in_place(partial: Path, target: Path) -> None:
 
 
 def clear_partial(folder: Path) -> None:
-    """Remove partial files and folders whose maker is no longer running.
+    """Remove partial files and folders whose process is no longer running.
 
-    Of a maker on another computer, which cannot be looked at from here, those that lie untouched for a day.
-    A folder that was on its way out when its maker was killed comes back where nothing took its place.
+    Processes on other hosts cannot be checked; their files are removed if not modified for a day. A folder
+    that was being replaced when the process was killed is restored if nothing has taken its place.
     """
     for path in folder.glob(f"{PARTIAL}*"):
         if _is_in_work(path):
@@ -131,7 +132,7 @@ def clear_partial(folder: Path) -> None:
 
 
 def _maker() -> str:
-    """This process, as the names of its partial files show it: its number, and the computer."""
+    """Identifier of this process in the names of its partial files: process id and host name."""
     return f"{os.getpid()}@{_computer()}"
 
 
@@ -145,12 +146,12 @@ def _is_in_work(partial: Path) -> bool:
         return number.isdigit() and _is_alive(int(number))
     try:
         return time.time() - _last_touched(partial) < _ABANDONED_S
-    except FileNotFoundError:  # ended meanwhile
+    except FileNotFoundError:  # it was finished or removed in the meantime
         return True
 
 
 def _last_touched(path: Path) -> float:
-    """When the file, or anything in the folder, was last changed (s since the epoch)."""
+    """Latest modification time of the file, or of anything in the folder (s since the epoch)."""
     return max(each.lstat().st_mtime for each in (path, *path.rglob("*")))
 
 
@@ -165,12 +166,12 @@ def _is_alive(pid: int) -> bool:
 
 
 def gunzip(content: bytes, *, limit: int) -> bytes:
-    """Unpacked content of at most `limit` bytes: a few packed kilobytes may hold many gigabytes.
+    """Decompressed content of at most `limit` bytes: a few compressed kilobytes may expand to many gigabytes.
 
     Raises
     ------
     OSError, EOFError, zlib.error
-        If the content is damaged, or unpacks to more.
+        If the content is corrupt, or decompresses to more.
 
     >>> gunzip(gzip.compress(b"whole"), limit=100)
     b'whole'
@@ -182,14 +183,15 @@ def gunzip(content: bytes, *, limit: int) -> bytes:
     return unpacked
 
 
-_NOT_CONTENT = (".DS_Store", "Thumbs.db", "desktop.ini")  # what looking at a folder leaves in it
-_SETTLED_S = 3.0  # the coarsest time stamps of usual file systems, and a little more
+# files that file managers create in a folder; not part of its hash
+_NOT_CONTENT = (".DS_Store", "Thumbs.db", "desktop.ini")
+_SETTLED_S = 3.0  # s; a little more than the coarsest time stamp resolution of common file systems
 _MOST_KNOWN = 50_000
 _known: dict[tuple[str, int, int, int, int], str] = {}
 
 
 def sha256(path: Path) -> str:
-    """Hash of a file, or of the names and contents of all files of a folder in name order (hex).
+    """SHA-256 hash of a file, or of the names and contents of all files of a folder in name order (hex).
 
     Raises
     ------
@@ -205,8 +207,11 @@ def sha256(path: Path) -> str:
 
 
 def _file_hash(path: Path) -> str:
-    """Remembered while size, inode and both time stamps stay; not of a file changed a moment ago, whose
-    stamps need not show a change that follows at once."""
+    """Hash of a file, cached while size, inode and both time stamps are unchanged.
+
+    A file modified a moment ago is not cached, since another change right after might not alter its time
+    stamps.
+    """
     stamp = _stamp(path)
     if stamp in _known:
         return _known[stamp]

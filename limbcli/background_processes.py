@@ -1,7 +1,7 @@
-"""Child processes that prepare what this one will need, while it does something else.
+"""Child processes that prepare in the background what this process will need later.
 
-What they leave (compiled kernels on disk) can be had without them as well: one that fails or is killed
-costs time and nothing else.
+Their output (compiled kernels on disk) can be produced without them as well: one that fails or is killed only
+costs time.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _AT_WORK: list[subprocess.Popen[bytes]] = []
 
 
 def start(module: str, *words: str) -> None:
-    """`python -m module words`, silent, in a process that ends with this one."""
+    """Run `python -m module words` silently in a process that ends with this one."""
     if not _AT_WORK:
         atexit.register(stop)
     _AT_WORK.append(
@@ -29,19 +29,19 @@ def start(module: str, *words: str) -> None:
 
 
 def at_work() -> Sequence[subprocess.Popen[bytes]]:
-    """Those that are not done yet."""
+    """The processes that are still running."""
     _AT_WORK[:] = [each for each in _AT_WORK if each.poll() is None]
     return _AT_WORK
 
 
 def wait() -> None:
-    """Until all are done; at once where there is none."""
+    """Wait until all have ended; return immediately if there are none."""
     for each in list(at_work()):
         each.wait()
 
 
 def stop() -> None:
-    """End those that are not done."""
+    """Terminate those that are still running."""
     for each in list(at_work()):
         each.kill()
         each.wait()

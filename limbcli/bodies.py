@@ -1,4 +1,4 @@
-"""Rigid bodies of a model: how they are driven, and what acts on them (springs, contact)."""
+"""Rigid bodies of a model: their prescribed motion, and what acts on them (springs, contact)."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class RigidBody:
-    """Shell blocks and attached node sets that move as one.
+    """Shell blocks and attached node sets that move as a rigid body.
 
-    `blocks`: shell blocks that consist of it; `node_sets`: tissue nodes tied to it.
+    `blocks`: the shell blocks that form it; `node_sets`: tissue nodes attached to it.
     """
 
     name: str
@@ -24,7 +24,7 @@ class RigidBody:
 
 @dataclass(frozen=True)
 class Drive:
-    """What is prescribed of one degree of freedom of a rigid body.
+    """The condition prescribed for one degree of freedom of a rigid body.
 
     dof : "x", "y", "z" (translation) or "u", "v", "w" (rotation about x, y, z)
     kind : "fixed", "displacement", "rotation", "force" or "moment"
@@ -45,9 +45,9 @@ class Drive:
 
 @dataclass(frozen=True)
 class Spring:
-    """FEBio's "rigid spring" between two bodies: k N/mm, insertion points, free length.
+    """FEBio's "rigid spring" between two bodies: stiffness k (N/mm), insertion points, free length.
 
-    free_length : mm; 0: its length at the start
+    free_length : mm; 0: the initial length
     """
 
     name: str
@@ -69,9 +69,9 @@ class Spring:
 
 @dataclass(frozen=True)
 class Contact:
-    """FEBio's `sliding-elastic`: a soft primary surface against a rigid secondary one.
+    """FEBio's `sliding-elastic`: a deformable primary surface against a rigid secondary one.
 
-    `more` holds FEBio's further settings by their names, as text ("maxaug": "10").
+    `more` holds further FEBio settings by their names, as text ("maxaug": "10").
     """
 
     primary: str

@@ -1,4 +1,4 @@
-"""Where things lie: the templates, the shared reference data, the output folder; and threads."""
+"""Configuration: template and output folders, and the number of threads."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from pathlib import Path
 from limbcli.errors import CaseError, ToolError
 
 PACKAGE = Path(__file__).resolve().parent
-THREADS = "LIMBCLI_THREADS"  # in the environment: the most threads of one simulation
+THREADS = "LIMBCLI_THREADS"  # environment variable: largest number of threads of one simulation
 
 
 def templates_folder(override: Path | None = None) -> Path:
-    """The folder with `feb/` and `report/` templates.
+    """The folder with the `feb/` and `report/` templates.
 
-    The user's own folder first (files missing there are taken from ours), then
-    the repository's `templates/`, then the copy that an installed wheel carries.
+    The user's own folder, if one is given (templates missing there are taken from limbcli's own), then the
+    repository's `templates/`, then the copy in an installed wheel.
 
     Raises
     ------
     ToolError
-        If the folder named, or every usual place, is absent, or holds no templates.
+        If the given folder, or every default location, does not exist or contains no templates.
     """
     if override is not None:
         if not override.is_dir():
@@ -50,22 +50,21 @@ def templates_folder(override: Path | None = None) -> Path:
 
 
 def default_out(case_folder: Path) -> Path:
-    """Output folder of a case where none is named: `out/<name of the case folder>` here.
+    """Default output folder of a case: `out/<name of the case folder>` in the working directory.
 
-    LIMBCLI_OUT names another folder than `out`; left empty, as by a variable of a script that is not set, it
-    says nothing.
+    LIMBCLI_OUT replaces `out`; an empty value, as from an unset variable in a script, is ignored.
     """
     base = os.environ.get("LIMBCLI_OUT") or "out"
     return at_home(Path(base)) / case_folder.resolve().name
 
 
 def at_home(path: Path) -> Path:
-    """The path with the home folder for a leading `~`, which no shell has put in the place of.
+    """The path with a leading `~` expanded to the home folder, in case the shell has not done it.
 
     Raises
     ------
     CaseError
-        If that person has no home folder here: the results would go to a folder named `~`.
+        If the home folder is unknown: the results would otherwise go to a folder named `~`.
     """
     try:
         return path.expanduser()
@@ -78,10 +77,10 @@ def at_home(path: Path) -> Path:
 
 
 def at_most(threads: int) -> int:
-    """So many threads, or as many as the environment allows, if those are fewer: LIMBCLI_THREADS, or, where
-    it says nothing, OMP_NUM_THREADS (of nested levels the first), which is meant for all programs.
+    """The number of threads, limited by the environment to LIMBCLI_THREADS, or else OMP_NUM_THREADS.
 
-    A batch whose processes share the cores sets both for each of them.
+    OMP_NUM_THREADS, which is meant for all programs, may list several nested levels; the first counts. A
+    batch whose processes share the cores sets both variables for each of them.
     """
     values = (os.environ.get(name, "").split(",")[0].strip() for name in (THREADS, "OMP_NUM_THREADS"))
     allowed = next((int(each) for each in values if each.isdigit()), threads)
@@ -90,8 +89,11 @@ def at_most(threads: int) -> int:
 
 @contextlib.contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Linear algebra of a few hundred numbers, thousands of times: BLAS with one thread, which more only make
-    wait for each other. What shares work among threads of its own is not touched."""
+    """Restrict BLAS to one thread inside the block.
+
+    With a few hundred unknowns, solved thousands of times, more threads only wait for each other. Code with
+    its own threads is not affected.
+    """
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(limits=1, user_api="blas"):

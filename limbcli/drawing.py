@@ -1,4 +1,4 @@
-"""Figures on disk: a PNG to look at, an SVG to print, and what is drawn as CSV."""
+"""Write figures to disk: a PNG to view, an SVG to print, and the plotted data as CSV."""
 
 from __future__ import annotations
 
@@ -21,24 +21,25 @@ if TYPE_CHECKING:
     from matplotlib.path import Path as Outline
 
 COLUMNS = ("panel", "x_axis", "y_axis", "kind", "series", "number", "x", "y", "value")
-_MOST_PIXELS = 40_000  # of one picture; a larger one is an image, not data
+# largest number of pixels of an image that is written as data; a larger one is a picture
+_MOST_PIXELS = 40_000
 _COLOUR_BAR = "<colorbar>"
-_LETTER = 0.6  # of its size: how wide a letter is, wide ones among them
-_LINE = 1.3  # of a letter's size: from line to line
+_LETTER = 0.6  # mean width of a letter as a fraction of the font size
+_LINE = 1.3  # line spacing as a multiple of the font size
 
 Row = tuple[object, ...]
 
 
 def save_figure(figure: Figure, path: Path, *, dpi: float | None = None) -> None:
-    """Write `path` (a PNG), and beside it the same as SVG, and its data as `<name>-data.csv`."""
+    """Write `path` (a PNG), and next to it the same figure as SVG and its data as `<name>-data.csv`."""
     save_picture(figure, path, dpi=dpi)
     write_data(figure, data_file(path))
 
 
 def save_picture(figure: Figure, path: Path, *, dpi: float | None = None) -> None:
-    """Write `path` (a PNG), and beside it the same as SVG: what is to be looked at, and is no graph.
+    """Write `path` (a PNG) and the same as SVG, without data: for pictures that are not graphs.
 
-    It is laid out before it is drawn twice; `Figure.savefig` goes through it once more for each file.
+    The layout is computed once before both files are drawn; `Figure.savefig` would repeat it for each file.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -52,21 +53,21 @@ def save_picture(figure: Figure, path: Path, *, dpi: float | None = None) -> Non
 
 
 def put_title(figure: Figure, text: str, *, size: float = 12.0) -> None:
-    """A title above the whole figure, on as many lines as its width asks for.
+    """Add a title above the whole figure, wrapped to its width.
 
-    size : of the letters, points
+    size : font size, points
     """
     figure.suptitle("\n".join(title_lines(text, float(figure.get_size_inches()[0]), size)), fontsize=size)
 
 
 def title_lines(text: str, width_inches: float, size: float) -> list[str]:
-    """The lines of a title of letters of `size` points; a letter is taken for `_LETTER` of it wide."""
+    """Wrap a title at `size` points; the mean width of a letter is taken as `_LETTER` times the size."""
     return textwrap.wrap(text, int(72.0 * width_inches / (_LETTER * size)))
 
 
 @dataclass(frozen=True)
 class Margins:
-    """What stands round panels of known size, inches: left of all, above each, below all, between two."""
+    """Margins around panels of known size, inches: left of all, above each, below all, between two."""
 
     left: float
     above: float
@@ -82,9 +83,9 @@ def panel_sheet(
     *,
     title_size: float = 12.0,
 ) -> tuple[Figure, GridSpec]:
-    """A titled figure with panels of these sizes (inches), in columns and rows.
+    """A titled figure with panels of the given sizes (inches), in columns and rows.
 
-    Where sizes are known, no layout need be sought, which takes as long as drawing.
+    With known sizes no automatic layout is needed, which takes as long as drawing.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -109,9 +110,9 @@ def panel_sheet(
 
 
 def _lay_out(figure: Figure) -> None:
-    """Places for its axes; as they are laid out, they stay.
+    """Compute the positions of the axes and fix them.
 
-    Twice, because axes of another size have other ticks, and their labels another width.
+    Done twice, because axes of another size have other ticks, whose labels have another width.
     """
     engine = figure.get_layout_engine()
     if engine is not None:
@@ -121,7 +122,8 @@ def _lay_out(figure: Figure) -> None:
 
 
 def data_file(path: Path) -> Path:
-    """
+    """Path of the CSV that belongs to a figure.
+
     >>> data_file(Path("fit.png")).name
     'fit-data.csv'
     """
@@ -129,12 +131,12 @@ def data_file(path: Path) -> Path:
 
 
 def write_data(figure: Figure, path: Path) -> None:
-    """Everything that is drawn, a row a point: panel, axes, kind of mark, series, its number, x, y, value.
+    """Write everything that is drawn, one row per point: panel, axes, kind, series, its number, x, y, value.
 
-    kind : line, points, cell (of a mesh; its middle), bar (x, its height) or pixel; of several rows each:
+    kind : line, points, cell (of a mesh; its centroid), bar (x, its height) or pixel; with several rows each:
         segment (its ends: error bars, intervals, outlines), span (two opposite corners: shaded ranges, bars
-        that lie or do not stand on 0), band (the corners of a filled range)
-    value : what its colour stands for, where it has one
+        that are horizontal or do not start at 0), band (the corners of a filled range)
+    value : the quantity encoded by its colour, if any
     """
     with path.open("w", newline="", encoding="utf-8") as stream:
         table = csv.writer(stream)
@@ -144,7 +146,7 @@ def write_data(figure: Figure, path: Path) -> None:
 
 
 def figure_data(figure: Figure) -> Iterator[Row]:
-    """Rows as `write_data` leaves them, with numbers as they are."""
+    """The rows that `write_data` writes, with unformatted numbers."""
     panels = [each for each in figure.axes if each.get_label() != _COLOUR_BAR]
     for k, axes in enumerate(panels, 1):
         names = (str(axes.get_label()) or _title(axes) or k, *_axis_words(axes, figure))
@@ -153,13 +155,13 @@ def figure_data(figure: Figure) -> Iterator[Row]:
 
 
 def _title(axes: Axes) -> str:
-    """Wherever above the panel it stands."""
+    """The title of a panel, whichever of its three positions it has."""
     every = (_plain_words(axes.get_title(at)) for at in ("left", "center", "right"))
     return next((each for each in every if each), "")
 
 
 def _axis_words(axes: Axes, figure: Figure) -> tuple[str, str]:
-    """Its labels, or where it shares an axis, those of a panel below or beside it, or of the whole figure."""
+    """Axis labels; for shared axes, those of a panel below or beside it, or of the whole figure."""
     own = axes.get_subplotspec()
     below = [
         each for each in axes.get_shared_x_axes().get_siblings(axes) if _are_in_line(own, each, "colspan")
@@ -183,7 +185,7 @@ def _shared(alike: list[Axes], label: str) -> str:
 
 
 def _lines(axes: Axes) -> Iterator[Row]:
-    """Without the caps of error bars, which stand at their ends."""
+    """Lines, except the caps of error bars."""
     from matplotlib.container import ErrorbarContainer
 
     error_bars = [each for each in axes.containers if isinstance(each, ErrorbarContainer)]
@@ -220,12 +222,12 @@ def _collections(axes: Axes) -> Iterator[Row]:
 
 
 def _places(each: Collection) -> tuple[Array, str]:
-    """Where the parts of a collection stand (n, 2), and what they are."""
+    """Positions (n, 2) of the parts of a collection, and their kind."""
     from matplotlib.collections import PathCollection, TriMesh
 
     if isinstance(each, PathCollection):
         return np.asarray(each.get_offsets(), dtype=float), "points"
-    if isinstance(each, TriMesh):  # coloured from corner to corner
+    if isinstance(each, TriMesh):  # coloured by interpolation between corners
         grid = each._triangulation  # type: ignore[attr-defined]
         return np.column_stack([grid.x, grid.y]), "points"
     ends = [_corners(path) for path in each.get_paths()]
@@ -237,7 +239,7 @@ def _places(each: Collection) -> tuple[Array, str]:
 
 
 def _bars(axes: Axes) -> Iterator[Row]:
-    """A bar that lies has the name that stands beside it on the axis."""
+    """Bars; a horizontal bar is named by its tick label."""
     from matplotlib.container import BarContainer
     from matplotlib.patches import Rectangle
 
@@ -261,7 +263,7 @@ def _bars(axes: Axes) -> Iterator[Row]:
 
 
 def _of_data(to_picture: Any, axes: Axes, x: Array, y: Array) -> tuple[Array, Array]:
-    """Coordinates with NaN along an axis on which they are shares of the panel (a line across it)."""
+    """Data coordinates; NaN along an axis on which they are fractions of the panel (a line across it)."""
     in_x, in_y = to_picture.contains_branch_seperately(axes.transData)
     unknown = np.full(len(x), np.nan)
     return x if in_x else unknown, y if in_y else unknown
@@ -283,13 +285,13 @@ def _pixels(axes: Axes) -> Iterator[Row]:
 
 
 def _corners(path: Outline) -> Array:
-    """Its corners (n, 2); a closed one names the first twice, or ends with a stop that is no corner."""
+    """Vertices (n, 2) of a path, without the repeated first vertex or the CLOSEPOLY of a closed one."""
     corners = np.asarray(path.vertices, dtype=float)
     return corners[:-1] if path.codes is not None and len(corners) > 2 else corners
 
 
 def _plain(array: Any) -> Array:
-    """NaN where a masked array hides what it has."""
+    """The array with NaN in place of masked values."""
     return np.asarray(np.ma.filled(np.ma.asarray(array, dtype=float), np.nan), dtype=np.float64)
 
 
@@ -301,7 +303,7 @@ def _name(artist: Any, k: int) -> str:
 
 
 def _plain_words(text: str) -> str:
-    """A label without the signs of mathematics, on one line.
+    """A label without math markup, on one line.
 
     >>> _plain_words(r"$f_\\kappa$ [–]"), _plain_words("cost 1\\\\$,\\nin all")
     ('f_κ [–]', 'cost 1$, in all')

@@ -1,9 +1,9 @@
-"""Where compiled kernels are kept on disk, where that is not beside their sources.
+"""Where compiled kernels are cached on disk, if not next to their sources.
 
-numba keeps a kernel in the `__pycache__` beside it, where `materials.cache` drops what is out of date: numba
-itself does not see that a function in another file, which the kernel calls, has changed. A folder named by
-NUMBA_CACHE_DIR, and the one that takes the place of `__pycache__` in an installation that cannot be written
-(a container, a cluster's shared folder), hold one folder for each state of the sources instead.
+numba caches a kernel in the `__pycache__` next to its source, where `materials.cache` removes what is out of
+date: numba itself does not notice that a function in another file, which the kernel calls, has changed. A
+folder named by NUMBA_CACHE_DIR, and the folder that replaces `__pycache__` in a read-only installation (a
+container, a cluster's shared folder), contain one folder for each state of the sources instead.
 """
 
 from __future__ import annotations
@@ -17,16 +17,17 @@ from contextlib import suppress
 from pathlib import Path
 
 VARIABLE = "NUMBA_CACHE_DIR"
-_BEGIN = "limbcli-kernels-"  # of a folder's name; the state of the sources follows
-_LETTERS = 16  # of the digest: enough to tell states apart
-_COMPILED = (b"njit", b"intrinsic", b"llvmlite")  # words of a file that holds kernels
-_OTHERS = 0o077  # rights that nobody else may have in a temporary folder: what lies there is run
+_BEGIN = "limbcli-kernels-"  # prefix of a folder's name; the digest of the sources follows
+_LETTERS = 16  # number of hex digits of the digest in the name: enough to distinguish states of the sources
+_COMPILED = (b"njit", b"intrinsic", b"llvmlite")  # strings that identify a file with kernels
+# permissions that nobody else may have on a temporary folder: the code cached there is executed
+_OTHERS = 0o077
 
 
 def keep_kernels(package: Path) -> Path | None:
-    """Have numba keep the kernels of a package where they can be written and are never out of date.
+    """Make numba cache the kernels of a package in a writable folder where they are never out of date.
 
-    None where that is beside the sources; else the folder, which goes to child processes, too.
+    Returns None if that is next to the sources, else the folder, which child processes inherit.
     """
     given = os.environ.get(VARIABLE, "")
     if not given and _is_writable(package):
@@ -38,19 +39,19 @@ def keep_kernels(package: Path) -> Path | None:
     if folder is None:
         return None
     os.environ[VARIABLE] = str(folder)
-    if "numba" in sys.modules:  # it has looked at the environment already
+    if "numba" in sys.modules:  # numba has read the environment already
         sys.modules["numba"].config.CACHE_DIR = str(folder)
     return folder
 
 
 def digest(sources: Iterable[Path]) -> str:
-    """Of all files that hold kernels, in the order of their names (hex)."""
+    """Hash (hex) of all files that contain kernels, in the order of their names."""
     texts = (path.read_bytes() for path in sorted(sources))
     return hashlib.sha256(b"".join(each for each in texts if any(w in each for w in _COMPILED))).hexdigest()
 
 
 def _besides(given: Path) -> Path:
-    """The folder that was named, also where the process that started this one took a part of it already."""
+    """The folder that was named, even if a parent process has already appended its subfolder."""
     return given.parent if given.name.startswith(_BEGIN) else given
 
 
@@ -60,7 +61,7 @@ def _is_writable(package: Path) -> bool:
 
 
 def _first_usable(folders: Iterable[Path]) -> Path | None:
-    """The first that can be written, made where it is not there; None where none can."""
+    """The first folder that is writable, created if necessary; None if there is none."""
     for folder in folders:
         with suppress(OSError):
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -70,7 +71,7 @@ def _first_usable(folders: Iterable[Path]) -> Path | None:
 
 
 def _places(name: str) -> Iterator[Path]:
-    """In the user's cache, then in a temporary folder of the user's own."""
+    """Candidates: in the user's cache, then in a temporary folder of the user's own."""
     cache = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
     if cache.is_absolute():
         yield cache / "limbcli" / name

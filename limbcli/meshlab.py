@@ -1,7 +1,7 @@
-"""pymeshlab, opened so that the process can end.
+"""Import pymeshlab in such a way that the process can end cleanly.
 
-Its library Qt counts how many of its objects belong to the thread that opened its plug-ins. At the process's
-end it looks at that thread's account; if the thread has ended, and its account with it, the process aborts.
+Its library Qt counts the objects that belong to the thread that loaded its plug-ins. At exit it accesses that
+thread's data; if the thread has ended, and its data with it, the process aborts.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ _NAME = "pymeshlab"
 
 
 def open_pymeshlab() -> Any:
-    """The module; outside of the main thread it is opened by a thread of its own that never ends.
+    """Import pymeshlab; outside the main thread, by a thread that never ends.
 
     Raises
     ------
     ImportError
-        If it is not installed, or cannot be opened.
+        If it is not installed, or cannot be loaded.
     """
     if _NAME not in sys.modules and threading.current_thread() is not threading.main_thread():
         is_opened = threading.Event()
@@ -33,7 +33,7 @@ def _open_and_stay(is_opened: threading.Event) -> None:
     try:
         importlib.import_module(_NAME)
     except ImportError:
-        return  # whoever asked meets it, too
+        return  # the caller's own import raises it, too
     finally:
         is_opened.set()
     threading.Event().wait()

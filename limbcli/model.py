@@ -1,15 +1,14 @@
-"""`LimbModel`: the shared noun. Meshing makes it, effects return altered copies,
-solvers consume it, `feb` writes and reads it.
+"""`LimbModel`, the data structure shared by all stages.
 
-Everything is frozen; change it with the `with_*` methods or `dataclasses.replace`.
-Node and cell numbers count from 0 here (FEBio's from 1; `feb` converts). Node
-order inside a cell is VTK's, which is FEBio's too. Rigid bodies and contact are in
-`bodies`.
+Meshing creates it, effects return modified copies, solvers consume it, `feb` writes and reads it.
 
-Frame of a site's model: z outward along the mean skin normal under the probe,
-x along the probe's long side, and z = 0 the height of the probe face at first
-touch. The tissue lies at z < 0 under the probe; indentation depth is -z of the
-probe face.
+Everything is immutable; change it with the `with_*` methods or `dataclasses.replace`. Node and cell numbers
+count from 0 here (FEBio's from 1; `feb` converts). The node order inside a cell is VTK's, which is also
+FEBio's. Rigid bodies and contact are in `bodies`.
+
+Frame of a site's model: z outward along the mean skin normal under the probe, x along the probe's long side,
+and z = 0 at the height of the probe face at first touch. The tissue lies at z < 0 under the probe;
+indentation depth is -z of the probe face.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ CellKind = Literal["tet4", "tet10", "hex8", "penta6", "tri3", "tri6", "quad4"]
 NODES_PER_CELL: dict[str, int] = {
     "tet4": 4, "tet10": 10, "hex8": 8, "penta6": 6, "tri3": 3, "tri6": 6, "quad4": 4,
 }  # fmt: skip
-FIBRES = "fibres"  # the name of the map of a model's fibre directions
+FIBRES = "fibres"  # name of the element map of fibre directions
 SOLID_KINDS = frozenset({"tet4", "tet10", "hex8", "penta6"})
 
 
@@ -68,12 +67,11 @@ class Surface:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """points (n_points, 3) mm; cells in blocks; named node sets and surfaces.
+    """points (n_points, 3), mm; cells in blocks; named node sets and surfaces.
 
-    Names that site models use: blocks `tissue` (and `fat`, `skin` where layers are
-    asked for) and `probe`; node sets `bone`, `cut`, `fixed` (bone and cut
-    together), `skin`; surfaces `skin`, `contact` (skin that the probe can reach),
-    `bone`, `cut`, `probe_face`.
+    Names used by site models: blocks `tissue` (and `fat`, `skin` if layers are requested) and `probe`; node
+    sets `bone`, `cut`, `fixed` (bone and cut together), `skin`; surfaces `skin`, `contact` (skin that the
+    probe can reach), `bone`, `cut`, `probe_face`.
     """
 
     points: Array
@@ -94,7 +92,7 @@ class Mesh:
 
 @dataclass(frozen=True, eq=False)
 class ElementMap:
-    """A value per cell of a block: values (n_cells,) or (n_cells, 3)."""
+    """A value for each cell of a block: values (n_cells,) or (n_cells, 3)."""
 
     name: str
     block: str
@@ -103,7 +101,7 @@ class ElementMap:
 
 @dataclass(frozen=True, eq=False)
 class NodeMap:
-    """A value per node of a node set, in the set's order: values (n,)."""
+    """A value for each node of a node set, in the set's order: values (n,)."""
 
     name: str
     node_set: str
@@ -135,12 +133,11 @@ class Curve:
 
 @dataclass(frozen=True)
 class Material:
-    """A law by its name in `limbcli.materials.LAWS`, with parameters in the inside convention.
+    """A constitutive law by its name in `limbcli.materials.LAWS`, parameters in the internal convention.
 
-    `parts` are the solids of a mixture, or the elastic base of a wrapper law
-    (viscoelastic, prestrain). The Ogden law's parameters are those of FEBio's
-    "Ogden unconstrained": c1..c6, m1..m6 and kappa (its cp), so that the ground
-    shear modulus is sum(c)/2 and kappa is Lame's lambda.
+    `parts` are the solids of a mixture, or the elastic base of a wrapper law (viscoelastic, prestrain). The
+    Ogden law's parameters are those of FEBio's "Ogden unconstrained": c1..c6, m1..m6 and kappa (its cp), so
+    that the ground shear modulus is sum(c)/2 and kappa is Lame's lambda.
     """
 
     law: str
@@ -150,7 +147,7 @@ class Material:
 
     @property
     def is_viscoelastic(self) -> bool:
-        """Whether it is, or is made of, a viscoelastic law."""
+        """Whether it is a viscoelastic law or contains one."""
         return self.law == "viscoelastic" or any(part.is_viscoelastic for part in self.parts)
 
     def with_parameters(self, **changes: Value) -> Material:
@@ -159,7 +156,7 @@ class Material:
 
 @dataclass(frozen=True)
 class Domain:
-    """A solid block made of a material. `rule` names a special element ("TET10G4", "ut4-solid")."""
+    """A solid block and its material. `rule` names a special element formulation ("TET10G4", "ut4-solid")."""
 
     block: str
     material: str
@@ -172,11 +169,11 @@ class Domain:
 
 @dataclass(frozen=True, eq=False)
 class Support:
-    """Displacement of a node set held at 0 (`value` None) or prescribed.
+    """Displacement of a node set, fixed at 0 (`value` None) or prescribed.
 
-    dofs : some of "x", "y", "z"; a prescribed one has exactly one dof.
-        "p" alone is the fluid pressure of biphasic tissue, held at 0.
-    value : times `curve`; a NodeMap gives each node its own.
+    dofs : some of "x", "y", "z"; a prescribed support has exactly one dof. "p" alone is the fluid pressure of
+        biphasic tissue, fixed at 0.
+    value : multiplied by `curve`; a NodeMap gives each node its own value.
     """
 
     node_set: str
@@ -188,15 +185,15 @@ class Support:
 
 @dataclass(frozen=True)
 class Step:
-    """One analysis step: its length is n_steps * step_size, however steps are cut or grown.
+    """One analysis step of total duration n_steps * step_size, however the time steps are cut or enlarged.
 
-    dt_max : the largest step size; None means `step_size`
-    must_points : times (s, from the start of the step) that are hit exactly
-    adaptive : False: every step is `step_size`, never cut nor grown; with must-points, the steps from one to
-        the next are alike, as near to it as can be
-    dt_max_curve : the load curve that gives the largest step size over time, where
-        it is not `dt_max` throughout; its points are the must-points
-    control : further solver settings as FEBio names them
+    dt_max : the largest time step; None means `step_size`
+    must_points : times (s, from the start of the step) that are reached exactly
+    adaptive : if False, every time step is `step_size`, never cut or enlarged; between two must-points the
+        time steps are equal, and as close to `step_size` as possible
+    dt_max_curve : the load curve of the largest time step, if it is not `dt_max` throughout; its points are
+        the must-points
+    control : further solver settings by their FEBio names
     """
 
     n_steps: int = 10
@@ -216,11 +213,11 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class LogRecord:
-    """A table that the solver writes at every converged step.
+    """A table that the solver writes at every converged time step.
 
     kind : "rigid_body", "node" or "element"; fields : FEBio's names ("Fz", "ux", "sz", "Fxx" ...)
-    items : node, cell numbers (from 0, cells counted over all blocks in order) or
-        None for all; for "rigid_body" the body's name.
+    items : node or cell numbers (from 0, cells counted over all blocks in order), None for all; for
+        "rigid_body" the body's name
     """
 
     kind: Literal["rigid_body", "node", "element"]
@@ -234,12 +231,12 @@ class LogRecord:
 
 @dataclass(frozen=True, eq=False)
 class LimbModel:
-    """Mesh, laws, contact, supports and loads: all a solver needs, nothing of the case.
+    """Mesh, laws, contact, supports and loads: everything a solver needs, nothing of the case.
 
-    `info` carries plain facts for pictures and checks (site, probe size, the
-    transform `patient_from_model` as 16 numbers row by row, ...).
-    `fibres`: the direction of muscle fibres in every cell of the tissue, unit vectors (n_cells, 3) in the
-    site's frame, sign without meaning; None where they were not given. A law uses them only where it says so.
+    `info` holds plain metadata for pictures and checks (site, probe size, the transform `patient_from_model`
+    as 16 numbers row by row, ...). `fibres` is the direction of the muscle fibres in every tissue cell, as
+    unit vectors (n_cells, 3) in the site's frame whose sign has no meaning; None if not given. Only laws that
+    declare it use them.
     """
 
     mesh: Mesh
@@ -258,24 +255,24 @@ class LimbModel:
 
     @property
     def has_friction(self) -> bool:
-        """Whether a contact has friction, with which the answer depends on the steps it is reached by."""
+        """Whether a contact has friction, so that the solution depends on the load path."""
         return any(each.friction for each in self.contacts)
 
     @property
     def goes_on_from_steps(self) -> bool:
-        """Whether a step after the first holds or moves something from where the step before has left it."""
+        """Whether a later step fixes or moves something relative to where the preceding step left it."""
         later = self.steps[1:]
         return any(each.relative for step in later for each in step.supports) or any(
             each.relative or each.kind == "fixed" for step in later for each in step.drives
         )
 
     def with_material(self, name: str, material: Material) -> LimbModel:
-        """The same model with one material replaced. Raises CaseError if there is none of that name."""
+        """The model with one material replaced. Raises CaseError if there is no material of that name."""
         if name not in self.materials:
             fix = f"use one of {', '.join(sorted(self.materials))}"
             raise CaseError(f"the model has no material {name!r}", where=f"with_material({name!r})", fix=fix)
         return replace(self, materials={**self.materials, name: material})
 
     def with_mesh(self, mesh: Mesh) -> LimbModel:
-        """The same model on another mesh."""
+        """The model with another mesh."""
         return replace(self, mesh=mesh)

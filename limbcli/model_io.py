@@ -1,6 +1,6 @@
-"""A `LimbModel` as one `.npz` file: exact, portable, and without pickled code.
+"""Store a `LimbModel` in one `.npz` file: exact, portable, and without pickled code.
 
-The arrays are stored as arrays; everything else is one JSON text that names them.
+Arrays are stored as arrays; everything else is one JSON text that refers to them.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _TYPES = {
     if isinstance(each, type) and dataclasses.is_dataclass(each) and each.__module__ == module.__name__
 }
 _TEXT = "model_json"
-_LARGEST = 2_000_000_000  # bytes of a model's arrays
+_LARGEST = 2_000_000_000  # upper limit of the size of a model's arrays, bytes
 _DAMAGED = (
     ValueError, LookupError, TypeError, AttributeError, OSError, EOFError, ArithmeticError, AssertionError,
     NotImplementedError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error, struct.error,
@@ -39,13 +39,13 @@ _DAMAGED = (
 
 
 def save_model(model: LimbModel, path: Path) -> None:
-    """Write a model; `load_model` gives it back to the last bit.
+    """Write a model; `load_model` restores it bit by bit.
 
     Raises
     ------
     CaseError
-        If `info` or another free field holds something that is not plain data
-        (numbers, text, arrays, tuples, lists, mappings with text keys).
+        If `info` or another free-form field contains something that is not plain data (numbers, text, arrays,
+        tuples, lists, mappings with text keys).
     """
     arrays: dict[str, NDArray[Any]] = {}
     try:
@@ -60,12 +60,12 @@ def save_model(model: LimbModel, path: Path) -> None:
 
 
 def load_model(path: Path) -> LimbModel:
-    """Read back what `save_model` wrote.
+    """Read a model written by `save_model`.
 
     Raises
     ------
     CaseError
-        If the file is missing, damaged, or of a newer format.
+        If the file is missing, corrupt, or of a newer format.
     """
     if not path.is_file():
         raise CaseError(
@@ -93,7 +93,7 @@ def load_model(path: Path) -> LimbModel:
 
 
 def differences(a: object, b: object, path: str = "model") -> list[str]:
-    """Where two models (or parts of them) differ, to the last bit and the last type.
+    """Differences between two models (or parts of them), exact in every bit and type.
 
     >>> differences(nouns.Curve(((0.0, 0.0),)), nouns.Curve(((0.0, 1.0),)), "curve")
     ['curve.points[0][1]: 0.0 and 1.0']
@@ -119,7 +119,7 @@ def differences(a: object, b: object, path: str = "model") -> list[str]:
 
 
 def _encode(value: Any, arrays: dict[str, NDArray[Any]]) -> Any:
-    """Plain JSON; arrays go to `arrays`, and what JSON has no word for is marked with `@`."""
+    """The value as plain JSON; arrays go to `arrays`, and types that JSON lacks are marked with `@`."""
     if isinstance(value, np.ndarray):
         if value.dtype.hasobject:
             raise TypeError("an array of objects")

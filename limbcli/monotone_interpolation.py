@@ -1,11 +1,11 @@
-"""Curves through points that do not overshoot, many beside each other, for thousands of short evaluations.
+"""Monotone cubic interpolation without overshoot, vectorised over curves, for thousands of short evaluations.
 
-Cubic Hermite pieces whose slopes at the knots are weighted harmonic means of the neighbours' (0 where these
-differ in sign): the same curve as scipy's PchipInterpolator, without its checks of every input.
-With the derivatives by the values at the knots, which a gradient-based fit needs.
+Cubic Hermite interpolation whose slopes at the knots are weighted harmonic means of the adjacent secants (0
+where these differ in sign): the same curve as scipy's PchipInterpolator, without its input checks, and with
+the derivatives with respect to the values at the knots, which a gradient-based fit needs.
 
-Source: Fritsch & Carlson 1980, SIAM J Numer Anal 17:238, eq. (4.2); Fritsch & Butland 1984, SIAM J Sci
-Stat Comput 5:300.
+Source: Fritsch & Carlson 1980, SIAM J Numer Anal 17:238, eq. (4.2); Fritsch & Butland 1984, SIAM J Sci Stat
+Comput 5:300.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from limbcli.model import Array, IntArray
 
 @dataclass(frozen=True, eq=False)
 class Monotone:
-    """knots (n,) rising; values and slopes (n, ...)."""
+    """Interpolant: knots (n,) ascending; values and slopes (n, ...)."""
 
     knots: Array
     values: Array
@@ -36,13 +36,13 @@ class Monotone:
         return Monotone(knots, values, _slopes(knots, values))
 
     def __call__(self, at: Array | float) -> Array:
-        """Values (*at.shape, ...); beyond the ends the last piece goes on."""
+        """Values (*at.shape, ...); beyond the ends the outermost cubic is extrapolated."""
         return self._values(*self._piece(at))
 
     def with_lines(self, at: Array, first: float, last: float, *, far: float = np.inf) -> Array:
-        """Values (n,) of one curve at places (n,); beyond its ends lines with these slopes.
+        """Values (n,) of one curve at positions (n,), with linear extrapolation of slopes `first` and `last`.
 
-        far : what a line adds at most
+        far : largest change that the extrapolation may add
 
         >>> Monotone.through(np.arange(3.0), np.arange(3.0)).with_lines(np.array([-1.0, 0.5, 4.0]), 0.0, 2.0)
         array([0. , 0.5, 6. ])
@@ -56,8 +56,9 @@ class Monotone:
         return self._rates(*self._piece(at))
 
     def read(self, at: Array) -> tuple[Array, Array, Array]:
-        """Of one curve, values (n_knots,): values, slopes (n_places,) and weights (n_places, n_knots), the
-        derivatives of the values by those at the knots.
+        """For one curve with values (n_knots,): values, slopes (n_places,) and weights (n_places, n_knots).
+
+        The weights are the derivatives of the values with respect to the values at the knots.
 
         >>> curve = Monotone.through(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 2.0]))
         >>> curve.read(np.array([1.5]))
@@ -84,9 +85,9 @@ class Monotone:
         return np.asarray(out)
 
     def inverse(self, wanted: Array) -> Array:
-        """Places (n,) where one curve through growing values takes the values `wanted`.
+        """Positions (n,) at which one curve with increasing values takes the values `wanted`.
 
-        Beyond the first or last value, the first or last knot.
+        Values beyond the range of the curve give the first or last knot.
 
         >>> Monotone.through(np.arange(4.0), 2 * np.arange(4.0)).inverse(np.array([0.0, 3.0, 9.0])).round(9)
         array([0. , 1.5, 3. ])
@@ -114,7 +115,7 @@ class Monotone:
 
 
 def _slopes(knots: Array, values: Array) -> Array:
-    """At the knots (n, ...), of every curve."""
+    """Slopes at the knots (n, ...), for every curve."""
     columns = np.ascontiguousarray(values, dtype=float).reshape(len(knots), -1)
     out = np.empty_like(columns)
     _slopes_of_columns(np.ascontiguousarray(knots, dtype=float), columns, out)
@@ -122,7 +123,7 @@ def _slopes(knots: Array, values: Array) -> Array:
 
 
 def _slope_weights(knots: Array, values: Array, slopes: Array) -> Array:
-    """d slope / d value (n, n) at the knots of one curve."""
+    """Derivative of the slopes with respect to the values (n, n) at the knots of one curve."""
     n, h = len(knots), knots[1:] - knots[:-1]
     out = np.zeros((n, n))
     if n == 2:
@@ -130,8 +131,9 @@ def _slope_weights(knots: Array, values: Array, slopes: Array) -> Array:
         return out
     rise, inner = (values[1:] - values[:-1]) / h, slopes[1:-1]
     w1, w2 = 2 * h[1:] + h[:-1], h[1:] + 2 * h[:-1]
-    # of d = (w1 + w2) / (w1/before + w2/after) by before and after, each over its h
-    steep = np.where(rise == 0.0, 1.0, rise) ** 2 * h  # d is 0 there
+    # derivatives of d = (w1 + w2) / (w1/before + w2/after) with respect to the secants before and after, each
+    # divided by its h
+    steep = np.where(rise == 0.0, 1.0, rise) ** 2 * h  # the slope d is 0 there
     part = inner * inner / (w1 + w2)
     before, after = part * w1 / steep[:-1], part * w2 / steep[1:]
     flat = out.ravel()
@@ -147,7 +149,7 @@ def _slope_weights(knots: Array, values: Array, slopes: Array) -> Array:
 
 
 def _end_weights(h0: float, h1: float, m0: float, m1: float) -> tuple[float, float]:
-    """Derivatives of `_end_slope` by the two rises."""
+    """Derivatives of `_end_slope` with respect to the two secant slopes."""
     d = ((2 * h0 + h1) * m0 - h0 * m1) / (h0 + h1)
     if d * m0 <= 0.0:
         return 0.0, 0.0
@@ -157,9 +159,10 @@ def _end_weights(h0: float, h1: float, m0: float, m1: float) -> tuple[float, flo
 
 
 def columns_through(knots: Array, values: Array, at: Array) -> Array:
-    """Values (n_places, n_columns) of curves through the finite ones of each column (n_knots, n_columns).
+    """Values (n_places, n_columns) of curves through the finite values of each column (n_knots, n_columns).
 
-    Level before a column's first knot, with its last slope beyond the last; NaN where it has fewer than two.
+    Constant before a column's first finite knot, extrapolated linearly beyond the last; NaN for a column with
+    fewer than two.
 
     >>> nan = np.nan
     >>> columns_through(np.arange(3.0), np.array([[0.0, nan], [1.0, 5.0], [2.0, nan]]), np.array([0.5, 3.0]))
@@ -177,7 +180,7 @@ _kernel = njit(cache=True, nogil=True, error_model="numpy")
 
 @_kernel
 def _hermite(y0, y1, d0, d1, h, t):  # type: ignore[no-untyped-def]
-    """Value at the share t of a piece of length h, by the values and slopes at its ends."""
+    """Value at fraction t of an interval of length h, from the values and slopes at its ends."""
     s = 1.0 - t
     return s * s * ((1 + 2 * t) * y0 + t * h * d0) + t * t * ((3 - 2 * t) * y1 - s * h * d1)
 
@@ -202,7 +205,7 @@ def _with_lines(knots, values, slopes, at, first, last, far, out):  # type: igno
 
 @_kernel
 def _end_slope(h0, h1, m0, m1):  # type: ignore[no-untyped-def]
-    """Slope at an end by three points, kept from overshooting."""
+    """Three-point end slope, limited to avoid overshoot."""
     d = ((2 * h0 + h1) * m0 - h0 * m1) / (h0 + h1)
     if np.sign(d) != np.sign(m0):
         return 0.0
@@ -213,7 +216,7 @@ def _end_slope(h0, h1, m0, m1):  # type: ignore[no-untyped-def]
 
 @_kernel
 def _slopes_of(x, y, n, out):  # type: ignore[no-untyped-def]
-    """The slopes at the first n knots, of one curve."""
+    """Slopes at the first n knots of one curve."""
     if n == 2:
         out[0] = out[1] = (y[1] - y[0]) / (x[1] - x[0])
         return

@@ -1,8 +1,8 @@
-"""One writer at a time in an output folder.
+"""Lock an output folder, so that only one process writes to it at a time.
 
-The lock is the system's own on a file in the folder: it ends with the process that holds it, however
-that ends, so a dead holder's lock needs no clearing. What stands in the file only says who holds it.
-Those who write one site each hold the folder's lock together, and the site's alone.
+The lock is an operating-system lock on a file in the folder: it is released when the process ends, however it
+ends, so a stale lock needs no cleaning up. The content of the file only says who holds it. Processes that
+write one site each share the folder's lock, and hold that of the site exclusively.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from limbcli.errors.file_system import file_system_errors, in_words, not_in_utf8
 from limbcli.progress import SILENT, Progress
 
 LOCK = ".writing"
-_LOOK_S = 0.2  # between two looks while another writes
+_LOOK_S = 0.2  # s between two attempts while another process holds the lock
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
 
 
 @contextlib.contextmanager
 def one_writer(folder: Path, *, wait: bool = True, progress: Progress = SILENT) -> Iterator[None]:
-    """The only limbcli that writes into this output folder, as long as the block lasts.
+    """Hold the exclusive lock of this output folder for the duration of the block.
 
-    wait : for another one to end, and say so; else refuse at once
+    wait : wait for another process to finish, with a note; otherwise refuse at once
 
     Raises
     ------
     CaseError
-        If another writes there and `wait` is not given, or the folder cannot be written to or named.
+        If another process writes there and `wait` is False, or the folder cannot be written to or named.
     """
     with _held(folder, LOCK, wait=wait, progress=progress):
         yield
@@ -45,7 +45,7 @@ def one_writer(folder: Path, *, wait: bool = True, progress: Progress = SILENT) 
 
 @contextlib.contextmanager
 def site_writer(folder: Path, site: str, *, wait: bool = True, progress: Progress = SILENT) -> Iterator[None]:
-    """The only limbcli that writes this site's results; those of other sites may be written meanwhile.
+    """Hold the exclusive lock of this site's results; other sites may be written at the same time.
 
     Raises
     ------
@@ -69,21 +69,21 @@ def _held(folder: Path, name: str, *, wait: bool, progress: Progress, alone: boo
         yield
     finally:
         with contextlib.suppress(OSError):
-            if alone or _try(stream, alone=True):  # the last of several puts out the light
-                (folder / name).unlink(missing_ok=True)  # whoever waits for this very file looks again
+            if alone or _try(stream, alone=True):  # the last of several holders removes the file
+                (folder / name).unlink(missing_ok=True)  # a process waiting for this file checks again
         stream.close()
         if is_new:
             with contextlib.suppress(OSError):
-                folder.rmdir()  # only if nothing was left in it
+                folder.rmdir()  # succeeds only if it is empty
 
 
 def _made(folder: Path) -> None:
-    """The folder, made where it is not there; what the system says of no folder at all becomes words too.
+    """Create the folder if it does not exist; every failure becomes an error with a fix.
 
     Raises
     ------
     CaseError
-        If it cannot be there, as in a file system that holds no folders of ours.
+        If it cannot be created, for example in a file system without ordinary folders.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -98,7 +98,7 @@ def _made(folder: Path) -> None:
 
 
 def _locked(folder: Path, name: str, *, wait: bool, progress: Progress, alone: bool) -> TextIO:
-    """The lock's file, held; a file that another has removed meanwhile does not count."""
+    """The locked file; retried if another process has removed the file in the meantime."""
     is_announced = False
     while True:
         _made(folder)
@@ -130,7 +130,7 @@ def _try(stream: TextIO, *, alone: bool = True) -> bool:
     except BlockingIOError:
         return False
     except OSError as error:
-        if error.errno not in _NO_LOCKS:  # a file system without locks is used as it was before
+        if error.errno not in _NO_LOCKS:  # on a file system without locks, continue without a lock
             raise
     return True
 

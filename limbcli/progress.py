@@ -1,13 +1,12 @@
-"""Science emits facts, listeners show them.
+"""Progress events: computations report facts, listeners display them.
 
-`progress.event("newton", step=7, n_steps=20, residual=3.1e-2)` says what is so;
-whether that becomes a bar, a line in a log or a point of a plot is the
-listener's business.
+`progress.event("newton", step=7, n_steps=20, residual=3.1e-2)` reports a fact; whether it becomes a progress
+bar, a log line or a point of a plot is up to the listener.
 
-Kinds in use: "stage" (name, site), "task" (name, done, total), "newton" (step,
-n_steps, iteration, residual, target, depth, krylov, factorisations), "fit" (iteration, cost, parameters),
-"compile" (what), "solve" (number, at_most: which of the simulations of a fit begins),
-"alive" (name, seconds, limit_s, time, end_time), "note" (text).
+Kinds in use: "stage" (name, site), "task" (name, done, total), "newton" (step, n_steps, iteration, residual,
+target, depth, krylov, factorisations), "fit" (iteration, cost, parameters), "compile" (what), "solve"
+(number, at_most: which of the simulations of a fit begins), "alive" (name, seconds, limit_s, time, end_time),
+"note" (text).
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ Listener = Callable[[str, dict[str, Any]], None]
 
 
 class Progress:
-    """Hands every event to every listener, in order.
+    """Passes every event to every listener, in order.
 
     >>> seen = []
     >>> Progress(lambda kind, facts: seen.append((kind, facts["done"]))).event("task", done=3)
@@ -40,12 +39,12 @@ class Progress:
         return f"Progress({', '.join(map(repr, self._listeners))})"
 
     def event(self, kind: str, **facts: Any) -> None:
-        """Tell every listener."""
+        """Pass an event to every listener."""
         for listener in self._listeners:
             listener(kind, facts)
 
     def also(self, *listeners: Listener) -> Progress:
-        """The same, with more listeners."""
+        """The same, with additional listeners."""
         return Progress(*self._listeners, *listeners)
 
 
@@ -54,11 +53,10 @@ SILENT = Progress()
 
 @contextlib.contextmanager
 def recorded(progress: Progress, path: Path) -> Iterator[Progress]:
-    """The same progress, with every event also kept in `path`: one JSON object a line.
+    """The same progress, with every event also written to `path`: one JSON object per line.
 
-    Each line has "kind", "elapsed_s" (since the recording began) and the event's
-    facts. A stage that records into its own folder lets the report draw how the
-    solver and the fit converged.
+    Each line has "kind", "elapsed_s" (since the recording began) and the event's facts. From a record in a
+    stage's folder, the report plots the convergence of the solver and the fit.
 
     >>> import tempfile
     >>> path = Path(tempfile.mkdtemp()) / "progress.jsonl"
@@ -79,7 +77,7 @@ def recorded(progress: Progress, path: Path) -> Iterator[Progress]:
 
 
 def read_events(path: Path) -> list[dict[str, Any]]:
-    """What `recorded` kept. A last line cut short by an interruption is left out."""
+    """Read the events written by `recorded`. A last line truncated by an interruption is omitted."""
     events = []
     for line in path.read_text(encoding="utf-8").splitlines():
         with contextlib.suppress(ValueError):
@@ -90,6 +88,6 @@ def read_events(path: Path) -> list[dict[str, Any]]:
 
 
 def _plain_number(value: object) -> object:
-    """numpy scalars and arrays as plain numbers; anything else by its text."""
+    """numpy scalars and arrays as plain numbers; anything else as text."""
     as_list = getattr(value, "tolist", None)
     return as_list() if callable(as_list) else str(value)

@@ -1,7 +1,7 @@
-"""What a stage leaves behind: a folder, its files, and one JSON that tells of them.
+"""The result of a stage: a folder with its files, and one JSON file that describes them.
 
-`<out>/<stage>/<stage>.json`, or `<out>/<stage>/<site>/<stage>.json` for stages
-that work site by site. Every later stage, the report and the batch read these.
+`<out>/<stage>/<stage>.json`, or `<out>/<stage>/<site>/<stage>.json` for stages that work site by site. Later
+stages, the report and the batch read these.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from limbcli.errors.commands import command_line
 from limbcli.version import __version__
 
 FORMAT = 1
-CALLED: ContextVar[str] = ContextVar("called", default="")  # the call from Python that is at work
-ERROR_FILE = "error.json"  # what a batch leaves of a stage that failed
-# Raised where what a stage left is looked through, and it is damaged or of an older version.
+CALLED: ContextVar[str] = ContextVar("called", default="")  # the current call from Python
+ERROR_FILE = "error.json"  # file that a batch writes for a failed stage
+# Raised when reading a result that is corrupt or of an older version.
 UNLIKE_OURS = (ValueError, KeyError, TypeError, IndexError, AttributeError)
 _PICTURES = (".png", ".svg", ".html")
 
 
 @dataclass(frozen=True)
 class StageResult:
-    """One stage's outcome for one case, or for one site of it.
+    """Result of one stage for one case, or for one site of it.
 
-    `files` maps a short name to a path relative to `folder`; `data` holds plain
-    JSON values whose keys carry units; `summary` is what a person reads on the
-    terminal, one finding a line; `warnings` are passed on by every later stage.
+    `files` maps a short name to a path relative to `folder`; `data` holds plain JSON values whose keys carry
+    units; `summary` is shown to the user on the terminal, one finding per line; `warnings` are passed on by
+    every later stage.
     """
 
     stage: str
@@ -58,11 +58,11 @@ class StageResult:
 
     @property
     def label(self) -> str:
-        """Stage and site, as results are named among each other: "segment", "mesh p1"."""
+        """Stage and site, as results are referred to: "segment", "mesh p1"."""
         return f"{self.stage} {self.site}" if self.site else self.stage
 
     def value(self, key: str) -> Any:
-        """A value of `data`, its keys joined by "/"; None where there is none."""
+        """A value of `data`, with nested keys joined by "/"; None if it does not exist."""
         found: Any = self.data
         for name in key.split("/"):
             found = found.get(name) if isinstance(found, Mapping) else None
@@ -83,20 +83,21 @@ class StageResult:
 
 
 def stage_folder(out: Path, stage: str, site: str | None = None) -> Path:
-    """Where a stage's result lies below the output folder."""
+    """Folder of a stage's result below the output folder."""
     return out / stage / site if site else out / stage
 
 
 @contextlib.contextmanager
 def open_stage(out: Path, stage: str, *, subject: str, site: str | None = None) -> Iterator[StageWriter]:
-    """Fill a stage's folder; it takes its place, whole, when the block ends well.
+    """Fill a stage's folder; it is put in place as a whole when the block ends without an error.
 
     Raises
     ------
     CaseError
-        If what lies there is none of ours: it would be lost (`foreign` is among its facts).
+        If the existing content is not a result of limbcli and would be lost (`foreign` is among the error's
+        facts).
     LimbError
-        Of the block itself: with the site, whoever raised it.
+        Any raised in the block, with the site added.
 
     >>> import tempfile
     >>> out = Path(tempfile.mkdtemp())
@@ -120,7 +121,7 @@ def open_stage(out: Path, stage: str, *, subject: str, site: str | None = None) 
 
 
 def _refuse_foreign(target: Path, work: Path, stage: str) -> None:
-    """A file, or a folder that has nothing in common with what is to take its place, is a user's own."""
+    """Refuse to replace the user's own: a file, or a folder that shares no name with its replacement."""
     if target.is_dir():
         there = {each.name for each in target.iterdir()}
         if not there or there & {ERROR_FILE, *(each.name for each in work.iterdir())}:
@@ -136,7 +137,7 @@ def _refuse_foreign(target: Path, work: Path, stage: str) -> None:
 
 
 class StageWriter:
-    """Collects what a stage finds while it works in its own folder (`work`)."""
+    """Collects the results of a stage while it works in its own folder (`work`)."""
 
     def __init__(self, *, stage: str, subject: str, site: str | None, work: Path, target: Path):
         self.stage, self.subject, self.site = stage, subject, site
@@ -161,8 +162,8 @@ class StageWriter:
     def used(self, label: str, path: Path, *, role: str = "") -> None:
         """Record the hash of an input (file or folder).
 
-        role : what the input is to the case, such as "site/p1/levels", or its absolute path; with it
-            the input is a link of the chain that later stages look at again
+        role : the input's role in the case, such as "site/p1/levels", or its absolute path; with a role,
+            later stages check whether the input has changed
         """
         self.inputs[label] = sha256(path)
         if role:
@@ -171,7 +172,7 @@ class StageWriter:
     def used_result(
         self, result: StageResult, *, files: Iterable[str] = (), data: Iterable[str] = ()
     ) -> None:
-        """Record which files and data (keys joined by "/") of an earlier result went into this one."""
+        """Record which files and data (keys joined by "/") of an earlier result were used for this one."""
         known = result.provenance.get("files_sha256", {})
         link = self.made_from["results"].setdefault(result.label, {"files": {}, "data": {}})
         link["files"].update({name: known.get(name) for name in files})
@@ -201,7 +202,10 @@ class StageWriter:
         return result
 
     def _hashes(self) -> dict[str, str]:
-        """Of the files that were left; pictures feed nothing and may be opened and saved again."""
+        """Hashes of the written files, except pictures.
+
+        No stage reads pictures, and a user may open and save them again.
+        """
         paths = {name: self.work / each for name, each in self.files.items()}
         return {
             name: sha256(path)
@@ -211,12 +215,12 @@ class StageWriter:
 
 
 def read_result(out: Path, stage: str, *, site: str | None = None) -> StageResult:
-    """Read back what a stage left.
+    """Read the result of a stage.
 
     Raises
     ------
     CaseError
-        If the stage has not been run, its JSON cannot be read, or is that of another stage or site.
+        If the stage has not been run, its JSON cannot be read, or belongs to another stage or site.
     """
     folder = stage_folder(out, stage, site)
     path = folder / f"{stage}.json"
@@ -254,7 +258,7 @@ def read_result(out: Path, stage: str, *, site: str | None = None) -> StageResul
 
 
 def provenance() -> dict[str, Any]:
-    """Command (or call from Python), versions and unit system of this run."""
+    """Command (or Python call), versions and unit system of this run."""
     packages = ("numpy", "scipy", "numba", "pydicom", "scikit-image", "pymeshlab", "tetgen", "meshio")
     versions = {}
     for name in packages:

@@ -1,10 +1,10 @@
-"""Numbers in sentences: as many digits as say something, and no power of ten where digits do."""
+"""Format numbers for text: only significant digits, and no exponent where digits suffice."""
 
 from __future__ import annotations
 
 
 def short(value: float, digits: int = 3) -> str:
-    """At most so many significant digits, but all of those before the point.
+    """At most `digits` significant digits, but all digits before the decimal point.
 
     >>> short(0.05234, 2), short(5.0, 2), short(99.6, 2), short(1234.5, 2), short(-340.0, 2)
     ('0.052', '5', '100', '1234', '-340')

@@ -1,4 +1,4 @@
-"""Templates filled in: whatever is wrong with one is an error that names its file and line."""
+"""Render templates; any fault in one is reported as an error that names its file and line."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ import jinja2
 
 from limbcli.errors import CaseError
 
-# What an expression of a template can raise besides Jinja's own; a file that is not UTF-8 is a ValueError.
+# Errors that an expression in a template can raise besides Jinja's own; a file that is not UTF-8 raises a
+# ValueError.
 _OF_EXPRESSIONS = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
-_TOLD_IN = ".md"  # a README beside the templates
+_TOLD_IN = ".md"  # suffix of the README in a template folder, which is not a template
 
 
 class TemplateFolders(jinja2.FileSystemLoader):
-    """Looks in one folder after the other. requested : names of what was loaded, in order"""
+    """Searches several folders in order. requested : names of the templates loaded, in order"""
 
     def __init__(self, folders: Sequence[Path]):
         super().__init__(folders)
@@ -33,7 +34,7 @@ class TemplateFolders(jinja2.FileSystemLoader):
 
 
 def filled(environment: jinja2.Environment, template: str, facts: Mapping[str, Any], *, ours: str) -> str:
-    """The text of a template. ours : where limbcli's own lie, to compare with
+    """Render a template. ours : location of limbcli's own templates, for comparison in the message
 
     Raises
     ------
@@ -51,11 +52,13 @@ def filled(environment: jinja2.Environment, template: str, facts: Mapping[str, A
 
 
 def refuse_unused(environment: jinja2.Environment, folder: Path, ours: Path, *, below: str = "") -> None:
-    """A template of the user's that has no name of ours, and that no other asks for, is lost in silence.
+    """Refuse a user's template that replaces none of ours and is included by no other.
 
-    environment : that the templates were filled in
-    folder, ours : the user's and limbcli's own of one kind
-    below : what stands before a template's name where it is asked for
+    It would be ignored silently.
+
+    environment : the environment that rendered the templates
+    folder, ours : the user's and limbcli's own folder of one kind of template
+    below : prefix of a template's name when it is loaded
 
     Raises
     ------
@@ -78,7 +81,7 @@ def refuse_unused(environment: jinja2.Environment, folder: Path, ours: Path, *, 
 
 
 def _place(error: Exception, environment: jinja2.Environment, template: str) -> str:
-    """File and line, as far as they are known: of the last frame that lies in a template."""
+    """File and line, as far as known, of the innermost frame that lies in a template."""
     if isinstance(error, jinja2.TemplateSyntaxError):
         return f"{error.filename or error.name or template}, line {error.lineno}"
     if isinstance(error, UnicodeDecodeError):

@@ -1,4 +1,4 @@
-"""Temporary folders and child processes that a killed limbcli does not leave behind."""
+"""Temporary folders and child processes that do not outlive a killed limbcli."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from pathlib import Path
 from limbcli.errors.file_system import SCRATCH
 
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
-_ROOM_BYTES = 1_000_000  # of which less is left on a disk that is full
+_ROOM_BYTES = 1_000_000  # free space (bytes) below which a disk counts as full
 _PR_SET_PDEATHSIG = 1  # prctl(2)
 _CAN_TELL_CHILDREN = sys.platform.startswith("linux")
 
 
 @contextlib.contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """An empty temporary folder, removed when the block ends; those of makers that were killed go too.
+    """An empty temporary folder, removed when the block ends; those of killed processes are removed as well.
 
-    Its maker holds the system's lock on the folder, which ends with it, however it ends. What finds no room
-    and does not say where names the folder, where its disk is full.
+    The process holds an operating-system lock on the folder, which is released however it ends. A disk-full
+    error that names no file is raised again with the name of the folder, if its disk is full.
 
     >>> with scratch_folder() as folder:
     ...     _ = (folder / "a.txt").write_text("for now")
@@ -52,14 +52,14 @@ def _is_full(folder: Path) -> bool:
 
 
 def _made() -> tuple[Path, int]:
-    """A folder and the handle that holds its lock; made again if another took it for abandoned meanwhile."""
+    """A folder and the handle that holds its lock; retried if another process has removed it as abandoned."""
     while True:
         folder = Path(tempfile.mkdtemp(prefix=SCRATCH))
         try:
             held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         except FileNotFoundError:
             continue
-        with contextlib.suppress(OSError):  # a file system without locks: nobody else gets one either
+        with contextlib.suppress(OSError):  # on a file system without locks, no other process gets one either
             fcntl.flock(held, fcntl.LOCK_EX)
         if folder.exists():
             return folder, held
@@ -67,9 +67,9 @@ def _made() -> tuple[Path, int]:
 
 
 def _drop_abandoned(parent: Path) -> None:
-    """Remove our scratch folders whose lock nobody holds."""
+    """Remove our temporary folders whose lock nobody holds."""
     for path in parent.glob(f"{SCRATCH}*"):
-        with contextlib.suppress(OSError):  # another user's, held, or gone meanwhile
+        with contextlib.suppress(OSError):  # owned by another user, locked, or removed in the meantime
             handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -80,27 +80,30 @@ def _drop_abandoned(parent: Path) -> None:
 
 
 def end_with_parent(parent: int) -> None:
-    """This process is killed when `parent` (its id), which started it, ends; on Linux only."""
+    """Have this process killed when its parent process (id `parent`) ends; on Linux only."""
     _ending_with(parent)()
 
 
 def ends_with_this_process() -> Callable[[], None] | None:
-    """For `preexec_fn` of a program that is not ours, so that it ends with the thread that starts it.
+    """A `preexec_fn` that makes an external program end with the thread that starts it.
 
-    None where the system knows no such thing.
+    None if the operating system does not support it.
     """
     return _ending_with(os.getpid()) if _CAN_TELL_CHILDREN else None
 
 
 def _ending_with(parent: int) -> Callable[[], None]:
-    """What the child calls: all is looked up here, as little may be done between fork and exec."""
+    """The function that the child calls.
+
+    Everything is looked up beforehand, as little is safe between fork and exec.
+    """
     if not _CAN_TELL_CHILDREN:
         return lambda: None
     prctl, getppid, leave = ctypes.CDLL(None).prctl, os.getppid, os._exit
 
     def die() -> None:
         prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL))
-        if getppid() != parent:  # it ended before that was said
+        if getppid() != parent:  # the parent ended before the call took effect
             leave(1)
 
     return die

@@ -1,7 +1,7 @@
-"""Files of triangle surfaces, as scanners and drawing programs write them: PLY, OBJ, STL and others.
+"""Read triangle surfaces as written by scanners and CAD programs: PLY, OBJ, STL and others.
 
-PLY: paulbourke.net/dataformats/ply; OBJ: paulbourke.net/dataformats/obj. Colours, normals and places in a
-picture that such files carry beside the shape are passed over.
+PLY: paulbourke.net/dataformats/ply; OBJ: paulbourke.net/dataformats/obj. Colours, normals and texture
+coordinates in such files are ignored.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 _Points = NDArray[np.float64]
 _Faces = NDArray[np.int64]
-_HEAD = 20_000  # bytes that a PLY's header may have
+_HEAD = 20_000  # largest size of a PLY header, bytes
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "<"}
 _NUMBERS = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
@@ -23,23 +23,24 @@ _NUMBERS = {
 }  # fmt: skip
 _CORNERS = ("vertex_indices", "vertex_index")
 _SIDES = ("triangle", "quad")
-# What is raised on a damaged file: meshio's own ReadError, and some of its readers call sys.exit.
+# Raised on a corrupt file: meshio's own ReadError and others; some of its readers call sys.exit.
 _DAMAGED = (Exception, SystemExit)
 
 
 def read_triangles(path: Path) -> tuple[_Points, _Faces]:
-    """Points (n, 3) and triangles (m, 3) of a surface file as they stand; other polygons are cut into them.
+    """Points (n, 3) and triangles (m, 3) of a surface file, unscaled.
 
-    m is 0 where the file holds other cells only; points may be no numbers: that is the reader's to judge.
+    Other polygons are split into triangles. m is 0 if the file contains only other cells; coordinates may be
+    NaN, which the caller must check.
 
     Raises
     ------
     OSError
-        If the file cannot be read, or names points that it does not have, however it is damaged.
+        If the file cannot be read, however it is corrupt, or refers to points that do not exist.
     """
     read = {".ply": _ply, ".obj": _obj}.get(path.suffix.lower(), _by_meshio)
     try:
-        with np.errstate(all="ignore"):  # meshio guesses at a size that may not fit
+        with np.errstate(all="ignore"):  # meshio computes sizes that may overflow
             points, polygons = read(path)
     except _DAMAGED as error:
         raise OSError(str(error) or type(error).__name__) from error
@@ -52,7 +53,7 @@ def read_triangles(path: Path) -> tuple[_Points, _Faces]:
 
 
 def _fans(polygons: _Faces) -> _Faces:
-    """Triangles (n (k - 2), 3) of polygons (n, k), all from their first corners.
+    """Triangles (n (k - 2), 3) of polygons (n, k), as fans from their first vertices.
 
     >>> _fans(np.array([[4, 5, 6, 7]])).tolist()
     [[4, 5, 6], [4, 6, 7]]
@@ -74,8 +75,10 @@ def _by_meshio(path: Path) -> tuple[_Points, list[_Faces]]:
 
 
 def _obj(path: Path) -> tuple[_Points, list[_Faces]]:
-    """Lines `v x y z` and `f corner corner corner`; a corner is point/texture/normal, from 1 or, below 0,
-    from the last point back."""
+    """Parse lines `v x y z` and `f corner corner corner`.
+
+    A corner is point/texture/normal, counted from 1 or, if negative, backwards from the last point.
+    """
     points: list[list[float]] = []
     polygons: dict[int, list[list[int]]] = {}
     for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
@@ -101,7 +104,7 @@ def _ply(path: Path) -> tuple[_Points, list[_Faces]]:
     body = content[content.find(b"\n", end) + 1 :]
     lines = [each.split() for each in content[:end].decode("ascii", "replace").splitlines()]
     form = next(words[1] for words in lines if words[:1] == ["format"])
-    if form == "ascii":  # all numbers as wide as the widest: from here on like a binary file
+    if form == "ascii":  # convert all numbers to float64, then treat the file like a binary one
         body = np.array(body.split(), np.float64).tobytes()
     points, polygons, at = np.zeros((0, 0)), [], 0
     for name, count, properties in _elements(lines, _ORDERS[form], "f8" if form == "ascii" else None):
@@ -119,7 +122,9 @@ _Property = tuple[str, str, str | None]
 def _elements(
     lines: list[list[str]], order: str, all_as: str | None
 ) -> list[tuple[str, int, list[_Property]]]:
-    """Name, number and properties of each element; of a property its name, its kind, that of its count."""
+    """Name, count and properties of each element; for a property its name, type, and type of a list's
+    count.
+    """
     found: list[tuple[str, int, list[_Property]]] = []
     for words in lines:
         kinds = [order + (all_as or _NUMBERS.get(each, "")) for each in words[1:-1]]
@@ -133,7 +138,7 @@ def _elements(
 
 
 def _rows(body: bytes, at: int, count: int, properties: list[_Property]) -> tuple[list[NDArray[Any]], int]:
-    """The rows of an element that begin at a byte, in runs with lists of one length; the byte after."""
+    """The rows of an element from byte `at`, in runs whose lists have equal lengths; and the next byte."""
     runs: list[NDArray[Any]] = []
     window = count
     while count:
@@ -151,7 +156,7 @@ def _rows(body: bytes, at: int, count: int, properties: list[_Property]) -> tupl
 
 
 def _row(body: bytes, at: int, properties: list[_Property]) -> tuple[np.dtype[Any], list[str]]:
-    """What a row is made of, its lists as long as in the row that begins at a byte; names of their counts."""
+    """Data type of a row, with lists as long as in the row at byte `at`; and the names of their counts."""
     fields: list[Any] = []
     counts = []
     for name, kind, of_count in properties:

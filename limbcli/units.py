@@ -1,7 +1,7 @@
-"""The only place where conversion factors live.
+"""All unit conversion factors.
 
-Inside the package every bare number is in mm, N, MPa, s (mass in tonne). What
-crosses a boundary carries its unit in its name and is converted here.
+Inside the package every bare number is in mm, N, MPa, s (mass in tonne). Quantities that enter or leave the
+package carry their unit in their name and are converted here.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ GRAVITY_M_PER_S2 = 9.80665
 
 
 def mpa_from_kpa(value_kpa: Number) -> Number:
-    """
+    """Convert kPa to MPa.
+
     >>> mpa_from_kpa(5.0)
     0.005
     """
@@ -25,7 +26,8 @@ def mpa_from_kpa(value_kpa: Number) -> Number:
 
 
 def kpa_from_mpa(value: Number) -> Number:
-    """
+    """Convert MPa to kPa.
+
     >>> kpa_from_mpa(0.005)
     5.0
     """
@@ -33,7 +35,8 @@ def kpa_from_mpa(value: Number) -> Number:
 
 
 def mpa_from_pa(value_pa: Number) -> Number:
-    """
+    """Convert Pa to MPa.
+
     >>> mpa_from_pa(2000.0)
     0.002
     """
@@ -41,7 +44,8 @@ def mpa_from_pa(value_pa: Number) -> Number:
 
 
 def tonne_per_mm3_from_kg_per_m3(value_kg_per_m3: Number) -> Number:
-    """
+    """Convert kg/m^3 to tonne/mm^3.
+
     >>> tonne_per_mm3_from_kg_per_m3(1000.0)
     1e-09
     """
@@ -49,7 +53,8 @@ def tonne_per_mm3_from_kg_per_m3(value_kg_per_m3: Number) -> Number:
 
 
 def m_per_s_from_mm_per_s(value: Number) -> Number:
-    """
+    """Convert mm/s to m/s.
+
     >>> m_per_s_from_mm_per_s(2000.0)
     2.0
     """

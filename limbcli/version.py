@@ -1,3 +1,3 @@
-"""The version, for every file to name without opening the package."""
+"""The version, in a module that can be imported without loading the package."""
 
 __version__ = "0.1.0"

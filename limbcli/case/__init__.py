@@ -1,8 +1,8 @@
-"""The case folder, format 1: what a user brings.
+"""The case folder, format 1: the user's input.
 
-`Case.open(folder)` reads `case.toml`, checks it and that the files it names are
-there, and raises one error with every problem. What is inside the files is
-checked by the package that reads them; `limbcli check` runs all of these at once.
+`Case.open(folder)` reads and checks `case.toml`, checks that the files it names exist, and raises one error
+with every problem. The contents of the files are checked by the packages that read them; `limbcli check` runs
+all of these checks at once.
 """
 
 from __future__ import annotations
@@ -57,15 +57,15 @@ class Case:
         Raises
         ------
         CaseError
-            With every problem of case.toml and every file missing.
+            With every problem of case.toml and every missing file.
         """
         return checked(*read_case(at_home(Path(folder))), CaseError)
 
     @staticmethod
     def open_images(folder: Path) -> Case:
-        """The case as far as its images go: the probe, places and measurements may still be to come.
+        """Read a case of which only the images are needed; probe, sites and measurements may be missing.
 
-        The sites are those that are whole; of a probe that is not, every size is NaN.
+        Only complete sites are included; if the probe is incomplete, all its dimensions are NaN.
 
         Raises
         ------
@@ -95,12 +95,12 @@ class Case:
         raise CaseError(f"there is no site {name!r}", where=str(self.file), fix=f"the sites are: {names}")
 
     def selected(self, names: list[str] | None) -> tuple[Site, ...]:
-        """The sites named, each once, or all."""
+        """The named sites, each once, or all sites."""
         return tuple(self.site(name) for name in dict.fromkeys(names)) if names else self.sites
 
 
 def read_case(folder: Path) -> tuple[Case | None, list[Problem]]:
-    """The case, as far as it can be understood, and every problem found on the way."""
+    """The case (None if there are errors), and every problem found."""
     raw, problems = _read_toml(folder)
     if raw is None:
         return None, problems
@@ -130,7 +130,7 @@ def _without_format(raw: Mapping[str, Any], file: str) -> list[Problem]:
 def _read_tables(
     raw: Mapping[str, Any], tables: Mapping[str, Mapping[str, schema.Key]], file: str
 ) -> tuple[dict[str, dict[str, Any]], list[Problem]]:
-    """Values by table, and every problem; so are tables that are not there but must be."""
+    """Values by table, and every problem, including missing tables that are required."""
     parts: dict[str, dict[str, Any]] = {}
     problems: list[Problem] = []
     for name, keys in tables.items():
@@ -167,7 +167,7 @@ def _assemble(
 
 
 def _read_images(raw: Mapping[str, Any], folder: Path) -> tuple[Case | None, list[Problem]]:
-    """The case without what is wrong with probe and sites; every problem of what this reading needs."""
+    """The case without faulty probe and sites; and every problem of what this reading requires."""
     file, files = str(folder / CASE_FILE), CaseFiles.of(raw, folder)
     stated = {key: value for key, value in raw.items() if key == "format"}
     found = schema.check_table(stated, schema.TOP, name="case.toml", file=file)[1]

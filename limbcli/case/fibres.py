@@ -13,7 +13,7 @@ _NAMED = ("axial", "transverse")
 
 
 def read_fibres(values: Mapping[str, Any], label: str, file: str) -> tuple[Fibres, list[Problem]]:
-    """What a site gives for its fibres; values : of its table, defaults filled in."""
+    """Read a site's fibre input; values : of its table, with defaults filled in."""
     direction, tables = values["fibre_direction"], values["pennation"]
     problems: list[Problem] = []
     found: list[Pennation] = []
@@ -42,7 +42,11 @@ def read_fibres(values: Mapping[str, Any], label: str, file: str) -> tuple[Fibre
 
 
 def fibre_problems(sites: Sequence[Site], imaging: Imaging, file: str) -> list[Problem]:
-    """Orientations that are no site's, or of a site elsewhere; planes that are one and the same."""
+    """Problems of the fibre input that concern several sites or tables.
+
+    Unknown orientations or those of a site elsewhere, a single image across the limb, coinciding planes, and
+    a `fibre_frame` without `fibres`.
+    """
     problems = []
     for site in sites:
         for each in site.fibres.pennation:
@@ -75,6 +79,6 @@ def fibre_problems(sites: Sequence[Site], imaging: Imaging, file: str) -> list[P
 
 
 def _plane(orientation: str, sites: Sequence[Site]) -> object:
-    """By what two planes are recognised as one: the long axis."""
+    """Key by which coinciding planes are recognised: the long axis."""
     named = next((one for one in sites if one.name == orientation), None)
     return orientation if orientation in _NAMED or named is None else named.long_axis

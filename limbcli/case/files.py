@@ -1,7 +1,7 @@
-"""The files that case.toml names: there, of the right kind, and inside the case folder.
+"""Check the files that case.toml names: they exist, are of the right kind, and lie inside the case folder.
 
-A case folder may come from somebody else. What it names outside itself (`..`, an absolute path, a
-symbolic link) is neither looked at nor written to, unless case.toml says `[files] allow_outside = true`.
+A case folder may come from somebody else. Paths outside it (`..`, an absolute path, a symbolic link) are
+neither read nor written, unless case.toml says `[files] allow_outside = true`.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from limbcli.errors.problems import Problem
 
 @dataclass(frozen=True)
 class CaseFiles:
-    """Names of files and folders as paths, for one case folder."""
+    """Resolves names of files and folders to paths, for one case folder."""
 
     folder: Path
     allow_outside: bool = False
 
     @staticmethod
     def of(raw: Mapping[str, Any], folder: Path) -> CaseFiles:
-        """As the table [files] of case.toml says; anything but `true` allows nothing."""
+        """As set by the table [files] of case.toml; only the value `true` allows paths outside."""
         table = raw.get("files")
         return CaseFiles(folder, isinstance(table, dict) and table.get("allow_outside") is True)
 
     def may_use(self, name: str) -> bool:
-        """Whether the name stays in the case folder, and, of a folder, all that lies below it."""
+        """Whether the name lies in the case folder, and, for a folder, also everything below it."""
         if self.allow_outside:
             return True
         home = self.folder.resolve()
@@ -38,11 +38,11 @@ class CaseFiles:
                 return False
             below = path.rglob("*") if path.is_dir() else ()
             return all(each.resolve().is_relative_to(home) for each in below if each.is_symlink())
-        except (OSError, RuntimeError, ValueError):  # a loop of links, a name that is none
+        except (OSError, RuntimeError, ValueError):  # circular links, or an invalid name
             return False
 
     def placed(self, name: object, label: str) -> tuple[Path | None, list[Problem]]:
-        """The path of a file that need not be there."""
+        """The path of a file that need not exist."""
         if not isinstance(name, str):
             return None, []
         if self.may_use(name):
@@ -58,7 +58,7 @@ class CaseFiles:
     def existing(
         self, name: object, label: str, *, is_folder: bool | None
     ) -> tuple[Path | None, list[Problem]]:
-        """The path of a file or folder (None: of either) that must be there."""
+        """The path of a file or folder (`is_folder` None: either) that must exist."""
         path, problems = self.placed(name, label)
         fitting = path is not None and (
             path.exists() if is_folder is None else path.is_dir() if is_folder else path.is_file()

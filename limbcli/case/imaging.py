@@ -1,4 +1,4 @@
-"""The table [imaging] of case.toml: images, surfaces, a skin and a bone seen by ultrasound, or numbers."""
+"""The table [imaging] of case.toml: images, surfaces, a scanned skin with bone from ultrasound, numbers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SHAPE = {
     "muscle_mm": Key("mm", number(0.0, 100.0, "mm"), required=True),
     "bone_radius_mm": Key("mm", number(3.0, 40.0, "mm"), default=BONE_RADIUS_MM),
 }
-_LEAST_DEPTH, _LEAST_BEHIND = 3.0, 2.0  # mm of tissue above the bone, and behind it
+_LEAST_DEPTH, _LEAST_BEHIND = 3.0, 2.0  # smallest thickness of tissue in front of the bone and behind it, mm
 _FAULTY = Shape(nan, nan, nan, nan, nan)
 _WAYS = ("mri", "labels", "skin", "shape")
 
@@ -28,7 +28,7 @@ _WAYS = ("mri", "labels", "skin", "shape")
 def read_imaging(
     table: Mapping[str, Any], files: CaseFiles, *, present: bool
 ) -> tuple[Imaging, list[Problem]]:
-    """The geometry's sources, and what is wrong with them; `present`: case.toml has the table at all."""
+    """The sources of the geometry, and their problems; `present`: whether case.toml has the table at all."""
     file = str(files.folder / "case.toml")
     problems = _contradictions(table, file)
     if present and not any(table.get(key) for key in _WAYS):
@@ -54,7 +54,7 @@ def read_imaging(
     shape, found = (None, []) if table.get("shape") is None else read_shape(table["shape"], file)
     radius = float(table.get("bone_radius_mm") or BONE_RADIUS_MM) if table.get("bone") else None
     if found:
-        shape = _FAULTY  # its sites still need no place
+        shape = _FAULTY  # so that its sites still need no position
     fibres, frame = paths["fibres"], table.get("fibre_frame")
     if fibres is not None and not fibres.name.lower().endswith((".nii", ".nii.gz")):
         what = f"imaging.fibres: {fibres.name!r} is not a NIfTI file"
@@ -95,7 +95,7 @@ def _contradictions(table: Mapping[str, Any], file: str) -> list[Problem]:
 
 
 def read_shape(raw: object, file: str) -> tuple[Shape | None, list[Problem]]:
-    """A limb in numbers; None with a problem for all that no limb can be.
+    """A limb given by numbers; None, with problems, if no limb can have them.
 
     >>> whole = {"circumference_mm": 300, "skin_mm": 1.5, "fat_mm": 6, "muscle_mm": 20}
     >>> read_shape(whole, "case.toml")[0].bone_radius
@@ -131,7 +131,7 @@ def read_shape(raw: object, file: str) -> tuple[Shape | None, list[Problem]]:
 def place_of(
     values: Mapping[str, Any], given: list[str], imaging: Imaging, label: str, file: str
 ) -> list[Problem]:
-    """What is wrong with how a site's place is given; of a limb in numbers it is known without."""
+    """Problems of how a site's position is given; a limb given by numbers needs none."""
     if imaging.shape is not None and not given:
         return []
     if imaging.assumed and "marker" in given:

@@ -1,4 +1,4 @@
-"""The tables below a [[site]] of case.toml: the instruments' own files, and layers of the model."""
+"""The tables below a [[site]] of case.toml: files written by the instruments, and layers of the model."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from limbcli.errors.problems import Problem
 def read_instruments(
     values: Mapping[str, Any], files: CaseFiles, label: str
 ) -> tuple[dict[str, dict[str, Any]], list[Problem]]:
-    """The tables that `limbcli measure` reads, with the path of the file or folder each names."""
+    """The tables that `limbcli measure` uses, with the path of the file or folder that each names."""
     tables: dict[str, dict[str, Any]] = {}
     problems: list[Problem] = []
     for name, keys in schema.INSTRUMENTS.items():
@@ -36,7 +36,7 @@ def read_instruments(
 
 
 def _at_odds(name: str, table: Mapping[str, Any], title: str, file: str) -> list[Problem]:
-    """What two values of one table make impossible together."""
+    """Contradictions between two values of one table."""
     found = []
     if name == "load_cell" and table.get("probe_mass_kg") and table.get("tare_s") is None:
         fix = "add `tare_s = [from, to]`, the seconds in which the probe hung free; or remove probe_mass_kg"
@@ -56,7 +56,7 @@ def _at_odds(name: str, table: Mapping[str, Any], title: str, file: str) -> list
 def read_layers(
     tables: Mapping[str, Any] | None, label: str, file: str
 ) -> tuple[dict[str, dict[str, Any]], list[Problem]]:
-    """The tables of `[site.layers]`: one for each of skin and fat that the model is to have."""
+    """The tables of `[site.layers]`: one for each layer (skin, fat) of the model."""
     layers: dict[str, dict[str, Any]] = {}
     problems: list[Problem] = []
     for name, table in (tables or {}).items():

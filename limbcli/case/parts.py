@@ -1,4 +1,4 @@
-"""What a case consists of: probe, images, sites and how they were measured."""
+"""The parts of a case: probe, images, sites and how they were measured."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import numpy as np
 from limbcli.model import Array
 
 NOT_IMAGED = "geometry assumed, not imaged"
-# Of a scan, one deviation. Chosen: limits of agreement of scanned perimeters are below 3.5 %, two deviations
-# (Cutti et al. 2024, Sensors 24:2350).
+# Standard deviation of the scale of a scanned skin, as a fraction. Chosen: the limits of agreement (two
+# standard deviations) of scanned perimeters are below 3.5 % (Cutti et al. 2024, Sensors 24:2350).
 SKIN_SCALE = 0.01
 
 
@@ -30,9 +30,9 @@ class Probe:
 
 @dataclass(frozen=True)
 class Shape:
-    """A limb in numbers (mm): a straight round tube, its layers from the skin to one round bone.
+    """A limb given by numbers (mm): a straight round tube, its layers from the skin to one round bone.
 
-    The site lies in front (-y of LPS), the bone as deep below it as the layers are thick.
+    The site lies in front (-y of LPS), the bone below it at a depth equal to the thickness of the layers.
     """
 
     circumference: float
@@ -47,7 +47,7 @@ class Shape:
 
     @property
     def skin_bone(self) -> float:
-        """From the skin to the bone: the sum of the layers.
+        """Distance from the skin to the bone: the sum of the layers.
 
         >>> Shape(314.159, 1.5, 6.5, 18.0, 14.0).skin_bone
         26.0
@@ -56,18 +56,20 @@ class Shape:
 
     @property
     def place(self) -> tuple[float, float, float]:
-        """Of a site whose place nobody gives: in front, half-way along."""
+        """Default position of a site: in front, half-way along the limb."""
         return (0.0, -self.radius, 0.0)
 
 
 @dataclass(frozen=True)
 class Imaging:
-    """Where the geometry comes from: an MRI series, a label map, surfaces, or what was measured outside.
+    """Source of the geometry: an MRI series, a label map, surfaces, or external measurements.
 
-    bone_radius : mm, of a bone that no file shows, as deep as ultrasound sees it; None: a file shows it
-    shape : numbers only
-    skin_scale : one deviation of the scale of a scanned skin, as a share of it
-    fibres : NIfTI of fibre directions of the whole limb; fibre_frame : of its components, "ras" where None
+    bone_radius : mm, of a bone that no file contains, at the depth seen by ultrasound; None: a file contains
+        it
+    shape : for a limb given only by numbers
+    skin_scale : standard deviation of the scale of a scanned skin, as a fraction
+    fibres : NIfTI of fibre directions of the whole limb; fibre_frame : frame of its components, None means
+        "ras"
     """
 
     mri: Path | None = None
@@ -82,7 +84,7 @@ class Imaging:
 
     @property
     def assumed(self) -> str:
-        """What of the geometry nobody has seen, in words for every page; nothing where it was imaged.
+        """Description, for every page, of the geometry that was assumed; empty if it was imaged.
 
         >>> Imaging(skin=Path("scan.stl"), bone_radius=14.0).assumed[:66]
         'geometry assumed, not imaged: the bone is a straight round rod of '
@@ -106,11 +108,13 @@ class Imaging:
 
 @dataclass(frozen=True)
 class Pennation:
-    """The angle of muscle fibres in the plane of an ultrasound image, as B-mode shows it.
+    """The angle of muscle fibres in the plane of a B-mode ultrasound image.
 
-    orientation : of the probe that made the image: "axial", "transverse", or the name of a site there
-    angle_deg : from the image's lateral axis, positive where fibres go deeper as lateral grows
-    deviation_deg : one standard deviation
+    orientation : of the probe that made the image: "axial", "transverse", or the name of a site at the same
+        place
+    angle_deg : from the image's lateral axis, positive if fibres get deeper with increasing lateral
+        coordinate
+    deviation_deg : standard deviation
     """
 
     orientation: str
@@ -120,7 +124,7 @@ class Pennation:
 
 @dataclass(frozen=True)
 class Fibres:
-    """What a case gives for the fibres at a site: a direction (patient LPS, any length), or image angles."""
+    """Fibre input of a site: a direction (patient LPS, any length), or image angles."""
 
     direction: tuple[float, float, float] | None = None
     pennation: tuple[Pennation, ...] = ()
@@ -132,7 +136,7 @@ class Fibres:
 
 @dataclass(frozen=True)
 class Stretch:
-    """Of tissue, along and around the limb (1): a ratio of lengths; None where it is not known."""
+    """Stretch of the tissue along and around the limb: ratios of lengths; None if unknown."""
 
     along: float | None = None
     around: float | None = None
@@ -140,9 +144,10 @@ class Stretch:
 
 @dataclass(frozen=True)
 class StretchState:
-    """One of several ways in which a place was stretched while it was measured.
+    """One of several states of stretch in which a site was measured.
 
-    stretch : lengths over those in a state of the user's choice, the same for all; levels : its levels.csv
+    stretch : lengths relative to a reference state chosen by the user, the same for all; levels : its
+        levels.csv
     """
 
     name: str
@@ -160,7 +165,7 @@ class ModelOptions:
 
 @dataclass(frozen=True)
 class StatedNoise:
-    """One standard deviation each (`layer`: mm, of a thickness); `source` says where they come from."""
+    """Standard deviations of the measurements (`layer`: mm, of a thickness); `source` is their origin."""
 
     force: float = 0.1
     depth: float = 0.3
@@ -170,10 +175,10 @@ class StatedNoise:
     layer: float = 0.2
 
     def of_mean_speed(self, pixels: Array) -> Array:
-        """One deviation of ln of a level's mean speed (n,), by its number of pixels (n,).
+        """Standard deviation of ln of a level's mean speed (n,), given its number of pixels (n,).
 
-        Where that is not given, the pixels' own share is left out beside one common to them all; without
-        such it is that of one pixel: a reading is never exact for want of a count.
+        If the number is unknown, the pixel noise is neglected if there is noise common to all pixels;
+        otherwise that of a single pixel is used, so that a missing count never makes a reading exact.
 
         >>> StatedNoise().of_mean_speed(np.array([100.0, np.nan])).round(4)
         array([0.051, 0.05 ])
@@ -187,19 +192,20 @@ class StatedNoise:
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """A place, a probe orientation and one measurement.
+    """A position, a probe orientation and one measurement.
 
-    position : (3,) mm patient LPS, or None where `marker` (from 1) is given
+    position : (3,) mm patient LPS, or None if `marker` (from 1) is given
     long_axis : "transverse", "axial", or a vector (3,)
     levels, trace, swe_maps : paths of levels.csv, trace.csv, and the folder of SWE maps
-    instruments : tables "load_cell", "b_mode", "swe_images" for `limbcli measure`, with
-        defaults filled in and `path` added (a trace is a load cell's record too); where there are any,
-        levels.csv and the folder of SWE maps may be missing
-    layers : tables "skin" and "fat": `thickness_mm` (or "mri") and the law; what is not given is None
-    skin_bone : mm from skin to bone along the beam at first touch, where it is given by hand
+    instruments : tables "load_cell", "b_mode", "swe_images" for `limbcli measure`, with defaults filled in
+        and `path` added (a trace also counts as a load cell record); if there are any, levels.csv and the
+        folder of SWE maps may be missing
+    layers : tables "skin" and "fat": `thickness_mm` (or "mri") and the law; values not given are None
+    skin_bone : mm from skin to bone along the beam at first touch, if given by hand
     fibres : of the muscle, as far as the case gives them
-    states : where it was measured in several; `levels` is then that of the first, whose shape the images show
-    unloaded : stretches, counted as those of the states, at which the tissue is known to be unloaded
+    states : if it was measured in several; `levels` is then that of the first, whose shape the images show
+    unloaded : stretches, relative to the same reference as the states, at which the tissue is known to be
+        unloaded
     """
 
     name: str

@@ -1,7 +1,6 @@
-"""What may stand in case.toml: every key with its type, default and plausible range.
+"""The schema of case.toml: every key with its type, default and plausible range.
 
-`check_table` walks one table and reports all that is wrong with it; nothing here
-touches a file.
+`check_table` checks one table and reports every problem; nothing here accesses files.
 """
 
 from __future__ import annotations
@@ -15,17 +14,17 @@ from limbcli.errors.problems import Problem, suggestion
 from limbcli.mesh_bounds import MARGIN_MM
 from limbcli.units import FORCE_UNITS_IN_N, LENGTH_UNITS_IN_MM
 
-FILL_IN = "FILL IN"  # what `limbcli new` writes where a value is to be given
-# Bytes: file systems hold names of 255, and more words than the site's stand in the names of results.
+FILL_IN = "FILL IN"  # placeholder that `limbcli new` writes for a value the user must give
+# Longest name of a site, bytes: file systems allow 255, and names of results contain more than the site's.
 _LONGEST_NAME = 100
-FAILED = "-failed"  # how the folder of a run that failed ends, after its site's name
+FAILED = "-failed"  # suffix, after the site's name, of the folder of a failed run
 Check = Callable[[Any], str | None]
 """Returns what is wrong with a value, or None."""
 
 
 @dataclass(frozen=True)
 class Key:
-    """One key: its type in words, how to check it, and whether it must be there."""
+    """One key: a description of its type, its check, and whether it is required."""
 
     kind: str
     check: Check
@@ -56,13 +55,13 @@ def text(value: object) -> str | None:
 
 
 def one_mark(value: object) -> str | None:
-    """What stands between the columns of a table: one character, no quotation mark and no line end."""
+    """A column separator: one character, neither a quotation mark nor a line end."""
     good = isinstance(value, str) and len(value) == 1 and value not in '"\r\n'
     return None if good else f'is {value!r}, not a single character such as ";", "," or "\\t"'
 
 
 def plain_name(value: object) -> str | None:
-    """A name that is also a folder name."""
+    """A name that is also valid as a folder name."""
     wrong = text(value)
     if wrong is None and not all(letter.isalnum() or letter in "-_." for letter in str(value)):
         wrong = f"is {value!r}; use letters, digits, '-', '_' and '.' only"
@@ -114,7 +113,7 @@ def axis(value: object) -> str | None:
 
 
 def direction(value: object) -> str | None:
-    """A vector that has a length.
+    """A vector of non-zero length.
 
     >>> direction([0, 0, 0]), direction([0, 0, 1])
     ('has zero length and therefore no direction', None)
@@ -172,7 +171,7 @@ def lengths(low: float, high: float) -> Check:
 
 
 def frames(value: object) -> str | None:
-    """A frame's number in a file that holds several, from 1, or one for every level."""
+    """The number of a frame in a multi-frame file, from 1, or one for every level."""
     one = whole(1, 100_000)
     if isinstance(value, list) and value:
         return next((wrong for each in value if (wrong := one(each))), None)
@@ -180,7 +179,7 @@ def frames(value: object) -> str | None:
 
 
 def thickness(value: object) -> str | None:
-    """A thickness in mm, or "mri" for what the images show."""
+    """A thickness in mm, or "mri" to take it from the images."""
     return None if value == "mri" else number(0.2, 40.0, "mm")(value)
 
 
@@ -189,12 +188,14 @@ def stretch(value: object) -> str | None:
     return None if value == "unknown" else number(*STRETCHES, "")(value)
 
 
-# The tibia's section in OpenLimb's mean residual limb has the area of a circle of 12 to 19 mm radius, 3 to
-# 9 cm above the end (Sunderland et al. 2024, doi 10.1101/2024.11.27.24317622); in others of that set 9 to 20.
+# Default radius of the bone. The tibia's section in OpenLimb's mean residual limb has the area of a circle of
+# 12 to 19 mm radius, 3 to 9 cm above the end (Sunderland et al. 2024, doi 10.1101/2024.11.27.24317622); in
+# others of that set 9 to 20.
 BONE_RADIUS_MM = 14.0
-# Sarcomeres bear force at 0.6 to 1.7 of their best length (Gordon et al. 1966, J Physiol 184:170).
+# Permitted stretch ratios. Sarcomeres bear force at 0.6 to 1.7 of their optimal length (Gordon et al. 1966, J
+# Physiol 184:170).
 STRETCHES = (0.5, 2.0)
-VOLUME_ENDINGS = (".nii", ".nii.gz", ".nrrd", ".nhdr")  # of an MRI in one file
+VOLUME_ENDINGS = (".nii", ".nii.gz", ".nrrd", ".nhdr")  # suffixes of an MRI volume in one file
 
 SUBJECT = {
     "id": Key("text", plain_name, required=True),

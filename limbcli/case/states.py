@@ -1,4 +1,4 @@
-"""States in case.toml: one place measured with the tissue stretched in several ways."""
+"""States in case.toml: one site measured at several stretches of the tissue."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _UNLOADED = ("unloaded_stretch_along", "unloaded_stretch_around")
 
 
 def site_schema(table: object) -> Mapping[str, schema.Key]:
-    """The keys of a [[site]]: with states, its levels are theirs.
+    """The keys of a [[site]]; with states, `levels` belongs to the states and is not required.
 
     >>> site_schema({"state": []})["levels"].required, site_schema({})["levels"].required
     (False, True)
@@ -30,7 +30,7 @@ def read_states(
 ) -> tuple[tuple[StretchState, ...], Stretch, list[Problem]]:
     """The states of a site, and the stretches at which its tissue is known to be unloaded.
 
-    values : of the site's table, defaults filled in
+    values : of the site's table, with defaults filled in
     """
     file = str(files.folder / "case.toml")
     known = Stretch(*(None if values[key] is None else float(values[key]) for key in _UNLOADED))

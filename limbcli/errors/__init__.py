@@ -1,7 +1,7 @@
-"""One root, few families, each with an exit code of its own.
+"""Exception classes: one root and a few families, each with its own exit code.
 
-A message says what happened, where, and what to do. The numbers behind it are
-kept in `facts`, so that a batch can count them.
+A message states what happened, where, and what to do. The numbers behind it are kept in `facts`, so that a
+batch can tabulate them.
 
 >>> error = MeshError("no skin under the probe", where="site p1", fix="move position_mm", gap_mm=31.0)
 >>> print(error)
@@ -19,14 +19,14 @@ from typing import Any
 
 
 class LimbcliError(Exception):
-    """Whatever limbcli can foresee going wrong.
+    """Any failure that limbcli can foresee.
 
     Parameters
     ----------
-    what : one sentence, with the numbers in it
-    where : file, stage, level, node: as near as it is known
-    fix : what a tired person should do next
-    facts : the numbers, for machines
+    what : one sentence, including the numbers
+    where : file, stage, level, node: as precise as known
+    fix : what the user should do next
+    facts : the numbers, machine-readable
     exit_code : of the command line, by family
     """
 
@@ -41,11 +41,11 @@ class LimbcliError(Exception):
 
     @property
     def message(self) -> str:
-        """What happened, without where and what to do."""
+        """What happened, without `where` and `fix`."""
         return self.what
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """As it travels from one process to another."""
+        """Pickling, to pass the error from one process to another."""
         return _arrived, (type(self), self.what, self.where, self.fix, self.facts)
 
 
@@ -65,7 +65,7 @@ LimbError = LimbcliError  # the name within the package
 
 
 def add_site(error: LimbError, name: str) -> None:
-    """Say that it happened at this site, unless `where` tells it: of several a person must know which.
+    """Add the site to the error's `where`, unless it is already named there.
 
     >>> error = MeshError("286 cells are inverted", where="layers", fix="give thinner layers")
     >>> add_site(error, "p1")
@@ -109,12 +109,12 @@ class SolveError(LimbError):
 
 
 class FitError(LimbError):
-    """The identification did not reach a result that can be stood by."""
+    """The identification did not reach a reliable result."""
 
     exit_code = 7
 
 
 class UnforeseenError(LimbError):
-    """Whatever limbcli cannot foresee: a fault of its own, told with a file to send in."""
+    """A failure that limbcli does not foresee: a bug, reported with a file to send in."""
 
     exit_code = 70

@@ -1,4 +1,4 @@
-"""Errors whose commands can be pasted: the case's own path in place of CASE, no path that is gone."""
+"""Make commands in error messages ready to paste: the case's path for CASE, and no removed paths."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _PASSING = re.compile(
 
 
 def typed(path: Path | str) -> str:
-    """A path as a word of a command: one that begins with a dash is no option.
+    """A path as a shell word; one that begins with a dash cannot be mistaken for an option.
 
     >>> typed(Path("my case")), typed("-left")
     ("'my case'", './-left')
@@ -30,7 +30,7 @@ def typed(path: Path | str) -> str:
 
 
 def command_line(words: Sequence[str]) -> str:
-    """The command that this process was started with, as it can be typed again.
+    """The command that started this process, as it can be typed again.
 
     >>> command_line(["/venv/bin/limbcli", "fit", "my case"])
     "limbcli fit 'my case'"
@@ -44,9 +44,9 @@ def command_line(words: Sequence[str]) -> str:
 
 
 def pasted(error: AnyError, case: Path | None, out: Path | None = None) -> AnyError:
-    """The same error with the case's path in every command, and without paths of folders that were removed.
+    """The same error with the case's path in every command, and without paths of removed folders.
 
-    out : the output folder, where one was named; commands that work in it get `--out`
+    out : the output folder, if one was given; commands that use it get `--out`
 
     >>> error = LimbError("a", where="b", fix="run `limbcli mesh CASE --site p1` first")
     >>> pasted(error, Path("my case"), Path("results")).fix
@@ -88,7 +88,7 @@ def _command(found: re.Match[str], case: Path, out: Path | None) -> str:
 
 
 def _kept(found: re.Match[str]) -> str:
-    """A path in a folder that does not outlive its command: what lies in it, by its name there."""
+    """Replace a path in a temporary folder by its name within that folder."""
     if Path(found[0]).exists():
         return found[0]
     inside = (found[1] or "").strip("/")

@@ -1,4 +1,4 @@
-"""What the file system refuses, in words: a full disk, a folder that is read-only, a file in the way."""
+"""Clear messages for file-system errors: a full disk, a read-only folder, a file in the way."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from pathlib import Path
 
 from limbcli.errors import CaseError, LimbError, ToolError
 
-PARTIAL = ".partial-"  # how the name begins of what is not whole yet
-SCRATCH = "limbcli-scratch-"  # ... and of a temporary folder
+PARTIAL = ".partial-"  # prefix of the names of incomplete files and folders
+SCRATCH = "limbcli-scratch-"  # prefix of the names of temporary folders
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _REFUSED = (errno.EACCES, errno.EPERM, errno.EROFS)
 _IN_THE_WAY = (errno.EEXIST, errno.ENOTDIR, errno.EISDIR)
@@ -24,9 +24,9 @@ NO_MEMORY = ToolError(
 
 
 def in_words(error: OSError, place: Path | None = None) -> LimbError | None:
-    """The error that a person reads; None for a fault that says nothing by itself, such as a missing file.
+    """A user-readable error; None for an error that is not self-explanatory, such as a missing file.
 
-    place : what was being written, where the error does not say it
+    place : what was being written, if the error does not say so
 
     >>> print(in_words(OSError(errno.ENOSPC, "No space left on device"), Path("out/mesh")))
     the disk is full (No space left on device)
@@ -70,7 +70,7 @@ def in_words(error: OSError, place: Path | None = None) -> LimbError | None:
 
 
 def not_in_utf8(path: Path) -> CaseError | None:
-    """The error of a path that cannot be written into results and pages; None for any other.
+    """The error for a path that cannot be written into results and pages; None for any other path.
 
     >>> print(not_in_utf8(Path("caf\\udce9")))
     the path is not UTF-8 text, so results and pages cannot name it
@@ -90,18 +90,18 @@ def not_in_utf8(path: Path) -> CaseError | None:
 
 
 def in_utf8(text: str) -> str:
-    """The text with backslashes for what UTF-8 has no bytes for, as the names of some files hold it."""
+    """The text with backslash escapes for what UTF-8 cannot encode, as in some file names."""
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 @contextlib.contextmanager
 def file_system_errors(place: Path) -> Iterator[None]:
-    """Faults of the file system inside the block become errors with a way out.
+    """Turn file-system errors inside the block into errors with a fix.
 
     Raises
     ------
     ToolError, CaseError
-        As `in_words` says; any other fault as it is.
+        As given by `in_words`; any other error is raised unchanged.
     """
     try:
         yield

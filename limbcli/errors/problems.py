@@ -1,4 +1,4 @@
-"""Several problems at once: what a check finds, each with its place and its fix."""
+"""Several problems at once: the findings of a check, each with its location and fix."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Literal, TypeVar
 
 from limbcli.errors import LimbError
 
-# Units that our names end in, as people write them; those within others last.
+# Unit suffixes of our names, and as people write them; a suffix contained in another comes later.
 _UNITS = {
     "_mpa_per_mm": "MPa/mm", "_kg_per_m3": "kg/m^3", "_m_per_s": "m/s", "_mpa": "MPa", "_kpa": "kPa",
     "_deg": "degrees", "_mm2": "mm^2", "_mm": "mm", "_n": "N", "_s": "s", "_g": "g",
@@ -26,7 +26,7 @@ Checked = TypeVar("Checked")
 
 @dataclass(frozen=True)
 class Problem:
-    """One finding. An "error" stops the work; a "warning" goes with the result."""
+    """One finding. An "error" stops the work; a "warning" is passed on with the result."""
 
     what: str
     where: str
@@ -50,7 +50,7 @@ def raise_errors(
 ) -> None:
     """Raise one error that carries every problem of severity "error", if there is any.
 
-    then : what to do when several are corrected
+    then : what to do after several problems have been corrected
 
     >>> raise_errors([Problem("a", "b", "c", severity="warning")], LimbError)
     """
@@ -71,7 +71,7 @@ def raise_errors(
 
 
 def checked(value: Checked | None, problems: Iterable[Problem], family: type[AnyError]) -> Checked:
-    """What a check found good; raises as `raise_errors` does.
+    """The value of a check without errors; otherwise raises as `raise_errors` does.
 
     >>> checked(3, [Problem("a", "b", "c", severity="warning")], LimbError)
     3
@@ -82,7 +82,7 @@ def checked(value: Checked | None, problems: Iterable[Problem], family: type[Any
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """The nearest known name, as a piece of a sentence.
+    """The most similar known name, as part of a sentence.
 
     >>> suggestion("lenght_mm", ["length_mm", "width_mm"])
     "did you mean 'length_mm'?"
@@ -99,7 +99,7 @@ def suggestion(name: str, known: Iterable[str]) -> str:
 
 
 def _other_unit(name: str, near: str) -> str:
-    """What to add where two names are those of one thing in two units; nothing elsewhere."""
+    """Addition to the message if two names mean the same quantity in two units; otherwise empty."""
     for suffix, unit in _UNITS.items():
         stem = near.removesuffix(suffix)
         rest = name.removeprefix(f"{stem}_")

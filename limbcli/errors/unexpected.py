@@ -1,4 +1,4 @@
-"""What nobody foresaw: the error that a person reads, and the whole story in a file to send in."""
+"""Unforeseen failures: a short error for the user, and a full report in a file to send in."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from limbcli.version import __version__
 
 
 def unforeseen(error: BaseException, folder: Path | None) -> UnforeseenError:
-    """The message, after the whole story was left in `folder`, else in the temporary folder."""
+    """The error for the user; the full report is written to `folder`, or else to the temporary folder."""
     kind = type(error).__name__
     fix = "send that file to the maintainers of limbcli; it contains paths and the command, but no images"
     try:
@@ -38,7 +38,7 @@ def _story(error: BaseException) -> str:
 
 
 def _left(story: str, folder: Path | None) -> Path:
-    """Where the story lies."""
+    """Write the report and return its path."""
     name = time.strftime("limbcli-error-%Y%m%d-%H%M%S.txt", time.gmtime())
     for place in [each for each in (folder, Path(tempfile.gettempdir())) if each is not None]:
         try:

@@ -1,4 +1,4 @@
-"""Which bone is which, by size and place."""
+"""Identify bones by size and position."""
 
 from __future__ import annotations
 
@@ -10,12 +10,16 @@ from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 
 _CLEARLY_LARGER = 1.5
-_BESIDE = 0.5  # share of the shorter bone's height over which two bones run side by side
-_JOINT = 0.35  # overlap of heights up to this (of the shorter) is that of bones above each other
+# two bones are side by side if they overlap over more than this fraction of the shorter one's height
+_BESIDE = 0.5
+# two bones are above each other if they overlap over less than this fraction of the shorter one's height
+_JOINT = 0.35
 
 
 def name_bones(bones: tuple[Volume, ...]) -> tuple[str, ...]:
-    """tibia, fibula, femur, patella by size and place; else numbers (see `names_by_size_and_place`).
+    """Name bones tibia, fibula, femur, patella by size and position, else by number.
+
+    See `names_by_size_and_place`.
 
     bones : Volumes of bool, largest first, k along the limb towards proximal
     """
@@ -29,15 +33,15 @@ def name_bones(bones: tuple[Volume, ...]) -> tuple[str, ...]:
 def names_by_size_and_place(
     sizes: Array, spans: Sequence[tuple[float, float]], in_front: Callable[[int, int], bool]
 ) -> tuple[str, ...]:
-    """tibia, fibula, femur, patella where size and place determine them; else numbers.
+    """Names tibia, fibula, femur, patella if size and position determine them; otherwise numbers.
 
-    Side by side along the limb are tibia (the larger) and fibula; a large bone above
-    them (towards proximal) is the femur, a small one in front of the joint the patella. A
-    bone alone, or a set that fits none of this, is numbered.
+    Side by side along the limb are the tibia (the larger) and the fibula; a large bone above them (towards
+    proximal) is the femur, a small one in front of the joint the patella. A single bone, or a set that fits
+    none of this, is numbered.
 
     sizes : (n,) volumes in any unit, largest first
-    spans : n heights along the limb, from distal to proximal, in any unit
-    in_front : whether the bone of the first number lies anterior of that of the second
+    spans : n height ranges along the limb, from distal to proximal, in any unit
+    in_front : whether the bone of the first number lies anterior to that of the second
     """
     numbers = tuple(f"{n + 1}" for n in range(len(sizes)))
     if len(sizes) < 2:
@@ -65,13 +69,13 @@ def _span(bone: Volume) -> tuple[int, int]:
 
 
 def _overlap(a: tuple[float, float], b: tuple[float, float]) -> float:
-    """Common height over the shorter's."""
+    """Common height range as a fraction of the shorter one."""
     common = min(a[1], b[1]) - max(a[0], b[0])
     return max(common, 0) / min(a[1] - a[0], b[1] - b[0])
 
 
 def _shank_and_thigh(sizes: Array, spans: Sequence[tuple[float, float]]) -> tuple[list[int], int | None]:
-    """(tibia, fibula) and femur among the bones, by number; fewer where they are not in view."""
+    """Numbers of tibia and fibula, and of the femur; fewer if they are not in view."""
     large = [n for n in range(len(sizes)) if sizes[n] > 0.25 * sizes[0]]
     femur = None
     tibia = large[0]
@@ -92,7 +96,7 @@ def _shank_and_thigh(sizes: Array, spans: Sequence[tuple[float, float]]) -> tupl
 
 
 def _in_front(bone: Volume, femur: Volume) -> bool:
-    """Whether a bone lies anterior (patient LPS: smaller y) of another's middle at its height."""
+    """Whether a bone lies anterior (patient LPS: smaller y) to the centre of another at the same height."""
     centre = _centre(bone, bone.values)
     low, high = _span(bone)
     same_height = femur.values.copy()

@@ -1,4 +1,4 @@
-"""Cortex: the dark shell around marrow, up to where the signal rises again."""
+"""Cortical bone: the dark shell around marrow, up to where the signal rises again."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from limbcli.imaging.intensity import TissueIntensities
 from limbcli.imaging.signed_distance import box_around, closed, evened, opened
 from limbcli.model import Array
 
-_THICKEST = 14.0  # mm, the tibial crest
-_LINE = 1.3  # mm: dark lines (fascia, membranes) thinner than twice this are no bone
+_THICKEST = 14.0  # largest thickness of cortex, mm (the tibial crest)
+_LINE = 1.3  # mm: dark lines (fascia, membranes) thinner than twice this are not bone
 _NOTCH = 2.0  # mm: notches narrower than twice this are filled
-_CAP = 8.0  # mm: cortex beyond the last slice with marrow
-_EDGE = (0.8, 1.2)  # bounds of the tissue level beside the bone, muscle = 1
-_NEARBY = 1.5  # mm
-_THIN = 2.5  # mm: a dip further from the marrow is no cortex
-_WALL = 0.75  # of muscle: where nothing is darker there is no wall
+_CAP = 8.0  # mm: largest extent of cortex beyond the last slice with marrow
+_EDGE = (0.8, 1.2)  # bounds of the tissue signal next to the bone, muscle = 1
+_NEARBY = 1.5  # mm: radius within which the tissue signal next to the bone is taken
+_THIN = 2.5  # mm: a local minimum of the signal farther from the marrow is not cortex
+_WALL = 0.75  # signal, muscle = 1: without any darker value there is no cortical wall
 
 
 def with_cortex(
     marrow: NDArray[np.bool_], intensities: TissueIntensities, limb: NDArray[np.bool_], spacing: Array
 ) -> NDArray[np.bool_]:
-    """A whole bone: marrow, the dark cortex round it, and the caps at its ends.
+    """A whole bone: marrow, the dark cortex around it, and the caps at its ends.
 
-    The outer edge lies where the signal reaches half of the tissue's beside it. Dark
-    lines that run off (fascia, interosseous membrane, tendons) are cut by an opening.
+    The outer edge lies where the signal reaches half that of the adjacent tissue. Dark lines that branch off
+    (fascia, interosseous membrane, tendons) are removed by a morphological opening.
     """
     in_plane = spacing[:2]
     values = ndimage.gaussian_filter(intensities.values, [0.25 / spacing[0], 0.25 / spacing[1], 0])
@@ -45,8 +45,10 @@ def with_cortex(
 def _dark(
     values: NDArray[np.float32], limb: NDArray[np.bool_], spacing: Array
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """(darker than half of the tissue nearby, within a dip): the second also sees a wall thinner
-    than a voxel, whose edge is half way up from its own darkest value.
+    """Masks of voxels darker than half the nearby tissue, and of voxels in a local minimum.
+
+    The second also detects a wall thinner than a voxel, whose edge is half way between its own minimum and
+    the tissue.
     """
     reach = [max(1, round(_NEARBY / each)) for each in spacing[:2]]
     x, y = np.mgrid[-reach[0] : reach[0] + 1, -reach[1] : reach[1] + 1]
@@ -81,7 +83,7 @@ def _shell(
 def _add_caps(
     bone: NDArray[np.bool_], dark: NDArray[np.bool_], ends: tuple[int, int], spacing: Array
 ) -> None:
-    """Solid cortex beyond the last marrow: a dark disc over the bone's last section."""
+    """Add solid cortex beyond the last slice with marrow: a dark disc over the bone's last section."""
     n_most = int(np.ceil(_CAP / spacing[2]))
     for k_end, direction in ((ends[0], -1), (ends[1], 1)):
         before = bone[:, :, k_end]

@@ -1,4 +1,4 @@
-"""Segmentation of a limb on CT: everything follows from Hounsfield units."""
+"""Segmentation of a limb on CT by Hounsfield units."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from limbcli.errors import CaseError
 from limbcli.imaging.signed_distance import closed, evened, filled_by_slice, largest, opened
 from limbcli.imaging.volume import Volume
 
-_AIR = -350.0  # HU: half way from air to fat and skin
-_BONE = 180.0  # HU: cortex and most of the trabeculae are above
+_AIR = -350.0  # HU; threshold half way between air and fat or skin
+_BONE = 180.0  # HU; cortex and most of the trabecular bone lie above
 _FAT = (-190.0, -30.0)  # HU
 _SHELL = 2.0  # mm: gaps in the cortex up to twice this are closed
 _LEAST_BONE = 1000.0  # mm^3
-_TABLE = 6.0  # mm: thinner things beside the limb (table, mould) are cut off
+_TABLE = 6.0  # mm: thinner objects next to the limb (table, mould) are removed
 
 
 def limb_on_ct(volume: Volume, *, threshold: float | None = None) -> NDArray[np.bool_]:
-    """The limb: above -350 HU (or `threshold`), the largest part, filled; thin supports cut off.
+    """The limb: the largest component above -350 HU (or `threshold`), filled, without thin supports.
 
     Raises
     ------
     CaseError
-        If the values are no Hounsfield units (air is not near -1000).
+        If the values are not Hounsfield units (air is not near -1000).
     """
     lowest = float(np.percentile(volume.values, 1))
     if lowest > -500.0:

@@ -1,7 +1,6 @@
-"""DICOM series to `Volume`: slices in order of position, in the patient's frame.
+"""Read a DICOM series as a `Volume`: slices in order of position, in the patient frame.
 
-Only geometry, signal and a few technical facts leave this module; nothing that
-could identify the patient.
+Only geometry, signal and a few technical facts leave this module; nothing that could identify the patient.
 """
 
 from __future__ import annotations
@@ -36,19 +35,20 @@ from limbcli.progress import SILENT, Progress
 
 _PIXELS = ("PixelData", *FLOAT_PIXELS)
 _PARALLEL = 1e-3  # largest change of a direction cosine between slices of one series
-_OWN_UIDS = 0.4  # more series UIDs than this share of the images: they are uninformative
-_DOUBLED = 0.05  # slices nearer than this share of the spacing are the same place
-PIXEL_MM, STEP_MM = (0.05, 8.0), (0.05, 30.0)  # mm: what pixels and slices of a limb's image can be
-_MISSING = 1.5  # a gap wider than this many spacings lacks a slice
+_OWN_UIDS = 0.4  # with more distinct series UIDs than this fraction of the images, the UIDs are uninformative
+_DOUBLED = 0.05  # slices closer than this fraction of the slice spacing are duplicates
+# plausible pixel size and slice spacing of an image of a limb, mm
+PIXEL_MM, STEP_MM = (0.05, 8.0), (0.05, 30.0)
+_MISSING = 1.5  # a gap wider than this multiple of the slice spacing lacks a slice
 
 
 @dataclass(frozen=True, eq=False)
 class Series:
     """One image series.
 
-    volume : signal after rescale slope and intercept, with its place in the patient
+    volume : signal after rescale slope and intercept, with its position in the patient frame
     facts : technical facts without identity (modality, spacing_mm, n_slices, ...)
-    notes : what was repaired on the way in, one sentence each
+    notes : repairs made on reading, one sentence each
     """
 
     volume: Volume
@@ -57,11 +57,11 @@ class Series:
 
 
 def read_series(folder: Path, *, progress: Progress = SILENT) -> Series:
-    """Read the one DICOM series of a folder.
+    """Read the only DICOM series in a folder.
 
     Parameters
     ----------
-    folder : searched with its subfolders; other files (licence, DICOMDIR) are passed over
+    folder : searched recursively; other files (licence, DICOMDIR) are ignored
 
     Returns
     -------
@@ -70,8 +70,8 @@ def read_series(folder: Path, *, progress: Progress = SILENT) -> Series:
     Raises
     ------
     CaseError
-        No DICOM at all, no pixel data, two series, slices missing, doubled, not
-        parallel or of different size; the message names the tag and the way out.
+        No DICOM files, no pixel data, two series; slices missing, duplicate, not parallel or of different
+        size; the message names the tag and the fix.
     """
     datasets = _images(folder, progress)
     try:
@@ -142,9 +142,10 @@ def _images(folder: Path, progress: Progress) -> list[tuple[str, Dataset]]:
 
 
 def _read(path: Path, number: int) -> Dataset | None:
-    """A dataset, or None where the file is no DICOM. Files without the DICM preamble count too.
+    """A dataset, or None if the file is not DICOM. Files without the DICM preamble are also accepted.
 
-    One with the preamble that cannot be read is an error: left out, it might not be missed.
+    A file with the preamble that cannot be read is an error: if it were skipped, its absence might go
+    unnoticed.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -169,7 +170,7 @@ def _slices(dataset: Dataset, name: str) -> list[Slice]:
 
 
 def _one_series(datasets: list[tuple[str, Dataset]], folder: Path) -> tuple[str, ...]:
-    """Refuse a folder with several series; returns a note where the series UIDs are unusable."""
+    """Refuse a folder with several series; return a note if the series UIDs are uninformative."""
     uids = Counter(str(dataset.get("SeriesInstanceUID", "")) for _, dataset in datasets)
     if len(uids) == 1:
         return ()
@@ -196,7 +197,7 @@ def _one_series(datasets: list[tuple[str, Dataset]], folder: Path) -> tuple[str,
 
 
 def _kind(dataset: Dataset) -> tuple[str, ...]:
-    """What images of one series share, whatever their UIDs say."""
+    """Properties that images of one series share, regardless of their UIDs."""
     names = (
         "SeriesNumber",
         "Modality",
@@ -251,7 +252,7 @@ def _common_normal(slices: list[Slice], folder: Path) -> Array:
 
 
 def _slice_step(slices: list[Slice], heights: Array, folder: Path) -> float:
-    """The usual distance between slices; doubled and missing ones are errors."""
+    """The usual slice spacing; duplicate and missing slices are errors."""
     gaps = np.diff(heights)
     step = float(np.median(gaps))
     if step <= 0 or (gaps < _DOUBLED * max(step, 1e-6)).any():
@@ -277,7 +278,7 @@ def _slice_step(slices: list[Slice], heights: Array, folder: Path) -> float:
 
 
 def _plausible(first: Slice, step: float, folder: Path) -> None:
-    """Pixels and slices of a limb's image; others come from a wrong unit or tag."""
+    """Check that pixel size and slice spacing suit a limb; other values come from a wrong unit or tag."""
     for what, tag, value, (low, high) in (
         ("Pixel Spacing", "0028,0030", max(first.pixel_spacing), PIXEL_MM),
         ("the distance of slices by Image Position", "0020,0032", step, STEP_MM),
@@ -291,7 +292,10 @@ def _plausible(first: Slice, step: float, folder: Path) -> None:
 
 
 def _facts(dataset: Dataset, volume: Volume) -> dict[str, Any]:
-    """Technical facts only. Free-text tags (descriptions, institution) may identify and stay behind."""
+    """Technical facts only.
+
+    Free-text tags (descriptions, institution) may identify the patient and are omitted.
+    """
     return {
         "modality": str(dataset.get("Modality", "")),
         "n_slices": volume.shape[2],

@@ -1,4 +1,7 @@
-"""Slices of one patient in one frame of reference: another's may fit in place and size all the same."""
+"""Check that slices are of one patient and frame of reference.
+
+Slices of another patient may fit in position and size.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,9 @@ from pydicom.dataset import Dataset
 
 from limbcli.errors import CaseError
 
-_OWN = 0.4  # more values than this share of the images: they are uninformative
+_OWN = 0.4  # with more distinct values than this fraction of the images, a tag is uninformative
 _SHOWN = 4
-_WORD = 3  # letters: shorter parts of a patient's name or number are no clue in a file's name
+_WORD = 3  # letters: shorter parts of a patient's name or id are not searched for in a file name
 _TAGS = (
     ("PatientID", "Patient ID (0010,0020)", "patient"),
     ("FrameOfReferenceUID", "Frame of Reference UID (0020,0052)", "frame of reference"),
@@ -20,7 +23,7 @@ _TAGS = (
 
 
 def public_name(path: Path, dataset: Dataset, number: int) -> str:
-    """The file's name for messages, unless it identifies the patient."""
+    """The file name to show in messages, unless it identifies the patient."""
     private = f"{dataset.get('PatientName', '')} {dataset.get('PatientID', '')}".lower()
     words = [each for each in re.split(r"[^\w]+|_", private) if len(each) >= _WORD]
     reported = any(each in path.name.lower() for each in words)
@@ -28,14 +31,14 @@ def public_name(path: Path, dataset: Dataset, number: int) -> str:
 
 
 def one_body(datasets: list[tuple[str, Dataset]], folder: Path) -> tuple[str, ...]:
-    """Notes on tags that are uninformative.
+    """Notes on uninformative tags.
 
-    datasets : (name fit for messages, header) of every image; no value of a tag is ever shown
+    datasets : (name to show in messages, header) of every image; no value of a tag is ever shown
 
     Raises
     ------
     CaseError
-        If some images are of another patient, or of another frame of reference, than the most.
+        If some images are of another patient, or another frame of reference, than the majority.
     """
     notes = []
     for keyword, tag, noun in _TAGS:

@@ -17,27 +17,29 @@ from limbcli.imaging.frames import DICOM_DAMAGED
 from limbcli.imaging.volume import MOST_VOXELS
 from limbcli.model import Array
 
-_SAME_SLICE, _UNEVEN = 0.1, 0.1  # of the distance between slices
-_BESIDE = 0.5  # pixels that a slice may lie beside the line from the first to the last
+# fractions of the slice spacing: frames closer than the first are one slice; the second is the tolerance of
+# uneven spacing
+_SAME_SLICE, _UNEVEN = 0.1, 0.1
+_BESIDE = 0.5  # pixels: largest offset of a slice from the line between the first and the last
 _PARALLEL = 1e-3  # largest change of a direction cosine between frames
 _FIX = "export it again as DICOM SEG from 3D Slicer, or as NIfTI"
 
 
 @dataclass(frozen=True, eq=False)
 class NamedMasks:
-    """(name, mask [i, j, k]) of each segment on one grid; affine voxel to patient LPS."""
+    """Name and mask [i, j, k] of each segment on one grid; affine from voxel to patient LPS."""
 
     named: list[tuple[str, NDArray[np.bool_]]]
     affine: Array
 
 
 def read_dicom_seg(path: Path) -> NamedMasks:
-    """Segments of a DICOM SEG file.
+    """Read the segments of a DICOM SEG file.
 
     Raises
     ------
     CaseError
-        If the file is no segmentation or lacks its geometry.
+        If the file is not a segmentation or lacks its geometry.
     """
     try:
         with warnings.catch_warnings():
@@ -60,9 +62,10 @@ def read_dicom_seg(path: Path) -> NamedMasks:
 
 
 def _slice_step(heights: Array, stated: float) -> float:
-    """mm between slices: the smallest distance between heights that are not one slice's.
+    """Slice spacing (mm): the smallest distance between the heights of different slices.
 
-    Frames of one slice may differ by rounding: what is nearer than a tenth of the stated distance is one.
+    Heights of frames of one slice may differ by rounding: those closer than a tenth of the stated spacing are
+    one.
 
     >>> round(_slice_step(np.array([0.0, 0.0002, 2.0, 6.0]), 2.0), 3)
     2.0
@@ -125,9 +128,10 @@ def _masks(dataset: Dataset, path: Path) -> NamedMasks:
 
 
 def _from_slice_to_slice(positions: Array, index: Array, upright: Array) -> Array:
-    """mm (3,) from one slice's first pixel to the next one's: a gantry's tilt lets the slices slide along.
+    """Vector (3,), mm, from one slice's first pixel to the next one's; with gantry tilt it is oblique.
 
-    positions : (n, 3) of the frames; index : (n,) of their slices; upright : (3,) where all are of one slice
+    positions : (n, 3) of the frames; index : (n,) of their slices; upright : (3,) used if all are of one
+        slice
     """
     away = index - index.mean()
     if not away.any():
@@ -136,5 +140,5 @@ def _from_slice_to_slice(positions: Array, index: Array, upright: Array) -> Arra
 
 
 def _group(frame: Dataset, shared: Dataset, name: str) -> Dataset:
-    """A functional group's item, from the frame or from those shared by all."""
+    """A functional group's item, from the frame or from the shared groups."""
     return (frame if name in frame else shared)[name][0]

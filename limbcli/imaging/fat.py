@@ -1,4 +1,4 @@
-"""Fat, distinguished from muscle by its signal."""
+"""Segment fat, distinguished from muscle by its signal."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from scipy import ndimage
 from limbcli.imaging.intensity import TissueIntensities
 from limbcli.imaging.volume import Volume
 
-_LEAST_CONTRAST = 1.5  # fat over muscle
-_DEEP = 12.0  # mm under the skin there is muscle, ...
-_DEEP_IS_MUSCLE = 0.35  # ... so the signal there must be muscle's within this
-_LEAST_PART = 100.0  # mm^3: smaller specks of fat belong to the muscle
+_LEAST_CONTRAST = 1.5  # smallest ratio of the signal of fat to that of muscle
+_DEEP = 12.0  # mm: deeper than this below the skin there is mostly muscle, ...
+_DEEP_IS_MUSCLE = 0.35  # ... so the median signal there must equal that of muscle within this
+_LEAST_PART = 100.0  # mm^3: smaller specks of fat are counted as muscle
 
 
 def fat_of(
     intensities: TissueIntensities, limb: NDArray[np.bool_], bone: NDArray[np.bool_], volume: Volume
 ) -> NDArray[np.bool_] | None:
-    """Voxels of fat: nearer to fat's level than to muscle's, outside bone.
+    """Voxels of fat: signal closer to that of fat than to that of muscle, outside bone.
 
-    None where fat and muscle cannot be told apart (contrast below 1.5, or within noise).
+    None if fat and muscle cannot be distinguished (contrast below 1.5, or within noise).
     """
     if intensities.fat < _LEAST_CONTRAST or intensities.fat - 1.0 < 4.0 * intensities.noise:
         return None

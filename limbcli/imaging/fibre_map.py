@@ -1,10 +1,10 @@
-"""Fibre directions of a whole limb, from diffusion MRI: a NIfTI of three components, read as axes.
+"""Fibre directions of a whole limb from diffusion MRI: a NIfTI with three components, treated as axes.
 
-The principal direction of a diffusion tensor has no sign, so neighbouring voxels may point opposite ways.
-Between voxels the dyads v v' are interpolated, and the direction is the mean dyad's principal axis; its
-eigenvalues show how far the neighbours agree.
-Components are along the patient's axes (RAS as NIfTI has them, or LPS), or along the voxels' axes as
-FSL's dtifit writes them.
+The principal direction of a diffusion tensor has no sign, so adjacent voxels may have opposite vectors. The
+dyads v v' are therefore interpolated, and the direction is the principal axis of the mean dyad; its
+eigenvalues show the agreement of the neighbours. Components are along the patient axes (RAS as in NIfTI, or
+LPS), or along the voxel axes as written by FSL's dtifit.
+
 Source: Basser & Pajevic 2000, Magn Reson Med 44:41 (the mean dyadic tensor); FSL FDT user guide (vector
 orientation convention).
 """
@@ -27,7 +27,7 @@ from limbcli.imaging.nifti import one_geometry
 from limbcli.imaging.volume import DAMAGED, MOST_VOXELS, RAS_FROM_LPS, Volume
 from limbcli.model import Array
 
-REACH = 6.0  # mm beyond the map's directions within which the nearest one is taken
+REACH = 6.0  # mm: outside the map's directions, the nearest one within this distance is used
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
 _TEMPLATES = {3: "Talairach space", 4: "MNI space", 5: "a template's space"}
 _NO_LENGTH = 1e-6
@@ -38,7 +38,7 @@ _SAVE = "save the principal diffusion direction (V1) as NIfTI (.nii.gz)"
 class FibreMap:
     """dyads (n_i, n_j, n_k, 6): xx yy zz xy yz xz of v v' in patient LPS, 0 where there is no direction.
 
-    grid : where the voxels lie; its values show where there is a direction
+    grid : positions of the voxels; its values mark where there is a direction
     """
 
     dyads: Array
@@ -66,7 +66,7 @@ class FibreMap:
         return FibreSample(np.where(known[:, None], vectors[:, :, 2], np.nan), agreement, covered, near)
 
     def _nearest(self, index: Array) -> tuple[Array, Array]:
-        """Matrices (n, 3, 3) of the nearest voxels with a direction, and how far they are (n,), mm."""
+        """Dyads (n, 3, 3) of the nearest voxels with a direction, and their distances (n,), mm."""
         _, places = distance_transform_edt(
             self.grid.values == 0, sampling=self.grid.spacing, return_indices=True
         )
@@ -79,10 +79,10 @@ class FibreMap:
 
 @dataclass(frozen=True, eq=False)
 class FibreSample:
-    """axes (n, 3), unit, patient LPS, NaN where the map has no data.
+    """axes (n, 3): unit vectors, patient LPS, NaN where the map has no data.
 
-    agreement (n,) : 1 where all neighbours point along the axis, 0 where they point anyhow
-    covered, near (n,) : within the map's directions; taken from the nearest one, up to `REACH` mm away
+    agreement (n,) : 1 if all neighbours are parallel to the axis, 0 if they are isotropic
+    covered, near (n,) : inside the map's directions; taken from the nearest one, up to `REACH` mm away
     """
 
     axes: Array
@@ -92,16 +92,16 @@ class FibreSample:
 
 
 def read_fibre_map(path: Path, *, frame: str = "ras") -> FibreMap:
-    """Read a NIfTI of directions (n_i, n_j, n_k, 3), of any lengths; 0 means that there is none.
+    """Read a NIfTI of directions (n_i, n_j, n_k, 3) of any length; a zero vector means no direction.
 
-    frame : of the components: "ras", "lps", or "fsl" (the voxels' axes, the first turned round where the
-        image's determinant is positive)
+    frame : of the components: "ras", "lps", or "fsl" (the voxel axes, the first reversed if the image's
+        determinant is positive)
 
     Raises
     ------
     CaseError
-        If the file cannot be read, has another number of components, does not say where it lies, lies in a
-        template's space, or holds no direction.
+        If the file cannot be read, has another number of components, lacks its position, lies in a template's
+        space, or contains no direction.
     """
     try:
         image = nib.load(path)
@@ -159,19 +159,20 @@ def _check_place(image: nib.Nifti1Image, path: Path) -> None:
 
 
 def _to_lps(frame: str, affine: Array) -> Array:
-    """(3, 3): components as stored to patient LPS; affine : voxel index to LPS."""
+    """Matrix (3, 3) from the stored components to patient LPS; affine : voxel index to LPS."""
     if frame == "lps":
         return np.eye(3)
     if frame == "ras":
         return np.asarray(RAS_FROM_LPS[:3, :3])
     axes = affine[:3, :3] / np.linalg.norm(affine[:3, :3], axis=0)
-    if np.linalg.det(axes) > 0:  # of LPS as of RAS: two axes are turned
+    # the determinant is the same in LPS and RAS, which differ by two reversed axes
+    if np.linalg.det(axes) > 0:
         axes = axes * np.array([-1.0, 1.0, 1.0])
     return np.asarray(axes)
 
 
 def _matrices(six: Array) -> Array:
-    """(n, 3, 3) symmetric, from (n, 6)."""
+    """Symmetric matrices (n, 3, 3) from their six components (n, 6)."""
     full = np.empty((len(six), 3, 3))
     for k, (a, b) in enumerate(_PAIRS):
         full[:, a, b] = full[:, b, a] = six[:, k]

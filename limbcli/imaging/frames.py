@@ -1,4 +1,4 @@
-"""One image plane after the other out of DICOM files, single-frame, multi-frame or enhanced."""
+"""Extract image planes from DICOM files: single-frame, multi-frame or enhanced."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _USABLE = ("MR", "CT", "OT", "")
 
 @dataclass(frozen=True, eq=False)
 class Slice:
-    """One image plane: pixels (rows, columns), its first pixel's centre and directions."""
+    """One image plane: pixels (rows, columns), the centre of its first pixel, and its directions."""
 
     name: str
     pixels: NDArray[np.float32]
@@ -41,13 +41,12 @@ class Slice:
 
 
 def slices_of(dataset: Dataset, name: str) -> list[Slice]:
-    """Every plane of one file; `name` is the file's, for messages.
+    """Every image plane of one file; `name` is the file's, for messages.
 
     Raises
     ------
     CaseError
-        Missing geometry, pixels that cannot be decoded, colour, another modality; the
-        message names the tag.
+        Missing geometry, pixels that cannot be decoded, colour, another modality; the message names the tag.
     """
     _require_grey(dataset, name)
     pixels = _decoded(dataset, name)
@@ -89,7 +88,7 @@ def _enhanced(dataset: Dataset, pixels: NDArray, name: str) -> list[Slice]:
 
 
 def _group(dataset: Dataset, frame: Dataset, name: str) -> Dataset:
-    """A functional group's item: the frame's own, else the one shared by all, else nothing."""
+    """A functional group's item: the frame's own, else the shared one, else empty."""
     for holder in (frame, *dataset.get("SharedFunctionalGroupsSequence", [])):
         if name in holder and len(holder[name].value):
             return holder[name][0]
@@ -125,7 +124,7 @@ def _plane(
 
 
 def _numbers(dataset: Dataset, keyword: str, count: int, name: str) -> Array:
-    """A tag's numbers; a missing or broken tag is an error that names it."""
+    """A tag's numbers; a missing or invalid tag is an error that names it."""
     tag = pydicom.datadict.tag_for_keyword(keyword) or 0
     label = f"{pydicom.datadict.dictionary_description(keyword)} ({tag >> 16:04X},{tag & 0xFFFF:04X})"
     try:
@@ -172,15 +171,16 @@ def _decoded(dataset: Dataset, name: str) -> NDArray:
 
 
 def _from_high_bit(dataset: Dataset) -> NDArray:
-    """Stored values, also where High Bit (0028,0102) says that they lie above the lowest bits of their words.
+    """Stored values, taking account of a High Bit (0028,0102) above the lowest bits of the words.
 
-    Words whose lower bits are not all empty hold values that lie lowest, whatever High Bit says.
+    If the lower bits of the words are not all zero, the values occupy the lowest bits, whatever High Bit
+    says.
     """
     stored, high = dataset.get("BitsStored", 0), dataset.get("HighBit", 0)
     above = high + 1 - stored
     if not 0 < above <= dataset.BitsAllocated - stored or dataset.file_meta.TransferSyntaxUID.is_compressed:
         return np.asarray(dataset.pixel_array)
-    dataset.BitsStored = dataset.BitsAllocated  # pydicom cuts off what lies above the lowest bits
+    dataset.BitsStored = dataset.BitsAllocated  # pydicom discards bits above the lowest BitsStored
     words = np.array(dataset.pixel_array)
     dataset.BitsStored = stored
     if (words & (2**above - 1)).any():
@@ -189,7 +189,7 @@ def _from_high_bit(dataset: Dataset) -> NDArray:
 
 
 def should_be_image(dataset: Dataset) -> bool:
-    """Whether a file without pixels is an image cut short, by its kind; reports and the like have none."""
+    """Whether a file without pixels is a truncated image, by its type; reports and the like have none."""
     meta = getattr(dataset, "file_meta", {})
     try:
         kind = meta.get("MediaStorageSOPClassUID") or dataset.get("SOPClassUID") or ""
@@ -200,7 +200,7 @@ def should_be_image(dataset: Dataset) -> bool:
 
 
 def damaged(where: str, error: BaseException) -> CaseError:
-    """The error of a DICOM file that breaks off or contradicts itself; its values are not shown."""
+    """The error for a DICOM file that is truncated or inconsistent; its values are not shown."""
     return CaseError(
         f"the DICOM file is damaged ({type(error).__name__})",
         where=where,
@@ -209,7 +209,7 @@ def damaged(where: str, error: BaseException) -> CaseError:
 
 
 def _complete(dataset: Dataset, name: str) -> None:
-    """Tags that say how pixels are stored: the harmless ones filled in, the others must be there."""
+    """Check the tags of the pixel format: defaults are filled in where safe, the others are required."""
     in_floats = any(each in dataset for each in FLOAT_PIXELS)
     for keyword in _STORAGE:
         if keyword not in dataset and not (in_floats and keyword == "PixelRepresentation"):
@@ -233,13 +233,13 @@ def _complete(dataset: Dataset, name: str) -> None:
 
 
 def turned_over(dataset: Dataset) -> bool:
-    """Whether high values mean dark. Of CT that concerns the display only: its values stay HU."""
+    """Whether high values mean dark. For CT this affects only the display: its values remain HU."""
     inverse = str(dataset.get("PhotometricInterpretation", "")) == "MONOCHROME1"
     return inverse and str(dataset.get("Modality", "")) != "CT"
 
 
 def _rescaled(pixels: NDArray, transform: Dataset, header: Dataset, name: str) -> NDArray[np.float32]:
-    """Values after Rescale Slope and Intercept; MONOCHROME1 (dark is high) is turned over, padding is air."""
+    """Apply Rescale Slope and Intercept; MONOCHROME1 (high is dark) is inverted, padding becomes air."""
     pixels = _without_padding(pixels, header)
     if turned_over(header):
         pixels = _negative(pixels, header)
@@ -255,7 +255,7 @@ def _rescaled(pixels: NDArray, transform: Dataset, header: Dataset, name: str) -
 
 
 def _negative(pixels: NDArray, header: Dataset) -> NDArray:
-    """Dark is high turned to dark is low; whole numbers stay within those that are stored."""
+    """Invert an image in which high is dark; integers stay within the stored range."""
     if np.issubdtype(pixels.dtype, np.floating):
         return -pixels
     top = 2 ** int(header.get("BitsStored", 16)) - 1
@@ -263,9 +263,10 @@ def _negative(pixels: NDArray, header: Dataset) -> NDArray:
 
 
 def _without_padding(pixels: NDArray, header: Dataset) -> NDArray:
-    """What stands where nothing was measured (Pixel Padding Value, PS3.3 C.7.5.1.1.2) is made the darkest.
+    """Set pixels without measurement (Pixel Padding Value, PS3.3 C.7.5.1.1.2) to the darkest value.
 
-    Padding among the values of the image itself stays: it is as dark as air, or it cannot be told apart.
+    A padding value within the range of the image itself is left alone: either it is as dark as air, or it
+    cannot be distinguished.
     """
     pixels = _darkened(pixels, ~np.isfinite(pixels), header)
     kind = _PADDING_OF.get(pixels.dtype.kind + str(pixels.dtype.itemsize), "PixelPadding")
@@ -282,7 +283,7 @@ def _without_padding(pixels: NDArray, header: Dataset) -> NDArray:
 
 
 def _darkened(pixels: NDArray, where: NDArray[np.bool_], header: Dataset) -> NDArray:
-    """Pixels `where` nothing was measured are as dark as the darkest of the others; all of them: 0."""
+    """Set the pixels `where` nothing was measured to the minimum of the others (0 if there are none)."""
     measured = pixels[~where]
     if not where.any():
         return pixels

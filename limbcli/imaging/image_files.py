@@ -1,4 +1,4 @@
-"""The image that a case names: a folder with a DICOM series, or one NIfTI or NRRD volume."""
+"""Read the image that a case names: a folder with a DICOM series, or one NIfTI or NRRD volume."""
 
 from __future__ import annotations
 
@@ -15,21 +15,22 @@ from limbcli.imaging.volume import Volume
 from limbcli.progress import SILENT, Progress
 
 ENDINGS = {end: read_nifti if ".nii" in end else read_nrrd_image for end in VOLUME_ENDINGS}
-_LEAST = 3  # voxels along every axis
-_RIGHT_ANGLE = 1e-2  # largest cosine between two axes
-_AIR_HU = -500.0  # no MRI has such a share of such values; the air of a CT is at -1000
+_LEAST = 3  # smallest number of voxels along every axis
+_RIGHT_ANGLE = 1e-2  # largest cosine between two axes that count as perpendicular
+# HU: a volume counts as CT if _AIR_SHARE of its values lie below (air is at -1000), which is so in no MRI
+_AIR_HU = -500.0
 _AIR_SHARE = 5.0  # per cent
 
 
 def read_image(path: Path, *, progress: Progress = SILENT) -> Series:
     """A DICOM series (a folder), or a volume file, in patient LPS.
 
-    A volume file does not say whether it is CT: it is taken for one where its air is below -500.
+    A volume file does not state its modality: it is taken as CT if its air is below -500.
 
     Raises
     ------
     CaseError
-        If it cannot be read, or is not one scalar volume of a limb with its place in the patient.
+        If it cannot be read, or is not one scalar volume of a limb with its position in the patient frame.
     """
     if path.is_dir():
         return read_series(path, progress=progress)
@@ -62,7 +63,7 @@ def read_image(path: Path, *, progress: Progress = SILENT) -> Series:
 
 
 def _plausible(volume: Volume, path: Path) -> Volume:
-    """Enough voxels, at right angles, of sizes that a limb's image can have."""
+    """Check for enough voxels, perpendicular axes, and sizes suitable for an image of a limb."""
     if min(volume.shape) < _LEAST:
         what = f"the image has {' x '.join(map(str, volume.shape))} voxels; a volume needs {_LEAST} each way"
         raise CaseError(what, where=str(path), fix="use the whole volume")

@@ -1,4 +1,4 @@
-"""Signal levels of muscle and fat, and the slow shading (bias field) over them."""
+"""Signal levels of muscle and fat, and the smooth bias field that modulates them."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from scipy import ndimage
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 
-SHADING_LENGTH = 25.0  # mm: the bias field of a coil varies over more than this
-_WORK_SPACING = 3.0  # mm: the field is estimated on a coarse grid
+SHADING_LENGTH = 25.0  # mm: length over which the bias field of a coil varies
+_WORK_SPACING = 3.0  # mm: spacing of the coarse grid on which the field is estimated
 _ROUNDS = 8
-_DEEP = 12.0  # mm
+_DEEP = 12.0  # mm: depth below the skin beyond which most voxels are muscle
 
 
 @dataclass(frozen=True, eq=False)
 class TissueIntensities:
-    """Normalised image: muscle is 1 everywhere, fat is `fat`, air and cortex near 0.
+    """Normalised image: muscle is 1 everywhere, fat is `fat`, air and cortex are near 0.
 
-    values : float32 array, the image over the local level of muscle
+    values : float32 array, the image divided by the local level of muscle
     muscle_signal : level of muscle in the image's own units (middle of the limb)
     fat : ratio of fat to muscle
     noise : standard deviation of the signal inside muscle, muscle = 1
@@ -34,12 +34,12 @@ class TissueIntensities:
 
     @property
     def between(self) -> float:
-        """Half way from muscle to fat."""
+        """The level half way between muscle and fat."""
         return 0.5 * (1.0 + self.fat)
 
 
 def otsu(values: Array, n_bins: int = 256) -> float:
-    """The threshold that best splits values into two groups (Otsu 1979).
+    """The threshold that best separates values into two groups (Otsu 1979).
 
     >>> values = np.concatenate([np.full(50, 1.0), np.full(50, 5.0)])
     >>> 1.0 < otsu(values) < 5.0
@@ -60,11 +60,10 @@ def otsu(values: Array, n_bins: int = 256) -> float:
 def normalise(volume: Volume, limb: NDArray[np.bool_]) -> TissueIntensities:
     """Divide the image by its bias field and by the level of muscle.
 
-    Two tissue classes (muscle, fat) times one smooth field explain the bright
-    part of the image: the classes are assigned by the nearest level in the
-    logarithm, the field is the smoothed residual, and both are found in turn
-    (the idea of Wells et al. 1996, IEEE TMI 15:429, with hard classes). Dark voxels
-    (cortex, vessels, air) take no part.
+    The bright part of the image is modelled by two tissue classes (muscle, fat) times one smooth field:
+    voxels are assigned to the nearest level in the logarithm, the field is the smoothed residual, and the two
+    are determined alternately (the idea of Wells et al. 1996, IEEE TMI 15:429, with hard classes). Dark
+    voxels (cortex, vessels, air) are excluded.
 
     Parameters
     ----------
@@ -73,7 +72,7 @@ def normalise(volume: Volume, limb: NDArray[np.bool_]) -> TissueIntensities:
 
     Returns
     -------
-    Levels
+    TissueIntensities
     """
     step = np.maximum(1, np.round(_WORK_SPACING / volume.spacing)).astype(int)
     coarse = _block_mean(volume.values, step)
@@ -108,7 +107,7 @@ def _deep(inside: NDArray[np.bool_], spacing: Array) -> NDArray[np.bool_]:
 
 
 def _slope(log_signal: Array, use: NDArray[np.bool_]) -> Array:
-    """A plane through most of the values (least absolute deviations, by reweighting); 0 where too few."""
+    """Fit a plane by least absolute deviations (iterative reweighting); 0 if there are too few values."""
     if use.sum() < 50:
         return np.zeros_like(log_signal)
     where = np.moveaxis(np.indices(log_signal.shape), 0, -1).reshape(-1, 3) / np.array(log_signal.shape)
@@ -134,7 +133,7 @@ def _block_mean(values: NDArray, step: NDArray[np.int_]) -> NDArray[np.float64]:
 
 
 def _smooth(values: Array, weight: NDArray[np.bool_], sigma: Array) -> Array:
-    """Gaussian mean of `values` where `weight`, carried on smoothly elsewhere."""
+    """Gaussian mean of `values` where `weight`, extrapolated smoothly elsewhere."""
     w = weight.astype(float)
     top = ndimage.gaussian_filter(values * w, sigma, mode="constant")
     bottom = ndimage.gaussian_filter(w, sigma, mode="constant")
@@ -145,7 +144,7 @@ def _smooth(values: Array, weight: NDArray[np.bool_], sigma: Array) -> Array:
 
 
 def _refine(coarse: Array, step: NDArray[np.int_], shape: tuple[int, int, int]) -> NDArray[np.float32]:
-    """The coarse field on the full grid, linear between block centres; one axis at a time."""
+    """The coarse field on the full grid, by linear interpolation along one axis at a time."""
     fine = coarse.astype(np.float32)
     for axis in range(3):
         at = (np.arange(shape[axis]) - (step[axis] - 1) / 2) / step[axis]
@@ -160,7 +159,7 @@ def _refine(coarse: Array, step: NDArray[np.int_], shape: tuple[int, int, int]) 
 
 
 def _noise(values: NDArray[np.float32], limb: NDArray[np.bool_]) -> float:
-    """Robust deviation of second differences inside muscle."""
+    """Robust standard deviation of the noise inside muscle, from second differences."""
     muscle = limb & (np.abs(values - 1.0) < 0.4)
     triple = muscle[:-2] & muscle[1:-1] & muscle[2:]
     if triple.sum() < 100:

@@ -1,7 +1,7 @@
-"""Label maps in the formats that segmentation programs write, brought to our labels.
+"""Read label maps in the formats of segmentation programs and convert them to our labels.
 
-NIfTI and plain NRRD hold our numbers already (1 soft tissue, 2 bone, 3 marker, 4 fat);
-`.seg.nrrd` and DICOM SEG name their segments, and the names decide.
+NIfTI and plain NRRD must already contain our numbers (1 soft tissue, 2 bone, 3 marker, 4 fat); in `.seg.nrrd`
+and DICOM SEG the names of the segments decide.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from limbcli.imaging.nrrd import Nrrd, read_nrrd
 from limbcli.imaging.segmentation import BONE, FAT, MARKER, SOFT_TISSUE
 from limbcli.imaging.volume import Volume
 
-# What tells the kinds: words as they stand, or, with a star, as they begin. Bones' names are whole words:
-# "tibialis" is no "tibia".
+# Words that identify the kinds of segment: whole words, or prefixes where marked with a star. Names of bones
+# are whole words: "tibialis" is not "tibia".
 _MARKER = ("marker*", "capsule*", "fiducial*", "pinpoint*")
-_IN_FLESH = (  # wins over bones, after which much of it is named
+_IN_FLESH = (  # takes precedence over bones, after which many muscles are named
     "musc*", "muskel*", "tibialis", "fibularis", "peroneus", "gastrocnemi*", "soleus", "plantaris",
     "popliteus", "flexor*", "extensor*", "femoris", "vastus", "quadriceps", "biceps", "triceps", "hamstring*",
     "sartorius", "gracilis", "adductor*", "tendon*", "ligament*", "nerve*", "arter*", "vein*", "vessel*",
@@ -35,14 +35,15 @@ _BONE = (
 )  # fmt: skip
 _FAT = ("fat", "fatty", "adipose", "subcut*")
 _SOFT = ("soft*", "skin*", "flesh*")
-_ANY_TISSUE = ("tissue*", "limb*", "leg*", "stump*")  # soft tissue where nothing else is named
-_WITHOUT = ("without", "no", "not", "non", "excluding", "except", "minus", "ohne")  # what follows it lacks
+_ANY_TISSUE = ("tissue*", "limb*", "leg*", "stump*")  # soft tissue, if no other kind is named
+# what follows such a word is not in the segment
+_WITHOUT = ("without", "no", "not", "non", "excluding", "except", "minus", "ohne")
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")  # "Tibia_left", "tibiaLeft" and "TIBIA2" hold "tibia"
-_ORDER = (SOFT_TISSUE, FAT, BONE, MARKER)  # a later one lies over an earlier one
+_ORDER = (SOFT_TISSUE, FAT, BONE, MARKER)  # drawing order: a later kind overwrites an earlier one
 
 
 def read_label_file(path: Path) -> Volume:
-    """A label map from NIfTI, NRRD, `.seg.nrrd` or DICOM SEG, in patient LPS.
+    """Read a label map from NIfTI, NRRD, `.seg.nrrd` or DICOM SEG, in patient LPS.
 
     Raises
     ------
@@ -64,7 +65,7 @@ def read_label_file(path: Path) -> Volume:
 
 
 def by_name(segments: Sequence[tuple[str, NDArray[np.bool_]]], path: Path) -> NDArray[np.uint8]:
-    """Masks with names to one label map; bone lies over soft tissue, markers over all.
+    """Combine named masks into one label map; bone overwrites soft tissue, markers overwrite everything.
 
     >>> mask = np.ones((1, 1, 1), bool)
     >>> by_name([("Tibia", mask), ("Skin", mask)], Path("a")).item()
@@ -88,7 +89,7 @@ def by_name(segments: Sequence[tuple[str, NDArray[np.bool_]]], path: Path) -> ND
 
 
 def _label(title: str) -> int:
-    """What a segment's name says that it is; 0 where that is nothing, or several kinds.
+    """The label that a segment's name stands for; 0 if none or several.
 
     >>> _label("Fibula left"), _label("subcutaneous fat"), _label("Tibialis anterior")
     (2, 4, 1)
@@ -115,7 +116,7 @@ def _names_any(words: Sequence[str], of_kind: Sequence[str]) -> bool:
 
 
 def _segments(nrrd: Nrrd) -> list[tuple[str, NDArray, int]]:
-    """(name, its layer's values, its value) of every segment of a `.seg.nrrd`."""
+    """(name, values of its layer, its value) of every segment of a `.seg.nrrd`."""
     found = []
     number = 0
     while f"Segment{number}_Name" in nrrd.pairs:

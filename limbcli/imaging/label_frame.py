@@ -1,7 +1,7 @@
-"""Whether a label map lies where the image lies that it was drawn on.
+"""Check that a label map lies where the image lies on which it was drawn.
 
-A label map carries its own place. Exported without it, or with that of another image, it still makes a limb,
-of another size and elsewhere; only the image can tell.
+A label map has its own geometry. Exported without it, or with that of another image, it still yields a limb,
+but of another size and position; only the image can reveal this.
 """
 
 from __future__ import annotations
@@ -20,17 +20,18 @@ from limbcli.imaging.skin_segmentation import background_threshold
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 
-_SAME = 0.5  # of a voxel: corners this near are the same grid
-_AGREE = (0.9, 0.75)  # Dice overlap of limb and bright image, slice by slice: unusual, impossible
-_BEYOND = 0.05  # of the limb's voxels may lie beyond the image
-_MOST_VOXELS = 4e6  # that are compared
-_HU_AIR = -300.0  # CT: below all tissue
+_SAME = 0.5  # fraction of a voxel: grids whose corners are this close are the same
+# Dice overlap of the limb and the bright part of the image: warning below the first, error below the second
+_AGREE = (0.9, 0.75)
+_BEYOND = 0.05  # largest fraction of the limb's voxels outside the image
+_MOST_VOXELS = 4e6  # largest number of voxels that are compared
+_HU_AIR = -300.0  # HU; below all tissue on CT
 _FIX = "export the label map again with the MRI series as its reference volume, or remove [imaging] mri"
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """own_grid : the label map's grid is another than the image's; overlap : Dice, None if unknown."""
+    """own_grid: whether the label map's grid differs from the image's; overlap: Dice, None if unknown."""
 
     own_grid: bool
     overlap: float | None
@@ -38,10 +39,11 @@ class Agreement:
 
 
 def compare_frames(labels: Volume, image: Volume, *, where: str) -> Agreement:
-    """Place and size of a label map against its image's.
+    """Compare position and size of a label map with those of its image.
 
-    On the image's own grid nothing is checked. A grid of equal matrix at another place or of other voxels is
-    an error. Any other grid is taken by its place in the patient, and must cover what is bright in the image.
+    On the image's own grid nothing further is checked. A grid of equal matrix size but other position or
+    voxel size is an error. Any other grid is used with its own position in the patient frame, and must cover
+    the bright part of the image.
     """
     if _same_grid(labels, image):
         return Agreement(False, None, ())
@@ -67,7 +69,7 @@ def compare_frames(labels: Volume, image: Volume, *, where: str) -> Agreement:
 
 
 def in_order_of(labels: Volume, image: Volume) -> Volume:
-    """The image with its axes in the label map's order and directions; both have the same voxels.
+    """The image with its axes in the label map's order and direction; both have the same voxels.
 
     >>> values = np.arange(6).reshape(3, 2, 1)
     >>> turned = Volume(values[::-1], np.array([[-1.0, 0, 0, 2], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]))
@@ -86,7 +88,7 @@ def _size(spacing: Array) -> str:
 
 
 def _corners(volume: Volume) -> Array:
-    """(8, 3) patient LPS of the outer voxels' centres, sorted: whatever the order of the axes."""
+    """Centres (8, 3) of the corner voxels in patient LPS."""
     ends = np.stack(np.meshgrid(*([0, n - 1] for n in volume.shape), indexing="ij"), axis=-1).reshape(-1, 3)
     return volume.to_patient(ends)
 
@@ -96,7 +98,7 @@ def _middle(volume: Volume) -> Array:
 
 
 def _same_grid(labels: Volume, image: Volume) -> bool:
-    """Same voxels, in any order of the axes: each corner has one of the other's within half a voxel."""
+    """Same voxels, in any order of the axes: each corner is within half a voxel of a corner of the other."""
     if sorted(labels.shape) != sorted(image.shape):
         return False
     apart = np.linalg.norm(_corners(labels)[:, None] - _corners(image)[None], axis=2)
@@ -105,7 +107,7 @@ def _same_grid(labels: Volume, image: Volume) -> bool:
 
 
 def _share_beyond(labels: Volume, limb: NDArray[np.bool_], image: Volume) -> float:
-    """Share of the limb's voxels (some of them) that are outside the image by more than a voxel."""
+    """Fraction of the limb's voxels (a sample) that lie outside the image by more than a voxel."""
     index = np.argwhere(limb)
     index = index[:: max(1, len(index) // 100_000)]
     at = image.to_voxel(labels.to_patient(index.astype(float)))
@@ -114,9 +116,10 @@ def _share_beyond(labels: Volume, limb: NDArray[np.bool_], image: Volume) -> flo
 
 
 def _overlap(labels: Volume, limb: NDArray[np.bool_], image: Volume) -> float:
-    """Dice of the label map's limb and the bright part of the image that it meets, in the label map's slices.
+    """Dice overlap of the label map's limb with the bright parts of the image that it meets.
 
-    The image is sampled at the label map's voxels, every few of them where there are many.
+    Only the slices that the label map fills count. The image is sampled at the label map's voxels, subsampled
+    if there are many.
     """
     turned, order, flipped = labels.along_limb()
     limb = np.transpose(limb, order)

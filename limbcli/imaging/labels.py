@@ -1,4 +1,4 @@
-"""Label maps on disk: NIfTI, as 3D Slicer reads and writes it."""
+"""Label maps on disk: NIfTI, as read and written by 3D Slicer."""
 
 from __future__ import annotations
 
@@ -24,15 +24,16 @@ from limbcli.imaging.volume import DAMAGED, MOST_VOXELS, RAS_FROM_LPS, Volume
 from limbcli.model import Array
 
 _LIMB = (SOFT_TISSUE, BONE, FAT)
-_SECOND_LIMB = 0.35  # of the largest part: a second one this large is a second limb
+_SECOND_LIMB = 0.35  # fraction of the largest component: a second one at least this large is a second limb
 _KNOWN = (0, SOFT_TISSUE, BONE, MARKER, FAT)
-_LEAST_BONE = 150.0  # mm^3: smaller specks of bone are left out
-_STRAIGHT = 1e-4  # cosine: a qform, which knows right angles only, would give another place beyond
-_LEAST_MARKER = 0.1  # of the largest marker's volume: smaller ones are specks
+_LEAST_BONE = 150.0  # mm^3: smaller specks of bone are discarded
+# cosine between axes, above which a qform, which can represent only right angles, would change the geometry
+_STRAIGHT = 1e-4
+_LEAST_MARKER = 0.1  # fraction of the largest marker's volume: smaller ones are specks
 
 
 def write_labels(path: Path, labels: Volume) -> None:
-    """A label map as NIfTI (uint8); the affine is turned from LPS to the format's RAS."""
+    """Write a label map as NIfTI (uint8); the affine is converted from LPS to the format's RAS."""
     affine = RAS_FROM_LPS @ labels.affine
     image = nib.Nifti1Image(np.ascontiguousarray(labels.values, dtype=np.uint8), affine)
     image.header.set_xyzt_units("mm")
@@ -52,13 +53,13 @@ def write_labels(path: Path, labels: Volume) -> None:
 
 
 def read_labels(path: Path) -> Volume:
-    """A label map from NIfTI, in patient LPS.
+    """Read a label map from NIfTI, in patient LPS.
 
     Raises
     ------
     CaseError
-        If the file cannot be read, is not three-dimensional, does not say how it lies in the patient, or
-        holds values other than 0 outside, 1 soft tissue, 2 bone, 3 marker, 4 fat.
+        If the file cannot be read, is not three-dimensional, lacks its position in the patient frame, or
+        contains values other than 0 outside, 1 soft tissue, 2 bone, 3 marker, 4 fat.
     """
     try:
         image = nib.load(path)
@@ -82,7 +83,7 @@ def read_labels(path: Path) -> Volume:
 
 
 def checked_labels(labels: Volume, path: Path) -> Volume:
-    """The label map as uint8, or an error that says what is wrong with it."""
+    """The label map as uint8; raises an error that says what is wrong with it."""
     if labels.values.ndim != 3 or min(labels.values.shape) < 3:
         raise CaseError(
             f"the label map has shape {labels.values.shape}; it needs three dimensions of at least 3 voxels",
@@ -116,7 +117,7 @@ def checked_labels(labels: Volume, path: Path) -> Volume:
 def segmentation_from(labels: Volume, *, side: Side | None = None) -> Segmentation:
     """Skin, bones and markers of a label map (k need not run along the limb).
 
-    side : which limb is meant, the patient's left or right, where the map holds two side by side
+    side : the limb to use, the patient's left or right, if the map contains two side by side
     """
     turned, _, _ = labels.along_limb()
     turned, notes = _of_one_limb(turned, side)
@@ -135,7 +136,7 @@ def segmentation_from(labels: Volume, *, side: Side | None = None) -> Segmentati
 
 
 def _of_one_limb(turned: Volume, side: Side | None) -> tuple[Volume, tuple[str, ...]]:
-    """The labels without the other limb of two side by side, and the note on it."""
+    """Remove the other of two limbs side by side; returns the labels and a note."""
     parts, n_parts = ndimage.label(np.isin(turned.values, _LIMB))
     sizes = np.bincount(parts.ravel(), minlength=n_parts + 1)[1:]
     limbs = np.flatnonzero(sizes > _SECOND_LIMB * sizes.max(initial=0)) + 1
@@ -143,9 +144,9 @@ def _of_one_limb(turned: Volume, side: Side | None) -> tuple[Volume, tuple[str, 
         return turned, ()
     heights = [np.flatnonzero((parts == each).any(axis=(0, 1))) for each in limbs]
     if min(each[-1] for each in heights) < max(each[0] for each in heights):
-        return turned, ()  # one above the other: parts of one limb
+        return turned, ()  # components above one another are parts of one limb
     to_the_left = turned.to_patient(np.array(ndimage.center_of_mass(parts > 0, parts, limbs)))[:, 0]
-    order = np.argsort(to_the_left)  # LPS: x grows towards the patient's left
+    order = np.argsort(to_the_left)  # LPS: x increases towards the patient's left
     other, wanted = limbs[order if side == "left" else order[::-1]]
     far, near = (
         ndimage.distance_transform_edt(parts != each, sampling=turned.spacing) for each in (other, wanted)
@@ -157,7 +158,7 @@ def _of_one_limb(turned: Volume, side: Side | None) -> tuple[Volume, tuple[str, 
 
 
 def _left_out(places: Array, kind: str, volume: Volume) -> tuple[str, ...]:
-    """The note on specks, by the voxel indices (n, 3) of their middles."""
+    """A note on discarded specks, given the voxel indices (n, 3) of their centres."""
     if not len(places):
         return ()
     x, y, z = volume.to_patient(places[:1])[0]
@@ -167,7 +168,7 @@ def _left_out(places: Array, kind: str, volume: Volume) -> tuple[str, ...]:
 
 
 def _parts(mask: NDArray[np.bool_], volume: Volume, *, least: float) -> tuple[list[NDArray[np.bool_]], Array]:
-    """Connected parts of at least `least` mm^3, largest first; the middles (n, 3) of the others, voxels."""
+    """Connected components of at least `least` mm^3, largest first; centres (n, 3), voxels, of the others."""
     parts, n_parts = ndimage.label(mask)
     sizes = np.bincount(parts.ravel(), minlength=n_parts + 1)[1:] * volume.voxel_volume
     order = np.argsort(-sizes, kind="stable")
@@ -177,7 +178,10 @@ def _parts(mask: NDArray[np.bool_], volume: Volume, *, least: float) -> tuple[li
 
 
 def _markers(volume: Volume, limb: NDArray[np.bool_]) -> tuple[tuple[MarkerCapsule, ...], Array]:
-    """The capsules, and the middles (n, 3) of specks, which would take a capsule's number, voxels."""
+    """The capsules, and the centres (n, 3), voxels, of specks.
+
+    Specks would otherwise be numbered as capsules.
+    """
     parts, n_parts = ndimage.label(volume.values == MARKER, np.ones((3, 3, 3), bool))
     if n_parts == 0:
         return (), np.zeros((0, 3))

@@ -1,4 +1,4 @@
-"""How thick skin and subcutaneous fat are under a place on the skin."""
+"""Thickness of skin and subcutaneous fat below a point on the skin."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from limbcli.imaging.surface import ClosedSurface
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 
-_PATCH = 6.0  # mm: radius round a place over which normal and thickness are taken
+_PATCH = 6.0  # mm: radius around a point over which normal and thickness are averaged
 _DEEPEST = 60.0  # mm
 _STEP = 0.25  # mm
-_SKIN = 5.0  # mm: fat begins within this depth
-_GAP = 2.0  # mm: a gap in the fat (septum, vein) up to this is no end
+_SKIN = 5.0  # mm: largest depth at which the fat begins
+_GAP = 2.0  # mm: a gap in the fat (septum, vein) up to this width does not end it
 
 
 @dataclass(frozen=True)
 class Layers:
-    """Under a place: skin (dark, outer) and fat thickness along the inward normal, mm; medians."""
+    """Median thickness (mm) of skin (dark, outer) and fat along the inward normal, and the skin point."""
 
     skin: float
     fat: float
@@ -31,8 +31,8 @@ class Layers:
 def layers_at(position: Array, skin: ClosedSurface, fat: Volume) -> Layers | None:
     """Thickness of skin and subcutaneous fat at the skin point nearest to a position.
 
-    Medians over the skin within 6 mm, each along the mean normal there; None where the
-    rays meet no fat near the skin (thin skin over bone, or a marker's shadow).
+    Medians over the skin within 6 mm, along the mean normal there; None if most of the rays meet no fat near
+    the skin (thin skin over bone, or a marker's shadow).
 
     position : patient LPS (3,), mm;  fat : Volume of bool
     """

@@ -1,4 +1,4 @@
-"""One limb out of an image: which of two, and whether its contrast is the expected one."""
+"""Isolate one limb of an image, and check its contrast."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from limbcli.imaging.volume import Volume
 
 Side = Literal["left", "right"]
 
-_SECOND = 0.35  # a second part this large, against the largest, is a second limb
-_AROUND = 6.0  # mm beside the other limb that go with it
+_SECOND = 0.35  # fraction of the largest component: a second one larger than this is a second limb
+_AROUND = 6.0  # mm around the other limb that are removed with it
 
 
 def upright(volume: Volume) -> tuple[Volume, tuple[str, ...]]:
-    """The image with dark air; one with bright air is inverted, with a note."""
+    """The image with dark air; an image with bright air is inverted, with a note."""
     values = volume.values
     rim = np.concatenate([values[0].ravel(), values[-1].ravel(), values[:, 0].ravel(), values[:, -1].ravel()])
     split = otsu(values[::2, ::2, ::2].ravel())
@@ -34,18 +34,18 @@ def upright(volume: Volume) -> tuple[Volume, tuple[str, ...]]:
 def one_limb(volume: Volume, side: Side | None, *, threshold: float | None = None) -> Volume:
     """The image with only one limb left in it (k along the limb).
 
-    side : "left" or "right", the patient's; needed where two limbs are in view
+    side : "left" or "right" of the patient; required if two limbs are in view
 
     Raises
     ------
     CaseError
-        Two limbs in view and no side given, or more parts than two.
+        Two limbs in view and no side given, or more than two limbs.
     """
     level = background_threshold(volume.values) if threshold is None else threshold
     sigma = 1.0 / volume.spacing
     sigma[2] = 0.0
     bright = ndimage.gaussian_filter(volume.values.astype(np.float32), sigma) > level
-    parts, n_parts = ndimage.label(filled_by_slice(bright))  # what lies inside a limb is no other limb
+    parts, n_parts = ndimage.label(filled_by_slice(bright))  # what is enclosed by a limb is not a second limb
     if n_parts < 2:
         return volume
     sizes = np.bincount(parts.ravel())[1:]
@@ -64,13 +64,13 @@ def one_limb(volume: Volume, side: Side | None, *, threshold: float | None = Non
             else "crop the series to one limb, or use a label map ([imaging] labels)",
             n_limbs=len(limbs),
         )
-    order = np.argsort(to_the_left)  # LPS: x grows towards the patient's left
+    order = np.argsort(to_the_left)  # LPS: x increases towards the patient's left
     other, wanted = limbs[order if side == "left" else order[::-1]]
     return volume.with_values(_without(volume, parts, int(wanted), int(other)))
 
 
 def _without(volume: Volume, parts: NDArray[np.int_], wanted: int, other: int) -> NDArray:
-    """The values with the other limb, its surroundings and whatever is nearer to it made air."""
+    """Replace the other limb and its surroundings, as far as they are nearer to it, by air."""
     air = float(np.median(volume.values[parts == 0])) if (parts == 0).any() else 0.0
     to_wanted = ndimage.distance_transform_edt(parts != wanted, sampling=volume.spacing)
     to_other = ndimage.distance_transform_edt(parts != other, sampling=volume.spacing)
@@ -81,12 +81,12 @@ def _without(volume: Volume, parts: NDArray[np.int_], wanted: int, other: int) -
 
 
 def require_bright_fat(volume: Volume, limb: NDArray[np.bool_]) -> None:
-    """An error where subcutaneous fat is darker than what lies deep: no T1 contrast.
+    """Refuse an image in which subcutaneous fat is darker than deep tissue: no T1 contrast.
 
     Raises
     ------
     CaseError
-        With the ways out.
+        With possible fixes.
     """
     depth = np.zeros(limb.shape, np.float32)
     for k in range(limb.shape[2]):

@@ -1,7 +1,7 @@
-"""The skin under a marker: continued from the skin around it.
+"""Reconstruct the skin under a marker from the surrounding skin.
 
-A capsule and the skin it touches are equally bright, so that the outline keeps a bump of half a voxel or
-more where the marker stood; and the marker is just where the probe goes.
+A capsule and the skin it touches are equally bright, so that the outline has a bump of half a voxel or more
+where the marker was; and that is exactly where the probe is placed.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ from limbcli.imaging.markers import MarkerCapsule
 from limbcli.imaging.surface import ClosedSurface
 from limbcli.model import Array
 
-_BLUR = 3.0  # mm round a capsule that its brightness reaches
-_BLEND = 4.0  # mm over which the outline takes over again
-_RING = 8.0  # mm: width of the ring that the skin is continued from
+_BLUR = 3.0  # mm around a capsule affected by its brightness
+_BLEND = 4.0  # mm: width of the transition to the unmodified outline
+_RING = 8.0  # mm: width of the ring from which the skin is extrapolated
 _FEWEST = 12
-_LARGEST_MOVE = 4.0  # mm: what would move the skin further is not a marker's bump
+_LARGEST_MOVE = 4.0  # mm: a larger displacement of the skin is not due to a marker and is not made
 
 
 def without_bumps(skin: ClosedSurface, markers: Sequence[MarkerCapsule]) -> tuple[ClosedSurface, list[float]]:
-    """The skin with each marker's footprint put on a quadric through the skin around it.
+    """The skin with each marker's footprint projected onto a quadric fitted to the surrounding skin.
 
     Returns
     -------
-    surface with the same triangles; mm by which each marker's spot was lowered (negative: raised)
+    surface with the same triangles; mm by which the skin at each marker was lowered (negative: raised)
     """
     points = skin.points.copy()
     normals = _vertex_normals(skin)
@@ -60,20 +60,20 @@ def _smoothed(points: Array, normals: Array, marker: MarkerCapsule) -> tuple[Arr
 
 
 def _weight(away: Array, reach: float) -> Array:
-    """1 on the footprint, 0 beyond the blend, smooth between."""
+    """1 on the footprint, 0 beyond the transition, smooth in between."""
     t = np.clip((away - reach) / _BLEND, 0.0, 1.0)
     return np.asarray(1.0 - t * t * (3.0 - 2.0 * t))
 
 
 def _local(offsets: Array, axis: Array) -> tuple[Array, Array, Array]:
-    """Coordinates along two directions across `axis`, and along it."""
+    """Coordinates along two directions perpendicular to `axis`, and along it."""
     first = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     first /= np.linalg.norm(first)
     return offsets @ first, offsets @ np.cross(axis, first), offsets @ axis
 
 
 def _vertex_normals(skin: ClosedSurface) -> Array:
-    """(n, 3), outward, of unit length; 0 where a point has no triangle."""
+    """Outward unit normals (n, 3); 0 at points without triangles."""
     a, b, c = (skin.points[skin.triangles[:, k]] for k in range(3))
     faces = np.cross(b - a, c - a)
     normals = np.zeros_like(skin.points)

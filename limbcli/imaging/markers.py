@@ -1,4 +1,4 @@
-"""Skin markers: bright capsules that stand proud of the skin."""
+"""Skin markers: bright capsules that protrude from the skin."""
 
 from __future__ import annotations
 
@@ -14,19 +14,20 @@ from limbcli.imaging.signed_distance import box_around
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 
-_BALL = 12.0  # mm: an opening with this ball leaves the limb and takes markers off
-_BLUR = 3.0  # mm round a marker
-_PROUD = 2.0  # mm a marker must rise above the skin
-_SIZE = (30.0, 4000.0)  # mm^3
-_AWAY = 15.0  # mm: nothing further from the limb is a marker on it
-_SAME_HEIGHT = 5.0  # mm: markers within this are numbered by angle
-_IN_FRONT = 15.0  # degrees to the right of anterior that count as anterior: no hand puts a marker at 0
-_LONGEST = 35.0  # mm
+_BALL = 12.0  # mm: radius of the ball of a morphological opening that removes markers but not the limb
+_BLUR = 3.0  # mm around a marker affected by its brightness
+_PROUD = 2.0  # mm: smallest height of a marker above the skin
+_SIZE = (30.0, 4000.0)  # mm^3: smallest and largest volume of a marker
+_AWAY = 15.0  # mm: largest distance of a marker from the limb
+_SAME_HEIGHT = 5.0  # mm: markers whose heights differ by less are numbered by angle
+# degrees to the right of anterior that still count as anterior: nobody places a marker at exactly 0
+_IN_FRONT = 15.0
+_LONGEST = 35.0  # mm: largest extent of a marker
 
 
 @dataclass(frozen=True)
 class MarkerCapsule:
-    """A capsule's centre (patient LPS, mm), its number from 1, volume (mm^3)."""
+    """A capsule: number from 1, centre (patient LPS, mm), volume (mm^3)."""
 
     number: int
     position: tuple[float, float, float]
@@ -35,7 +36,7 @@ class MarkerCapsule:
 
 @dataclass(frozen=True, eq=False)
 class FoundMarkers:
-    """markers; `mask` of their voxels; `around`: what is theirs or their blur, not the limb's."""
+    """The markers; `mask` of their voxels; `around`: voxels of markers and their blur, outside the limb."""
 
     markers: tuple[MarkerCapsule, ...]
     mask: NDArray[np.bool_]
@@ -43,17 +44,17 @@ class FoundMarkers:
 
 
 def find_markers(volume: Volume, intensities: TissueIntensities, limb: NDArray[np.bool_]) -> FoundMarkers:
-    """Bright, compact things that stand on the skin, numbered.
+    """Find and number bright, compact objects on the skin.
 
-    From distal to proximal; those at the same height (within 5 mm) by their angle about the
-    limb's middle, from anterior over the patient's left and posterior to the right. What lies a little to the
-    right of anterior is anterior still: a marker put in front keeps its number.
+    They are numbered from distal to proximal; those at the same height (within 5 mm) by their angle about the
+    centre of the limb, from anterior over the patient's left and posterior to the right. Slightly to the
+    right of anterior still counts as anterior, so that a marker placed in front keeps its number.
 
     Parameters
     ----------
     volume : image with k along the limb towards proximal
     intensities : its normalised values
-    limb : everything that stands out from the air, markers included or not
+    limb : everything that stands out from the air, with or without markers
 
     Returns
     -------
@@ -90,7 +91,7 @@ def find_markers(volume: Volume, intensities: TissueIntensities, limb: NDArray[n
 def number_markers(
     positions: Array, sizes: Array, volume: Volume, body: NDArray[np.bool_]
 ) -> tuple[MarkerCapsule, ...]:
-    """Numbers from distal to proximal, then by angle."""
+    """Number markers from distal to proximal, then by angle."""
     if not len(positions):
         return ()
     axis = volume.affine[:3, 2] / volume.spacing[2]
@@ -111,7 +112,7 @@ def number_markers(
 
 
 def _body(limb: NDArray[np.bool_], spacing: Array) -> NDArray[np.bool_]:
-    """The limb without anything small that stands on it; on a coarse grid, for speed."""
+    """The limb without small objects on its surface; computed on a coarse grid, for speed."""
     step = np.maximum(1, np.floor(1.5 / spacing)).astype(int)
     window = box_around(limb, 1 + np.ceil(4.0 / spacing))
     fine = limb[window]
@@ -130,7 +131,7 @@ def _body(limb: NDArray[np.bool_], spacing: Array) -> NDArray[np.bool_]:
 
 
 def _centre(body: NDArray[np.bool_], volume: Volume, position: Array) -> Array:
-    """Middle of the limb's section at a position's height, patient LPS."""
+    """Centre of the limb's section at the height of a position, patient LPS."""
     k = int(np.clip(np.round(volume.to_voxel(position[None])[0, 2]), 0, body.shape[2] - 1))
     section = body[:, :, k] if body[:, :, k].any() else body.any(axis=2)
     i, j = ndimage.center_of_mass(section)

@@ -1,4 +1,4 @@
-"""Marrow: bright, enclosed by a dark ring of cortex, continuing from slice to slice."""
+"""Bone marrow: bright, enclosed by a dark ring of cortex, and continuous from slice to slice."""
 
 from __future__ import annotations
 
@@ -16,16 +16,17 @@ from limbcli.imaging.intensity import TissueIntensities
 from limbcli.imaging.signed_distance import box_around, closed, opened
 from limbcli.model import Array
 
-_DARK = 0.65  # of muscle: cortex, even blurred by a thin wall, is darker
-_RING = 3.0  # mm: the ring is looked for this far out
-_SURE, _LIKELY = 0.75, 0.5  # share of the ring that is dark
-_ROUND, _CONVEX = 0.6, 0.85  # mean share of the ring and of the convex hull of a track less sure
-_LEAST_AREA = 8.0  # mm^2 of marrow in a slice
-_LARGEST = 0.5  # share of the limb's section that marrow can fill
-_LEAST_LENGTH = 12.0  # mm along the limb
-_FLARE = 1.0  # mm outward per mm along the limb that a bone may widen ...
+_DARK = 0.65  # signal, muscle = 1: cortex is darker, even if blurred because it is thin
+_RING = 3.0  # mm: distance within which the ring is searched
+_SURE, _LIKELY = 0.75, 0.5  # fraction of the ring that is dark, for a certain and for a likely region
+# mean dark fraction of the ring and mean solidity required of a less certain track
+_ROUND, _CONVEX = 0.6, 0.85
+_LEAST_AREA = 8.0  # smallest area of marrow in a slice, mm^2
+_LARGEST = 0.5  # largest fraction of the limb's section that marrow can fill
+_LEAST_LENGTH = 12.0  # smallest length of a track along the limb, mm
+_FLARE = 1.0  # largest widening of a bone, mm outward per mm along the limb ...
 _SLACK = 1.0  # ... plus this, mm
-_MUSCLE = 1.25  # muscle and noise stay below this
+_MUSCLE = 1.25  # signal, muscle = 1: muscle and its noise stay below this
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,16 +45,15 @@ def find_marrow(
 ) -> list[NDArray[np.bool_]]:
     """One mask of marrow per bone, largest first.
 
-    Where the dark ring is nearly closed a slice speaks for itself; such slices that
-    follow each other make a bone. From them the marrow is followed through the other
-    slices, where cortex has thinned to a faint line, up to its ends.
+    A slice in which the dark ring is nearly closed is unambiguous; consecutive slices of this kind form a
+    bone. Starting from them, the marrow is tracked through the other slices, where cortex has thinned to a
+    faint line, up to its ends.
 
     Parameters
     ----------
-    levels, limb : normalised image and limb mask, k along the limb
+    intensities, limb : normalised image and limb mask, k along the limb
     spacing : mm
-    seeds : voxel indices (n, 3) that lie in marrow, each a bone of its own or a part of
-        one that was found
+    seeds : voxel indices (n, 3) inside marrow, each a bone of its own or part of one that was found
 
     Returns
     -------
@@ -77,7 +77,7 @@ def find_marrow(
 def _candidates(
     smooth: NDArray[np.float32], intensities: TissueIntensities, limb: NDArray[np.bool_], spacing: Array
 ) -> Iterator[Candidate]:
-    """Bright regions whose surroundings, within a few mm, are dark for most of the way round."""
+    """Bright regions surrounded by dark voxels, within a few mm, over most of their circumference."""
     in_plane = spacing[:2]
     pixel = float(np.prod(in_plane))
     pad = int(np.ceil(_RING / in_plane.min())) + 2
@@ -102,7 +102,7 @@ def _candidates(
 
 
 def _dark_share(mask: NDArray[np.bool_], values: NDArray[np.float32], spacing: Array) -> float:
-    """Share of a region's edge that meets dark within the ring's width."""
+    """Fraction of a region's edge that has a dark voxel within the width of the ring."""
     distance, nearest = ndimage.distance_transform_edt(~mask, sampling=spacing, return_indices=True)
     band = (distance > 0) & (distance <= _RING)
     edge = nearest[0][band] * mask.shape[1] + nearest[1][band]
@@ -113,8 +113,10 @@ def _dark_share(mask: NDArray[np.bool_], values: NDArray[np.float32], spacing: A
 
 
 def _tracks(parts: NDArray[np.int32], scores: Array, spacing: Array) -> list[NDArray[np.bool_]]:
-    """Candidates that follow each other along the limb, joined: surely enclosed somewhere, or
-    well enclosed and convex throughout. scores (n, 2): enclosed share and solidity by number.
+    """Join candidates that are connected along the limb and certain, or well enclosed and convex.
+
+    Certain means nearly closed rings in at least 30 % of the candidates. scores (n, 2): enclosed fraction and
+    solidity by number.
     """
     linked, _ = ndimage.label(parts > 0)
     tracks = []
@@ -136,7 +138,7 @@ def _tracks(parts: NDArray[np.int32], scores: Array, spacing: Array) -> list[NDA
 def _planted(
     smooth: NDArray[np.float32], intensities: TissueIntensities, seed: tuple[int, ...], spacing: Array
 ) -> NDArray[np.bool_]:
-    """A small disc round a seed the user gave, to follow from."""
+    """A small disc around a seed given by the user, from which to start tracking."""
     track = np.zeros(smooth.shape, bool)
     i, j = np.indices(smooth.shape[:2])
     near = np.hypot((i - seed[0]) * spacing[0], (j - seed[1]) * spacing[1]) <= 2.0
@@ -150,7 +152,7 @@ def _planted(
 def follow(
     track: NDArray[np.bool_], smooth: NDArray[np.float32], intensities: TissueIntensities, spacing: Array
 ) -> NDArray[np.bool_]:
-    """Marrow in the slices between and beyond those of a track."""
+    """Track marrow through the slices between and beyond those of a track."""
     marrow = track.copy()
     known = np.flatnonzero(track.any(axis=(0, 1)))
     middle = int(known[len(known) // 2])
@@ -174,11 +176,11 @@ def _next_slice(
     *,
     flare: float,
 ) -> NDArray[np.bool_]:
-    """Marrow of one slice from its neighbour's: a watershed whose ridge is the line of cortex.
+    """Marrow of one slice from that of its neighbour, by a watershed whose ridge is the line of cortex.
 
-    Inside grows from the neighbour's core, outside from everything further away than a
-    bone can widen and from muscle; both flood from bright to dark, thin dark lines
-    deepened by a black top-hat.
+    The inner basin starts from the core of the neighbour's marrow, the outer one from muscle and everything
+    farther away than a bone can widen; both flood from bright to dark, with thin dark lines enhanced by a
+    black top-hat.
     """
     in_plane = spacing[:2]
     pixels = 1.0 / in_plane.min()
@@ -208,7 +210,7 @@ def _next_slice(
 
 
 def _apart(bones: list[NDArray[np.bool_]]) -> list[NDArray[np.bool_]]:
-    """Tracks that grew into each other are one bone."""
+    """Merge tracks that have grown into each other into one bone."""
     merged: list[NDArray[np.bool_]] = []
     for bone in bones:
         if not bone.any():

@@ -1,4 +1,4 @@
-"""Where the skin is nearest to a point, by the rough outline of an image: to say where a site could be."""
+"""Nearest skin point according to the rough outline of an image, to suggest a possible site."""
 
 from __future__ import annotations
 
@@ -10,14 +10,17 @@ from limbcli.imaging.skin_segmentation import rough_outline
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 
-_GRID = 2.0  # mm: finer voxels are left out, for speed
+_GRID = 2.0  # mm: finer grids are subsampled, for speed
 
 
 class RoughSkin:
-    """The outer voxels of what stands out from the air, markers with it: off by a marker's height."""
+    """Boundary voxels of everything that stands out from the air.
+
+    Markers are included, so the skin is off by a marker's height there.
+    """
 
     def __init__(self, image: Volume):
-        """Raises CaseError where no limb stands out."""
+        """Raises CaseError if no limb stands out."""
         turned, _, _ = image.along_limb()
         steps = [max(1, int(_GRID // each)) for each in turned.spacing]
         coarse = turned.affine.copy()
@@ -30,13 +33,13 @@ class RoughSkin:
         self.spacing = float(thinned.spacing.max())
 
     def nearest(self, point: Array) -> tuple[Array, float]:
-        """The nearest of its points (3,), patient LPS, and the distance, mm."""
+        """The nearest boundary point (3,), patient LPS, and its distance, mm."""
         distance, k = self._tree.query(np.asarray(point, float))
         return self.points[k], float(distance)
 
 
 def reach_of(image: Volume) -> tuple[Array, Array]:
-    """Lowest and highest corner (3,) of an image's voxels, patient LPS, mm."""
+    """Lower and upper corner (3,) of the image's voxels, patient LPS, mm."""
     ends = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], float)
     corners = image.to_patient(ends * np.array(image.shape) - 0.5)
     return corners.min(axis=0), corners.max(axis=0)

@@ -1,4 +1,4 @@
-"""Images as NIfTI volumes, with their place in the patient checked and turned from RAS to LPS.
+"""Read images from NIfTI volumes, check their geometry and convert it from RAS to LPS.
 
 Format: nifti.nimh.nih.gov/nifti-1 (qform, sform and their codes, xyzt_units).
 """
@@ -17,18 +17,18 @@ from nibabel.spatialimages import HeaderDataError
 from limbcli.errors import CaseError
 from limbcli.imaging.volume import DAMAGED, MOST_VOXELS, RAS_FROM_LPS, Volume
 
-_ZOOM = 0.02  # voxel sizes of one header that differ by more contradict each other
+_ZOOM = 0.02  # largest relative difference of voxel sizes within one header; a larger one is a contradiction
 _SAVE = "save it again from 3D Slicer as NIfTI (.nii.gz)"
 
 
 def read_nifti(path: Path) -> Volume:
-    """One scalar volume with its place, scaled by the header's slope and intercept.
+    """Read one scalar volume with its geometry, scaled by the header's slope and intercept.
 
     Raises
     ------
     CaseError
-        If the file cannot be read, holds several volumes, colours or complex numbers, or does not say
-        where it lies; each with a message of its own.
+        If the file cannot be read, contains several volumes, colours or complex numbers, or lacks its
+        position; each with its own message.
     """
     image = _opened(path)
     if not isinstance(image, nib.Nifti1Image):
@@ -95,7 +95,7 @@ def _one_volume(shape: tuple[int, ...], path: Path) -> tuple[int, int, int]:
 
 
 def require_placement(image: object, path: Path, *, noun: str, fix: str) -> None:
-    """A NIfTI without qform and sform has voxel sizes only: which side is left nobody knows.
+    """Refuse a NIfTI without qform and sform: it has voxel sizes only, so that left and right are unknown.
 
     Raises
     ------
@@ -109,14 +109,14 @@ def require_placement(image: object, path: Path, *, noun: str, fix: str) -> None
 
 
 def one_geometry(image: object, path: Path, *, noun: str) -> None:
-    """A NIfTI header gives voxel sizes and places twice or thrice; they must agree, and be in mm.
+    """Check that the voxel sizes and positions that a NIfTI header states twice or more agree, and are in mm.
 
     noun : what the file is, for the messages ("image", "label map")
 
     Raises
     ------
     CaseError
-        With what contradicts what.
+        Naming the contradiction.
     """
     header = getattr(image, "header", None)
     if not isinstance(header, nib.Nifti1Header):

@@ -1,7 +1,7 @@
-"""NRRD volumes, as 3D Slicer writes them (`.nrrd`, `.seg.nrrd`): label maps and images.
+"""Read NRRD volumes as written by 3D Slicer (`.nrrd`, `.seg.nrrd`): label maps and images.
 
-Format: teem.sourceforge.net/nrrd/format.html (NRRD0001 to NRRD0005, attached data,
-encodings raw, gzip and ascii).
+Format: teem.sourceforge.net/nrrd/format.html (NRRD0001 to NRRD0005, attached data, encodings raw, gzip and
+ascii).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _RAS = ("right-anterior-superior", "ras")
 
 @dataclass(frozen=True, eq=False)
 class Nrrd:
-    """values [i, j, k] or [layer, i, j, k]; affine voxel to patient LPS; key/value pairs of the header."""
+    """values [i, j, k] or [layer, i, j, k]; affine from voxel to patient LPS; key/value pairs."""
 
     values: NDArray
     affine: Array
@@ -44,14 +44,14 @@ class Nrrd:
 
 
 def read_nrrd(path: Path, *, noun: str = "label map") -> Nrrd:
-    """A NRRD file with its data attached.
+    """Read a NRRD file with attached data.
 
     noun : what the file is, for the messages
 
     Raises
     ------
     CaseError
-        If it is none, of a kind that cannot be read, or does not say how it lies; the message says what.
+        If it is not NRRD, of an unsupported kind, or lacks its position; the message says which.
     """
     fields, pairs, data = _parts(path, noun)
     _check_geometry(fields, path, noun)
@@ -66,13 +66,13 @@ def read_nrrd(path: Path, *, noun: str = "label map") -> Nrrd:
 
 
 def read_nrrd_image(path: Path) -> Volume:
-    """One scalar volume of a NRRD file, in patient LPS.
+    """Read one scalar volume of a NRRD file, in patient LPS.
 
     Raises
     ------
     CaseError
-        If it cannot be read, holds several volumes or colours, or does not say how it lies; each with a
-        message of its own.
+        If it cannot be read, contains several volumes or colours, or lacks its position; each with its own
+        message.
     """
     fields, _, _ = _parts(path, "image")
     kinds = fields.get("kinds", "").lower().split()
@@ -94,7 +94,7 @@ def read_nrrd_image(path: Path) -> Volume:
 
 
 def _check_geometry(fields: dict[str, str], path: Path, noun: str) -> None:
-    """Which space the axes are directions of, in mm."""
+    """Check the space in which the directions of the axes are given, and that its unit is mm."""
     if "space" not in fields or "space directions" not in fields:
         lacking = "space" if "space" not in fields else "space directions"
         raise CaseError(
@@ -184,7 +184,7 @@ def _after_lines(data: bytes, n: int) -> bytes:
 
 
 def _directions(fields: dict[str, str]) -> list[list[float] | None]:
-    """Of each axis its direction; None of one that is not in space."""
+    """Direction of each axis; None for an axis that is not spatial."""
     return [_vector(each) for each in fields["space directions"].replace("none", "(none)").split(") ")]
 
 

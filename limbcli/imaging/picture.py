@@ -1,4 +1,4 @@
-"""The contact sheet: outlines over slices, for one look at the whole segmentation."""
+"""Contact sheet: outlines over slices, to inspect the whole segmentation at a glance."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ _MARGINS = Margins(left=0.5, above=0.17, below=0.75)
 def contact_sheet(
     path: Path, image: Volume, found: Segmentation, names: Sequence[str], *, title: str
 ) -> None:
-    """Twenty slices from distal to proximal with skin, bones and markers outlined.
+    """Draw twenty slices from distal to proximal with skin, bones and markers outlined.
 
-    image : the grey values (or the labels themselves where there is no image), any orientation
+    image : the grey values (or the labels themselves if there is no image), any orientation
     names : of the bones
     """
     grey, _, _ = image.along_limb()
@@ -69,7 +69,7 @@ def contact_sheet(
 
 
 def _outlined(found: Segmentation, names: Sequence[str], markers: NDArray[np.bool_]) -> list[tuple[str, str]]:
-    """What has an outline, and its colour."""
+    """The outlined structures and their colours."""
     entries = [("skin", _SKIN)]
     entries += [(name, _BONES[k % len(_BONES)]) for k, name in enumerate(names)]
     entries += [("fat", _FAT)] if found.fat is not None else []
@@ -77,7 +77,7 @@ def _outlined(found: Segmentation, names: Sequence[str], markers: NDArray[np.boo
 
 
 def _label_sides(axes: Axes, grey: Volume) -> None:
-    """First letters of the sides of the patient that the panel's edges lie towards: L for left and so on."""
+    """Label the panel's edges with the first letter of the patient's side: L for left and so on."""
     across, down = grey.affine[:3, 0], grey.affine[:3, 1]
     places = ((across, 0.98, 0.5), (-across, 0.02, 0.5), (down, 0.5, 0.02), (-down, 0.5, 0.98))
     for direction, x, y in places:
@@ -106,7 +106,7 @@ def _extent(window: tuple[slice, ...], spacing: Array) -> tuple[float, float, fl
 
 
 def _outlines(axes: Axes, found: Segmentation, markers: NDArray[np.bool_], grey: Volume, k: int) -> None:
-    """Contours of the working masks, placed by the image's in-plane mm."""
+    """Draw contours of the working masks, in the image's in-plane mm."""
     masks = [] if found.fat is None else [(found.fat, _FAT, 0.4)]
     masks += [(found.skin, _SKIN, 0.9)]
     masks += [(bone, _BONES[number % len(_BONES)], 0.9) for number, bone in enumerate(found.bones)]
@@ -118,7 +118,7 @@ def _outlines(axes: Axes, found: Segmentation, markers: NDArray[np.bool_], grey:
 
 
 def _contours(mask: Volume, grey: Volume, k: int) -> list[Array]:
-    """Lines (n, 2) round a mask's part of slice k, mm along i and j of the image."""
+    """Contour lines (n, 2) of a mask in slice k, mm along i and j of the image."""
     section = mask.values[:, :, k]
     if not section.any():
         return []

@@ -1,7 +1,7 @@
-"""How far a segmentation can be trusted: figures, and a verdict in words.
+"""Quality of a segmentation: figures, and a verdict.
 
-"good" passes without remark, "check" comes with warnings to look at, "poor" says that
-later stages are not reliable before the segmentation has been corrected.
+"good" needs no comment, "check" comes with warnings to look at, "poor" means that later stages are unreliable
+until the segmentation is corrected.
 """
 
 from __future__ import annotations
@@ -16,24 +16,27 @@ from limbcli.imaging.segmentation import Segmentation
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 
-_JUMP = (0.35, 0.8)  # change of a section's area from one slice to the next: check, poor
+# relative change of the section's area within 5 mm: limits for "check" and "poor" (as in all pairs below)
+_JUMP = (0.35, 0.8)
 _BONE_JUMP = (0.9, 2.5)  # bones flare towards a joint
-_SECTION = (0.45, 0.6)  # bone's share of the limb's section
-_AT_SKIN = (0.02, 0.15)  # share of a bone's surface that lies on the skin
-_BORDER = (0.03, 0.15)  # share of the limb's outline that the image's side cuts off
-_THIN = (2.0, 1.0)  # mm, half thickness of a bone at its thinnest section
-_HOLE = (20.0, 500.0)  # mm^3 of holes inside
+_SECTION = (0.45, 0.6)  # bone as a fraction of the limb's section
+_AT_SKIN = (0.02, 0.15)  # fraction of a bone's surface that lies on the skin
+_BORDER = (0.03, 0.15)  # fraction of the limb's outline that is cut off by the sides of the image
+_THIN = (2.0, 1.0)  # half thickness of a bone at its thinnest section, mm (lower limits)
+_HOLE = (20.0, 500.0)  # volume of enclosed holes, mm^3
 _IN_SLICE = ndimage.generate_binary_structure(2, 1)[:, :, None]
-_END = 0.4  # of the largest section: a smaller one at the first or last slice is a rounded end's
-_TWO_LIMBS = (0.1, 0.3)  # share of the sections that fall into two
-_APART, _COMPARABLE = 0.6, 0.35  # of a section's depth, at which it falls apart; of the larger part's area
-_COARSE = 2.0  # mm: a grid as coarse as this shows how a section falls apart
-_EVERY = 5.0  # mm along the limb over which a jump is measured
+_END = 0.4  # fraction of the largest section: a smaller first or last section belongs to a rounded end
+_TWO_LIMBS = (0.1, 0.3)  # fraction of the sections that fall into two parts
+# thinning level, as a fraction of a section's greatest depth; smallest ratio of the areas of two comparable
+# parts
+_APART, _COMPARABLE = 0.6, 0.35
+_COARSE = 2.0  # mm: grid spacing sufficient to see whether a section falls into two parts
+_EVERY = 5.0  # mm along the limb over which a change of area is measured
 
 
 @dataclass(frozen=True)
 class ImageQuality:
-    """verdict "good" | "check" | "poor"; figures with units in their names; findings in words."""
+    """verdict "good" | "check" | "poor"; figures with units in their names; findings as text."""
 
     verdict: str
     figures: dict[str, float] = field(default_factory=dict)
@@ -41,7 +44,7 @@ class ImageQuality:
 
 
 def assess(found: Segmentation, names: tuple[str, ...]) -> ImageQuality:
-    """Leakage, holes, jumps of section and thin spots of a segmentation.
+    """Check a segmentation for leakage, holes, jumps in cross-section and thin places.
 
     names : of the bones, in order
     """
@@ -101,12 +104,12 @@ def _areas(mask: NDArray[np.bool_]) -> Array:
 
 
 def _jump(mask: Volume) -> float:
-    """Largest relative change of the section's area over 5 mm, away from rounded ends."""
+    """Largest relative change of the section's area over 5 mm, except at rounded ends."""
     areas = _areas(mask.values)
     filled = np.flatnonzero(areas)
     step = max(1, round(_EVERY / mask.spacing[2]))
     margin = int(np.ceil(20.0 / mask.spacing[2]))
-    # Some files leave empty slices out: an end is round, too, where its section is small.
+    # Some files omit empty slices: an end without them also counts as rounded if its section is small.
     round_low, round_high = areas[filled[[0, -1]]] < _END * areas.max()
     low = filled[0] + (margin if filled[0] > 0 or round_low else 0)
     high = filled[-1] + 1 - (margin if filled[-1] < len(areas) - 1 or round_high else 0)
@@ -123,16 +126,16 @@ def _gaps(mask: NDArray[np.bool_]) -> int:
 
 
 def _ends_proximally(limb: Volume) -> int:
-    """1 where the limb is cut by the image's distal face but ends inside it proximally.
+    """1 if the limb is cut by the distal face of the image but ends inside it proximally.
 
-    A limb in a scanner is the other way round; a wrong orientation tag turns it over.
+    In a scan of a limb it is the other way round; a wrong orientation tag reverses it.
     """
     areas = _areas(limb.values)
     return int(areas[0] > 0.3 * areas.max() and areas[-1] == 0)
 
 
 def _in_two(limb: Volume) -> float:
-    """Share of the limb's sections, small ones aside, that fall into two comparable parts when thinned."""
+    """Fraction of the limb's larger sections that fall into two comparable parts when thinned."""
     steps = [max(1, int(_COARSE // each)) for each in limb.spacing[:2]]
     areas = _areas(limb.values)
     large = np.flatnonzero(areas > _END * areas.max())[:: max(1, round(_EVERY / limb.spacing[2]))]
@@ -147,14 +150,14 @@ def _in_two(limb: Volume) -> float:
 
 
 def _cut_off(limb: NDArray[np.bool_]) -> float:
-    """Share of the limb's outline that lies on the image's sides."""
+    """Fraction of the limb's outline that lies on the sides of the image."""
     sides = limb[0].sum() + limb[-1].sum() + limb[:, 0].sum() + limb[:, -1].sum()
     outline = limb & ~ndimage.binary_erosion(limb, _IN_SLICE)
     return float(sides / max(outline.sum(), 1))
 
 
 def _share_at_skin(bone: NDArray[np.bool_], limb: NDArray[np.bool_]) -> float:
-    """Share of the bone's edge with no soft tissue between it and the air, within the slices."""
+    """Fraction of the bone's edge without soft tissue between it and the air, within the slices."""
     edge = bone & ~ndimage.binary_erosion(bone, _IN_SLICE, border_value=1)
     beside_air = bone & ndimage.binary_dilation(~limb, _IN_SLICE)
     return float((edge & beside_air).sum() / max(edge.sum(), 1))
@@ -166,7 +169,7 @@ def _holes(mask: Volume) -> float:
 
 
 def _thinnest(bone: Volume) -> float:
-    """Smallest, over the slices away from the ends, of the largest distance to the bone's edge, mm."""
+    """Minimum over the slices, except at the ends, of the largest distance to the bone's edge, mm."""
     filled = np.flatnonzero(_areas(bone.values))
     margin = int(np.ceil(8.0 / bone.spacing[2]))
     low = margin if filled[0] > 0 else 0

@@ -1,9 +1,8 @@
 """Automatic segmentation of a limb on T1 MRI or CT: skin, bones, fat, markers.
 
-Nothing is learned from data; the anatomy's plain facts are used. Air is dark, skin
-encloses everything, muscle and fat have two levels under a slow shading, bone is bright
-marrow in a dark shell that continues along the limb, markers are bright and stand proud
-of the skin.
+No machine learning is used, only basic anatomical facts: air is dark, skin encloses everything, muscle and
+fat have two signal levels under a smooth bias field, bone is bright marrow in a dark shell that is continuous
+along the limb, markers are bright and protrude from the skin.
 """
 
 from __future__ import annotations
@@ -29,21 +28,21 @@ from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
 SOFT_TISSUE, BONE, MARKER, FAT = 1, 2, 3, 4
-_FINEST = 1.0  # mm: coarser images are worked on at twice (or more) their resolution
-_COARSE = 2.5  # mm: sections coarser than this are said to be so
+_FINEST = 1.0  # mm: pixel size above which images are resampled to twice (or more) their resolution
+_COARSE = 2.5  # mm: pixel size above which a note warns of coarse sections
 _PARTS = 6
 
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """What was found, on the image's own grid, and finer where the image is coarse.
+    """Result of a segmentation, on the image's own grid, and on a finer one where the image is coarse.
 
     labels : Volume of uint8 on the image's grid: 0 outside, 1 soft tissue, 2 bone, 3 marker, 4 fat
     skin : Volume of bool on the working grid (k along the limb): everything inside the skin
     bones : one Volume of bool per bone, largest first
-    fat : Volume of bool, or None where it cannot be told apart from muscle
+    fat : Volume of bool, or None if it cannot be distinguished from muscle
     markers : numbered capsules
-    notes : what was done on the way that a person should know
+    notes : processing steps that the user should know of
     """
 
     labels: Volume
@@ -56,7 +55,7 @@ class Segmentation:
 
 @dataclass(frozen=True, eq=False)
 class Masks:
-    """What `_on_mri` and `_on_ct` find on the working grid."""
+    """Result of `_on_mri` and `_on_ct` on the working grid."""
 
     limb: NDArray[np.bool_]
     bones: list[NDArray[np.bool_]]
@@ -67,11 +66,11 @@ class Masks:
 
 @dataclass(frozen=True, eq=False)
 class SegmentationHints:
-    """What a user can say about a segmentation.
+    """User input to a segmentation.
 
-    threshold : signal between air and skin (image units, HU on CT); None finds it
+    threshold : signal between air and skin (image units, HU on CT); None: determined automatically
     bone_seeds : patient LPS (n, 3), mm, points in marrow of bones to add
-    soft_seeds : patient LPS (n, 3), mm, points in what was taken for bone and is none
+    soft_seeds : patient LPS (n, 3), mm, points in regions wrongly taken for bone
     side : which of two limbs in view
     """
 
@@ -88,12 +87,12 @@ def segment_limb(
     hints: SegmentationHints | None = None,
     progress: Progress = SILENT,
 ) -> Segmentation:
-    """Skin, bones, fat and markers of a limb.
+    """Segment skin, bones, fat and markers of a limb.
 
     Parameters
     ----------
     image : T1-weighted image, or CT in HU, of one limb (or two: then `hints.side`), any orientation
-    modality : "CT" for Hounsfield units; anything else is taken for T1
+    modality : "CT" for Hounsfield units; anything else is treated as T1
 
     Returns
     -------
@@ -102,8 +101,8 @@ def segment_limb(
     Raises
     ------
     CaseError
-        If no limb stands out from the background, two do, fat is not bright, or a seed lies outside of the
-        image or, one of a bone, of the limb.
+        If no limb stands out from the background, two do, fat is not bright, or a seed lies outside the image
+        or, for a bone seed, outside the limb.
     """
     hints = hints or SegmentationHints()
     _require_within(image, hints)
@@ -144,7 +143,7 @@ def segment_limb(
 
 
 def _require_within(image: Volume, hints: SegmentationHints) -> None:
-    """Seeds lie in the image's voxels; one beyond them would be taken for another place."""
+    """Refuse seeds outside the image's voxels, which would otherwise be moved to its border."""
     for kind, seeds in (("bone", hints.bone_seeds), ("soft", hints.soft_seeds)):
         for each in () if seeds is None else np.atleast_2d(seeds):
             if not is_inside(image, each):
@@ -209,7 +208,7 @@ def _on_ct(work: Volume, hints: SegmentationHints, progress: Progress) -> Masks:
 def _without_soft(
     bones: list[NDArray[np.bool_]], work: Volume, seeds: Array | None
 ) -> list[NDArray[np.bool_]]:
-    """The bones that hold none of the points known to be soft."""
+    """The bones that contain none of the points known to be soft tissue."""
     if seeds is None:
         return bones
     last = np.array(work.shape) - 1
@@ -220,7 +219,7 @@ def _without_soft(
 def _useless(
     hints: SegmentationHints, modality: str, before: list[NDArray[np.bool_]], after: list[NDArray[np.bool_]]
 ) -> tuple[str, ...]:
-    """Seeds that changed nothing."""
+    """Notes on seeds that had no effect."""
     found = []
     if modality == "CT" and hints.bone_seeds is not None:
         found.append("--seed bone has no effect on CT, where bone is defined by its HU")
@@ -230,7 +229,7 @@ def _useless(
 
 
 def supersampled(volume: Volume) -> tuple[Volume, tuple[int, int]]:
-    """The image on a grid of at most 1 mm within the slices; returns it and the factors.
+    """The image resampled to at most 1 mm within the slices, and the factors along both axes.
 
     >>> fine, factors = supersampled(Volume(np.zeros((4, 4, 3)), np.diag([2.0, 1.0, 5.0, 1.0])))
     >>> factors, fine.shape, fine.affine[0]
@@ -250,7 +249,7 @@ def supersampled(volume: Volume) -> tuple[Volume, tuple[int, int]]:
 
 
 def _coarse(labels: NDArray[np.uint8], factors: tuple[int, int]) -> NDArray[np.uint8]:
-    """Each voxel takes the label that fills most of it."""
+    """Downsample the labels: each voxel takes the label that fills most of it."""
     if factors == (1, 1):
         return labels
     a, b, c = labels.shape

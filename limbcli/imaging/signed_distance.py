@@ -1,4 +1,4 @@
-"""Signed-distance fields of masks: the smooth form that labels and surfaces come from."""
+"""Signed distance fields of masks: the smooth representation from which labels and surfaces are made."""
 
 from __future__ import annotations
 
@@ -8,16 +8,15 @@ from scipy import ndimage
 
 from limbcli.model import Array
 
-REACH = 8.0  # mm: beyond this distance a field is constant
-_ANISOTROPIC = 1.6  # slices this much thicker than pixels are treated slice by slice
+REACH = 8.0  # mm: distances are clipped to this
+_ANISOTROPIC = 1.6  # slices thicker than pixels by this factor are processed slice by slice
 
 
 def signed_distance(mask: NDArray[np.bool_], spacing: Array) -> NDArray[np.float32]:
-    """Distance to the mask's edge, positive inside, at most `REACH` mm either way.
+    """Distance to the mask's edge, positive inside, clipped to `REACH` mm either way.
 
-    With thick slices the distance is taken within each slice, so that a linear
-    blend between slices is a shape in between (shape-based interpolation, Raya and Udupa
-    1990, IEEE TMI 9:32).
+    With thick slices the distance is computed within each slice, so that linear interpolation between slices
+    gives an intermediate shape (shape-based interpolation, Raya and Udupa 1990, IEEE TMI 9:32).
 
     >>> mask = np.zeros((5, 5, 1), bool); mask[1:4, 1:4] = True
     >>> signed_distance(mask, np.array([1.0, 1.0, 5.0]))[2, :, 0]
@@ -33,7 +32,7 @@ def signed_distance(mask: NDArray[np.bool_], spacing: Array) -> NDArray[np.float
 
 
 def _distance(mask: NDArray[np.bool_], spacing: Array) -> NDArray[np.float32]:
-    """Positive inside; the edge lies half a voxel from the centres beside it."""
+    """Distance, positive inside; the edge lies half a voxel from the centres of the adjacent voxels."""
     if not mask.any():
         return np.full(mask.shape, -REACH, np.float32)
     if mask.all():
@@ -45,7 +44,7 @@ def _distance(mask: NDArray[np.bool_], spacing: Array) -> NDArray[np.float32]:
 
 
 def evened(mask: NDArray[np.bool_], spacing: Array, *, by: float = 0.5) -> NDArray[np.bool_]:
-    """Rough edges and jumps from slice to slice smoothed in the distance field (`by` mm)."""
+    """Smooth rough edges and jumps between slices, in the distance field (Gaussian of `by` mm)."""
     window = box_around(mask, np.ceil(4.0 / spacing))
     sigma = [by / spacing[0], by / spacing[1], min(by, by / spacing[2])]
     field = ndimage.gaussian_filter(signed_distance(mask[window], spacing), sigma, mode="nearest")
@@ -55,7 +54,7 @@ def evened(mask: NDArray[np.bool_], spacing: Array, *, by: float = 0.5) -> NDArr
 
 
 def opened(mask: NDArray[np.bool_], radius: float, spacing: Array) -> NDArray[np.bool_]:
-    """Morphological opening with a ball (disc) of `radius` mm; whatever is thinner goes.
+    """Morphological opening with a ball (disc) of `radius` mm; anything thinner is removed.
 
     >>> bar = np.zeros((9, 9), bool); bar[2:7, 2:7] = True; bar[4, 7:] = True
     >>> opened(bar, 1.5, np.array([1.0, 1.0]))[4]
@@ -70,7 +69,7 @@ def opened(mask: NDArray[np.bool_], radius: float, spacing: Array) -> NDArray[np
 
 
 def closed(mask: NDArray[np.bool_], radius: float, spacing: Array) -> NDArray[np.bool_]:
-    """Closing with a disc of `radius` mm, holes filled."""
+    """Morphological closing with a disc of `radius` mm, and filling of holes."""
     pad = int(np.ceil(radius / spacing.min())) + 1
     wide = np.pad(mask, pad)
     grown = ndimage.distance_transform_edt(~wide, sampling=spacing) <= radius
@@ -79,7 +78,7 @@ def closed(mask: NDArray[np.bool_], radius: float, spacing: Array) -> NDArray[np
 
 
 def largest(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The largest connected part."""
+    """The largest connected component."""
     parts, n_parts = ndimage.label(mask)
     if n_parts <= 1:
         return mask
@@ -87,7 +86,7 @@ def largest(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def filled_by_slice(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Holes filled within each slice along the last axis."""
+    """Fill holes within each slice along the last axis."""
     out = np.empty_like(mask)
     for k in range(mask.shape[2]):
         out[:, :, k] = ndimage.binary_fill_holes(mask[:, :, k])
@@ -95,7 +94,7 @@ def filled_by_slice(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def box_around(mask: NDArray[np.bool_], margin: Array | float) -> tuple[slice, ...]:
-    """Slices of the mask's bounding box, `margin` voxels wider on every side, within the array."""
+    """Slices of the mask's bounding box, enlarged by `margin` voxels on every side within the array."""
     found = []
     for axis, more in enumerate(np.broadcast_to(margin, mask.ndim)):
         others = tuple(each for each in range(mask.ndim) if each != axis)

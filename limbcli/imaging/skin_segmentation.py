@@ -1,4 +1,4 @@
-"""The limb's outline: everything inside the skin."""
+"""Outline of the limb: everything inside the skin."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from limbcli.imaging.intensity import TissueIntensities, otsu
 from limbcli.imaging.signed_distance import evened, filled_by_slice, largest, opened
 from limbcli.imaging.volume import Volume
 
-_ROUGH = 0.33  # share of Otsu's threshold that skin (darker than muscle on T1) still exceeds
+_ROUGH = 0.33  # fraction of Otsu's threshold that skin (darker than muscle on T1) still exceeds
 _SKIN = (0.35, 0.45)  # bounds of the skin edge's threshold, muscle = 1
-_NOISE = 0.8  # share of the air's threshold that the skin edge's is at least
-_GHOST = 4.0  # mm: thinner things outside the limb are ghosts of vessels
-_BRIGHTEST = 0.02  # share of the image
-_AIR = 0.02  # share of the image that is air, at least
-_CONTRAST = 2.0  # of the limb against the air, at least
-_LEAST_VOLUME = 5e4  # mm^3
+_NOISE = 0.8  # the skin edge's threshold is at least this fraction of the background threshold
+_GHOST = 4.0  # mm: thinner structures outside the limb are ghosts of vessels
+_BRIGHTEST = 0.02  # fraction of the image: a brighter group of voxels that is smaller is not the limb
+_AIR = 0.02  # smallest fraction of the image that is air
+_CONTRAST = 2.0  # smallest ratio of the signal of the limb to that of air
+_LEAST_VOLUME = 5e4  # smallest volume of a limb, mm^3
 
 
 def rough_outline(volume: Volume, *, threshold: float | None = None) -> NDArray[np.bool_]:
-    """The limb without knowledge of its tissues: above the air, largest part, filled.
+    """The limb without distinguishing its tissues: the largest component above the air, filled.
 
     Raises
     ------
@@ -48,10 +48,10 @@ def rough_outline(volume: Volume, *, threshold: float | None = None) -> NDArray[
 
 
 def background_threshold(values: NDArray) -> float:
-    """A signal that air stays below and skin is above.
+    """A threshold between the signal of air and that of skin.
 
-    A limb fills more of an image than `_BRIGHTEST`: what is brighter and smaller (an implant's rim,
-    a coil's spot, markers) is left aside.
+    A limb fills more of an image than `_BRIGHTEST`: brighter but smaller structures (an implant's rim, a
+    coil's bright spot, markers) are ignored.
     """
     sample = values[::2, ::2, ::2].ravel()
     below = sample[sample <= np.percentile(sample, 99.5)]
@@ -73,12 +73,11 @@ def skin_outline(
     without: NDArray[np.bool_] | None = None,
     threshold: float | None = None,
 ) -> NDArray[np.bool_]:
-    """The limb with its edge where the signal is half of the outermost tissue's.
+    """The limb, with its edge where the signal is half that of the outermost tissue.
 
-    Skin is a grey band of 1 to 2 mm on T1, darker than muscle; its outer edge is taken.
-    `without` is left out (skin markers); a `threshold` (image units) replaces the edge's own
-    level. Ghosts of pulsating vessels beside the limb are cut off, and the edge is evened out
-    in its distance field.
+    Skin is a grey band of 1 to 2 mm on T1, darker than muscle; its outer edge is used. `without` is excluded
+    (skin markers); a `threshold` (image units) replaces the edge's own level. Ghosts of pulsating vessels
+    next to the limb are removed, and the edge is smoothed in its distance field.
     """
     raw = _blurred(volume)
     values = _blurred(volume.with_values(intensities.values))

@@ -1,4 +1,4 @@
-"""Image planes, in order of height, to one straight and even `Volume`."""
+"""Assemble image planes, in order of height, into one rectangular, evenly spaced `Volume`."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from limbcli.imaging.frames import Slice
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 
-_TILT = 0.5  # degrees: slices sheared by more are straightened
-_BESIDE = 0.5  # pixels: slices further beside the line from the first to the last are moved to it
-_UNEVEN = 0.02  # larger relative changes of the slice distance are resampled
+_TILT = 0.5  # degrees: a larger shear of the slices is corrected
+_BESIDE = 0.5  # pixels: slices farther from the line between the first and the last are shifted onto it
+_UNEVEN = 0.02  # relative variation of the slice spacing above which slices are resampled
 
 
 def stack(slices: list[Slice], heights: Array, step: float) -> tuple[Volume, tuple[str, ...]]:
-    """Volume indexed [column, row, slice], straight and even.
+    """A Volume indexed [column, row, slice], rectangular and evenly spaced.
 
     Raises
     ------
     CaseError
-        If the pictures of two neighbouring slices do not overlap.
+        If two adjacent slices do not overlap in their plane.
     """
     values = np.stack([each.pixels.T for each in slices], axis=2)
     first = slices[0]
@@ -59,7 +59,7 @@ def stack(slices: list[Slice], heights: Array, step: float) -> tuple[Volume, tup
 
 
 def _within_a_picture(slices: list[Slice], offset: Array) -> None:
-    """Neighbours' pictures overlap; offset: (n, 2) in pixels, of every slice from the first."""
+    """Check that adjacent slices overlap; offset: (n, 2), pixels, of every slice from the first."""
     rows, columns = slices[0].pixels.shape
     steps = np.abs(np.diff(offset, axis=0)) / [columns, rows]
     if steps.max() > 1.0:
@@ -72,9 +72,9 @@ def _within_a_picture(slices: list[Slice], offset: Array) -> None:
 
 
 def _straight(values: NDArray[np.float32], offset: Array) -> tuple[NDArray[np.float32], tuple[int, int]]:
-    """Each slice moved by its in-plane offset (pixels) on a grid that holds them all.
+    """Shift each slice by its in-plane offset (pixels) on a grid that contains them all.
 
-    Returns the values and how many pixels the grid begins before the first slice's.
+    Returns the values and the number of pixels by which the grid starts before the first slice.
     """
     low = np.floor(np.minimum(offset.min(axis=0), 0)).astype(int)
     high = np.ceil(np.maximum(offset.max(axis=0), 0)).astype(int)

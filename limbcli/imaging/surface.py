@@ -1,8 +1,7 @@
-"""Masks to closed, smooth surfaces; surfaces to and from files.
+"""Convert masks to closed, smooth surfaces; read and write surfaces.
 
-Marching cubes runs on the smoothed distance field of a mask, so that voxel steps do not
-show and hardly anything shrinks; where the limb leaves the image the surface is closed by the
-image's flat outer face.
+Marching cubes is applied to the smoothed distance field of a mask, so that voxel steps disappear with hardly
+any shrinkage; where the limb leaves the image, the surface is closed by the flat outer face of the image.
 """
 
 from __future__ import annotations
@@ -25,8 +24,8 @@ from limbcli.meshlab import open_pymeshlab
 from limbcli.model import Array, IntArray
 from limbcli.triangle_files import read_triangles
 
-SMOOTH = 0.7  # mm: standard deviation of the Gaussian over the distance field
-_SHARE_OF_SLICE = 0.45  # ... or this share of the slice distance where that is more
+SMOOTH = 0.7  # mm: standard deviation of the Gaussian smoothing of the distance field
+_SHARE_OF_SLICE = 0.45  # ... or this fraction of the slice spacing, if that is more
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,21 +37,21 @@ class ClosedSurface:
 
     @property
     def volume(self) -> float:
-        """Enclosed volume, mm^3; positive where normals point outward (divergence theorem)."""
+        """Enclosed volume, mm^3; positive if normals point outward (divergence theorem)."""
         a, b, c = (self.points[self.triangles[:, n]] for n in range(3))
         return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
 
     @property
     def is_closed(self) -> bool:
-        """Every edge belongs to exactly two triangles that run through it in opposite directions."""
+        """Whether every edge belongs to exactly two triangles that traverse it in opposite directions."""
         start, end = self.triangles.astype(np.int64).ravel(), np.roll(self.triangles, -1, axis=1).ravel()
         n = len(self.points)
-        forward = np.unique(start * n + end)  # a number for each direction of each edge
+        forward = np.unique(start * n + end)  # a key for each directed edge
         return len(forward) == len(start) and np.array_equal(forward, np.unique(end * n + start))
 
     @property
     def n_parts(self) -> int:
-        """Number of pieces that share no point."""
+        """Number of components that share no point."""
         a, b = self.triangles[:, [0, 1, 2]].ravel(), self.triangles[:, [1, 2, 0]].ravel()
         used, numbers = np.unique(np.concatenate([a, b]), return_inverse=True)
         graph = coo_matrix((np.ones(len(a)), (numbers[: len(a)], numbers[len(a) :])), shape=(len(used),) * 2)
@@ -125,10 +124,10 @@ def _marching_cubes(mask: Volume, *, edge: float, smooth: float, where: str) -> 
 
 
 def _grid(n: int, step: float, window: slice) -> Array:
-    """Places along an axis of n voxels, about `step` voxels apart, over a window and a little more.
+    """Grid positions along an axis of n voxels, about `step` voxels apart, over a slightly enlarged window.
 
-    The image's two outer faces lie half way between two places, so that a flat cut there is
-    met by clean triangles.
+    The image's two outer faces lie half way between two positions, so that a flat cut there has regular
+    triangles.
 
     >>> _grid(10, 2.4, slice(0, 10))
     array([-1.75,  0.75,  3.25,  5.75,  8.25, 10.75])
@@ -140,7 +139,7 @@ def _grid(n: int, step: float, window: slice) -> Array:
 
 
 def _largest_part(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Everything but the largest part of the inside, and every hole in it, is levelled away."""
+    """Remove everything but the largest component of the inside, and fill its holes."""
     tiny = np.float32(1e-3)
     values = np.where(np.abs(values) < tiny, np.copysign(tiny, values), values)
     parts, n_parts = ndimage.label(values > 0)
@@ -152,7 +151,7 @@ def _largest_part(values: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def remeshed(surface: ClosedSurface, *, edge: float) -> ClosedSurface:
-    """Nearly equilateral triangles of about `edge` mm; sharp rims (over 40 degrees) stay."""
+    """Remesh with nearly equilateral triangles of about `edge` mm; sharp edges (over 40 degrees) are kept."""
     pymeshlab = open_pymeshlab()
 
     meshes = pymeshlab.MeshSet(verbose=False)
@@ -172,7 +171,7 @@ def remeshed(surface: ClosedSurface, *, edge: float) -> ClosedSurface:
 
 
 def write_surface(path: Path, surface: ClosedSurface) -> None:
-    """A binary PLY, mm, patient LPS; the same surface gives the same bytes (no time stamp)."""
+    """Write a binary PLY, mm, patient LPS; the same surface gives the same bytes (no time stamp)."""
     faces = np.zeros(len(surface.triangles), [("n", "u1"), ("corners", "<i4", 3)])
     faces["n"], faces["corners"] = 3, surface.triangles
     head = (
@@ -186,12 +185,12 @@ def write_surface(path: Path, surface: ClosedSurface) -> None:
 
 
 def read_surface(path: Path) -> ClosedSurface:
-    """Triangles from an STL, PLY or OBJ file, coinciding points joined.
+    """Read triangles from an STL, PLY or OBJ file, and merge coincident points.
 
     Raises
     ------
     CaseError
-        If the file is no surface or has no triangles.
+        If the file is not a surface or has no triangles.
     """
     fix = "save it again as STL, PLY or OBJ with triangles"
     try:
@@ -212,7 +211,7 @@ def read_surface(path: Path) -> ClosedSurface:
 
 
 def once(triangles: IntArray) -> IntArray:
-    """Triangles (n, 3) without the repetitions of one: the same corners in the same sense, first ones kept.
+    """Triangles (n, 3) without duplicates of the same orientation; the first of each is kept.
 
     >>> once(np.array([[5, 7, 6], [6, 5, 7], [5, 6, 7]])).tolist()
     [[5, 7, 6], [5, 6, 7]]
@@ -223,7 +222,7 @@ def once(triangles: IntArray) -> IntArray:
 
 
 def joined(surface: ClosedSurface) -> ClosedSurface:
-    """Points that coincide become one; degenerate and repeated triangles go, and unused points."""
+    """Merge coincident points; drop degenerate and duplicate triangles, and unused points."""
     size = np.ptp(surface.points, axis=0).max()
     keys = np.round(surface.points / max(1e-6 * size, 1e-9)).astype(np.int64)
     _, first, numbers = np.unique(keys, axis=0, return_index=True, return_inverse=True)

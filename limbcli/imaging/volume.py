@@ -1,4 +1,4 @@
-"""`Volume`: an image and where its voxels lie in the patient."""
+"""`Volume`: an image and the position of its voxels in the patient frame."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from limbcli.model import Array
 
-# What the libraries that read images raise on damaged files.
+# Exceptions that image libraries raise on corrupt files.
 DAMAGED = (
     OSError, ValueError, TypeError, AttributeError, LookupError, ArithmeticError, EOFError, AssertionError,
     RuntimeError, NotImplementedError, struct.error, MemoryError,
 )  # fmt: skip
-MOST_VOXELS = 300_000_000  # of one image: a whole leg at 0.4 mm; more would not be a limb's, nor fit memory
+# largest number of voxels of an image: a whole leg at 0.4 mm; more would not be a limb, nor fit into memory
+MOST_VOXELS = 300_000_000
 RAS_FROM_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
@@ -48,15 +49,15 @@ class Volume:
 
     @property
     def voxel_volume(self) -> float:
-        """mm^3; right for sheared grids (gantry tilt) too."""
+        """Volume of a voxel, mm^3; valid also for sheared grids (gantry tilt)."""
         return float(abs(np.linalg.det(self.affine[:3, :3])))
 
     def to_patient(self, index: Array) -> Array:
-        """Voxel indices (n, 3), fractions allowed, to patient LPS (n, 3), mm."""
+        """Convert voxel indices (n, 3), fractions allowed, to patient LPS (n, 3), mm."""
         return np.asarray(index, dtype=np.float64) @ self.affine[:3, :3].T + self.affine[:3, 3]
 
     def to_voxel(self, points: Array) -> Array:
-        """Patient LPS (n, 3), mm, to voxel indices (n, 3), fractions kept."""
+        """Convert patient LPS (n, 3), mm, to fractional voxel indices (n, 3)."""
         offset = np.asarray(points, dtype=np.float64) - self.affine[:3, 3]
         return np.asarray(np.linalg.solve(self.affine[:3, :3], offset.T).T, dtype=np.float64)
 
@@ -66,15 +67,15 @@ class Volume:
 
     @property
     def limb_axis(self) -> int:
-        """The voxel axis that runs along the limb: the one nearest to head-feet."""
+        """The voxel axis along the limb: the one closest to the head-foot direction."""
         return int(np.argmax(np.abs(self.affine[2, :3]) / self.spacing))
 
     def along_limb(self) -> tuple[Volume, tuple[int, ...], bool]:
-        """The same image with k along the limb, growing towards proximal (the head).
+        """The image with k along the limb, increasing towards proximal (the head).
 
         Returns
         -------
-        volume, the order of axes taken, and whether k was turned round; `back` undoes it.
+        volume, the order of axes, and whether k was reversed; `back` undoes it.
 
         >>> values = np.arange(24).reshape(2, 3, 4)
         >>> coronal = Volume(values, np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]))
@@ -97,6 +98,6 @@ class Volume:
 
 
 def back(values: NDArray, order: tuple[int, ...], flipped: bool) -> NDArray:
-    """Values from `Volume.along_limb`'s grid to the grid it was made from."""
+    """Transform values from the grid of `Volume.along_limb` back to the original grid."""
     turned = values[:, :, ::-1] if flipped else values
     return np.ascontiguousarray(np.transpose(turned, np.argsort(order)))

@@ -1,10 +1,9 @@
-"""Skin-bone distance on B-mode images, followed through the force levels.
+"""Skin-bone distance on B-mode images, tracked through the force levels.
 
-Bone is a bright line across the image with shadow below it. It is found once, at
-the first level (or told), and then followed: a strip around it is sought in the
-next image by normalised cross-correlation, to a fraction of a pixel, column band by
-column band; the spread between bands is the uncertainty. The skin is the face of
-the probe, the top of the image, or the first bright line below a gel layer.
+Bone is a bright line across the image with shadow below it. It is detected once, at the first level (or
+given), and then tracked: a strip around it is matched in the next image by normalised cross-correlation, with
+sub-pixel resolution, in several bands of columns; the spread between the bands is the uncertainty. The skin
+is at the probe face, depth 0 of the calibrated region.
 """
 
 from __future__ import annotations
@@ -20,24 +19,26 @@ from limbcli.errors import MeasurementError
 from limbcli.measurement.ultrasound_image import UltrasoundImage
 from limbcli.model import Array
 
-_STRIP_WIDTH = 10.0  # mm across the centre line
+_STRIP_WIDTH = 10.0  # width of the strip around the centre line, mm
 _BANDS = 5
-_TEMPLATE_HALF = 2.5  # mm above and below the line
+_TEMPLATE_HALF = 2.5  # half height of the template around the line, mm
 _WORST_CORRELATION = 0.3
-_SHADOW = 4.0  # mm of image there must be below the bone
-# mm behind the line in which it is to be dark. Deeper down a picture fades behind an aponeurosis too, and a
-# screen shot is black below it: over all that was below, two of 18 frames of calf muscle held a bone.
+_SHADOW = 4.0  # smallest height of image below the bone, mm
+# Depth (mm) behind the line over which it must be dark. Farther down an image also fades behind an
+# aponeurosis, and a screen shot is black below the image: when everything below was used, bone was found in
+# two of 18 frames of calf muscle.
 _NEAR_BEHIND = 6.0
-_LEAST_BRIGHTNESS = 0.45  # of the weakest column of the line, relative to the brightest row
-_BY_HAND = 0.3  # mm: SD of a distance that someone read off the image
-_DARKEST_SHADE = 0.2  # brightness behind the line relative to the tissue in front
+# smallest brightness of the weakest column of the line, relative to the brightest row
+_LEAST_BRIGHTNESS = 0.45
+_BY_HAND = 0.3  # mm: standard deviation of a distance read off the image by hand
+_DARKEST_SHADE = 0.2  # largest brightness behind the line, relative to the tissue in front
 
 
 @dataclass(frozen=True)
 class BoneLine:
-    """Where the bone is below the probe face at one level.
+    """Position of the bone below the probe face at one level.
 
-    distance, sd : mm; correlation : -1 to 1 of the match (1 for the first level)
+    distance, sd : mm; correlation : of the match, -1 to 1 (1 for the first level)
     """
 
     distance: float
@@ -46,12 +47,12 @@ class BoneLine:
 
 
 def find_bone(image: UltrasoundImage, *, least: float = 4.0) -> BoneLine:
-    """The bone line of a single image: bright right across the strip, shadow below it.
+    """Detect the bone line of a single image: bright right across the strip, with shadow below.
 
-    An aponeurosis is as bright, but the muscle behind it still echoes; behind bone the
-    image is dark against the tissue above. Where that is not so nothing is named.
+    An aponeurosis is as bright, but the muscle behind it still echoes; behind bone the image is dark compared
+    with the tissue above. If nothing satisfies this, no bone is reported.
 
-    least : mm below the probe face from which on it is sought
+    least : mm below the probe face at which the search begins
 
     Raises
     ------
@@ -77,9 +78,10 @@ def find_bone(image: UltrasoundImage, *, least: float = 4.0) -> BoneLine:
 
 
 def _darkest_behind(smooth: Array, first: int, step: float) -> tuple[int | None, float, float]:
-    """The best bone candidate: its row, its brightness across the strip, and how dark it is behind.
+    """The best candidate for bone: its row, its brightness across the strip, and the darkness behind it.
 
-    Brightness is relative to the brightest row, shade (near behind over in front) to the tissue above.
+    Brightness is relative to the brightest row; shade is the brightness just behind relative to the tissue
+    above.
     """
     profile, weakest = smooth.mean(axis=1), smooth.min(axis=1)
     gap, shadow, near = round(1.5 / step), round(_SHADOW / step), round(_NEAR_BEHIND / step)
@@ -104,9 +106,9 @@ def follow_bone(
 ) -> list[BoneLine]:
     """The skin-bone distance at every level.
 
-    bone : mm below the probe face at the first level, or at every level (then none is sought);
-        None finds it.
-    largest_change : mm between neighbouring levels within which it is sought.
+    bone : mm below the probe face at the first level, or at every level (then there is no search); None:
+        detected automatically
+    largest_change : search range between adjacent levels, mm
 
     Raises
     ------
@@ -125,7 +127,7 @@ def follow_bone(
 
 
 def _stated(images: Sequence[UltrasoundImage], bone: Sequence[float]) -> list[BoneLine]:
-    """The distances as someone read them by hand."""
+    """The distances as read by hand."""
     if len(bone) != len(images):
         raise MeasurementError(
             f"bone_mm states {len(bone)} distances, there are {len(images)} images",
@@ -152,19 +154,19 @@ def follow_line(
     previous: UltrasoundImage, image: UltrasoundImage, line: BoneLine, largest_change: float, *,
     name: str = "bone line", by_hand: str = "skin_bone_mm", half: float = _TEMPLATE_HALF,
 ) -> BoneLine:  # fmt: skip
-    """Where a line of one image lies in the next.
+    """Find the position of a line of one image in the next.
 
-    largest_change : mm within which it is sought; name, by_hand : what it is, and the column for a reading by
-    hand; half : mm of image above and below it that are compared
+    largest_change : search range, mm; name, by_hand : name of the line, and the column for a reading by hand;
+        half : half height of the compared strip, mm
 
     Raises
     ------
     MeasurementError
-        If the scale changes, nothing there is like it, or it is likest at the end of what is searched.
+        If the scale changes, the best correlation is too low, or it lies at the end of the search range.
     """
     old, old_step = _strip(previous)
     new, step = _strip(image)
-    n = min(old.shape[1], new.shape[1])  # a pixel apart where pictures are not equally wide
+    n = min(old.shape[1], new.shape[1])  # widths may differ by a pixel
     old, new = _middle(old, n), _middle(new, n)
     if abs(step / old_step - 1.0) > 0.02:
         raise MeasurementError(
@@ -200,7 +202,7 @@ def follow_line(
 
 
 def _strip(image: UltrasoundImage) -> tuple[Array, float]:
-    """Brightness around the centre line from the probe face down, and mm per pixel (square)."""
+    """Brightness around the centre line from the probe face down, and mm per pixel along the depth."""
     region = image.main_region()
     centre = (region.left + region.right) / 2.0
     half = _STRIP_WIDTH / 2.0 / region.mm_per_pixel_x
@@ -224,8 +226,9 @@ def _bands(strip: Array) -> list[Array]:
 def _match(
     old: Array, new: Array, row: float, reach: float, step: float, half_mm: float
 ) -> tuple[float, float, bool]:
-    """Shift (pixels, with fraction) of the neighbourhood of `row`, its correlation, and whether it is as
-    large as the reach, so that a likelier one may lie beyond.
+    """Sub-pixel shift of the neighbourhood of `row`, its correlation, and whether it is at the range's end.
+
+    At the end of the range, a better match may lie beyond.
     """
     half = round(half_mm / step)
     centre = round(row)
@@ -254,7 +257,7 @@ def _peak(profile: Array, row: int, reach: int) -> float:
 
 
 def _parabola(values: Array, best: int) -> float:
-    """Place of the maximum to a fraction of a sample, from its two neighbours."""
+    """Sub-sample position of the maximum, from a parabola through its two neighbours."""
     if not 0 < best < len(values) - 1:
         return float(best)
     left, middle, right = values[best - 1 : best + 2]
@@ -263,7 +266,7 @@ def _parabola(values: Array, best: int) -> float:
 
 
 def _spread(values: Sequence[float]) -> float:
-    """SD of the median of the bands, from their median absolute deviation."""
+    """Standard deviation of the median of the bands, from their median absolute deviation."""
     if len(values) < 2:
         return 0.0
     deviation = float(np.median(np.abs(np.asarray(values) - np.median(values))))

@@ -1,7 +1,7 @@
-"""Borders of skin, fat and muscle on B-mode images, followed through the force levels as the bone line is.
+"""Interfaces of skin, fat and muscle on B-mode images, tracked through the force levels like the bone line.
 
-Where a border is at the first level is read by a person: which of several bright lines in fat is the fascia
-cannot be determined reliably from one image. From there the strip around it is sought in the next image.
+The interface at the first level is marked by hand: which of several bright lines in fat is the fascia cannot
+be determined reliably from one image. From there the strip around it is matched in the next image.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from limbcli.errors import MeasurementError
 from limbcli.measurement.bmode import BoneLine, follow_line
 from limbcli.measurement.ultrasound_image import UltrasoundImage
 
-_BY_HAND = 0.2  # mm: SD of a border that someone marked
-_HALF = 1.2  # mm above and below a border: layers next to it are strained otherwise
-_LARGEST_CHANGE = 4.0  # mm between neighbouring levels
-_APART = 0.2  # mm that borders keep between them
+_BY_HAND = 0.2  # mm: standard deviation of an interface marked by hand
+_HALF = 1.2  # half height of the template, mm: small, because adjacent layers are strained differently
+_LARGEST_CHANGE = 4.0  # search range between adjacent levels, mm
+_APART = 0.2  # smallest distance between interfaces, mm
 
 Stated = float | Sequence[float]
 
@@ -27,15 +27,15 @@ Stated = float | Sequence[float]
 def follow_borders(
     images: Sequence[UltrasoundImage], stated: Mapping[str, Stated], bone: Sequence[BoneLine]
 ) -> dict[str, list[BoneLine]]:
-    """The lower border of each layer below the probe face at every level, by the layer's name.
+    """Depth of the lower interface of each layer below the probe face at every level, by the layer's name.
 
-    stated : thickness (mm) of skin, then of fat, at the first level (they are followed) or at every level
-    bone : where the bone is at every level
+    stated : thickness (mm) of skin, then of fat, at the first level (it is then tracked) or at every level
+    bone : the bone line at every level
 
     Raises
     ------
     MeasurementError
-        If fat is stated without skin, a border is lost, or borders cross each other or the bone.
+        If fat is given without skin, an interface is lost, or interfaces cross each other or the bone.
     """
     if stated and next(iter(stated)) != "skin":
         raise MeasurementError(
@@ -80,7 +80,7 @@ def _check_order(
     images: Sequence[UltrasoundImage], name: str, lines: Sequence[BoneLine], above: Sequence[float],
     bone: Sequence[BoneLine],
 ) -> None:  # fmt: skip
-    """Borders follow one another down to the bone."""
+    """Check that the interfaces are in order down to the bone."""
     for image, line, top, end in zip(images, lines, above, bone, strict=True):
         if not top + _APART <= line.distance <= end.distance - _APART:
             raise MeasurementError(

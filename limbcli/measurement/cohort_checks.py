@@ -1,4 +1,4 @@
-"""What cannot be in a table of a cohort: every row is looked at before anything is computed from it."""
+"""Plausibility checks on the table of a cohort, applied to every row before anything is computed."""
 
 from __future__ import annotations
 
@@ -30,20 +30,25 @@ from limbcli.model import Array
 
 Rows = NDArray[np.bool_]
 
-_SHOWN = 5  # rows named of each kind
-_SUM_MM, _SUM_SHARE = 0.1, 0.005  # by how much layers may miss the whole: rounding
-_GROWTH_SIGMAS, _LEAST_GROWTH = 6.0, 0.5  # noise deviations, mm: beyond them a layer grew
-_FACE = (20.0, 10_000.0)  # mm2
-_WHOLE = (1.0, 400.0)  # mm
-# mm, the median of a table: 752 rows of arms and legs (Neumann et al. 2018) have 1.4, and none less than 0.6
+_SHOWN = 5  # largest number of rows listed per kind of problem
+# tolerances (mm; fraction of the whole) of the sum of the layers against the whole: rounding
+_SUM_MM, _SUM_SHARE = 0.1, 0.005
+# a layer has grown if it did so by more than this many standard deviations of the noise and by this many mm
+_GROWTH_SIGMAS, _LEAST_GROWTH = 6.0, 0.5
+_FACE = (20.0, 10_000.0)  # plausible area of the probe face, mm2
+_WHOLE = (1.0, 400.0)  # plausible distance from skin to bone, mm
+# Smallest plausible median skin thickness of a table, mm: 752 rows of arms and legs (Neumann et al. 2018)
+# have 1.4, and none less than 0.6.
 _THINNEST_SKIN = 0.4
-_FORCE = (0.05, 500.0)  # N
-_LEAST_BELOW = 1e-3  # of the whole's shortening, by fat and muscle: less is rounding
-_SLOPE_OFF = 5.0  # times the pressure over the depth: beyond it the slope's unit is wrong
+_FORCE = (0.05, 500.0)  # plausible force, N
+# smallest contribution of fat and muscle to the whole's shortening, as a fraction: less is rounding
+_LEAST_BELOW = 1e-3
+# a slope that differs from pressure over depth by more than this factor is in the wrong unit
+_SLOPE_OFF = 5.0
 
 
 def checked_cohort(path: Path) -> tuple[CohortTable | None, list[Problem]]:
-    """The complete rows of a table, if they can be used, and every problem."""
+    """The complete rows of a table, if they are usable, and every problem."""
     raw, problems = read_cohort(path)
     if raw is None or any(each.severity == "error" for each in problems):
         return None, problems
@@ -103,7 +108,7 @@ def _table(raw: RawTable, path: Path) -> CohortTable:
 
 
 def _listed(wrong: Rows, lines: Array, path: Path, words: Callable[[int], str], fix: str) -> list[Problem]:
-    """A problem for each of the first wrong rows, and one for the rest."""
+    """A problem for each of the first wrong rows, and one for the remaining rows."""
     rows = np.flatnonzero(wrong)
     found = [problem(words(k), path, fix, line=int(lines[k])) for k in rows[:_SHOWN]]
     if len(rows) > _SHOWN:
@@ -112,7 +117,7 @@ def _listed(wrong: Rows, lines: Array, path: Path, words: Callable[[int], str], 
 
 
 def _unnamed(raw: RawTable, complete: Rows, path: Path, name: str, noun: str) -> list[Problem]:
-    """Rows that do not say whose they are, or where: all of them would be one person, or one site."""
+    """Rows without person or site: they would all be treated as one person, or one site."""
     return _listed(
         complete & np.array([not cell for cell in raw.texts[name]]),
         np.array(raw.lines),
@@ -135,7 +140,7 @@ def _without_skin(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
 
 
 def _impossible(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
-    """What no tissue and no probe can be, unit slips first: they make the others follow."""
+    """Values that no tissue or probe can have; wrong units first, because they cause the others."""
     with np.errstate(all="ignore"):
         return _units(raw, complete, path) or _contradictions(raw, complete, path)
 
@@ -270,7 +275,7 @@ def _contradictions(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
 
 
 def _repeated(table: CohortTable) -> list[Problem]:
-    """The same person, site and trial in two rows."""
+    """The same person, site and trial in more than one row."""
     first: dict[tuple[str, str, str], int] = {}
     found = []
     for k, key in enumerate(zip(table.person, table.site, table.trial, strict=True)):
@@ -284,7 +289,7 @@ def _repeated(table: CohortTable) -> list[Problem]:
 
 
 def _alike(table: CohortTable) -> list[Problem]:
-    """People and sites whose names differ by capitals, spaces or leading zeros only: one, written twice?"""
+    """Names of people and sites that differ only in capitals, spaces or leading zeros: possibly the same."""
     found = []
     for noun, names in (("people", table.people), ("sites", table.sites)):
         written: dict[str, list[str]] = {}
@@ -301,7 +306,7 @@ def _alike(table: CohortTable) -> list[Problem]:
 
 
 def _plain(name: str) -> str:
-    """A name without what slips in when it is written again.
+    """A name normalised for typical variations when it is typed again.
 
     >>> _plain("006") == _plain(" 6"), _plain("LL_P") == _plain("ll p"), _plain("1-2") == _plain("12")
     (True, True, False)
@@ -311,7 +316,7 @@ def _plain(name: str) -> str:
 
 
 def _sexes(table: CohortTable) -> list[Problem]:
-    """More than two words, of which a prediction could make no column."""
+    """More than two values, for which a prediction could not use one column."""
     words = sorted({each for each in table.sex.tolist() if each})
     if len(words) <= 2:
         return []
@@ -327,7 +332,7 @@ def _sexes(table: CohortTable) -> list[Problem]:
 
 
 def _partly_given(table: CohortTable) -> list[Problem]:
-    """What is known of some people only, of which a prediction for all could make no column."""
+    """Data given for only some people, which a prediction for all cannot use as a column."""
     empty = {name: np.isnan(table.others[name]) for name in OF_PERSON if name in table.others}
     empty[SEX] = np.array([not each for each in table.sex])
     return [

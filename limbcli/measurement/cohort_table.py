@@ -1,7 +1,7 @@
-"""A table of people and sites, each indented once (or a few times): what `limbcli cohort` reads.
+"""The table of a cohort, people and sites each indented once (or a few times), as read by `limbcli cohort`.
 
-One row: the layers under the probe at first contact, how much each shortened at the largest force, that
-force, and the slope of pressure over displacement. No image, no limb, no wave speed is needed.
+One row: the layers under the probe at first contact, the shortening of each at the largest force, that force,
+and the slope of pressure over displacement. No image, limb geometry or wave speed is needed.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from limbcli.model import Array
 
 LAYERS = ("skin", "fat", "muscle")
 PERSON, SITE, TRIAL, SEX = "subject", "location", "trial", "sex"
-# Other names under which the texts may stand, where their own is not there.
+# Alternative names of the text columns, used if their own is missing.
 _ALSO = {"person": PERSON, "site": SITE}
 FACE, PRESSURE = "face_mm2", "max_pressure_mpa"
-OF_PERSON = ("age_years", "bmi_kg_per_m2")  # used by a second prediction, where every row gives them
+OF_PERSON = ("age_years", "bmi_kg_per_m2")  # used in a second prediction, if every row gives them
 
 REQUIRED: Mapping[str, str] = {
     "max_force_n": "largest normal force of the probe",
@@ -72,8 +72,8 @@ _MAY_BE_EMPTY = frozenset(
 class CohortTable:
     """Complete rows; arrays (n_rows,). face mm2; thickness, shortened (n_rows, 3: skin, fat, muscle) mm.
 
-    slope : MPa/mm; others : optional number columns (NaN where empty); lines : of the file
-    n_incomplete : rows that were left out because a reading is missing
+    slope : MPa/mm; others : optional numeric columns (NaN where empty); lines : line numbers in the file
+    n_incomplete : number of rows omitted because a reading is missing
     """
 
     person: Array
@@ -95,17 +95,17 @@ class CohortTable:
 
     @property
     def whole(self) -> Array:
-        """Skin to bone (mm)."""
+        """Distance from skin to bone (mm)."""
         return np.asarray(self.thickness.sum(axis=1))
 
     @property
     def depth(self) -> Array:
-        """How far the probe went (mm): the whole's shortening."""
+        """Indentation depth (mm): the shortening of the whole."""
         return np.asarray(self.shortened.sum(axis=1))
 
     @property
     def compliance(self) -> Array:
-        """mm/MPa: one over the slope."""
+        """Inverse of the slope, mm/MPa."""
         return np.asarray(1.0 / self.slope)
 
     @property
@@ -117,7 +117,7 @@ class CohortTable:
         return sorted(set(self.person.tolist()))
 
     def rows(self, keep: NDArray[Any]) -> CohortTable:
-        """The rows that `keep` (bool or numbers) says."""
+        """The rows selected by `keep` (mask or indices)."""
         names = (
             "person",
             "site",
@@ -135,9 +135,9 @@ class CohortTable:
 
 
 def read_cohort(path: Path) -> tuple[RawTable | None, list[Problem]]:
-    """The table's columns as they stand, and every problem of its form.
+    """The table's columns as read, and every problem of its format.
 
-    Columns that nobody asked for are left aside, with a warning that names the nearest known one.
+    Unknown columns are ignored, with a warning that names the most similar known one.
     """
     if not path.is_file():
         return None, [problem("the table was not found", path, "give a CSV file with the documented columns")]
@@ -147,7 +147,7 @@ def read_cohort(path: Path) -> tuple[RawTable | None, list[Problem]]:
     spare = {each for each in header if each and each not in known | set(also)}
     texts = {*TEXTS, *also, *spare}
     optional = {*OPTIONAL, *(_MAY_BE_EMPTY & set(header))}
-    required = [] if header else [*REQUIRED]  # what a header lacks is reported with what it holds
+    required = [] if header else [*REQUIRED]  # missing columns are reported separately, with their meaning
     table, problems = read_table(path, required=required, optional=optional, texts=texts)
     problems = [*_lacking(header, path), *problems] if header else problems
     for name in sorted(spare):
@@ -161,7 +161,7 @@ def read_cohort(path: Path) -> tuple[RawTable | None, list[Problem]]:
 
 
 def _header(path: Path) -> list[str]:
-    """The header line's names; none where the file cannot be read (which `read_table` then reports)."""
+    """The names in the header line; none if the file cannot be read (which `read_table` then reports)."""
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError):
@@ -172,7 +172,7 @@ def _header(path: Path) -> list[str]:
 
 
 def _lacking(header: list[str], path: Path) -> list[Problem]:
-    """Columns that are missing, each with what it holds."""
+    """Missing columns, each with its meaning."""
     found = []
     for name in (PERSON, SITE):
         if name not in header and not any(_ALSO.get(each) == name for each in header):

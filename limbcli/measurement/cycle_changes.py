@@ -1,12 +1,13 @@
-"""What changed between two loadings: the tissue, the load cell, or what the limb lies on.
+"""Explain what changed between two loadings: the tissue, the load cell, or the support of the limb.
 
-At one force the later depth differs by
-  a (constant)            depth that did not come back, or a shift of the depth's zero
-  b times the depth       tissue that has become softer or stiffer: preconditioning
-  f times d depth/d force an offset of the force: drift of the load cell
-Each alone is fitted by generalised least squares; they are compared by what each leaves (BIC).
-Depth is the loss of skin-bone distance, so a limb that moves as a whole does not enter it; that shows
-where the probe's own travel was read too.
+At equal force the depth of the later loading differs by
+  a (constant)              depth that was not recovered, or a shift of the depth's zero
+  b times the depth         tissue that has become softer or stiffer: preconditioning
+  f times d depth/d force   an offset of the force: drift of the load cell
+Each explanation is fitted alone by generalised least squares; they are compared by their residuals (BIC).
+Depth is the loss of skin-bone distance, so a rigid motion of the limb does not affect it; such a motion is
+seen if the probe's travel was measured too.
+
 Source: Schwarz 1978, Ann Stat 6:461 (BIC).
 """
 
@@ -22,14 +23,14 @@ from limbcli.measurement.levels import Levels
 from limbcli.model import Array
 from limbcli.significant_digits import short
 
-TOLD_APART = 6.0  # difference of BIC beyond which the second best is out (strong evidence)
+TOLD_APART = 6.0  # difference of BIC beyond which the second best explanation is excluded (strong evidence)
 
 
 @dataclass(frozen=True)
 class CycleChange:
-    """One explanation: its size with one deviation, what it leaves, and whether noise explains that.
+    """One explanation: its size and standard deviation, the residual chi-square, whether noise explains it.
 
-    name : "residual depth" (mm), "compliance" (share) or "force offset" (N)
+    name : "residual depth" (mm), "compliance" (fraction) or "force offset" (N)
     """
 
     name: str
@@ -40,7 +41,7 @@ class CycleChange:
 
 
 def changes(difference: Difference) -> tuple[CycleChange, ...]:
-    """Every explanation, the best first. Empty where there are no more levels than it takes."""
+    """Every explanation, the best first. Empty with fewer than three common levels."""
     n = len(difference.depth)
     if n < 3:
         return ()
@@ -64,7 +65,7 @@ def _fitted(name: str, column: Array, difference: Difference) -> CycleChange:
 
 
 def change_text(difference: Difference) -> str:
-    """One sentence: what the difference looks like, or that it is undetermined."""
+    """One sentence: the likely cause of the difference, or that it is undetermined."""
     pair = f"from cycle {difference.earlier} to {difference.later}"
     if difference.is_noise:
         return f"{pair} nothing changed beyond noise"
@@ -100,10 +101,10 @@ _WORDS = {"residual depth": _residual, "compliance": _compliance, "force offset"
 
 
 def support_text(levels: Levels, study: CycleStudy, *, travel_deviation: float) -> str | None:
-    """Whether the limb moved as a whole between the loadings; None where the probe's travel was not read.
+    """Whether the limb moved as a whole between the loadings; None if the probe's travel was not measured.
 
-    Travel minus depth is what the bone gave way. It is compared at the first loading's levels, in the mean of
-    those whose force the last one reaches, too.
+    Travel minus depth is the displacement of the bone. Its mean is compared at those levels of the first
+    loading whose force the last one also reaches.
     """
     whole = [*(each.earlier for each in study.differences), *(each.later for each in study.differences[-1:])]
     given = levels.probe_travel - levels.depth

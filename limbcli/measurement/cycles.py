@@ -1,9 +1,10 @@
-"""Repeated loading: what a cycle takes from the work done on the tissue, and when the tissue repeats itself.
+"""Repeated loading: energy lost in each cycle, and the cycle from which the tissue response repeats.
 
-Soft tissue that is loaded again and again follows a new curve each time, until its curves
-repeat ("preconditioning"). The loop between loading and unloading is the energy lost.
-Curves are compared by the depth at one force, because force is what a hold controls, with the stated
-noise of both readings carried through the interpolation.
+Soft tissue under repeated loading follows a new curve each time, until its curves repeat ("preconditioning").
+The area of the loop between loading and unloading is the energy lost. Curves are compared by the depth at
+equal force, because force is what is controlled in a hold, with the stated noise of both readings propagated
+through the interpolation.
+
 Source: Fung 1993, Biomechanics: Mechanical Properties of Living Tissues, 2nd ed., section 7.5.
 """
 
@@ -19,16 +20,17 @@ from scipy.stats import chi2
 from limbcli.measurement.levels import FEWEST_LOADING, TOUCH_FORCE, Levels
 from limbcli.model import Array, IntArray
 
-LEVEL = 0.01  # of the test that two loadings are one curve
-_FEWEST_COMMON = 2  # forces that both loadings reach
-_SAME_FORCE = 5.0  # deviations of a force by which readings of one level may differ
+LEVEL = 0.01  # significance level of the test that two loadings follow the same curve
+_FEWEST_COMMON = 2  # smallest number of forces that both loadings must reach
+_SAME_FORCE = 5.0  # standard deviations of the force by which readings of one level may differ
 
 
 @dataclass(frozen=True, eq=False)
 class Energy:
-    """Of one cycle, in N mm (mJ): work of loading, what unloading does not give back, one deviation of that.
+    """Energy of one cycle, N mm (mJ): work of loading, loss in unloading, and standard deviation of the loss.
 
-    closed : whether unloading was read down to first touch; else the loss is that above its last level
+    closed : whether unloading was measured down to first touch; otherwise the loss is that above its last
+        level
     """
 
     work: float
@@ -38,17 +40,17 @@ class Energy:
 
     @property
     def share(self) -> float:
-        """Lost over work of loading."""
+        """Loss as a fraction of the work of loading."""
         return self.lost / self.work
 
 
 @dataclass(frozen=True, eq=False)
 class Difference:
-    """How a later loading differs from an earlier one, at the forces of the earlier one that both reach.
+    """Difference of a later loading from an earlier one, at the forces of the earlier one that both reach.
 
     force (n,) N; depth (n,) mm, later minus earlier, in the file's depths
-    covariance (n, n) mm^2, of the stated noise; slope (n,) mm/N, of the earlier curve
-    earlier_depth (n,) mm, from that loading's first level
+    covariance (n, n) mm^2, from the stated noise; slope (n,) mm/N, of the earlier curve
+    earlier_depth (n,) mm, from the first level of that loading
     """
 
     earlier: int
@@ -65,7 +67,7 @@ class Difference:
 
     @property
     def p_value(self) -> float:
-        """Of so much difference or more by noise alone."""
+        """Probability of at least this difference from noise alone."""
         return float(chi2.sf(self.chi_square, len(self.depth)))
 
     @property
@@ -74,7 +76,7 @@ class Difference:
 
     @property
     def largest(self) -> int:
-        """Where the difference is largest against its own deviation."""
+        """Index of the largest difference relative to its standard deviation."""
         return int(np.argmax(np.abs(self.depth) / np.sqrt(np.diag(self.covariance))))
 
 
@@ -83,9 +85,9 @@ class CycleStudy:
     """All cycles of one record.
 
     energy : by cycle, of those with unloading
-    differences : of each whole loading with the last whole one
-    repeats_from : the first cycle from which on all loadings are the last one within noise; None: the
-        last differs from the one before it, or it is the only one
+    differences : of each complete loading from the last complete one
+    repeats_from : the first cycle from which all loadings equal the last one within noise; None: the last
+        differs from the one before it, or it is the only one
     """
 
     cycles: tuple[int, ...]
@@ -94,16 +96,16 @@ class CycleStudy:
     repeats_from: int | None
 
     def contradicting(self, cycle: int) -> tuple[Difference, ...]:
-        """The last loading's difference with this one, where noise does not explain it."""
+        """Difference of the last loading from this one, if noise does not explain it."""
         return tuple(each for each in self.differences if each.earlier == cycle and not each.is_noise)
 
 
 def study_cycles(levels: Levels, *, force_deviation: float, depth_deviation: float) -> CycleStudy:
-    """Energy lost a cycle, and from which cycle on the loadings are one curve.
+    """Energy lost in each cycle, and the cycle from which the loadings follow the same curve.
 
     levels : of all cycles (`Levels.of_cycle` was not called)
-    force_deviation, depth_deviation : N, mm, one standard deviation of a reading; where both are 0 nothing
-        is within noise, and no cycle repeats another unless it is the same to the digit
+    force_deviation, depth_deviation : N, mm, standard deviation of a reading; if both are 0, a cycle repeats
+        another only if it is identical
     """
     noise = (force_deviation, depth_deviation)
     energy = {}
@@ -123,10 +125,10 @@ def study_cycles(levels: Levels, *, force_deviation: float, depth_deviation: flo
 
 
 def cycle_energy(levels: Levels, cycle: int, force_deviation: float, depth_deviation: float) -> Energy | None:
-    """Work of loading and loss of one cycle by straight lines between its levels; None without unloading.
+    """Work of loading and loss of one cycle, by linear interpolation between levels; None without unloading.
 
-    The loop is closed by the first touch of the next cycle where that follows; its deviation is that of
-    all readings, carried through numerical derivatives.
+    The loop is closed by the first touch of the next cycle if that follows; the standard deviation is that of
+    all readings, propagated through numerical derivatives.
     """
     up = np.flatnonzero((levels.cycle == cycle) & levels.loading)
     down = np.flatnonzero((levels.cycle == cycle) & ~levels.loading)
@@ -152,9 +154,9 @@ def cycle_energy(levels: Levels, cycle: int, force_deviation: float, depth_devia
 
 
 def _work_and_loss(force: Array, depth: Array, n_up: int, *, closed: bool) -> Array:
-    """(2,) N mm: the area below loading, and that between loading and unloading (from the top back).
+    """(2,) N mm: area below the loading curve, and between loading and unloading (from the top back).
 
-    Not closed: both from the depth of the last unloading level on.
+    If not closed, both are taken from the depth of the last unloading level upwards.
     """
     up_force, up_depth = force[:n_up], depth[:n_up]
     down_force, down_depth = force[n_up - 1 :][::-1], depth[n_up - 1 :][::-1]
@@ -170,7 +172,7 @@ def _work_and_loss(force: Array, depth: Array, n_up: int, *, closed: bool) -> Ar
 def compare(
     levels: Levels, earlier: int, later: int, force_deviation: float, depth_deviation: float
 ) -> Difference | None:
-    """Depths of two loadings at the earlier one's forces; None where they have fewer than two in common."""
+    """Depths of two loadings at the forces of the earlier one; None with fewer than two common forces."""
     first = _loading(levels, earlier)
     last = _loading(levels, later)
     order = np.argsort(levels.force[last], kind="stable")
@@ -188,7 +190,7 @@ def compare(
     of_first = depth_deviation**2 + (own_slope * force_deviation) ** 2
     of_last = depth_deviation**2 + (knot_slope * force_deviation) ** 2
     covariance = np.diag(of_first) + weights @ np.diag(of_last) @ weights.T
-    covariance += 1e-12 * np.eye(len(at))  # mm^2: noise of 0 leaves a matrix that can be solved
+    covariance += 1e-12 * np.eye(len(at))  # mm^2: keeps the matrix invertible without noise
     return Difference(earlier, later, force, gap, covariance, own_slope, depth - levels.depth[first[0]])
 
 
@@ -197,7 +199,7 @@ def _loading(levels: Levels, cycle: int) -> IntArray:
 
 
 def _linear_weights(knots: Array, at: Array) -> Array:
-    """(n_at, n_knots): values at `at` of the broken line through values at the knots; its ends go on.
+    """Weights (n_at, n_knots) of linear interpolation and extrapolation at `at` from values at the knots.
 
     >>> _linear_weights(np.array([0.0, 2.0, 4.0]), np.array([1.0, 4.0])).round(3)
     array([[0.5, 0.5, 0. ],
@@ -209,6 +211,6 @@ def _linear_weights(knots: Array, at: Array) -> Array:
 
 
 def _slopes(x: Array, y: Array) -> Array:
-    """dy/dx at each point, by the chord between its neighbours; equal x are told apart by 1e-6."""
+    """dy/dx at each point by central differences; equal x are separated by 1e-6."""
     apart = np.maximum.accumulate(x) + 1e-6 * np.arange(len(x))
     return np.abs(np.gradient(y, apart))

@@ -1,9 +1,9 @@
-"""How well a layer's edges were marked, determined by the marks themselves.
+"""Estimate the noise of marked layer edges from the marks themselves.
 
-A layer shortens under the probe; where a table says that it grew, the marks were wrong. So what is read of a
-layer is taken as a true shortening, exponentially distributed over people, plus Gaussian noise: the
-exponentially modified Gaussian, whose Gaussian part is found by greatest likelihood. Its left flank, the
-negative values, holds nearly all that the data know of the noise.
+A layer shortens under the probe; if a table says that it grew, the marks were wrong. The measured shortening
+is therefore modelled as a true shortening, exponentially distributed over people, plus Gaussian noise: the
+exponentially modified Gaussian, whose Gaussian part is estimated by maximum likelihood. Its left flank, the
+negative values, contains nearly all the information about the noise.
 
 Source: Grushka 1972, Anal Chem 44:1733 (the distribution).
 """
@@ -18,27 +18,36 @@ from scipy.special import log_ndtr
 
 from limbcli.model import Array
 
-ASSUMED_EDGE = 0.1  # mm, one deviation of an edge, where no layer gives it
+ASSUMED_EDGE = 0.1  # mm, standard deviation of an edge, used if no layer determines it
 _FEWEST_NEGATIVE = 5
-_FIRST_SIMPLEX = np.array([[0.0, 0.0], [0.3, 0.0], [0.0, -0.3]])  # of ln deviation and ln mean
-_EDGES = 2.0  # root of the four marks, two an image, behind a shortening
+# initial simplex of ln standard deviation and ln mean
+_FIRST_SIMPLEX = np.array([[0.0, 0.0], [0.3, 0.0], [0.0, -0.3]])
+_EDGES = 2.0  # square root of the four marks, two per image, that determine a shortening
 
 
 @dataclass(frozen=True, eq=False)
 class EdgeNoise:
-    """shortened (3,): deviation (mm) of skin's, fat's, muscle's shortening; from_data (3,): the table's."""
+    """Noise of the shortenings of skin, fat and muscle.
+
+    shortened (3,) : standard deviation, mm; from_data (3,) : whether it was determined from the table
+    """
 
     shortened: Array
     from_data: Array
 
     @property
     def edge(self) -> Array:
-        """(3,) mm: of one marked edge, if the four behind a shortening are alike."""
+        """Standard deviation (3,), mm, of one marked edge, assuming equal noise of the four of a
+        shortening.
+        """
         return self.shortened / _EDGES
 
 
 def layer_noise(shortened: Array) -> EdgeNoise:
-    """From shortenings (n_rows, n_layers) mm. A layer that never grows takes the largest of the others."""
+    """Noise from shortenings (n_rows, n_layers), mm.
+
+    A layer that never grows takes the largest noise of the others.
+    """
     n = shortened.shape[1]
     found, known = np.zeros(n), np.zeros(n, dtype=bool)
     for j in range(n):
@@ -50,7 +59,7 @@ def layer_noise(shortened: Array) -> EdgeNoise:
 
 
 def gaussian_part(values: Array) -> float:
-    """Deviation of the Gaussian in an exponentially modified Gaussian that starts at 0: values (n,).
+    """Standard deviation of the Gaussian in an exponentially modified Gaussian starting at 0; values (n,).
 
     >>> rng = np.random.default_rng(7)
     >>> values = rng.exponential(0.8, 3000) + rng.normal(0.0, 0.2, 3000)
@@ -60,12 +69,12 @@ def gaussian_part(values: Array) -> float:
     scale = float(np.mean(np.abs(values)))
     if scale == 0.0:
         return 0.0
-    relative = values / scale  # so that a search that ends at a tolerance ends alike in any unit
+    relative = values / scale  # scaled, so that the tolerance of the search is independent of the unit
 
     def cost(theta: Array) -> float:
         sigma, mean = np.exp(theta)
         ratio = sigma / mean
-        # ln of the density: exponential of mean `mean`, convolved with N(0, sigma^2)
+        # log density of an exponential of mean `mean`, convolved with N(0, sigma^2)
         logs = -np.log(mean) + 0.5 * ratio**2 - relative / mean + log_ndtr(relative / sigma - ratio)
         return -float(logs.mean())
 

@@ -1,7 +1,7 @@
-"""Shear-wave elastography: speeds, maps, and what they say about stiffness.
+"""Shear-wave elastography: speeds, maps, and the stiffness derived from them.
 
-A map is in the probe's frame: `lateral` along its long side from its centre,
-`depth` down from its face, both mm, in the tissue as it is at that force level.
+A map is in the probe's frame: `lateral` along its long side from its centre, `depth` down from its face, both
+mm, in the tissue as deformed at that force level.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ COLUMNS = ("lateral_mm", "depth_mm", "speed_m_per_s")
 SPEED_LOW_M_PER_S, SPEED_HIGH_M_PER_S = 0.3, 20.0
 _MAX_LATERAL, _MAX_DEPTH = 75.0, 120.0
 _SHOWN = 4
-_WIDEST = 1.3  # half width of a map over that of the probe
-_AT_ODDS = 1.3  # mean of a map over that of levels.csv, either way
+_WIDEST = 1.3  # largest ratio of the half width of a map to that of the probe
+_AT_ODDS = 1.3  # largest ratio, either way, of a map's mean to that in levels.csv
 
 
 def shear_modulus_from_wave_speed(wave_speed_m_per_s: Array, *, density_kg_per_m3: float = 1000.0) -> Array:
-    """Small-strain shear modulus seen by shear-wave elastography.
+    """Small-strain shear modulus from the shear-wave speed.
 
-    mu = rho * v**2: linear, isotropic, unbounded, lossless tissue. In a thin or
-    pre-stretched layer this is a biased reading.
+    mu = rho * v**2: linear, isotropic, unbounded, lossless tissue. In a thin or pre-stretched layer this is
+    biased.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class SweMap:
         return len(self.speed_m_per_s)
 
     def within(self, *, lateral: tuple[float, float], depth: tuple[float, float]) -> SweMap:
-        """The pixels of a region of interest (mm, limits included)."""
+        """The pixels inside a region of interest (mm, limits included)."""
         keep = (self.lateral >= lateral[0]) & (self.lateral <= lateral[1])
         keep &= (self.depth >= depth[0]) & (self.depth <= depth[1])
         return SweMap(self.lateral[keep], self.depth[keep], self.speed_m_per_s[keep], self.path)
@@ -87,7 +87,7 @@ class SweMap:
 
 @dataclass(frozen=True)
 class SweStatistics:
-    """Of one level: mean and standard deviation over pixels, quartiles (m/s), pixel count."""
+    """Statistics of one level: mean and standard deviation over pixels, quartiles (m/s), pixel count."""
 
     mean_m_per_s: float
     sd_m_per_s: float
@@ -98,8 +98,8 @@ class SweStatistics:
 def statistics(swe: SweMap) -> SweStatistics:
     """Mean, spread and count of a map's pixels.
 
-    The mean is of speeds, not of moduli: E[v^2] = mean^2 + SD^2, so rho mean^2 is below the
-    mean modulus by (SD / mean)^2.
+    The mean is that of speeds, not of moduli: E[v^2] = mean^2 + SD^2, so rho mean^2 is below the mean modulus
+    by (SD / mean)^2.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def statistics(swe: SweMap) -> SweStatistics:
 
 
 def map_file(folder: Path, level: int) -> Path:
-    """Where the map of a row of levels.csv lies.
+    """Path of the map of a row of levels.csv.
 
     >>> map_file(Path("swe"), 3).as_posix()
     'swe/level_03.csv'
@@ -132,7 +132,7 @@ def map_file(folder: Path, level: int) -> Path:
 
 
 def write_map(path: Path, swe: SweMap) -> None:
-    """Write one map in long form, whole or not at all."""
+    """Write one map in long form, atomically."""
     rows = zip(swe.lateral, swe.depth, swe.speed_m_per_s, strict=True)
     lines = [",".join(COLUMNS), *(f"{x:.6g},{z:.6g},{v:.4f}" for x, z, v in rows)]
     with atomic_file(path) as partial:
@@ -151,12 +151,12 @@ def read_map(path: Path) -> SweMap:
 
 
 def read_maps(folder: Path, n_levels: int | None = None) -> list[SweMap]:
-    """The maps of all levels, in order; as many as levels.csv has rows, where that is given.
+    """Read the maps of all levels, in order; as many as levels.csv has rows, if that is given.
 
     Raises
     ------
     MeasurementError
-        With every problem of every file; a level without its file is one.
+        With every problem of every file, including missing files.
     """
     maps, problems = check_maps(folder, n_levels)
     raise_errors(problems, MeasurementError)
@@ -164,9 +164,9 @@ def read_maps(folder: Path, n_levels: int | None = None) -> list[SweMap]:
 
 
 def check_maps(folder: Path, n_levels: int | None = None) -> tuple[list[SweMap], list[Problem]]:
-    """The maps that can be used, and every problem: missing, surplus and faulty files.
+    """The maps that are usable, and every problem: missing, surplus and faulty files.
 
-    n_levels : rows of levels.csv; None where they are not known: as many as the maps' own numbers tell
+    n_levels : rows of levels.csv; None if unknown: derived from the numbers of the maps
     """
     problems: list[Problem] = []
     maps = []
@@ -195,7 +195,7 @@ def check_maps(folder: Path, n_levels: int | None = None) -> tuple[list[SweMap],
 
 
 def _n_by_names(folder: Path) -> int:
-    """Levels up to the highest number of a map; of files most of which lack one before them, their count."""
+    """The highest number of a map; but the count of the files if most of the numbers up to it are missing."""
     names = {path.name for path in folder.glob("level_*.csv")}
     digits = [name.removeprefix("level_").removesuffix(".csv") for name in names]
     numbers = [int(each) for each in digits if each.isdecimal() and map_file(folder, int(each)).name in names]
@@ -204,7 +204,7 @@ def _n_by_names(folder: Path) -> int:
 
 
 def check_width(swe: SweMap, probe_length: float) -> list[Problem]:
-    """A map wider than the image can be: a linear probe sees what lies under its face.
+    """Check that a map is not wider than the image: a linear probe sees what lies under its face.
 
     probe_length : mm
     """
@@ -217,9 +217,9 @@ def check_width(swe: SweMap, probe_length: float) -> list[Problem]:
 
 
 def check_mean(swe: SweMap, mean_m_per_s: float) -> list[Problem]:
-    """Whether a level's map and the mean that levels.csv states can belong to the same reading.
+    """Check that a level's map and the mean in levels.csv can belong to the same reading.
 
-    mean_m_per_s : m/s, NaN where levels.csv has none; one that is not positive is reported with levels.csv
+    mean_m_per_s : m/s, NaN if levels.csv has none; one that is not positive is reported with levels.csv
     """
     if not np.isfinite(mean_m_per_s) or mean_m_per_s <= 0:
         return []
@@ -236,7 +236,7 @@ def check_mean(swe: SweMap, mean_m_per_s: float) -> list[Problem]:
 
 
 def check_map(path: Path) -> tuple[SweMap | None, list[Problem]]:
-    """One map, where it can be used, and every problem (errors and warnings)."""
+    """One map, if it is usable, and every problem (errors and warnings)."""
     table, problems = read_table(path, required=COLUMNS, optional=(), may_be_empty=True)
     if table is None or any(each.severity == "error" for each in problems):
         return None, problems

@@ -1,4 +1,4 @@
-"""Loading, unloading and cycles in a row of holds: where the force turns."""
+"""Divide a sequence of holds into loading, unloading and cycles, at the turning points of the force."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 def cycles_of_holds(forces: Sequence[float], *, turn: float) -> tuple[list[int], list[str]]:
     """The cycle (from 1) and the phase ("load", "unload") of every hold.
 
-    The force has turned when it has gone back by `turn` from its last extreme. A peak belongs to the
-    loading before it; a trough to the loading after it, whose level 0 it is, unless it is the record's last.
+    The force has turned when it has reversed by `turn` from its last extreme. A peak belongs to the loading
+    before it; a trough to the loading after it, as its level 0, unless it is the last hold of the record.
 
     forces : (n_holds,) N, in order of time; turn : N
 
@@ -33,7 +33,7 @@ def cycles_of_holds(forces: Sequence[float], *, turn: float) -> tuple[list[int],
 
 
 def _turning_points(forces: Sequence[float], turn: float) -> list[int]:
-    """Holds at which the force turns: peaks and troughs in turn, a peak first.
+    """Holds at which the force turns: peaks and troughs alternately, a peak first.
 
     >>> _turning_points([0, 2, 4, 2, 0, 2, 4], 1.0)
     [2, 4]

@@ -1,9 +1,8 @@
-"""Finding the holds in a load-cell record, and what each of them says.
+"""Detect the holds in a load-cell record, and evaluate each of them.
 
-A hold is a stretch in which the force, smoothed over half a second, stays within a
-tolerance of its own middle for at least a stated time. Its mean comes with a
-standard error that knows that neighbouring samples are not independent (batch
-means), and with the drift that is still going on at its end.
+A hold is an interval in which the force, smoothed over half a second, stays within a tolerance of its
+mid-range for at least a given time. Its mean is reported with a standard error that accounts for the
+correlation of adjacent samples (batch means), and with the drift that persists at its end.
 """
 
 from __future__ import annotations
@@ -20,24 +19,26 @@ from limbcli.measurement.trace import Trace
 from limbcli.model import Array, IntArray
 
 _FEWEST_SAMPLES = 3
-_FEWEST_READINGS = 2  # of depth or travel in a hold: their mean has a standard error then
+# smallest number of depth or travel readings in a hold, for a mean with a standard error
+_FEWEST_READINGS = 2
 SMOOTHING_S = 0.5
 _BATCHES = 10
 _DROPOUT_FACTOR = 3.0
 _CREEP_SIGNIFICANCE = 4.0
-_GRAVITY_OFF = 0.15  # g: cheap accelerometers are off by some hundredths, other units by far more
-_SPIKE = 8.0  # robust deviations from the hold's median
+# g: largest deviation from 1 g; cheap accelerometers are off by some hundredths, wrong units by far more
+_GRAVITY_OFF = 0.15
+_SPIKE = 8.0  # robust standard deviations from the hold's median beyond which a sample is a spike
 
 
 @dataclass(frozen=True)
 class Hold:
-    """One hold: where it lies, its mean force, and what was unsteady about it.
+    """One hold: its time, its mean force, and how unsteady it was.
 
-    force_se : standard error of the mean, N; force_sd : SD of single samples, N
+    force_se : standard error of the mean, N; force_sd : standard deviation of single samples, N
     drift_n_per_s : slope over the second half, N/s, with its standard error
-    overshoot : N by which the force was above the hold in the two seconds before it
-    n_dropouts : gaps of more than three sample times; n_spikes : samples left out as no forces of the hold
-    depth, depth_drift_mm_per_s : mean and slope of the depth, None where the hold has fewer than two readings
+    overshoot : N by which the force exceeded the hold in the two seconds before it
+    n_dropouts : gaps of more than three sampling intervals; n_spikes : samples rejected as spikes
+    depth, depth_drift_mm_per_s : mean and slope of the depth, None if the hold has fewer than two readings
     probe_travel : its mean, mm, None likewise
     """
 
@@ -65,13 +66,13 @@ class Hold:
 def find_holds(trace: Trace, *, tolerance: float = 0.1, duration_s: float = 5.0) -> list[Hold]:
     """All holds of a record, in order of time.
 
-    tolerance : N, half the width of the band in which the smoothed force stays
-    duration_s : the least length of a hold
+    tolerance : N, half the width of the band in which the smoothed force must stay
+    duration_s : smallest duration of a hold
 
     Raises
     ------
     MeasurementError
-        If there is none, with the longest stretch that came near.
+        If there is none, stating the longest interval found.
     """
     good = np.isfinite(trace.force)
     if good.sum() < _FEWEST_SAMPLES:
@@ -109,7 +110,7 @@ def _smoothed(time: Array, force: Array, window_s: float) -> Array:
 
 
 def _steady_stretches(time: Array, force: Array, width: float) -> list[tuple[int, int]]:
-    """All maximal index ranges [a, b] in which the force spans at most `width` N."""
+    """All maximal index ranges [a, b] in which the force varies by at most `width` N."""
     high: deque[int] = deque()
     low: deque[int] = deque()
     found, a = [], 0
@@ -133,11 +134,11 @@ def _steady_stretches(time: Array, force: Array, width: float) -> list[tuple[int
 
 
 def _longest_first(time: Array, stretches: list[tuple[int, int]], duration_s: float) -> list[tuple[int, int]]:
-    """Ranges of at least `duration_s` that do not overlap, the longest winning, in order of time."""
+    """Non-overlapping ranges of at least `duration_s`, the longest preferred, in order of time."""
     chosen: list[tuple[int, int]] = []
     for a, b in sorted(stretches, key=lambda each: time[each[0]] - time[each[1]]):
         for c, d in chosen:
-            if c <= b and a <= d:  # cut off the part that is taken
+            if c <= b and a <= d:  # remove the part that is already taken
                 a, b = (d + 1, b) if a >= c else (a, c - 1)
         if b > a and time[b] - time[a] >= duration_s:
             chosen.append((a, b))
@@ -148,7 +149,8 @@ def _describe(
     time: Array, force: Array, depth: Array | None, travel: Array | None, a: int, b: int, resolution: float
 ) -> Hold:
     inside = a + np.flatnonzero(_sane(force[a : b + 1], resolution))
-    a, b = int(inside[0]), int(inside[-1])  # what the band took of the ramps beside it is no spike
+    # samples of the adjacent ramps at the ends are not counted as spikes
+    a, b = int(inside[0]), int(inside[-1])
     gaps = int((np.diff(time[a : b + 1]) > _DROPOUT_FACTOR * float(np.median(np.diff(time)))).sum())
     t, f = time[inside], force[inside]
     late = t >= 0.5 * (t[0] + t[-1])
@@ -184,23 +186,23 @@ def _describe(
 
 
 def _known(readings: Array | None, inside: IntArray) -> Array | None:
-    """A hold's readings (n,), some NaN where they are taken less often than the force; None where too few."""
+    """A hold's readings (n,), with NaN where sampled less often than the force; None if there are too few."""
     found = None if readings is None else readings[inside]
     return None if found is None or np.isfinite(found).sum() < _FEWEST_READINGS else found
 
 
 def _sane(force: Array, resolution: float) -> NDArray[np.bool_]:
-    """Samples that are no spikes: within eight robust deviations of the hold's median.
+    """Mask of samples that are not spikes: within eight robust standard deviations of the hold's median.
 
-    The deviation is at least the resolution: where most samples show one number it would be 0, and the next
-    number that the load cell can show would be a spike.
+    The standard deviation is at least the resolution: if most samples have the same value it would be 0, and
+    the next value that the load cell can show would be a spike.
     """
     off = np.abs(force - np.median(force))
     return np.asarray(off <= _SPIKE * max(1.4826 * float(np.median(off)), resolution))
 
 
 def _resolution(force: Array) -> float:
-    """N between the numbers that a record (n,) shows, mostly.
+    """Typical step (N) between the distinct values of a record (n,).
 
     >>> round(_resolution(np.array([0.0, 0.1, 0.1, 0.2, 0.3, 40.0])), 6)
     0.1
@@ -216,7 +218,7 @@ def _standard_error(values: Array) -> float:
 
 
 def _slope(time: Array, values: Array) -> tuple[float, float]:
-    """Slope of a line and its standard error, from batch means (so correlation does not flatter it)."""
+    """Slope of a line and its standard error, from batch means (so that correlation does not reduce it)."""
     if len(values) < _BATCHES:
         return 0.0, float("inf")
     t = np.array([each.mean() for each in np.array_split(time, _BATCHES)])
@@ -230,12 +232,12 @@ def _slope(time: Array, values: Array) -> tuple[float, float]:
 def without_probe_weight(
     trace: Trace, *, probe_mass_kg: float, axis: str = "z", tare_s: tuple[float, float]
 ) -> Trace:
-    """The record with the tare and the probe's own weight taken off.
+    """The record with the tare and the probe's own weight subtracted.
 
-    The load cell carries the probe's weight along its axis, m g cos(theta), which
-    changes as the probe turns; what it read in the air during `tare_s` is zero force.
-    F = F_read - F_tare - m g (cos(theta) - cos(theta_tare)), cos(theta) from the
-    accelerometer's reading along `axis` ("x", "y", "z"; "-z" where it points the other way).
+    The load cell carries the component of the probe's weight along its axis, m g cos(theta), which changes as
+    the probe tilts; its reading in air during `tare_s` is zero force. F = F_read - F_tare - m g (cos(theta) -
+    cos(theta_tare)), with cos(theta) from the accelerometer's reading along `axis` ("x", "y", "z"; "-z" if it
+    points the other way).
 
     Raises
     ------
@@ -260,7 +262,7 @@ def without_probe_weight(
         _check_gravity(trace.acceleration_g[in_air], trace)
         sign = -1.0 if axis.startswith("-") else 1.0
         cosine = sign * trace.acceleration_g[:, "xyz".index(axis[-1])]
-        known = np.isfinite(cosine)  # an accelerometer is often read less often than the force
+        known = np.isfinite(cosine)  # an accelerometer is often sampled less often than the force
         cosine = np.interp(trace.time, trace.time[known], cosine[known])
         smooth = _smoothed(trace.time, cosine, SMOOTHING_S)
         turned = smooth - float(np.nanmean(smooth[in_air]))
@@ -269,7 +271,7 @@ def without_probe_weight(
 
 
 def _check_gravity(acceleration_g: Array, trace: Trace) -> None:
-    """At rest an accelerometer reads 1 g (n_samples, 3), whichever way it is turned."""
+    """Check that at rest the accelerometer reads 1 g (n_samples, 3), whatever its orientation."""
     size = np.linalg.norm(acceleration_g, axis=1)
     size = size[np.isfinite(size)]
     felt = float(np.median(size)) if len(size) else 0.0
@@ -282,7 +284,7 @@ def _check_gravity(acceleration_g: Array, trace: Trace) -> None:
 
 
 def missing_levels(holds: list[Hold], *, step: float = 2.0) -> list[float]:
-    """Forces (N) of a regular protocol that no hold shows, between the first and the last.
+    """Forces (N) of a regular protocol that are missing among the holds, between the lowest and the highest.
 
     >>> missing_levels([], step=2.0)
     []

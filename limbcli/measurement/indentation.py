@@ -1,7 +1,7 @@
-"""The force-depth measurement: `levels.csv` (and `trace.csv`), read and checked.
+"""Read and check the force-depth measurement: `levels.csv` (and `trace.csv`, see `trace`).
 
-A reading that cannot be true (a depth in cm, a force in grams, a repeated level)
-stops with its line; one that is merely unusual is a warning.
+An impossible reading (a depth in cm, a force in grams, a repeated level) is an error with its line; an
+unusual one is a warning.
 """
 
 from __future__ import annotations
@@ -53,11 +53,11 @@ OPTIONAL = (
     "cycle", *(f"{name}_mm" for name in LAYERS),
 )  # fmt: skip
 TEXTS = ("phase",)
-_MANY = 10**6  # beyond any count of cycles
+_MANY = 10**6  # upper limit of the number of cycles
 
 
 def read_levels(path: Path, *, noise: LayerNoise | None = None) -> Levels:
-    """Read and check `levels.csv`; noise: of layers and depth, so that layers' growth is judged too.
+    """Read and check `levels.csv`; noise: of layers and depth, so that growth of layers is checked too.
 
     Raises
     ------
@@ -68,13 +68,13 @@ def read_levels(path: Path, *, noise: LayerNoise | None = None) -> Levels:
 
 
 def level_warnings(path: Path, *, noise: LayerNoise | None = None) -> tuple[str, ...]:
-    """What is unusual about the levels though they can be used, in words."""
+    """Descriptions of what is unusual about usable levels."""
     _, problems = check_levels(path, noise=noise)
     return tuple(f"{each.what} ({each.fix})" for each in problems if each.severity == "warning")
 
 
 def check_levels(path: Path, *, noise: LayerNoise | None = None) -> tuple[Levels | None, list[Problem]]:
-    """The levels, where they can be used, and every problem (errors and warnings)."""
+    """The levels, if they are usable, and every problem (errors and warnings)."""
     table, problems = read_table(path, required=REQUIRED, optional=OPTIONAL, texts=TEXTS)
     if table is None or any(each.severity == "error" for each in problems):
         return None, problems
@@ -108,7 +108,8 @@ def _levels(table: RawTable, path: Path) -> Levels:
         depth=table.numbers["depth_mm"],
         swe_mean_m_per_s=speed,
         swe_sd_m_per_s=table.numbers.get("swe_sd_m_per_s", missing),
-        swe_pixels=np.where((pixels == 0) & np.isnan(speed), np.nan, pixels),  # none read: no reading
+        # no pixel and no speed: not measured
+        swe_pixels=np.where((pixels == 0) & np.isnan(speed), np.nan, pixels),
         phase=tuple(each or "load" for each in phase),
         hold=table.numbers.get("hold_s", missing),
         probe_travel=table.numbers.get("probe_travel_mm", missing),

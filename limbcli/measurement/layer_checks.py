@@ -1,7 +1,7 @@
-"""What readings of layers cannot be: skin, fat and muscle along the beam, level by level.
+"""Check readings of the layers for consistency: skin, fat and muscle along the beam, level by level.
 
-Each fault has its own message. How far readings may lie apart by chance is determined by their noise; where
-nobody states it, only what no reading can be is refused.
+Each fault has its own message. How far readings may differ by chance is determined by their noise; if that is
+not known, only impossible readings are refused.
 """
 
 from __future__ import annotations
@@ -17,14 +17,16 @@ from limbcli.measurement.levels import LAYERS, Levels
 from limbcli.measurement.tables import problem
 from limbcli.model import Array
 
-USUAL_DEVIATION = 0.2  # mm, of a thickness marked on a B-mode image; edges are marked within 0.1 to 0.2 mm
-_BEYOND_CHANCE = 4.0  # deviations: in fifty readings one in a thousand data sets is refused by chance
-_LEAST = 1.0  # mm, that columns of different origin may lie apart whatever the noise
+# mm, standard deviation of a thickness marked on a B-mode image; edges are marked within 0.1 to 0.2 mm
+USUAL_DEVIATION = 0.2
+# standard deviations beyond chance: with fifty readings, one in a thousand data sets is refused by chance
+_BEYOND_CHANCE = 4.0
+_LEAST = 1.0  # mm by which columns of different origin may differ, whatever the noise
 
 
 @dataclass(frozen=True)
 class LayerNoise:
-    """One standard deviation (mm) of a layer's thickness and of the depth."""
+    """Standard deviations (mm) of a layer's thickness and of the depth."""
 
     thickness: float = USUAL_DEVIATION
     depth: float = 0.3
@@ -33,10 +35,10 @@ class LayerNoise:
 def check_layers(
     levels: Levels, path: Path, *, lines: list[int], noise: LayerNoise | None = None
 ) -> list[Problem]:
-    """Every fault of the layers' columns, with its line.
+    """Every fault in the layers' columns, with its line.
 
-    lines : of the file, one a level
-    noise : None where it is not known: growth under load is not judged then
+    lines : line numbers in the file, one per level
+    noise : None if unknown: growth under load is then not checked
     """
     if not levels.layers:
         return []
@@ -49,7 +51,7 @@ def check_layers(
 
 
 def _without_skin(levels: Levels, path: Path, lines: list[int], _: LayerNoise | None) -> list[Problem]:
-    """Fat or muscle begin where the skin ends."""
+    """Fat and muscle begin where the skin ends, so skin must be given."""
     skin = levels.layer("skin")
     below = [name for name in LAYERS[1:] if name in levels.layers]
     other = np.any([np.isfinite(levels.layers[name]) for name in below], axis=0) if below else np.array([])
@@ -64,7 +66,7 @@ def _without_skin(levels: Levels, path: Path, lines: list[int], _: LayerNoise | 
 
 
 def _crossing(levels: Levels, path: Path, lines: list[int], _: LayerNoise | None) -> list[Problem]:
-    """The lower border of a layer lies below its upper one, and above the bone."""
+    """The lower interface of a layer must lie below its upper one, and above the bone."""
     found = []
     for name, values in levels.layers.items():
         for k in np.flatnonzero(values <= 0):
@@ -84,7 +86,7 @@ def _crossing(levels: Levels, path: Path, lines: list[int], _: LayerNoise | None
 def _sum_against_bone(
     levels: Levels, path: Path, lines: list[int], noise: LayerNoise | None
 ) -> list[Problem]:
-    """With muscle measured the layers reach from skin to bone."""
+    """If muscle is measured, the layers must add up to the distance from skin to bone."""
     if "muscle" not in levels.layers:
         return []
     noise, total = noise or LayerNoise(), _total(levels)
@@ -111,7 +113,7 @@ def _sum_against_bone(
 
 
 def _growing(levels: Levels, path: Path, lines: list[int], noise: LayerNoise | None) -> list[Problem]:
-    """Under a probe that presses on it a layer gets thinner."""
+    """A layer must become thinner under a probe that presses on it."""
     if noise is None:
         return []
     allowed = _BEYOND_CHANCE * np.sqrt(2) * noise.thickness
@@ -126,7 +128,7 @@ def _growing(levels: Levels, path: Path, lines: list[int], noise: LayerNoise | N
 
 
 def _first_touch(levels: Levels, path: Path, lines: list[int], _: LayerNoise | None) -> list[Problem]:
-    """Layers show how they move against what they were at first touch."""
+    """The thickness at first touch is required: deformation of layers is measured from it."""
     lacking = [name for name, values in levels.layers.items() if not np.isfinite(values[0])]
     if not lacking and levels.begins_at_zero:
         return []
@@ -136,7 +138,7 @@ def _first_touch(levels: Levels, path: Path, lines: list[int], _: LayerNoise | N
 
 
 def _total(levels: Levels) -> Array:
-    """Sum (n_levels,) of the layers that are measured anywhere; NaN where one of them is not."""
+    """Sum (n_levels,) of all layers measured at any level; NaN where one of them is missing."""
     return np.asarray(np.sum(list(levels.layers.values()), axis=0))
 
 

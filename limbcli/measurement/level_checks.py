@@ -1,6 +1,6 @@
-"""What the levels of an indentation cannot be, and what is merely unusual of them.
+"""Check the levels of an indentation for impossible and unusual values.
 
-Every check gives its problems with line and usual slip; wrong units show in the stiffness.
+Every check reports its problems with the line and the usual mistake; wrong units show in the stiffness.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from limbcli.measurement.tables import RawTable, problem
 from limbcli.model import Array
 from limbcli.units import mpa_from_pa
 
-# What a probe pressed on a calf by hand can give. Indentation of residual limbs: stiffness
-# 0.3 to 8 N/mm over 2 to 30 mm (Zheng & Mak 1999; a footprint of 44 x 10 to 53 x 14 mm).
-MIN_FORCE, MAX_FORCE = -3.0, 150.0  # N: a load cell that was not tared, and more than a limb bears
+# Range of values for a probe pressed on a calf by hand. Indentation of residual limbs: stiffness 0.3 to 8
+# N/mm over 2 to 30 mm (Zheng & Mak 1999; a footprint of 44 x 10 to 53 x 14 mm).
+MIN_FORCE, MAX_FORCE = -3.0, 150.0  # N; below: a load cell that was not tared; above: more than a limb bears
 _MAX_DEPTH = 60.0
 _STIFFNESS_LOW, _STIFFNESS_HIGH = 0.04, 40.0
 _STIFFNESS_UNUSUAL_LOW, _STIFFNESS_UNUSUAL_HIGH = 0.2, 8.0
@@ -30,12 +30,12 @@ _SPEED_LOW_M_PER_S, _SPEED_HIGH_M_PER_S = 0.3, 15.0
 _SPEED_UNUSUAL_M_PER_S = 4.0  # at 0 N
 _TOLERATED_FORCE_DROP = 1.0
 _SILENT_FORCE_DROP = 0.3
-_PULL = 0.5  # N below 0 that noise and a load cell's drift explain
+_PULL = 0.5  # N below 0 explained by noise and drift of the load cell
 _TARE = "subtract its reading in air from every force (tare_s of [site.load_cell] does so)"
-# How far skin_bone_mm and depth_mm may contradict each other: mm, deviations of the depth.
+# Largest contradiction between skin_bone_mm and depth_mm: mm, and standard deviations of the depth.
 _DISTANCE_OFF, _DISTANCE_SIGMAS = 2.0, 4.0
-# How far from 0 mm level 0 may stand: deviations of the depth; by how much a curve is softer at its start
-# than over all of it.
+# Largest distance of level 0 from 0 mm, in standard deviations of the depth; ratio of initial to mean
+# compliance that explains a larger one.
 _ZERO_SIGMAS, _SOFTER_AT_FIRST = 2.0, 4.0
 
 
@@ -64,7 +64,7 @@ def check_phase(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
 
 
 def check_cycles(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
-    """Cycles count from 1 without a gap, in the order measured, and load before they unload."""
+    """Cycles must be numbered from 1 without gaps, in the order measured, and load before they unload."""
     problems = []
     numbers = table.numbers.get("cycle")
     if numbers is not None:
@@ -101,7 +101,7 @@ def _skipped(before: int, now: int) -> str:
     return f"cycle {now - 1} is" if now == before + 2 else f"cycles {before + 1} to {now - 1} are"
 
 
-# What no level can have: column, least, most, what it is and the usual slip.
+# Physical limits: column, least, most, meaning and the usual mistake.
 _POSSIBLE: tuple[tuple[str, float, float, str], ...] = (
     ("force_n", MIN_FORCE, MAX_FORCE,
      "N, compression positive; is it in grams (divide by 102), the sign "
@@ -120,10 +120,10 @@ _POSSIBLE: tuple[tuple[str, float, float, str], ...] = (
 def check_values(
     columns: Mapping[str, Array | Sequence[float]], path: Path, *, lines: list[int] | None = None
 ) -> list[Problem]:
-    """Values that no level can have, cell by cell.
+    """Values outside the physical limits, cell by cell.
 
     columns : by their name in levels.csv, (n_levels,) each
-    lines : of the file, one a level, where there is a file
+    lines : line numbers in the file, one per level, if there is a file
     """
     problems = []
     for name, low, high, meaning in _POSSIBLE:
@@ -195,7 +195,7 @@ def check_order(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
 
 
 def _runs_backwards(force: Array, depth: Array) -> bool:
-    """Whether more pairs of levels (n_levels,) move against each other than together (Kendall's tau < 0).
+    """Whether more pairs of levels (n_levels,) are discordant than concordant (Kendall's tau < 0).
 
     >>> _runs_backwards(np.array([0.0, 2, 4]), np.array([5.0, 3, 0]))
     True
@@ -209,7 +209,7 @@ def _runs_backwards(force: Array, depth: Array) -> bool:
 def check_distance(
     levels: Levels, table: RawTable, path: Path, *, noise: LayerNoise | None = None
 ) -> list[Problem]:
-    """What is lost of the distance from skin to bone is depth_mm; it is never all of it.
+    """The decrease of the skin-bone distance must equal depth_mm, and must not be the whole distance.
 
     Both count from the first level that has the distance, wherever the depths begin.
     """
@@ -242,9 +242,9 @@ def check_distance(
 def check_zero(
     levels: Levels, table: RawTable, path: Path, *, noise: LayerNoise | None = None
 ) -> list[Problem]:
-    """Level 0 is where depths count from: one that stands elsewhere moves them all.
+    """Level 0 is the origin of the depths: if it is not at 0, all depths are shifted.
 
-    A force that was already on the probe explains a depth, with a curve that is softest at its start.
+    A force that was already acting explains such a depth, with a curve that is softest at its start.
     """
     at, force = float(levels.depth[0]), max(float(levels.force[0]), 0.0)
     loading = levels.loading
@@ -260,7 +260,7 @@ def check_zero(
 
 
 def check_tare(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
-    """No tissue pulls the probe: a force below 0 at first touch is the load cell's own, of every level."""
+    """Report a force below 0 at first touch: tissue cannot pull, so all readings of the cell are offset."""
     force = float(levels.force[0])
     if force >= -_PULL:
         return []
@@ -271,7 +271,10 @@ def check_tare(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
 
 
 def check_plausible(levels: Levels, path: Path, *, speed_is_possible: bool) -> list[Problem]:
-    """Wrong units show in the stiffness: cm make it ten times too high, kgf ten times too low."""
+    """Wrong units show in the stiffness.
+
+    Depths in cm make it ten times too high, forces in kgf ten times too low.
+    """
     problems = []
     span_depth = float(np.ptp(levels.depth[levels.loading]))
     span_force = float(np.ptp(levels.force[levels.loading]))
@@ -294,7 +297,7 @@ def check_plausible(levels: Levels, path: Path, *, speed_is_possible: bool) -> l
 
 
 def _check_stiffness(stiffness: float, expected: float, path: Path) -> list[Problem]:
-    """Against what limbs give, and against what this tissue's own wave speed lets expect (NaN: unknown)."""
+    """Compare with the stiffness of limbs, and with that from this tissue's wave speed (NaN: unknown)."""
     text = f"force over depth is {stiffness:.3g} N/mm"
     stiff_fix = "depth_mm is in mm (is it in cm?), force_n in N (is it in grams?)"
     soft_fix = "force_n is in N (is it in kgf? multiply by 9.80665), depth_mm in mm"
@@ -314,10 +317,10 @@ def _check_stiffness(stiffness: float, expected: float, path: Path) -> list[Prob
 
 
 def _expected_stiffness(levels: Levels) -> float:
-    """N/mm of a flat probe on tissue of the modulus that level 0's wave speed gives; NaN without.
+    """Stiffness (N/mm) of a flat probe on tissue with the modulus from level 0's wave speed; NaN without it.
 
-    F / (mu depth) is 200 to 340 mm for usual linear probes over 15 to 35 mm of tissue
-    (linear elastic, bonded to bone).
+    F / (mu depth) is 200 to 340 mm for usual linear probes over 15 to 35 mm of tissue (linear elastic, bonded
+    to bone).
     """
     speed = float(levels.swe_mean_m_per_s[0])
     return mpa_from_pa(1000.0 * speed**2) * _PUNCH_LENGTH
@@ -348,7 +351,7 @@ def check_swe(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
         problems.append(
             problem("level 0 has no shear-wave speed", path, fix, line=table.lines[0], warning=True)
         )
-    needed = speed[levels.loading]  # nothing reads a speed on the way back
+    needed = speed[levels.loading]  # speeds are not used in unloading
     n_missing = int(np.isnan(needed).sum())
     if 0 < n_missing < len(needed):
         way = "" if len(needed) == len(speed) else " of loading"

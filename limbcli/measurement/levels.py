@@ -1,4 +1,4 @@
-"""The force levels of one indentation: what `levels.csv` holds."""
+"""The force levels of one indentation, as stored in `levels.csv`."""
 
 from __future__ import annotations
 
@@ -12,21 +12,22 @@ from limbcli.errors import CaseError
 from limbcli.model import Array, IntArray
 
 LAYERS = ("skin", "fat", "muscle")  # from the probe inward
-TOUCH_FORCE, TOUCH_DEPTH = 1.0, 1.0  # N, mm: what a level 0 has at most, the probe's first touch
-FEWEST_LOADING = 3  # levels of loading that a curve needs
-LAST = "last"  # the last cycle that has them
+TOUCH_FORCE, TOUCH_DEPTH = 1.0, 1.0  # N, mm: largest force and depth of a level 0, the probe's first touch
+FEWEST_LOADING = 3  # smallest number of loading levels for a curve
+LAST = "last"  # selects the last cycle with that many
 
 
 @dataclass(frozen=True, eq=False)
 class Levels:
     """One measurement, a row per force level, in the order measured; all arrays (n_levels,).
 
-    force N, compression positive; depth mm since level 0; swe_* m/s and pixel counts,
-    hold s, probe travel and skin-bone distance mm, NaN where not measured; phase
-    "load" or "unload"; cycle counts loadings from 1 (default: one cycle).
-    rows : of each level in the file, counted from 0, which is how its maps are numbered
+    force N, compression positive; depth mm since level 0; swe_* m/s and pixel counts, hold s, probe travel
+    and skin-bone distance mm, NaN where not measured; phase "load" or "unload"; cycle counts loadings from 1
+    (default: one cycle).
+
+    rows : row of each level in the file, counted from 0, by which its maps are numbered
     n_in_file : rows of the file, of all cycles
-    zero_depth : mm of the file's depths at which these depths begin (`of_cycle`)
+    zero_depth : depth (mm) in the file at which these depths begin (`of_cycle`)
     layers : thickness along the beam (mm) of those of `LAYERS` that were measured at any level, in order
     """
 
@@ -65,12 +66,12 @@ class Levels:
 
     @property
     def begins_at_zero(self) -> bool:
-        """Whether the first level is level 0: first touch, before any load."""
+        """Whether the first level is level 0: first touch, before any significant load."""
         first_touch = self.force[0] <= TOUCH_FORCE and self.depth[0] <= TOUCH_DEPTH
         return bool(first_touch and self.phase[0] == "load")
 
     def layer(self, name: str) -> Array:
-        """mm (n_levels,), NaN where it was not measured."""
+        """Thickness of a layer, mm (n_levels,); NaN where not measured."""
         return self.layers.get(name, np.full(len(self), np.nan))
 
     @property
@@ -79,15 +80,15 @@ class Levels:
 
     @property
     def cycles(self) -> tuple[int, ...]:
-        """The cycles that are there, in order."""
+        """The numbers of the cycles, in ascending order."""
         return tuple(int(each) for each in np.unique(self.cycle))
 
     def n_loading(self, cycle: int) -> int:
-        """Levels of loading in a cycle."""
+        """Number of loading levels in a cycle."""
         return int((self.loading & (self.cycle == cycle)).sum())
 
     def chosen_cycle(self, cycle: str = LAST) -> int:
-        """The number of the cycle meant by "last" (the last with three levels of loading) or a number.
+        """The cycle's number, from "last" (the last with at least three loading levels) or a number.
 
         Raises
         ------
@@ -115,10 +116,10 @@ class Levels:
         return int(cycle)
 
     def of_cycle(self, number: int) -> Levels:
-        """The levels of one cycle, whose depths and travel count from its own first touch, where it has one.
+        """The levels of one cycle; depths and travel count from its own first touch, if it has one.
 
-        Tissue that was loaded before does not come all the way back: what is left of its deformation
-        belongs to the state from which the cycle's loading begins.
+        Tissue that was loaded before does not recover completely: the remaining deformation belongs to the
+        state from which the cycle's loading begins.
         """
         rows = np.flatnonzero(self.cycle == number)
         if len(rows) == len(self):

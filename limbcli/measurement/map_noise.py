@@ -1,9 +1,10 @@
-"""How the noise of shear-wave maps is correlated from pixel to pixel: estimated from the maps themselves.
+"""Estimate the pixel-to-pixel correlation of the noise of shear-wave maps from the maps themselves.
 
-What tissue and load do to a map changes evenly from level to level and from place to place, noise does not.
-So half of every level's neighbours is taken off it (second differences), and within blocks of some 10 mm what
-a surface of the second degree follows. What is left is noise: of independent pixels, or with a share of its
-variance that a Gaussian smoothed, r(d) = share exp(-d^2 / (4 s^2)) at d > 0, if that is likelier by far.
+The effect of tissue and load on a map varies smoothly from level to level and from place to place; noise does
+not. Therefore half the sum of the neighbouring levels is subtracted from every level (second differences),
+and within blocks of some 10 mm a fitted quadratic surface. The remainder is noise: independent between
+pixels, or with a fraction of its variance smoothed by a Gaussian, r(d) = share exp(-d^2 / (4 s^2)) at d > 0,
+if that is far more likely.
 
 Source: restricted likelihood, Patterson & Thompson 1971, Biometrika 58:545.
 """
@@ -21,31 +22,37 @@ from scipy.optimize import minimize_scalar
 from limbcli.measurement.elastography import SweMap
 from limbcli.model import Array
 
-# mm of a block's side, and share of its pixels that must be there: the next where such blocks are few
+# Side length of a block (mm), and fraction of its pixels that must be present; the next pair is tried if
+# there are few such blocks.
 _BLOCKS = ((10.0, 1.0), (6.0, 1.0), (6.0, 0.5))
-_MOST_BLOCKS = 60  # with gaps, each of which is a matrix of its own
-_MOST, _FEWEST = 14, 4  # pixels along it
+# largest number of blocks if some have gaps, since each pattern of gaps needs its own matrix
+_MOST_BLOCKS = 60
+_MOST, _FEWEST = 14, 4  # largest and smallest number of pixels along a block
 _DEGREE = 2
-_SCALES = np.geomspace(0.3, 3.0, 47)  # mm, of the smoothing's deviation s
-_MOST_SHARE = 0.9999  # values are rounded: some of every pixel's noise is its own
+_SCALES = np.geomspace(0.3, 3.0, 47)  # mm, trial standard deviations s of the smoothing
+_MOST_SHARE = 0.9999  # values are rounded, so that part of every pixel's noise is independent
 _FEWEST_LEVELS, _FEWEST_BLOCKS = 3, 10
-_GAIN = 9.2  # of deviance, two parameters: p 0.01
-# Neighbouring second differences are correlated by -2/3, the next but one by 1/6: of as many independent ones
-# deviances would be less by so much.
+_GAIN = 9.2  # required decrease of the deviance, two parameters: p 0.01
+# Adjacent second differences are correlated by -2/3, the next but one by 1/6; for independent ones,
+# differences of the deviance would be smaller by this factor.
 _TOGETHER = 1 + 2 * ((2 / 3) ** 2 + (1 / 6) ** 2)
 
 
 @dataclass(frozen=True)
 class PixelNoise:
-    """deviation : of ln speed at one pixel; smoothing : mm, deviation of the Gaussian that smoothed the noise
-    (0: independent pixels); share : of its variance that was smoothed"""
+    """Noise of a shear-wave map.
+
+    deviation : standard deviation of ln speed at one pixel
+    smoothing : mm, standard deviation of the Gaussian that smoothed the noise (0: independent pixels)
+    share : fraction of the noise variance that was smoothed
+    """
 
     deviation: float
     smoothing: float = 0.0
     share: float = 0.0
 
     def correlation(self, distance: Array) -> Array:
-        """Of ln speed between pixels at distances (...) mm, 1 at 0."""
+        """Correlation of ln speed between pixels at distances (...) mm; 1 at 0."""
         together = np.zeros_like(distance, dtype=float)
         if self.smoothing > 0:
             together = self.share * np.exp(-(distance**2) / (4 * self.smoothing**2))
@@ -53,7 +60,9 @@ class PixelNoise:
 
 
 def pixel_noise(maps: Sequence[SweMap], *, usual: float) -> PixelNoise:
-    """Estimated from the maps of a site's levels; the `usual` deviation, independent, where they are few.
+    """Estimate the noise from the maps of a site's levels.
+
+    With too few maps or pixels, the noise is independent with the `usual` standard deviation.
 
     >>> rng = np.random.default_rng(7)
     >>> x, z = (each.ravel() for each in np.meshgrid(np.arange(40.0), np.arange(20.0)))
@@ -72,7 +81,8 @@ def pixel_noise(maps: Sequence[SweMap], *, usual: float) -> PixelNoise:
     if not known.any():
         return PixelNoise(usual)
     left = np.where(known, np.clip(left, *_within(left[known])), np.nan)
-    deviation = float(np.sqrt(np.nanmean(left**2) / 1.5))  # a value and half of its two neighbours
+    # variance factor of a value minus half of its two neighbours
+    deviation = float(np.sqrt(np.nanmean(left**2) / 1.5))
     if deviation <= 0.0:
         return PixelNoise(usual)
     for side, share in _BLOCKS:
@@ -84,14 +94,16 @@ def pixel_noise(maps: Sequence[SweMap], *, usual: float) -> PixelNoise:
 
 
 def _within(values: Array) -> tuple[float, float]:
-    """Where all but outliers lie."""
+    """Limits beyond which values are outliers."""
     spread = 1.4826 * float(np.median(np.abs(values)))
     return -4 * spread, 4 * spread
 
 
 def _together(maps: Sequence[SweMap]) -> tuple[Array, tuple[float, float]]:
-    """ln speeds (n_levels, n_lateral, n_depth) on the pixels of all maps, NaN where one has none; and their
-    pitches (mm)."""
+    """ln speeds (n_levels, n_lateral, n_depth) on the pixels of all maps, and the pixel pitches (mm).
+
+    NaN where a map has no pixel.
+    """
     x = np.unique(np.round(np.concatenate([each.lateral for each in maps]), 3))
     z = np.unique(np.round(np.concatenate([each.depth for each in maps]), 3))
     table = np.full((len(maps), len(x), len(z)), np.nan)
@@ -103,10 +115,11 @@ def _together(maps: Sequence[SweMap]) -> tuple[Array, tuple[float, float]]:
 
 
 def _in_blocks(left: Array, pitch: tuple[float, float], side: float) -> tuple[Array, Array, Array]:
-    """Square blocks about `side` mm wide: values (n_blocks, n_pixels), NaN where there is none; squared
-    distances (n_pixels, n_pixels) mm2; surfaces of the second degree (n_pixels, n).
+    """Square blocks about `side` mm wide.
 
-    Of fine maps every second, third, ... pixel in each direction, all of them in turn.
+    Returns values (n_blocks, n_pixels), NaN where there is no pixel; squared distances (n_pixels, n_pixels)
+    mm2; quadratic surfaces (n_pixels, n). In fine maps a block takes every second, third, ... pixel in each
+    direction, with one block for each offset.
     """
     counts, steps = [], []
     for size, apart in zip(left.shape[1:], pitch, strict=True):
@@ -131,15 +144,18 @@ def _in_blocks(left: Array, pitch: tuple[float, float], side: float) -> tuple[Ar
 
 
 def _starts(size: int, count: int, step: int) -> NDArray[Any]:
-    """First pixels of the blocks along one side, none of which have a pixel in common."""
+    """First pixels of the blocks along one side, such that no two blocks share a pixel."""
     blocks = np.arange(size // (count * step)) * count * step
     return np.asarray((blocks[:, None] + np.arange(step)).ravel())
 
 
 @dataclass(frozen=True, eq=False)
 class _RoughPart:
-    """What no smooth surface follows in blocks (n_blocks, n) of the same pixels, along an orthonormal basis
-    (n_pixels, n); squared distances (n_pixels, n_pixels) mm2."""
+    """Residuals of smooth surfaces in blocks with the same available pixels.
+
+    values (n_blocks, n), along an orthonormal basis (n_pixels, n); apart (n_pixels, n_pixels) : squared
+    distances, mm2
+    """
 
     values: Array
     apart: Array
@@ -147,7 +163,10 @@ class _RoughPart:
 
 
 def _rough_parts(values: Array, apart: Array, surfaces: Array) -> list[_RoughPart]:
-    """Blocks by which of their pixels are there; of those with gaps `_MOST_BLOCKS`, evenly chosen."""
+    """Group blocks by their available pixels.
+
+    If any have gaps, only `_MOST_BLOCKS` evenly chosen blocks are used.
+    """
     known = np.isfinite(values)
     if not known.all():
         chosen = np.unique(np.linspace(0, len(values) - 1, _MOST_BLOCKS).round().astype(np.int64))
@@ -161,7 +180,7 @@ def _rough_parts(values: Array, apart: Array, surfaces: Array) -> list[_RoughPar
 
 
 def _likeliest(parts: Sequence[_RoughPart]) -> tuple[float, float]:
-    """Smoothing and share by restricted likelihood, the noise's size profiled out."""
+    """Smoothing and share by maximum restricted likelihood, with the noise variance profiled out."""
     blocks = np.concatenate([np.full(part.values.shape[1], len(part.values)) for part in parts])
     n = int(blocks.sum())
     alone = n * float(np.log(sum(float((part.values**2).sum()) for part in parts) / n))

@@ -1,7 +1,7 @@
-"""Where the colour bar and the colour box lie in an elastography image, where they are not stated.
+"""Detect the colour bar and the colour box in an elastography image, if they are not given.
 
-A bar is a narrow coloured strip, of one colour across and of many along. The box is the largest
-coloured area beside it. Where either is not plain to see nothing is guessed.
+A bar is a narrow coloured strip, of uniform colour across and many colours along. The box is the largest
+coloured area beside it. If either is ambiguous, an error is raised instead of a guess.
 """
 
 from __future__ import annotations
@@ -17,24 +17,25 @@ from limbcli.measurement.swe_image import Box
 from limbcli.measurement.ultrasound_image import UltrasoundImage
 from limbcli.model import Array
 
-_BAR_COLOUR, _BOX_COLOUR = 60.0, 24.0  # of 255: difference of the largest and smallest channel
-_SLENDER = 4.0  # length over width of a bar, at least
-_SHORTEST, _NARROWEST = 40, 4  # pixels
-_UNEVEN = 14.0  # of 255: spread of the colours across a bar, at most
-_EVEN_STEP = 20.0, 45.0  # of 255, least and most from one line of a bar to the next: more is the bar's edge
-_GREY_END = 0.15  # share of a bar that may be nearly grey at an end
-_HUES = 0.3  # share of the colour circle that a bar runs through, at least
-_SMALLEST_BOX = 900  # pixels
-_COLOURED = 0.2  # share of a row or column of the box that has a colour, at least
+# smallest difference of the largest and smallest channel (of 255) in the bar and in the box
+_BAR_COLOUR, _BOX_COLOUR = 60.0, 24.0
+_SLENDER = 4.0  # smallest length-to-width ratio of a bar
+_SHORTEST, _NARROWEST = 40, 4  # smallest length and width of a bar, pixels
+_UNEVEN = 14.0  # largest standard deviation of the colours across a bar, of 255
+_EVEN_STEP = 20.0, 45.0  # bounds (of 255) of the colour step between lines above which the bar has ended
+_GREY_END = 0.15  # largest fraction of a bar that may be nearly grey at an end
+_HUES = 0.3  # smallest fraction of the hue circle that a bar spans
+_SMALLEST_BOX = 900  # smallest number of coloured pixels of a box
+_COLOURED = 0.2  # smallest coloured fraction of a row or column of the box, relative to the fullest one
 
 
 def find_bar(image: UltrasoundImage) -> Box:
-    """The elastography bar: left, top, right, bottom (pixels, inclusive).
+    """The colour bar of the elastogram: left, top, right, bottom (pixels, inclusive).
 
     Raises
     ------
     MeasurementError
-        If there is none, or two that are as good, or its end is not distinct from what lies beside it.
+        If there is none or more than one candidate, or its end is not distinct from its surroundings.
     """
     rgb = image.rgb.astype(np.float64)
     marks, _ = ndimage.label(np.ptp(rgb, axis=2) >= _BAR_COLOUR)
@@ -55,7 +56,7 @@ def find_bar(image: UltrasoundImage) -> Box:
 
 
 def _to_its_ends(rgb: Array, box: Box, image: UltrasoundImage) -> Box:
-    """A bar with what of it is nearly grey at its ends: its colours go on evenly there, up to an edge."""
+    """Extend a bar over its nearly grey ends, where its colours continue smoothly up to an edge."""
     left, top, right, bottom = box
     upright = bottom - top >= right - left
     lines = rgb[:, left + 1 : right] if upright else rgb[top + 1 : bottom].transpose(1, 0, 2)
@@ -79,7 +80,7 @@ def _to_its_ends(rgb: Array, box: Box, image: UltrasoundImage) -> Box:
 
 
 def _hue_span(rgb: Array, box: Box) -> float:
-    """Share of the colour circle that a strip runs through, 0 where it is no bar."""
+    """Fraction of the hue circle spanned by a strip; 0 if it is not a bar."""
     left, top, right, bottom = box
     part = rgb[top : bottom + 1, left : right + 1]
     if part.shape[0] < part.shape[1]:
@@ -97,12 +98,12 @@ def _hue_span(rgb: Array, box: Box) -> float:
 
 
 def find_box(image: UltrasoundImage, bar: Box) -> Box:
-    """The colour box: the largest coloured area beside the bar.
+    """The colour box: the largest coloured area apart from the bar.
 
     Raises
     ------
     MeasurementError
-        If nothing else in the image has a colour.
+        If nothing else in the image is coloured.
     """
     coloured = np.ptp(image.rgb.astype(np.float64), axis=2) >= _BOX_COLOUR
     left, top, right, bottom = bar
@@ -121,6 +122,6 @@ def find_box(image: UltrasoundImage, bar: Box) -> Box:
 
 
 def _extent(counts: NDArray[np.int_]) -> tuple[int, int]:
-    """First and last line that is coloured for a good part of the fullest one."""
+    """First and last line whose coloured part is a sufficient fraction of that of the fullest one."""
     full = np.flatnonzero(counts >= _COLOURED * counts.max())
     return int(full[0]), int(full[-1])

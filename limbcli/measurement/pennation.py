@@ -1,13 +1,13 @@
-"""The pennation angle of muscle fibres in a B-mode image, by its structure tensor.
+"""Measure the pennation angle of muscle fibres in a B-mode image by its structure tensor.
 
-Fascicles and the septa between them are lines longer than speckle is wide; across them the brightness
-changes most. The tensor of brightness gradients, summed over a tile, gives the direction of least change and
-how far one direction stands out (coherence). The angle is the mean over tiles by doubled angles, weighted by
-coherence. Its uncertainty is how far tiles differ, not what their number makes of that: speckle pulls all of
-them the same way (a vastus lateralis whose septa lie at 20 degrees by eye is read as 14, tiles spread by 7).
-Speckle itself is longer across the beam than along it and would be read as 0 degrees; so the image is
-smoothed over a speckle's length first, and what little direction is left in it is below the coherence
-asked for.
+Fascicles and the septa between them are lines longer than the width of speckle; the brightness changes most
+across them. The tensor of brightness gradients, summed over a tile, gives the direction of least change and
+how distinct it is (coherence). The angle is the mean over tiles by doubled angles, weighted by coherence. Its
+uncertainty is the spread of the tiles, not divided by the root of their number: speckle biases all of them
+the same way (a vastus lateralis whose septa lie at 20 degrees by eye is read as 14, with tiles spread by 7).
+Speckle itself is longer across the beam than along it and would be read as 0 degrees; so the image is first
+smoothed over the length of a speckle, and the little direction left in it is below the required coherence.
+
 Source: Bigun & Granlund 1987, Proc. ICCV 433 (structure tensor); Rana, Hamarneh & Wakeling 2009, J Biomech
 42:2068 (fascicles in B-mode images).
 """
@@ -25,22 +25,24 @@ from limbcli.errors import MeasurementError
 from limbcli.measurement.ultrasound_image import UltrasoundImage
 from limbcli.model import Array
 
-STEP = 0.15  # mm per pixel at which the image is looked at, alike along and across
-SMOOTHING = 0.45  # mm, about a speckle's length
-TILE = 5.0  # mm
-LEAST_COHERENCE = 0.4  # of a tile: speckle alone has 0.2
-LEAST_AGREEMENT = 0.5  # length of the mean of the tiles' doubled angles
-FEWEST_TILES, LEAST_SHARE = 6, 0.25  # that show a direction
+STEP = 0.15  # mm per pixel of the resampled image, equal along and across
+SMOOTHING = 0.45  # mm, standard deviation of the smoothing, about the length of a speckle
+TILE = 5.0  # mm, side length of a tile
+LEAST_COHERENCE = 0.4  # smallest coherence of a tile; speckle alone has 0.2
+LEAST_AGREEMENT = 0.5  # smallest length of the mean of the tiles' doubled-angle unit vectors
+FEWEST_TILES, LEAST_SHARE = 6, 0.25  # smallest number and fraction of tiles that show a direction
 LEAST_DEVIATION_DEG = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class PennationReading:
-    """angle_deg : of the fibres to the image's lateral axis, positive where they go deeper to the right
+    """A pennation angle and the tiles it was read from.
 
-    deviation_deg : one standard deviation: that of the tiles, not of their mean (see above), and 2 degrees
-    spread_deg : of the tiles round the mean; coherence : mean over the tiles used
-    lateral, depth (n,) mm from the image's middle and the probe face, tile_deg (n,) : of the tiles used
+    angle_deg : of the fibres to the image's lateral axis, positive if they get deeper to the right
+    deviation_deg : standard deviation: that of the tiles, not of their mean (see above), combined with 2
+        degrees
+    spread_deg : of the tiles about the mean; coherence : mean over the tiles used
+    lateral, depth (n,) mm from the centre of the image and the probe face, tile_deg (n,) : of the tiles used
     """
 
     angle_deg: float
@@ -53,12 +55,12 @@ class PennationReading:
 
 
 def read_pennation(image: UltrasoundImage, *, top: float, bottom: float) -> PennationReading:
-    """The fibres' angle between two depths (mm below the probe face), over the whole width of the image.
+    """The fibre angle between two depths (mm below the probe face), over the whole width of the image.
 
     Raises
     ------
     MeasurementError
-        If the muscle is too thin to be looked at, or shows no direction, or several.
+        If the muscle is too thin, or shows no direction or no common one.
     """
     region = image.main_region()
     width = (region.right - region.left + 1) * region.mm_per_pixel_x
@@ -104,7 +106,7 @@ def read_pennation(image: UltrasoundImage, *, top: float, bottom: float) -> Penn
 
 
 def _tiles(tensor: Array, size: int) -> Array:
-    """(4, n_tiles): middle (row, column), the angle of least change (rad) and the coherence of each tile.
+    """(4, n_tiles): centre (row, column), direction of least change (rad) and coherence of each tile.
 
     tensor (3, n_rows, n_columns) : rr, rc, cc
     """
@@ -112,7 +114,7 @@ def _tiles(tensor: Array, size: int) -> Array:
     cut = tensor[:, : n_rows * size, : n_columns * size]
     sums = cut.reshape(3, n_rows, size, n_columns, size).sum(axis=(2, 4)).reshape(3, -1)
     rr, rc, cc = sums
-    # The gradient's axis is 0.5 atan2(2 rc, cc - rr) from the column axis; fibres lie across it.
+    # The gradient's axis is at 0.5 atan2(2 rc, cc - rr) to the column axis; fibres are perpendicular to it.
     angle = 0.5 * np.arctan2(2 * rc, cc - rr) + np.pi / 2
     angle = np.mod(angle + np.pi / 2, np.pi) - np.pi / 2
     coherence = np.hypot(cc - rr, 2 * rc) / np.maximum(rr + cc, 1e-30)
@@ -121,7 +123,7 @@ def _tiles(tensor: Array, size: int) -> Array:
 
 
 def _axial_mean(angle: Array, weight: Array) -> tuple[float, float]:
-    """Mean of axes (rad) and how far they agree (0 to 1).
+    """Mean of axes (rad) and their agreement (0 to 1).
 
     >>> mean, agreement = _axial_mean(np.radians([80.0, -80.0]), np.ones(2))
     >>> round(abs(np.degrees(mean))), round(agreement, 2)
@@ -132,5 +134,5 @@ def _axial_mean(angle: Array, weight: Array) -> tuple[float, float]:
 
 
 def _difference(angle: Array, mean: float) -> Array:
-    """Of axes, within a quarter turn."""
+    """Difference of axes, within a quarter turn."""
     return np.asarray(np.mod(angle - mean + np.pi / 2, np.pi) - np.pi / 2)

@@ -1,4 +1,4 @@
-"""Pictures of what the instruments' files were read to say."""
+"""Pictures of what was read from the instruments' files."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _BOXES = "pixels read from the overlays (line: median; box: the middle half)"
 
 
 def draw_holds(trace: Trace, holds: Sequence[Hold], path: Path) -> None:
-    """The record with its holds shaded; those in which creep goes on stand out."""
+    """Draw the record with its holds shaded; those with ongoing creep are highlighted."""
     figure = Figure(figsize=(9, 3.6), layout="constrained")
     axes = figure.subplots()
     axes.plot(trace.time, trace.force, color="0.6", lw=0.6)
@@ -32,7 +32,7 @@ def draw_holds(trace: Trace, holds: Sequence[Hold], path: Path) -> None:
         axes.plot([hold.start_s, hold.end_s], [hold.force, hold.force], color=colour, lw=1.5)
         axes.annotate(str(k), (hold.start_s, hold.force), xytext=(2, 4), textcoords="offset points", size=8)
     axes.set(xlabel="time [s]", ylabel="force [N]", title="holds found (orange: creep still going on)")
-    low, high = np.nanpercentile(trace.force, (0.1, 99.9))  # spikes do not squeeze the holds
+    low, high = np.nanpercentile(trace.force, (0.1, 99.9))  # spikes do not determine the range
     axes.set_ylim(low - 0.1 * (high - low) - 0.1, high + 0.1 * (high - low) + 0.1)
     save_figure(figure, path, dpi=130)
 
@@ -41,7 +41,7 @@ def draw_bone_lines(
     images: Sequence[UltrasoundImage], lines: Sequence[BoneLine], path: Path, *,
     borders: Mapping[str, Sequence[BoneLine]] = MappingProxyType({}),
 ) -> None:  # fmt: skip
-    """Every level's image with the bone line that was read, and the lower borders of layers by their name."""
+    """Draw every level's image with the detected bone line, and the lower interfaces of layers by name."""
     rows = -(-len(images) // _COLUMNS)
     columns = min(len(images), _COLUMNS)
     figure = Figure(figsize=(2.4 * columns + 0.4, 2.7 * rows), layout="constrained")
@@ -68,7 +68,7 @@ def draw_bone_lines(
 
 
 def draw_pennation(image: UltrasoundImage, reading: PennationReading, path: Path) -> None:
-    """The image with the direction read in each tile, and their mean."""
+    """Draw the image with the direction of each tile, and their mean."""
     region = image.main_region()
     width = (region.right - region.left + 1) * region.mm_per_pixel_x
     height = (region.bottom - region.top + 1) * region.mm_per_pixel_y

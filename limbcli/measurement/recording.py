@@ -1,7 +1,7 @@
-"""A load-cell record as its program wrote it: other column names, separators, units, LabVIEW files.
+"""Read a load-cell record as its program wrote it: other column names, separators, units, LabVIEW files.
 
-`trace.csv` of the case format needs none of this; a user whose instrument writes
-something else says in case.toml what its columns are called and in which unit.
+`trace.csv` of the case format needs none of this; for an instrument that writes another format, case.toml
+states the names and units of the columns.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from limbcli.model import Array
 from limbcli.units import FORCE_UNITS_IN_N, LENGTH_UNITS_IN_MM
 
 LVM_END_OF_HEADER = "***End_of_Header***"
-_SEGMENT = "Channels"  # what a segment's header begins with
-_LVM_TIME = "X_Value"  # stands before every channel where a file says X_Columns Multi
+_SEGMENT = "Channels"  # first word of a segment's header
+_LVM_TIME = "X_Value"  # name of the time column before every channel of a file with X_Columns Multi
 COLUMNS = ("time_s", "force_n", "depth_mm", "probe_travel_mm", "accel_x_g", "accel_y_g", "accel_z_g")
 
 
 @dataclass(frozen=True)
 class RecordingFormat:
-    """What the columns are called and in which unit they are.
+    """Names and units of the columns.
 
-    columns : our name -> the file's; names left out are looked for as they are.
-    separator, decimal : None finds out.
+    columns : our name -> the file's; names not given are searched for unchanged
+    separator, decimal : None: detected automatically
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -43,7 +43,7 @@ class RecordingFormat:
 
 
 def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
-    """Read a load-cell record of any of the usual kinds.
+    """Read a load-cell record of any of the usual formats.
 
     Returns
     -------
@@ -52,8 +52,8 @@ def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
     Raises
     ------
     MeasurementError
-        If a row cannot be read, a column is missing or stands twice, a cell is no number, time does not
-        grow, or a LabVIEW file has its force and another column at other times.
+        If a row cannot be read, a column is missing or duplicated, a cell is not a number, time does not
+        increase, or a LabVIEW file has its force and another column at different times.
     """
     form = form or RecordingFormat()
     header, rows, separator = _table(path, form)
@@ -69,7 +69,7 @@ def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
             raise MeasurementError(f"the record has no column {name!r}", where=str(path), fix=fix)
     if header[positions["time_s"]] == _LVM_TIME and header.count(_LVM_TIME) > 1:
         positions["time_s"] = _time_of_force(header, rows, positions, path)
-        rows = [row for row in rows if _cell(row, positions["time_s"])]  # other channels may go on for longer
+        rows = [row for row in rows if _cell(row, positions["time_s"])]  # other channels may be longer
     values = {name: _column(rows, k, decimal, name, path) for name, k in positions.items()}
     _check_time(values["time_s"], path)
     length = LENGTH_UNITS_IN_MM[form.length_unit]
@@ -101,9 +101,10 @@ def _table(path: Path, form: RecordingFormat) -> tuple[list[str], list[list[str]
 
 
 def _without_comments(text: list[str], form: RecordingFormat) -> list[str]:
-    """Lines of which those that begin with # are empty, so that line numbers hold, as in `trace.csv`.
+    """Blank out lines that begin with #, keeping line numbers, as in `trace.csv`.
 
-    A header may begin so, too: where none of the wanted columns is in the first line that does not, all stay.
+    A header may begin with # too: if the first other line contains none of the wanted columns, all lines are
+    kept.
     """
     bare = ["" if line.startswith("#") else line for line in text]
     header = next((line for line in bare if line.strip()), "")
@@ -111,16 +112,17 @@ def _without_comments(text: list[str], form: RecordingFormat) -> list[str]:
 
 
 def _lvm_table(lines: list[str], path: Path, form: RecordingFormat) -> tuple[list[str], list[list[str]], str]:
-    """A LabVIEW measurement file: a header, then segments with a header of their own each.
+    """Parse a LabVIEW measurement file: a header, then segments, each with its own header.
 
-    Where the segments carry no times (X_Columns No), each channel's X_Value is made from its X0 and Delta_X.
-    Times that begin again count from when each segment was begun, by the clock in its header.
+    If the segments contain no times (X_Columns No), each channel's X_Value is computed from its X0 and
+    Delta_X. Times that restart are offset by the start of their segment, according to the clock in its
+    header.
     """
     ends = [k for k, line in enumerate(lines) if line.startswith(LVM_END_OF_HEADER)]
     mark = form.separator or _lvm_separator(lines[: ends[0]])
     header: list[str] = []
     rows: list[list[str]] = []
-    own: dict[str, list[str]] = {}  # what the headers say up to here, the file's and the segment's
+    own: dict[str, list[str]] = {}  # header entries so far, of the file and the segments
     begin = 0
     clocks: list[float | None] = []
     for k, end in enumerate(ends):
@@ -146,7 +148,7 @@ def _lvm_table(lines: list[str], path: Path, form: RecordingFormat) -> tuple[lis
 
 
 def _clock(own: Mapping[str, list[str]]) -> float | None:
-    """When a segment was begun, s, by its header's Date and Time; None where they do not give it."""
+    """Start time of a segment, s, from the Date and Time in its header; None if missing or invalid."""
     day, time = (own.get(key, [""])[0].strip() for key in ("Date", "Time"))
     minute, _, seconds = time.replace(",", ".").rpartition(":")
     try:
@@ -160,9 +162,9 @@ def _after(
     rows: list[list[str]], segment: list[list[str]], header: list[str], clocks: list[float | None], *,
     comma: bool,
 ) -> list[list[str]]:  # fmt: skip
-    """A segment's rows; where its times begin again, they count from when the first segment was begun.
+    """A segment's rows; if its times restart, they are offset to count from the start of the first segment.
 
-    clocks : when each segment up to this one was begun; comma : the decimal mark
+    clocks : start times of the segments up to this one; comma : whether the decimal mark is a comma
     """
     first, own = clocks[0], clocks[-1]
     times = [k for k, title in enumerate(header) if title == _LVM_TIME]
@@ -189,7 +191,7 @@ def _lvm_separator(header: list[str]) -> str:
 
 
 def _data_rows(body: list[list[str]]) -> list[list[str]]:
-    """The rows of numbers up to the next segment's header."""
+    """The data rows up to the next segment's header."""
     rows = []
     for cells in body:
         if cells[0].strip() == _SEGMENT:
@@ -201,7 +203,10 @@ def _data_rows(body: list[list[str]]) -> list[list[str]]:
 def _with_times(
     titles: list[str], rows: list[list[str]], own: Mapping[str, list[str]], path: Path, decimal: str | None
 ) -> tuple[list[str], list[list[str]]]:
-    """The table with a column of times before each channel; one without X0 and Delta_X has the last ones."""
+    """The table with a time column before each channel.
+
+    A channel without X0 and Delta_X uses the last ones.
+    """
     starts, steps = (_numbers_of(own.get(key, [])) for key in ("X0", "Delta_X"))
     known = list(zip(starts, steps, strict=False))
     if not known:
@@ -224,7 +229,7 @@ def _with_times(
 
 
 def _numbers_of(cells: list[str]) -> list[float]:
-    """Those that stand before the first cell without a number."""
+    """The numbers before the first cell that is not a number."""
     found = []
     for cell in cells:
         try:
@@ -235,12 +240,12 @@ def _numbers_of(cells: list[str]) -> list[float]:
 
 
 def _time_of_force(header: list[str], rows: list[list[str]], positions: Mapping[str, int], path: Path) -> int:
-    """Of several X_Value columns, one before each channel, that of the force.
+    """The X_Value column of the force, of several that precede each a channel.
 
     Raises
     ------
     MeasurementError
-        If another column that is read was sampled at other times.
+        If another column that is read was sampled at different times.
     """
     times = {name: _time_before(header, k) for name, k in positions.items() if name != "time_s"}
     own = times["force_n"]
@@ -256,7 +261,7 @@ def _time_of_force(header: list[str], rows: list[list[str]], positions: Mapping[
 
 
 def _time_before(header: list[str], position: int) -> int:
-    """The nearest X_Value before a column; the first one where none stands before it."""
+    """The nearest X_Value before a column; the first one if there is none before it."""
     before = [k for k, title in enumerate(header[:position]) if title == _LVM_TIME]
     return before[-1] if before else header.index(_LVM_TIME)
 
@@ -277,7 +282,7 @@ def _text(path: Path) -> str:
 
 
 def _decimal(rows: list[list[str]], separator: str) -> str:
-    """A comma is the decimal mark where it is not the separator and stands in the cells."""
+    """The decimal mark: a comma if it is not the separator and is more frequent than points in the cells."""
     sample = [cell for row in rows[:50] for cell in row]
     commas = sum("," in cell for cell in sample)
     return "," if separator != "," and commas > sum("." in cell for cell in sample) else "."
@@ -306,7 +311,7 @@ def _column(rows: list[list[str]], position: int, decimal: str, name: str, path:
         if not cell:
             continue
         try:
-            if decimal != "." and "." in cell:  # between thousands, perhaps: never one mark for the other
+            if decimal != "." and "." in cell:  # might be a thousands separator: marks are never mixed
                 raise ValueError
             values[k] = number_of(cell.replace(decimal, "."))
         except ValueError:

@@ -1,9 +1,8 @@
-"""Straight lines through the shear-wave speeds of the force levels.
+"""Straight-line fits to the shear-wave speeds of the force levels.
 
-Shear-wave speed grows with the load because the tissue stiffens as it is
-compressed. The papers of the field draw speed against force with a straight
-line and its R2; against depth the picture is the better test of a model, since
-it does not change with a force offset, skin or locking.
+Shear-wave speed increases with load because the tissue stiffens as it is compressed. Publications in the
+field plot speed against force with a straight line and its R2; the plot against depth is the better test of a
+model, since it does not change with a force offset, skin or locking.
 """
 
 from __future__ import annotations
@@ -20,8 +19,8 @@ from limbcli.model import Array
 class Line:
     """y = intercept + slope x, by ordinary least squares over `n` points.
 
-    `r2` is None where y does not vary: a flat line explains no variance, and
-    calling that 0 or 1 would both be wrong. `slope_se` needs three points.
+    `r2` is None if y does not vary: there is no variance to explain, so neither 0 nor 1 would be right.
+    `slope_se` needs three points.
     """
 
     slope: float
@@ -63,7 +62,7 @@ def straight_line(x: Array, y: Array) -> Line:
     dx, dy = x - x.mean(), y - y.mean()
     slope = float(dx @ dy / (dx @ dx))
     residual = dy - slope * dx
-    # Readings that are equal to round-off have no variance to explain.
+    # Readings that are equal up to round-off have no variance to explain.
     varies = float(np.ptp(y)) > 1e-12 * max(float(np.abs(y).max()), 1e-300)
     r2 = 1.0 - float(residual @ residual / (dy @ dy)) if varies else None
     spread = float(residual @ residual / (dx @ dx))

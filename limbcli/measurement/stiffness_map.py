@@ -1,8 +1,7 @@
-"""Stiffness from place to place: c(x) = 2 rho v0(x)^2 of the level-0 wave-speed map.
+"""Spatial variation of stiffness: c(x) = 2 rho v0(x)^2 of the level-0 wave-speed map.
 
-The map lies in the image plane (lateral, depth). It is smoothed, extruded along
-elevation, and fades into its median where nothing was measured: a value that is
-neither invented nor a step.
+The map lies in the image plane (lateral, depth). It is smoothed, extruded along elevation, and fades into its
+median where nothing was measured, so that values are neither invented nor discontinuous.
 """
 
 from __future__ import annotations
@@ -24,7 +23,11 @@ _LEAST_PIXELS = 12
 
 @dataclass(frozen=True, eq=False)
 class Stiffnesses:
-    """c (n_points,) MPa; whether a point lies in the image (n_points,); c far from it, the median (MPa)."""
+    """Stiffness at given points.
+
+    c (n_points,) : MPa; inside (n_points,) : whether each point lies in the image; median : MPa, c far from
+        the image
+    """
 
     c: Array
     inside: NDArray[np.bool_]
@@ -46,14 +49,15 @@ def stiffness_at(
     ----------
     swe : the map of level 0, lateral along the model's x, depth along -z, mm
     points : (n_points, 3) mm, frame of the site's model
-    smoothing : mm, SD of the Gaussian over the pixels (a wave-speed pixel averages as much)
+    smoothing : mm, standard deviation of the Gaussian over the pixels (about the averaging of a wave-speed
+        pixel)
     fade : mm, distance over which a value fades into the median outside the map
     half_elevation : mm, |y| up to which the map is extruded unchanged
 
     Raises
     ------
     MeasurementError
-        If the map has fewer than a dozen pixels or they lie on one line.
+        If the map has fewer than a dozen pixels or they are collinear.
     """
     if len(swe) < _LEAST_PIXELS:
         raise MeasurementError(
@@ -90,7 +94,7 @@ def _smoothed(places: Array, values: Array, width: float) -> Array:
 
 
 def _interpolated(places: Array, values: Array, at: Array, swe: SweMap) -> Array:
-    """Linear inside the map's hull, the nearest pixel's value outside."""
+    """Linear interpolation inside the map's convex hull, the nearest pixel's value outside."""
     if np.linalg.matrix_rank(places - places.mean(axis=0), tol=1e-6) < 2:
         raise MeasurementError(
             "the pixels of the wave-speed map lie on one line",
@@ -102,7 +106,7 @@ def _interpolated(places: Array, values: Array, at: Array, swe: SweMap) -> Array
 
 
 def _within(places: Array, at: Array) -> NDArray[np.bool_]:
-    """Whether each place (n, 2) lies in the hull of the pixels."""
+    """Whether each position (n, 2) lies in the convex hull of the pixels."""
     return np.asarray(np.isfinite(LinearNDInterpolator(places, np.ones(len(places)))(at)))
 
 

@@ -1,4 +1,4 @@
-"""How much tissue is stretched or squeezed, from its deformation gradient."""
+"""Principal stretches of the tissue from its deformation gradient."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def principal_stretches(deformation_gradient: Array) -> Array:
 
     Returns
     -------
-    array, shape (..., 3), no unit
+    array, shape (..., 3), dimensionless
 
     >>> principal_stretches(np.diag([0.5, 2.0, 1.0]))
     array([2. , 1. , 0.5])

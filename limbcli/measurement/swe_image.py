@@ -1,10 +1,12 @@
-"""Shear-wave speeds decoded from a colour-overlay image through its own colour bar.
+"""Decode shear-wave speeds from a colour-overlay image by means of its own colour bar.
 
-A pixel of the colour box is the bar's colour laid over the grey B-mode image with
-some opacity: p = a c(v) + (1 - a) g (1, 1, 1). For every colour of the bar the best
-grey g is taken off; the speed is that of the colour that fits best. A pixel with no
-colour, with none that fits, or with two far-apart speeds that fit equally well, is
-left out and counted, never guessed.
+A pixel of the colour box is a colour of the bar blended with the grey B-mode image at some opacity:
+
+    p = a c(v) + (1 - a) g (1, 1, 1)
+
+For every colour of the bar the best-fitting grey g is subtracted; the speed is that of the colour with the
+smallest misfit. A pixel without colour, with no matching colour, or with two distant speeds that fit equally
+well, is excluded and counted, never guessed.
 """
 
 from __future__ import annotations
@@ -19,12 +21,12 @@ from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.ultrasound_image import UltrasoundImage
 from limbcli.model import Array
 
-_LEAST_COLOUR = 24.0  # of 255: difference of the largest and smallest channel
-_WORST_FIT = 18.0  # of 255: RGB distance to the best colour of the bar
-_AMBIGUOUS_FIT = 6.0  # of 255: a second colour this close in fit ...
-_AMBIGUOUS_SPAN = 0.08  # ... and this far along the bar makes the pixel ambiguous
+_LEAST_COLOUR = 24.0  # smallest difference (of 255) of the largest and smallest channel of a coloured pixel
+_WORST_FIT = 18.0  # largest RGB distance (of 255) to the best colour of the bar
+_AMBIGUOUS_FIT = 6.0  # of 255: a second colour with a misfit larger by less than this ...
+_AMBIGUOUS_SPAN = 0.08  # ... and farther along the bar than this fraction makes the pixel ambiguous
 _MOST_UNLIKE = (
-    0.5  # of the coloured pixels: those that are like the bar are so by chance then, at wrong speeds
+    0.5  # of the coloured pixels: above this fraction, the matching ones match by chance, at wrong speeds
 )
 _BAR_COLOURS = 192
 _CHUNK = 4096
@@ -34,11 +36,11 @@ Box = tuple[int, int, int, int]
 
 @dataclass(frozen=True)
 class Overlay:
-    """Where colour box and colour bar lie in the image (left, top, right, bottom, pixels, inclusive).
+    """Positions of colour box and colour bar in the image (left, top, right, bottom, pixels, inclusive).
 
     low, high : m/s at the two ends of the bar; high is its top (or right) end
-    opacity : 0 to 1 of the colours over the B-mode image
-    of_modulus : whether the bar is even in kPa, so that between its ends the speed's square grows evenly
+    opacity : of the colours over the B-mode image, 0 to 1
+    of_modulus : whether the bar is linear in kPa, so that the square of the speed is linear along it
     """
 
     box_pixels: Box
@@ -51,7 +53,7 @@ class Overlay:
 
 @dataclass(frozen=True, eq=False)
 class DecodedMap:
-    """The speeds read, and how many pixels were left out for which reason.
+    """The decoded speeds, and the number of pixels excluded for each reason.
 
     saturated : (n_pixels,) bool, pixels at either end of the bar
     """
@@ -64,7 +66,7 @@ class DecodedMap:
 
     @property
     def share_unlike(self) -> float:
-        """Of the coloured pixels, those whose colour is none of the bar's."""
+        """Fraction of the coloured pixels whose colour does not match the bar."""
         return self.n_unlike / (len(self.swe) + self.n_unlike + self.n_ambiguous)
 
     @property
@@ -78,14 +80,13 @@ class DecodedMap:
 def decode_overlay(image: UltrasoundImage, overlay: Overlay, *, pixel: float = 0.5) -> DecodedMap:
     """The wave-speed map of a colour-overlay image, in the probe frame.
 
-    pixel : mm, spacing at which the box is sampled (neighbouring screen pixels are not
-        independent readings)
+    pixel : mm, spacing at which the box is sampled (adjacent screen pixels are not independent readings)
 
     Raises
     ------
     MeasurementError
-        If a box lies outside the image, the colour box in no calibrated region or across two,
-        the bar has no colours or repeats them, nothing could be read, or most colours are none of the bar's.
+        If a box lies outside the image, the colour box in no calibrated region or across two, the bar has no
+        colours or repeats them, nothing could be read, or most colours do not match the bar.
     """
     _check_box(image, overlay.box_pixels, "box_pixels")
     _check_box(image, overlay.bar_pixels, "bar_pixels")
@@ -122,7 +123,7 @@ def bar_colours(image: UltrasoundImage, overlay: Overlay) -> tuple[Array, Array]
     Raises
     ------
     MeasurementError
-        If the bar is grey: then it is another bar, or the place is wrong.
+        If the bar is mostly grey: it is another bar, or its position is wrong.
     """
     left, top, right, bottom = overlay.bar_pixels
     bar = image.rgb[top : bottom + 1, left : right + 1].astype(np.float64)
@@ -143,7 +144,7 @@ def bar_colours(image: UltrasoundImage, overlay: Overlay) -> tuple[Array, Array]
 
 
 def _nearest(rgb: Array, colours: Array, opacity: float) -> tuple[NDArray[np.intp], Array, NDArray[np.bool_]]:
-    """For each pixel: the best colour's index, its misfit, and whether a far one fits as well."""
+    """For each pixel: the index of the best colour, its misfit, and whether a distant colour fits as well."""
     n, span = len(colours), max(1, round(_AMBIGUOUS_SPAN * len(colours)))
     index, fit = np.zeros(len(rgb), dtype=np.intp), np.zeros(len(rgb))
     ambiguous = np.zeros(len(rgb), dtype=bool)
@@ -160,7 +161,7 @@ def _nearest(rgb: Array, colours: Array, opacity: float) -> tuple[NDArray[np.int
 
 
 def _misfit(rgb: Array, colours: Array, opacity: float) -> Array:
-    """(n_pixels, n_colours) RGB distance after the best grey below the colour is taken off."""
+    """RGB distance (n_pixels, n_colours) after subtraction of the best-fitting grey under the colour."""
     rest = rgb[:, None, :] - opacity * colours[None, :, :]
     if opacity < 1.0:
         grey = np.clip(rest.mean(axis=2), 0.0, (1.0 - opacity) * 255.0)
@@ -171,8 +172,10 @@ def _misfit(rgb: Array, colours: Array, opacity: float) -> Array:
 def _samples(
     image: UltrasoundImage, box: Box, pixel: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Array, Array]:
-    """Columns, rows, lateral and depth (mm), each (n,), of a grid that belongs to the picture: boxes that
-    stand a pixel apart, as they do from level to level, are read at the same places.
+    """Columns, rows, lateral and depth (mm), each (n,), of a sampling grid that is fixed to the image region.
+
+    Boxes that are displaced by a pixel, as may happen from level to level, are thus sampled at the same
+    positions.
     """
     region = image.region_of(box)
     step_x = max(1, round(pixel / region.mm_per_pixel_x))

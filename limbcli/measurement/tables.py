@@ -1,4 +1,4 @@
-"""Reading a CSV of numbers strictly: every wrong cell and column is reported with its place."""
+"""Strict reading of a CSV of numbers: every wrong cell and column is reported with its location."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ from limbcli.errors.problems import Problem, suggestion
 from limbcli.model import Array
 
 _SHOWN_PER_FILE = 8
-# What a column's name ends in, the longer before what it ends in itself.
+# Unit suffixes of column names; a longer suffix comes before one that it ends in.
 _UNITS = {"_mpa_per_mm": "MPa/mm", "_m_per_s": "m/s", "_mm": "mm", "_n": "N", "_s": "s"}
-_COMMENT = re.compile(r"^[ \t]*#[^\r\n]*", re.MULTILINE)  # its line stays, empty: line numbers hold
+# the line is kept, empty, so that line numbers stay correct
+_COMMENT = re.compile(r"^[ \t]*#[^\r\n]*", re.MULTILINE)
 
 
 @dataclass(frozen=True, eq=False)
 class RawTable:
-    """Columns by name: numbers (NaN where empty) and texts; `lines` are file line numbers."""
+    """Columns by name: numbers (NaN where empty) and texts; `lines` are the line numbers in the file."""
 
     numbers: Mapping[str, Array]
     texts: Mapping[str, list[str]]
@@ -36,11 +37,12 @@ def read_table(
     path: Path, *, required: Collection[str], optional: Collection[str], texts: Collection[str] = (),
     may_be_empty: bool = False,
 ) -> tuple[RawTable | None, list[Problem]]:  # fmt: skip
-    """A comma-separated table with a header line; lines that begin with # are comments.
+    """Read a comma-separated table with a header line; lines that begin with # are comments.
 
-    required, optional : names of number columns; texts : names of text columns (optional).
-    may_be_empty : a header alone is a table without rows
-    Returns the table, or None where it cannot be read at all, and every problem.
+    required, optional : names of numeric columns; texts : names of text columns (optional)
+    may_be_empty : whether a header alone is accepted, as a table without rows
+
+    Returns the table, or None if it cannot be read at all, and every problem.
     """
     content, problems = _read_text(path)
     if content is None:
@@ -52,7 +54,8 @@ def read_table(
     if not numbered:
         return None, [problem("the file is empty", path, f"write the header {','.join(required)} and rows")]
     width = max(j for _, row in numbered for j, cell in enumerate(row, 1) if cell.strip())
-    numbered = [(line, row[:width]) for line, row in numbered]  # spreadsheets leave empty cells beyond
+    # spreadsheets leave empty cells beyond the header
+    numbered = [(line, row[:width]) for line, row in numbered]
     header = [cell.strip() for cell in numbered[0][1]]
     problems += _check_header(header, path, required=required, known={*required, *optional, *texts})
     if any(each.severity == "error" for each in problems):
@@ -81,7 +84,7 @@ def read_table(
 
 
 def problem(what: str, path: Path, fix: str, *, line: int | None = None, warning: bool = False) -> Problem:
-    """Something wrong with a file, or merely unusual, at a line."""
+    """An error or a warning about a file, at a line."""
     where = f"{path}, line {line}" if line else str(path)
     return Problem(what, where, fix, severity="warning" if warning else "error", family="measurement")
 
@@ -104,12 +107,12 @@ def csv_rows(
 
 
 def number_of(cell: str) -> float:
-    """What a cell says; "1_0", which is ten to Python alone, is no number.
+    """The number in a cell; "1_0", which Python reads as ten, is not accepted.
 
     Raises
     ------
     ValueError
-        If it is none.
+        If it is not a number.
 
     >>> number_of("1e-1")
     0.1

@@ -1,4 +1,4 @@
-"""The load-cell record of an indentation: `trace.csv`, read and checked."""
+"""Read and check the load-cell record of an indentation, `trace.csv`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TRACE_OPTIONAL = ("depth_mm", "probe_travel_mm", "accel_x_g", "accel_y_g", "acce
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """The load-cell record: time s, force N and, where recorded, depth and travel mm, acceleration g."""
+    """The load-cell record: time s, force N and, if recorded, depth and travel mm, acceleration g."""
 
     time: Array
     force: Array
@@ -48,7 +48,7 @@ def read_trace(path: Path) -> Trace:
 
 
 def check_trace(path: Path) -> tuple[Trace | None, list[Problem]]:
-    """The trace, where it can be used, and every problem."""
+    """The trace, if it is usable, and every problem."""
     table, problems = read_table(path, required=TRACE_REQUIRED, optional=TRACE_OPTIONAL)
     if table is None or any(each.severity == "error" for each in problems):
         return None, problems

@@ -1,9 +1,9 @@
 """Ultrasound images with a scale: DICOM with calibrated regions, or PNG and BMP plus mm per pixel.
 
-A DICOM ultrasound image may hold several regions (B-mode, colour box, Doppler
-trace); each states its corners and what a pixel means (PS3.3 C.8.5.5). A region
-whose deltas are zero or whose unit is not cm is not calibrated and is not used.
-Depth 0 is the probe face: the row that the region's reference pixel gives, else its top.
+A DICOM ultrasound image may contain several regions (B-mode, colour box, Doppler trace); each states its
+corners and the physical meaning of a pixel (PS3.3 C.8.5.5). A region whose deltas are zero or whose unit is
+not cm is not calibrated and is not used. Depth 0 is the probe face: the row given by the region's reference
+pixel, else its top.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from numpy.typing import NDArray
 
 from limbcli.errors import MeasurementError
 
-_CM = 3  # PhysicalUnitsXDirection of a length
-_TISSUE = 1  # RegionSpatialFormat: two-dimensional
-# What the libraries that read images raise on damaged files.
+_CM = 3  # code of PhysicalUnitsXDirection for cm
+_TISSUE = 1  # code of RegionSpatialFormat for two-dimensional tissue
+# Exceptions that image libraries raise on corrupt files.
 _DAMAGED = (
     OSError, ValueError, TypeError, AttributeError, LookupError, ArithmeticError, EOFError, AssertionError,
     RuntimeError, NotImplementedError, struct.error, zlib.error, MemoryError,
 )  # fmt: skip
-_WITH_PREVIEW = "MPO"  # a camera's JPEG: what follows the picture is the same one, smaller
-_DEEP = ("I", "F")  # how Pillow's modes begin of one channel of 16 or 32 bits, which it would cut off at 255
-_OVER_EDGE = 2  # pixels by which a box may stand over the edge of its region
-_MOST_CUT_OFF = 1.0  # mm of tissue below the probe face that a picture may lack; it is neglected
+_WITH_PREVIEW = "MPO"  # a camera's JPEG: further frames are smaller copies of the picture
+_DEEP = ("I", "F")  # prefixes of Pillow's modes with one channel of 16 or 32 bits, which it would clip at 255
+_OVER_EDGE = 2  # pixels by which a box may extend beyond the edge of its region
+_MOST_CUT_OFF = 1.0  # mm of tissue below the probe face that an image may lack; it is neglected
 
 
 @dataclass(frozen=True)
 class Region:
     """A calibrated part of the image: pixel corners (inclusive) and mm per pixel; its top is the probe face.
 
-    cut_off : mm of tissue below the face that are not in the picture
+    cut_off : mm of tissue below the face that are missing in the image
     """
 
     left: int
@@ -48,13 +48,13 @@ class Region:
     cut_off: float = 0.0
 
     def holds(self, box: tuple[int, int, int, int]) -> bool:
-        """Whether a box (left, top, right, bottom) lies within, but for a pixel or two."""
+        """Whether a box (left, top, right, bottom) lies inside, up to a pixel or two."""
         left, top, right, bottom = box
         across = self.left - _OVER_EDGE <= left and right <= self.right + _OVER_EDGE
         return across and self.top - _OVER_EDGE <= top and bottom <= self.bottom + _OVER_EDGE
 
     def shared(self, box: tuple[int, int, int, int]) -> int:
-        """Pixels that it has in common with a box."""
+        """Number of pixels in common with a box."""
         left, top, right, bottom = box
         width = min(self.right, right) - max(self.left, left) + 1
         height = min(self.bottom, bottom) - max(self.top, top) + 1
@@ -65,7 +65,7 @@ class Region:
 class UltrasoundImage:
     """One frame: rgb (rows, columns, 3) of bytes, and its calibrated regions.
 
-    frame : its number in the file, from 1; None where it is the only one
+    frame : its number in the file, from 1; None if it is the only one
     """
 
     rgb: NDArray[np.uint8]
@@ -75,12 +75,12 @@ class UltrasoundImage:
 
     @property
     def where(self) -> str:
-        """The file, and which frame of it, for messages."""
+        """The file, and the frame in it, for messages."""
         return str(self.path) if self.frame is None else f"{self.path}, frame {self.frame}"
 
     @property
     def grey(self) -> NDArray[np.float64]:
-        """(rows, columns) brightness 0 to 1 (Rec. 601 weights)."""
+        """Brightness (rows, columns), 0 to 1 (Rec. 601 weights)."""
         return self.rgb.astype(np.float64) @ np.array([0.299, 0.587, 0.114]) / 255.0
 
     def main_region(self) -> Region:
@@ -95,12 +95,12 @@ class UltrasoundImage:
 
     @property
     def is_whole(self) -> bool:
-        """Whether nothing shows where in the image the ultrasound picture lies."""
+        """Whether every region is the whole image, so that the ultrasound image is not located in it."""
         rows, columns = self.rgb.shape[:2]
         return all((r.left, r.top, r.right, r.bottom) == (0, 0, columns - 1, rows - 1) for r in self.regions)
 
     def calibrated(self) -> tuple[Region, ...]:
-        """All regions; raises MeasurementError where there is none."""
+        """All regions; raises MeasurementError if there is none."""
         if not self.regions:
             raise MeasurementError(
                 "the image has no calibrated region",
@@ -121,7 +121,7 @@ class UltrasoundImage:
         return region
 
     def region_of(self, box: tuple[int, int, int, int]) -> Region:
-        """The calibrated region that a box lies in: the largest, where regions lie in one another.
+        """The calibrated region that contains a box; the largest, if regions are nested.
 
         box : left, top, right, bottom (pixels, inclusive)
 
@@ -157,17 +157,17 @@ def read_image(
 ) -> UltrasoundImage:
     """Read one frame.
 
-    mm_per_pixel : overrides, or stands in for, the file's own calibration; where the picture lies in the
-        image stays as the file gives it, else the whole image is taken.
-    box_pixels : left, top, right, bottom of the ultrasound image within the screen shot;
-        its top is the probe face.
-    frame : which one of a file that holds several (a cine loop), from 1
+    mm_per_pixel : replaces the file's own calibration; the position of the ultrasound image is still taken
+        from the file, else the whole image is used
+    box_pixels : left, top, right, bottom of the ultrasound image within the screen shot; its top is the probe
+        face
+    frame : number of the frame in a multi-frame file (a cine loop), from 1
 
     Raises
     ------
     MeasurementError
-        If the file is no image, it holds several frames and none is selected, or a scale is neither in it
-        nor given.
+        If the file is not an image, it contains several frames and none is selected, or no scale is in the
+        file or given.
     """
     rgb, regions, number = _read_dicom(path, frame) if is_dicom(path) else _read_picture(path, frame)
     if mm_per_pixel is not None:
@@ -180,7 +180,7 @@ def read_image(
 
 
 def _frame_of(path: Path, count: int, wanted: int | None) -> int | None:
-    """The number of the frame that is meant, from 1; None in a file of one."""
+    """The number of the requested frame, from 1; None in a file with one frame."""
     if count > 1 and wanted is None:
         raise MeasurementError(
             f"the file contains {count} frames, and it is not stated which one shows the level",
@@ -209,7 +209,7 @@ def _at_scale(region: Region, mm_per_pixel: float) -> Region:
 
 
 def _within(image: UltrasoundImage, box: tuple[int, int, int, int]) -> UltrasoundImage:
-    """The image with its region narrowed to a box, at the scale of the region that has most of it."""
+    """The image with its region narrowed to a box, at the scale of the region with the largest overlap."""
     left, top, right, bottom = box
     rows, columns = image.rgb.shape[:2]
     if not (0 <= left < right < columns and 0 <= top < bottom < rows):
@@ -224,7 +224,7 @@ def _within(image: UltrasoundImage, box: tuple[int, int, int, int]) -> Ultrasoun
 
 
 def is_dicom(path: Path) -> bool:
-    """By how the file begins, or by its ending. Raises MeasurementError where there is no file."""
+    """Whether it is DICOM, by its preamble or suffix. Raises MeasurementError if there is no file."""
     if not path.is_file():
         raise MeasurementError("the image was not found", where=str(path), fix="correct its name")
     with path.open("rb") as stream:
@@ -252,7 +252,10 @@ def _read_picture(path: Path, frame: int | None) -> _Frame:
 
 
 def _read_dicom(path: Path, frame: int | None) -> _Frame:
-    """Pixels and regions; the error of a damaged file shows no value of it, which may be the patient's."""
+    """Pixels and regions.
+
+    The error for a corrupt file shows no values of it, which may identify the patient.
+    """
     from pydicom.errors import BytesLengthException, InvalidDicomError
 
     try:
@@ -271,7 +274,7 @@ def _dicom_frame(path: Path, frame: int | None) -> _Frame:
 
     dataset = pydicom.dcmread(path)
     number = _frame_of(path, int(dataset.get("NumberOfFrames", 1) or 1), frame)
-    # RGB already where the file holds luminance and two colour differences
+    # already converted to RGB if the file stores YBR
     pixels = pixel_array(dataset, index=(number or 1) - 1)
     kind = str(dataset.get("PhotometricInterpretation", "MONOCHROME2"))
     if kind == "PALETTE COLOR":
@@ -280,7 +283,7 @@ def _dicom_frame(path: Path, frame: int | None) -> _Frame:
 
 
 def _to_bytes(pixels: NDArray, *, inverted: bool) -> NDArray[np.uint8]:
-    """Of more than eight bits the brightest is white."""
+    """Convert to 8-bit RGB; with more than eight bits, the maximum becomes white."""
     values = np.nan_to_num(pixels.astype(np.float64), posinf=0.0, neginf=0.0)
     if pixels.dtype != np.uint8:
         values *= 255.0 / (max(float(values.max()), 0.0) or 1.0)
@@ -319,9 +322,9 @@ def _regions(dataset: object) -> tuple[Region, ...]:
 
 
 def _face_row(region: Any, top: int, bottom: int) -> float:
-    """The row of depth 0: where the reference pixel, counted from the region's corner, and its depth put it.
+    """The row of depth 0, from the reference pixel (relative to the region's corner) and its depth.
 
-    Without one, or with one that lies below the region, the region's top.
+    The region's top, if there is no reference pixel or depth 0 would lie below the region.
     """
     row, depth = region.get("ReferencePixelY0"), region.get("ReferencePixelPhysicalValueY")
     if row is None or depth is None:

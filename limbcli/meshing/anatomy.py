@@ -1,7 +1,8 @@
-"""Skin and bones that can belong to one limb: sizes, bones inside the skin and apart, the limb's side.
+"""Plausibility checks on the skin and bones of one limb: sizes, bone positions and the side of the body.
 
-Surfaces come from anywhere and in any frame; a bone elsewhere, a skin in another unit or a mirrored limb
-gives numbers that look like any others. What cannot be is an error, what is unusual a warning.
+The surfaces may come from any source and in any frame. A misplaced bone, a skin in the wrong unit or a
+mirrored limb still produces plausible-looking numbers, so they are checked here: the impossible is an error,
+the unusual a warning.
 """
 
 from __future__ import annotations
@@ -18,43 +19,55 @@ from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 
 SKIN = "skin"
-_SKIN_CM3 = (100.0, 2.5e4)  # a child's stump, cut short; a whole thigh and leg
-_LEAST_BONE_CM3 = 0.15  # as the label maps' (imaging.labels)
-_BONE_SHARE = (0.5, 0.8)  # of the limb's volume: unusual, impossible
-_OUT_MM = 2.0  # a bone's point this far out is out; less is the surfaces' roughness
-_OUT_SHARE = (0.01, 0.2)  # of the bone's points: unusual, impossible
+# volume of a plausible limb, cm3: from a short residual limb of a child to a whole thigh and leg
+_SKIN_CM3 = (100.0, 2.5e4)
+_LEAST_BONE_CM3 = 0.15  # smallest volume of a bone, cm3; the same limit as for label maps (imaging.labels)
+# volume of all bones as a fraction of the limb's: warning above the first, error above the second
+_BONE_SHARE = (0.5, 0.8)
+# a bone's point farther outside the skin than this counts as outside; less is surface roughness
+_OUT_MM = 2.0
+_OUT_SHARE = (0.01, 0.2)  # fraction of a bone's points outside the skin: warning, error
 _OUT_FAR_MM = 15.0
-_MIDDLE, _HOLLOW = 0.6, 0.5  # of a bone's greatest depth, deeper than which its middle is; of that, outside
-_MINOR = 0.25  # of all bones' volume: without such a one (a fibula, a patella) the limb can still be modelled
-_TWICE = 0.5  # of a bone's points inside another: the same bone twice
-_ASIDE_MM, _ASIDE = 5.0, 0.5  # mm, and sine: the fibula is clearly on one side of the tibia
-_ELONGATED, _UPRIGHT = 1.5, 0.5  # length against width; cosine to +z below which a limb lies across
-_POINTS = 500  # of a bone that are looked at
+# The core of a bone is what lies deeper than this fraction of its greatest depth; with more than this
+# fraction of the core outside the skin, the bone lies in a hole of it.
+_MIDDLE, _HOLLOW = 0.6, 0.5
+# fraction of all bones' volume: without a smaller bone (fibula, patella) the limb can still be modelled
+_MINOR = 0.25
+_TWICE = 0.5  # fraction of a bone's points inside another bone, above which both are the same bone
+# medial offset of the fibula from the tibia that is a clear one: mm, and sine of its angle
+_ASIDE_MM, _ASIDE = 5.0, 0.5
+# length-to-width ratio of an elongated limb; cosine to +z below which it lies across the patient frame
+_ELONGATED, _UPRIGHT = 1.5, 0.5
+_POINTS = 500  # largest number of points sampled per bone
 
 
 @dataclass(frozen=True)
 class LimbCheck:
-    """problems : what is wrong with skin and bones; outside : names of bones brought in another frame"""
+    """Result of `limb_check`.
+
+    problems : what is wrong with the skin and bones
+    outside : names of the bones that were supplied in another frame
+    """
 
     problems: list[Problem]
     outside: tuple[str, ...]
 
 
 def limb_problems(surfaces: Mapping[str, Triangles], *, limb: str, where: str) -> list[Problem]:
-    """`limb_check`'s problems."""
+    """The problems that `limb_check` finds."""
     return limb_check(surfaces, limb=limb, where=where).problems
 
 
 def limb_check(surfaces: Mapping[str, Triangles], *, limb: str, where: str) -> LimbCheck:
-    """What is wrong with the skin and the bones of one limb, and the bones that lie elsewhere.
+    """Check the skin and bones of one limb, and name the bones that lie outside it.
 
     surfaces : "skin" and the bones by name, mm, patient LPS; open or closed
-    limb : "left" or "right"; the fibula shows it where two bones are so named
+    limb : "left" or "right"; verified by the position of the fibula, if two bones are named tibia and fibula
 
     Raises
     ------
     MeshError
-        If the skin is no body at all.
+        If the skin does not enclose a body.
     """
     skin = surfaces[SKIN]
     bones = {name: each for name, each in surfaces.items() if name != SKIN}
@@ -77,12 +90,12 @@ def limb_check(surfaces: Mapping[str, Triangles], *, limb: str, where: str) -> L
 
 
 def bone_named(bones: Mapping[str, Triangles], name: str) -> Triangles | None:
-    """The first bone whose name holds this one's, such as "tibia"; None where there is none."""
+    """The first bone whose name contains `name`, such as "tibia"; None if there is none."""
     return next((each for known, each in bones.items() if name in known), None)
 
 
 def _sizes(volume: float, bones: Mapping[str, Triangles], where: str) -> list[Problem]:
-    """Volumes in cm3 against what limbs have."""
+    """Compare volumes (cm3) with those of real limbs."""
     found = []
     low, high = _SKIN_CM3
     if not low <= volume / 1e3 <= high:
@@ -103,7 +116,7 @@ def _sizes(volume: float, bones: Mapping[str, Triangles], where: str) -> list[Pr
 
 
 def _second_wall(skin: Triangles, volume: float, where: str) -> list[Problem]:
-    """A body in the skin's own file that is no bone's: what is taken for bone there fills the limb."""
+    """Report a second body in the skin's file that fills the limb: it would be taken for a bone."""
     largest = max([0.0, *(enclosed(each) for each in skin_and_bones(skin)[1:])])
     share = largest / max(volume, 1e-9)
     if share <= _BONE_SHARE[0]:
@@ -120,7 +133,10 @@ def _in_holes(
     ends: tuple[Plane, ...],
     where: str,
 ) -> list[Problem]:
-    """Bones whose inside is outside the skin, though their surface is not: they lie in holes of it."""
+    """Report bones whose interior lies outside the skin although their surface does not.
+
+    The skin then has holes around them.
+    """
     found = []
     for name, bone in bones.items():
         deep = above[name].deepest(_MIDDLE)
@@ -135,7 +151,7 @@ def _in_holes(
 
 
 def _left_out(problem: Problem) -> Problem:
-    """What is wrong with a small bone: the others still make a limb, with a warning."""
+    """Downgrade a problem of a small bone to a warning, since the limb can be modelled without it."""
     if problem.severity == "warning":
         return problem
     what = f"{problem.what}: the model omits the part outside, and is too soft there"
@@ -144,11 +160,12 @@ def _left_out(problem: Problem) -> Problem:
 
 @dataclass(frozen=True)
 class _Reach:
-    """How far a bone reaches out of the skin.
+    """How far a bone protrudes from the skin.
 
-    share : of its points between the limb's cut ends
-    furthest : mm from the skin between the ends, of a bone beyond an end its nearest point
-    share_anywhere : of all of its points; a bone that goes on beyond an end is out there
+    share : fraction of its points between the limb's cut ends that lie outside
+    furthest : largest distance from the skin between the ends, mm; for a bone beyond an end, that of its
+        nearest point
+    share_anywhere : fraction of all its points that lie outside, including those beyond a cut end
     """
 
     share: float
@@ -180,7 +197,7 @@ def _outside(name: str, reach: _Reach, where: str) -> list[Problem]:
 
 
 def _twice(bones: Mapping[str, Triangles], above: Mapping[str, Heights], where: str) -> list[Problem]:
-    """Two bones at one place."""
+    """Report two bones that occupy the same place."""
     found = []
     names = sorted(bones, key=lambda each: -abs(bones[each].volume))
     for k, name in enumerate(names[:-1]):
@@ -195,7 +212,7 @@ def _twice(bones: Mapping[str, Triangles], above: Mapping[str, Heights], where: 
 
 
 def _side(bones: Mapping[str, Triangles], limb: str, where: str) -> list[Problem]:
-    """The fibula lies lateral of the tibia: of a left leg towards +x (LPS), the patient's left."""
+    """Check that the fibula lies lateral of the tibia: in a left leg towards +x (LPS), the patient's left."""
     tibia, fibula = bone_named(bones, "tibia"), bone_named(bones, "fibula")
     if tibia is None or fibula is None:
         return []
@@ -213,7 +230,7 @@ def _side(bones: Mapping[str, Triangles], limb: str, where: str) -> list[Problem
 
 
 def _across(skin: Triangles, bones: Mapping[str, Triangles], where: str) -> list[Problem]:
-    """A limb across the patient frame: which of its ends is the proximal one cannot be told."""
+    """Report a limb that lies across the patient frame, so that its proximal end cannot be determined."""
     axes = [principal_axis(each) for each in (skin, *bones.values())]
     axis, elongated = max(axes, key=lambda each: each[1])
     if elongated < _ELONGATED or abs(axis[2]) > _UPRIGHT:
@@ -228,7 +245,7 @@ def _across(skin: Triangles, bones: Mapping[str, Triangles], where: str) -> list
 
 
 def _some(points: Array) -> Array:
-    """At most `_POINTS` of them, evenly by number."""
+    """At most about `_POINTS` of the points, evenly spaced by index."""
     return points[:: max(1, len(points) // _POINTS)]
 
 

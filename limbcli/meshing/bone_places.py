@@ -1,8 +1,9 @@
-"""Where bones belong that were brought in another frame than the skin.
+"""Estimate where bones belong that were supplied in another frame than the skin.
 
-A bone that lies outside the skin was moved on its way: another origin, mostly. The one shift, the same for
-all such bones, is looked for that puts them within the skin, beside the bones that lie right and apart from
-them: the head of the fibula against the lateral condyle of the tibia, the patella before the femur.
+A bone that lies outside the skin has usually been shifted, for example by another origin. One translation
+common to all such bones is sought that places them inside the skin, next to the correctly placed bones
+without overlap: the head of the fibula against the lateral condyle of the tibia, the patella in front of the
+femur.
 """
 
 from __future__ import annotations
@@ -18,24 +19,33 @@ from limbcli.meshing.distance import Heights
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 
-# mm: what lies between, and one standard deviation. Chosen with four limbs of OpenLimb in view, which have
-# 1.6 to 3.6 mm between fibula and tibia, and the fibula's apex 18 to 24 mm below the top of the tibia; that
-# between patella and femur is a guess. No other limb has been tried.
+# Expected distances and their standard deviations, mm: tibia to fibula, apex of the fibula below the top of
+# the tibia, patella to femur. Chosen from four limbs of OpenLimb, which have 1.6 to 3.6 mm between fibula and
+# tibia, and the apex 18 to 24 mm below the top of the tibia; patella to femur is a guess. No other limb has
+# been tried.
 _JOINT, _BELOW_TOP, _KNEECAP = (2.5, 1.0), (18.0, 5.0), (5.0, 2.0)
-_HEAD = 15.0  # mm of the fibula, from its apex
-_SKIN, _APART = 3.0, 1.5  # mm at least between a bone and the skin, and between two bones
-_SOFT_SKIN, _SOFT_BONE = 2.0, 0.7  # mm, one deviation of that
-_TIBIA_TO_HEAD = 38.0  # mm between their middles, where the search begins (35 to 42 in those limbs)
-_BEHIND = np.radians([10.0, 35.0, 60.0])  # of lateral, towards the back: limbs lie turned in the scanner
-_POINTS = 300  # of a bone that are looked at
-_TOP = 0.995  # quantile that stands for a bone's end
-_MISFIT, _DOUBT = 3.0, 6.0  # deviations of what must hold, mm across the limb: beyond, no shift is proposed
+_HEAD = 15.0  # length of the head of the fibula from its apex, mm
+_SKIN, _APART = 3.0, 1.5  # smallest distances, mm: bone to skin, bone to bone
+_SOFT_SKIN, _SOFT_BONE = 2.0, 0.7  # standard deviations of these two distances, mm
+# initial distance between the centres of the tibia and the head of the fibula, mm (35 to 42 in the four
+# limbs)
+_TIBIA_TO_HEAD = 38.0
+# initial directions, as angles from lateral towards posterior: limbs lie rotated in the scanner
+_BEHIND = np.radians([10.0, 35.0, 60.0])
+_POINTS = 300  # approximate largest number of points sampled per bone
+_TOP = 0.995  # quantile of the points' heights that is taken as a bone's end
+# No shift is proposed beyond this misfit (standard deviations) or this uncertainty across the limb (mm).
+_MISFIT, _DOUBT = 3.0, 6.0
 
 
 @dataclass(frozen=True, eq=False)
 class PutBack:
-    """names : the bones that were moved together; move (3,) : mm, patient LPS; deviation_mm : one standard
-    deviation of the move across the limb, mm."""
+    """The proposed shift of misplaced bones.
+
+    names : the bones that are moved together
+    move : (3,) translation, mm, patient LPS
+    deviation_mm : standard deviation of the translation across the limb, mm
+    """
 
     names: tuple[str, ...]
     move: Array
@@ -45,12 +55,12 @@ class PutBack:
 def put_back(
     skin: Triangles, right: Mapping[str, Triangles], wrong: Mapping[str, Triangles], *, limb: str
 ) -> PutBack | None:
-    """The shift that puts the bones `wrong` back beside those that are `right`; None if undetermined.
+    """The translation that puts the bones `wrong` back beside the bones `right`; None if it is undetermined.
 
     skin, right, wrong : closed surfaces, mm, patient LPS, bones by name; limb : "left" or "right"
 
-    Needs a tibia that lies right and a fibula that does not; with a patella moved as it was, and the femur,
-    the place is known to some 5 mm, seldom without.
+    Needs a correctly placed tibia and a misplaced fibula. If the patella was displaced with the fibula and
+    the femur is correctly placed, the position is known to about 5 mm; otherwise seldom.
     """
     tibia, fibula = bone_named(right, "tibia"), bone_named(wrong, "fibula")
     if tibia is None or fibula is None:
@@ -70,7 +80,7 @@ def put_back(
 
 
 class _Search:
-    """Residuals of a shift, in deviations: what must hold between skin and bones."""
+    """Least-squares residuals of a shift, in standard deviations: constraints between skin and bones."""
 
     def __init__(
         self, skin: Triangles, right: Mapping[str, Triangles], wrong: Mapping[str, Triangles],
@@ -90,11 +100,11 @@ class _Search:
 
     @property
     def n_known(self) -> int:
-        """Distances that are known."""
+        """Number of known distances."""
         return 2 + (self.femur is not None)
 
     def _upward(self, right: Mapping[str, Triangles], tibia: Triangles) -> Array:
-        """Unit vector along the tibia, towards the femur; without one, to the head (+z of LPS)."""
+        """Unit vector along the tibia, towards the femur; without a femur, towards the head (+z of LPS)."""
         centred = tibia.points - tibia.points.mean(axis=0)
         axis = np.linalg.svd(centred, full_matrices=False)[2][0]
         femur = bone_named(right, "femur")
@@ -107,7 +117,7 @@ class _Search:
         return float(np.quantile(points @ self.axis, _TOP))
 
     def starts(self, limb: str) -> list[Array]:
-        """Shifts (3,) that put the head of the fibula lateral of the tibia and behind it."""
+        """Initial guesses (3,) of the shift: the head of the fibula lateral of and behind the tibia."""
         lateral = np.array([1.0 if limb == "left" else -1.0, 0.0, 0.0])
         back = np.array([0.0, 1.0, 0.0])
         level = self.tibia_top - _BELOW_TOP[0] - 0.5 * _HEAD
@@ -122,7 +132,7 @@ class _Search:
         return found
 
     def misfit(self, move: Array) -> Array:
-        """(n,) in deviations: overlaps and what stands out of the skin, and the known distances."""
+        """Residuals (n,) in standard deviations: overlaps, protrusion from the skin, known distances."""
         found = []
         for points in self.wrong:
             moved = points + move

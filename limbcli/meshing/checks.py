@@ -1,4 +1,4 @@
-"""What a site's geometry implies for the measurement taken there."""
+"""Figures of a site's geometry that matter for the measurement taken there."""
 
 from __future__ import annotations
 
@@ -12,15 +12,19 @@ from limbcli.meshing.mending import Plane
 from limbcli.meshing.probe import ProbeShape
 from limbcli.model import Array
 
-_DEEPEST = 150.0  # mm
+_DEEPEST = 150.0  # search depth of a beam below the face at first touch, mm
 
 
 @dataclass(frozen=True)
 class SiteChecks:
-    """skin_bone : tissue along the beam at the probe's centre, None without bone there (mm);
-    thinnest_under_probe : the least such distance under the face; over_tissue_share :
-    part of the face with skin below; bone_share : part with bone in the beam; to_cut :
-    distance from the face's outline to the nearest cut (mm), None without cuts.
+    """Figures of a site's geometry.
+
+    skin_bone_mm : tissue thickness along the beam at the probe's centre; None without bone there
+    thinnest_under_probe_mm : smallest such thickness under the face; None without bone there
+    over_tissue_share : fraction of the face with skin below it
+    bone_share : fraction of the face with bone in the beam
+    to_cut_mm : distance from the face's outline to the nearest cut; None without cuts
+    gap_at_first_touch_mm : largest height of the face above the skin at first touch; NaN without skin
     """
 
     skin_bone_mm: float | None
@@ -55,15 +59,21 @@ def site_checks(domain: TissueDomain, probe: ProbeShape, margin: float) -> SiteC
 
 @dataclass(frozen=True)
 class LayersKept:
-    """Share of the layers' thickness asked for that a model has: at the probe's centre (NaN without skin
-    there), and the least under its face. Over bone they thin out so that other tissue is left."""
+    """Fraction of the requested thickness of the layers that the model has.
+
+    It is given at the probe's centre (NaN without skin there), and as the minimum under the face. Over bone
+    the layers are thinned so that some other tissue is left.
+    """
 
     centre: float
     least: float
 
 
 def layers_kept(domain: TissueDomain, core: TissueDomain, probe: ProbeShape, total: float) -> LayersKept:
-    """Layers of `total` mm, measured along the beam: from the skin of the domain to that of its core."""
+    """Compare the layers' thickness along the beam with the requested `total` (mm).
+
+    The thickness runs from the skin of the domain to that of its core.
+    """
     x, y = probe.plan(2.0)
     x, y = np.append(x, 0.0), np.append(y, 0.0)
     share = (beam(domain, x, y)[0] - beam(core, x, y)[0]) / total
@@ -72,15 +82,20 @@ def layers_kept(domain: TissueDomain, core: TissueDomain, probe: ProbeShape, tot
 
 
 def to_cut(planes: Sequence[Plane], probe: ProbeShape) -> float | None:
-    """mm from the face's outline to the nearest cut, in the site's frame; negative where it lies under the
-    face, None without cuts."""
+    """Distance (mm) from the face's outline to the nearest cut, in the site's frame.
+
+    Negative if the cut passes under the face, None without cuts.
+    """
     half = np.array([probe.length / 2, probe.width / 2, 0.0])
     reach = [float(each.offset - np.abs(each.normal * half).sum()) for each in planes]
     return min(reach, default=None)
 
 
 def beam(domain: TissueDomain, x: Array, y: Array, *, step: float = 0.25) -> tuple[Array, Array]:
-    """Height of the skin under plan points, and the tissue from there down to bone (n,); NaN where none."""
+    """Height of the skin at plan points, and tissue thickness from there to bone (n,).
+
+    NaN where there is no skin, or no bone below it.
+    """
     z = np.arange(10.0, -_DEEPEST, -step)
     grid = np.stack(
         [np.broadcast_to(v, (len(x), len(z))) for v in (x[:, None], y[:, None], z[None, :])], axis=-1
@@ -95,7 +110,7 @@ def beam(domain: TissueDomain, x: Array, y: Array, *, step: float = 0.25) -> tup
 
 
 def _first_below(values: Array, z: Array) -> Array:
-    """Where each row first falls below zero, between samples."""
+    """Interpolated height at which each row first falls below zero; NaN if it never does."""
     inside = values < 0
     k = np.argmax(inside, axis=1)
     found = inside.any(axis=1) & (k > 0)

@@ -1,4 +1,4 @@
-"""Where the local model ends: planes round the probe face, none where the limb itself ends."""
+"""Where the local model ends: cutting planes around the probe face, except where the limb itself ends."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 
-SPARE = 12.0  # mm: a limb that ends less than this beyond a plane is kept whole there
-SHORT = 35.0  # mm: an end shorter than this is kept whole where no plane cuts it cleanly
-_OUTWARD = np.arange(0.0, 20.0, 1.5)  # mm by which a plane may move out to cut cleanly
+SPARE = 12.0  # mm: no cut is made where the limb ends less than this beyond the plane
+SHORT = 35.0  # mm: an end shorter than this is kept whole if no plane cuts it cleanly
+_OUTWARD = np.arange(0.0, 20.0, 1.5)  # mm: trial offsets by which a plane may move outward to cut cleanly
 _SIDES = (("x-", 0, -1.0), ("x+", 0, 1.0), ("y-", 1, -1.0), ("y+", 1, 1.0))
 
 
 def within(points: Array, planes: tuple[Plane, ...] | list[Plane], *, slack: float = 0.0) -> Array:
-    """(n,) whether points (n, 3) lie on the kept side of every plane, or at most `slack` mm beyond."""
+    """Whether points (n, 3) lie on the kept side of every plane, or at most `slack` mm beyond; (n,)."""
     keep = np.ones(len(points), bool)
     for each in planes:
         keep &= each.height(points) <= slack
@@ -28,9 +28,8 @@ def within(points: Array, planes: tuple[Plane, ...] | list[Plane], *, slack: flo
 def crop_planes(limb: Limb, probe: ProbeShape, margin: float) -> tuple[Plane, ...]:
     """Planes `margin` (mm) beyond the probe face on its four sides, and the limb's own cut ends.
 
-    `limb` is in the site's frame. The full thickness (z) is kept. A plane is left
-    out where less than `SPARE` of the limb lies beyond it, and moved out a little
-    where it would graze the skin or the end of a bone.
+    `limb` is in the site's frame. The full thickness (z) is kept. A plane is omitted where less than `SPARE`
+    of the limb lies beyond it, and moved outward a little where it would graze the skin or the end of a bone.
     """
     half = (probe.length / 2 + margin, probe.width / 2 + margin)
     ends = list(limb.ends)
@@ -49,7 +48,7 @@ def crop_planes(limb: Limb, probe: ProbeShape, margin: float) -> tuple[Plane, ..
 
 
 def _clean_cut(plane: Plane, limb: Limb, beyond: float) -> Plane | None:
-    """The plane moved outward to where it grazes least; none where a short end is better kept whole."""
+    """The plane moved outward to where it grazes least; None if it is better to keep a short end whole."""
     steps = [each for each in _OUTWARD if each <= max(beyond - SPARE / 2, 0.0)]
     moved = [replace(plane, offset=plane.offset + each) for each in steps]
     cost = [5.0 * grazing(each, limb) + step for each, step in zip(moved, steps, strict=True)]
@@ -58,7 +57,7 @@ def _clean_cut(plane: Plane, limb: Limb, beyond: float) -> Plane | None:
 
 
 def grazing(plane: Plane, limb: Limb) -> float:
-    """Area (mm2) of skin or bone that a plane would pass at a sharp angle or closely."""
+    """Area (mm2) of skin or bone close to the plane and nearly parallel to it."""
     total = _area(limb.skin, plane, (-2.0, 1.0), facing=-1.0)
     for each in limb.bones:
         total += _area(each, plane, (-5.0, 1.0), facing=1.0)

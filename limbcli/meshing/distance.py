@@ -1,9 +1,8 @@
-"""Signed distance to a surface on a regular grid: the form in which any surface can be repaired.
+"""Signed distance to a surface on a regular grid: the representation in which any surface can be repaired.
 
-A grid knows inside from outside by counting, with their direction, the faces
-that rays along x, y and z pass; two of three directions decide. Gaps, overlaps
-and self-intersections of the input then do no harm, and unions, clearances
-and offsets are minima and maxima.
+Inside and outside are distinguished by counting the oriented faces crossed by rays along x, y and z; two of
+the three directions decide. Gaps, overlaps and self-intersections of the input are therefore harmless, and
+unions, clearances and offsets are minima and maxima of distance fields.
 """
 
 from __future__ import annotations
@@ -19,15 +18,16 @@ from scipy.spatial import cKDTree
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 
-_BAND = 3.0  # voxels on either side of the surface in which distances are exact
+_BAND = 3.0  # half width, in voxels, of the band round the surface in which distances are exact
 _FAR = 1e6
-_CELLS, _MARGIN_MM = 90, 8.0  # of `Heights`: along a body's longest side; round it
-_JITTER = 1.2345e-5  # of a voxel: rays must not run through edges of tidy meshes
+# grid of `Heights`: cells along a body's longest side, and margin round the body, mm
+_CELLS, _MARGIN_MM = 90, 8.0
+_JITTER = 1.2345e-5  # voxels; offset of the rays, which must not run through edges of regular meshes
 
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """A regular grid: origin (3,) of its first sample, spacing, both mm, and its shape."""
+    """A regular grid: origin (3,) of its first sample and spacing, both mm, and its shape."""
 
     origin: Array
     spacing: float
@@ -61,12 +61,12 @@ class Field:
     values: Array
 
     def at(self, points: Array) -> Array:
-        """Trilinear values at points (n, 3); outside the grid the nearest sample's."""
+        """Trilinear interpolation at points (n, 3); outside the grid, the value at its border."""
         at = (np.asarray(points, float) - self.grid.origin).T / self.grid.spacing
         return ndimage.map_coordinates(self.values, at, order=1, mode="nearest", output=np.float64)
 
     def gradient(self, points: Array) -> Array:
-        """(n, 3) by central differences over one spacing."""
+        """Gradient (n, 3) by central differences over one grid spacing."""
         h = 0.5 * self.grid.spacing
         steps = [h * np.eye(3)[k] for k in range(3)]
         return np.stack([(self.at(points + s) - self.at(points - s)) / (2 * h) for s in steps], axis=1)
@@ -75,7 +75,7 @@ class Field:
         return replace(self, values=values)
 
     def project(self, points: Array, *, level: float = 0.0, rounds: int = 4) -> Array:
-        """Points moved along the gradient onto the surface where the field has `level`."""
+        """Points moved along the gradient onto the isosurface of value `level`."""
         x = np.array(points, float)
         for _ in range(rounds):
             g = self.gradient(x)
@@ -87,7 +87,7 @@ class Field:
 def signed_distance(surface: Triangles, grid: Grid) -> Field:
     """Distance (mm) to a closed surface at every sample, negative inside.
 
-    Exact within three spacings of the surface, by first-order sweeps beyond.
+    Exact within three grid spacings of the surface, by first-order fast sweeping beyond.
     """
     corners = np.ascontiguousarray((surface.corners - grid.origin) / grid.spacing)
     near = _near_distance(corners, grid.shape, _BAND)
@@ -98,7 +98,10 @@ def signed_distance(surface: Triangles, grid: Grid) -> Field:
 
 
 class Heights:
-    """Heights of points above a closed surface, by a grid in and round it; farther out by nearest points."""
+    """Signed distances of points to a closed surface.
+
+    They are interpolated on a grid in and around the surface; beyond the grid, the nearest points are used.
+    """
 
     def __init__(self, surface: Triangles):
         low, high = surface.points.min(axis=0), surface.points.max(axis=0)
@@ -108,7 +111,7 @@ class Heights:
         self._tree = cKDTree(np.concatenate([surface.points, surface.centroids]))
 
     def of(self, points: Array) -> Array:
-        """(n,) mm of points (n, 3), negative inside."""
+        """Signed distances (n,), mm, of points (n, 3); negative inside."""
         low, high = self._box
         near = ((points > low) & (points < high)).all(axis=1)
         found = self._distance.at(points)
@@ -116,16 +119,16 @@ class Heights:
         return found
 
     def deepest(self, share: float) -> Array:
-        """Samples (n, 3) inside that lie deeper than this share of the greatest depth; none of a flat one."""
+        """Samples (n, 3) deeper than this fraction of the body's greatest depth; none if it is flat."""
         values = self._distance.values
         inside = (values < 0) & (values < share * values.min())
         return self._distance.grid.points()[inside]
 
 
 def winding(corners: Array, shape: tuple[int, int, int]) -> Array:
-    """How often a surface (corners in grid units) goes round each sample: the median of three ray directions.
+    """Winding number of a surface (corners in grid units) at each sample: the median of three ray directions.
 
-    Where a part of the surface is turned inside out, or missing, the rays that pass it are outvoted.
+    Where part of the surface is inverted or missing, the rays that cross it are outvoted.
     """
     counts = np.empty((3, *shape), np.int32)
     for k in range(3):
@@ -137,7 +140,7 @@ def winding(corners: Array, shape: tuple[int, int, int]) -> Array:
 
 
 def rounded(field: Field, radius: float) -> Field:
-    """Clefts narrower than twice `radius` filled (a closing): the field of the filled body."""
+    """The body with clefts narrower than twice `radius` filled (a morphological closing)."""
     if radius <= 0:
         return field
     grown = distance_again(field.with_values(field.values - radius))
@@ -145,7 +148,7 @@ def rounded(field: Field, radius: float) -> Field:
 
 
 def distance_again(field: Field) -> Field:
-    """A true signed distance to a field's zero level, by fast sweeps from the samples beside it."""
+    """True signed distance to a field's zero level, by fast sweeping from the adjacent samples."""
     values = np.ascontiguousarray(field.values / field.grid.spacing)
     return field.with_values(_redistance(values) * field.grid.spacing)
 
@@ -181,7 +184,7 @@ def _near_distance(corners: Any, shape: Any, band: float) -> Any:
 
 @njit(cache=True)
 def _reach(a: float, b: float, c: float, band: float, n: int) -> Any:
-    """First and last sample along an axis within the band of three coordinates."""
+    """First and last sample along an axis within the band around three coordinates."""
     return max(0, int(np.ceil(min(a, b, c) - band))), min(n - 1, int(np.floor(max(a, b, c) + band)))
 
 
@@ -206,7 +209,7 @@ def _to_segment(p: Any, a: Any, b: Any) -> float:
 
 @njit(cache=True)
 def _squared_distance(p: Any, a: Any, b: Any, c: Any) -> float:
-    """Squared distance of a point to a triangle; points as three numbers, which take no memory to be had."""
+    """Squared distance of a point to a triangle; points are tuples of three numbers, to avoid allocation."""
     u, v, w = _less(b, a), _less(c, a), _less(p, a)
     uu, uv, vv, wu, wv = _dot(u, u), _dot(u, v), _dot(v, v), _dot(w, u), _dot(w, v)
     d = uu * vv - uv * uv
@@ -221,7 +224,7 @@ def _squared_distance(p: Any, a: Any, b: Any, c: Any) -> float:
 
 @njit(cache=True)
 def _crossings(corners: Any, nx: int, ny: int, nz: int, jitter: float) -> Any:
-    """Signed faces passed on rays along the first axis, booked at the first sample beyond each."""
+    """Signed number of faces crossed by rays along the first axis, booked at the first sample beyond each."""
     count = np.zeros((nx, ny, nz), np.int16)
     for t in range(corners.shape[0]):
         a, b, c = corners[t, 0], corners[t, 1], corners[t, 2]
@@ -248,7 +251,7 @@ def _crossings(corners: Any, nx: int, ny: int, nz: int, jitter: float) -> Any:
 
 @njit(cache=True)
 def _redistance(phi: Any) -> Any:
-    """Distance in grid units, anchored beside the zero level, with the sign of phi."""
+    """Distance in grid units with the sign of phi, anchored at the samples adjacent to the zero level."""
     d = _anchors(phi)
     _sweep(d, d < _FAR)
     return np.where(phi <= 0, -d, d)
@@ -256,7 +259,7 @@ def _redistance(phi: Any) -> Any:
 
 @njit(cache=True)
 def _anchors(phi: Any) -> Any:
-    """Distance of samples next to the zero level, from where it crosses the axes; `_FAR` elsewhere."""
+    """Distance of samples adjacent to the zero level, from its crossings with the axes; `_FAR` elsewhere."""
     nx, ny, nz = phi.shape
     d = np.full(phi.shape, _FAR)
     for i in range(nx):
@@ -302,7 +305,7 @@ def _sweep(d: Any, anchored: Any) -> None:
 
 @njit(cache=True)
 def _eikonal(x: float, y: float, z: float) -> float:
-    """The upwind solution of |grad d| = 1 from the smaller neighbours along three axes."""
+    """Upwind solution of |grad d| = 1 from the smaller neighbour along each of three axes."""
     a, c = min(x, y, z), max(x, y, z)
     b = x + y + z - a - c
     d = a + 1.0

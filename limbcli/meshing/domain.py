@@ -1,7 +1,7 @@
-"""What is meshed: the tissue of a limb near a site, bounded by skin, bones and cuts.
+"""The domain to be meshed: the tissue of a limb near a site, bounded by skin, bones and cuts.
 
-Skin and bones go through the distance grid, where overlaps, clefts and bones
-that touch the skin are settled; the cuts are planes and stay sharp.
+Skin and bones are represented on the distance grid, where overlaps, clefts and bones that touch the skin are
+resolved; the cuts are planes and stay sharp.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ from limbcli.model import Array, IntArray
 
 SKIN, BONE, CUT = 1, 2, 3  # labels of boundary faces; the cut of plane k is CUT + k
 CLEARANCE = 1.2  # mm of tissue kept between skin and bone
-WEDGE = 2.5  # mm: tissue between bone and a cut narrower than about twice this is left out
+WEDGE = 2.5  # mm: tissue between bone and a cut is treated as bone where it is narrower than about twice this
 CLEFT = 1.5  # mm: clefts between bones narrower than twice this are filled
-_SMALL = 60.0  # mm3: smaller bits of bone are left out
-_SPECK = 0.05  # of the largest piece of tissue: smaller ones are no place of a site
+_SMALL = 60.0  # mm3: smaller pieces of bone are discarded
+_SPECK = 0.05  # fraction of the largest piece of tissue: the site cannot lie in a smaller piece
 
 
 @dataclass(frozen=True, eq=False)
 class TissueDomain:
-    """Distance fields of skin and bone in the site's frame, the cutting planes, and what was settled."""
+    """Distance fields of skin and bone in the site's frame, the cutting planes, and notes on repairs."""
 
     skin: Field
     bone: Field | None
@@ -48,14 +48,14 @@ class TissueDomain:
     notes: tuple[str, ...]
 
     def label(self, points: Array) -> IntArray:
-        """Which boundary points (n, 3) on the surface belong to: SKIN, BONE or CUT + plane."""
+        """The boundary on which points (n, 3) of the surface lie: SKIN, BONE or CUT + number of the plane."""
         distances = [np.abs(self.skin.at(points))]
         distances.append(np.abs(self.bone.at(points)) if self.bone else np.full(len(points), np.inf))
         distances += [np.abs(each.height(points)) for each in self.planes]
         return np.argmin(np.stack(distances), axis=0).astype(np.int64) + 1
 
     def smoothed(self, width: float) -> TissueDomain:
-        """The same with bones rounded by a Gaussian of `width` mm, still clear of the skin."""
+        """The domain with bones smoothed by a Gaussian of `width` mm, still clear of the skin."""
         if self.bone is None:
             return self
         values = ndimage.gaussian_filter(self.bone.values, width / self.bone.grid.spacing)
@@ -64,7 +64,7 @@ class TissueDomain:
 
 
 def make_domain(limb: Limb, planes: tuple[Plane, ...], *, spacing: float = 1.0) -> TissueDomain:
-    """The tissue between skin, bones and planes, in the frame of the limb given.
+    """The tissue between skin, bones and planes, in the frame of the given limb.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def make_domain(limb: Limb, planes: tuple[Plane, ...], *, spacing: float = 1.0) 
 
 
 def _reach(skin: Triangles, planes: tuple[Plane, ...], slack: float) -> tuple[Array, Array]:
-    """The box round the skin cut by the planes."""
+    """Bounding box of the skin cut by the planes, enlarged by `slack`."""
     solid = manifold_of(skin, "skin", must=False)
     if solid is not None:
         for each in planes:
@@ -110,7 +110,7 @@ def _meets(surface: Triangles, grid: Grid) -> bool:
 
 
 def _clear_of_skin(bone: Field, skin: Field, planes: tuple[Plane, ...], notes: list[str]) -> Field:
-    """Bone kept `CLEARANCE` below the skin; says how far it had to be pushed."""
+    """Push bone `CLEARANCE` below the skin; `notes` records by how much."""
     tight = (bone.values < 0) & (skin.values > -CLEARANCE)
     points = bone.grid.points()[tight]
     counted = within(points, planes, slack=-1.0)
@@ -125,19 +125,20 @@ def _clear_of_skin(bone: Field, skin: Field, planes: tuple[Plane, ...], notes: l
 
 
 def _without_wedges(bone: Field, planes: tuple[Plane, ...]) -> Field:
-    """Thin tissue between bone and a cut counted as bone: both are held, and its cells would be slivers."""
+    """Treat thin tissue between bone and a cut as bone: both are fixed, and its cells would be slivers."""
     if not planes:
         return bone
     points = bone.grid.points().reshape(-1, 3)
     beyond = np.max([each.height(points) for each in planes], axis=0).reshape(bone.grid.shape)
     filled = rounded(bone.with_values(np.minimum(bone.values, -beyond)), WEDGE)
-    # Smaller by half the radius, so that a right angle (filled 0.41 radii deep) stays; near bone only.
+    # The closing is reduced by half the radius, so that a right angle (filled 0.41 radii deep) is kept;
+    # applied near bone only.
     wedge = np.maximum(filled.values + 0.5 * WEDGE, bone.values - 2 * WEDGE)
     return distance_again(bone.with_values(np.minimum(bone.values, wedge)))
 
 
 def _one_tissue(bone: Field, skin: Field, planes: tuple[Plane, ...], notes: list[str]) -> Field:
-    """Tissue pockets shut in by bone count as bone; specks of bone are left out."""
+    """Fill tissue pockets enclosed by bone, and discard specks of bone."""
     values = bone.values.copy()
     specks, n = ndimage.label(values < 0)
     sizes = ndimage.sum_labels(np.ones_like(values), specks, np.arange(1, n + 1)) * bone.grid.spacing**3
@@ -156,7 +157,7 @@ def _one_tissue(bone: Field, skin: Field, planes: tuple[Plane, ...], notes: list
 
 
 def _piece_at_site(pieces: NDArray[Any], n: int, points: Array) -> int:
-    """Number of the piece that comes nearest to the site (the origin), specks left aside."""
+    """Number of the piece of tissue nearest to the site (the origin), ignoring specks."""
     numbers = np.arange(1, n + 1)
     sizes = ndimage.sum_labels(np.ones_like(pieces), pieces, numbers)
     distance = np.linalg.norm(points, axis=1).reshape(pieces.shape)
@@ -166,9 +167,10 @@ def _piece_at_site(pieces: NDArray[Any], n: int, points: Array) -> int:
 
 
 def boundary(domain: TissueDomain) -> Triangles:
-    """The closed boundary of the tissue under the site, in triangles of about the grid's spacing.
+    """The closed boundary of the tissue at the site, in triangles of about the grid's spacing.
 
-    A bone that lies in it whole (a kneecap) is a void: a part of its own, its normals into the bone.
+    A bone that lies entirely inside (a patella) is a void: a separate component whose normals point into the
+    bone.
     """
     solid = manifold_of(_level_set(domain.skin), "skin")
     assert solid is not None
@@ -187,7 +189,7 @@ def boundary(domain: TissueDomain) -> Triangles:
         )
     whole = max(each.volume for each in bodies)
     body = min((each for each in bodies if each.volume > _SPECK * whole), key=_distance_from_site)
-    voids = [_triangles(each) for each in pieces if each.volume() < 0]  # of bones that no cut meets
+    voids = [_triangles(each) for each in pieces if each.volume() < 0]  # bones that no cut intersects
     return join([body, *(each for each in voids if _lies_within(each, body))])
 
 
@@ -206,7 +208,7 @@ def _lies_within(void: Triangles, body: Triangles) -> bool:
 
 
 def _level_set(field: Field) -> Triangles:
-    """The zero level as triangles, closed at the grid's border."""
+    """The zero level as a triangle surface, closed at the grid's border."""
     values = np.pad(field.values, 1, constant_values=field.grid.spacing)
     values = np.where(np.abs(values) < 1e-3 * field.grid.spacing, 1e-3 * field.grid.spacing, values)
     points, faces, _, _ = marching_cubes(values, 0.0, spacing=(field.grid.spacing,) * 3)
@@ -216,7 +218,7 @@ def _level_set(field: Field) -> Triangles:
 
 
 def manifold_of(surface: Triangles, name: str, *, must: bool = True) -> manifold3d.Manifold | None:
-    """The surface as a solid for exact cutting; None (or MeshError) where it is not closed."""
+    """The surface as a solid for exact cutting; if it is not closed, None, or MeshError with `must`."""
     mesh = manifold3d.Mesh64(
         np.ascontiguousarray(surface.points, np.float64), np.ascontiguousarray(surface.faces, np.uint64)
     )

@@ -1,4 +1,4 @@
-"""The same model in tet4 or in tet10: what of an answer is the element's."""
+"""The same model in tet4 or tet10, to see how far a result depends on the element."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _LINEAR = {"tet10": "tet4", "tri6": "tri3"}
 def with_element(model: LimbModel, element: str) -> LimbModel:
     """The model with straight-edged tetrahedra of this kind ("tet4" or "tet10").
 
-    tet10 to tet4 leaves the mid-nodes out; tet4 to tet10 adds them halfway along the
-    edges. Node sets, surfaces and records follow; element maps stay as they are.
+    tet10 to tet4 drops the mid-side nodes; tet4 to tet10 adds them at the midpoints of the edges. Node sets,
+    surfaces and records are updated; element maps are unchanged.
 
     Raises
     ------
     MeshError
-        If the model has solid cells that are no tetrahedra.
+        If the model has solid cells that are not tetrahedra.
     """
     kinds = {block.kind for block in model.mesh.solid_blocks}
     if not kinds <= {"tet4", "tet10"}:
@@ -113,13 +113,13 @@ def _boundary(solid: IntArray, middles: object, rim: IntArray) -> IntArray:
 
 
 def _completed(nodes: IntArray, facets: IntArray) -> IntArray:
-    """With the mid-nodes of the facets whose corners all belong to the set."""
+    """The node set with the mid-side nodes of facets whose corners all belong to it."""
     inside = facets[np.isin(facets[:, :3], nodes).all(axis=1)]
     return np.unique(np.concatenate([nodes, inside[:, 3:].ravel()]))
 
 
 def _with_records(model: LimbModel) -> LimbModel:
-    """Records of nodes name all nodes of the tissue again; those of cells stay."""
+    """Make node records list all tissue nodes again; cell records are unchanged."""
     nodes = np.unique(np.concatenate([block.cells.ravel() for block in model.mesh.solid_blocks]))
     records = tuple(
         replace(each, items=nodes) if each.kind == "node" and each.items is not None else each

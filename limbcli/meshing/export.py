@@ -1,4 +1,4 @@
-"""The mesh for other programs: one VTU that opens in ParaView with its sets."""
+"""Export of the mesh with its sets: one VTU file that opens in ParaView."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _VTK = {
 
 
 def write_vtu(mesh: Mesh, path: Path, *, fibres: ElementMap | None = None) -> None:
-    """All blocks as cells; every node set and surface as a point array of 0 and 1.
+    """Write all blocks as cells, and every node set and surface as a point array of 0 and 1.
 
-    Cell arrays: `block` (its number), one of 0 and 1 for each block by name, `min_dihedral_deg`, and,
-    where they are given, `fibre` (3 components in the site's frame; 0 outside of the tissue).
+    Cell arrays: `block` (its number), one array of 0 and 1 per block name, `min_dihedral_deg`, and, if given,
+    `fibre` (3 components in the site's frame; 0 outside the tissue).
     """
     import meshio
 
@@ -43,7 +43,7 @@ def write_vtu(mesh: Mesh, path: Path, *, fibres: ElementMap | None = None) -> No
 
 
 def fibre_rows(block: Block, fibres: ElementMap) -> Array:
-    """(n_cells, 3): a block's fibre directions, 0 where it has none."""
+    """Fibre directions (n_cells, 3) of a block; 0 where there are none."""
     return fibres.values if block.name == fibres.block else np.zeros((len(block.cells), 3))
 
 
@@ -54,7 +54,7 @@ def _marked(n: int, chosen: Any) -> Any:
 
 
 def _smallest_angle(mesh: Mesh, block: Block) -> Any:
-    """NaN for cells that are no tetrahedra."""
+    """Smallest dihedral angle of each cell; NaN for cells that are not tetrahedra."""
     if block.kind not in ("tet4", "tet10"):
         return np.full(len(block.cells), np.nan)
     return dihedral_angles_deg(mesh.points, block.cells).min(axis=1)

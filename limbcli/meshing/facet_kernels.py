@@ -1,4 +1,4 @@
-"""Loops of the local operations on a triangle surface: which edges may be collapsed or turned."""
+"""Compiled loops of the local operations on a triangle surface: edge collapses and flips."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def _common(faces: Any, around: Any, start: Any, u: int, v: int, mark: Any, stam
 def _may_move(
     x: Any, faces: Any, around: Any, start: Any, v: int, other: int, to: Any, longest: float
 ) -> bool:
-    """Whether node v may go to `to` (the faces it shares with `other` vanish)."""
+    """Whether node v may be moved to `to`; the faces that it shares with `other` vanish."""
     old, new = np.empty(3), np.empty(3)
     p = np.empty((3, 3))
     for k in range(start[v], start[v + 1]):
@@ -76,7 +76,7 @@ def collapse_edges(
         if locked[u] or locked[v]:
             continue
         if ranks[u] < ranks[v]:
-            u, v = v, u  # v goes, u stays
+            u, v = v, u  # v is removed, u stays
         if ranks[v] >= 3 or (ranks[v] == 2 and not feature[e]):
             continue
         if _common(faces, around, start, u, v, mark, e + 1) != 2:
@@ -110,7 +110,7 @@ def collapse_edges(
 
 @njit(cache=True)
 def _angle(a: Any, b: Any, c: Any) -> float:
-    """Angle at a."""
+    """Angle at vertex a."""
     u, v = _distance(a, b), _distance(a, c)
     dot = 0.0
     for m in range(3):

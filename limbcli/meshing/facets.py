@@ -1,9 +1,8 @@
 """Edge splits, collapses, flips and smoothing on a labelled triangle surface.
 
-The four local operations of isotropic remeshing (after Botsch and Kobbelt, "A
-remeshing approach to multiresolution modeling", SGP 2004) towards an edge length
-that varies over the surface. Edges between faces of different labels are
-features: nodes on them move and merge along them only.
+These are the four local operations of isotropic remeshing (after Botsch and Kobbelt, "A remeshing approach to
+multiresolution modeling", SGP 2004), here towards an edge length that varies over the surface. Edges between
+faces of different labels are features: nodes on them move and merge only along them.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from limbcli.meshing.facet_kernels import collapse_edges, flip_edges
 from limbcli.meshing.surfaces import undirected
 from limbcli.model import Array, IntArray
 
-_LONG, _SHORT = 1.35, 0.78  # of the wanted length: edges above are split, below collapsed
+_LONG, _SHORT = 1.35, 0.78  # fractions of the target length: longer edges are split, shorter ones collapsed
 
 
 def edges_of(faces: IntArray) -> tuple[IntArray, IntArray]:
@@ -26,7 +25,7 @@ def edges_of(faces: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def faces_round(faces: IntArray, n_points: int) -> tuple[IntArray, IntArray]:
-    """The faces at each node, one after the other, and where each node's begin (n_points + 1)."""
+    """The faces around each node, concatenated, and the offset at which each node's begin (n_points + 1)."""
     flat = faces.ravel()
     order = np.argsort(flat, kind="stable")
     start = np.searchsorted(flat[order], np.arange(n_points + 1))
@@ -36,7 +35,7 @@ def faces_round(faces: IntArray, n_points: int) -> tuple[IntArray, IntArray]:
 def split_long(
     points: Array, faces: IntArray, labels: IntArray, wanted: Array
 ) -> tuple[Array, IntArray, IntArray]:
-    """Edges longer than 1.35 times the wanted length (n_points,) halved; the faces at them with them."""
+    """Halve edges longer than 1.35 times the target length (n_points,), and split the faces at them."""
     edges, sides = edges_of(faces)
     length = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
     long = length > _LONG * wanted[edges].mean(axis=1)
@@ -56,7 +55,7 @@ def split_long(
 
 
 def divided(points: Array, faces: IntArray, longest: float) -> tuple[Array, IntArray]:
-    """Any triangles, their edges longer than `longest` (mm) halved until there is none; the shape stays.
+    """Halve the edges of any triangles until none is longer than `longest` (mm); the shape does not change.
 
     >>> wedge = np.array([[0.0, 0, 0], [40, 0, 0], [0, 9, 0]])
     >>> points, faces = divided(wedge, np.array([[0, 1, 2]]), 12.0)
@@ -77,7 +76,7 @@ def divided(points: Array, faces: IntArray, longest: float) -> tuple[Array, IntA
 
 
 def _divide(faces: IntArray, middle: IntArray) -> tuple[IntArray, IntArray]:
-    """Faces cut at the middles (-1: none) of their edges 01, 12, 20; and each piece's parent."""
+    """Faces split at the midpoints (-1: none) of their edges 01, 12, 20; and the parent of each piece."""
     count = (middle >= 0).sum(axis=1)
     pieces, parents = [faces[count == 0]], [np.flatnonzero(count == 0)]
     for turn in range(3):
@@ -101,7 +100,7 @@ def _divide(faces: IntArray, middle: IntArray) -> tuple[IntArray, IntArray]:
 def collapse_short(
     points: Array, faces: IntArray, labels: IntArray, ranks: IntArray, wanted: Array
 ) -> tuple[Array, IntArray, IntArray, int]:
-    """Edges shorter than 0.78 of the wanted length merged; returns how many.
+    """Collapse edges shorter than 0.78 of the target length; also returns their number.
 
     ranks (n_points,): 1 inside a label, 2 on a feature, 3 where features meet.
     """
@@ -120,7 +119,7 @@ def collapse_short(
 
 
 def flip(points: Array, faces: IntArray, labels: IntArray) -> tuple[IntArray, int]:
-    """Inner edges turned where the two angles opposite to them add up to more than 180 degrees."""
+    """Flip inner edges whose two opposite angles add up to more than 180 degrees."""
     edges, sides = edges_of(faces)
     inner = labels[sides[:, 0]] == labels[sides[:, 1]]
     around, start = faces_round(faces, len(points))
@@ -130,7 +129,7 @@ def flip(points: Array, faces: IntArray, labels: IntArray) -> tuple[IntArray, in
 
 
 def relax(points: Array, faces: IntArray, labels: IntArray, ranks: IntArray, wanted: Array) -> Array:
-    """Nodes moved to even out area over wanted area; on features along them."""
+    """Move nodes to equalise the ratio of area to target area; nodes on features move along them."""
     a, b, c = points[faces[:, 0]], points[faces[:, 1]], points[faces[:, 2]]
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / wanted[faces].mean(axis=1) ** 2
     total, weight = np.zeros_like(points), np.zeros(len(points))
@@ -156,7 +155,7 @@ def area_vectors(points: Array, faces: IntArray) -> Array:
 
 
 def keep_unfolded(before: Array, after: Array, faces: IntArray, *, rounds: int = 60) -> Array:
-    """`after`, but nodes whose faces would turn over or shrink to nothing stay as `before`."""
+    """`after`, except that nodes whose faces would be inverted or collapse stay at `before`."""
     x = after.copy()
     old = area_vectors(before, faces)
     size = np.linalg.norm(old, axis=1)

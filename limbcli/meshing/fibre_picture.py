@@ -1,4 +1,4 @@
-"""Where the fibres run: two cuts through the site with the axis of the tissue's cells near them."""
+"""Picture of the fibre directions: two sections through the site with the fibre axes of nearby cells."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from limbcli.meshing.picture import draw_cut
 from limbcli.meshing.probe import ProbeShape
 from limbcli.model import Array, Block, Mesh
 
-_HALF_LENGTH, _SPACING, _SLICE = 2.2, 5.0, 4.0  # mm
+# mm: half length of a line, distance between lines, thickness of the section
+_HALF_LENGTH, _SPACING, _SLICE = 2.2, 5.0, 4.0
 _COLOUR = "#8c1d18"
 
 
@@ -22,10 +23,10 @@ def fibre_picture(
     mesh: Mesh, block: Block, axes: Array, probe: ProbeShape, path: Path, *, title: str,
     sides: tuple[str, str],
 ) -> None:  # fmt: skip
-    """Write PNG and SVG: fibres as short lines, dots where they stand across the cut.
+    """Write PNG and SVG: fibres as short lines, as dots where they are perpendicular to the section.
 
-    block, axes (n_cells, 3) : the tissue and the unit direction in each of its cells
-    sides : of the patient, that x and y point to
+    block, axes (n_cells, 3) : the tissue and the unit fibre direction in each of its cells
+    sides : sides of the patient towards which x and y point
     """
     figure = Figure(figsize=(10, 4.6), layout="constrained")
     left, right = figure.subplots(1, 2)
@@ -39,7 +40,7 @@ def fibre_picture(
 
 
 def _draw_axes(panel: Any, middles: Array, axes: Array, axis: int) -> None:
-    """One line every few millimetres, as long as the fibre lies in the cut."""
+    """Draw one line every few millimetres, as long as the fibre's projection on the section."""
     across = 1 - axis
     near = np.flatnonzero(np.abs(middles[:, axis]) <= _SLICE)
     places = middles[near][:, [across, 2]]

@@ -1,8 +1,8 @@
-"""A fibre direction out of pennation angles in the planes of ultrasound images.
+"""Fibre direction from pennation angles measured in the planes of ultrasound images.
 
-In an image of lateral axis l and beam b fibres at the angle a lie along p = cos a l + sin a b, as far as the
-image shows. One image leaves open how far they leave its plane; two fix the direction: it is perpendicular
-to q_i = -sin a_i l_i + cos a_i b of both.
+In an image with lateral axis l and beam direction b, fibres at angle a appear along p = cos a l + sin a b.
+One image does not show how far they leave its plane; two determine the direction: it is perpendicular to q_i
+= -sin a_i l_i + cos a_i b of both.
 """
 
 from __future__ import annotations
@@ -15,13 +15,18 @@ import numpy as np
 from limbcli.errors import CaseError
 from limbcli.model import Array
 
-_LEAST_ANGLE_DEG = 10.0  # between the two planes' perpendiculars: below, they fix no direction
+# smallest angle between the planes' perpendiculars; below it they do not determine a direction
+_LEAST_ANGLE_DEG = 10.0
 _STEP_DEG = 0.01
 
 
 @dataclass(frozen=True, eq=False)
 class ImageAngle:
-    """lateral (3,) : unit, within the skin; angle_deg, deviation_deg : as `Pennation`."""
+    """A pennation angle in one image.
+
+    lateral : (3,) unit vector in the plane of the skin
+    angle_deg, deviation_deg : as in `Pennation`
+    """
 
     lateral: Array
     angle_deg: float
@@ -30,7 +35,10 @@ class ImageAngle:
 
 @dataclass(frozen=True, eq=False)
 class FibreDirection:
-    """axis (3,), unit; deviation_deg : one standard deviation of what was given; how : in words."""
+    """Result of `direction_of_angles`.
+
+    axis : (3,) unit vector; deviation_deg : standard deviation from that of the inputs; how : description
+    """
 
     axis: Array
     deviation_deg: float
@@ -40,14 +48,14 @@ class FibreDirection:
 def direction_of_angles(
     angles: Sequence[ImageAngle], beam: Array, *, proximal: Array, where: str = "site"
 ) -> FibreDirection:
-    """The fibres' axis from one or two image angles.
+    """The fibre axis from one or two image angles.
 
     beam (3,) : unit, into the tissue; proximal (3,) : unit, along the limb
 
     Raises
     ------
     CaseError
-        If one image across the limb is all there is, or two images are nearly of one plane.
+        If the only image is across the limb, or two images lie in nearly the same plane.
 
     >>> axial = ImageAngle(np.array([0.0, 0, 1]), 30.0, 2.0)
     >>> direction_of_angles([axial], np.array([0.0, 1, 0]), proximal=np.array([0.0, 0, 1])).axis.round(3)
@@ -97,7 +105,7 @@ def _crossing(angles: Sequence[ImageAngle], beam: Array, where: str) -> Array:
 
 
 def mean_axis(axes: Array) -> tuple[Array, float]:
-    """The mean of axes (n, 3) without a sign, and their root-mean-square angle to it (deg).
+    """Mean of axes (n, 3) without sign, and their root-mean-square angle to it (deg).
 
     >>> mean_axis(np.array([[0.0, 0, 1], [0, 0, -1]]))[0]
     array([0., 0., 1.])

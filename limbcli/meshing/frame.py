@@ -1,7 +1,7 @@
-"""The frame of a site: where on the skin, which way is out, which way is long.
+"""The frame of a site: its position on the skin, its outward normal and its long axis.
 
-Origin on the skin at first touch, z outward along the mean skin normal under
-the probe, x along the probe's long side, y = z x x.
+The origin lies on the skin at first touch, z points outward along the mean skin normal under the probe, x
+along the probe's long side, y = z x x.
 """
 
 from __future__ import annotations
@@ -17,18 +17,19 @@ from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 from limbcli.patient_frame import side_of, toward_head
 
-FAR_FROM_SKIN = 30.0  # mm from the skin: such a site is a mistake
-# Degrees by which a long axis that was given may leave the skin and yet be the probe's: what hands do (the
-# prior of a tilt). One that leaves it further gives only the direction in the skin.
+FAR_FROM_SKIN = 30.0  # mm: a site farther than this from the skin is an error
+# Largest angle (deg) between a given long axis and the skin at which the axis is still taken as the probe's
+# own: what hand-held placement gives (the prior of a tilt). At larger angles only its projection on the skin
+# is used.
 LARGEST_SLOPE_DEG = 10.0
 
 
 @dataclass(frozen=True, eq=False)
 class SiteFrame:
-    """to_model (4, 4): patient LPS to the site's frame; the rest in LPS, mm.
+    """to_model (4, 4): patient LPS to the site's frame; all else in LPS, mm.
 
-    slope_deg : of the long axis that was given against the skin's mean plane under the probe; 0 for "axial"
-        and "transverse", which lie in it
+    slope_deg : angle of the given long axis to the skin's mean plane under the probe; 0 for "axial" and
+        "transverse", which lie in that plane
     """
 
     to_model: Array
@@ -45,12 +46,12 @@ class SiteFrame:
 
     @property
     def sides(self) -> tuple[str, str]:
-        """The sides of the patient that x and y of the site's frame point to."""
+        """The sides of the patient towards which x and y of the site's frame point."""
         return side_of(self.to_model[0, :3]), side_of(self.to_model[1, :3])
 
 
 def proximal_direction(limb: Limb) -> Array:
-    """Unit vector along the limb towards the head: the longest body's axis, turned to +z of LPS."""
+    """Unit vector along the limb towards the head: the most elongated body's axis, oriented to +z of LPS."""
     return toward_head(long_axis([limb.skin, *limb.bones]))
 
 
@@ -64,15 +65,15 @@ def site_frame(
 ) -> SiteFrame:
     """The frame of a site on a repaired limb in the patient frame.
 
-    The nearest skin point is the site; the face's height is that of first touch. The probe stands upright on
-    the skin: along its area-weighted mean normal over the footprint. A long axis that is given as a vector is
-    kept as it is (it was measured), and the probe is upright across it alone; one that leaves the skin by
-    more than `LARGEST_SLOPE_DEG` is laid into it.
+    The site is the nearest skin point; the face's height is that of first touch. The probe is normal to the
+    skin: along its area-weighted mean normal over the footprint. A long axis given as a vector is kept as
+    measured, and the probe is made normal to the skin only across it; an axis that deviates from the skin
+    plane by more than `LARGEST_SLOPE_DEG` is projected onto it.
 
     Raises
     ------
     CaseError
-        If the position is more than 30 mm from the skin, or the long axis along the normal.
+        If the position is more than 30 mm from the skin, or the long axis is parallel to the normal.
     """
     point, normal, distance = nearest_skin_point(limb.skin, np.asarray(position, float))
     if distance > FAR_FROM_SKIN:
@@ -98,7 +99,7 @@ def site_frame(
 def _as_given(
     long_axis: str | tuple[float, float, float], in_skin: Array, normal: Array
 ) -> tuple[Array, Array, float]:
-    """Long axis, normal across it, and the slope (deg) of the one that was given against the skin."""
+    """Long axis, the normal perpendicular to it, and the slope (deg) of the given axis to the skin."""
     if isinstance(long_axis, str):
         return in_skin, normal, 0.0
     given = np.asarray(long_axis, float) / np.linalg.norm(long_axis)
@@ -112,7 +113,9 @@ def _as_given(
 def probe_axis(
     long_axis: str | tuple[float, float, float], proximal: Array, normal: Array, *, where: str = "site"
 ) -> Array:
-    """Unit x of the frame, in the skin: "axial" proximal, "transverse" proximal x normal, or a vector.
+    """Unit x of the frame, in the skin plane.
+
+    "axial" is proximal, "transverse" proximal x normal; a vector is projected onto the plane.
 
     >>> probe_axis("transverse", np.array([0.0, 0, 1]), np.array([1.0, 0, 0]))
     array([0., 1., 0.])
@@ -148,7 +151,7 @@ def nearest_skin_point(skin: Triangles, position: Array) -> tuple[Array, Array, 
 
 
 def closest_on_triangles(p: Array, corners: Array) -> Array:
-    """(m, 3) the point of every triangle (m, 3, 3) that is closest to p (3,)."""
+    """The point (m, 3) of every triangle (m, 3, 3) that is closest to p (3,)."""
     a, b, c = np.moveaxis(corners, 1, 0)
     u, v, w = b - a, c - a, p - a
     uu, uv, vv = (np.einsum("ij,ij->i", *each) for each in ((u, u), (u, v), (v, v)))
@@ -170,7 +173,7 @@ def _closest_on_segments(p: Array, a: Array, b: Array) -> Array:
 
 
 def _mean_normal(skin: Triangles, point: Array, normal: Array, x: Array, probe: ProbeShape) -> Array:
-    """Area-weighted mean normal of the skin facing out under the footprint."""
+    """Area-weighted mean normal of the outward-facing skin under the footprint."""
     y = np.cross(normal, x)
     relative = skin.centroids - point
     u, v, w = relative @ x, relative @ y, relative @ normal
@@ -184,7 +187,7 @@ def _mean_normal(skin: Triangles, point: Array, normal: Array, x: Array, probe: 
 
 
 def first_touch(skin: Triangles, probe: ProbeShape, *, spacing: float = 0.5) -> float:
-    """Height (mm) of the probe face at which the probe, coming down along z, first meets the skin."""
+    """Height (mm) at which the face of a probe moving down along z first meets the skin."""
     height = skin_height(skin, *probe.plan(spacing))
     x, y = probe.plan(spacing)
     gap = height - probe.rise(x, y)
@@ -196,7 +199,7 @@ def first_touch(skin: Triangles, probe: ProbeShape, *, spacing: float = 0.5) -> 
 
 
 def skin_height(skin: Triangles, x: Array, y: Array, *, lowest: float = -60.0) -> Array:
-    """Height of the uppermost outward-facing skin over plan points (n,); NaN where there is none."""
+    """Height of the uppermost outward-facing skin at plan points (n,); NaN where there is none."""
     corners = skin.corners[(skin.area_vectors[:, 2] > 0)]
     low, high = corners.min(axis=1), corners.max(axis=1)
     near = (high[:, 0] > x.min()) & (low[:, 0] < x.max()) & (high[:, 1] > y.min()) & (low[:, 1] < y.max())
@@ -215,10 +218,10 @@ def skin_height(skin: Triangles, x: Array, y: Array, *, lowest: float = -60.0) -
 
 
 def skin_point_at(limb: Limb, angle_deg: float, height: float, *, where: str = "site") -> Array:
-    """The skin point (3,) at an angle round the limb and a height above its distal end (mm, along the limb).
+    """The skin point (3,) at an angle around the limb and a height above its distal end (mm, along the limb).
 
-    0 degrees is anterior (-y of LPS), 90 the patient's left; seen from the middle of
-    the cross-section at that height.
+    0 degrees is anterior (-y of LPS), 90 the patient's left, seen from the centre of the cross-section at
+    that height.
 
     Raises
     ------
@@ -254,7 +257,7 @@ def skin_point_at(limb: Limb, angle_deg: float, height: float, *, where: str = "
 
 
 def ray_hits(start: Array, direction: Array, corners: Array) -> Array:
-    """Distances (n,) >= 0 along a ray at which it meets triangles (m, 3, 3) (Moeller and Trumbore)."""
+    """Distances (n,) >= 0 along a ray to its intersections with triangles (m, 3, 3) (Moeller-Trumbore)."""
     a, u, v = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     p = np.cross(direction, v)
     det = np.einsum("ij,ij->i", u, p)

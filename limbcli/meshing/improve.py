@@ -1,11 +1,10 @@
-"""Better tetrahedra by moving nodes: interior ones freely, boundary ones along their surface.
+"""Improve tetrahedra by moving nodes: interior nodes freely, boundary nodes along their surface.
 
-Each node of a poor cell is moved to where the worst cell round it is best
-(optimisation-based smoothing, after Freitag and Ollivier-Gooch, Int. J. Numer.
-Meth. Eng. 40, 1997). A cell's quality is the smallest sine of its dihedral
-angles, negative where it is inverted, so flat and needle-like cells both count.
-Boundary nodes slide: they are put back onto the skin's or bone's distance field
-and onto the planes of the cuts after every trial.
+Each node of a poor cell is moved to where the worst cell around it is best (optimisation-based smoothing,
+after Freitag and Ollivier-Gooch, Int. J. Numer. Meth. Eng. 40, 1997). A cell's quality is the smallest sine
+of its dihedral angles, negative if it is inverted, so both flat and needle-like cells count as poor. Boundary
+nodes slide: after every trial they are projected back onto the distance field of the skin or bone and onto
+the planes of the cuts.
 """
 
 from __future__ import annotations
@@ -22,18 +21,18 @@ from limbcli.model import Array, IntArray
 
 FREE, FIXED = 0, -1
 _DIRECTIONS = 14
-_ON = 0.02  # mm: a boundary node this near to its surface is on it
+_ON = 0.02  # mm: a boundary node this close to its surface counts as lying on it
 
 
 @dataclass(frozen=True, eq=False)
 class NodeConstraints:
-    """What each node stays on: two columns of SKIN, BONE, CUT + k or FREE; FIXED holds it."""
+    """The surfaces each node must stay on: two columns of SKIN, BONE, CUT + k or FREE; FIXED: immobile."""
 
     codes: IntArray  # (n_points, 2)
 
     @staticmethod
     def of_faces(n_points: int, faces: IntArray, labels: IntArray) -> NodeConstraints:
-        """From labelled boundary faces (m, 3): a node on three surfaces or more is fixed."""
+        """Constraints from labelled boundary faces (m, 3); a node on three surfaces or more is fixed."""
         many = int(labels.max()) + 1 if len(labels) else 1
         pairs = np.stack(np.divmod(np.unique(faces.ravel() * many + np.repeat(labels, 3)), many), axis=1)
         codes = np.zeros((n_points, 2), np.int64)
@@ -47,7 +46,7 @@ class NodeConstraints:
 
 
 def put_back(points: Array, constraints: NodeConstraints, domain: TissueDomain, *, rounds: int = 3) -> Array:
-    """Boundary points moved onto the surfaces they belong to."""
+    """Project boundary points onto the surfaces they belong to."""
     x = np.array(points, float)
     arrays = _arrays(domain)
     _put_all_back(x, constraints.codes, *arrays, rounds)  # type: ignore[call-arg]
@@ -63,7 +62,7 @@ def smooth(
     goal_deg: float = 25.0,
     passes: int = 12,
 ) -> Array:
-    """Points moved so that the worst cells improve; nothing changes where every angle reaches `goal_deg`."""
+    """Move the nodes of cells with a dihedral angle below `goal_deg`, so that the worst cells improve."""
     corners = np.ascontiguousarray(cells[:, :4])
     order = np.argsort(corners.ravel(), kind="stable")
     star = order // 4
@@ -142,7 +141,7 @@ def _star_quality(x: Any, cells: Any, star: Any, first: int, last: int) -> float
 
 @njit(cache=True)
 def _sample(values: Any, origin: Any, spacing: float, p: Any, out: Any) -> float:
-    """Trilinear value at p; its gradient goes to out."""
+    """Trilinear interpolation at p; the gradient is written to `out`."""
     f = np.empty(3)
     n = np.empty(3, np.int64)
     for k in range(3):
@@ -172,7 +171,7 @@ def _sample(values: Any, origin: Any, spacing: float, p: Any, out: Any) -> float
 def _to_surface(
     p: Any, code: int, skin: Any, bone: Any, origin: Any, spacing: float, planes: Any, g: Any
 ) -> None:
-    """One Newton step of p onto the surface named by code; the unit normal there goes to g."""
+    """One Newton step of p onto the surface given by `code`; its unit normal there is written to g."""
     if code >= 3:
         normal = planes[code - 3]
         height = p[0] * normal[0] + p[1] * normal[1] + p[2] * normal[2] - normal[3]
@@ -203,7 +202,7 @@ def _put_back(
 def _off_surface(
     p: Any, codes: Any, skin: Any, bone: Any, origin: Any, spacing: float, planes: Any, g: Any
 ) -> float:
-    """How far (mm) p is from the farthest of the surfaces it should be on."""
+    """Largest distance (mm) of p from the surfaces it should lie on."""
     worst = 0.0
     for each in range(2):
         code = codes[each]

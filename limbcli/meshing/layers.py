@@ -1,8 +1,8 @@
-"""Layers under the skin, conforming to its surface: skin and fat over the rest of the tissue.
+"""Layers under the skin that conform to its surface: skin and fat over the rest of the tissue.
 
-The core (all but the layers) is meshed first, bounded by the skin moved inward;
-then its outer facets are drawn out to the skin, each into prisms cut in three
-tetrahedra. Over bone the layers thin out so that some core is left.
+The core (everything except the layers) is meshed first, bounded by the skin moved inward. Then its outer
+facets are extruded to the skin, as prisms that are each split into three tetrahedra. Over bone the layers are
+thinned so that some core is left.
 """
 
 from __future__ import annotations
@@ -22,22 +22,25 @@ from limbcli.meshing.quality import volumes
 from limbcli.meshing.site_mesher import VolumeMesh, boundary_faces
 from limbcli.model import Array, IntArray
 
-_SHARE = 0.6  # of the tissue over bone that layers may take at most
+_SHARE = 0.6  # largest fraction of the tissue over bone that layers may take
 _THICKEST = 40.0  # mm
 _LEAST_ANGLE_DEG = 4.0
-_BEFORE_END = 3.0  # mm below the layers of the lid, from where on the skin goes straight on
-_NEAR_CUT, _STEEP, _LEAST_KEPT = 12.0, 0.85, 0.2  # mm; sine of the angle to the cut; share of a layer
-_PROJECTIONS, _LONGEST, _GRAZING = 12, 4.0, 0.3  # steps to the skin, mm a step, least slope in a cut
+_BEFORE_END = 3.0  # mm below the layers of the lid, where the straight extension of the skin begins
+# Thinning of layers at a cut: distance from the cut over which it fades (mm), sine of the angle between skin
+# and cut below which it begins, smallest fraction of the thickness kept.
+_NEAR_CUT, _STEEP, _LEAST_KEPT = 12.0, 0.85, 0.2
+# projection to the skin: number of steps, largest step (mm), smallest slope within a cut
+_PROJECTIONS, _LONGEST, _GRAZING = 12, 4.0, 0.3
 _UNTANGLING = (
     (6.0, 12),
     (6.0, 30),
     (8.0, 30),
-)  # goal (degrees), passes; low, to keep thickness
+)  # goal (degrees), passes; goals are low, to preserve the thickness
 
 
 @dataclass(frozen=True)
 class Layer:
-    """A layer by name ("skin", "fat"), its thickness (mm) and how many cells thick it is."""
+    """A layer: its name ("skin", "fat"), thickness (mm) and number of cells through the thickness."""
 
     name: str
     thickness: float
@@ -45,10 +48,10 @@ class Layer:
 
 
 def layers_of(*, skin: float = 0.0, fat: float = 0.0, size: float = 2.5) -> tuple[Layer, ...]:
-    """The layers asked for by thickness (mm, 0: none), outermost first; `size` is the edge length.
+    """The requested layers, outermost first; thickness in mm (0: none), `size` is the edge length.
 
-    Skin, much stiffer than what is below, stretches as a sheet: one cell does. Fat takes most
-    of an indentation: at least two.
+    Skin, much stiffer than the tissue below, stretches as a membrane: one cell usually suffices. Fat takes
+    most of an indentation: at least two.
 
     >>> [(each.name, each.n_cells) for each in layers_of(skin=1.5, fat=8.0)]
     [('skin', 1), ('fat', 3)]
@@ -62,7 +65,7 @@ def layers_of(*, skin: float = 0.0, fat: float = 0.0, size: float = 2.5) -> tupl
 
 
 def open_ended(domain: TissueDomain, layers: tuple[Layer, ...]) -> TissueDomain:
-    """The domain with its skin going straight on where the limb was cut: a cut has no skin on it.
+    """The domain with its skin extended straight on where the limb was cut: a cut has no skin on it.
 
     The closed skin has a lid just beyond such an end, and layers measured from the lid would cross the cut.
     """
@@ -80,7 +83,7 @@ def open_ended(domain: TissueDomain, layers: tuple[Layer, ...]) -> TissueDomain:
 
 
 def core_of(domain: TissueDomain, layers: tuple[Layer, ...]) -> TissueDomain:
-    """The domain without its layers: its `skin` is the layers' inner side."""
+    """The domain without its layers: its `skin` is the inner surface of the layers."""
     total = sum(each.thickness for each in layers)
     depth = np.full(domain.skin.grid.shape, total)
     if domain.bone is not None:
@@ -96,9 +99,10 @@ def core_of(domain: TissueDomain, layers: tuple[Layer, ...]) -> TissueDomain:
 
 
 def _tapered(domain: TissueDomain) -> Array:
-    """Part of the layers' thickness kept at each sample: less where a cut meets the skin at a grazing angle.
+    """Fraction of the layers' thickness kept at each sample.
 
-    There a layer would reach far along the cut; it is far from the probe.
+    It is reduced where a cut meets the skin at a grazing angle: there a layer would extend far along the cut.
+    Such places are far from the probe.
     """
     slope = np.stack(list(np.gradient(domain.skin.values, domain.skin.grid.spacing)), axis=-1)
     slope /= np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-6)
@@ -114,12 +118,12 @@ def _tapered(domain: TissueDomain) -> Array:
 def with_layers(
     core: VolumeMesh, inner: TissueDomain, skin: Field, layers: tuple[Layer, ...]
 ) -> tuple[VolumeMesh, IntArray]:
-    """The core with its layers on, and each cell's number: 0 core, 1 and more the layers from inside out.
+    """The core with its layers, and a number for each cell: 0 core, 1 and above the layers from inside out.
 
     Raises
     ------
     MeshError
-        If a layer's cell turns out inverted (the layer is too thick for a bend of the skin).
+        If a cell of a layer is inverted (the layer is too thick for the curvature of the skin).
     """
     faces = core.faces[core.labels == SKIN]
     base = np.unique(faces)
@@ -147,12 +151,12 @@ def with_layers(
 def _untangled(
     points: Array, cells: IntArray, shell: IntArray, labels: IntArray, domain: TissueDomain
 ) -> Array:
-    """Nodes moved where cells of the layers came out flat or inverted (folds of the skin, the cuts' edges).
+    """Move nodes where cells of the layers are flat or inverted (at folds of the skin or edges of the cuts).
 
     Raises
     ------
     MeshError
-        If some stay inverted.
+        If some remain inverted.
     """
     constraints = NodeConstraints.of_faces(len(points), shell, labels)
     for goal_deg, passes in _UNTANGLING:
@@ -171,7 +175,7 @@ def _untangled(
 
 
 def _odd(order: IntArray) -> NDArray[np.bool_]:
-    """Which orders (n, 3) of three corners turn a triangle over.
+    """Which orders (n, 3) of three corners reverse the orientation of a triangle.
 
     >>> _odd(np.array([[0, 1, 2], [1, 0, 2], [1, 2, 0]]))
     array([False,  True, False])
@@ -180,7 +184,7 @@ def _odd(order: IntArray) -> NDArray[np.bool_]:
 
 
 def _outer_points(core: VolumeMesh, inner: TissueDomain, skin: Field, base: IntArray) -> Array:
-    """Where each inner node lands on the skin: along the distance field, in its cut, along a cuts' edge."""
+    """Project each inner node to the skin along the distance field, staying in its cut or edge of cuts."""
     normals = _cut_normals(core, inner, base)
     start, x = core.points[base], core.points[base].copy()
     for _ in range(_PROJECTIONS):
@@ -193,7 +197,7 @@ def _outer_points(core: VolumeMesh, inner: TissueDomain, skin: Field, base: IntA
 
 
 def _cut_normals(core: VolumeMesh, inner: TissueDomain, base: IntArray) -> Array:
-    """For each node (n, 3, 3), what projects onto the normals of the cuts that it lies in."""
+    """For each node (n, 3, 3), the projector onto the normals of the cuts in which it lies."""
     out = np.zeros((len(base), 3, 3))
     for k, plane in enumerate(inner.planes):
         at = np.isin(base, core.faces[core.labels == CUT + k])
@@ -205,7 +209,7 @@ def _cut_normals(core: VolumeMesh, inner: TissueDomain, base: IntArray) -> Array
 
 
 def _levels(layers: tuple[Layer, ...]) -> tuple[list[float], list[int]]:
-    """Heights (0 to 1) of the node rows from inside out, and the number of the layer below each."""
+    """Relative heights (0 to 1) of the node rows from inside out, and the number of the layer below each."""
     total = sum(each.thickness for each in layers)
     heights, kinds, below = [], [], 0.0
     for number, each in enumerate(reversed(layers), start=1):
@@ -217,9 +221,9 @@ def _levels(layers: tuple[Layer, ...]) -> tuple[list[float], list[int]]:
 
 
 def _prisms(low: IntArray, high: IntArray, turned: NDArray[np.bool_]) -> IntArray:
-    """Three tetrahedra a prism; corners in one order everywhere, so neighbours share their diagonals.
+    """Three tetrahedra per prism; corners are in the same order everywhere, so neighbours share diagonals.
 
-    turned (n,) : whether that order shows the facet from inside
+    turned (n,) : whether this order is the facet's orientation seen from inside
     """
     (a, b, c), (d, e, f) = low.T, high.T
     cells = np.vstack([np.c_[a, b, c, f], np.c_[a, b, f, e], np.c_[a, e, f, d]])
@@ -231,7 +235,7 @@ def _prisms(low: IntArray, high: IntArray, turned: NDArray[np.bool_]) -> IntArra
 def _labels(
     shell: IntArray, points: Array, core: VolumeMesh, outer: IntArray, domain: TissueDomain
 ) -> IntArray:
-    """Labels of the whole boundary: the core's own, SKIN outside, the cuts between."""
+    """Labels of the whole boundary: those of the core, SKIN on the outside, cuts on the sides."""
     known = {
         tuple(face): label
         for face, label in zip(np.sort(core.faces, axis=1).tolist(), core.labels, strict=True)

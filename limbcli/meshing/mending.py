@@ -1,8 +1,8 @@
-"""Surfaces from anywhere made fit for meshing, and an account of what was done to them.
+"""Prepare surfaces of any origin for meshing, and record what was repaired.
 
-What is repaired here is what can be recognised from the triangles: bodies sorted, stray
-pieces dropped, orientation, holes closed, flat ends of a scan found. Overlaps,
-self-intersections and clearances are settled on the distance grid (`domain`).
+Repaired here is what can be recognised from the triangles: bodies are sorted, stray pieces dropped, faces
+oriented, holes closed and flat ends of a scan detected. Overlaps, self-intersections and clearances are
+resolved on the distance grid (`domain`).
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from limbcli.meshlab import open_pymeshlab
 from limbcli.model import Array
 from limbcli.patient_frame import HEAD
 
-_ELONGATED = 1.5  # length against width: a body below does not show which way the limb runs
+_ELONGATED = 1.5  # length-to-width ratio of a body below which it does not show the direction of the limb
 ENDS = ("open", "flat")  # names of the planes where the limb itself was cut
-_STRAY_EXTENT = 0.05  # of the largest body's diagonal: smaller open pieces are stray
-_CAP_SHARE = 0.6  # of the cross-section 5 mm further in: flat area that makes an end a cap
+_STRAY_EXTENT = 0.05  # fraction of the largest body's diagonal: smaller open pieces are stray
+_CAP_SHARE = 0.6  # flat area that makes an end a cap, as a fraction of the cross-section 5 mm further in
 _CAP_COSINE = 0.97
-_CAP_SLAB = 1.5  # mm in which a cap is flat
-_RIM_SHARE = 0.5  # of the section just inside: a smaller rim is a hole in the skin, no end
-_WITHIN = 0.3  # mm below a body's surface, from where on another is in it
-_INSIDE = 1.5  # mm: the fresh cut lies this far inside an open or capped end
+_CAP_SLAB = 1.5  # mm: deviation from its plane within which a cap is flat
+_RIM_SHARE = 0.5  # fraction of the cross-section just inside: a smaller rim is a hole in the skin, not an end
+_WITHIN = 0.3  # mm below a body's surface, beyond which another body lies inside it
+_INSIDE = 1.5  # mm: distance of the new cut inside an open or capped end
 
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """A cut: tissue stays where normal . x <= offset (mm)."""
+    """A cutting plane: tissue is kept where normal . x <= offset (mm)."""
 
     normal: Array
     offset: float
@@ -49,7 +49,7 @@ class Plane:
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """Closed skin and bones in one frame, the planes where the limb was cut, and what was repaired."""
+    """Closed skin and bones in one frame, the planes where the limb was cut, and notes on repairs."""
 
     skin: Triangles
     bones: tuple[Triangles, ...]
@@ -68,13 +68,12 @@ class Limb:
 def mend(
     skin: Triangles, bones: list[Triangles], *, where: str = "surfaces", beside: Sequence[Triangles] = ()
 ) -> Limb:
-    """Closed, outward-oriented bodies out of what was brought.
+    """Closed, outward-oriented bodies from the given surfaces.
 
-    Bodies lying inside the skin's own file count as bones. Open ends are closed
-    with a fan; where the limb was cut open, or ends flat as a scan does, a plane
-    just inside the end takes the place of the closure.
+    Further bodies in the skin's own file count as bones. Open ends are closed with a fan of triangles; where
+    the limb was cut open, or has the flat end of a scan, a plane just inside the end replaces the closure.
 
-    beside : bodies that are no part of the limb made, but show which way it runs
+    beside : bodies that are not part of the limb, but show its direction
 
     Raises
     ------
@@ -112,12 +111,15 @@ def mend(
 
 
 def skin_and_bones(surface: Triangles) -> list[Triangles]:
-    """The bodies of one file that holds a limb, the largest (its skin) first; stray bits are left out."""
+    """The bodies in a file that contains a limb, the largest (its skin) first; stray pieces are dropped."""
     return _without_strays(bodies(surface), [], "skin")
 
 
 def without_cavities(pieces: Sequence[Triangles]) -> list[Triangles]:
-    """The bodies, largest first, but those within another: the wall round a bone's marrow bounds no bone."""
+    """The bodies, largest first, except those inside another.
+
+    The wall of a bone's marrow cavity is not a bone.
+    """
     kept: list[Triangles] = []
     for each in pieces:
         if not any(_holds(other, each) for other in kept):
@@ -126,7 +128,7 @@ def without_cavities(pieces: Sequence[Triangles]) -> list[Triangles]:
 
 
 def _holds(outer: Triangles, inner: Triangles) -> bool:
-    """Whether a body lies within another, and not on its surface as the same body twice does."""
+    """Whether a body lies inside another, and not on its surface like a duplicate of the same body."""
     low, high = outer.points.min(axis=0), outer.points.max(axis=0)
     if not ((inner.points >= low) & (inner.points <= high)).all():
         return False
@@ -134,7 +136,7 @@ def _holds(outer: Triangles, inner: Triangles) -> bool:
 
 
 def _without_strays(pieces: list[Triangles], notes: list[str], name: str) -> list[Triangles]:
-    """Pieces that are bodies: large, or closed and not tiny."""
+    """The pieces that are bodies: large, or closed and not tiny."""
     size = np.linalg.norm(np.ptp(pieces[0].points, axis=0))
     kept = []
     for each in pieces:
@@ -150,7 +152,7 @@ def _without_strays(pieces: list[Triangles], notes: list[str], name: str) -> lis
 
 
 def _closed(body: Triangles, notes: list[str], name: str, loops: list[Array]) -> Triangles:
-    """Holes closed by fans, faces turned outward; the holes' rims are added to `loops`."""
+    """Close holes with fans and orient faces outward; the rims of the holes are added to `loops`."""
     body = _coherent(body, notes, name)
     closed, rims = _lidded(body)
     loops += rims
@@ -160,7 +162,7 @@ def _closed(body: Triangles, notes: list[str], name: str, loops: list[Array]) ->
 
 
 def _lidded(body: Triangles) -> tuple[Triangles, list[Array]]:
-    """The body with its open rims closed by fans, and the rims' points."""
+    """The body with its open rims closed by fans, and the points of the rims."""
     points, faces = [body.points], [body.faces]
     n = len(body.points)
     rims = boundary_loops(body)
@@ -173,19 +175,19 @@ def _lidded(body: Triangles) -> tuple[Triangles, list[Array]]:
 
 
 def open_rims(body: Triangles) -> list[tuple[Array, float]]:
-    """Middle (3,) and longest side (mm) of every open rim, the widest first."""
+    """Centre (3,) and longest side (mm) of every open rim, the widest first."""
     rims = [body.points[each] for each in boundary_loops(body)]
     found = [(each.mean(axis=0), float(np.ptp(each, axis=0).max())) for each in rims]
     return sorted(found, key=lambda each: -each[1])
 
 
 def turned_inward(body: Triangles) -> bool:
-    """Whether a body's normals point inward; open rims are closed for the answer."""
+    """Whether a body's normals point inward; open rims are closed for the test."""
     return _lidded(body)[0].volume < 0
 
 
 def enclosed(body: Triangles) -> float:
-    """Volume (mm3) of a body with its open rims closed, wherever it lies and however its faces are turned.
+    """Volume (mm3) of a body with its open rims closed, for any position and orientation of its faces.
 
     >>> from limbcli.meshing.surfaces import tetrahedron
     >>> open_box = tetrahedron().moved(np.eye(4) + 9.0 * np.eye(4, k=3)).part(np.arange(3))
@@ -196,10 +198,10 @@ def enclosed(body: Triangles) -> float:
 
 
 def _coherent(body: Triangles, notes: list[str], name: str) -> Triangles:
-    """Faces turned to agree with their neighbours, where they do not.
+    """Flip faces that do not agree with their neighbours.
 
-    They agree where every edge is passed as often one way as the other, or but once: two sheets may meet
-    in an edge of four faces, and to part them would open the surface.
+    The orientation is consistent if every edge is traversed equally often in both directions, or only once:
+    two sheets may meet in an edge with four faces, and separating them would open the surface.
     """
     edges = body.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     _, which = np.unique(undirected(edges), return_inverse=True)
@@ -218,7 +220,7 @@ def _coherent(body: Triangles, notes: list[str], name: str) -> Triangles:
 
 
 def _bones_in_reach(skin: Triangles, bones: list[Triangles], notes: list[str], where: str) -> list[Triangles]:
-    """Bones whose box meets the skin's box; some must."""
+    """Bones whose bounding box meets that of the skin; there must be at least one if any is given."""
     low, high = skin.points.min(0), skin.points.max(0)
     kept = [b for b in bones if (b.points.max(0) > low).all() and (b.points.min(0) < high).all()]
     if len(kept) < len(bones):
@@ -250,10 +252,10 @@ def _open_ends(skin: Triangles, loops: list[Array], n_skin_loops: int) -> list[P
 
 
 def _is_end(skin: Triangles, rim: Array, normal: Array) -> bool:
-    """Whether an open rim goes round the limb: a cut inside it is about as large as the rim itself.
+    """Whether an open rim encircles the limb: the cross-section just inside it is about as large as the rim.
 
-    Beside a hole in the limb's side the section there runs along the limb. The area vectors beyond a plane
-    add up to the section in it (closed surface).
+    Next to a hole in the side of the limb, the section runs along the limb and is larger. The area vectors
+    beyond a plane add up to the section in it (closed surface).
     """
     spokes = rim - rim.mean(axis=0)
     opening = abs(float(0.5 * np.cross(spokes, np.roll(spokes, -1, axis=0)).sum(axis=0) @ normal))
@@ -263,7 +265,7 @@ def _is_end(skin: Triangles, rim: Array, normal: Array) -> bool:
 
 
 def _flat_ends(skin: Triangles, axis: Array) -> list[Plane]:
-    """Planes just inside flat ends, such as the first and last slice of a scan leave; axis: the limb's."""
+    """Planes just inside flat ends, as left by the first and last slice of a scan; axis: that of the limb."""
     planes: list[Plane] = []
     area, centroids = skin.area_vectors, skin.centroids
     size = np.linalg.norm(area, axis=1)
@@ -287,14 +289,14 @@ def _flat_ends(skin: Triangles, axis: Array) -> list[Plane]:
 
 
 def _flat_directions(skin: Triangles, axis: Array) -> list[Array]:
-    """The two ends' mean normals along the limb's long axis."""
+    """Mean normals of the two ends along the limb's long axis."""
     unit = skin.area_vectors / np.maximum(skin.areas, 1e-12)[:, None]
     out = []
     for sign in (1.0, -1.0):
         near = unit @ (sign * axis) > 0.85
         if not near.any():
             continue
-        # The commonest normal there: the mean of those close to the area-weighted median.
+        # The most common normal there: a mean restricted iteratively to the normals close to it.
         weight = skin.areas[near]
         mean = (unit[near] * weight[:, None]).sum(0)
         for _ in range(5):
@@ -306,7 +308,7 @@ def _flat_directions(skin: Triangles, axis: Array) -> list[Array]:
 
 
 def _heaviest_slab(height: Array, weight: Array) -> float:
-    """The height round which most area lies."""
+    """The height around which most of the area lies."""
     edges = np.arange(height.min() - 1.0, height.max() + 2.0, 1.0)
     counts, _ = np.histogram(height, bins=edges, weights=weight)
     smooth = np.convolve(counts, np.ones(3), mode="same")
@@ -316,12 +318,12 @@ def _heaviest_slab(height: Array, weight: Array) -> float:
 
 
 def long_axis(limb: Sequence[Triangles]) -> Array:
-    """Unit direction along a limb: that of its most elongated body.
+    """Unit direction along a limb: the axis of its most elongated body.
 
-    The skin of a short limb is wider than long; its bones are not. Where no body is clearly elongated, the
-    principal axis of the skin that is nearest to the head's direction.
+    The skin of a short limb is wider than long; its bones are not. If no body is clearly elongated, the
+    principal axis of the skin closest to the direction of the head is used.
 
-    limb : the skin, and what is known of its bones; patient LPS
+    limb : the skin first, then any known bones; patient LPS
     """
     axis, elongated = max((principal_axis(each) for each in limb), key=lambda each: each[1])
     if elongated >= _ELONGATED:
@@ -331,13 +333,13 @@ def long_axis(limb: Sequence[Triangles]) -> Array:
 
 
 def principal_axis(surface: Triangles) -> tuple[Array, float]:
-    """Unit direction of largest extent of a surface's area, and how elongated it is (>= 1)."""
+    """Unit direction of the largest extent of a surface's area, and its elongation (>= 1)."""
     values, vectors = _principal(surface)
     return vectors[:, 2], float(np.sqrt(values[2] / max(values[1], 1e-12)))
 
 
 def _principal(surface: Triangles) -> tuple[Array, Array]:
-    """Second moments of a surface's area about its middle, ascending; their directions (3, 3) in columns."""
+    """Second moments of a surface's area about its centroid, ascending, and their directions in columns."""
     weight = surface.areas
     centred = surface.centroids - np.average(surface.centroids, axis=0, weights=weight)
     values, vectors = np.linalg.eigh((centred * weight[:, None]).T @ centred)

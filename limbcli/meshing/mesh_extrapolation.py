@@ -1,4 +1,4 @@
-"""How far a result is from that of an infinitely fine mesh."""
+"""Discretisation error of a result: its distance from the extrapolated limit of an infinitely fine mesh."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from scipy.optimize import brentq
 
 _ORDERS = (0.5, 6.0)
 _USUAL_ORDER = 2.0
-_SAFETY = 1.25  # Roache's factor of the grid convergence index for three meshes; 3 with an assumed order
+_SAFETY = 1.25  # safety factor of Roache's grid convergence index with an observed order (three meshes)
 _ASSUMED_SAFETY = 3.0
 
 
 @dataclass(frozen=True)
 class Extrapolation:
-    """The value at size 0, the order of convergence, and whether that was seen or assumed.
+    """The value extrapolated to size 0, the order of convergence, and whether that was observed or assumed.
 
-    error_fraction : for each size given, its distance from `limit` over |limit|, times a
-    safety factor
+    error_fraction : for each given size, the distance of its value from `limit` over |limit|, times a safety
+        factor
     """
 
     limit: float
@@ -29,12 +29,11 @@ class Extrapolation:
 
 
 def extrapolate(sizes: Sequence[float], values: Sequence[float]) -> Extrapolation:
-    """Richardson's extrapolation from three sizes or more (the finest three count).
+    """Richardson extrapolation from two or more sizes; only the finest three are used.
 
-    value = limit + a size^p, with p from the three finest meshes where they converge
-    monotonically with 0.5 <= p <= 6, else p = 2 from the two finest. Errors carry the
-    safety factor of the grid convergence index (Roache, Ann. Rev. Fluid Mech. 29, 1997):
-    1.25 with an observed order, 3 with an assumed one.
+    value = limit + a size^p, with p from the three finest meshes if they converge monotonically with p in
+    [0.5, 6], else p = 2 from the two finest. Errors carry the safety factor of the grid convergence index
+    (Roache, Ann. Rev. Fluid Mech. 29, 1997): 1.25 with an observed order, 3 with an assumed one.
 
     >>> found = extrapolate([1.0, 2.0, 4.0], [10.1, 10.4, 11.6])
     >>> round(found.limit, 6), round(found.order, 6)

@@ -1,7 +1,7 @@
-"""Volume meshers in a process of their own: they may crash or run on without harm.
+"""Run volume meshers in a separate process, so that a crash or a runaway does no harm.
 
-`python -m limbcli.meshing.mesher_process MESHER FOLDER PARENT` reads FOLDER/in.npz and
-leaves FOLDER/out.npz, or FOLDER/error.txt; it is killed when PARENT, who started it, ends.
+`python -m limbcli.meshing.mesher_process MESHER FOLDER PARENT` reads FOLDER/in.npz and writes FOLDER/out.npz
+or FOLDER/error.txt; it is killed when PARENT, the process that started it, ends.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from limbcli.errors import MeshError, ToolError
 from limbcli.model import Array, IntArray
 from limbcli.temporary_folders import end_with_parent, scratch_folder
 
-_NO_ROOM = 75  # exit status of the process where the disk is full: no mesher's own
+_NO_ROOM = 75  # exit status of the process if the disk is full; no mesher uses it
 _FIX = "use another size (--size-mm), or repair the surfaces"
 
 
 def in_process(
     mesher: str, points: Array, faces: IntArray, options: dict[str, Any], *, time_limit_s: float
 ) -> tuple[Array, IntArray]:
-    """Nodes (n, 3) and tetrahedra (m, 4) out of a closed surface; a mesher that was killed is run once more.
+    """Nodes (n, 3) and tetrahedra (m, 4) from a closed surface; a mesher that was killed is run once more.
 
     Raises
     ------
@@ -45,7 +45,8 @@ def in_process(
         np.savez(folder / "in.npz", points=points, faces=faces, options=json.dumps(options))
         command = [sys.executable, "-m", __name__, mesher, str(folder), str(os.getpid())]
         status = _run(mesher, command, folder, time_limit_s)
-        if status == -signal.SIGKILL:  # not its own fault: another way would be another mesh, unasked for
+        # Not the mesher's fault; falling back to another method would silently produce another mesh.
+        if status == -signal.SIGKILL:
             status = _run(mesher, command, folder, time_limit_s)
         message = folder / "error.txt"
         if message.is_file():
@@ -55,7 +56,7 @@ def in_process(
                     f"{mesher} is not installed ({text})", where="volume mesh", fix=f"pip install {mesher}"
                 )
             raise MeshError(f"{mesher} rejected the surface: {text}", where="volume mesh", fix=_FIX)
-        if status == _NO_ROOM:  # as above: another way would need more of it, or be another mesh
+        if status == _NO_ROOM:  # as above: another method would need more space, or produce another mesh
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
         if status or not (folder / "out.npz").is_file():
             raise MeshError(f"{mesher} crashed (status {status})", where="volume mesh", fix=_FIX)
@@ -64,7 +65,7 @@ def in_process(
 
 
 def _run(mesher: str, command: list[str], folder: Path, time_limit_s: float) -> int:
-    """Its exit status, negative: the signal that ended it."""
+    """Exit status of the mesher; if negative, the signal that ended it."""
     try:
         return subprocess.run(
             command, capture_output=True, timeout=time_limit_s, check=False, cwd=folder, env=_environment()
@@ -76,14 +77,14 @@ def _run(mesher: str, command: list[str], folder: Path, time_limit_s: float) -> 
 
 
 def _environment() -> dict[str, str]:
-    """Ours, with this very package first on the path (the mesher runs in a scratch folder)."""
+    """Our environment, with this package first on the path (the mesher runs in a temporary folder)."""
     package = str(Path(__file__).resolve().parents[2])
     path = os.environ.get("PYTHONPATH")
     return {**os.environ, "PYTHONPATH": f"{package}{os.pathsep}{path}" if path else package}
 
 
 def _tetgen(points: Array, faces: IntArray, options: dict[str, Any]) -> tuple[Array, IntArray]:
-    """options: those of `tetrahedralize`; "holes" (n, 3): a point in each void."""
+    """options : those of `tetrahedralize`; "holes" (n, 3): a point in each void"""
     import tetgen
 
     maker = tetgen.TetGen(points, faces.astype(np.int32))
@@ -103,11 +104,11 @@ def _tetgen(points: Array, faces: IntArray, options: dict[str, Any]) -> tuple[Ar
 
 
 def _pytetwild(points: Array, faces: IntArray, options: dict[str, Any]) -> tuple[Array, IntArray]:
-    """options: those of `pytetwild.tetrahedralize`; "sizes" (n, 4): x, y, z and the edge length there."""
+    """options : those of `pytetwild.tetrahedralize`; "sizes" (n, 4): x, y, z and the edge length there"""
     from scipy.spatial import Delaunay
 
     if importlib.util.find_spec("pyvista") is None:
-        # It can do without, but its own import asks for the name (0.4).
+        # pytetwild (0.4) does not need pyvista here, but imports it.
         sys.modules["pyvista"] = ModuleType("pyvista")
     import pytetwild
 

@@ -1,8 +1,8 @@
-"""A mesh moved to another shape of skin and bone, its cells and numbers kept.
+"""Deform a mesh to another shape of skin and bone, keeping its cells and numbering.
 
-A change of force between two meshes is lost in what meshing alone does to it (some 3 %). On one mesh whose
-nodes are moved, only the shape changes. Between the surfaces the nodes follow the solution of
-Laplace's equation, component by component.
+A change of force between two independently generated meshes is lost in the scatter from meshing alone (some 3
+%). If the nodes of one mesh are moved instead, only the shape changes. Between the surfaces the displacement
+of the nodes is the solution of Laplace's equation, component by component.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from limbcli.meshing.quality import EDGES
 from limbcli.meshing.rods import Rod
 from limbcli.model import Array, IntArray, Mesh
 
-LEAST_VOLUME = 0.15  # of a cell's own, that it keeps
+LEAST_VOLUME = 0.15  # smallest fraction of its original volume that a cell must keep
 
 
 def morphed(mesh: Mesh, moves: Mapping[str, Array]) -> Mesh:
-    """The mesh with the nodes of some sets moved, and those between them carried along.
+    """The mesh with the nodes of some sets moved, and the nodes between them moved by interpolation.
 
     Parameters
     ----------
-    moves : displacement (n, 3) mm of the nodes of a node set, in the set's order; where two sets share a
-        node the later one counts. Sets that are not named go along freely.
+    moves : displacement (n, 3), mm, of the nodes of a node set, in the set's order; if two sets share a node,
+        the later one counts. Sets that are not named move freely.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def _volumes(points: Array, corners: IntArray) -> Array:
 
 
 def _carried(points: Array, corners: IntArray, given: np.ndarray, at: Array) -> Array:
-    """Laplace's equation by linear tetrahedra; rims without a given value are free."""
+    """Solve Laplace's equation with linear tetrahedra; boundaries without prescribed values are free."""
     edges = np.stack([points[corners[:, k]] - points[corners[:, 0]] for k in (1, 2, 3)], axis=1)
     inverse = np.linalg.inv(edges)
     slopes = np.concatenate([-inverse.sum(axis=2)[:, None], np.swapaxes(inverse, 1, 2)], axis=1)
@@ -88,18 +88,18 @@ def _carried(points: Array, corners: IntArray, given: np.ndarray, at: Array) -> 
 
 
 def wider(points: Array, rod: Rod, factor: float) -> Array:
-    """Displacement (n, 3) of points on a rod of `factor` times the radius; its nearest line stays."""
+    """Displacement (n, 3) of points on a rod whose radius is scaled by `factor`; its nearest line stays."""
     away = points - (rod.centre + rod.radius * rod.towards)
     return np.asarray((factor - 1.0) * (away - np.outer(away @ rod.axis, rod.axis)))
 
 
 def deeper(points: Array, rod: Rod, by: float) -> Array:
-    """Displacement (n, 3) of points on a rod that lies `by` mm deeper."""
+    """Displacement (n, 3) of points on a rod that is moved `by` mm deeper."""
     return np.asarray(-by * np.broadcast_to(rod.towards, points.shape))
 
 
 def flatter(points: Array, rod: Rod, touched: Array, factor: float) -> Array:
-    """Displacement (n, 3) of skin whose section becomes an ellipse, `factor` times as flat at the touch.
+    """Displacement (n, 3) of a skin whose section becomes an ellipse, `factor` times as flat at the contact.
 
     Lengths across grow by the cube root of the factor, those along the beam shrink by it: the radius of
     curvature a^2/b changes by the factor, the circumference hardly.
@@ -112,18 +112,20 @@ def flatter(points: Array, rod: Rod, touched: Array, factor: float) -> Array:
 
 
 def sloping(points: Array, rod: Rod, touched: Array, slope: float) -> Array:
-    """Displacement (n, 3) of points on a rod that gets deeper by `slope` mm each mm along its axis.
+    """Displacement (n, 3) of points on a rod that becomes `slope` mm deeper per mm along its axis.
 
-    touched : (3,) mm, where it keeps its depth
+    touched : (3,) mm, where the depth is unchanged
     """
     along = (points - touched) @ rod.axis
     return np.asarray(-slope * np.outer(along, rod.towards))
 
 
 def aside(points: Array, rod: Rod, angle: float) -> Array:
-    """Displacement (n, 3) of points on a rod rolled round its seen line, which then lies on its flank.
+    """Displacement (n, 3) of points on a rod moved sideways, so that the beam meets its flank.
 
-    angle : rad between the beam and the normal of the rod where the beam meets it
+    The point where the beam meets the rod stays.
+
+    angle : rad between the beam and the normal of the rod at that point
     """
     side = np.cross(rod.axis, rod.towards)
     shift = rod.radius * ((1.0 - np.cos(angle)) * rod.towards + np.sin(angle) * side)
@@ -131,9 +133,11 @@ def aside(points: Array, rod: Rod, angle: float) -> Array:
 
 
 def tapered(points: Array, rod: Rod, touched: Array, rate: float) -> Array:
-    """Displacement (n, 3) of skin whose sections grow by `rate` each mm along the limb; its front line stays.
+    """Displacement (n, 3) of a skin whose sections grow by `rate` per mm along the limb.
 
-    touched : (3,) mm, on the front line, at the section that keeps its size
+    Its front line stays.
+
+    touched : (3,) mm, on the front line, at the section whose size is unchanged
     """
     away = points - touched
     along = away @ rod.axis
@@ -141,5 +145,5 @@ def tapered(points: Array, rod: Rod, touched: Array, rate: float) -> Array:
 
 
 def larger(points: Array, touched: Array, factor: float) -> Array:
-    """Displacement (n, 3) of skin that is `factor` times as large about the place touched."""
+    """Displacement (n, 3) of a skin scaled by `factor` about the point of contact."""
     return np.asarray((factor - 1.0) * (points - touched))

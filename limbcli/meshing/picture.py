@@ -1,4 +1,4 @@
-"""A look at a site's mesh: two cuts through it, the skin from above, and its quality."""
+"""Picture of a site's mesh: two sections through it, the skin from above, and its quality."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ def mesh_picture(
     start_depth: float,
     sides: tuple[str, str],
 ) -> None:
-    """Write PNG and SVG. Look for small cells under the probe and bones in their places; bad are spikes.
+    """Write PNG and SVG. Look for small cells under the probe and correctly placed bones; spikes are a fault.
 
-    sides : of the patient, that x and y point to
+    sides : sides of the patient towards which x and y point
     """
     figure = Figure(figsize=(10, 8), layout="constrained")
     FigureCanvasAgg(figure)
@@ -46,7 +46,7 @@ def mesh_picture(
 def draw_cut(
     axes: Any, mesh: Mesh, probe: ProbeShape, *, axis: int, start_depth: float, sides: tuple[str, str]
 ) -> None:
-    """Tetrahedra cut by the plane through the site whose normal is x (0) or y (1)."""
+    """Draw the tetrahedra cut by the plane through the site whose normal is x (0) or y (1)."""
     across = 1 - axis
     for block in mesh.solid_blocks:
         polygons = section(mesh.points, block.cells[:, :4], axis)
@@ -66,7 +66,7 @@ def draw_cut(
 
 
 def section(points: Array, cells: IntArray, axis: int, at: float = 1e-6) -> list[Array]:
-    """Polygons (k, 3) in which the plane points[axis] = at cuts tetrahedra."""
+    """Polygons (k, 3) in which the plane points[axis] = at intersects the tetrahedra."""
     height = points[cells, axis] - at
     cut = (height.min(axis=1) < 0) & (height.max(axis=1) > 0)
     out = []
@@ -89,7 +89,7 @@ def _axis_words(axis: int, sides: tuple[str, str]) -> str:
 
 
 def _from_above(axes: Any, mesh: Mesh, probe: ProbeShape, sides: tuple[str, str]) -> None:
-    """Skin facets that face up; those the probe can reach in colour."""
+    """Draw the skin facets that face upward; those within reach of the probe are coloured."""
     for name, colour in (("skin", "#eeeeee"), ("contact", "#f6c9b0")):
         faces = next(iter(mesh.surfaces[name].facets.values()))[:, :3]
         corners = mesh.points[faces]

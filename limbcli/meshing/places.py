@@ -1,4 +1,4 @@
-"""Sites against the skin: on it, near it and moved on to it, or nowhere that can be meant."""
+"""Positions of sites relative to the skin: on it, close enough to be moved onto it, or implausible."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from limbcli.meshing.frame import nearest_skin_point
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 
-MOVED_MM = 3.0  # a site further from the skin than this was moved, with a warning
-MOST_MOVED_MM = 5.0  # further than this it is not the place that was measured
+MOVED_MM = 3.0  # mm: a site farther from the skin than this is moved onto it with a warning
+MOST_MOVED_MM = 5.0  # mm: a site farther than this is not the place that was measured
 TURNED = np.array([-1.0, -1.0, 1.0])  # RAS to LPS and back
 
 
 @dataclass(frozen=True)
 class PlaceFault:
-    """What is wrong with a place, what to do, and whether it can still be used; the skin's nearest point."""
+    """What is wrong with a position, its fix, whether it is still usable, and the nearest skin point."""
 
     what: str
     fix: str
@@ -29,7 +29,7 @@ class PlaceFault:
 
 
 def place_fault(skin: Triangles, place: Array) -> PlaceFault | None:
-    """How a place (3,) (mm, patient LPS) fails to lie on a skin; None where it does."""
+    """How a position (3,) (mm, patient LPS) fails to lie on a skin; None if it does lie on it."""
     point, _, far = nearest_skin_point(skin, np.asarray(place, float))
     _, _, turned = nearest_skin_point(skin, TURNED * place)
     return judged(place, point, far, turned)
@@ -38,10 +38,10 @@ def place_fault(skin: Triangles, place: Array) -> PlaceFault | None:
 def judged(
     place: Array, nearest: Array, far: float, turned: float, *, most: float = MOST_MOVED_MM, about: str = ""
 ) -> PlaceFault | None:
-    """The fault of a place by its distances from the skin as it stands, and with x and y turned (mm).
+    """The fault of a position, given its distance (mm) to the skin as it is and with x and y reversed.
 
-    most : further than this is no place on that skin
-    about : a word before the nearest point, where the skin is known roughly only
+    most : farther than this (mm) is an error
+    about : a word before the nearest point, used where the skin is known only roughly
 
     >>> print(judged(np.array([9.0, 0, 0]), np.array([2.0, 0, 0]), 7.0, 30.0).fix)
     write position_mm = [2.0, 0.0, 0.0], the nearest point of the skin, if that is the intended site
@@ -70,7 +70,7 @@ def _write(there: str) -> str:
 
 
 def place_problems(skin: Triangles, places: Mapping[str, Array], *, where: str) -> list[Problem]:
-    """Sites that do not lie on the skin: too far to be meant so, or moved on to it.
+    """Problems of sites that do not lie on the skin: too far away, or moved onto it.
 
     places : (3,) mm, patient LPS, by the site's name
     """
@@ -78,7 +78,7 @@ def place_problems(skin: Triangles, places: Mapping[str, Array], *, where: str) 
 
 
 def place_faults(skin: Triangles, places: Mapping[str, Array]) -> dict[str, PlaceFault]:
-    """By the site's name, the faults of those places (3,) (mm, patient LPS) that have one."""
+    """The faults of the positions (3,) (mm, patient LPS) that have one, by the site's name."""
     found = {name: place_fault(skin, np.asarray(place, float)) for name, place in places.items()}
     return {name: each for name, each in found.items() if each is not None}
 
@@ -89,7 +89,7 @@ def problem_of(name: str, fault: PlaceFault, *, where: str) -> Problem:
 
 
 def triple(point: Array) -> str:
-    """A point as case.toml takes it.
+    """A point as written in case.toml.
 
     >>> triple(np.array([1.0, -2.25, -0.001]))
     '[1.0, -2.2, 0.0]'

@@ -15,13 +15,14 @@ import numpy as np
 from limbcli.errors import CaseError
 from limbcli.model import Array, IntArray
 
-# Facets of a quarter circle, and the radius (mm) up to which these do: they leave it by 0.03 mm at most.
+# Number of facets per quarter circle, and the radius (mm) up to which it suffices: the chords then deviate
+# from the circle by at most 0.03 mm.
 _ARC, _ARC_RADIUS = 6, 3.0
 
 
 @dataclass(frozen=True)
 class ProbeShape:
-    """Sizes of the face (mm): long side, short side, radius of its edges; height of the walls."""
+    """Dimensions of the face (mm): long side, short side, edge radius; height of the walls."""
 
     length: float
     width: float
@@ -30,11 +31,11 @@ class ProbeShape:
 
     @property
     def flat(self) -> tuple[float, float]:
-        """Half sides of the flat middle."""
+        """Half sides of the flat central part."""
         return self.length / 2 - self.edge_radius, self.width / 2 - self.edge_radius
 
     def rise(self, x: Array, y: Array) -> Array:
-        """Height of the probe's underside over its face at plan points; NaN beside the probe.
+        """Height of the probe's underside above its face at plan points; NaN beside the probe.
 
         >>> ProbeShape(50, 14, 3).rise(np.array([0.0, 25, 30]), np.zeros(3))
         array([ 0.,  3., nan])
@@ -54,19 +55,19 @@ class ProbeShape:
         return gx.ravel(), gy.ravel()
 
     def distance_in_plan(self, x: Array, y: Array) -> Array:
-        """Distance (mm) to the face's outline; 0 within."""
+        """Distance (mm) to the face's outline in plan; 0 inside."""
         a, b = self.flat
         d = np.hypot(np.maximum(np.abs(x) - a, 0), np.maximum(np.abs(y) - b, 0))
         return np.maximum(d - self.edge_radius, 0)
 
 
 def check_shape(shape: ProbeShape, *, where: str = "[probe]") -> ProbeShape:
-    """The shape, if it can exist.
+    """The shape, if it is valid.
 
     Raises
     ------
     CaseError
-        If a side is not positive or the edges' radius leaves no face.
+        If a side is not positive or the edge radius leaves no face.
     """
     if min(shape.length, shape.width) <= 0 or shape.edge_radius < 0:
         raise CaseError(
@@ -84,7 +85,7 @@ def check_shape(shape: ProbeShape, *, where: str = "[probe]") -> ProbeShape:
 
 @dataclass(frozen=True, eq=False)
 class ProbeMesh:
-    """Facets of the probe, outward normals; z = 0 is the face. quads (n, 4), tips (m, 3)."""
+    """Facets of the probe with outward normals; z = 0 is the face. quads (n, 4), tips (m, 3)."""
 
     points: Array
     quads: IntArray
@@ -94,9 +95,10 @@ class ProbeMesh:
 def probe_mesh(shape: ProbeShape, *, size: float = 3.0) -> ProbeMesh:
     """The probe's surface in quadrilaterals, with triangles at the poles of the four corners.
 
-    Facets are chords of the rounded edges: wide ones take more of them, so that they lie as near to it.
+    Facets are chords of the rounded edges; larger radii get more of them, so that the deviation stays the
+    same.
 
-    size : side of the facets on flats (mm)
+    size : side length of the facets on flat parts (mm)
     """
     builder = _Builder()
     a, b = shape.flat
@@ -113,7 +115,7 @@ def probe_mesh(shape: ProbeShape, *, size: float = 3.0) -> ProbeMesh:
 
 
 def _rim(xs: Array, ys: Array, up: Array) -> list[tuple[float, float, float]]:
-    """Foot points on the flat's outline with the outward angle, once round counter-clockwise."""
+    """Points on the outline of the flat part with the outward angle, once around counter-clockwise."""
     a, b = xs[-1], ys[-1]
     out: list[tuple[float, float, float]] = []
     sides = [
@@ -129,7 +131,7 @@ def _rim(xs: Array, ys: Array, up: Array) -> list[tuple[float, float, float]]:
 
 
 class _Builder:
-    """Facets between points that are made once."""
+    """Builds facets between points that are created only once."""
 
     def __init__(self) -> None:
         self._index: dict[tuple[int, int, int], int] = {}
@@ -159,7 +161,7 @@ class _Builder:
                 self._facet(facet[::-1] if down else facet)
 
     def rings(self, rim: list[tuple[float, float, float]], r: float, up: Array, walls: Array) -> None:
-        """Rounded edge and walls: rings of points one above the other round the rim."""
+        """Rounded edge and walls: rings of points above one another around the rim."""
         heights = [(r * np.sin(t), r - r * np.cos(t)) for t in up] + [(r, float(z)) for z in walls[1:]]
         numbers = [
             [self._point(x + out * np.cos(t), y + out * np.sin(t), z) for x, y, t in rim]

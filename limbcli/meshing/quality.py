@@ -1,4 +1,4 @@
-"""How good tetrahedra are: dihedral angles, volumes, Jacobians of straight or curved cells."""
+"""Quality of tetrahedra: dihedral angles, volumes, Jacobians of straight or curved cells."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from limbcli.model import Array, IntArray
 EDGES = np.array([[0, 1], [1, 2], [2, 0], [0, 3], [1, 3], [2, 3]])
 # The two corners opposite to each of these edges.
 _OPPOSITE = np.array([[2, 3], [0, 3], [1, 3], [1, 2], [0, 2], [0, 1]])
-_GAUSS_A, _GAUSS_B = 0.1381966011250105, 0.5854101966249685  # 4-point rule, degree 2
+# barycentric coordinates of the 4-point Gauss rule, degree 2
+_GAUSS_A, _GAUSS_B = 0.1381966011250105, 0.5854101966249685
 
 
 @dataclass(frozen=True)
 class MeshQuality:
-    """Figures of a mesh; angles are dihedral."""
+    """Quality figures of a mesh; angles are dihedral."""
 
     n_nodes: int
     n_cells: int
@@ -73,10 +74,10 @@ def edge_lengths(points: Array, cells: IntArray) -> Array:
 
 
 def scaled_jacobians(points: Array, cells: IntArray) -> Array:
-    """Smallest det(dx/dxi) over a cell's nodes and Gauss points; 1 for a regular one of its mean edge.
+    """Smallest det(dx/dxi) at a cell's nodes and Gauss points, over that of a regular cell of equal edge.
 
-    1 for a regular tetrahedron, 0 flat, negative inverted. For tet10 the mapping is
-    evaluated at all ten nodes and the four Gauss points; for tet4 it is constant.
+    1 for a regular tetrahedron, 0 if flat, negative if inverted; the edge is the mean. For tet10 the mapping
+    is evaluated at all ten nodes and the four Gauss points; for tet4 it is constant.
 
     >>> regular = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
     >>> scaled_jacobians(regular, np.array([[0, 2, 1, 3]])).round(6)

@@ -11,11 +11,12 @@ from limbcli.meshing.site_mesher import VolumeMesh
 from limbcli.model import Array, Block, IntArray, Mesh, Surface
 
 PROBE_QUADS, PROBE_TIPS = "probe", "probe_tips"
-_REACH_BESIDE, _REACH_DEPTH = 14.0, 25.0  # mm: skin this near to the face can be met by the probe
+# mm in plan and in depth: skin this close to the face can come into contact with the probe
+_REACH_BESIDE, _REACH_DEPTH = 14.0, 25.0
 
 
 def quadratic(points: Array, cells: IntArray) -> tuple[Array, IntArray, dict[tuple[int, int], int]]:
-    """tet10 from tet4: mid-nodes halfway along straight edges, numbered after the corners.
+    """tet10 from tet4: mid-side nodes at the midpoints of straight edges, numbered after the corners.
 
     >>> _, cells, _ = quadratic(np.vstack([np.zeros(3), np.eye(3)]), np.array([[0, 1, 2, 3]]))
     >>> cells.shape
@@ -30,7 +31,7 @@ def quadratic(points: Array, cells: IntArray) -> tuple[Array, IntArray, dict[tup
 
 
 def facets(faces: IntArray, middle: dict[tuple[int, int], int] | None) -> dict[str, IntArray]:
-    """Faces (m, 3) as tri3, or as tri6 with the mid-nodes of their edges (12, 23, 31)."""
+    """Faces (m, 3) as tri3, or as tri6 with the mid-side nodes of their edges (12, 23, 31)."""
     if middle is None:
         return {"tri3": faces}
     ends = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
@@ -39,7 +40,7 @@ def facets(faces: IntArray, middle: dict[tuple[int, int], int] | None) -> dict[s
 
 
 def reachable(points: Array, faces: IntArray, probe: ProbeShape) -> Array:
-    """Which faces (m,) the probe can meet: near its outline in plan, not far below, facing up."""
+    """Which faces (m,) can come into contact with the probe: near it in plan, not far below, facing up."""
     corners = points[faces]
     middle = corners.mean(axis=1)
     up = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0
@@ -58,7 +59,7 @@ def assemble(
 ) -> Mesh:
     """Tissue and probe as one mesh with its named sets.
 
-    layers (n_cells,) gives each cell's place in `names` (blocks such as tissue, fat, skin).
+    layers (n_cells,) gives the index of each cell's block in `names` (such as tissue, fat, skin).
     """
     points, cells, middle = volume.points, volume.cells, None
     if element == "tet10":

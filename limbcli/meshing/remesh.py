@@ -1,9 +1,8 @@
-"""A boundary retriangulated with facets of the sizes asked for, and its faces named.
+"""Remesh a boundary with facets of the requested sizes, and label its faces.
 
-pymeshlab's isotropic remeshing was tried first: it works with one edge length at
-a time and knows features only by their angle, so that it rounded the edges where
-a cut meets a bone at less than its threshold. The operations in `facets` take a
-size field and keep every edge between two labels.
+pymeshlab's isotropic remeshing was tried first: it uses one edge length at a time and detects features only
+by their angle, so that it rounded the edges where a cut meets a bone at less than its threshold. The
+operations in `facets` take a size field and preserve every edge between two labels.
 """
 
 from __future__ import annotations
@@ -25,24 +24,27 @@ from limbcli.meshing.surfaces import Triangles, undirected
 from limbcli.meshlab import open_pymeshlab
 from limbcli.model import Array, IntArray
 
-_MIN_SIZE = 1.5  # mm: no bend and no thin place asks for less; a user may
-_CROWDED = 0.1  # of the wanted length: a shorter edge is an accident
-_FOLDED = -0.9998  # cosine between the normals of two faces that lie on each other
+# mm: neither curvature nor thin tissue reduces the edge length below this; a smaller requested size still can
+_MIN_SIZE = 1.5
+_CROWDED = 0.1  # fraction of the target length: a shorter edge is an artefact
+# cosine between the normals of two adjacent faces, below which they are folded onto each other
+_FOLDED = -0.9998
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """Edge lengths wanted (mm): under the probe, far from it, and how fast they grow (mm per mm)."""
+    """Target edge lengths (mm): under the probe, far from it, and their growth (mm per mm)."""
 
     under_probe: float = 2.5
     far: float = 8.0
     growth: float = 0.35
-    reach: float = 2.0  # mm round the face that keep the fine size
-    bends: float = 2.5  # the shortest edges that bent surfaces ask for
-    thin: float = 0.0  # ... and that thin tissue, thin bone and clefts ask for, where facets do not meet
+    reach: float = 2.0  # mm round the face in which the fine size is kept
+    bends: float = 2.5  # lower limit of the edge length from curvature
+    # lower limit of the edge length from thin tissue, thin bone and clefts, where facets do not meet
+    thin: float = 0.0
 
     def __post_init__(self) -> None:
-        """Whole numbers, as Python gives them, are lengths: arrays made of them hold no fractions."""
+        """Convert integers to float, so that arrays made of them can hold fractions."""
         for each in fields(self):
             object.__setattr__(self, each.name, float(getattr(self, each.name)))
 
@@ -55,16 +57,16 @@ class Sizes:
 
 @dataclass(frozen=True, eq=False)
 class SizeField:
-    """Edge length wanted anywhere: fine under the probe, coarse far, finer in thin tissue and bends."""
+    """Target edge length at any point: fine under the probe, coarse far away, finer where thin or curved."""
 
     sizes: Sizes
     probe: ProbeShape
     domain: TissueDomain
-    bend: Field  # edge length that bends and thin places allow
+    bend: Field  # upper limit of the edge length from curvature and thin places
     least: float
 
     def at(self, points: Array) -> Array:
-        """Edge length (n,) mm at points (n, 3)."""
+        """Target edge length (n,), mm, at points (n, 3)."""
         s = self.sizes
         beside = self.probe.distance_in_plan(points[:, 0], points[:, 1])
         distance = np.hypot(beside, np.minimum(points[:, 2], 0.0))
@@ -73,7 +75,7 @@ class SizeField:
 
 
 def size_field(domain: TissueDomain, probe: ProbeShape, sizes: Sizes) -> SizeField:
-    """The size field of a domain: thin tissue and tight bends ask for facets of about their own size."""
+    """The size field of a domain: thickness and radius of curvature limit the size of the facets."""
     limit = np.full(domain.skin.grid.shape, sizes.far)
     if domain.bone is not None:
         thickness = np.abs(domain.bone.values) + np.abs(domain.skin.values)
@@ -90,7 +92,7 @@ def size_field(domain: TissueDomain, probe: ProbeShape, sizes: Sizes) -> SizeFie
 
 
 def _within_cuts(domain: TissueDomain, *, inside: float = 1.0) -> NDArray[np.bool_]:
-    """Samples at least `inside` mm on the kept side of every cut; what lies beyond asks for nothing."""
+    """Samples at least `inside` mm on the kept side of every cut; those beyond do not limit the size."""
     points = domain.skin.grid.points()
     keep = np.ones(points.shape[:3], bool)
     for plane in domain.planes:
@@ -101,14 +103,14 @@ def _within_cuts(domain: TissueDomain, *, inside: float = 1.0) -> NDArray[np.boo
 def _chord_error(
     domain: TissueDomain, probe: ProbeShape, *, near: float = 0.25, growth: float = 0.03
 ) -> Array:
-    """How far (mm) facets may leave the true surface: little under the probe, more far from it."""
+    """Permitted deviation (mm) of facets from the true surface: small under the probe, larger far away."""
     points = domain.skin.grid.points()
     beside = probe.distance_in_plan(points[..., 0], points[..., 1])
     return near + growth * np.hypot(beside, np.minimum(points[..., 2], 0.0))
 
 
 def _bend_limit(field: Field, sag: Array, far: float, *, least: float) -> Array:
-    """Edge length that keeps chords within `sag` of a bent surface: sqrt(8 sag / curvature)."""
+    """Edge length that keeps chords within `sag` of a curved surface: sqrt(8 sag / curvature)."""
     h = field.grid.spacing
     phi = ndimage.gaussian_filter(field.values, 1.5)
     gradient = np.gradient(phi, h)
@@ -119,7 +121,7 @@ def _bend_limit(field: Field, sag: Array, far: float, *, least: float) -> Array:
 
 
 def _cleft_limit(domain: TissueDomain, far: float, *, share: float = 4.0) -> Array:
-    """Edge length allowed by narrow tissue or thin bone: `share` of half the width, on its middle."""
+    """Edge length limit in narrow tissue or thin bone: `share` times half the width, at mid-width."""
     assert domain.bone is not None
     h = domain.skin.grid.spacing
     tissue = np.minimum(-domain.skin.values, domain.bone.values)
@@ -132,7 +134,7 @@ def _cleft_limit(domain: TissueDomain, far: float, *, share: float = 4.0) -> Arr
 
 
 def finer_near(field: SizeField, places: Array, *, factor: float = 0.6, reach: float = 6.0) -> SizeField:
-    """The size field lowered round places (n, 3) where facets got into each other's way."""
+    """The size field reduced around places (n, 3) where facets intersect each other."""
     grid = field.bend.grid
     distance, _ = cKDTree(places).query(grid.points().reshape(-1, 3), distance_upper_bound=reach)
     near = np.isfinite(distance).reshape(grid.shape)
@@ -143,7 +145,7 @@ def finer_near(field: SizeField, places: Array, *, factor: float = 0.6, reach: f
 
 
 def bad_places(boundary: Boundary) -> Array:
-    """Centroids (n, 3) of faces that cut through others, or lie folded on a neighbour."""
+    """Centroids (n, 3) of faces that intersect others, or are folded onto a neighbour."""
     pymeshlab = open_pymeshlab()
 
     surface = boundary.surface
@@ -155,7 +157,7 @@ def bad_places(boundary: Boundary) -> Array:
 
 
 def _folded(surface: Triangles) -> NDArray[np.bool_]:
-    """Faces (n,) that lie flat on a neighbour, which counts as no crossing but stops TetGen."""
+    """Faces (n,) folded flat onto a neighbour; this is no intersection, but makes TetGen fail."""
     unit = surface.area_vectors / np.maximum(surface.areas, 1e-12)[:, None]
     _, sides = edges_of(surface.faces)
     flat = np.einsum("ij,ij->i", unit[sides[:, 0]], unit[sides[:, 1]]) < _FOLDED
@@ -165,7 +167,7 @@ def _folded(surface: Triangles) -> NDArray[np.bool_]:
 
 
 def unfold(boundary: Boundary, domain: TissueDomain, *, rounds: int = 8) -> Boundary:
-    """Faces folded over their own surface spread out: their nodes go amid their neighbours."""
+    """Unfold faces that lie over their own surface by moving their nodes to the mean of their neighbours."""
     surface, labels = boundary.surface, boundary.labels
     constraints = NodeConstraints.of_faces(len(surface.points), surface.faces, labels)
     edges = np.unique(np.sort(surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
@@ -185,7 +187,7 @@ def unfold(boundary: Boundary, domain: TissueDomain, *, rounds: int = 8) -> Boun
 
 
 def _relaxed(points: Array, edges: IntArray, free: Array) -> Array:
-    """Points marked free moved to the mean of their neighbours."""
+    """Move the points marked free to the mean of their neighbours."""
     total = np.zeros_like(points)
     count = np.zeros(len(points))
     for a, b in (edges.T, edges.T[::-1]):
@@ -197,7 +199,7 @@ def _relaxed(points: Array, edges: IntArray, free: Array) -> Array:
 
 
 def outward_normals(boundary: Boundary, domain: TissueDomain) -> Array:
-    """The normal (n_faces, 3) that each face should have, from the surface it belongs to."""
+    """The expected normal (n_faces, 3) of each face, from the surface it belongs to."""
     centroids, labels = boundary.surface.centroids, boundary.labels
     out = domain.skin.gradient(centroids)
     if domain.bone is not None:
@@ -208,7 +210,7 @@ def outward_normals(boundary: Boundary, domain: TissueDomain) -> Array:
 
 
 def _graded(limit: Array, spacing: float, *, growth: float = 0.3) -> Array:
-    """The limit made to grow by at most `growth` mm per mm away from where it binds."""
+    """The limit, made to grow by at most `growth` mm per mm with distance from where it applies."""
     out = limit
     for reach in (1, 2, 4, 8):
         shape = 2 * reach + 1
@@ -218,14 +220,14 @@ def _graded(limit: Array, spacing: float, *, growth: float = 0.3) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Boundary:
-    """A closed, graded boundary with the label of every face, its nodes on their surfaces."""
+    """A closed, graded boundary with a label for every face; its nodes lie on their surfaces."""
 
     surface: Triangles
     labels: IntArray
 
 
 def remesh(fine: Triangles, domain: TissueDomain, field: SizeField, *, rounds: int = 10) -> Boundary:
-    """Graded facets for a finely triangulated boundary; its features (cuts' edges) stay sharp.
+    """Graded facets for a finely triangulated boundary; its features (edges of the cuts) stay sharp.
 
     Raises
     ------
@@ -252,7 +254,7 @@ def remesh(fine: Triangles, domain: TissueDomain, field: SizeField, *, rounds: i
             points = keep_unfolded(points, put_back(points, constraints, domain), faces)
             moved = put_back(relax(points, faces, labels, ranks, field.at(points)), constraints, domain)
             points = keep_unfolded(points, moved, faces)
-    for _ in range(4):  # what moving the nodes along the features pushed together
+    for _ in range(4):  # collapse the edges that became too short when nodes moved along the features
         labels = _without_ears(points, faces, labels, domain)
         if not _crowded(points, faces, field):
             break
@@ -265,16 +267,16 @@ def remesh(fine: Triangles, domain: TissueDomain, field: SizeField, *, rounds: i
 
 
 def _crowded(points: Array, faces: IntArray, field: SizeField) -> bool:
-    """Whether some edge is far shorter than what is wanted there."""
+    """Whether some edge is far shorter than the target length."""
     edges, _ = edges_of(faces)
     length = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
     return bool((length < _CROWDED * field.at(points)[edges].mean(axis=1)).any())
 
 
 def _without_ears(points: Array, faces: IntArray, labels: IntArray, domain: TissueDomain) -> IntArray:
-    """Faces of skin or bone whose three nodes lie in a cut belong to the cut.
+    """Relabel faces of skin or bone whose three nodes lie in a cut as belonging to the cut.
 
-    As skin they would tie three nodes to the cut's edge where two will do.
+    As skin they would constrain three nodes to the cut's edge where two suffice.
     """
     out = labels.copy()
     for k, plane in enumerate(domain.planes):
@@ -284,7 +286,10 @@ def _without_ears(points: Array, faces: IntArray, labels: IntArray, domain: Tiss
 
 
 def _ranks(points: Array, faces: IntArray, labels: IntArray) -> tuple[IntArray, NodeConstraints]:
-    """How many labels meet at each node (at most 3 counted; forks of features too), and what ties it."""
+    """Number of labels meeting at each node, and its constraints.
+
+    At most 3 are counted; nodes where features branch count as 3.
+    """
     constraints = NodeConstraints.of_faces(len(points), faces, labels)
     ranks = np.where(constraints.codes[:, 0] == FIXED, 3, np.where(constraints.codes[:, 1] > 0, 2, 1))
     edges, sides = edges_of(faces)
@@ -294,9 +299,9 @@ def _ranks(points: Array, faces: IntArray, labels: IntArray) -> tuple[IntArray, 
 
 
 def face_labels(surface: Triangles, domain: TissueDomain, *, tolerance: float = 0.02) -> IntArray:
-    """Label of every face: a cut where it lies in that plane, else the nearer of skin and bone.
+    """Label of every face: a cut if it lies in that plane, else the nearer of skin and bone.
 
-    tolerance : mm by which a face of a cut may leave its plane
+    tolerance : mm by which a face of a cut may deviate from its plane
     """
     labels = domain.label(surface.centroids)
     unit = surface.area_vectors / np.maximum(surface.areas, 1e-12)[:, None]

@@ -1,7 +1,7 @@
-"""Limbs and bones that nobody imaged: round tubes, and rods that lie as deep below the skin as was measured.
+"""Limbs and bones that were not imaged: round tubes, and round rods at the measured depth below the skin.
 
-A rod's section touches the place where a beam was seen to meet the bone: its nearest line lies there, its
-middle one radius further in. Its axis is the limb's own near the sites.
+A rod's cross-section touches the point where an ultrasound beam met the bone: the line of the rod nearest the
+skin passes through it, and the centre lies one radius deeper. Its axis is that of the limb near the sites.
 """
 
 from __future__ import annotations
@@ -19,20 +19,23 @@ from limbcli.meshing.sections import middle_of, section
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 
-_NEAR_SITE = 70.0  # mm along the limb on either side, of which its axis is that of the sections' middles
-_BIN, _FEWEST = 10.0, 5  # mm between sections, and how many make an axis
-_CLEAR = 8.0  # mm: a rod ends where it would come nearer to the skin than this
-_LEAST_CLEAR, _KEEPS = 1.5, 0.3  # mm inside the skin at its site; the share of it that it keeps
-_STEP = 4.0  # mm along a rod at which that is looked at
-_LONGER = 3.0  # edges along a rod by those round it
-_CELLS = 100  # of the grid along the limb
+# mm along the limb on either side of the sites; the axis is fitted to the centres of the sections in this
+# range
+_NEAR_SITE = 70.0
+_BIN, _FEWEST = 10.0, 5  # mm between sections, and the smallest number of sections for an axis
+_CLEAR = 8.0  # mm: a rod ends where it would come closer to the skin than this
+# smallest clearance (mm) of a rod from the skin at its site; fraction of it required along the rod
+_LEAST_CLEAR, _KEEPS = 1.5, 0.3
+_STEP = 4.0  # mm between the positions along a rod at which the clearance is checked
+_LONGER = 3.0  # ratio of the edge length along a rod to that round it
+_CELLS = 100  # number of grid cells along the longest side of the limb
 
 
 @dataclass(frozen=True, eq=False)
 class Rod:
-    """A straight round bone: `centre` (3,) on its `axis` (3,) unit; ends `low`, `high` along it; mm.
+    """A straight round bone: `centre` (3,) on its unit `axis` (3,); ends `low`, `high` along it; mm.
 
-    towards : (3,) unit, across the axis: where the first line of the surface lies
+    towards : (3,) unit, across the axis: direction of the first line of the surface
     """
 
     centre: Array
@@ -43,7 +46,7 @@ class Rod:
     towards: Array
 
     def depth_under(self, point: Array, beam: Array) -> float | None:
-        """mm from a point (3,) along a beam (3,) to the surface; None where the beam passes by."""
+        """Distance (mm) from a point (3,) along a beam (3,) to the surface; None if the beam misses it."""
         away, along = _across(point - self.centre, self.axis), _across(beam, self.axis)
         a, b, c = along @ along, along @ away, away @ away - self.radius**2
         if b * b < a * c or a < 1e-12:
@@ -51,9 +54,9 @@ class Rod:
         return float((-b - np.sqrt(b * b - a * c)) / a)
 
     def surface(self, *, edge: float) -> Triangles:
-        """Closed, normals outward; its sides are chords of the circle, so `towards` is met exactly.
+        """The closed surface, normals outward; its sides are chords of the circle, one vertex at `towards`.
 
-        edge : mm round the rod; along it, where nothing bends, three times as long
+        edge : mm, edge length round the rod; along it, where it is straight, three times as long
         """
         around = max(24, int(np.ceil(2 * np.pi * self.radius / edge)))
         rings = max(1, int(np.ceil((self.high - self.low) / (_LONGER * edge))))
@@ -82,14 +85,14 @@ def _faces(around: int, rings: int) -> np.ndarray:
 
 
 def tube(radius: float, length: float) -> Rod:
-    """A limb's skin: round, along z, its middle at the origin, its first line in front (-y)."""
+    """The skin of a limb: a round tube along z, centred at the origin, its first line in front (-y)."""
     front = np.array([0.0, -1.0, 0.0])
     return Rod(np.zeros(3), np.array([0.0, 0.0, 1.0]), radius, -length / 2, length / 2, front)
 
 
 @dataclass(frozen=True, eq=False)
 class BoneHit:
-    """Where a beam from the skin's `point` (3,) against its `normal` (3,) met bone: `depth` mm down."""
+    """A beam from a skin `point` (3,) against its `normal` (3,) that met bone `depth` mm below the skin."""
 
     point: Array
     normal: Array
@@ -101,9 +104,10 @@ class BoneHit:
 
 
 def limb_axis(limb: Limb, points: Array, proximal: Array) -> Array:
-    """Unit vector along the limb near skin points (n, 3): through the middles of its sections there.
+    """Unit vector along the limb near skin points (n, 3), fitted to the centres of its sections there.
 
-    proximal : (3,) unit, roughly along it; where the limb is too short, its longest body decides
+    proximal : (3,) unit, roughly along it; if the limb is too short, the axis of its most elongated body is
+        used
     """
     along = limb.skin.points @ proximal
     reach = points @ proximal
@@ -125,16 +129,16 @@ def limb_axis(limb: Limb, points: Array, proximal: Array) -> Array:
 def rods_for(
     seen: Mapping[str, BoneHit], limb: Limb, axis: Array, radius: float
 ) -> list[tuple[Rod, list[str]]]:
-    """The fewest rods that agree with what was seen, each with the names of the sites that see it.
+    """The fewest rods that agree with the measured depths, each with the names of its sites.
 
-    Every site alone puts the middle of its rod's section. Sites whose middles lie within one radius of each
-    other look at one bone, whose middle is their mean (least squares), the nearest first, in whatever order
-    the sites come; others have one each.
+    Each site determines the centre of its rod's section. Sites whose centres lie within one radius of each
+    other belong to the same bone, whose centre is their mean (least squares); the nearest are joined first,
+    whatever the order of the sites. Other sites have a rod each.
 
     Raises
     ------
     CaseError
-        If a rod would stand out of the skin at its site.
+        If a rod would protrude from the skin at its site.
     """
     middles = {name: _middle(each, axis, radius) for name, each in seen.items()}
     across = np.array([_across(each, axis) for each in middles.values()])
@@ -159,14 +163,16 @@ def rods_for(
 
 
 def _within_reach(points: Array, reach: float) -> list[list[int]]:
-    """Points (n, 3) in groups that `reach` spans, the nearest joined first; each in order of its numbers.
+    """Group points (n, 3) by complete linkage with diameter `reach`, the nearest first.
+
+    Indices within a group are in ascending order.
 
     >>> _within_reach(np.array([[0.0, 0, 0], [8, 0, 0], [14, 0, 0]]), 9.0)
     [[0], [1, 2]]
     """
     if len(points) < 2:
         return [[k] for k in range(len(points))]
-    order = np.lexsort(points.T)  # ties, too, are joined alike in whatever order the points come
+    order = np.lexsort(points.T)  # so that ties are resolved independently of the order of the points
     labels = np.empty(len(points), dtype=int)
     labels[order] = fcluster(linkage(points[order], "complete"), reach, "distance")
     return [np.flatnonzero(labels == each).tolist() for each in dict.fromkeys(labels.tolist())]
@@ -199,7 +205,7 @@ def _ring(rod: Rod, at: float) -> Array:
 
 
 def _as_long_as_inside(rod: Rod, limb: Limb, inside: Field, clear: float) -> Rod:
-    """The rod, both ways as far as all of its surface stays `clear` mm inside; through cut ends."""
+    """The rod, extended both ways while its surface stays `clear` mm inside; it may pass cut ends."""
     low, high = limb.skin.points.min(0), limb.skin.points.max(0)
     most = float(np.linalg.norm(high - low))
     ends = []
@@ -208,7 +214,7 @@ def _as_long_as_inside(rod: Rod, limb: Limb, inside: Field, clear: float) -> Rod
         for at in np.arange(_STEP, most, _STEP):
             ring = _ring(rod, sign * at)
             beyond = [each.height(ring).min() > 0 for each in limb.ends]
-            if any(beyond):  # all of it has left the limb through a cut
+            if any(beyond):  # the whole ring is beyond a cut
                 break
             near_cut = np.any([each.height(ring) > -clear for each in limb.ends], axis=0)
             if (inside.at(ring)[~(near_cut & np.ones(len(ring), bool))] > -clear).any():

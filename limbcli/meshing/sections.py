@@ -1,4 +1,4 @@
-"""Plane sections of a triangle surface: the line in which it is cut, and the middle of that line."""
+"""Plane sections of a triangle surface: the intersection line and its centre."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from limbcli.model import Array
 
 
 def section(surface: Triangles, point: Array, normal: Array) -> Array:
-    """Pieces (n, 2, 3) mm of the line in which the plane through a point (3,) cuts a surface."""
+    """Line segments (n, 2, 3), mm, in which the plane through a point (3,) intersects a surface."""
     height = (surface.points - point) @ normal
     height = np.where(np.abs(height) < 1e-9, 1e-9, height)
     of_face = height[surface.faces]
@@ -27,6 +27,6 @@ def section(surface: Triangles, point: Array, normal: Array) -> Array:
 
 
 def middle_of(pieces: Array) -> Array:
-    """The mean (3,) along a line of pieces (n, 2, 3)."""
+    """Length-weighted mean (3,) of line segments (n, 2, 3)."""
     lengths = np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1)
     return np.asarray(np.average(pieces.mean(axis=1), axis=0, weights=lengths))

@@ -1,4 +1,4 @@
-"""From a domain to good tetrahedra: a chain of ways, tried until one is good enough."""
+"""Tetrahedral mesh of a domain: several methods, tried in turn until one is good enough."""
 
 from __future__ import annotations
 
@@ -31,15 +31,16 @@ from limbcli.model import Array, IntArray
 
 MIN_ANGLE_UNDER_PROBE_DEG, MIN_ANGLE_DEG = 8.0, 4.0
 _LOCAL_REPAIRS = 5
-_ENVELOPE, _WILD_ROUNDS = 0.15, 25  # mm by which fTetWild may leave the surface; its rounds of improvement
-_POOR, _ROUNDS = 0.25, 20  # sine of a dihedral angle; rounds of taking nodes back
-# Trials of TetGen on one boundary: radius-edge ratio, smallest dihedral angle asked for, seed.
+# mm by which fTetWild may deviate from the surface; its number of optimisation passes
+_ENVELOPE, _WILD_ROUNDS = 0.15, 25
+_POOR, _ROUNDS = 0.25, 20  # sine of a dihedral angle below which a cell is poor; rounds of moving nodes back
+# Attempts of TetGen on one boundary: radius-edge ratio, smallest requested dihedral angle (deg), seed.
 _TETGEN = ((1.4, 12.0, 7), (1.8, 8.0, 11), (1.2, 14.0, 13))
 
 
 @dataclass(frozen=True, eq=False)
 class VolumeMesh:
-    """Tetrahedra (positive volume), labelled faces of their boundary, who made them, the way there."""
+    """Tetrahedra (positive volume), labelled boundary faces, the mesher's name, notes on failed attempts."""
 
     points: Array
     cells: IntArray
@@ -52,7 +53,7 @@ class VolumeMesh:
 def under_probe(
     points: Array, cells: IntArray, probe: ProbeShape, *, beside: float = 2.0, depth: float = 15.0
 ) -> NDArray[np.bool_]:
-    """Which cells (n_cells,) lie under the probe face: their middle at most `depth` mm below it."""
+    """Which cells (n_cells,) lie under the probe face: their centroid at most `depth` mm below it."""
     middle = points[cells[:, :4]].mean(axis=1)
     near = probe.distance_in_plan(middle[:, 0], middle[:, 1]) <= beside
     return np.asarray(near & (middle[:, 2] > -depth), bool)
@@ -61,15 +62,14 @@ def under_probe(
 def mesh_volume(domain: TissueDomain, probe: ProbeShape, sizes: Sizes) -> VolumeMesh:
     """Graded tetrahedra in a domain, good enough for the solver.
 
-    Tried in turn: TetGen on the boundary remeshed as asked (finer where facets
-    got into each other's way), TetGen on a finer boundary, TetGen on a mended one
-    (bones smoothed), fTetWild.
+    Tried in turn: TetGen on the boundary remeshed as requested (finer where facets intersect), TetGen on a
+    finer boundary, TetGen with smoothed bones, fTetWild.
 
     Raises
     ------
     MeshError
-        If no way leads to cells of positive volume with dihedral angles of at
-        least 4 degrees (8 under the probe); it reports what each way came to.
+        If no method yields cells of positive volume with dihedral angles of at least 4 degrees (8 under the
+        probe); it reports the outcome of each.
     """
     tale: list[str] = []
     ways: list[Callable[[], VolumeMesh]] = [
@@ -101,7 +101,7 @@ def mesh_volume(domain: TissueDomain, probe: ProbeShape, sizes: Sizes) -> Volume
 
 
 def _score(mesh: VolumeMesh, probe: ProbeShape) -> float:
-    """Smallest dihedral angle over the one asked for, at the worst cell; 1 and more is good."""
+    """Smallest ratio of a cell's dihedral angle to the required one; 1 or more is sufficient."""
     lowest = dihedral_angles_deg(mesh.points, mesh.cells).min(axis=1)
     near = under_probe(mesh.points, mesh.cells, probe)
     return float((lowest / np.where(near, MIN_ANGLE_UNDER_PROBE_DEG, MIN_ANGLE_DEG)).min())
@@ -139,9 +139,9 @@ def _with_tetgen(domain: TissueDomain, probe: ProbeShape, sizes: Sizes, tale: li
 
 
 def labelled_boundary(raw: Tetrahedra, graded: Boundary, domain: TissueDomain) -> tuple[IntArray, IntArray]:
-    """The cells' own boundary faces and their labels.
+    """The boundary faces of the cells and their labels.
 
-    TetGen may turn edges between facets in one plane; such faces are named by their place.
+    TetGen may flip edges between facets in one plane; such faces are labelled by their position.
     """
     faces = boundary_faces(raw.cells)
     base = len(raw.points)
@@ -156,13 +156,13 @@ def labelled_boundary(raw: Tetrahedra, graded: Boundary, domain: TissueDomain) -
 
 
 def _face_keys(faces: IntArray, base: int) -> IntArray:
-    """One number for each face, the same for the same three nodes in any order."""
+    """One integer key for each face, the same for the same three nodes in any order."""
     a, b, c = np.sort(faces, axis=1).T
     return (a * base + b) * base + c
 
 
 def _improved(raw: Tetrahedra, faces: IntArray, labels: IntArray, domain: TissueDomain) -> VolumeMesh:
-    """Nodes moved for better angles; in a second round only where the worst are left."""
+    """Smooth the nodes twice; the second time only where the worst angles remain."""
     constraints = NodeConstraints.of_faces(len(raw.points), faces, labels)
     points = smooth(raw.points, raw.cells, constraints, domain)
     points = smooth(points, raw.cells, constraints, domain, goal_deg=14.0, passes=30)
@@ -170,7 +170,7 @@ def _improved(raw: Tetrahedra, faces: IntArray, labels: IntArray, domain: Tissue
 
 
 def _with_ftetwild(domain: TissueDomain, probe: ProbeShape, sizes: Sizes, tale: list[str]) -> VolumeMesh:
-    """fTetWild: slower, its surface within a tolerance of ours, but it refuses nothing."""
+    """Mesh with fTetWild: slower, its surface within a tolerance of ours, but it accepts any input."""
     field = size_field(domain, probe, sizes)
     surface = _remeshed_or_not(domain, field, tale)
     low, high = surface.points.min(axis=0), surface.points.max(axis=0)
@@ -191,7 +191,7 @@ def _with_ftetwild(domain: TissueDomain, probe: ProbeShape, sizes: Sizes, tale: 
 
 
 def _remeshed_or_not(domain: TissueDomain, field: SizeField, tale: list[str]) -> Triangles:
-    """The boundary, remeshed where that can be (it may pierce itself; fTetWild is fast on few facets)."""
+    """The boundary, remeshed if possible (it may intersect itself; fTetWild is faster with fewer facets)."""
     fine = boundary(domain)
     try:
         return remesh(fine, domain, field).surface
@@ -201,14 +201,14 @@ def _remeshed_or_not(domain: TissueDomain, field: SizeField, tale: list[str]) ->
 
 
 def _size_samples(field: SizeField, low: Array, high: Array, *, spacing: float = 4.0) -> Array:
-    """(n, 4): x, y, z and the edge length wanted there, on a grid over a box and a little more."""
+    """Samples (n, 4) of x, y, z and target edge length, on a grid over a slightly enlarged box."""
     axes = [np.arange(a - spacing, b + 2 * spacing, spacing) for a, b in zip(low, high, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     return np.column_stack([points, field.at(points)])
 
 
 def settled(points: Array, wanted: Array, cells: IntArray) -> Array:
-    """Nodes where they are wanted, except those whose cells would become worse than poor by it."""
+    """Nodes at their target positions, except those whose cells would thereby become worse than poor."""
     before, x = worst_sines(points, cells), wanted.copy()
     for _ in range(_ROUNDS):
         after = worst_sines(x, cells)
@@ -221,7 +221,7 @@ def settled(points: Array, wanted: Array, cells: IntArray) -> Array:
 
 
 def boundary_faces(cells: IntArray) -> IntArray:
-    """Outward faces (m, 3) that only one tetrahedron has."""
+    """Outward faces (m, 3) that belong to only one tetrahedron."""
     corners = cells[:, :4]
     faces = corners[:, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]].reshape(-1, 3)
     _, first, counts = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)

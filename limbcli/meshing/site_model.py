@@ -34,14 +34,15 @@ from limbcli.model import (
 from limbcli.progress import SILENT, Progress
 
 ELEMENTS = ("tet10", "tet4")
-_STIFFNESS, _F_KAPPA, _EXPONENT = 0.005, 100.0, 2.0  # MPa, -, -: placeholders until measurements are set
+# placeholder Ogden law until measurements are set: modulus (MPa), kappa over it, exponent
+_STIFFNESS, _F_KAPPA, _EXPONENT = 0.005, 100.0, 2.0
 
 
 @dataclass(frozen=True)
 class MeshOptions:
-    """What can be asked of a site's mesh; lengths mm.
+    """Options of a site's mesh; lengths in mm.
 
-    start_depth : how far the probe is inside the skin at the start (contact needs it)
+    start_depth : initial penetration of the probe into the skin (contact needs it)
     depth : indentation at the end of the placeholder load
     """
 
@@ -56,7 +57,7 @@ class MeshOptions:
 
 @dataclass(frozen=True, eq=False)
 class SiteModel:
-    """The model and what was found while making it; `layers` is None where it has none."""
+    """The model and the findings of its construction; `layers` is None if it has no layers."""
 
     model: LimbModel
     frame: SiteFrame
@@ -78,14 +79,14 @@ def site_model(
     name: str = "site",
     progress: Progress = SILENT,
 ) -> SiteModel:
-    """The local model round a site: frame, crop, volume mesh, rigid probe, contact, supports, load.
+    """The local model of a site: frame, crop, volume mesh, rigid probe, contact, supports, load.
 
     `limb` is in the patient frame (LPS, mm), as `mend` returns it.
 
     Raises
     ------
     CaseError
-        If site, probe or options cannot be used, or the images end under the probe.
+        If site, probe or options are unusable, or the images end under the probe.
     MeshError
         If no volume mesh of sufficient quality could be made.
     """
@@ -124,7 +125,7 @@ def site_model(
 
 
 def _require_tissue_to_the_edge(planes: tuple[Plane, ...], probe: ProbeShape, name: str) -> None:
-    """A cut is held like bone: under the face it would carry the probe."""
+    """Refuse a cut under the face: it is fixed like bone, and would carry the probe."""
     reach = to_cut(planes, probe)
     if reach is not None and reach < 0:
         raise CaseError(
@@ -143,7 +144,7 @@ def _thickness(options: MeshOptions) -> float:
 def _fill(
     domain: TissueDomain, core: TissueDomain | None, probe: ProbeShape, options: MeshOptions
 ) -> tuple[VolumeMesh, IntArray]:
-    """Cells and the number of the block each belongs to; `core` is what lies below the layers."""
+    """The cells and the index of each cell's block; `core` is the tissue below the layers."""
     if core is None:
         volume = mesh_volume(domain, probe, options.sizes)
         return volume, np.zeros(len(volume.cells), np.int64)
@@ -158,7 +159,7 @@ def _figures(mesh: Mesh, volume: VolumeMesh, probe: ProbeShape) -> MeshQuality:
 
 
 def _model(mesh: Mesh, options: MeshOptions, info: Mapping[str, Any]) -> LimbModel:
-    """Placeholder laws and load on a mesh: indentation along -z, all else of the probe held."""
+    """Placeholder laws and load on a mesh: indentation along -z, all else of the probe fixed."""
     half = _STIFFNESS / 2
     tissue = Material(
         "ogden",

@@ -1,8 +1,8 @@
-"""A quarter of a layered slab on a rigid base under the probe: the simplest place that has a thickness,
-layers and a probe of some size.
+"""A quarter of a layered slab on a rigid base under the probe.
 
-Two planes of symmetry (x = 0, y = 0) pass through the probe's middle. The base is held like bone, the far
-sides are free like a limb's flanks. Cells follow the layers' borders, so that a border is a row of nodes.
+It is the simplest geometry with a finite thickness, layers and a probe of finite size. Two planes of symmetry
+(x = 0, y = 0) pass through the centre of the probe. The base is fixed like bone, the far sides are free like
+a limb's flanks. Cells conform to the layer interfaces, so that each interface is a row of nodes.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from limbcli.meshing.probe import ProbeShape, probe_mesh
 from limbcli.meshing.regions import facets, quadratic
 from limbcli.model import Array, Block, Domain, IntArray, LimbModel, Material, Mesh, Step, Support, Surface
 
-QUARTER = 4.0  # the whole probe's force over that of the quarter
+QUARTER = 4.0  # ratio of the whole probe's force to that on the quarter
 LAYERS = ("skin", "fat", "tissue")  # from the outside in; muscle is the tissue
 _HEX_TO_TETS = ((0, 1, 2, 6), (0, 2, 3, 6), (0, 3, 7, 6), (0, 7, 4, 6), (0, 4, 5, 6), (0, 5, 1, 6))
 _CORNERS = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))
@@ -29,7 +29,7 @@ _CLOSER = 1.6
 
 @dataclass(frozen=True)
 class Slab:
-    """Thicknesses of skin, fat and muscle (mm), the probe, and how far tissue reaches beside it (mm)."""
+    """Thicknesses of skin, fat and muscle (mm), the probe, and the width of tissue beside it (mm)."""
 
     skin: float
     fat: float
@@ -44,7 +44,7 @@ class Slab:
 
 @dataclass(frozen=True)
 class CellCounts:
-    """Cells: along the probe's half sides (x, y), beside its ends (x) and flanks (y), through the layers."""
+    """Numbers of cells along the probe's half sides (x, y), beside it (x, y), and through the layers."""
 
     along: int = 3
     across: int = 2
@@ -58,10 +58,10 @@ class CellCounts:
 def slab_model(
     slab: Slab, laws: Mapping[str, Material], *, counts: CellCounts = CellCounts(), start: float = 0.0
 ) -> LimbModel:
-    """The quarter as a model in tet10, its probe's face `start` mm inside; `laws` by the names in LAYERS.
+    """The quarter slab as a tet10 model, the probe's face `start` mm inside; `laws` by the names in LAYERS.
 
-    Its node set `axis` holds the borders' nodes under the probe's middle: surface, skin to fat, fat to
-    muscle, from the outside in.
+    Its node set `axis` holds the interface nodes under the probe's centre, from the outside in: surface, skin
+    to fat, fat to muscle.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def slab_model(
 
 
 def _side(half: float, margin: float, under: int, beside: int) -> Array:
-    """Places from the middle outwards: closer towards the face's edge, growing beyond it."""
+    """Node positions from the centre outwards: denser towards the face's edge, coarser beyond it."""
     inside = half * (1.0 - (1.0 - np.linspace(0.0, 1.0, under + 1)) ** _CLOSER)
     first = inside[-1] - inside[-2]
     sizes = first * _growth(first, margin, beside) ** np.arange(1, beside + 1)
@@ -95,7 +95,7 @@ def _side(half: float, margin: float, under: int, beside: int) -> Array:
 
 
 def _growth(step: float, margin: float, n: int) -> float:
-    """The ratio by which n cells grow from `step`, so that they fill the margin; 1 where even ones do."""
+    """The growth ratio with which n cells, starting from `step`, fill the margin; 1 if equal cells do."""
     if step * n >= margin:
         return 1.0
     return float(
@@ -104,7 +104,7 @@ def _growth(step: float, margin: float, n: int) -> float:
 
 
 def _heights(slab: Slab, counts: CellCounts) -> tuple[Array, IntArray]:
-    """Heights from the base (n + 1,) to z = 0, and the place in LAYERS of every row of cells (n,)."""
+    """Heights (n + 1,) from the base to z = 0, and the index in LAYERS of every row of cells (n,)."""
     borders = -np.cumsum([0.0, slab.skin, slab.fat, slab.muscle])
     rows, layer = [np.zeros(1)], []
     for k, n in enumerate((counts.skin, counts.fat, counts.muscle)):
@@ -114,7 +114,7 @@ def _heights(slab: Slab, counts: CellCounts) -> tuple[Array, IntArray]:
 
 
 def _grid(x: Array, y: Array, z: Array) -> tuple[Array, IntArray, IntArray]:
-    """Points, hexahedra, and the row through the thickness of each."""
+    """Points, hexahedra, and the row of each hexahedron through the thickness."""
     shape = (len(x), len(y), len(z))
     points = np.stack([axis.ravel() for axis in np.meshgrid(x, y, z, indexing="ij")], axis=1)
     number = np.arange(len(points)).reshape(shape)

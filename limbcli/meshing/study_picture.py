@@ -1,4 +1,4 @@
-"""A picture of a refinement study."""
+"""Picture of a mesh refinement study."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ def study_picture(
     depth: float,
     title: str,
 ) -> None:
-    """Force (N) at full depth against edge length and against tissue kept beyond the probe.
+    """Plot the force (N) at full depth against edge length and against the margin beyond the probe.
 
-    sizes, margins : (mm, N) pairs; used : the (size, margin) of the model itself
+    sizes, margins : (mm, N) pairs; used : (size, margin) of the model itself
     """
     figure = Figure(figsize=(11, 4.4), layout="constrained")
     FigureCanvasAgg(figure)
@@ -50,7 +50,7 @@ def _curve(
     depth: float,
     others: tuple[float, ...] = (0.0,),
 ) -> None:
-    """others : forces (N) that are to be seen, too"""
+    """others : further forces (N) that the axis must include"""
     x, force = zip(*sorted(pairs), strict=True)
     axes.plot(x, force, "o-", color="#1f4e79")
     mine = [(a, f) for a, f in pairs if a == used]

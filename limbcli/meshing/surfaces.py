@@ -1,4 +1,4 @@
-"""Triangle surfaces: reading, splitting into bodies, and their plain geometry."""
+"""Triangle surfaces: reading, splitting into bodies, and basic geometry."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SUFFIXES = (".ply", ".stl", ".obj", ".off", ".vtk", ".vtu")
 
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """A triangle surface: points (n, 3) mm, faces (m, 3) from 0, normals outward by the right hand."""
+    """A triangle surface: points (n, 3) mm, faces (m, 3) from 0, outward normals by the right-hand rule."""
 
     points: Array
     faces: IntArray
@@ -32,7 +32,7 @@ class Triangles:
 
     @property
     def area_vectors(self) -> Array:
-        """(m, 3) normals of length area (mm2)."""
+        """Face normals (m, 3) whose length is the area (mm2)."""
         a, b, c = np.moveaxis(self.corners, 1, 0)
         return 0.5 * np.cross(b - a, c - a)
 
@@ -54,21 +54,21 @@ class Triangles:
         return float(np.einsum("ij,ij->", self.centroids - self.points.mean(0), self.area_vectors) / 3)
 
     def moved(self, transform: Array) -> Triangles:
-        """Under a rigid 4 x 4 transform."""
+        """The surface after a rigid 4 x 4 transform."""
         return Triangles(self.points @ transform[:3, :3].T + transform[:3, 3], self.faces)
 
     def flipped(self) -> Triangles:
         return Triangles(self.points, self.faces[:, ::-1].copy())
 
     def part(self, keep: NDArray[Any]) -> Triangles:
-        """Only the faces marked or numbered by `keep`, with unused points left out."""
+        """The faces selected by `keep` (mask or indices), without unused points."""
         faces = self.faces[keep]
         used, inverse = np.unique(faces, return_inverse=True)
         return Triangles(self.points[used], inverse.reshape(-1, 3).astype(np.int64))
 
 
 def tetrahedron() -> Triangles:
-    """The unit corner tetrahedron, for examples."""
+    """The unit right-angled tetrahedron, for examples."""
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     return Triangles(points, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]))
 
@@ -83,7 +83,7 @@ def join(surfaces: list[Triangles]) -> Triangles:
 
 
 def read_surface(path: Path) -> Triangles:
-    """Read a triangle surface (PLY, STL, OBJ, ...), coordinates as they stand (mm).
+    """Read a triangle surface (PLY, STL, OBJ, ...); coordinates are taken as they are (mm).
 
     Raises
     ------
@@ -109,7 +109,7 @@ def read_surface(path: Path) -> Triangles:
 
 
 def merge_points(surface: Triangles, *, tolerance: float = 1e-7) -> Triangles:
-    """Equal points made one (within `tolerance` of the surface's size); faces without area left out."""
+    """Merge coincident points (within `tolerance` times the surface's size); drop degenerate faces."""
     size = float(np.ptp(surface.points, axis=0).max()) or 1.0
     keys = np.round((surface.points - surface.points.min(0)) / (tolerance * size)).astype(np.int64)
     _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
@@ -135,7 +135,7 @@ def bodies(surface: Triangles) -> list[Triangles]:
 
 
 def undirected(edges: IntArray) -> IntArray:
-    """One number an edge (n, 2), whichever way it runs: they sort as (smaller end, larger end) do.
+    """One integer key per edge (n, 2), independent of direction; keys sort like (smaller end, larger end).
 
     >>> undirected(np.array([[0, 3], [3, 0], [1, 2]])).tolist()
     [3, 3, 6]
@@ -145,7 +145,7 @@ def undirected(edges: IntArray) -> IntArray:
 
 
 def boundary_loops(surface: Triangles) -> list[IntArray]:
-    """Closed chains of point numbers along the edges that only one face has."""
+    """Closed chains of point indices along the edges that belong to only one face."""
     edges = surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     _, inverse, counts = np.unique(undirected(edges), return_inverse=True, return_counts=True)
     following: dict[int, list[int]] = {}

@@ -1,4 +1,4 @@
-"""The volume between the boundary's facets filled with tetrahedra, graded like them."""
+"""Fill the volume between the facets of the boundary with tetrahedra of the same grading."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from limbcli.meshing.remesh import Boundary, SizeField
 from limbcli.meshing.surfaces import Triangles, bodies
 from limbcli.model import Array, IntArray
 
-_BEYOND = 0.02  # mm
-_SPACING = 1.0  # of the wanted edge length: distance kept between interior points
+_BEYOND = 0.02  # mm: distance of a point in a void from its facet
+_SPACING = 1.0  # smallest distance between interior points, as a multiple of the target edge length
 
 
 @dataclass(frozen=True, eq=False)
 class Tetrahedra:
-    """points (n, 3): the boundary's first, in its order; cells (m, 4), positive volume; who made them."""
+    """points (n, 3), the boundary's first, in its order; cells (m, 4), positive volume; the mesher's name."""
 
     points: Array
     cells: IntArray
@@ -28,7 +28,7 @@ class Tetrahedra:
 
 
 def interior_points(boundary: Boundary, field: SizeField, *, seed: int = 7) -> Array:
-    """Points (n, 3) inside, about one wanted edge length apart and off the boundary (Poisson discs)."""
+    """Interior points (n, 3), about one target edge length apart (Poisson discs), off the boundary."""
     rng = np.random.default_rng(seed)
     grid = field.domain.skin.grid
     inside = field.domain.skin.values < 0
@@ -84,7 +84,7 @@ def tetgen_mesh(
     min_dihedral_deg: float = 12.0,
     time_limit_s: float = 30.0,
 ) -> Tetrahedra:
-    """TetGen in a process of its own (it may crash or run on), boundary facets kept as they are.
+    """Run TetGen in a separate process (it may crash or not terminate); boundary facets are preserved.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def _in_voids(surface: Triangles) -> list[list[float]]:
 def checked(
     nodes: Array, cells: IntArray, expected: float, maker: str, *, tolerance: float = 1e-3
 ) -> Tetrahedra:
-    """Cells of positive volume, nodes in use only at the end, if the whole `expected` (mm3) is filled."""
+    """Orient the cells to positive volume and check that they fill the whole `expected` volume (mm3)."""
     cells = np.asarray(cells, np.int64)[:, :4].copy()
     negative = volumes(nodes, cells) < 0
     cells[negative] = cells[negative][:, [0, 2, 1, 3]]

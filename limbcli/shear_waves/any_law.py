@@ -1,12 +1,12 @@
-"""Small plane waves in deformed tissue of any law, from the law's own tangent.
+"""Small-amplitude plane waves in deformed tissue of any law, from the law's own tangent.
 
-A wave along n (unit, in the deformed tissue) that moves the tissue along a adds
-a (x) N, N = F'n, to the deformation gradient F. With P = F S the reference stress,
+A wave along n (unit, in the deformed tissue) with polarisation a adds a (x) N, N = F'n, to the deformation
+gradient F. With P = F S, where S is the second Piola-Kirchhoff stress,
 
     rho0 v^2 = a.Q a,   Q_ik = N_J N_L dP_iJ/dF_kL = delta_ik N.S N + F_iM (N.CC.N)_MP F_kP
 
-and CC = dS/dE. Nothing is differentiated by steps, so mixtures, maps and exponential laws are
-as exact as their tangent.
+and CC = dS/dE. No finite differences are used, so mixtures, maps and exponential laws are as exact as their
+tangent.
 
 Source: Ogden 1984, Non-Linear Elastic Deformations, section 6.4.
 """
@@ -32,17 +32,17 @@ def acoustic_tensor(
 ) -> Array:
     """Q = J (c_ijkl + sigma_jl delta_ik) n_j n_l; its eigenvalues are rho0 v^2.
 
-    Load curves count as 1. A viscoelastic law answers as at once (its sum of g_i), a prestrained one with
-    the share r of its prestrain that its ramp states. Fibres that begin to be stretched count as
-    stretched, however wide the band over which a solver lets them come in: a wave along them stretches them
-    either way.
+    Load curves are taken as 1. A viscoelastic law responds instantaneously (with the sum of its g_i), a
+    prestrained one with the fraction r of its prestrain given by its ramp. Fibres at the onset of stretch
+    count as stretched, however wide the transition over which a solver engages them: a wave along them
+    stretches them in any case.
 
     Parameters
     ----------
     deformation_gradient : (n, 3, 3), det > 0
     direction : (3,) unit, in the deformed tissue
-    cells : (n,) numbers within the material's block of `n_cells`, where a parameter is a map
-    viscous : a viscoelastic law as it answers at once; else the elastic law that it wraps
+    cells : (n,) cell numbers within the material's block of `n_cells`, used if a parameter is a map
+    viscous : the instantaneous response of a viscoelastic law; if False, that of the elastic law it wraps
 
     Returns
     -------
@@ -73,7 +73,7 @@ def acoustic_tensor(
 
 
 def _prestrain(F0: Array, ramp: Value) -> Array:
-    """(1 - r) 1 + r F0, its load curve counted as 1.
+    """(1 - r) 1 + r F0, with its load curve taken as 1.
 
     >>> _prestrain(np.diag([1.2, 1.0, 0.8]), 0.5).diagonal().round(6)
     array([1.1, 1. , 0.9])
@@ -83,8 +83,10 @@ def _prestrain(F0: Array, ramp: Value) -> Array:
 
 
 def _past_the_jump(compiled: Compiled, par: Array, F: Array) -> tuple[Array, Array]:
-    """The law's numbers with the narrowest band for all fibres, and F, stretched by half a thousandth where a
-    fibre stands on the beginning of its stretch."""
+    """Law parameters with the narrowest fibre transition, and F moved off the onset of fibre stretch.
+
+    Where a fibre is exactly at the onset, F is scaled by 1.0005.
+    """
     par, on = par.copy(), np.zeros(len(F), dtype=bool)
     offset = 0
     for leaf in compiled.leaves:

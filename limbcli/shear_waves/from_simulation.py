@@ -1,4 +1,4 @@
-"""Shear-wave speed under the probe at simulated levels: maps as the scanner would show, and their means."""
+"""Shear-wave speed under the probe at simulated levels: maps as the scanner shows them, and their means."""
 
 from __future__ import annotations
 
@@ -23,11 +23,12 @@ AT_REST = -1
 
 @dataclass(frozen=True, eq=False)
 class PointStates:
-    """Where the tissue is that a scanner may show, and how it is deformed: at the integration points of the
-    elements that a simulation recorded. Speeds grow faster than in proportion to strain, so that those of an
-    element's mean strain are too low.
+    """Position and deformation of the tissue at the integration points of the recorded elements.
 
-    items (n,) : number of the element, over all blocks, that each point is in; rest (n, 3) mm, unloaded
+    Integration points are used because speed grows faster than linearly with strain, so that the speed at an
+    element's mean strain is too low.
+
+    items (n,) : number of the element, over all blocks, that contains each point; rest (n, 3) mm, unloaded
     """
 
     items: IntArray
@@ -57,8 +58,9 @@ class PointStates:
         return PointStates(np.concatenate(items), rest, tuple(found), moved)
 
     def at(self, row: int) -> tuple[Array, Array]:
-        """Positions (n, 3) mm and deformation gradients (n, 3, 3) at one of the simulation's times, or
-        AT_REST."""
+        """Positions (n, 3) mm and deformation gradients (n, 3, 3) at a time of the simulation, or at
+        AT_REST.
+        """
         if row == AT_REST:
             return self.rest, np.broadcast_to(np.eye(3), (len(self.rest), 3, 3))
         u = self._displacements.at(row)
@@ -69,9 +71,9 @@ class PointStates:
 
 @dataclass(frozen=True, eq=False)
 class NodeDisplacements:
-    """Of a simulation, at all nodes of the model: 0 where they were not recorded.
+    """Displacements of a simulation at all nodes of the model; 0 where they were not recorded.
 
-    items (n,) : recorded nodes; values (n_times, n, 3) mm; n_points : of the model
+    items (n,) : recorded nodes; values (n_times, n, 3) mm; n_points : number of nodes of the model
     """
 
     items: IntArray
@@ -96,7 +98,7 @@ class NodeDisplacements:
         raise _not_recorded("the displacements of all nodes")
 
     def at(self, row: int) -> Array:
-        """(n_points, 3) mm"""
+        """Displacements (n_points, 3) mm."""
         u = np.zeros((self.n_points, 3))
         u[self.items] = self.values[row]
         return u
@@ -114,14 +116,17 @@ def level_maps(
 ) -> list[SweMap]:
     """The map that the scanner would show at each row of the simulation's times (AT_REST: unloaded).
 
-    pixels : for each level those of its measured map (lateral, depth mm), or None for the window's.
-    face_depths : (n_times,) mm at which the window hangs, where that is not the probe's (it stands clear)
-    Read at the integration points of the recorded elements, from the recorded displacements of their nodes.
+    It is evaluated at the integration points of the recorded elements, from the recorded displacements of
+    their nodes.
+
+    pixels : for each level those of its measured map (lateral, depth mm), or None for those of the window
+    face_depths : (n_times,) mm, depth of the top of the window if it is not that of the probe (probe not in
+        contact)
 
     Raises
     ------
     MeasurementError
-        If the window holds no tissue at some level.
+        If the window contains no tissue at some level.
     """
     states = PointStates.of(model, simulation)
     depths, maps = simulation.probe_depth() if face_depths is None else face_depths, []
@@ -139,7 +144,7 @@ def mean_speeds(
     model: LimbModel, simulation: Simulation, rows: IntArray, *, density_kg_per_m3: float,
     window: Window = MEAN_WINDOW, face_depths: Array | None = None,
 ) -> Array:  # fmt: skip
-    """Mean over the scanner's window of the predicted speed, m/s (n_levels,); as `level_maps`."""
+    """Mean predicted speed over the scanner's window, m/s (n_levels,); arguments as in `level_maps`."""
     maps = level_maps(
         model, simulation, rows, density_kg_per_m3=density_kg_per_m3, window=window, face_depths=face_depths
     )
@@ -147,7 +152,7 @@ def mean_speeds(
 
 
 def _largest(tables: Iterable[Table]) -> Table:
-    """The one with the most elements."""
+    """The table with the most elements."""
     found = max(tables, key=lambda each: len(each.items), default=None)
     if found is None or not len(found.items):
         raise _not_recorded("elements")
@@ -166,7 +171,7 @@ def _not_recorded(what: str) -> MeasurementError:
 def _near(
     positions: Array, depth: float, window: Window, pixels: tuple[Array, Array] | None
 ) -> NDArray[np.bool_]:
-    """The points that some pixel may look at."""
+    """The points within reach of any pixel."""
     half, deep = window.half_width, window.depth_to
     if pixels is not None:
         half, deep = float(np.abs(pixels[0]).max()), float(pixels[1].max())

@@ -1,18 +1,18 @@
-"""Small plane waves in deformed tissue of the Ogden family, in closed form.
+"""Small-amplitude plane waves in deformed tissue of the Ogden family, in closed form.
 
 For an Ogden-type energy W = sum_k c_k/m_k^2 (sum_i l_i^{m_k} - 3 - m_k ln J) + kappa/2 (J-1)^2
-the acoustic tensor of a plane wave along the unit vector n in the deformed tissue,
-times J, is in the principal axes of b = F F'
+the acoustic tensor of a plane wave along the unit vector n in the deformed tissue, times J, is in the
+principal axes of b = F F'
 
     Q_pp = (l_p f'_p - 2 f_p) n_p^2 + sum_{q != p} G_pq n_q^2 + sum_q f_q n_q^2
     Q_pq = G_pq n_p n_q,   G_pq = (f_p l_q^2 - f_q l_p^2) / (l_p^2 - l_q^2)
 
-with f(l) = l dW/dl = sum_k c_k/m_k (l^{m_k} - 1), to which the volumetric part adds
-kappa J^2 n_p n_q. The latter acts along n only: a shear wave (polarised across n)
-does not feel kappa. Then rho0 v^2 = a.Q a for the polarisation a.
+with f(l) = l dW/dl = sum_k c_k/m_k (l^{m_k} - 1), to which the volumetric part adds kappa J^2 n_p n_q. The
+latter acts along n only: a shear wave (polarised perpendicular to n) is independent of kappa. Then rho0 v^2 =
+a.Q a for the polarisation a.
 
-Source: Ogden, Non-Linear Elastic Deformations (1984), ch. 6, small waves on a large
-static deformation; Destrade & Ogden 2010, J Acoust Soc Am 128:3334.
+Source: Ogden, Non-Linear Elastic Deformations (1984), ch. 6, small waves on a large static deformation;
+Destrade & Ogden 2010, J Acoust Soc Am 128:3334.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _COINCIDENT = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class OgdenTerms:
-    """Stiffness of an Ogden-type law: c (n_terms,) or (n_points, n_terms) MPa; m (n_terms,); kappa MPa."""
+    """Parameters of an Ogden-type law: c (n_terms,) or (n_points, n_terms) MPa; m (n_terms,); kappa MPa."""
 
     c: Array
     m: Array
@@ -38,17 +38,17 @@ class OgdenTerms:
 
     @staticmethod
     def one_pair(*, c: float, m: float, kappa: float = 0.0, weight: float = 0.5) -> OgdenTerms:
-        """The pair (weight c, m), ((1 - weight) c, -m): weight 1/2 is the law limbcli identifies."""
+        """The pair (weight c, m), ((1 - weight) c, -m); weight 1/2 gives the law that limbcli identifies."""
         return OgdenTerms(np.array([weight * c, (1 - weight) * c]), np.array([m, -m]), kappa)
 
     @staticmethod
     def of(material: Material) -> OgdenTerms:
-        """The terms of a `Material` with law "ogden" and plain numbers for parameters.
+        """The terms of a `Material` with law "ogden" and plain numbers as parameters.
 
         Raises
         ------
         MeasurementError
-            If the law is another one, or a parameter is a map or a curve.
+            If it is another law, or a parameter is a map or a curve.
         """
         terms = terms_of(material) if material.law == "ogden" else None
         if terms is None:
@@ -62,10 +62,11 @@ class OgdenTerms:
 
 
 def terms_of(material: Material, cells: IntArray | None = None) -> OgdenTerms | None:
-    """What a shear wave feels of a law of the Ogden family; neo-Hooke is Ogden's with m = 2.
+    """The shear terms of a law of the Ogden family; neo-Hooke is Ogden's law with m = 2.
 
-    cells : (n,) of the material's block, where its stiffness is a map: then c is (n, n_terms), else
-    (1, n_terms). None for other laws and where a parameter is a curve. kappa is left out.
+    cells : (n,) of the material's block; if the stiffness is a map, c is (n, n_terms), else (1, n_terms)
+
+    None for other laws, and if a parameter is a curve. kappa is omitted.
     """
     if material.law == "neo_hooke" and isinstance(material.parameters["mu"], int | float):
         return OgdenTerms(np.array([2 * float(material.parameters["mu"])]), np.array([2.0]))
@@ -87,11 +88,11 @@ def terms_of(material: Material, cells: IntArray | None = None) -> OgdenTerms | 
 
 
 def principal_modulus(terms: OgdenTerms, along: Array, moving: Array) -> Array:
-    """rho0 v^2 (n,) MPa of the wave along one principal axis that moves the tissue along another.
+    """rho0 v^2 (n,) MPa of the wave along one principal axis that is polarised along another.
 
-    rho0 v^2 = l^2 (f(l) - f(q)) / (l^2 - q^2), f(l) = sum c_k / m_k l^(m_k), of the stretches l and q;
-    `acoustic_tensor` gives the same for principal axes along the wave. along, moving (n,) > 0; c_k alike
-    everywhere.
+    rho0 v^2 = l^2 (f(l) - f(q)) / (l^2 - q^2), f(l) = sum c_k / m_k l^(m_k), with the stretches l along the
+    wave and q along the polarisation; `acoustic_tensor` gives the same for a wave along a principal axis.
+    along, moving (n,) > 0; the c_k must be uniform.
 
     Source: Ogden 1984, Non-Linear Elastic Deformations, eq. 6.4.21 ff.
 
@@ -99,7 +100,8 @@ def principal_modulus(terms: OgdenTerms, along: Array, moving: Array) -> Array:
     array([0.004  , 0.00488])
     """
     c, m = np.atleast_2d(terms.c)[:1], terms.m
-    middle = 0.5 * np.log(np.asarray(along) * moving)[:, None]  # powers as hyperbolic functions: no 0 / 0
+    # powers are written as hyperbolic functions to avoid 0 / 0
+    middle = 0.5 * np.log(np.asarray(along) * moving)[:, None]
     half = 0.5 * np.log(np.asarray(along) / moving)[:, None]
     rise = np.sum(c / m * np.exp(m * middle) * _sinh_ratio(m * half) * m, axis=1)
     return np.asarray(along**2 * rise / (2.0 * np.exp(2.0 * middle) * _sinh_ratio(2.0 * half))[:, 0])
@@ -121,7 +123,7 @@ def acoustic_tensor(
     ----------
     deformation_gradient : (n_points, 3, 3), det > 0
     direction : (3,) or (n_points, 3), unit, in the deformed tissue
-    volumetric : with the part of kappa; leave it out for shear waves alone
+    volumetric : include the contribution of kappa; not needed for shear waves
 
     Returns
     -------
@@ -130,7 +132,7 @@ def acoustic_tensor(
     Raises
     ------
     MeasurementError
-        If a deformation gradient is not finite or turns an element inside out.
+        If a deformation gradient is not finite or has a non-positive determinant.
     """
     F = np.asarray(deformation_gradient, dtype=float)
     _check_invertible(F)
@@ -173,7 +175,7 @@ def _principal(stretch: Array, terms: OgdenTerms) -> tuple[Array, Array]:
 
 
 def _shear_terms(stretch: Array, f: Array, slope: Array) -> Array:
-    """G_pq (n_points, 3, 3), zero on the diagonal; its limit where two stretches meet."""
+    """G_pq (n_points, 3, 3), zero on the diagonal; the limit is used where two stretches coincide."""
     square = stretch**2
     difference = square[:, :, None] - square[:, None, :]
     meet = np.abs(difference) < _COINCIDENT * square[:, :, None]

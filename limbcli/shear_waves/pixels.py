@@ -1,7 +1,7 @@
-"""What the scanner would show of a simulated tissue: wave speeds on the pixels of its window.
+"""What the scanner would show of simulated tissue: wave speeds on the pixels of its window.
 
-Positions are in the site's frame (x along the probe's long side, z outward); the
-window hangs below the probe face and moves with it.
+Positions are in the site's frame (x along the probe's long side, z outward); the window is fixed to the probe
+face and moves with it.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from limbcli.errors import MeasurementError
 from limbcli.measurement.elastography import SweMap
 from limbcli.model import Array, IntArray
 
-_FEWEST, _MOST = 32, 400  # elements that a pixel is fitted to
-_REACH = 2.5  # of the Gaussian, in its standard deviations
+_FEWEST, _MOST = 32, 400  # smallest and largest number of elements used in the fit at a pixel
+_REACH = 2.5  # cut-off of the Gaussian, in standard deviations
 
 
 @dataclass(frozen=True)
 class Window:
     """The scanner's region of interest: centred under the probe, mm.
 
-    smoothing : full width at half maximum of the averaging; elevation : half thickness of the slice.
+    smoothing : full width at half maximum of the averaging; elevation : half thickness of the slice
     """
 
     half_width: float = 12.0
@@ -36,7 +36,7 @@ class Window:
 
     @property
     def slice_reach(self) -> float:
-        """mm to either side of the image plane, as far as pixels average."""
+        """Distance (mm) on either side of the image plane over which pixels average."""
         return self.elevation + self.smoothing
 
     def pixels(self) -> tuple[Array, Array]:
@@ -56,19 +56,18 @@ def predict_map(
     window: Window = Window(),
     pixels: tuple[Array, Array] | None = None,
 ) -> SweMap:
-    """Speeds at elements, averaged onto the window's pixels.
+    """Average speeds at elements onto the window's pixels.
 
-    Each pixel takes the value at its centre of a local linear fit to the speeds
-    around it, with Gaussian weights of the window's smoothing: a speed that is linear in
-    space comes out exactly, at edges too. Pixels outside the tissue (bone, beyond the
-    model) and places without a wave are left out.
+    Each pixel takes the value at its centre of a local linear fit to the surrounding speeds, with Gaussian
+    weights of the window's smoothing: a linear speed field is reproduced exactly, at edges too. Pixels
+    outside the tissue (bone, beyond the model) and points where no wave propagates are omitted.
 
     Parameters
     ----------
     positions : (n_elements, 3) mm, in the deformed tissue, site frame
-    speed_m_per_s : (n_elements,), NaN where no wave runs
+    speed_m_per_s : (n_elements,), NaN where no wave propagates
     face_height : z of the probe face, mm
-    pixels : lateral and depth of other pixels than the window's own, say of a measured map, mm
+    pixels : lateral and depth of pixels other than the window's own, such as those of a measured map, mm
 
     Raises
     ------
@@ -88,9 +87,9 @@ def predict_map(
 
 @dataclass(frozen=True, eq=False)
 class PixelAverages:
-    """How pixels average what elements hold: a linear map of the elements' values.
+    """The averaging from elements to pixels, as a linear map of the element values.
 
-    inside (n_pixels,) bool: in the tissue; index, weight (n_inside, k): elements and what each counts
+    inside (n_pixels,) bool: in the tissue; index, weight (n_inside, k): elements and their weights
     """
 
     inside: NDArray[np.bool_]
@@ -98,7 +97,7 @@ class PixelAverages:
     weight: Array
 
     def __call__(self, values: Array) -> Array:
-        """Of values (n_elements,) or (n_elements, q), those of all pixels (n_pixels, ...); NaN outside."""
+        """Values (n_elements,) or (n_elements, q) averaged to all pixels (n_pixels, ...); NaN outside."""
         out = np.full((len(self.inside), *values.shape[1:]), np.nan)
         out[self.inside] = np.einsum("pk,pk...->p...", self.weight, values[self.index])
         return out
@@ -125,7 +124,7 @@ def pixel_averages(
     counts = tree.query_ball_point(targets, _REACH * sigma, return_length=True)
     count = min(int(np.clip(np.max(counts), _FEWEST, _MOST)), len(points))
     distance, index = tree.query(targets, k=count)
-    spacing = tree.query(points[index[:, 0]], k=9)[0][:, 8]  # local: meshes are graded
+    spacing = tree.query(points[index[:, 0]], k=9)[0][:, 8]  # local spacing, because meshes are graded
     reach = np.maximum(spacing, window.pixel)
     inside = _surrounded(points, targets, distance, index, reach=reach)
     if not inside.any():
@@ -145,7 +144,7 @@ def _no_pixel(face_height: float) -> MeasurementError:
 def _surrounded(
     points: Array, targets: Array, distance: Array, index: Array, *, reach: Array
 ) -> NDArray[np.bool_]:
-    """(n_targets,) bool: an element is near, and the nearest eight are not a cluster far off."""
+    """(n_targets,) bool: an element is near, and the nearest eight do not form a distant cluster."""
     offset = points[index[:, :8]] - targets[:, None, :]
     center = np.linalg.norm(offset.mean(axis=1), axis=1)
     spread = np.linalg.norm(offset - offset.mean(axis=1, keepdims=True), axis=2).mean(axis=1)
@@ -153,7 +152,7 @@ def _surrounded(
 
 
 def _local_linear(offset: Array, *, sigma: float) -> Array:
-    """Weights (n, k) of values at offsets (n, k, 3), that give the value at 0 of a weighted linear fit."""
+    """Weights (n, k) of values at offsets (n, k, 3) that give the value at 0 of a weighted linear fit."""
     weight = np.exp(-0.5 * np.sum((offset / sigma) ** 2, axis=2)) + 1e-9
     design = np.concatenate([np.ones((*weight.shape, 1)), offset], axis=2)
     weighted = weight[:, :, None] * design

@@ -1,13 +1,12 @@
-"""Speed of the shear wave that a scanner sees, in deformed tissue of any law.
+"""Speed of the shear wave measured by a scanner, in deformed tissue of any law.
 
-This module chooses the formula. The Ogden family, stiffness maps included, has the closed form
-of `ogden`, in which kappa never appears; every other law (fibres, contraction, mixtures,
-curves) has the law's tangent, `any_law`. On the laws that both hold they agree.
+This module chooses the formula. The Ogden family, including stiffness maps, uses the closed form of `ogden`,
+which is independent of kappa; every other law (fibres, contraction, mixtures, curves) uses the law's tangent,
+`any_law`. On laws that both can handle they agree.
 
-Which of the two shear waves is meant is the `Mode`. A fit and a simulated subject without hidden effects
-take the eigenmode; a diagnosis and hidden effects take the wave polarised along the beam, which
-stays smooth where the eigenmodes swap. In a plane of symmetry they are one; at 15 % of random
-shear they differ by 0.7 % (median).
+`Mode` selects one of the two shear waves. A fit and a simulated subject without hidden effects use the
+eigenmode; a diagnosis and hidden effects use the wave polarised along the beam, which stays smooth where the
+eigenmodes swap. In a plane of symmetry they coincide; at 15 % of random shear they differ by 0.7 % (median).
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ _ALONG_PROBE = (1.0, 0.0, 0.0)
 
 
 def element_speeds(model: LimbModel, F: Array, items: IntArray, *, density_kg_per_m3: float) -> Array:
-    """Speed (m/s) of the wave along x moving along z in solid cells `items` (numbered over all blocks).
+    """Speed (m/s) of the wave along x, polarised along z, in solid cells `items` (numbered over all blocks).
 
     F : (n, 3, 3).
     """
@@ -47,10 +46,10 @@ def element_speeds(model: LimbModel, F: Array, items: IntArray, *, density_kg_pe
 def block_speeds(
     model: LimbModel, material: str, F: Array, cells: IntArray, *, density_kg_per_m3: float = 1000.0
 ) -> Array:
-    """The polarised wave's speed (m/s) at `cells` of a material's block, as a diagnosis reads it.
+    """Speed (m/s) of the polarised wave at `cells` of a material's block, as used in a diagnosis.
 
-    F : (n, 3, 3), det > 0. A viscoelastic law counts as the elastic one it wraps: its relaxation
-    belongs to the readings. NaN where no wave can run.
+    F : (n, 3, 3), det > 0. A viscoelastic law is replaced by the elastic law it wraps: its relaxation is
+        treated as part of the readings. NaN where no wave can propagate.
     """
     block = next(each.block for each in model.domains if each.material == material)
     return material_speeds(
@@ -63,9 +62,9 @@ def material_speeds(
     material: Material, F: Array, cells: IntArray, *, n_cells: int, density_kg_per_m3: float = 1000.0,
     mode: Mode = "eigenmode", viscous: bool = True,
 ) -> Array:  # fmt: skip
-    """Speed (n,) m/s of the wave along x moving along z in one material.
+    """Speed (n,) m/s of the wave along x, polarised along z, in one material.
 
-    cells : (n,) numbers within the material's block of `n_cells`
+    cells : (n,) cell numbers within the material's block of `n_cells`
     viscous : as in `any_law.acoustic_tensor`
     """
     elastic = material.parts[0] if material.law == "viscoelastic" and not viscous else material
@@ -87,16 +86,16 @@ def wave_speed_m_per_s(
     density_kg_per_m3: float = 1000.0,
     mode: Mode = "eigenmode",
 ) -> Array:
-    """Ogden family: the shear wave that runs along `direction` and moves the tissue along `polarisation`.
+    """Ogden family: speed of the shear wave along `direction` with the given `polarisation`.
 
-    In the probe's frame that is along x, moving along z (the beam). "polarised" is
-    rho0 v^2 = a.Q a; "eigenmode" takes, of the two shear waves across the direction, the
-    one that moves most along the polarisation. They agree in a plane of symmetry. Neither
-    feels kappa (the tissue is nearly incompressible: corrections are of order mu / kappa).
+    In the probe's frame the wave runs along x and is polarised along z (the beam). "polarised" is rho0 v^2 =
+    a.Q a; "eigenmode" takes, of the two shear waves perpendicular to the direction, the one that is most
+    nearly parallel to the polarisation. They agree in a plane of symmetry. Both are independent of kappa (the
+    tissue is nearly incompressible: corrections are of order mu / kappa).
 
     Returns
     -------
-    (n_points,) m/s; NaN where no wave can run (rho0 v^2 <= 0, the tissue buckles).
+    (n_points,) m/s; NaN where no wave can propagate (rho0 v^2 <= 0, the tissue buckles).
 
     >>> terms = OgdenTerms.one_pair(c=0.008, m=6.0)
     >>> wave_speed_m_per_s(np.eye(3)[None], terms)
@@ -117,7 +116,7 @@ def shear_speed_m_per_s(
     density_kg_per_m3: float = 1000.0,
     mode: Mode = "eigenmode",
 ) -> Array:
-    """As `wave_speed_m_per_s`, of acoustic tensors J Q (n_points, 3, 3) MPa for `direction`."""
+    """As `wave_speed_m_per_s`, from acoustic tensors J Q (n_points, 3, 3) MPa for `direction`."""
     n = np.array(direction) / np.linalg.norm(direction)
     a = np.array(polarisation, dtype=float)
     a -= (a @ n) * n
