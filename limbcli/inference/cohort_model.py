@@ -1,12 +1,10 @@
-"""Model of one row of a cohort, treated as a layered slab: readings predicted from the tissue, and their
-noise.
+"""Model of the rows of a cohort as layered slabs: readings predicted from the tissue, and their noise.
 
 Tissue: theta = ln c_muscle (MPa), ln c_fat (MPa), ln m. Readings of a row, at the largest strain it reached:
 
-    ln of largest force over (face, strain)            overall stiffness
-    ln of the secant stiffness over the fitted one     stiffening, which determines m
-    fraction of the shortening of fat and muscle       which of the two layers is softer
-    that is fat's
+    ln of largest force over (face, strain)              overall stiffness
+    ln of the secant's slope over that of the line       stiffening, which determines m
+    fat's fraction of the shortening of fat and muscle   which of the two layers is softer
 
 The shortening of the skin is compared with the prediction of the slab but not used in the fit, because the
 skin's stiffness is fixed.

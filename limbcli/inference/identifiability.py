@@ -1,4 +1,4 @@
-"""How certain a fit is: standard errors, correlations, and a verdict in plain words for each parameter."""
+"""How certain a fit is: standard errors, correlations, and a verdict for each parameter."""
 
 from __future__ import annotations
 

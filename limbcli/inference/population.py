@@ -52,8 +52,12 @@ _LEAST_TOLD = 0.01  # lower limit of an eigenvalue of the information, in rows; 
 
 @dataclass(frozen=True, eq=False)
 class Population:
-    """Estimated population: mean (p,), spread (p, p) covariance, standard errors of the means and of the
-    standard deviations (p,)."""
+    """Estimated population.
+
+    mean : (p,)
+    spread : (p, p) covariance
+    mean_error, deviation_error : (p,) standard errors of the means and of the standard deviations
+    """
 
     mean: Array
     spread: Array

@@ -98,8 +98,7 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
 
 
 def laws(page: ReportData) -> Reportlet | None:
-    """The laws by their error on held-out levels; None if they were not compared, or the result is out of
-    date."""
+    """The laws by their error on held-out levels; None if they were not compared, or a later run failed."""
     outcome = page.outcomes.maybe("fit-joint")
     result = outcome.usable if outcome is not None else None
     if result is None or not result.data.get("laws"):
