@@ -101,8 +101,9 @@ def fit_joint(
     wait: bool = True,
     progress: Heard = None,
 ) -> JointFitResult:
-    """Identify one set of parameters for several sites from depth and wave speed (`limbcli fit --objective
-    joint`).
+    """Identify one set of parameters for several sites by depth and wave speed.
+
+    The command is `limbcli fit --objective joint`.
 
     Parameters
     ----------
@@ -143,8 +144,9 @@ def fit_states(
     wait: bool = True,
     progress: Heard = None,
 ) -> SiteResults[StatesFitResult]:
-    """Identify one law, and the stretch of each state, for each site with states (`limbcli fit --objective
-    states`).
+    """Identify one law, and the stretch of each state, for each site with states.
+
+    The command is `limbcli fit --objective states`.
 
     Parameters
     ----------

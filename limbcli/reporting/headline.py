@@ -24,7 +24,7 @@ def headline(
 
     low, high : 95 % interval; None where it is open
     computed : False if no interval was computed
-    flag : flag of the verdict
+    flag : flag of the verdict (`inference.identifiability`)
     why : its sentence, which names the bound
 
     >>> headline(5.98, 5.5, 6.4, "identified"), headline(1000.0, 3.3, None, "at bound")
