@@ -1,4 +1,4 @@
-"""What every result has in common, and results of several sites together."""
+"""Base class of all results, and results of several sites together."""
 
 from __future__ import annotations
 
@@ -18,35 +18,35 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Result(Tabular):
-    """What a stage left: its numbers as attributes, and everything else it wrote.
+    """Result of a stage: its numbers as attributes, and all its other output.
 
     Attributes
     ----------
-    stage_result : the same as plain values: `stage_result.data` is the content of the stage's JSON file
+    stage_result : the result as plain values; `stage_result.data` is the content of the stage's JSON file
     """
 
     stage: ClassVar[str] = ""
     stage_result: StageResult = field(repr=False)
 
     def __post_init__(self) -> None:
-        """Paths lead to the same place from any working folder."""
+        """Make paths absolute, so that they stay valid if the working folder changes."""
         home = replace(self.stage_result, folder=self.stage_result.folder.absolute())
         object.__setattr__(self, "stage_result", home)
         whole_paths(self)
 
     @classmethod
     def of(cls, found: StageResult) -> Self:
-        """From what a stage returned."""
+        """Build from what a stage returned."""
         return cls(found)
 
     @classmethod
     def read(cls, out: PathLike, site: str | None = None) -> Self:
-        """What an earlier run left in the output folder `out`.
+        """The result that an earlier run wrote to the output folder `out`.
 
         Raises
         ------
         CaseError
-            If the stage has not been run for that site, or what it left cannot be read.
+            If the stage has not been run for that site, or its result cannot be read.
         """
         _refuse_other_site(folder_of(out), cls.stage, site)
         return cls.of(read_result(folder_of(out), cls.stage, site=site))
@@ -58,27 +58,27 @@ class Result(Tabular):
 
     @property
     def site(self) -> str | None:
-        """The site's name; None where the result is the whole subject's."""
+        """The site's name; None for a result of the whole subject."""
         return self.stage_result.site
 
     @property
     def folder(self) -> Path:
-        """Where the stage's files lie."""
+        """Folder of the stage's files."""
         return self.stage_result.folder
 
     @property
     def files(self) -> Mapping[str, Path]:
-        """Every file that was left, by its short name."""
+        """All files of the result, by short name."""
         return {name: self.stage_result.path(name) for name in self.stage_result.files}
 
     @property
     def summary(self) -> tuple[str, ...]:
-        """The findings, one a line, as the command line prints them."""
+        """The findings, one per line, as the command line prints them."""
         return self.stage_result.summary
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What may be wrong with the result; those of earlier stages go with it."""
+        """What may be wrong with the result, including the warnings of earlier stages."""
         return self.stage_result.warnings
 
     @property
@@ -99,20 +99,20 @@ class Result(Tabular):
         return "\n  ".join([f"{self.stage_result.label}: {self.folder}", *lines])
 
     def _named(self, row: Row) -> dict[str, Any]:
-        """The row, with whose it is in front."""
+        """The row, preceded by subject and site."""
         site = {"site": self.site} if self.site else {}
         return {"subject": self.subject, **site, **plain(row)}
 
 
 def whole_paths(result: Any) -> None:
-    """Make the paths of a frozen dataclass lead to the same places from any working folder."""
+    """Make the paths of a frozen dataclass absolute."""
     for each in fields(result):
         if isinstance(path := getattr(result, each.name), Path):
             object.__setattr__(result, each.name, path.absolute())
 
 
 def _refuse_other_site(out: Path, stage: str, site: str | None) -> None:
-    """A site that was not named, misspelt, or named in vain, where the stage has been run."""
+    """Raise CaseError where the stage has been run, but the site is missing, misspelt or not applicable."""
     sites = sorted(each.parent.name for each in (out / stage).glob(f"*/{stage}.json"))
     if (stage_folder(out, stage, site) / f"{stage}.json").is_file():
         return
@@ -129,11 +129,11 @@ AnyResult = TypeVar("AnyResult", bound=Result)
 
 @dataclass(frozen=True, eq=False)
 class SiteResults(Tabular, Sequence[AnyResult], Generic[AnyResult]):
-    """One result a site, in the order of the case: by number, by site name, or all as one table.
+    """One result per site, in the order of the case; accessible by number, by site name, or all as one table.
 
     Attributes
     ----------
-    results : the results themselves
+    results : the results of the sites
     """
 
     results: tuple[AnyResult, ...]
@@ -158,7 +158,7 @@ class SiteResults(Tabular, Sequence[AnyResult], Generic[AnyResult]):
         )
 
     def __contains__(self, key: object) -> bool:
-        """Whether there is a result of the site of that name; a result itself is looked for, too."""
+        """Whether there is a result of the site of that name, or whether that result itself is included."""
         return any(each is key or (each.site is not None and each.site == key) for each in self.results)
 
     def __len__(self) -> int:
@@ -168,7 +168,7 @@ class SiteResults(Tabular, Sequence[AnyResult], Generic[AnyResult]):
         return iter(self.results)
 
     def rows(self) -> list[dict[str, Any]]:
-        """The rows of all results, one after the other."""
+        """The rows of all results, concatenated."""
         return [row for each in self.results for row in each.rows()]
 
     def __str__(self) -> str:
@@ -176,5 +176,5 @@ class SiteResults(Tabular, Sequence[AnyResult], Generic[AnyResult]):
 
 
 def by_site(kind: type[AnyResult], found: Iterable[StageResult]) -> SiteResults[AnyResult]:
-    """What a stage returned, as results of this kind."""
+    """Results of this class, built from what a stage returned."""
     return SiteResults(tuple(kind.of(each) for each in found))

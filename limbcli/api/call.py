@@ -1,4 +1,4 @@
-"""How every function begins: the case opened, the output folder taken, faults put into words."""
+"""Common entry of all functions: open the case, lock the output folder, and convert errors."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ _Given = TypeVar("_Given")
 
 
 def records_call(function: Callable[_Taken, _Given]) -> Callable[_Taken, _Given]:
-    """A public function whose results say how it was called, as a command's say the command."""
+    """Decorator of a public function that records the call in its results, as a command records its command
+    line."""
 
     @functools.wraps(function)
     def calling(*args: _Taken.args, **kwargs: _Taken.kwargs) -> _Given:
@@ -56,7 +57,7 @@ def _in_words(value: object) -> str:
 
 @dataclass(frozen=True)
 class StageCall:
-    """What a stage is called with."""
+    """Arguments common to all stage calls."""
 
     case: Case
     out: Path
@@ -72,14 +73,16 @@ def at_work(
     progress: Heard,
     opening: Callable[[Path], Case] = Case.open,
 ) -> Iterator[StageCall]:
-    """The case, and its output folder to write into alone; opening : of a case that is named by its folder.
+    """Open the case and lock its output folder for writing.
+
+    opening : opens a case that is given by its folder
 
     Raises
     ------
     CaseError
-        If the case cannot be used, or another writes into the folder and `wait` is False.
+        If the case cannot be used, or another process writes into the folder and `wait` is False.
     ToolError
-        If the disk is full or the memory does not suffice.
+        If the disk is full or there is not enough memory.
     """
     with foreseen():
         opened = _still_there(case) if isinstance(case, Case) else opening(folder_of(case, "case"))
@@ -101,7 +104,7 @@ def _still_there(case: Case) -> Case:
 
 @contextlib.contextmanager
 def foreseen() -> Iterator[None]:
-    """Faults of the file system and a lack of memory inside the block become errors with a way out."""
+    """Convert file-system errors and lack of memory inside the block into errors that give a fix."""
     try:
         yield
     except OSError as error:
@@ -114,12 +117,12 @@ def foreseen() -> Iterator[None]:
 
 
 def listening(progress: Heard) -> Progress:
-    """A listener `f(kind, facts)` as the stages hear of it; None hears nothing.
+    """Adapt a listener `f(kind, facts)` to the stages' interface; None: no listener.
 
     Raises
     ------
     CaseError
-        If it cannot be called.
+        If it is not callable.
     """
     if progress is None:
         return SILENT
@@ -135,12 +138,12 @@ def listening(progress: Heard) -> Progress:
 
 
 def folder_of(path: PathLike, name: str = "out") -> Path:
-    """A path that the caller gave; `~` is the home folder.
+    """Path given by the caller, with `~` expanded to the home folder.
 
     Raises
     ------
     CaseError
-        If it is none.
+        If it is not a path.
     """
     if isinstance(path, str | os.PathLike):
         return at_home(Path(path))
@@ -153,12 +156,12 @@ def maybe_path(path: PathLike | None, name: str) -> Path | None:
 
 
 def names_of(sites: str | Iterable[str] | None, name: str = "sites") -> list[str] | None:
-    """Names that the caller gave; None: all.
+    """Names given by the caller; None: all.
 
     Raises
     ------
     CaseError
-        If they are no names, or none at all: an empty selection does not mean everything.
+        If they are not names, or the selection is empty: an empty selection does not mean all.
 
     >>> names_of("p1"), names_of(("p1", "p2")), names_of(None)
     (['p1'], ['p1', 'p2'], None)

@@ -1,4 +1,4 @@
-"""batch and cohort: many cases through all stages, and a table of many people."""
+"""batch and cohort: run many cases through all stages, and analyse a table of many people."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FailedStage:
-    """What failed of a case, and why.
+    """A failed stage of a case, and the reason.
 
     Attributes
     ----------
-    stage : such as "fit"; "" where the case could not be begun, or an expectation does not hold
-    site : None where it is the whole subject's
+    stage : name such as "fit"; "" where the case could not be started or an expectation is not met
+    site : None for a stage of the whole subject
     error : with message, where and fix
     """
 
@@ -50,15 +50,15 @@ class FailedStage:
 
 @dataclass(frozen=True)
 class CaseResult(Tabular):
-    """How one case of a batch went. `table()` has one row.
+    """Outcome of one case of a batch. `table()` has one row.
 
     Attributes
     ----------
     case, out : its folder, and its output folder
-    ran, fresh : stages (and sites) that were run, and that nothing had changed of
-    failures : empty where all went well
-    expected : comparisons with its expected.toml, in words; empty where none was asked for
-    report : its page; None where there is none
+    ran, fresh : stages (and sites) that were run, and those that were up to date
+    failures : empty if nothing failed
+    expected : comparisons with its expected.toml, in words; empty if not requested
+    report : its report page; None if there is none
     """
 
     case: Path
@@ -99,12 +99,12 @@ class CaseResult(Tabular):
 
 @dataclass(frozen=True)
 class BatchResult(Tabular):
-    """How the cases of a batch went. `table()` has a row a case.
+    """Outcome of the cases of a batch. `table()` has one row per case.
 
     Attributes
     ----------
     cases : in the order in which they were given
-    index : the page that lists all; None of a single case, or where none left anything to list
+    index : page that lists all cases; None for a single case, or if no case has results to list
     """
 
     cases: tuple[CaseResult, ...]
@@ -133,13 +133,13 @@ class BatchResult(Tabular):
 
 @dataclass(frozen=True, eq=False)
 class CohortResult(Result):
-    """Tissue of many people. `table()` has a row a row of the table that was used.
+    """Tissue of many people. `table()` has one row per row of the table that was used.
 
     Attributes
     ----------
-    page : to be opened in a browser
-    sites : by site the population's mean and spread, as in cohort.json
-    compliance_left_out : how well the compliance of people left out is predicted, as in cohort.json
+    page : HTML page of the results
+    sites : mean and spread of the population by site, as in cohort.json
+    compliance_left_out : prediction error of the compliance of held-out people, as in cohort.json
     """
 
     stage: ClassVar[str] = "cohort"
@@ -154,7 +154,7 @@ class CohortResult(Result):
 
     @classmethod
     def read(cls, out: PathLike, site: str | None = None) -> Self:
-        """What an earlier run left in `out`; `site` must be None.
+        """The result that an earlier run wrote to `out`; `site` must be None.
 
         Raises
         ------
@@ -194,31 +194,33 @@ def batch(
     wait: bool = True,
     progress: Heard = None,
 ) -> BatchResult:
-    """All stages of one or more cases, from images to report; redoes only what changed.
+    """Run all stages of one or more cases, from images to report; only what changed is redone.
 
     Parameters
     ----------
-    cases : one case or several; each once
-    out : output folder of a single case; of several the folder that holds one a case, and an index page
-    element : None: each case's own
-    solver, febio : as of `run`; templates : as of `report`
-    force : redo every stage, also where nothing changed
-    defaults : forget the options that stages were called with by hand
-    diagnose : diagnose every place, too, once it is fitted
-    expect : compare with the expected.toml of each case that has one; what does not hold is a failure
-    jobs : processes side by side; None: of several cases as many as cores and memory allow. In a script
-        that Python starts itself, more than one needs the call below `if __name__ == "__main__":`
-    scheduler : address of a running Dask cluster that does the work
-    wait, progress : as of `segment`
+    cases : one case or several, each given once
+    out : output folder of a single case; for several cases, the folder that holds one output folder per case
+        and an index page
+    element : None: as in each case
+    solver, febio : as for `run`
+    templates : as for `report`
+    force : redo all stages, including those that are up to date
+    defaults : ignore the options with which stages were last called manually
+    diagnose : also diagnose each site once it is fitted
+    expect : compare with the expected.toml of each case that has one; a mismatch counts as a failure
+    jobs : number of parallel processes; None: for several cases, as many as cores and memory allow. More than
+        one needs the call in a script to be below `if __name__ == "__main__":`
+    scheduler : address of a running Dask cluster to use
+    wait, progress : as for `segment`
 
-    A case that fails does not stop the others and raises nothing: look at `ok` and at `failures`.
+    A case that fails does not stop the others and raises nothing: check `ok` and `failures`.
 
     Raises
     ------
     CaseError
-        If no case is given, an argument cannot be used, or two cases would have one output folder.
+        If no case is given, an argument is invalid, or two cases would have the same output folder.
     ToolError
-        If Dask is not installed, no scheduler answers, or it is lost on the way.
+        If Dask is not installed, no scheduler answers, or the connection to it is lost.
     """
     one_of("batch", SOLVERS, solver=solver)
     one_of("batch", ("tet10", "tet4"), element=element)
@@ -252,12 +254,12 @@ def batch(
 
 
 def _folders(cases: CaseLike | Iterable[CaseLike]) -> list[Path]:
-    """Of one case or several.
+    """Folders of one case or several.
 
     Raises
     ------
     CaseError
-        If there is none, or one is no path.
+        If there is none, or one is not a path.
     """
     one = isinstance(cases, Case | str) or not isinstance(cases, Iterable)
     several = [cases] if one else list(cases)  # type: ignore[arg-type]
@@ -269,7 +271,7 @@ def _folders(cases: CaseLike | Iterable[CaseLike]) -> list[Path]:
 def _case_result(
     case: Path, target: Path, outcome: CaseOutcome, *, expect: bool, heard: Progress
 ) -> CaseResult:
-    """How a case went, held against its expected.toml where that is asked for."""
+    """Result of a case, compared with its expected.toml if requested."""
     from limbcli.stages.batch_cases import expectations
 
     wanted = expect and outcome.begun
@@ -282,7 +284,8 @@ def _case_result(
 
 
 def _index(folder: Path, templates: Path | None, heard: Progress) -> Path | None:
-    """The page that lists all; None where no case left anything to list: their failures say why."""
+    """Write the page that lists all cases; None if no case has results to list, as their failures give the
+    reasons."""
     from limbcli.stages.report_pages.index import report_index
 
     try:
@@ -302,22 +305,23 @@ def cohort(
     wait: bool = True,
     progress: Heard = None,
 ) -> CohortResult:
-    """Tissue of many people from layers, force and slope: no limb, no MRI, no wave speeds needed.
+    """Estimate the tissue of many people from layers, force and slope; no limb model, MRI or wave speeds
+    needed.
 
     Parameters
     ----------
-    table : a CSV with a row a person and site; docs/cohort.md says what its columns hold
+    table : a CSV file with one row per person and site; docs/cohort.md describes its columns
     out : output folder; None: out/<name of the table>
-    seed : of the folds and of the sampling
-    templates : a folder of Jinja templates that come before ours
-    wait, progress : as of `segment`
+    seed : of the cross-validation folds and the sampling
+    templates : a folder of Jinja templates that take precedence over the built-in ones
+    wait, progress : as for `segment`
 
     Raises
     ------
     MeasurementError
-        If the table cannot be used; every problem is named with its line.
+        If the table cannot be used; each problem is reported with its line.
     CaseError, ToolError
-        If the folder cannot be written, or the solves that ship with limbcli are missing.
+        If the folder cannot be written, or the simulations shipped with limbcli are missing.
     """
     within("cohort", seed=seed)
     from limbcli.stages import cohort as stage

@@ -1,4 +1,4 @@
-"""diagnose and report: what the model lacks, and the page that reports everything."""
+"""diagnose and report: find what the model lacks, and write the report page."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ _CANDIDATE = ("name", "kind", "sentence", "score", "p", "p_adjusted")
 
 @dataclass(frozen=True, eq=False)
 class DiagnosisResult(Result):
-    """What a site's model lacks. `table()` has a row a candidate effect, the most likely first.
+    """What a site's model lacks. `table()` has one row per candidate effect, the most likely first.
 
     Attributes
     ----------
     verdict : "adequate", "named", "ambiguous", "unexplained" or "untestable"
-    reason : why, as a sentence
-    added : the effects that were added to the model
-    confidence_set : every explanation that fits, each a tuple of effects
-    gap_closed : whether they close the gap; False where nothing was added
-    sentences : the whole account, to be read from top to bottom
-    next_measurement : what to measure next; None where nothing is proposed
+    reason : reason of the verdict, as a sentence
+    added : effects that were added to the model
+    confidence_set : all explanations compatible with the data, each a tuple of effects
+    gap_closed : whether the added effects close the gap; False if none was added
+    sentences : the full account, in reading order
+    next_measurement : proposed next measurement; None if there is none
     """
 
     stage: ClassVar[str] = "diagnose"
@@ -56,7 +56,7 @@ class DiagnosisResult(Result):
         return [self._named({name: each[name] for name in _CANDIDATE}) for each in self.data["candidates"]]
 
     def model(self) -> LimbModel:
-        """The model with what was added, as in diagnosed.feb."""
+        """The model with the added effects, as in diagnosed.feb."""
         from limbcli.feb.read import read_feb
 
         return read_feb(self.files["feb"])
@@ -64,13 +64,13 @@ class DiagnosisResult(Result):
 
 @dataclass(frozen=True, eq=False)
 class ReportResult(Result):
-    """The page. `table()` has a row a stage: its label, and "done" or what else became of it.
+    """The report page. `table()` has one row per stage: its label, and "done" or what happened instead.
 
     Attributes
     ----------
     page : one self-contained HTML file
-    mood : how the whole came out, in one word
-    n_warnings : warnings on the page
+    mood : overall outcome, in one word
+    n_warnings : number of warnings on the page
     """
 
     stage: ClassVar[str] = "report"
@@ -109,24 +109,24 @@ def diagnose(
     wait: bool = True,
     progress: Heard = None,
 ) -> SiteResults[DiagnosisResult]:
-    """Where model and measurement disagree, what is missing, and what to measure next. Comes after `mesh`.
+    """Find where model and measurement disagree, what is missing, and what to measure next. Requires `mesh`.
 
     Parameters
     ----------
-    case, out, wait, progress : as of `segment`
+    case, out, wait, progress : as for `segment`
     sites : name or names; None: all
-    effects : names of those to try; none: all
-    effect_file : a Python file with an `EFFECT` of your own; it is tried whichever are named
-    max_effects : effects added in turn, 1 to 3
+    effects : names of the effects to try; none: all
+    effect_file : a Python file that defines your own `EFFECT`; it is tried in addition to those named
+    max_effects : maximum number of effects added in turn, 1 to 3
     seed : of the bootstrap
-    size_mm, far_size_mm : edges of the working mesh under the probe (None: 5, less where the tissue is
+    size_mm, far_size_mm : edge lengths of the working mesh under the probe (None: 5, less where the tissue is
         thin) and far from it
-    interventions : try cut and contact first, a few more simulations
-    separate : each site alone, also those that share a place
-    solver, febio : of draining tissue, which only FEBio simulates. "auto": where FEBio is found, and a force
-        falls in a recorded hold; "febio": in every record with holds; "reference": never
-    measured : numbers measured besides: tare_n, force_gain, first_depth_mm, rate_ratio
-    templates : a folder of Jinja templates that come before ours
+    interventions : try cut and contact first (a few more simulations)
+    separate : diagnose each site separately, even if several share a place
+    solver, febio : used for draining tissue, which only FEBio can simulate. "auto": if FEBio is found and a
+        force decreases in a recorded hold; "febio": for every record with holds; "reference": never
+    measured : separately measured numbers: tare_n, force_gain, first_depth_mm, rate_ratio
+    templates : a folder of Jinja templates that take precedence over the built-in ones
 
     Raises
     ------
@@ -135,7 +135,7 @@ def diagnose(
     MeasurementError
         If the levels cannot be used.
     ToolError
-        If FEBio is asked for and is not there.
+        If FEBio is requested and not found.
     SolveError, FitError
         If the model without effects cannot be solved or fitted.
 
@@ -170,12 +170,12 @@ def report(
     wait: bool = True,
     progress: Heard = None,
 ) -> ReportResult:
-    """One self-contained page of what the stages left. What is missing or failed has its place on it.
+    """Write one self-contained page of the stages' results, including what is missing or failed.
 
     Parameters
     ----------
-    case, out, wait, progress : as of `segment`
-    templates : a folder of Jinja templates that come before ours
+    case, out, wait, progress : as for `segment`
+    templates : a folder of Jinja templates that take precedence over the built-in ones
 
     Raises
     ------

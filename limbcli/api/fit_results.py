@@ -1,4 +1,4 @@
-"""What fits return: estimates with their intervals, flags and words."""
+"""Results of fits: estimates with intervals, flags and explanations."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Estimate:
-    """One parameter, as far as the data determine it.
+    """Estimate of one parameter, as far as the data determine it.
 
     Attributes
     ----------
-    parameter : its name, with its unit where it has one ("c_kpa", "f_kappa", "m")
-    value : the estimate; read `flag` before it is quoted
-    standard_error : None where there is none
-    low_95, high_95 : ends of the 95 % interval; None: open to that side, or none was asked for (see `words`)
+    parameter : its name, with its unit if it has one ("c_kpa", "f_kappa", "m")
+    value : the estimate; check `flag` before quoting it
+    standard_error : None if there is none
+    low_95, high_95 : ends of the 95 % interval; None: open on that side, or not requested (see `words`)
     flag : "identified", "fixed", or why not: "weak", "trades off with ...", "at bound", "no influence"
-    words : the same as a sentence that may be quoted
+    words : the same as a sentence that can be quoted
     """
 
     parameter: str
@@ -48,12 +48,12 @@ def _estimates(tables: Mapping[str, Mapping[str, Any]]) -> tuple[Estimate, ...]:
 
 
 class _WithParameters(Result):
-    """Results that hold estimates: a row a parameter."""
+    """Results that hold estimates: one row per parameter."""
 
     parameters: tuple[Estimate, ...]
 
     def parameter(self, name: str) -> Estimate:
-        """One estimate by its name; a KeyError names those there are."""
+        """The estimate of that name; otherwise a KeyError lists the available names."""
         known = {each.parameter: each for each in self.parameters}
         if name not in known:
             raise KeyError(f"{name!r}; the parameters are {', '.join(known)}")
@@ -65,17 +65,19 @@ class _WithParameters(Result):
 
 @dataclass(frozen=True, eq=False)
 class FitResult(_WithParameters):
-    """The identified parameters of a site. `table()` has a row a parameter.
+    """The identified parameters of a site. `table()` has one row per parameter.
 
-    A number whose `Estimate.flag` is neither "identified" nor "fixed" is no finding: quote its words.
+    A number whose `Estimate.flag` is neither "identified" nor "fixed" is not a finding: quote its words
+    instead.
 
     Attributes
     ----------
     c_kpa, f_kappa, kappa_kpa, m : the law's parameters, kappa' = f_kappa c
     parameters : the same with intervals, flags and words
-    r2, rmse_n : how well the simulated force meets the measured one
-    solver, element : what it was simulated with
-    n_solves : simulations of the identification, n_interval_solves : of the intervals
+    r2, rmse_n : goodness of fit of the simulated force
+    solver, element : used for the simulations
+    n_solves : number of simulations of the identification
+    n_interval_solves : number of simulations of the intervals
     """
 
     stage: ClassVar[str] = "fit"
@@ -101,7 +103,8 @@ class FitResult(_WithParameters):
         )  # fmt: skip
 
     def curves(self) -> Table:
-        """Forces over depth_mm (n_depths,): measured_n (NaN between levels), start_n, and each step's."""
+        """Forces over depth_mm (n_depths,): measured_n (NaN between levels), start_n, and one column per
+        step."""
         return read_columns(self.files["curves"])
 
     def model(self) -> LimbModel:
@@ -113,14 +116,15 @@ class FitResult(_WithParameters):
 
 @dataclass(frozen=True, eq=False)
 class JointFitResult(_WithParameters):
-    """One set of parameters for several sites. `table()` has a row a parameter.
+    """One set of parameters for several sites. `table()` has one row per parameter.
 
     Attributes
     ----------
-    law : its name; sites : whose measurements went in
+    law : its name
+    sites : the sites whose measurements were used
     parameters : with intervals, flags and words
     chi_square, n_freedom : of the joint likelihood
-    laws : with `compare_laws` a row a law, best first by the error of levels left out
+    laws : with `compare_laws` one row per law, ordered by the error of held-out levels, best first
     """
 
     stage: ClassVar[str] = "fit-joint"
@@ -142,16 +146,19 @@ class JointFitResult(_WithParameters):
 
 @dataclass(frozen=True, eq=False)
 class StatesFitResult(_WithParameters):
-    """One law for several states of a site, and how far each was stretched. `table()` has a row a parameter.
+    """One law for several states of a site, and the stretch of each state. `table()` has one row per
+    parameter.
 
     Attributes
     ----------
     law : its name
-    parameters : the law's and those of the stretches, with intervals, flags and words
-    states : by name: `stretch_along` and `stretch_around` over the unloaded tissue (told, value, low, high,
-        known), the speed at rest as measured and as fitted (`swe_at_rest_m_per_s`, `..._fitted_m_per_s`)
-    least_stiffness : by way ("along", "around"): `stretch`, `low`, `high` (None: open), `told`, `words`
-    undetermined : a sentence for everything that the data leave open
+    parameters : those of the law and of the stretches, with intervals, flags and words
+    states : by name: `stretch_along` and `stretch_around` relative to the unloaded tissue (told: as stated in
+        the case, value, low, high, known), and the measured and fitted speed at rest (`swe_at_rest_m_per_s`,
+        `..._fitted_m_per_s`)
+    least_stiffness : by direction ("along", "around"): `stretch`, `low`, `high` (None: open), `told` (whether
+        determined), `words`
+    undetermined : one sentence for each quantity that the data do not determine
     chi_square, n_freedom : of the likelihood
     """
 
@@ -181,12 +188,12 @@ class StatesFitResult(_WithParameters):
 
 @dataclass(frozen=True, eq=False)
 class ElementComparison(Result):
-    """The same site fitted with tet4 and tet10 of the same mesh. `table()` has a row an element.
+    """The same site fitted with tet4 and tet10 on the same mesh. `table()` has one row per element type.
 
     Attributes
     ----------
     c_kpa : held fixed
-    force_ratio_tet4_over_tet10 : at f_kappa 100 and m 2, at the last level: how far tet4 locks
+    force_ratio_tet4_over_tet10 : at f_kappa 100 and m 2, at the last level: a measure of the locking of tet4
     """
 
     stage: ClassVar[str] = "fit-elements"

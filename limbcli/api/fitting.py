@@ -1,4 +1,4 @@
-"""fit, fit_joint, fit_states, compare_elements: the parameters, and how far each can be trusted."""
+"""fit, fit_joint, fit_states, compare_elements: the parameters, and how reliable each of them is."""
 
 from __future__ import annotations
 
@@ -37,32 +37,33 @@ def fit(
     wait: bool = True,
     progress: Heard = None,
 ) -> SiteResults[FitResult]:
-    """Identify f_kappa and m of each site from its force-depth curve, c from SWE. Comes after `build_feb`.
+    """Identify f_kappa and m of each site from its force-depth curve, with c from SWE. Requires `build_feb`.
 
     Parameters
     ----------
-    case, out, wait, progress : as of `segment`
-    sites, solver, febio : as of `run`
-    c_kpa : c = 2 mu by hand (None: from the shear-wave speed at level 0), with its relative standard
-        deviation c_deviation_fraction (None: that of the shear-wave reading)
+    case, out, wait, progress : as for `segment`
+    sites, solver, febio : as for `run`
+    c_kpa : c = 2 mu given directly (None: from the shear-wave speed at level 0)
+    c_deviation_fraction : relative standard deviation of c_kpa (None: that of the shear-wave reading)
     stiffness_map : c element by element, from the shear-wave map of level 0
-    tolerance : of cost and parameters, relative; max_iterations : of each step
-    intervals : 95 % intervals by profile likelihood, which cost more simulations
-    gain_deviation_fraction : numerical error of the force to allow for; None: from `mesh(study=True)` where
-        that was run, else by element and edge length
-    contact_check : solve the fitted model once more with a harder contact
-    cycle : whose loading is fitted, where the tissue was loaded several times: its number, or "last"
-    templates : a folder of Jinja templates that come before ours
+    tolerance : of cost and parameters, relative
+    max_iterations : of each step
+    intervals : 95 % intervals by profile likelihood, which need more simulations
+    gain_deviation_fraction : numerical error of the force to allow for; None: from `mesh(study=True)` if that
+        was run, else by element type and edge length
+    contact_check : solve the fitted model once more with a stiffer contact
+    cycle : the loading cycle to fit, if there are several: its number, or "last"
+    templates : a folder of Jinja templates that take precedence over the built-in ones
     time_limit_s : of each FEBio run
 
     Raises
     ------
     CaseError
-        If `build_feb` has not been run since its inputs changed, or an argument cannot be used.
+        If `build_feb` has not been run since its inputs changed, or an argument is invalid.
     MeasurementError
         If the levels cannot be used, or c is neither measured nor given.
     SolveError, FitError
-        If the model cannot be solved at the start values, or the search does not settle.
+        If the model cannot be solved at the start values, or the search does not converge.
 
     Source: Levenberg-Marquardt, Nocedal and Wright, Numerical Optimization, 2nd ed., chapter 10; profile
     likelihood, Venzon and Moolgavkar 1988, doi:10.2307/2347496.
@@ -100,17 +101,19 @@ def fit_joint(
     wait: bool = True,
     progress: Heard = None,
 ) -> JointFitResult:
-    """One set of parameters for several sites, by depth and wave speed (`limbcli fit --objective joint`).
+    """Identify one set of parameters for several sites by depth and wave speed.
+
+    The command is `limbcli fit --objective joint`.
 
     Parameters
     ----------
-    case, out, wait, progress : as of `segment`
+    case, out, wait, progress : as for `segment`
     sites : those that share the tissue; None: all
     law : "ogden", "mooney-rivlin", "neo-hooke", "two-term-ogden", "holmes-mow" or "fibres"
-    compare_laws : fit every law, and compare them by the error of levels left out
-    c_kpa, c_deviation_fraction : c is free. By hand it is where the search begins, and, where a site has no
-        speeds, what c is near to, by so much
-    the others : as of `fit`
+    compare_laws : fit each law, and compare them by the error of held-out levels
+    c_kpa, c_deviation_fraction : c is a free parameter; a given value is its initial guess and, if a site has
+        no speeds, the mean of a prior with that standard deviation
+    the others : as for `fit`
 
     Raises
     ------
@@ -141,21 +144,23 @@ def fit_states(
     wait: bool = True,
     progress: Heard = None,
 ) -> SiteResults[StatesFitResult]:
-    """One law and a stretch a state, for each site with states (`limbcli fit --objective states`).
+    """Identify one law, and the stretch of each state, for each site with states.
+
+    The command is `limbcli fit --objective states`.
 
     Parameters
     ----------
-    case, out, wait, progress : as of `segment`
-    sites : those without states are passed over; None: all
-    law : as of `fit_joint`
-    gain_deviation_fraction : as of `fit`
+    case, out, wait, progress : as for `segment`
+    sites : sites without states are skipped; None: all
+    law : as for `fit_joint`
+    gain_deviation_fraction : as for `fit`
 
     Raises
     ------
     CaseError
         If no site has states, they do not differ, or `build_feb` has not been run since its inputs changed.
     MeasurementError
-        If the levels of a state cannot be used, or lack a speed at rest.
+        If the levels of a state cannot be used, or have no speed at rest.
     SolveError, FitError
         As `fit`.
     """
@@ -183,17 +188,17 @@ def compare_elements(
     wait: bool = True,
     progress: Heard = None,
 ) -> SiteResults[ElementComparison]:
-    """Fit each site with tet4 and with tet10 of the same mesh (`limbcli fit --compare-element`).
+    """Fit each site with tet4 and with tet10 on the same mesh (`limbcli fit --compare-element`).
 
     Parameters
     ----------
-    case, out, wait, progress : as of `segment`
-    the others : as of `fit`
+    case, out, wait, progress : as for `segment`
+    the others : as for `fit`
 
     Raises
     ------
     CaseError, MeasurementError, MeshError, SolveError, FitError
-        As `fit`; MeshError if the mesh is not of tetrahedra.
+        As `fit`; MeshError if the mesh does not consist of tetrahedra.
     """
     from limbcli.stages import fit_elements as stage
 
@@ -218,7 +223,7 @@ def _options(
     time_limit_s: float | None = None,
     **others: Any,
 ) -> FitOptions:
-    """As the stage takes them; the stage itself says which numbers are possible."""
+    """The options of the stage, which itself checks the ranges of numbers."""
     within(
         "fit", c_kpa=c_kpa, c_deviation_fraction=c_deviation_fraction, tolerance=tolerance,
         max_iterations=max_iterations, time_limit_s=time_limit_s,

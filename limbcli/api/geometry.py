@@ -21,7 +21,7 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Marker:
-    """A skin marker: number (from distal to proximal), place (x, y, z) in patient LPS, mm, and volume."""
+    """A skin marker: number (from distal to proximal), position (x, y, z) in patient LPS (mm), and volume."""
 
     number: int
     position_mm: Point
@@ -30,13 +30,13 @@ class Marker:
 
 @dataclass(frozen=True, eq=False)
 class SegmentResult(Result):
-    """What `segment` found. `table()` has a row a marker.
+    """Result of `segment`. `table()` has one row per marker.
 
     Attributes
     ----------
-    source : "mri", "labels", "surfaces" or "edited labels": what the surfaces come from
+    source : origin of the surfaces: "mri", "labels", "surfaces" or "edited labels"
     bones : names of the bones, such as "tibia"; `files["bone_tibia"]` is the surface
-    volume_cm3 : volume of the skin's inside and of each bone, by the surface's name
+    volume_cm3 : volume enclosed by the skin and by each bone, by the surface's name
     markers : skin markers in the images
     """
 
@@ -72,7 +72,7 @@ class SegmentResult(Result):
 
 @dataclass(frozen=True, eq=False)
 class MeshStudyResult(Result):
-    """What the refinement study of a site found (`mesh(study=True)`); its numbers are in `data`."""
+    """Result of the refinement study of a site (`mesh(study=True)`); its numbers are in `data`."""
 
     stage: ClassVar[str] = "mesh-study"
 
@@ -84,13 +84,13 @@ class MeshResult(Result):
     Attributes
     ----------
     element : "tet10" or "tet4"
-    n_cells, n_nodes : how many elements and nodes the tissue has
+    n_cells, n_nodes : number of elements and nodes of the tissue
     edge_under_probe_mm : mean edge length there
     min_angle_deg, min_angle_under_probe_deg : smallest dihedral angles
-    skin_bone_mm : from skin to bone at the probe's centre; None where no bone is below it
-    site_to_skin_mm : how far the site was moved onto the skin
-    margin_mm : tissue kept beyond the probe
-    study : the refinement study, where it was asked for
+    skin_bone_mm : distance from skin to bone at the probe's centre; None if no bone is below it
+    site_to_skin_mm : distance by which the site was moved onto the skin
+    margin_mm : width of tissue kept beyond the probe
+    study : the refinement study, if requested
     """
 
     stage: ClassVar[str] = "mesh"
@@ -119,7 +119,7 @@ class MeshResult(Result):
         return [self._named({name: getattr(self, name) for name in names})]
 
     def model(self) -> LimbModel:
-        """The model itself: mesh, named sets, probe; without the tissue's parameters."""
+        """The model: mesh, named sets and probe, without the tissue's parameters."""
         from limbcli.model_io import load_model
 
         return load_model(self.files["model"])
@@ -138,27 +138,27 @@ def segment(
     wait: bool = True,
     progress: Heard = None,
 ) -> SegmentResult:
-    """MRI or CT series, label map or surfaces to skin, bones, fat and markers.
+    """Segment an MRI or CT series, a label map or surfaces into skin, bones, fat and markers.
 
-    A label map edited by hand in the output folder wins over the automatic one.
+    A label map edited by hand in the output folder takes precedence over the automatic one.
 
     Parameters
     ----------
-    case : a `Case`, or the folder that holds case.toml, whose sites and probe may still be to come
+    case : a `Case`, or the folder that holds case.toml; its sites and probe may still be missing
     out : output folder; None: out/<name of the case's folder>
-    seeds : ("bone", (x, y, z)), patient LPS in mm, in the marrow of a bone that was missed; ("soft", ...)
-        in what was taken for bone and is none
+    seeds : ("bone", (x, y, z)), a point in patient LPS (mm) in the marrow of a bone that was missed; ("soft",
+        ...), a point in soft tissue that was classified as bone
     smooth_mm : standard deviation of the smoothing of the surfaces, 0 to 5
-    threshold : signal between air and skin, in the image's units (HU on CT); None: found
-    limb : which limb, where two are in view
-    fresh : leave a label map that was edited by hand aside
-    wait : for another that writes into `out` to end; False refuses at once
-    progress : called with (kind, facts) at every event; None: silence
+    threshold : signal between air and skin, in the image's units (HU for CT); None: automatic
+    limb : which limb to use, if two are in view
+    fresh : ignore a label map that was edited by hand
+    wait : wait for another process that writes into `out`; False: raise an error at once
+    progress : called with (kind, facts) at each event; None: no calls
 
     Raises
     ------
     CaseError
-        If the case, a file of it, or an argument cannot be used.
+        If the case, one of its files, or an argument cannot be used.
 
     Source: each step cites its own, in `limbcli.imaging`.
     """
@@ -191,26 +191,27 @@ def mesh(
     wait: bool = True,
     progress: Heard = None,
 ) -> SiteResults[MeshResult]:
-    """Surfaces and site to the local finite-element model of each site. Comes after `segment`.
+    """Build the local finite-element model of each site from the surfaces. Requires `segment`.
 
     Parameters
     ----------
-    case, out, wait, progress : as of `segment`
+    case, out, wait, progress : as for `segment`
     sites : name or names; None: all
-    element : None: the case's
+    element : None: as in the case
     size_mm, far_size_mm : edge length under the probe (None: 2.5), and far from it (None: 8)
-    margin_mm : tissue kept beyond the probe; None: the case's
-    skin_mm, fat_mm : thickness of a layer, 0 for none, "mri" as `segment` found it; None: the case's
+    margin_mm : width of tissue kept beyond the probe; None: as in the case
+    skin_mm, fat_mm : thickness of a layer, 0: no layer, "mri": as found by `segment`; None: as in the case
     at : (angle in degrees round the limb, 0 anterior, 90 the patient's left; height in mm above its distal
-        end), instead of the case's place of one site
-    study : also solve finer, coarser, nearer and farther cut models, which takes minutes
+        end), replaces the position given in the case; for one site only
+    study : also solve models with finer and coarser meshes and with smaller and larger margins, which takes
+        minutes
 
     Raises
     ------
     CaseError
-        If `segment` has not been run since its inputs changed, or an argument cannot be used.
+        If `segment` has not been run since its inputs changed, or an argument is invalid.
     MeshError
-        If no volume mesh of sufficient quality could be made.
+        If no volume mesh of sufficient quality could be generated.
 
     Source: the elements are those of Zienkiewicz, Taylor and Zhu, The Finite Element Method: Its Basis and
     Fundamentals, 7th ed., chapter 6.
@@ -241,7 +242,7 @@ def _place(at: tuple[float, float] | None) -> tuple[float, float] | None:
 
 
 def _thickness(name: str, value: float | str | None) -> Any:
-    """As the stage takes it."""
+    """The value in the form that the stage expects."""
     from limbcli.stages.site_model.site_layers import thickness_of
 
     if isinstance(value, str):
@@ -251,7 +252,7 @@ def _thickness(name: str, value: float | str | None) -> Any:
 
 
 def _seeds(seeds: Any) -> tuple[tuple[Literal["bone", "soft"], Point], ...]:
-    """As the stage takes them, which looks at the kinds.
+    """The seeds in the form that the stage expects; the stage checks the kinds.
 
     >>> _seeds([("bone", (1, -2.5, 30))])
     (('bone', (1.0, -2.5, 30.0)),)

@@ -1,4 +1,4 @@
-"""What numbers may be given: the bounds of the command line's options of the same names."""
+"""Ranges of numeric arguments: the bounds of the command-line options of the same names."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ _WHOLE = ("seed", "max_effects", "max_iterations", "jobs")
 
 
 def within(function: str, **values: object) -> None:
-    """Whether the numbers given can be meant; None stands for a default.
+    """Check that the numbers are within their ranges; None stands for a default.
 
     Raises
     ------
     CaseError
-        Naming the argument, and what is possible.
+        Names the argument and the allowed range.
 
     >>> within("segment", smooth_mm=9.0)
     Traceback (most recent call last):
@@ -79,12 +79,12 @@ def _meant(low: float, high: float) -> str:
 
 
 def one_of(function: str, known: Iterable[str], **values: object) -> None:
-    """Whether the words given are known; None stands for a default.
+    """Check that the words are known; None stands for a default.
 
     Raises
     ------
     CaseError
-        Naming the argument, and what is known.
+        Names the argument and the known words.
     """
     known = list(known)
     for name, value in values.items():
@@ -97,12 +97,13 @@ def one_of(function: str, known: Iterable[str], **values: object) -> None:
 
 
 def flags_and_numbers(function: Callable[..., Any], given: Mapping[str, object]) -> None:
-    """Whether what is True or False by default is given as that, and no number as None.
+    """Check that arguments with a default of True or False are given as such, and that no number is given as
+    None.
 
     Raises
     ------
     CaseError
-        Naming the argument, and what is possible.
+        Names the argument and the allowed values.
     """
     defaults = {name: each.default for name, each in inspect.signature(function).parameters.items()}
     for name, value in given.items():
@@ -118,12 +119,12 @@ def flags_and_numbers(function: Callable[..., Any], given: Mapping[str, object])
 
 
 def tables(function: str, example: Mapping[str, object], **values: object) -> None:
-    """Whether numbers by name are given as a table, such as the example; None stands for none.
+    """Check that numbers by name are given as a mapping like the example; None stands for none.
 
     Raises
     ------
     CaseError
-        Naming the argument, and what is possible.
+        Names the argument and the allowed values.
     """
     for name, value in values.items():
         if value is not None and not isinstance(value, Mapping):

@@ -1,4 +1,4 @@
-"""synth and make_phantom: cases whose truth is known."""
+"""synth and make_phantom: create cases whose truth is known."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ ELEMENTS = ("tet10", "tet4")
 
 @dataclass(frozen=True, eq=False)
 class MadeCase(Result):
-    """A case with simulated measurements. `table()` has a row a level of each site: what is true of it.
+    """A case with simulated measurements. `table()` has one row of true values per level of each site.
 
-    Of a site with states a row a level of each state, which the column `state` names.
+    For a site with states there is one row per level of each state, named by the column `state`.
 
     Attributes
     ----------
-    case : the new case, open
-    truth : what is true of it, as its TOML file holds it (no stage reads that)
+    case : the new case, opened
+    truth : its true values, as in its TOML file (which no stage reads)
     """
 
     case: Case
@@ -96,29 +96,34 @@ def synth(
     wait: bool = True,
     progress: Heard = None,
 ) -> MadeCase:
-    """Measurements with known parameters on the geometry of a case, as a new case.
+    """Simulate measurements with known parameters on the geometry of a case, as a new case.
 
     Parameters
     ----------
-    case, out, wait, progress : as of `segment`
-    out_case : the case folder to make; the truth goes to <out_case>.truth.toml beside it
+    case, out, wait, progress : as for `segment`
+    out_case : the case folder to create; the truth is written to <out_case>.truth.toml beside it
     sites : name or names; None: all
-    seed : of the measurement noise; force : replace `out_case` if synth made it
-    c_kpa, f_kappa, m : the known tissue, kappa' = f_kappa c
-    effects : effects to hide in the data, each "name" or "name=size", the value of its first parameter
-    noise : factor on the noise that the case states; 0: none
-    step_n, max_force_n : force step and largest force; max_strain : largest depth over skin-bone distance
-    element, size_mm, far_size_mm, margin_mm : mesh simulated on (None: the case's)
-    same_mesh : simulate on the very mesh that is fitted
-    contact_penalty : times the skin's stiffness at rest; None: 20
-    with_layers : read skin, fat and muscle too, as thick at first touch as in the geometry
-    stretch_along, stretch_around : true stretches over unloaded tissue, by state, where the case knows none
-    unloaded_stretch_along, unloaded_stretch_around : stretch, as the case counts, of unloaded tissue
+    seed : of the measurement noise
+    force : replace `out_case` if it was created by synth
+    c_kpa, f_kappa, m : parameters of the tissue, kappa' = f_kappa c
+    effects : effects to hide in the data, each "name" or "name=size", where size is the value of its first
+        parameter
+    noise : factor on the noise stated in the case; 0: no noise
+    step_n, max_force_n : force step and largest force
+    max_strain : largest depth over skin-bone distance
+    element, size_mm, far_size_mm, margin_mm : mesh of the simulation (None: as in the case)
+    same_mesh : simulate on the same mesh that is used for fitting
+    contact_penalty : multiple of the skin's stiffness at rest; None: 20
+    with_layers : also record the thickness of skin, fat and muscle, which at first touch is that of the
+        geometry
+    stretch_along, stretch_around : true stretches relative to unloaded tissue, by state, where the case does
+        not give them
+    unloaded_stretch_along, unloaded_stretch_around : stretch of unloaded tissue on the scale of the case
 
     Raises
     ------
     CaseError
-        If `out_case` is there already and `force` is not given, or an argument cannot be used.
+        If `out_case` exists and `force` is not given, or an argument is invalid.
     MeshError, SolveError
         If a site cannot be meshed or simulated.
     """
@@ -174,22 +179,23 @@ def make_phantom(
     same_mesh: bool = False,
     progress: Heard = None,
 ) -> MadeCase:
-    """A synthetic subject whose truth is known: MRI as DICOM, measurements, truth (`limbcli phantom`).
+    """Create a synthetic subject with known truth: MRI as DICOM, measurements, truth (`limbcli phantom`).
 
     Parameters
     ----------
-    folder : the case folder to make; the truth goes to <folder>/truth
-    seed : another seed is another subject; force : replace the folder if it is a synthetic subject
+    folder : the case folder to create; the truth is written to <folder>/truth
+    seed : determines the subject
+    force : replace the folder if it is a synthetic subject
     subject : its id
     sites : "p1" (at the back, by marker, across), "p2" (over the fibula, by position, along); None: p1
     no_measurement : geometry only, levels.csv stays empty
-    progress : called with (kind, facts) at every event; None: silence
-    the others : as of `synth`; element None: tet10
+    progress : called with (kind, facts) at each event; None: no calls
+    the others : as for `synth`; element None: tet10
 
     Raises
     ------
     CaseError
-        If the folder is there already and `force` is not given, or holds anything but a synthetic subject.
+        If the folder exists and `force` is not given, or contains anything other than a synthetic subject.
     MeshError, SolveError
         If a site cannot be meshed or simulated.
     """
@@ -219,7 +225,7 @@ def _plan(
     max_force_n: float, max_strain: float, element: str | None, size_mm: float, far_size_mm: float,
     margin_mm: float | None, same_mesh: bool, **others: Any,
 ) -> SynthOptions:  # fmt: skip
-    """What to simulate, once every number has been looked at."""
+    """Options of the simulation, after all numbers have been checked."""
     within(
         function, seed=seed, c_kpa=c_kpa, f_kappa=f_kappa, m=m, noise=noise, step_n=step_n,
         max_force_n=max_force_n, max_strain=max_strain, size_mm=size_mm, far_size_mm=far_size_mm,

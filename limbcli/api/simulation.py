@@ -1,4 +1,4 @@
-"""build_feb and run: the FEBio model, and its simulation."""
+"""build_feb and run: write the FEBio model, and simulate it."""
 
 from __future__ import annotations
 
@@ -41,9 +41,11 @@ class BuildFebResult(Result):
     Attributes
     ----------
     feb : the model file, FEBio 4.0
-    c_kpa : c = 2 mu; c_source : where it comes from, in words
+    c_kpa : c = 2 mu
+    c_source : origin of c, in words
     f_kappa, m, kappa_kpa : start values of the law, kappa' = f_kappa c
-    element : "tet10" or "tet4"; n_nodes, n_elements : of the tissue
+    element : "tet10" or "tet4"
+    n_nodes, n_elements : of the tissue
     """
 
     stage: ClassVar[str] = "build-feb"
@@ -78,14 +80,14 @@ class BuildFebResult(Result):
 
 @dataclass(frozen=True, eq=False)
 class RunResult(Result):
-    """A simulation. `table()` has a row a converged step: time_s, depth_mm, force_n.
+    """A simulation. `table()` has one row per converged step: time_s, depth_mm, force_n.
 
     Attributes
     ----------
-    solver, solver_version : which one ran
-    n_steps, n_iterations : converged steps, and Newton iterations in all
-    solve_s : seconds of the solve
-    max_depth_mm, max_force_n : of the probe; None where no rigid body logs them
+    solver, solver_version : the solver used
+    n_steps, n_iterations : converged steps, and total number of Newton iterations
+    solve_s : solution time in seconds
+    max_depth_mm, max_force_n : of the probe; None if no rigid body logs them
     """
 
     stage: ClassVar[str] = "run"
@@ -106,7 +108,7 @@ class RunResult(Result):
         )  # fmt: skip
 
     def curve(self) -> Table:
-        """The force-depth curve: fields time_s, depth_mm, force_n, (n_steps,); empty where there is none."""
+        """The force-depth curve: fields time_s, depth_mm, force_n, (n_steps,); empty if there is none."""
         path = self.files.get("force_depth")
         return structured([]) if path is None else read_columns(path)
 
@@ -129,22 +131,23 @@ def build_feb(
     wait: bool = True,
     progress: Heard = None,
 ) -> SiteResults[BuildFebResult]:
-    """The mesh and the measurement as a FEBio model of each site. Comes after `mesh`.
+    """Write mesh and measurement as a FEBio model of each site. Requires `mesh`.
 
     Parameters
     ----------
-    case, out, wait, progress : as of `segment`
+    case, out, wait, progress : as for `segment`
     sites : name or names; None: all
-    c_kpa : c = 2 mu by hand; None: 2 rho v^2 of the shear-wave speed at level 0
-    f_kappa : kappa' / c, 0.01 to 1000; m : exponent of the law, 1 to 100: start values
-    layers : by "skin" or "fat" a table of `law`, `c_kpa`, `f_kappa`, `m`, `beta`, over what the case says
-    contact_penalty : times the skin's stiffness at rest; None: 20, with which FEBio converges
-    templates : a folder of Jinja templates that come before ours
+    c_kpa : c = 2 mu given directly; None: 2 rho v^2 from the shear-wave speed at level 0
+    f_kappa : start value of kappa' / c, 0.01 to 1000
+    m : start value of the law's exponent, 1 to 100
+    layers : by "skin" or "fat" a table of `law`, `c_kpa`, `f_kappa`, `m`, `beta`, which overrides the case
+    contact_penalty : multiple of the skin's stiffness at rest; None: 20, with which FEBio converges
+    templates : a folder of Jinja templates that take precedence over the built-in ones
 
     Raises
     ------
     CaseError
-        If `mesh` has not been run since its inputs changed, or a template or argument cannot be used.
+        If `mesh` has not been run since its inputs changed, or a template or argument is invalid.
     MeasurementError
         If the levels cannot be used, or c is neither measured nor given.
 
@@ -165,7 +168,7 @@ def build_feb(
 
 
 def _laws(layers: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """The laws, held against the rules of case.toml."""
+    """The laws, checked against the rules of case.toml."""
     from limbcli.stages.site_model.site_layers import parse_law
 
     if not isinstance(layers, Mapping) or not all(isinstance(each, Mapping) for each in layers.values()):
@@ -191,25 +194,25 @@ def run(
     wait: bool = True,
     progress: Heard = None,
 ) -> SiteResults[RunResult]:
-    """Simulate the indentation of each site with its start values. Comes after `build_feb`.
+    """Simulate the indentation of each site with its start values. Requires `build_feb`.
 
     Parameters
     ----------
-    case, out, wait, progress : as of `segment`
+    case, out, wait, progress : as for `segment`
     sites : name or names; None: all
-    solver : "auto" takes FEBio where it is found, else the bundled reference solver
+    solver : "auto": FEBio if it is found, else the bundled reference solver
     febio : the FEBio binary
     time_limit_s : of each simulation; None: by the model's size
-    vtu : also a time series for ParaView
+    vtu : also write a time series for ParaView
 
     Raises
     ------
     CaseError
-        If `build_feb` has not been run since its inputs changed, or an argument cannot be used.
+        If `build_feb` has not been run since its inputs changed, or an argument is invalid.
     ToolError
-        If FEBio is asked for and is not there.
+        If FEBio is requested and not found.
     SolveError
-        If the end of the load is not reached; what there is lies in <site>-failed.
+        If the end of the load is not reached; the partial results are in <site>-failed.
     """
     within("run", time_limit_s=time_limit_s)
     one_of("run", SOLVERS, solver=solver)
@@ -235,22 +238,22 @@ def run_feb(
     wait: bool = True,
     progress: Heard = None,
 ) -> RunResult:
-    """Simulate a FEBio model of your own.
+    """Simulate a user-supplied FEBio model.
 
     Parameters
     ----------
     feb : a .feb or .feb.gz file, format 4.0, units mm-N-s
     out : output folder; None: out/<name of the file>
-    solver, febio, time_limit_s, vtu, wait, progress : as of `run`
+    solver, febio, time_limit_s, vtu, wait, progress : as for `run`
 
     Raises
     ------
     CaseError
-        If the file cannot be read, or holds what is not read of FEBio's format.
+        If the file cannot be read, or contains an unsupported part of FEBio's format.
     ToolError
         As `run`.
     SolveError
-        As `run`, or if the file holds what the reference solver does not support.
+        As `run`, or if the file contains what the reference solver does not support.
     """
     within("run", time_limit_s=time_limit_s)
     one_of("run_feb", SOLVERS, solver=solver)

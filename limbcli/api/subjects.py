@@ -1,4 +1,4 @@
-"""check and measure: cases as they are brought."""
+"""check and measure: validate a case, and convert instrument files to levels."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from limbcli.results import StageResult
 
 @dataclass(frozen=True)
 class CheckResult(Tabular):
-    """What was looked at of a case, and what was found. `table()` has a row a problem.
+    """Result of checking a case. `table()` has one row per problem.
 
     Attributes
     ----------
-    folder : the case's
+    folder : the case's folder
     looked_at : files and folders that were read
     problems : each with what, where, fix, and severity "error" or "warning"
     """
@@ -45,7 +45,7 @@ class CheckResult(Tabular):
 
     @property
     def ok(self) -> bool:
-        """Whether nothing stops the work."""
+        """Whether there is no error."""
         return all(each.severity != "error" for each in self.problems)
 
     def __str__(self) -> str:
@@ -56,14 +56,14 @@ class CheckResult(Tabular):
         return "\n".join(problems) or f"{self.folder}: the case is complete"
 
     def rows(self) -> list[dict[str, Any]]:
-        """A row a problem: severity, what, where, fix."""
+        """One row per problem: severity, what, where, fix."""
         names = ("severity", "what", "where", "fix")
         return [{name: getattr(each, name) for name in names} for each in self.problems]
 
 
 @dataclass(frozen=True, eq=False)
 class MeasureResult(Result):
-    """The levels of a site, out of the instruments' files. `table()` has a row a level.
+    """The levels of a site, from the instruments' files. `table()` has one row per level.
 
     Attributes
     ----------
@@ -82,14 +82,15 @@ class MeasureResult(Result):
 
 
 def check(case: CaseLike, *, progress: Heard = None) -> CheckResult:
-    """Everything about a case folder that can be known before computing, all problems at once.
+    """Check everything about a case folder that can be known before computing, and return all problems at
+    once.
 
     Parameters
     ----------
     case : the folder that holds case.toml, or a `Case`, whose folder is read again
-    progress : called with (kind, facts) at every event; None: silence
+    progress : called with (kind, facts) at each event; None: no calls
 
-    It raises nothing for what is wrong with the case: that is in `problems`.
+    It raises nothing for errors in the case: these are in `problems`.
     """
     from limbcli.stages import check as stage
 
@@ -109,20 +110,20 @@ def measure(
     wait: bool = True,
     progress: Heard = None,
 ) -> SiteResults[MeasureResult]:
-    """Load-cell record, B-mode and elastography images to the rows of levels.csv.
+    """Convert the load-cell record, B-mode and elastography images to the rows of levels.csv.
 
     Parameters
     ----------
-    case, out, wait, progress : as of `segment`
+    case, out, wait, progress : as for `segment`
     sites : name or names; None: all
-    write : also write levels.csv where case.toml names it, if there is none
+    write : also write levels.csv where case.toml names it, if it does not exist
 
     Raises
     ------
     CaseError
         If a site names no instrument, or `write` would overwrite a file.
     MeasurementError
-        If a record or image cannot be read, or they do not have as many levels.
+        If a record or image cannot be read, or their numbers of levels differ.
     """
     from limbcli.stages import measure as stage
 

@@ -1,4 +1,4 @@
-"""Rows of plain values as a structured array, or as a pandas table."""
+"""Conversion of rows of plain values to a structured array or a pandas table."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ Table = NDArray[np.void]
 
 
 def structured(rows: Sequence[Row]) -> Table:
-    """A structured array (n_rows,): a field a key, numbers as float64 (missing: NaN), texts as str.
+    """A structured array (n_rows,): one field per key, numbers as float64 (missing: NaN), texts as str.
 
-    The fields are those of all rows, in the order in which they first come.
+    The fields are those of all rows, in the order of their first occurrence.
 
     >>> table = structured([{"m": 2.0, "low_95": None}, {"m": 6.0, "low_95": 1.5}])
     >>> table["m"], table["low_95"]
@@ -81,14 +81,15 @@ def to_frame(table: Table) -> pandas.DataFrame:
 
 
 class Tabular:
-    """What has rows, as a table."""
+    """Base class of results that have rows and can be converted to a table."""
 
     def rows(self) -> list[dict[str, Any]]:
         """The rows of `table()` as plain values."""
         raise NotImplementedError
 
     def table(self) -> Table:
-        """A structured array (n_rows,), a field a column; the names carry units, what is missing is NaN."""
+        """A structured array (n_rows,), one field per column; names include units, and missing numbers are
+        NaN."""
         return structured(self.rows())
 
     def to_frame(self) -> pandas.DataFrame:
@@ -102,12 +103,12 @@ class Tabular:
         return to_frame(self.table())
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the findings with their warnings, as `print` gives them."""
+        """Notebook representation: the findings with their warnings, as `print` shows them."""
         return f"<pre>{html.escape(str(self))}</pre>"
 
 
 def read_columns(path: Path) -> Table:
-    """A CSV of numbers with one row of names; what is empty is NaN."""
+    """Read a CSV file of numbers with one header row; empty cells become NaN."""
     with path.open(newline="", encoding="utf-8") as stream:
         return structured(
             [{name: _number(text) for name, text in row.items()} for row in csv.DictReader(stream)]

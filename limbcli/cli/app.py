@@ -1,4 +1,4 @@
-"""The command line: one subcommand a file; errors are caught here and nowhere else."""
+"""The command line: one subcommand per file; expected errors are caught only here."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ app = typer.Typer(
     help="Soft-tissue parameters of a residual limb, from MRI, indentation and shear-wave elastography.",
     no_args_is_help=True,
     add_completion=True,
-    rich_markup_mode=None,  # tables of Rich cut the names of options off on a terminal of 80 columns
+    rich_markup_mode=None,  # Rich's tables truncate option names on a terminal of 80 columns
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
 
-# In the order a newcomer meets them. Each module defines a function `command`.
+# In the order in which a new user needs them. Each module defines a function `command`.
 COMMANDS = {
     "doctor": "doctor",
     "new": "new",
@@ -83,7 +83,7 @@ for _name, _module in COMMANDS.items():
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run; every foreseen error becomes a message and its family's exit code."""
+    """Run a command; each expected error becomes a message and the exit code of its family."""
     arguments = sys.argv[1:] if arguments is None else arguments
     try:
         arguments = list(map(_from_home, arguments))
@@ -108,7 +108,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def command_options() -> dict[str, frozenset[str]]:
-    """Every option of every command."""
+    """All options of all commands."""
     found = getattr(typer.main.get_command(app), "commands", {})
     return {name: frozenset(text for each in found[name].params for text in each.opts) for name in COMMANDS}
 
@@ -119,7 +119,8 @@ def _exit_with(error: LimbError, arguments: Sequence[str]) -> NoReturn:
 
 
 def _from_home(text: str) -> str:
-    """An argument, or the value of `--option=value`, that begins with `~`: a shell leaves the latter.
+    """Expand `~` at the start of an argument or of the value in `--option=value`, which a shell does not
+    expand.
 
     >>> _from_home("--out=~/results") == f"--out={os.path.expanduser('~/results')}", _from_home("--out=a~")
     (True, '--out=a~')
@@ -129,7 +130,7 @@ def _from_home(text: str) -> str:
 
 
 def _refuse_no_numbers(arguments: Sequence[str]) -> None:
-    """`nan`, `inf` and 1e999 read as numbers, and pass any comparison with a bound or none: no option means
+    """Reject `nan`, `inf` and 1e999: they parse as numbers and may pass range checks, but no option accepts
     them."""
     for before, text in itertools.pairwise(["", *arguments]):
         option, _, value = (
@@ -151,14 +152,14 @@ def _is_no_finite_number(text: str) -> bool:
 
 
 def report_error(error: LimbError, *, as_json: bool) -> None:
-    """The message to stderr; with --json also as an object to stdout."""
+    """Print the message to stderr and, with --json, the error as an object to stdout."""
     print(f"{type(error).__name__}: {error}", file=sys.stderr)
     if as_json:
         report_json(error)
 
 
 def report_json(error: LimbError) -> None:
-    """The error as an object to stdout."""
+    """Print the error as an object to stdout."""
     from limbcli.results import plain
 
     content = {

@@ -114,7 +114,8 @@ def command(
 
 
 def _index(folder: Path, templates: Path | None, progress: Progress, *, as_json: bool) -> None:
-    """The page that lists all; where no case left anything to list, that is said and is no failure more."""
+    """Write the page that lists all cases; if none has results to list, a note says so and it is not a
+    further failure."""
     from limbcli.cli.app import report_error
     from limbcli.stages.report_pages.index import report_index
 
@@ -129,14 +130,14 @@ def _index(folder: Path, templates: Path | None, progress: Progress, *, as_json:
 
 @dataclass(frozen=True)
 class _Entry:
-    """How one case went, for the end: content of --json, and what failed."""
+    """Outcome of one case for the final summary: content of --json, and failures."""
 
     content: dict[str, Any]
     failures: list[StepFailure]
 
     @property
     def code(self) -> int:
-        """For the shell."""
+        """Exit code of the case."""
         return max((each.error.exit_code for each in self.failures), default=0)
 
     def lines(self) -> list[str]:
@@ -144,21 +145,21 @@ class _Entry:
 
 
 def _lines(failure: StepFailure) -> list[str]:
-    """What failed (stage and site), and its error."""
+    """Lines that describe a failure: stage and site, and its error."""
     error = failure.error
     what = f"{failure.place}: {error.what}" if failure.place else error.what
     return [f"  {what}", f"    where: {error.where}", f"    fix:   {error.fix}"]
 
 
 class _Way:
-    """How cases are run, and what is reported of each."""
+    """How cases are run, and what is reported for each."""
 
     def __init__(self, options: BatchOptions, progress: Progress, *, wait: bool, expect: bool, as_json: bool):
         self.options, self.progress = options, progress
         self.wait, self.expect, self.as_json = wait, expect, as_json
 
     def alone(self, case: Path, target: Path) -> _Entry:
-        """One case in this process; its error is shown, not raised."""
+        """Run one case in this process; its errors are printed, not raised."""
         from limbcli.cli.app import report_error
         from limbcli.stages.batch_cases import one_case
 
@@ -168,7 +169,7 @@ class _Way:
         return self._entry(case, target, outcome)
 
     def together(self, pairs: list[tuple[Path, Path]], *, scheduler: str | None, jobs: int) -> list[_Entry]:
-        """All on a cluster, or in so many local processes."""
+        """Run all cases on a cluster, or in `jobs` local processes."""
         from limbcli.stages.batch_cluster import together
 
         absolute = [(case.absolute(), target.absolute()) for case, target in pairs]

@@ -95,7 +95,7 @@ def command(
 
 
 def _numbers(given: list[str]) -> dict[str, float]:
-    """ "tare_n=0.4" and the like as numbers."""
+    """Parse arguments such as "tare_n=0.4" into numbers by name."""
     from limbcli.errors import CaseError
 
     found = {}

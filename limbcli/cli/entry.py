@@ -1,6 +1,6 @@
-"""The command's way in and out: an interrupt is answered quietly from the first moment to the last.
+"""Entry point of the command; handles interrupts cleanly from start to exit.
 
-Nothing heavy is imported before the handlers are set.
+No heavy module is imported before the signal handlers are set.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
 
 
 def main() -> None:
-    """`limbcli`, as installed."""
+    """The installed command `limbcli`."""
     _open_closed_streams()
     _answer_with(_exit_on_signal)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # letters that a terminal lacks are spelt
+            stream.reconfigure(errors="backslashreplace")  # escape characters that the terminal cannot show
     try:
         from limbcli.cli.app import main as run
 
@@ -33,7 +33,7 @@ def main() -> None:
         if stop.code == INTERRUPTED:
             sys.exit(_exit_code(_sent[-1]))
         raise
-    except Exception as error:  # the last net: whatever is left becomes a message
+    except Exception as error:  # last resort: any other error becomes a message
         if _is_interrupt(error):
             print(MESSAGE, file=sys.stderr)
             sys.exit(_exit_code(_sent[-1]))
@@ -43,15 +43,18 @@ def main() -> None:
 
 
 def _open_closed_streams() -> None:
-    """What a caller closed (`2>&-`) leads nowhere; else the first files opened would get its numbers, and
-    with them what libraries and programs that are started print."""
+    """Open streams that the caller closed (`2>&-`) on the null device.
+
+    Otherwise the first files opened would get their descriptors, and output printed by libraries and child
+    processes would be written into these files.
+    """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
 
 
 def _is_interrupt(error: BaseException | None) -> bool:
-    """Whether an interrupt lies behind it: a library that is being opened makes it an ImportError.
+    """Whether an interrupt caused the error: during the import of a library it may appear as an ImportError.
 
     >>> _is_interrupt(ImportError("initialization failed")), _is_interrupt(KeyboardInterrupt())
     (False, True)
@@ -62,7 +65,7 @@ def _is_interrupt(error: BaseException | None) -> bool:
 
 
 def _caught(error: Exception) -> int:
-    """Tell what nobody foresaw; returns the exit code."""
+    """Report an unexpected error; returns the exit code."""
     from limbcli.cli.named_output import output_folder
     from limbcli.errors.unexpected import unforeseen
 
@@ -82,11 +85,11 @@ def _answer_with(handler: object) -> None:
             signal.signal(number, handler)  # type: ignore[arg-type]
 
 
-_sent: list[int] = [signal.SIGINT]  # signals that came; Ctrl-C where a library tells of none
+_sent: list[int] = [signal.SIGINT]  # signals received; SIGINT for an interrupt without a recorded one
 
 
 def _exit_code(number: int) -> int:
-    """As a shell tells of a command that a signal ended.
+    """Exit code by the shell's convention for a command that was ended by a signal.
 
     >>> _exit_code(signal.SIGINT), _exit_code(signal.SIGTERM)
     (130, 143)
@@ -95,12 +98,12 @@ def _exit_code(number: int) -> int:
 
 
 def _interrupt(number: int, _frame: FrameType | None) -> None:
-    """A polite kill cleans up as Ctrl-C does."""
+    """Handle a termination signal like Ctrl-C, so that it also cleans up."""
     _sent.append(number)
     raise KeyboardInterrupt
 
 
 def _exit_on_signal(number: int, _frame: FrameType | None) -> None:
-    """Before anything was begun, or after all was written: nothing to clean up."""
+    """Exit at once: before the work starts, or after everything is written, there is nothing to clean up."""
     os.write(2, f"{MESSAGE}\n".encode())
     os._exit(_exit_code(number))

@@ -1,4 +1,4 @@
-"""An example of each command, shown below its help."""
+"""An example of each command, shown below its help text."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Errors as this command line can use them: its own case in the commands, its own options in the advice."""
+"""Adapt errors to the current command line: actual case folder in commands, and options that exist."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ _OTHERS = re.compile(r"(limbcli|pip|apt-get|fslroi) [^`;,\n]*")
 
 
 def for_command_line(error: AnyError, arguments: Sequence[str], options: Options) -> AnyError:
-    """The error with what can be pasted; an option that the command lacks is reported with one that has it.
+    """The error with commands that can be pasted; an option that this command lacks is shown with a command
+    that has it.
 
-    options : of every command, in the order in which newcomers meet them
+    options : of all commands, in the order in which a new user needs them
     """
     case = case_of(arguments)
     shown = pasted(error, case, out_of(arguments))
@@ -30,7 +31,7 @@ def for_command_line(error: AnyError, arguments: Sequence[str], options: Options
 
 
 def case_of(arguments: Sequence[str]) -> Path | None:
-    """The case folder among the arguments; None where there is none, or several."""
+    """The case folder among the arguments; None if there is none, or several."""
     words = list(arguments[1:])
     end = words.index("--") if "--" in words else len(words)
     named = [Path(each) for k, each in enumerate(words) if k > end or not each.startswith("-")]
@@ -39,7 +40,7 @@ def case_of(arguments: Sequence[str]) -> Path | None:
 
 
 def out_of(arguments: Sequence[str]) -> Path | None:
-    """The output folder that the arguments name, if any; the last one counts, as for the command.
+    """The output folder given by the arguments, if any; the last one counts, as for the command itself.
 
     >>> [out_of(["mesh", "case", *words]) for words in (["--out=a"], ["-ob"], ["-o", "a", "--out", "c"], [])]
     [PosixPath('a'), PosixPath('b'), PosixPath('c'), None]
@@ -56,12 +57,12 @@ def out_of(arguments: Sequence[str]) -> Path | None:
 
 
 def _strangers(fix: str, own: Set[str], options: Options) -> Iterator[str]:
-    """Options in a fix, outside whole commands, that this command does not have and another has."""
+    """Options in a fix, outside complete commands, that only other commands have."""
     for found in _OPTION.findall(_OTHERS.sub("", fix)):
         if own and found not in own and owner_of(found, options):
             yield found
 
 
 def owner_of(option: str, options: Options) -> str:
-    """The first command that has an option, or nothing."""
+    """The first command that has an option, or ""."""
     return next((name for name, known in options.items() if option in known), "")

@@ -1,4 +1,4 @@
-"""Where on a command line the output folder is, for what nobody foresaw."""
+"""Find the output folder of a command line, for the report of an unexpected error."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from limbcli.config import default_out
 
 
 def output_folder(arguments: Sequence[str]) -> Path | None:
-    """The output folder that a command line names or means, if it is there.
+    """The output folder of a command line, given or default, if it exists.
 
     >>> output_folder(["mesh", "case", "--out=/tmp"]).as_posix(), output_folder(["mesh", "-o", "/nowhere"])
     ('/tmp', None)

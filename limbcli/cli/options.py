@@ -1,4 +1,4 @@
-"""Arguments and options that several subcommands share."""
+"""Arguments and options shared by several subcommands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How long a piece of work will still take, from how far it is; and signs of life in between."""
+"""Estimate of the remaining time from the progress of the work, and a heartbeat during silence."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import weakref
 from collections.abc import Callable
 from typing import Protocol
 
-TOLD_AFTER_S = 3.0  # work that is shorter needs no time left
-SILENCE_S = 4.0  # a little less than the five seconds that a person is let wait for a sign
+TOLD_AFTER_S = 3.0  # time (s) after which the remaining time is shown
+SILENCE_S = 4.0  # silence (s) before a heartbeat; slightly less than the limit of five seconds without output
 
 
 class TimeLeft:
-    """Time left of the work at hand; it starts anew where another work begins, or the same once more."""
+    """Remaining time of the current work; reset when another work starts, or the same one starts again."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic):
         self._clock = clock
@@ -22,7 +22,7 @@ class TimeLeft:
         self._done, self._began, self._first = 0.0, 0.0, 0.0
 
     def words(self, name: object, done: float, total: float) -> str:
-        """ ", about 12 s left", or nothing where it is too early to tell or the end is there."""
+        """Text such as ", about 12 s left", or "" if it is too early for an estimate or the work is done."""
         now = self._clock()
         if name != self._name or done < self._done:
             self._name, self._began, self._first = name, now, done
@@ -48,7 +48,8 @@ def seconds(value: float) -> str:
 
 
 class SilenceMonitor(Protocol):
-    """What a heartbeat asks: how long nothing was reported, and to tell that the work goes on."""
+    """What the heartbeat needs: the time since the last report, and a call that reports that the work goes
+    on."""
 
     def silent_s(self) -> float: ...
 
@@ -56,7 +57,8 @@ class SilenceMonitor(Protocol):
 
 
 def keep_alive(listener: SilenceMonitor, *, silence_s: float = SILENCE_S) -> None:
-    """Have a listener told whenever it was silent for so long; ends with the listener."""
+    """Start a heartbeat that calls the listener whenever it was silent for `silence_s`; ends with the
+    listener."""
     reference = weakref.ref(listener)
 
     def watch() -> None:
@@ -66,7 +68,7 @@ def keep_alive(listener: SilenceMonitor, *, silence_s: float = SILENCE_S) -> Non
             if found is None:
                 return
             if found.silent_s() >= silence_s:
-                with contextlib.suppress(OSError, ValueError):  # nobody reads any more
+                with contextlib.suppress(OSError, ValueError):  # the stream is closed
                     found.alive()
             del found
 

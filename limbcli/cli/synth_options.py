@@ -1,6 +1,6 @@
-"""Options that `phantom` and `synth` share: the known tissue, its measurement, the mesh simulated on.
+"""Options shared by `phantom` and `synth`: the known tissue, its measurement, and the mesh of the simulation.
 
-Names, defaults and bounds stand here alone: `with_synth_options` puts them into a command.
+Names, defaults and bounds are defined only here; `with_synth_options` adds them to a command.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ def _plan(
     margin_mm: SynthMarginOpt = None,
     same_mesh: SameMeshOpt = False,
 ) -> Any:
-    """What is simulated and measured, of the options chosen."""
+    """What to simulate and measure, from the options."""
     from limbcli.stages.simulated_subjects.hidden_effects import hide
     from limbcli.stages.simulated_subjects.indent import KnownTissue
     from limbcli.stages.simulated_subjects.synth_options import LoadingProtocol, SynthOptions
@@ -141,7 +141,7 @@ def _plan(
 
 
 def with_synth_options(command: Callable[..., None]) -> Callable[..., None]:
-    """A command with these options in the place of its parameter `plan`, which it gets as `SynthOptions`."""
+    """Add these options to a command in place of its parameter `plan`, which it gets as `SynthOptions`."""
     shared = inspect.signature(_plan).parameters
     hints = get_type_hints(_plan, include_extras=True) | get_type_hints(command, include_extras=True)
     own = inspect.signature(command)

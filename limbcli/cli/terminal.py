@@ -14,11 +14,11 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult
 
 _SECONDS_BETWEEN_LINES = 2.0
-_LONGEST = 100  # letters of the work at hand in a sign of life
+_LONGEST = 100  # largest number of characters of the current work in a heartbeat
 
 
 def terminal(*, quiet: bool = False, verbose: int = 0, stream: TextIO | None = None) -> Progress:
-    """The listener that suits this terminal: one line rewritten in place, or plain lines."""
+    """The listener for this terminal: one line rewritten in place, or plain lines."""
     if quiet:
         return SILENT
     stream = stream or sys.stderr
@@ -28,7 +28,7 @@ def terminal(*, quiet: bool = False, verbose: int = 0, stream: TextIO | None = N
 
 
 class _Lines:
-    """One line an event; on a terminal, repeated tasks rewrite their line; never silent for long."""
+    """One line per event; on a terminal, repeated tasks rewrite their line; a heartbeat limits silence."""
 
     def __init__(self, stream: TextIO, *, verbose: int, live: bool):
         self._stream, self._verbose, self._live = stream, verbose, live
@@ -52,11 +52,11 @@ class _Lines:
                 self._line(text)
 
     def silent_s(self) -> float:
-        """Seconds since anything was reported; none before the first event."""
+        """Seconds since the last report; 0 before the first event."""
         return time.monotonic() - self._last if self._doing else 0.0
 
     def alive(self) -> None:
-        """Say that the work told of last goes on, and for how long now."""
+        """Report that the last announced work goes on, and for how long."""
         with self._lock:
             text = f"  {self._doing[:_LONGEST]} ... still running, {time.monotonic() - self._begun:.0f} s"
             self._rewrite(text) if self._live else self._line(text)
@@ -76,7 +76,7 @@ class _Lines:
 
 
 class _Words:
-    """Events in words, with the time left of what takes long, and the solve that a level belongs to."""
+    """Events in words, with the remaining time of long work, and the solve that a level belongs to."""
 
     def __init__(self) -> None:
         self._solve = ""
@@ -120,7 +120,7 @@ def _newton(facts: dict[str, Any], solve: str) -> str:
 
 
 def _describe(kind: str, facts: dict[str, Any]) -> tuple[str, bool]:
-    """(text, whether the next event may overwrite it), of what needs no memory."""
+    """(text, whether the next event may overwrite it), for events that do not depend on earlier ones."""
     match kind:
         case "note":
             return f"  {facts['text']}", False
@@ -142,7 +142,7 @@ def _bar(done: int, total: int, width: int = 24) -> str:
 
 
 def emit(results: StageResult | Sequence[StageResult], *, as_json: bool) -> None:
-    """Print results: JSON for machines, or the summary for people."""
+    """Print results: JSON for programs, or the summary for people."""
     several = [results] if isinstance(results, StageResult) else list(results)
     if as_json:
         contents = [{**each.to_json(), "folder": str(each.folder)} for each in several]

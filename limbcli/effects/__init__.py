@@ -1,8 +1,8 @@
-"""Candidate missing effects, one a file; this list is their index.
+"""Candidate missing effects, one per file; the list in this file is their index.
 
-An effect is a physical sentence, its parameters, and a pure change of the model (`apply`) or of
-the reading (`observe`). Numerical ones come first: what the mesh explains needs no new tissue.
-A further effect is one file with `EFFECT` in it: listed here, or named with
+An effect consists of a sentence that states the physics, its parameters, and a pure change of the model
+(`apply`) or of the reading (`observe`). Numerical effects come first, because what the mesh explains needs no
+new tissue. A further effect is one file that defines `EFFECT`; it is either listed here or given with
 `limbcli diagnose --effect-file`.
 """
 
@@ -67,9 +67,9 @@ __all__ = ["EFFECTS", "Effect", "Parameter", "effect"]
 
 
 def effect(name: str, effects: tuple[Effect, ...] = EFFECTS, *, option: str = "--effects") -> Effect:
-    """An effect by its name.
+    """The effect with the given name.
 
-    option : by which it was asked for
+    option : the command-line option that requested it, for the error
 
     Raises
     ------

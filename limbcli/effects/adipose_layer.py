@@ -1,9 +1,10 @@
 """Fat below the skin: a soft layer over muscle.
 
-c_fat / c in a layer of some millimetres below the skin: a long toe, then strong stiffening when the fat
-bottoms out (which looks like a large m).
+A layer of some millimetres below the skin whose stiffness is c_fat / c times that of the tissue. The force
+curve has a long toe, then stiffens strongly when the fat is compressed to its limit (which resembles a large
+m).
 FEBio: element maps of c1, c2, cp.
-Tell-tale: superficial speeds low at rest and rising fast, deep ones slow to follow.
+Tell-tale: superficial speeds are low at rest and rise fast; deep ones follow slowly.
 Source: Comley & Fleck 2010, Int J Solids Struct 47:2982 (fat: shear modulus 0.2 to 2 kPa).
 """
 
@@ -24,7 +25,7 @@ _EDGE_MM = 0.4
 
 
 def stiffness(places: Places, theta: Theta) -> Array:
-    """ln of c / c_fat is the parameter: 0 without fat, 0.7 for half as stiff."""
+    """Stiffness factor at places; the parameter is ln(c / c_fat): 0 without fat, 0.7 for half as stiff."""
     beyond = places.below_skin - theta.get(THICKNESS, 6.0)
     inside = 1.0 / (1.0 + np.exp(np.clip(beyond / _EDGE_MM, -40, 40)))
     return np.asarray(1.0 + inside * np.expm1(-theta[SOFTNESS.name]))

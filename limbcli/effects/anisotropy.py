@@ -1,14 +1,14 @@
-"""Muscle fibres: stiffer along than across, in shear and in tension.
+"""Muscle fibres: stiffer along the fibres than across them, in shear and in tension.
 
-Psi += Psi_f(I4) with Cauchy stress (1/J) [2 ksi (I4 - 1) N + mu_f sym(N (b - 1))],
-N = (F a0)(F a0)', where I4 > 1. At small strain mu_along = mu_across + mu_f/2, and the fibre adds
-4 ksi + 2 mu_f along it. The transverse image reads the speed across, while a probe across the limb
-squeezes tissue along the fibres: the force is larger than c = 2 mu_SWE promises.
-a0: the fibres' direction as the case gives it, else the limb's long axis.
+Psi += Psi_f(I4) with Cauchy stress (1/J) [2 ksi (I4 - 1) N + mu_f sym(N (b - 1))], N = (F a0)(F a0)', where
+I4 > 1. At small strain mu_along = mu_across + mu_f/2, and the fibres add 4 ksi + 2 mu_f to the stiffness
+along them. The transverse image measures the speed across the fibres, while a probe pressing across the limb
+deforms the tissue along the fibres, so the force is larger than expected from c = 2 mu_SWE.
+a0: the fibre direction given in the case, else the limb's long axis.
 FEBio: `solid mixture` with `fiber-exp-pow` (alpha 0, beta 2).
 Tell-tale: with the probe turned by 90 degrees speeds rise and force falls.
-Source: Criscione et al. 2001, J Mech Phys Solids 49:871 (shear moduli of fibred tissue);
-Gennisson et al. 2010, Ultrasound Med Biol 36:789 (muscle: 4 to 5 times as fast along fibres).
+Source: Criscione et al. 2001, J Mech Phys Solids 49:871 (shear moduli of fibred tissue); Gennisson et al.
+2010, Ultrasound Med Biol 36:789 (muscle: 4 to 5 times as fast along fibres).
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ TENSION = Parameter("fibre_tension_per_c", null=0.0, start=0.3, low=0.0, high=5.
 
 
 def apply(model: LimbModel, theta: Theta) -> LimbModel:
-    """Fibres in parallel with the tissue's law; stiffnesses are shares of c, so that they scale with it."""
+    """Add fibres in parallel with the tissue's law; their stiffnesses are given relative to c, so that they
+    scale with it."""
     shear, tension = theta[SHEAR.name], theta[TENSION.name]
     if shear == 0.0 and tension == 0.0:
         return model

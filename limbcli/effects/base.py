@@ -1,4 +1,4 @@
-"""What an effect is: a physical sentence, its parameters, and pure changes to model or reading."""
+"""Definition of an effect: a sentence of physics, its parameters, and pure changes of model or reading."""
 
 from __future__ import annotations
 
@@ -13,25 +13,28 @@ from limbcli.model import Array, LimbModel
 
 Theta = Mapping[str, float]
 Kind = Literal["numerical", "measurement", "tissue", "swe"]
-NUMERICAL: Kind = "numerical"  # what mesh, cut and contact do: looked at first in any case
+NUMERICAL: Kind = "numerical"  # effects of mesh, cut and contact: always examined first
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of an effect; its name carries its unit where it has one.
+    """A parameter of an effect; its name includes its unit if it has one.
 
-    null : the value without the effect; start : where a fit begins; low, high : bounds
-    typical : a plausible value when the effect is there (for what stays unseen)
+    null : the value without the effect
+    start : initial guess of a fit
+    low, high : bounds
+    typical : a plausible value if the effect is present (used for effects that the data cannot show)
     prior : what is known of its size, with the source
-    shape : it means nothing at the effect's null (a place, a thickness): it has no null value of its own
-        (`null` is `start`), and is fitted from the points of the effect's grid
-    natural_bounds : nothing lies beyond `low` and `high` (a share of 0 or 1): a fit may end there
-    both_sides : what it changes on one side of null is not the opposite of what it changes on the other, so
-        that a simulated effect is solved on either
-    extent : a shape that says how far the effect reaches: as large as can be it makes another effect of it
-    saturates : distance from `null` over which what it changes levels off, as 1 - exp(-distance / saturates);
-        None: it changes things in proportion
-    looked_at : the share of the way from `null` to `start` over which its influence at the null is looked at
+    shape : it is undefined without the effect (a place, a thickness), so it has no null value of its own
+        (`null` is `start`) and is fitted from the points of the effect's grid
+    natural_bounds : values beyond `low` and `high` are impossible (a fraction of 0 or 1), so a fit may end
+        there
+    both_sides : its effects on the two sides of null are not opposite, so a simulated effect is solved on
+        both
+    extent : a shape that sets how far the effect reaches; at its largest it makes the effect a different one
+    saturates : distance from `null` over which its effect levels off, as 1 - exp(-distance / saturates);
+        None: its effect is proportional to the distance
+    looked_at : fraction of the way from `null` to `start` at which its influence near null is evaluated
     """
 
     name: str
@@ -56,13 +59,15 @@ class Parameter:
 
     @property
     def step(self) -> float:
-        """By how much it moves when its influence is looked at: to a fit's start, or a part of its range."""
+        """Change at which its influence is evaluated: from null to the start value, or for a shape a tenth of
+        its range."""
         if self.shape:
             return 0.1 * (self.high - self.low)
         return max(abs(self.start - self.null), 1e-6)
 
     def proportional(self, value: float) -> float:
-        """What grows in proportion to the change that this value makes; near null its distance from it.
+        """Quantity to which the effect of this value is proportional; near null it equals the distance from
+        null.
 
         >>> Parameter("mu", 0.0, 0.2, 0.0, 1.0, 0.15, saturates=0.2).proportional(0.2)  # 0.2 (1 - 1 / e)
         0.126...
@@ -73,7 +78,7 @@ class Parameter:
         )
 
     def from_proportional(self, x: float) -> float:
-        """The value that changes things by as much; infinite where none does."""
+        """Inverse of `proportional`; infinite where no value has so large an effect."""
         if self.saturates is None:
             return self.null + x
         if x >= self.saturates:
@@ -82,19 +87,19 @@ class Parameter:
 
     @property
     def sign(self) -> int:
-        """+1 or -1 where the null value is a bound: the effect goes one way only; 0 otherwise."""
+        """+1 or -1 where the null value is a bound, so the effect has one direction only; otherwise 0."""
         if self.shape:
             return 0
         return 1 if self.null <= self.low else -1 if self.null >= self.high else 0
 
 
 def same_model(model: LimbModel, theta: Theta) -> LimbModel:
-    """The model is not touched: the effect is in the reading."""
+    """The unchanged model, for effects on the reading."""
     return model
 
 
 def same_reading(reading: Reading, theta: Theta) -> Reading:
-    """The reading is not touched: the effect is in the model."""
+    """The unchanged reading, for effects on the model."""
     return reading
 
 
@@ -102,21 +107,23 @@ def same_reading(reading: Reading, theta: Theta) -> Reading:
 class Effect:
     """One candidate missing effect.
 
-    needs : channels without which it cannot be judged: "force", "swe", "map", "travel",
-        "skin-bone", "hold"; "bone": one under the probe, in the model
-    grid : values of parameters that mean nothing at the null (a time constant, a place), tried in turn;
-        of those with a `shape` a fit only begins there
-    stiffness : where the effect is a factor on all stiffnesses of the tissue: that factor, over places;
-        `apply` then follows from it
-    waves : the change of the law that the scanner's window sees, where that is not `apply`'s (a layer
-        thinner than an element stiffens the whole element, and lies above the window)
-    solves : the prediction needs a simulation with `apply`; otherwise `observe` is all of it
-        (where both differ from the identity and `solves` is false, `apply` is what FEBio is given)
-    febio_only : the reference solver refuses the model
+    needs : channels without which it cannot be assessed: "force", "swe", "map", "travel", "skin-bone",
+        "hold"; "bone": a bone under the probe, in the model
+    grid : values, tried in turn, of parameters that are undefined at the null (a time constant, a place); for
+        those declared with `shape` they are only the initial guess of a fit
+    stiffness : the field by which the effect multiplies all stiffnesses of the tissue, if it does so; `apply`
+        then follows from it
+    waves : change of the law as seen in the scanner's window, where it differs from `apply` (a layer thinner
+        than an element stiffens the whole element, but lies above the window)
+    solves : the prediction needs a simulation with `apply`; otherwise `observe` is sufficient (where both
+        differ from the identity and `solves` is false, `apply` is what FEBio is given)
+    febio_only : the reference solver does not support the model
     new_mesh : `apply` moves nodes or elements
-    spreads : it spreads the load, so that much of what it does to the speeds goes through the deformation
-    onset : the grid's value that is a share of the levels: on those before it the effect is not there yet
-    each_time : every measurement has its own size of it (an operator's or a tare's error); otherwise
+    spreads : it spreads the load, so that a large part of its effect on the speeds is due to the changed
+        deformation
+    onset : name of the grid value that is a fraction of the levels; at the levels before it the effect is
+        absent
+    each_time : its size differs between measurements (an error of the operator or the tare); otherwise
         measurements of one place share it
     """
 
@@ -141,7 +148,7 @@ class Effect:
 
     @property
     def sizes(self) -> tuple[Parameter, ...]:
-        """The parameters that have a null value: without them there is no effect."""
+        """The parameters that have a null value; with all of them at null there is no effect."""
         return tuple(each for each in self.parameters if not each.shape)
 
     @property
@@ -157,26 +164,26 @@ class Effect:
         return {**{each.name: each.typical for each in self.parameters}, **self.grid[0]}
 
     def free(self, point: Theta) -> dict[str, float]:
-        """What of a point of the grid a fit begins with, and then moves."""
+        """The values of a grid point that a fit starts from and then changes."""
         names = {each.name for each in self.parameters}
         return {name: value for name, value in point.items() if name in names}
 
     def held(self, point: Theta) -> dict[str, float]:
-        """What of a point of the grid stays as it is."""
+        """The values of a grid point that stay fixed."""
         names = {each.name for each in self.parameters}
         return {name: value for name, value in point.items() if name not in names}
 
     def without_onset(self, point: Theta) -> dict[str, float]:
-        """A point of the grid as the model takes it: when the effect sets in is no matter of the model."""
+        """A grid point without the onset, which the model does not use."""
         return {name: value for name, value in point.items() if name != self.onset}
 
 
 def applied(model: LimbModel, effects: Iterable[tuple[Effect, Theta]], *, waves: bool = False) -> LimbModel:
-    """The model with these effects in it, in whatever order they come; as the shear waves in the scanner's
-    window meet it, on request.
+    """The model with these effects applied in the given order; with `waves`, as seen by shear waves in the
+    scanner's window.
 
-    Factors on all stiffnesses come last: the others are given in terms of the tissue's c, and are stiffened
-    and softened with it.
+    Factors on all stiffnesses are applied last: the other effects are given relative to the tissue's c and
+    are scaled with it.
     """
     for effect, theta in sorted(effects, key=lambda each: each[0].stiffness is not None):
         change = effect.waves if waves and effect.waves is not None else effect.apply

@@ -1,10 +1,10 @@
-"""The contact's penalty lets the probe sink into the skin, or its facets make steps.
+"""The contact penalty lets the probe sink into the skin, or the facets make the force curve uneven.
 
-A gap g = p/eps works in series with the tissue. At 20 times the tissue's own stiffness the
-force of tet10 is 2 to 3 % low at m 2; where a large m makes the tissue many times stiffer under the
-probe than at rest, a quarter or more. The test is a quarter of the penalty, which a solver reaches more
-easily than four times it.
-Tell-tale: a force low by a constant share; a staircase in the curve.
+A gap g = p/eps acts in series with the tissue. At 20 times the tissue's own stiffness the force of tet10 is 2
+to 3 % low at m 2; where a large m makes the tissue many times stiffer under the probe than at rest, it is low
+by a quarter or more. The test uses a quarter of the penalty, for which a solver converges more easily than
+for four times the penalty.
+Tell-tale: a force low by a constant fraction; a staircase in the curve.
 Source: Wriggers 2006, Computational Contact Mechanics, section 6.3.
 """
 

@@ -1,8 +1,8 @@
-"""Muscle that tenses: an active stress along the fibres.
+"""Muscle that contracts: an active stress along the fibres.
 
-sigma += (T0/J) (F a0)(F a0)', T0 0 to 30 kPa (0 to 10 % of the maximal stress); along the fibre
-rho v^2 grows by T0 l^2, across it at first not at all. From the start, or from a level on: guarding, when
-it begins to hurt. In a model file it is there from the start.
+sigma += (T0/J) (F a0)(F a0)', T0 0 to 30 kPa (0 to 10 % of the maximal stress); along the fibre rho v^2 grows
+by T0 l^2, across it initially not at all. The contraction is present from the start, or from a level onwards
+(guarding, when the indentation begins to hurt). In a model file it is present from the start.
 FEBio: `prescribed fiber active contraction` in a `solid mixture`.
 Tell-tale: the force jumps or fluctuates within a hold, and repeats differ; rotated speeds jump more.
 Source: Zajac 1989, Crit Rev Biomed Eng 17:359; Nordez & Hug 2010, J Appl Physiol 108:1389.

@@ -1,9 +1,9 @@
-"""The model is cut off too near the probe, or held too firmly at its cut.
+"""The model is cut too close to the probe, or held too firmly at its cut.
 
-A side fixed 10 mm from the face doubles the force, 20 mm adds a quarter, 40 mm a few per cent.
-The bound that needs no new mesh: with the cut free instead of fixed the force is too low, so
-that the truth lies between; how far apart the two are is the size of the uncertainty.
-Tell-tale: stiff, and stiffer late; deep speeds low, superficial ones high.
+A side fixed 10 mm from the face doubles the force, 20 mm adds a quarter, 40 mm a few per cent. A bound that
+needs no new mesh: with the cut free instead of fixed the force is too low, so the truth lies between the two,
+and their difference is the size of the uncertainty.
+Tell-tale: too stiff, and increasingly so at large depth; deep speeds low, superficial ones high.
 Source: Saint-Venant's principle; Hayes et al. 1972, J Biomech 5:541 for the layer without sides.
 """
 
@@ -20,7 +20,7 @@ FREED = Parameter("cut_freed", null=0.0, start=1.0, low=0.0, high=1.0, typical=1
 
 
 def apply(model: LimbModel, theta: Theta) -> LimbModel:
-    """Let the cut go: only the bone stays fixed."""
+    """Free the cut: only the bone stays fixed."""
     sets = model.mesh.node_sets
     if theta[FREED.name] < 0.5 or "cut" not in sets or "bone" not in sets or not len(sets["bone"]):
         return model

@@ -1,4 +1,4 @@
-"""A site's simulated curves over depth, and values between and beyond what was solved."""
+"""Simulated curves of a site over depth, with interpolation and extrapolation."""
 
 from __future__ import annotations
 
@@ -11,18 +11,21 @@ import numpy as np
 from limbcli.model import Array
 from limbcli.monotone_interpolation import Monotone, columns_through
 
-_FAR = 10.0  # of ln depth beyond a curve's ends
-_LARGER = 1e-6  # times: a force that is larger by less is the same, and its logarithm may be
+_FAR = 10.0  # limit of the extrapolation of ln depth beyond a curve's ends
+_LARGER = 1e-6  # relative increase of force below which it, and so its logarithm, counts as unchanged
 
 
 @dataclass(frozen=True, eq=False)
 class Curves:
     """A simulated indentation over the probe's depth.
 
-    depth (n,) mm from 0; force (n,) N; log_speed (n, n_windows) ln of m/s, NaN where no
-    wave runs, or (n, 0); window_depth (n_windows,) mm below the face; thickness: skin to bone
-    along the beam, mm, NaN where the beam meets no bone
-    log_line (n, n_lines) ln of mm below the skin of the borders of layers on the beam; None: not followed
+    depth : (n,) mm from 0
+    force : (n,) N
+    log_speed : (n, n_windows) ln of m/s, NaN where no wave propagates, or (n, 0)
+    window_depth : (n_windows,) mm below the face
+    thickness : skin to bone along the beam (mm), NaN where the beam meets no bone
+    log_line : (n, n_lines) ln of the depth below the skin (mm) of layer borders on the beam; None: not
+        recorded
     """
 
     depth: Array
@@ -34,12 +37,12 @@ class Curves:
 
     @property
     def columns(self) -> Array:
-        """(n, n_windows + n_lines): ln speeds, then ln depths of lines."""
+        """Table (n, n_windows + n_lines): ln speeds, then ln depths of lines."""
         lines = [] if self.log_line is None else [self.log_line]
         return np.column_stack([self.log_speed, *lines])
 
     def with_columns(self, table: Array) -> dict[str, Array | None]:
-        """What of these curves such a table replaces."""
+        """Fields of these curves with the values of such a table, for `replace`."""
         n = self.log_speed.shape[1]
         return {"log_speed": table[:, :n], "log_line": None if self.log_line is None else table[:, n:]}
 
@@ -53,20 +56,20 @@ class Curves:
         highest = np.maximum.accumulate(self.force)
         rising = np.flatnonzero(np.diff(highest, prepend=0.0) > _LARGER * highest)
         x, y = np.log(self.force[rising]), np.log(np.maximum(self.depth[rising], 1e-9))
-        if len(rising) < 2:  # too few to fit: force as depth to the power of 1.5, through what there is
+        if len(rising) < 2:  # too few for a curve: force as depth to the power of 1.5
             x0, y0 = (x[0], y[0]) if len(rising) else (0.0, 0.0)
             x, y = np.array([x0, x0 + 1.5]), np.array([y0, y0 + 1.0])
         return Monotone.through(x, y)
 
 
 def force_at(curves: Curves, depth: Array) -> Array:
-    """N at any depth: 0 before touch, PCHIP within the simulation, its last slope beyond."""
+    """Force (N) at any depth: 0 before touch, PCHIP within the simulation, extrapolated linearly beyond."""
     curve = curves.force_curve
     return curve.with_lines(depth, 0.0, curve.slopes[-1])
 
 
 def log_force_at(curves: Curves, depth: Array) -> Array:
-    """ln N at depths > 0: a curve through ln force over ln depth, a power of depth below and beyond."""
+    """ln N at depths > 0: PCHIP of ln force over ln depth, extrapolated as a power of depth at both ends."""
     x, y = np.log(curves.depth[1:]), np.log(np.maximum(curves.force[1:], 1e-9))
     at = np.log(np.maximum(depth, 1e-6))
     if len(x) < 2:
@@ -77,7 +80,8 @@ def log_force_at(curves: Curves, depth: Array) -> Array:
 
 
 def depth_at(curves: Curves, force: Array) -> Array:
-    """mm at forces > 0: a curve through ln depth over ln force, a power of force below and beyond."""
+    """Depth (mm) at forces > 0: PCHIP of ln depth over ln force, extrapolated as a power of force at both
+    ends."""
     curve, at = curves.depth_curve, np.log(np.maximum(force, 1e-9))
     x, y = curve.knots, curve.values
     first, last = (y[1] - y[0]) / (x[1] - x[0]), (y[-1] - y[-2]) / (x[-1] - x[-2])
@@ -85,9 +89,10 @@ def depth_at(curves: Curves, force: Array) -> Array:
 
 
 def continued(curves: Curves, depths: Sequence[float], *, like: Curves | None = None) -> Curves:
-    """The curves on to further depths: the force as the last power of depth, ln speeds as the last line.
+    """The curves extrapolated to further depths: the force as a power of depth, ln speeds linearly.
 
-    like : curves that reach further; then their course, and the difference to it as its last line
+    like : curves that reach further; then they are followed, and the difference from them is extrapolated
+        linearly
     """
     further, last = np.asarray(depths, dtype=float), curves.depth[-2:]
     if like is None:
@@ -117,7 +122,7 @@ def _logs_at(curves: Curves, depth: Array) -> Array:
 
 
 def depth_of_force(curves: Curves, force: float) -> float:
-    """mm at which the simulated curve reaches a force.
+    """Depth (mm) at which the simulated curve reaches a force.
 
     >>> c = Curves(np.linspace(0, 10, 6), np.linspace(0, 20, 6), np.zeros((6, 0)), np.zeros(0))
     >>> round(depth_of_force(c, 4.0), 6)
@@ -140,12 +145,12 @@ def depth_of_force(curves: Curves, force: float) -> float:
 
 
 def columns_at(curves: Curves, depth: Array) -> Array:
-    """ln speed (n_levels, n_windows) at depths, each window by what is known of it."""
+    """ln speed (n_levels, n_windows) at depths, each window interpolated from its own finite values."""
     return columns_through(curves.depth, curves.log_speed, depth)
 
 
 def column_at(knots: Array, values: Array, depth: Array) -> Array:
-    """PCHIP within the knots, level before them, the last slope beyond."""
+    """PCHIP within the knots, constant before them, extrapolated linearly beyond."""
     curve = Monotone.through(knots, values)
     inside = np.clip(depth, knots[0], knots[-1])
     beyond = np.maximum(depth - knots[-1], 0.0)

@@ -1,8 +1,8 @@
 """Depth reads too large or too small by a factor: d_true = g d_shown.
 
-The scanner assumes 1540 m/s; fat has about 1450, muscle 1580: g 0.94 to 1.03.
-Every distance along the beam is misread alike, so that from skin to bone too.
-Tell-tale: stretches both force and speed over depth.
+The scanner assumes 1540 m/s; fat has about 1450, muscle 1580: g 0.94 to 1.03. All distances along the beam
+are misread by the same factor, including that from skin to bone.
+Tell-tale: force and speed are both stretched over depth.
 Source: Goss et al. 1978, J Acoust Soc Am 64:423 (speeds of sound in tissue).
 """
 

@@ -1,7 +1,8 @@
 """Depth is not counted from first touch: d_true = d_shown + d0.
 
-The first frame may be compressed already (d0 > 0), or the probe touches only in part. Or the level shown at
-depth 0 was at first touch, but its skin-bone distance was misread: then all other depths are off by d0.
+The first frame may already be compressed (d0 > 0), or the probe may touch only in part. Alternatively the
+level shown at depth 0 was at first touch but its skin-bone distance was misread; then all other depths are
+off by d0.
 Tell-tale: a horizontal shift; the toe is cut or stretched; speed over depth shifts too.
 Source: first-frame selection on B-mode images.
 """
@@ -22,7 +23,7 @@ ZERO = Parameter(
     typical=1.0,
     prior="0.5 to 2 mm by eye on a B-mode frame",
 )
-TOUCHES = "depth_0_is_first_touch"  # 1: the level shown there was; 0: it was as far off as the others
+TOUCHES = "depth_0_is_first_touch"  # 1: it is; 0: it is off by d0 like the others
 
 
 def observe(reading: Reading, theta: Theta) -> Reading:

@@ -1,14 +1,16 @@
-"""What is left of the force of squeezed biphasic tissue while its fluid drains, for any history of the depth.
+"""Fraction of the force of compressed biphasic tissue that remains while its fluid drains, for any depth
+history.
 
-A probe that is pressed in at once and held bears F(t) = F_0 G(k c t): F_0 before anything has drained, k the
-permeability, c the stiffness, on which G depends through their product alone. G at a few depths comes out of
-simulations, as 1 - sum_i s_i (1 - exp(-k c t / x_i)). What drains follows how the depth came about, so that
-of any history d(t) there is left
+A probe that is pressed in instantaneously and held bears F(t) = F_0 G(k c t). F_0 is the undrained force, k
+the permeability and c the stiffness; G depends only on their product. Simulations give G at a few depths, as
+1 - sum_i s_i (1 - exp(-k c t / x_i)). Drainage depends on how the depth was reached, so for any history d(t)
+the remaining fraction is
 
     1 - sum_i s_i(d) (1 - m_i / d),    m_i(t) = int exp(-k c (t - s) / x_i) dd(s).
 
-Exact for linear tissue under a steady contact. Against simulations of a whole staircase of holds (strain to
-a quarter, k c 0.05 and 0.5 mm^2/s) forces are within 0.5 %, their falls in holds within 0.4 % of the force.
+This is exact for linear tissue under a constant contact area. Compared with simulations of a whole staircase
+of holds (strain to a quarter, k c 0.05 and 0.5 mm^2/s), forces are within 0.5 %, and their decreases during
+holds within 0.4 % of the force.
 Source: Mow et al. 1980, J Biomech Eng 102:73; superposition, Fung 1993, Biomechanics, section 7.6.
 """
 
@@ -23,21 +25,26 @@ from scipy.optimize import nnls
 from limbcli.errors import SolveError
 from limbcli.model import Array
 
-# mm^2, k c t of the terms. What drains before the first does so over a fraction of a millimetre at the rim
-# of the contact: that is the mesh's.
+# k c t of the terms (mm^2). Drainage before the first term occurs within a fraction of a millimetre at the
+# rim of the contact and depends on the mesh.
 SPREADS = 10.0 ** np.arange(-2.0, 3.51, 0.5)
-_LEAST_DEPTH = 0.05  # mm, below which a depth has no history to speak of
-_LEAST_LEFT = 0.05
-_ENOUGH_POINTS = 8
-# Of the force: simulated holds of blocks and a limb are within 0.002 of their terms, but for single steps.
+_LEAST_DEPTH = 0.05  # lower limit of the depth (mm) by which the memory is divided
+_LEAST_LEFT = 0.05  # lower limit of the remaining fraction of the force
+_ENOUGH_POINTS = 8  # smallest number of times of a hold for a fit
+# Relative force residuals above which a hold is rejected and above which a time is an outlier, and the
+# smallest fraction of times that are no outliers. Simulated holds of blocks and a limb are within 0.002 of
+# their fit, except for single steps.
 _MISFIT, _STRAY, _MOST_FAIR = 0.02, 0.01, 0.85
 
 
 @dataclass(frozen=True, eq=False)
 class HeldIndentation:
-    """A simulated indentation, pressed in while k c t rises to `ramp` and held from there on.
+    """A simulated indentation, pressed in while k c t rises to `ramp` and held from then on.
 
-    depth mm; ramp mm^2; spread (n,) : k c t in mm^2, rising; force (n,) N
+    depth : mm
+    ramp : mm^2
+    spread : (n,) k c t in mm^2, increasing
+    force : (n,) N
     """
 
     depth: float
@@ -48,8 +55,12 @@ class HeldIndentation:
 
 @dataclass(frozen=True, eq=False)
 class Drainage:
-    """What drains at a site: depth (n_depths,) mm, rising; lost (n_depths, n_terms): the shares s_i;
-    spread (n_terms,) mm^2: the x_i."""
+    """Drainage of a site.
+
+    depth : (n_depths,) mm, increasing
+    lost : (n_depths, n_terms) the fractions s_i
+    spread : (n_terms,) the x_i (mm^2)
+    """
 
     depth: Array
     lost: Array
@@ -57,12 +68,12 @@ class Drainage:
 
     @staticmethod
     def through(holds: Sequence[HeldIndentation]) -> Drainage:
-        """The shares that go through simulated holds, at one depth each.
+        """Fit the fractions to simulated holds, one hold per depth.
 
         Raises
         ------
         SolveError
-            If there is none, or one carries too little information.
+            If there is no hold, or if one has too few usable times or does not decay like draining tissue.
         """
         if not holds:
             raise SolveError("no held indentation was simulated", where="drainage", fix="see why in its log")
@@ -71,14 +82,16 @@ class Drainage:
         return Drainage(np.array([each.depth for each in ordered]), lost, SPREADS)
 
     def times(self, rate: float) -> Array:
-        """s (n_terms,): time constants where k c is `rate` (mm^2/s)."""
+        """Time constants (n_terms,) in s for a k c of `rate` (mm^2/s)."""
         return np.asarray(self.spread / max(abs(rate), 1e-12))
 
     def left(self, depth: Array, memory: Array, rate: float) -> Array:
-        """Share (n,) of the undrained force that is left at depths (n,) mm.
+        """Fraction (n,) of the undrained force that remains at depths (n,) mm.
 
-        memory (n, n_terms) mm : the m_i, with time constants `times(rate)`. For rates below 0, which are
-        there for differences about 0 only, as much is gained as is lost at the rate's opposite.
+        memory : (n, n_terms) the m_i (mm), with time constants `times(rate)`
+
+        A rate below 0 occurs only in finite differences about 0; there the force increases by as much as it
+        decreases at the opposite rate.
         """
         shares = np.column_stack([np.interp(depth, self.depth, each) for each in self.lost.T])
         gone = shares * (1.0 - memory / np.maximum(depth, _LEAST_DEPTH)[:, None])
@@ -92,7 +105,8 @@ def held_memory(hold: HeldIndentation, spread: Array) -> Array:
 
 
 def _shares(hold: HeldIndentation) -> Array:
-    """Shares (n_terms,), none below 0, by least squares of the relative force from the first term on."""
+    """Fractions (n_terms,) by non-negative least squares of the relative force, from the first term's time
+    on."""
     used = hold.spread >= max(hold.ramp, SPREADS[0])
     force = hold.force[used]
     if used.sum() < _ENOUGH_POINTS or not np.all(force > 0):
@@ -103,7 +117,7 @@ def _shares(hold: HeldIndentation) -> Array:
     gone = 1.0 - held_memory(hold, SPREADS)[used]
     table = np.column_stack([np.ones(len(force)), -gone]) / force[:, None]
     off = _misfit(table, nnls(table, np.ones(len(force)))[0])
-    # A step that was let pass a little too soon is one point beside the others.
+    # A time step accepted before full convergence appears as a single outlier.
     fair = off <= max(_STRAY, 5.0 * float(np.median(off)))
     found = nnls(table[fair], np.ones(int(fair.sum())))[0]
     worst = float(_misfit(table[fair], found).max())

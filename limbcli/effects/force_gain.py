@@ -1,7 +1,7 @@
 """The force reads too large or too small by a factor: F_shown = g F.
 
-Load cells of this kind are good to 5 %. Not separable from the scale of c unless the
-shear-wave speeds tie c.
+Load cells of this kind are accurate to 5 %. The factor cannot be separated from the scale of c unless the
+shear-wave speeds determine c.
 Tell-tale: the force scale differs from what the wave speeds indicate.
 Source: calibration of load cells.
 """

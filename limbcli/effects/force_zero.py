@@ -1,8 +1,8 @@
-"""The force reads off by a constant: F_shown = F + F0.
+"""The force reading has a constant offset: F_shown = F + F0.
 
-F0 = m g (cos theta - cos theta_tare) for a probe of 0.2 to 0.4 kg whose load cell was tared
-in another position; at most 4 N.
-Tell-tale: a vertical shift of the whole force-depth curve; speed over depth stays.
+F0 = m g (cos theta - cos theta_tare) for a probe of 0.2 to 0.4 kg whose load cell was tared in another
+position; at most 4 N.
+Tell-tale: a vertical shift of the whole force-depth curve; speed over depth is unchanged.
 Source: statics of a tilted load cell.
 """
 

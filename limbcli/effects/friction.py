@@ -1,9 +1,10 @@
 """The skin does not slide freely under the probe: Coulomb friction.
 
 |t_T| <= mu p; dry skin about 0.5, with gel 0.02 to 0.15. The force grows by about 1 % on a nearly
-incompressible layer, a few per cent at large depth: practically invisible in force and mean speed.
-It levels off where the skin sticks: on two limbs (m 2 and 6, f_kappa 100, down to 30 % of the tissue)
-coefficients of 0.1, 0.2, 0.3, 0.5 added 0.37 to 0.44, 0.6 to 0.77, 0.7 to 0.89, 0.88 to 0.96 of what 1 adds.
+incompressible layer and by a few per cent at large depth, which is practically invisible in force and mean
+speed. The effect levels off where the skin sticks: on two limbs (m 2 and 6, f_kappa 100, down to 30 % of the
+tissue) coefficients of 0.1, 0.2, 0.3, 0.5 added 0.37 to 0.44, 0.6 to 0.77, 0.7 to 0.89, 0.88 to 0.96 of the
+increase by a coefficient of 1.
 FEBio: `fric_coeff` of `sliding-elastic`, non-symmetric.
 Tell-tale: superficial speeds a few per cent low; speckle beside the probe's edge does not slip.
 Source: Zhang & Mak 1999, Prosthet Orthot Int 23:135 (friction of skin).

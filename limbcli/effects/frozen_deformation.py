@@ -1,14 +1,14 @@
-"""What a change of the tissue does to the force, without solving again: the deformation is kept.
+"""Change of the force by a change of the tissue without another solve, at the deformation of a solved
+indentation.
 
-Under a prescribed depth the force is dE/d(depth), E the least energy; to first order in a
-change of the law E changes by the change's energy at the deformation there was (envelope
-theorem). So the force's derivative with respect to every stiffness of every element, fibre
-or layer follows from one solved indentation, exactly; for a finite change it is an upper bound of
-the energy. Speeds follow from the law at the same deformation: their part through the
-changed deformation is left out (a few per cent of the mean speed).
+At prescribed depth the force is dE/d(depth), with E the minimum energy. To first order in a change of the
+law, E changes by the change of the energy at the original deformation (envelope theorem). So one solved
+indentation gives the exact derivative of the force by any stiffness of any element, fibre or layer; for a
+finite change the energy so found is an upper bound. Speeds are computed from the law at the same deformation;
+their change due to the changed deformation is neglected (a few per cent of the mean speed).
 
-A factor on all stiffnesses (`Effect.stiffness`) needs no law at all: energies are weighed by it, speeds by
-its root, at the places of the unloaded tissue that each pixel averages.
+A factor on all stiffnesses (`Effect.stiffness`) does not need the law: energies are multiplied by it and
+speeds by its square root, at the places in the unloaded tissue that each pixel averages.
 
 Source: Bonnans & Shapiro 2000, Perturbation Analysis of Optimization Problems, section 4.3.
 """
@@ -32,11 +32,11 @@ from limbcli.model import Array, IntArray, LimbModel
 from limbcli.shear_waves.speed import block_speeds
 
 _UNIFORM = 1e-3  # range of the factor over the cells below which no slope is fitted
-_LARGEST_CORRECTION = 0.7  # of ln speed, between a cell's mean factor and that at a place
+_LARGEST_CORRECTION = 0.7  # limit of the ln speed correction from a cell's mean factor to that at a place
 
 
 class Averages(Protocol):
-    """From what points hold to pixels: (n_points, ...) -> (n_pixels, ...); index: the points that count."""
+    """Averaging from points to pixels: (n_points, ...) -> (n_pixels, ...); index: points that contribute."""
 
     @property
     def index(self) -> IntArray: ...
@@ -45,17 +45,18 @@ class Averages(Protocol):
 
 
 class SpeedRegion(Protocol):
-    """The scanner's region: from speeds at its pixels to ln means of the whole and its parts."""
+    """The scanner's region: from speeds at its pixels to ln mean speeds of the whole region and its parts."""
 
     def log_means_of(self, speed_m_per_s: Array) -> Array: ...
 
 
 @dataclass(frozen=True, eq=False)
 class StrainConcentration:
-    """What a region's other strain does to ln speed: a stiff one is strained less, and stiffens less.
+    """Change of ln speed by the different strain of a region of other stiffness: a stiff one is strained
+    less, so it stiffens less.
 
-    factor (n_points,) : of the stiffness, at every point its cell's mean, of which pixels average several;
-    slope : of ln speed by it, through the deformation alone
+    factor : (n_points,) of the stiffness; at each point the mean over its cell, which pixels then average
+    slope : derivative of ln speed by the factor, through the deformation alone
     """
 
     factor: Array
@@ -66,8 +67,8 @@ class StrainConcentration:
 class ScannerView:
     """What the scanner's region shows at one depth.
 
-    averages : from the tissue's points to pixels; places (n_pixels, n, 3) : of the unloaded tissue that each
-    pixel averages, with weights (n,)
+    averages : from the tissue's points to pixels
+    places : (n_pixels, n, 3) places in the unloaded tissue that each pixel averages, with weights (n,)
     """
 
     averages: Averages
@@ -76,7 +77,8 @@ class ScannerView:
     region: SpeedRegion
 
     def log_means(self, speed_m_per_s: Array, stiffness: Sequence[Stiffness] = ()) -> Array:
-        """ln mean speeds (n_parts,) of speeds at points (n_points,), the law's stiffnesses times fields."""
+        """ln mean speeds (n_parts,) from speeds at points (n_points,), the law's stiffnesses multiplied by
+        fields."""
         return self.with_fields(self.averages(speed_m_per_s), stiffness)
 
     def with_fields(
@@ -85,7 +87,10 @@ class ScannerView:
         stiffness: Sequence[Stiffness],
         concentration: StrainConcentration | None = None,
     ) -> Array:
-        """The same of speeds at pixels (n_pixels,). concentration : of these fields, at this depth"""
+        """The same from speeds at pixels (n_pixels,).
+
+        concentration : of these fields, at this depth
+        """
         if not stiffness:
             return self.region.log_means_of(at_pixels)
         factor = np.asarray(math.prod(each(self.places) for each in stiffness))
@@ -101,8 +106,11 @@ class ScannerView:
 class SolvedDeformation:
     """A solved indentation at the q integration points of each cell of the tissue's block.
 
-    depth (n,) mm from 0; gradient (n, n_cells, q, 3, 3); rest (n_cells, q, 3) mm : the points, unloaded;
-    volume (n_cells, q) mm^3; seen : at every depth, of the points, cell after cell
+    depth : (n,) mm from 0
+    gradient : (n, n_cells, q, 3, 3)
+    rest : (n_cells, q, 3) positions of the points in the unloaded tissue (mm)
+    volume : (n_cells, q) mm^3
+    seen : the scanner's view at each depth, of the points cell after cell
     """
 
     depth: Array
@@ -117,36 +125,36 @@ class SolvedDeformation:
 
     @property
     def cell_of_point(self) -> IntArray:
-        """(n_cells q,) number of the cell that each point is in."""
+        """Number of the cell that each point belongs to, (n_cells q,)."""
         return np.repeat(np.arange(len(self.volume)), self.volume.shape[1])
 
     def cell_energies(self, model: LimbModel) -> Array:
-        """Stored energy (n, n_cells) N mm of every cell at every depth; kept for each model."""
+        """Stored energy (n, n_cells) in N mm of each cell at each depth; cached by model."""
         if id(model) not in self._energies:
             material = compile_material(model.materials[TISSUE], TISSUE)
             program = material.program(len(self.volume), lambda name: 1.0)
             ops: Any = program.ops
             if not self._deformations:
                 self._deformations.extend(map(deformation_of, self.gradient))
-            with np.errstate(over="ignore", invalid="ignore"):  # an exponential law may leave all numbers
+            with np.errstate(over="ignore", invalid="ignore"):  # an exponential law may overflow
                 self._energies[id(model)] = np.array(
                     [
                         (energy_at(ops, program.par, each) * self.volume).sum(axis=1)
                         for each in self._deformations
                     ]
                 )
-            self._models.append(model)  # its id stays its own
+            self._models.append(model)  # keeps its id from being reused
         return self._energies[id(model)]
 
     def forget(self, *models: LimbModel) -> None:
-        """Of models that do not come again."""
+        """Remove models that are no longer needed from the cache."""
         for model in models:
             self._energies.pop(id(model), None)
             self._speeds.pop(id(model), None)
             self._models = [each for each in self._models if each is not model]
 
     def pixel_speeds(self, model: LimbModel, *, density_kg_per_m3: float) -> Array:
-        """Speeds (n, n_pixels) m/s at every depth; kept for each model."""
+        """Speeds (n, n_pixels) in m/s at each depth; cached by model."""
         if id(model) not in self._speeds:
             rows = []
             for k, seen in enumerate(self.seen):
@@ -161,7 +169,7 @@ class SolvedDeformation:
     def point_speeds(
         self, depth_number: int, model: LimbModel, points: IntArray, *, density_kg_per_m3: float
     ) -> Array:
-        """Speeds (n,) m/s at some of the points, counted cell after cell, at one of the depths."""
+        """Speeds (n,) in m/s at some of the points, counted cell after cell, at one of the depths."""
         F = self.gradient[depth_number].reshape(-1, 3, 3)[points]
         cells = self.cell_of_point[points]
         return block_speeds(model, TISSUE, F, cells, density_kg_per_m3=density_kg_per_m3)
@@ -170,10 +178,10 @@ class SolvedDeformation:
 def frozen_force(
     model: LimbModel, kinematics: SolvedDeformation, stiffness: Sequence[Stiffness] = ()
 ) -> Array:
-    """dE/d(depth) (n,) N; 0 at depth 0 plus what a law that is stressed at rest gives; NaN where the
+    """dE/d(depth) (n,) N; at depth 0 it is 0 plus the force of a law that is stressed at rest; NaN where the
     law overflows.
 
-    stiffness : fields that all of the model's stiffnesses are multiplied with
+    stiffness : fields by which all of the model's stiffnesses are multiplied
     """
     energies = kinematics.cell_energies(model)
     total = energies @ _cell_factor(model, stiffness, energies.shape[1])
@@ -191,9 +199,9 @@ def frozen_speed(
     density_kg_per_m3: float,
     concentrations: Sequence[StrainConcentration] = (),
 ) -> Array:
-    """ln of the mean speed (n, n_parts) in the parts of the window, at the kept deformation.
+    """ln of the mean speed (n, n_parts) in the parts of the window, at the unchanged deformation.
 
-    concentrations : at every depth, where the deformation has the fields in it (see `strain_concentrations`)
+    concentrations : one per depth, where the deformation includes the fields (see `strain_concentrations`)
     """
     speeds = kinematics.pixel_speeds(model, density_kg_per_m3=density_kg_per_m3)
     each_depth: Sequence[StrainConcentration | None] = concentrations or [None] * len(speeds)
@@ -208,14 +216,16 @@ def strain_concentrations(
     model: LimbModel, kinematics: SolvedDeformation, without: Sequence[tuple[float, SolvedDeformation]],
     stiffness: Sequence[Stiffness], *, density_kg_per_m3: float,
 ) -> tuple[StrainConcentration, ...]:  # fmt: skip
-    """Those of fields of stiffness, at every depth of a deformation with them in it.
+    """Strain concentrations of fields of stiffness, at each depth of a deformation that includes them.
 
-    Over the points that the scanner sees, the change of ln speed by the deformation is fitted by a plane and
-    the fields' factor: the regression of Eshelby's uniform strain in an inclusion (1957, Proc. R. Soc. A 241,
-    376-396) on the part of it in each cell.
+    Over the points that the scanner sees, the change of ln speed due to the deformation is fitted by a plane
+    plus a term in the fields' factor, averaged over each cell: a regression on Eshelby's uniform strain in an
+    inclusion (1957, Proc. R. Soc. A 241, 376-396).
 
-    model : without the fields; without : deformations without them on the same cells, and the weight of each
-    Empty where none is on these cells.
+    model : without the fields
+    without : deformations without the fields on the same cells, and the weight of each
+
+    Empty if none of these is on the same cells.
     """
     same = [(w, each) for w, each in without if each.volume.shape == kinematics.volume.shape]
     if not same:
@@ -246,5 +256,5 @@ def strain_concentrations(
 
 
 def _cell_factor(model: LimbModel, stiffness: Sequence[Stiffness], n_cells: int) -> Array:
-    """(n_cells,) by which all these fields together multiply the stiffnesses of each cell, in the mean."""
+    """Mean factor (n_cells,) by which these fields together multiply the stiffnesses of each cell."""
     return np.asarray(math.prod((cell_means(model, each) for each in stiffness), start=np.ones(n_cells)))

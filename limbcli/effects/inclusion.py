@@ -1,12 +1,12 @@
-"""A region of other stiffness: a scar, fibrosis.
+"""A region of different stiffness: a scar, fibrosis.
 
-c(X) = c exp(a) in a ball at any place in the image plane, of any radius, with an edge that is sharp or goes
-over some millimetres; what it does out of the plane is taken for what a ball does whose middle lies in it.
-A ball that is fitted with a sharper edge than the map's comes out larger and less unlike the rest.
+c(X) = c exp(a) in a ball at any place in the image plane, of any radius, with an edge that is sharp or graded
+over some millimetres. Outside the image plane the region is assumed to be a ball whose centre lies in that
+plane. A ball fitted with a sharper edge than that in the map comes out larger and with less contrast.
 FEBio: element maps of c1, c2, cp.
-Tell-tale: seen in the map at rest, at the same place at every load; the force moves little.
-Source: Bramley et al. 2021, Ann Biomed Eng 49:3176 (residual-limb tissue is patchy);
-element-wise c from a speed map, as in Oddes & Solav 2023.
+Tell-tale: visible in the map at rest, at the same place at every load; the force changes little.
+Source: Bramley et al. 2021, Ann Biomed Eng 49:3176 (residual-limb tissue is patchy); element-wise c from a
+speed map, as in Oddes & Solav 2023.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from limbcli.model import Array, LimbModel
 X, DEPTH, RADIUS, EDGE = (
     "inclusion_x_mm", "inclusion_depth_mm", "inclusion_radius_mm", "inclusion_edge_mm",
 )  # fmt: skip
-_LOGISTIC = 2.0 * np.log(9.0)  # of its scale, from 10 to 90 % of a logistic's rise
-_FAR = 20.0  # scales outside the ball, from where 2e-9 of it are left
+_LOGISTIC = 2.0 * np.log(9.0)  # width of a logistic step from 10 to 90 %, in multiples of its scale
+_FAR = 20.0  # distance from the ball, in scales, beyond which it is neglected (2e-9 of it remain)
 CONTRAST = Parameter("log_inclusion_ratio", null=0.0, start=0.7, low=-2.5, high=3.0, typical=1.0,
                      prior="scars 2 to 10 times as stiff")  # fmt: skip
 SHAPE = (
@@ -49,7 +49,8 @@ def stiffness(places: Places, theta: Theta) -> Array:
 
 @njit(cache=True, nogil=True)
 def _ball(at, middle, radius, scale, rise):  # type: ignore[no-untyped-def]
-    """1 (n,) at places (n, 3) outside a ball, 1 + rise within; its edge is a logistic of this scale (mm)."""
+    """1 (n,) at places (n, 3) outside a ball, 1 + rise inside; the edge is a logistic function with this
+    scale (mm)."""
     out = np.ones(len(at))
     last = (radius + _FAR * scale) ** 2
     for i in range(len(at)):

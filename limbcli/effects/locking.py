@@ -1,11 +1,11 @@
-"""Constant-strain tetrahedra cannot keep their volume without stiffening: volumetric locking.
+"""Volumetric locking: constant-strain tetrahedra cannot deform at constant volume without stiffening.
 
-At K/mu = 200 to 1300 (f_kappa 100 to 650) linear tetrahedra give forces two to six times too
-high, the more the larger f_kappa. Not a matter of statistics: the elements are exchanged
-(tet4 to tet10 on the same corners) and the prediction is looked at again.
+At K/mu = 200 to 1300 (f_kappa 100 to 650) linear tetrahedra give forces two to six times too high, increasing
+with f_kappa. This is not tested statistically: the elements are exchanged (tet4 to tet10 on the same corners)
+and the prediction is compared again.
 Tell-tale: the force scale grows with f_kappa; the superficial third of the speeds is 20 % low.
-Source: Hughes 2000, The Finite Element Method, section 4.4; Puso & Solberg 2006, Int J Numer
-Meth Eng 67:841 (constant-strain tetrahedra near incompressibility).
+Source: Hughes 2000, The Finite Element Method, section 4.4; Puso & Solberg 2006, Int J Numer Meth Eng 67:841
+(constant-strain tetrahedra near incompressibility).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ MENDED = Parameter("quadratic_elements", null=0.0, start=1.0, low=0.0, high=1.0,
 
 
 def apply(model: LimbModel, theta: Theta) -> LimbModel:
-    """Every tet4 block becomes tet10 with straight edges; facets and node sets follow."""
+    """Convert each tet4 block to tet10 with straight edges, together with its facets and node sets."""
     linear = [block for block in model.mesh.blocks if block.kind == "tet4"]
     if theta[MENDED.name] < 0.5 or not linear:
         return model
@@ -53,7 +53,7 @@ def _surface(surface: Surface, middle: dict[tuple[int, int], int]) -> Surface:
 
 
 def _nodes(nodes: IntArray, middle: dict[tuple[int, int], int], facets: IntArray | None) -> IntArray:
-    """A set with the mid-nodes of its edges: of its facets where it has a surface, else of all
+    """A node set with the mid-nodes of its edges: those of its facets if it has a surface, else those of all
     edges between its nodes."""
     if facets is not None:
         return np.unique(np.concatenate([nodes, facets.ravel()]))
@@ -63,7 +63,7 @@ def _nodes(nodes: IntArray, middle: dict[tuple[int, int], int], facets: IntArray
 
 
 def _record(record: LogRecord, n_added: int, mesh: Mesh) -> LogRecord:
-    """Nodes of the tissue's records gain the mid-nodes; cells keep their numbers."""
+    """A record with the mid-nodes added if it is of the tissue's nodes; cells keep their numbers."""
     if record.kind != "node" or record.items is None or isinstance(record.items, str):
         return record
     first = len(mesh.points)

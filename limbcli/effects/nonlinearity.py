@@ -1,9 +1,9 @@
-"""The law has another shape: unequal weights of the two exponents, or a second, steeper pair.
+"""The law has a different form: unequal weights of the two exponents, or a second, steeper pair.
 
-c1 = q c, c2 = (1 - q) c: third-order stiffness A/mu = -6 + m (2q - 1), the ground modulus stays.
-A further pair (s c/2, M), (s c/2, -M) with c reduced to (1 - s) c adds late stiffening.
+c1 = q c, c2 = (1 - q) c: third-order stiffness A/mu = -6 + m (2q - 1); the ground-state modulus is unchanged.
+A further pair (s c/2, M), (s c/2, -M) with c reduced to (1 - s) c adds stiffening at large strain.
 FEBio: the same `Ogden unconstrained` with c1 to c4.
-Tell-tale: force and speed over depth want different m.
+Tell-tale: force and speed over depth require different m.
 Source: Destrade & Ogden 2010, J Acoust Soc Am 128:3334 (third- and fourth-order constants).
 """
 

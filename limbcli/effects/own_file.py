@@ -1,6 +1,6 @@
-"""An effect of the user's own, out of a Python file: looked at before it is tried.
+"""A user-defined effect from a Python file, checked before it is used.
 
-What the file's functions raise later is reported as the file's, with its line.
+Errors that the file's functions raise later are reported with the file's name and line.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from limbcli.effects.reading import Reading
 from limbcli.errors import CaseError, LimbError
 from limbcli.model import LimbModel
 
-_MODULE = "limbcli_effect_of_the_user"  # its name while it runs; dataclasses look their module up by it
+_MODULE = "limbcli_effect_of_the_user"  # module name while it runs; dataclasses look it up
 _KINDS = tuple(each for each in get_args(Kind) if each != NUMERICAL)
 _CHANNELS = ("force", "swe", "map", "travel", "skin-bone", "hold", "bone")
 _FIX = (
@@ -31,13 +31,14 @@ _FIX = (
 def effect_of_file(path: Path, known: Sequence[Effect]) -> Effect:
     """The `EFFECT` of a Python file.
 
-    known : effects whose names, and those of their parameters, are taken
+    known : effects whose names, and those of their parameters, are already in use
 
     Raises
     ------
     CaseError
-        If the file cannot be run, holds no effect, or one that cannot be tried: of another kind, without a
-        function that changes anything, or with bounds that do not hold the null and the start.
+        If the file cannot be run, defines no effect, or defines one that cannot be used: of an unsupported
+        kind, without a function that changes anything, or with bounds that do not contain the null and the
+        start.
     """
     found = getattr(_run(path), "EFFECT", None)
     if not isinstance(found, Effect):
@@ -57,7 +58,7 @@ def _run(path: Path) -> ModuleType:
     sys.modules[_MODULE] = module
     try:
         spec.loader.exec_module(module)
-    except Exception as error:  # whatever a file of the user's own raises is reported as the file's
+    except Exception as error:  # any error of a user's file is reported with its name
         at = error.lineno if isinstance(error, SyntaxError) else _line(error, path)
         what = f"the effect file does not run ({_error_text(error)})"
         raise CaseError(what, where=f"{path}, line {at}" if at else str(path), fix=_FIX) from error
@@ -65,7 +66,7 @@ def _run(path: Path) -> ModuleType:
 
 
 def _wrong(effect: Effect, known: Sequence[Effect]) -> Iterator[tuple[str, str]]:
-    """(what, what to do) of everything that stands in the way."""
+    """(what, fix) of each problem that prevents the use of the effect."""
     if not isinstance(effect.name, str) or not re.fullmatch(r"[\w-]+", effect.name):
         yield f"its name is {effect.name!r}", "name it with letters, digits, '-' and '_' only"
     if effect.name in {each.name for each in known}:
@@ -109,7 +110,7 @@ def _wrong(effect: Effect, known: Sequence[Effect]) -> Iterator[tuple[str, str]]
 
 
 def _guarded(effect: Effect, path: Path) -> Effect:
-    """The same, with functions whose errors name the file."""
+    """The same effect with functions whose errors name the file."""
     changed: dict[str, Any] = {}
     if effect.apply is not same_model:
         changed["apply"] = _with_its_errors(effect.apply, "apply", LimbModel, path)
@@ -146,7 +147,7 @@ def _error_text(error: Exception) -> str:
 
 
 def _line(error: Exception, path: Path) -> int | None:
-    """Of the file, where the error passed through it last; None where it did not."""
+    """Line of the file through which the error last passed; None if it did not."""
     own = path.resolve()
     lines = [each.lineno for each in extract_tb(error.__traceback__) if Path(each.filename).resolve() == own]
     return lines[-1] if lines else None

@@ -1,4 +1,4 @@
-"""Places in the unloaded tissue, and what a field of stiffness over them makes of its cells."""
+"""Places in the unloaded tissue, and application of a stiffness field over them to its cells."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from scipy.spatial import cKDTree
 from limbcli.effects.tissue import scaled, skin_points, tissue_block
 from limbcli.model import Array, LimbModel, Mesh
 
-_SPLITS = 4  # of a tetrahedron's edges, for the places sampled in it
+_SPLITS = 4  # number of parts of a tetrahedron's edges, for the places sampled in it
 
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Places (..., 3) mm of the unloaded tissue in the site's frame, of one model."""
+    """Places (..., 3) in the unloaded tissue (mm, in the site's frame) of one model."""
 
     at: Array
     model: LimbModel
 
     @cached_property
     def rows(self) -> Array:
-        """The places (n, 3), one after the other."""
+        """The places as a table (n, 3)."""
         return np.ascontiguousarray(self.at.reshape(-1, 3), dtype=float)
 
     @cached_property
     def below_skin(self) -> Array:
-        """mm (...) to the nearest point of the skin's surface."""
+        """Distance (...) to the nearest point of the skin's surface (mm)."""
         distance, _ = skin_tree(self.model).query(self.at.reshape(-1, 3))
         return np.asarray(distance).reshape(self.at.shape[:-1])
 
 
 Stiffness = Callable[[Places], Array]
 _TREES: WeakKeyDictionary[Mesh, cKDTree] = WeakKeyDictionary()
-_SAMPLED: WeakKeyDictionary[Mesh, Places] = WeakKeyDictionary()  # the search takes seconds, and meshes stay
+_SAMPLED: WeakKeyDictionary[Mesh, Places] = WeakKeyDictionary()  # the search takes seconds; meshes are reused
 
 
 def skin_tree(model: LimbModel) -> cKDTree:
@@ -48,7 +48,8 @@ def skin_tree(model: LimbModel) -> cKDTree:
 
 
 def sampled(model: LimbModel) -> Places:
-    """Places (35, n_cells, 3) spread evenly over each of the tissue's cells (by their first four corners)."""
+    """Places (35, n_cells, 3) distributed evenly over each of the tissue's cells (by their first four
+    corners)."""
     found = _SAMPLED.get(model.mesh)
     if found is None:
         corners = model.mesh.points[tissue_block(model).cells[:, :4]]
@@ -63,17 +64,18 @@ def sampled(model: LimbModel) -> Places:
 
 
 def cell_means(model: LimbModel, stiffness: Stiffness) -> Array:
-    """(n_cells,) of a field over the tissue: a layer thinner than an element keeps its share of it."""
+    """Mean of a field over each tissue cell (n_cells,); a layer thinner than an element contributes by its
+    volume fraction."""
     return np.asarray(stiffness(sampled(model)).mean(axis=0))
 
 
 def stiffened(model: LimbModel, stiffness: Stiffness) -> LimbModel:
-    """The model with all stiffnesses of its tissue times a field of places."""
+    """The model with all stiffnesses of its tissue multiplied by a field."""
     return scaled(model, cell_means(model, stiffness))
 
 
 def layer_share(model: LimbModel, low: float, high: float) -> Array:
-    """Part of each tissue cell (n_cells,) that lies between two depths below the skin (mm)."""
+    """Fraction (n_cells,) of each tissue cell that lies between two depths below the skin (mm)."""
 
     def inside(places: Places) -> Array:
         return ((places.below_skin >= low) & (places.below_skin < high)).astype(float)

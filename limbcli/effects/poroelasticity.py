@@ -1,12 +1,13 @@
-"""Fluid drains out of the squeezed tissue.
+"""Fluid drains out of the compressed tissue.
 
 sigma = -p I + sigma_e, div(v - k grad p) = 0, over a time L^2/((lambda + 2 mu) k): the drained solid is
-compressible (f_kappa 0.3 to 20), the fluid supplies incompressibility at first.
-FEBio: module `biphasic`; the reference solver refuses it, so that without FEBio it is not evaluated. With it
-a few held indentations give what drains (`drainage`), and the force follows for any permeability and history.
-Skin, probe and bone let nothing through; through the cuts, beyond which the tissue goes on, it flows freely.
-Shear waves are those of the skeleton, whose shear modulus the fluid's pressure leaves as it is; that drained
-tissue is squeezed a little otherwise is of second order for them, and left out.
+compressible (f_kappa 0.3 to 20), and the fluid makes the tissue incompressible at first.
+FEBio: module `biphasic`. The reference solver does not support it, so without FEBio the effect is not
+evaluated. With FEBio a few held indentations determine the drainage (`drainage`), and the force follows for
+any permeability and history. Skin, probe and bone are impermeable; through the cuts, beyond which the tissue
+continues, fluid flows freely. Shear waves are those of the skeleton, whose shear modulus does not depend on
+the fluid pressure; the slightly different deformation of drained tissue affects them only to second order and
+is neglected.
 Tell-tale: creep whose time grows with the square of the footprint; volume lost under the probe.
 Source: Mow et al. 1980, J Biomech Eng 102:73.
 """
@@ -24,8 +25,8 @@ from limbcli.model import LimbModel, Material, Support
 
 DRAINED = "drained_f_kappa"
 CUT = "cut"  # the node set where the mesh ends but the tissue does not
-# mm^4/(N s): below it what drains in a hold of some seconds grows as the permeability, beyond about as its
-# logarithm.
+# Permeability (mm^4/(N s)) below which the drainage in a hold of some seconds is proportional to the
+# permeability, and above which it grows about as its logarithm.
 BENDS = 0.2
 PERMEABILITY = Parameter("log_permeability_ratio", null=0.0, start=3.9, low=0.0, high=7.8, typical=5.5,
                          prior="muscle and fat: permeability 0.01 to 230 mm^4/(N s)",
@@ -33,7 +34,7 @@ PERMEABILITY = Parameter("log_permeability_ratio", null=0.0, start=3.9, low=0.0,
 
 
 def permeability(theta: Theta) -> float:
-    """mm^4/(N s). What is fitted is ln(1 + k / 0.2), in which drainage is about linear.
+    """Permeability in mm^4/(N s). The fitted parameter is ln(1 + k / 0.2), in which drainage is about linear.
 
     >>> round(permeability(with_permeability(50.0)), 9)
     50.0
@@ -47,7 +48,7 @@ def with_permeability(k: float) -> dict[str, float]:
 
 
 def apply(model: LimbModel, theta: Theta) -> LimbModel:
-    """The biphasic tissue that FEBio needs; load and time stay as they are."""
+    """Biphasic tissue for FEBio; load and time are unchanged."""
     k = permeability(theta)
     if k == 0.0:
         return model
@@ -56,7 +57,7 @@ def apply(model: LimbModel, theta: Theta) -> LimbModel:
     solid = softened.materials[TISSUE]
     fluid = {"phi0": 0.2, "fluid_density": 1e-9, "perm": k}
     biphasic = softened.with_material(TISSUE, Material("biphasic", fluid, (solid,)))
-    # In a hold hardly anything moves: a residual relative to the step's first one cannot get small.
+    # In a hold hardly anything moves, so a residual relative to the step's first one cannot become small.
     steps = tuple(
         replace(each, analysis="transient", control={**each.control, "rtol": 0.0}) for each in biphasic.steps
     )
@@ -66,7 +67,8 @@ def apply(model: LimbModel, theta: Theta) -> LimbModel:
 
 
 def with_drainage(drainage: Drainage) -> Effect:
-    """The effect at a site where it is known what drains: in the reading, without a simulation each."""
+    """The effect at a site whose drainage is known: it acts on the reading, without a simulation for each
+    value."""
 
     def observe(reading: Reading, theta: Theta) -> Reading:
         rate = permeability(theta) * reading.c

@@ -1,9 +1,9 @@
-"""The probe already pressed when force and depth were set to zero.
+"""The probe already pressed on the skin when force and depth were set to zero.
 
-F_shown(d) = F(d + d0) - F0, with F(d0) = F0, 0 to 2 N. The tissue is stretched at level 0, so that the speed
-there is not that of the tissue at rest, and c = 2 rho v0^2 is too high. It had come to rest under F0: what
-relaxes and drains later is what the levels add. In a model file the load begins at d0; resident stretch of
-the tissue itself would be a `prestrain elastic`.
+F_shown(d) = F(d + d0) - F0, with F(d0) = F0, 0 to 2 N. The tissue is stretched at level 0, so the speed there
+is not that of the tissue at rest, and c = 2 rho v0^2 is too high. The tissue is assumed to be in equilibrium
+under F0, so only what the levels add relaxes and drains later. In a model file the load begins at d0; a
+resident stretch of the tissue itself would be a `prestrain elastic`.
 Tell-tale: the toe is missing; the speed at level 0 is that of compressed tissue.
 Source: Gennisson et al. 2007, J Acoust Soc Am 122:3211 (stretched tissue carries waves faster).
 """

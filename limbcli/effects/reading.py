@@ -1,8 +1,8 @@
-"""From what happens in the tissue to what is written down: the measurement's own side of a model.
+"""From the state of the tissue to what is recorded: the measurement side of a model.
 
-`Curves` is what a simulation says of a site; a `Reading` is how instruments and
-operator distort it; `read` gives what levels.csv should then hold. Measurement
-effects are pure changes of the `Reading`, as tissue effects are of the `LimbModel`.
+`Curves` is the simulation of a site; a `Reading` describes how instruments and operator distort it; `read`
+gives what levels.csv should then contain. Measurement effects are pure changes of the `Reading`, as tissue
+effects are of the `LimbModel`.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from limbcli.model import Array
 
 @dataclass(frozen=True, eq=False)
 class Protocol:
-    """The levels as they were taken: force N, depth mm (n_levels,), and how long each was held (s).
+    """The levels as measured: force (N) and depth (mm) (n_levels,), and how long each was held (s).
 
-    unloading : whether each was read on the way back; empty: none was
+    unloading : whether each level was read during unloading; empty: none was
     """
 
     force: Array
@@ -35,15 +35,20 @@ class Protocol:
 
     @property
     def deepest(self) -> Protocol:
-        """Its deepest level alone, pressed to at once and not held."""
+        """Protocol of the deepest level alone, loaded directly and not held."""
         k = int(np.argmax(self.depth))
         return Protocol(self.force[k : k + 1], self.depth[k : k + 1], np.zeros(1), self.ramp)
 
 
 @dataclass(frozen=True, eq=False)
 class Readout:
-    """What would be shown at the levels: force, travel (n,) since depth 0, log_speed (n, n_windows);
-    thickness at the first; layers (n, n_lines) mm, from the skin to the first line and from line to line."""
+    """What would be recorded at the levels.
+
+    force, travel : (n,) travel is counted since depth 0
+    log_speed : (n, n_windows)
+    thickness : at the first level
+    layers : (n, n_lines) mm, from the skin to the first line and from line to line
+    """
 
     force: Array
     log_speed: Array
@@ -54,20 +59,25 @@ class Readout:
 
 @dataclass(frozen=True)
 class Reading:
-    """How the truth is read. The defaults are a faithful reading.
+    """How the truth is read. The defaults are an undistorted reading.
 
-    force_zero N, force_gain : shown = gain * true + zero
-    depth_zero mm, depth_gain : true = gain * (shown + zero); touches_at_zero : but 0 where depth 0 is shown.
-        The gain is of all distances along the beam, the thickness too; layers begin where they were shown
-    preload N : force already on the probe when force and depth were set to zero, and what relaxes had (of
-        draining tissue, before it drained)
-    compliance mm/N : of limb and bone support, seen in the probe's travel only
-    log_speed_shift : of every speed; speed_slope 1/mm : relative loss per depth beyond the window's middle
-    guided : 1e4 Hz^2 / f^2 of the shear waves, guided by probe and bone
-    prony : (share, time constant s) of relaxing stress beside the lasting one
-    c : MPa, of the tissue that is read, which its draining needs; 0: not given
-    draining : (what drains at the site, permeability times c in mm^2/s)
-    after : further changes of the readout, by effects of a user's own
+    force_zero, force_gain : N and factor; shown = gain * true + zero
+    depth_zero, depth_gain : mm and factor; true = gain * (shown + zero)
+    touches_at_zero : the true depth is 0 where depth 0 is shown
+
+    The depth gain applies to all distances along the beam, including the thickness; layers begin where they
+    were shown.
+
+    preload : N on the probe when force and depth were set to zero, after relaxation (of draining tissue,
+        before it drained)
+    compliance : mm/N of limb and bone support, visible only in the probe's travel
+    log_speed_shift : added to ln of each speed
+    speed_slope : 1/mm, relative decrease of speed per depth below the window's middle
+    guided : 1e4 Hz^2 / f^2 of the shear waves guided by probe and bone
+    prony : (share, time constant in s) of the relaxing stress, relative to the equilibrium stress
+    c : MPa, of the tissue being read, needed for its drainage; 0: not given
+    draining : (drainage of the site, permeability times c in mm^2/s)
+    after : further changes of the readout by user-defined effects
     """
 
     force_zero: float = 0.0
@@ -89,7 +99,7 @@ class Reading:
 def read(
     curves: Curves, protocol: Protocol, reading: Reading = Reading(), *, with_speeds: bool = True
 ) -> Readout:
-    """What would be written down at the levels' depths; speeds NaN where they are not asked for.
+    """What would be recorded at the depths of the levels; speeds are NaN without `with_speeds`.
 
     >>> c = Curves(np.linspace(0, 10, 6), np.linspace(0, 20, 6), np.zeros((6, 0)), np.zeros(0))
     >>> p = Protocol(np.array([0.0, 8.0]), np.array([0.0, 4.0]), np.zeros(2))
@@ -116,8 +126,13 @@ def read(
 
 
 def relaxed(curves: Curves, depth: Array, protocol: Protocol, reading: Reading) -> Array:
-    """N borne at the end of each hold (n_levels,), by what the tissue bears when all has relaxed but nothing
-    has drained; depth (n_levels,) mm: of the probe since first touch. A preload had come to rest before."""
+    """Force (N) at the end of each hold (n_levels,), with relaxation and drainage, from the curve of fully
+    relaxed but undrained tissue.
+
+    depth : (n_levels,) of the probe since first touch (mm)
+
+    Under a preload the tissue is assumed to be in equilibrium beforehand.
+    """
     elastic = force_at(curves, depth)
     force = elastic
     for share, tau in reading.prony:  # F_e + sum_i g_i int exp(-(t - s)/tau_i) dF_e/ds ds (g0 = 1)
@@ -132,8 +147,8 @@ def relaxed(curves: Curves, depth: Array, protocol: Protocol, reading: Reading) 
 
 
 def borne_at_zero(curves: Curves, reading: Reading) -> float:
-    """N on the probe when the force was set to zero: of a preload, what is left when the tissue has come to
-    rest under it."""
+    """Force (N) on the probe when the force was set to zero: the part of a preload that remains at
+    equilibrium."""
     force = reading.preload
     if not (force and reading.draining):
         return force
@@ -144,7 +159,7 @@ def borne_at_zero(curves: Curves, reading: Reading) -> float:
 
 
 def _depth_at_zero(curves: Curves, reading: Reading) -> float:
-    """mm since first touch where a preload holds the probe."""
+    """Depth since first touch (mm) at which a preload holds the probe."""
     return depth_of_force(curves, reading.preload) if reading.preload else 0.0
 
 
@@ -157,8 +172,10 @@ def true_depth(curves: Curves, shown: Array, reading: Reading) -> Array:
 
 
 def travelled(curves: Curves, protocol: Protocol, reading: Reading) -> Array:
-    """mm (n_levels,) of the probe along its guide since depth 0 was shown: the way into the tissue as it is,
-    whatever the depth reads, and what limb and bone give way."""
+    """Travel (n_levels,) of the probe along its guide since depth 0 was shown (mm).
+
+    This is the true indentation, regardless of depth errors, plus the displacement of limb and bone.
+    """
     since = true_depth(curves, np.zeros(1), reading)
     return true_depth(curves, protocol.depth, reading) - since + reading.compliance * protocol.force
 
@@ -178,7 +195,7 @@ def _speeds(curves: Curves, depth: Array, reading: Reading) -> Array:
 
 
 def _layers_at(curves: Curves, depth: Array) -> Array:
-    """mm (n_levels, n_lines) at depths."""
+    """Layer thicknesses (n_levels, n_lines) at depths (mm)."""
     if curves.log_line is None:
         return np.zeros((len(depth), 0))
     return np.diff(np.exp(column_at(curves.depth, curves.log_line, depth)), axis=1, prepend=0.0)
@@ -194,7 +211,7 @@ def _guided(log_speed: Array, height: Array, per_f2: float) -> Array:
 def remembered(values: Array, protocol: Protocol, tau: float, *, rest: float = 0.0) -> Array:
     """int exp(-(t - s)/tau) dv/ds ds at the end of each hold (n_levels,), of values v (n_levels,).
 
-    Each step is a ramp of `ramp` seconds, linear in v, from `rest` on, then its hold.
+    Each step is a ramp of `ramp` seconds, linear in v and starting from `rest`, followed by its hold.
     """
     held = np.where(np.isfinite(protocol.hold), protocol.hold, 0.0)
     ramp_kept = tau / protocol.ramp * -np.expm1(-protocol.ramp / tau)

@@ -1,12 +1,12 @@
 """Skin as a thin stiff layer over soft tissue.
 
-c_skin / c in the outer millimetres: cells are stiffened by the share of their volume that lies in the
-layer, so that the layer keeps its stiffness along the skin on any mesh. Dermis 5 to 300 times as
-stiff as what lies below; 1 to 2 mm on the leg.
+The outer millimetres are c_skin / c times as stiff as the tissue below. Each cell is stiffened in proportion
+to the fraction of its volume that lies in the layer, so the layer keeps its stiffness along the skin on any
+mesh. Dermis is 5 to 300 times as stiff as what lies below, and 1 to 2 mm thick on the leg.
 FEBio: element maps of c1, c2, cp.
-Tell-tale: a wider dip beside the probe; speeds rise less at the top and more in the depth.
-Source: Hendriks et al. 2003, Skin Res Technol 9:274 (skin and hypodermis under suction);
-Groves et al. 2013, J Mech Behav Biomed Mater 18:167.
+Tell-tale: a wider dip beside the probe; speeds rise less near the surface and more at depth.
+Source: Hendriks et al. 2003, Skin Res Technol 9:274 (skin and hypodermis under suction); Groves et al. 2013,
+J Mech Behav Biomed Mater 18:167.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ STIFFNESS = Parameter("log_skin_ratio", null=0.0, start=1.5, low=0.0, high=6.0, 
 
 
 def stiffness(places: Places, theta: Theta) -> Array:
-    """ln of the ratio is the parameter: 0 without skin, 2.3 for ten times as stiff."""
+    """Stiffness factor at places; the parameter is ln(c_skin / c): 0 without skin, 2.3 for ten times as
+    stiff."""
     inside = places.below_skin < theta.get(THICKNESS, 1.5)
     return np.asarray(1.0 + inside * np.expm1(theta[STIFFNESS.name]))
 

@@ -1,7 +1,7 @@
-"""The limb gives way: the bone moves under the load.
+"""The limb support is compliant: the bone moves under the load.
 
-Depth is the loss of skin-bone distance, so that a rigid shift along the beam does not show in it; the
-probe's absolute travel is longer by F/k, k 5 to 100 N/mm.
+Depth is the decrease of the skin-bone distance, so a rigid displacement along the beam does not appear in it;
+the probe's absolute travel is longer by F/k, k 5 to 100 N/mm.
 FEBio: the bone as a rigid body on a spring to ground.
 Tell-tale: probe travel minus depth grows with the force. Invisible without the travel.
 Source: series compliance (Hooke); Pathak et al. 1998, IEEE Trans Rehabil Eng 6:12 (indentor and limb motion).
@@ -23,7 +23,7 @@ _DOFS = ("x", "y", "u", "v", "w")
 
 
 def apply(model: LimbModel, theta: Theta) -> LimbModel:
-    """All held nodes ride on a rigid bone that a spring holds along z."""
+    """Attach all fixed nodes to a rigid bone that is held along z by a spring."""
     compliance = theta[COMPLIANCE.name]
     if compliance == 0.0:
         return model

@@ -1,7 +1,7 @@
-"""The machine reads deep speeds differently from shallow ones: v_shown = v (1 - b (z - z_mid)).
+"""The scanner's speeds depend on the depth of the reading: v_shown = v (1 - b (z - z_mid)).
 
-Push strength, depth of focus and attenuation: in a phantom-like muscle one scanner and probe gave
-4.6 m/s shallow and 1.8 deep.
+Causes are push strength, depth of focus and attenuation: in a phantom-like muscle one scanner and probe gave
+4.6 m/s at shallow depth and 1.8 m/s at large depth.
 Tell-tale: a gradient with depth below the face that is the same at all loads.
 Source: PMC6148312 (depth dependence of one scanner and probe in muscle).
 """

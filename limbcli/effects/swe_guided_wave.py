@@ -1,9 +1,9 @@
-"""Between probe and bone shear waves are guided: they run faster than in free tissue.
+"""Between probe and bone shear waves are guided and run faster than in unbounded tissue.
 
-Motion along the beam is held at both: v_shown = v / sqrt(1 - (v / (2 h f))^2), h the thickness
-left, f the frequency (80 to 500 Hz). Thin sites and large loads read too high, which looks like a
-larger m.
-Tell-tale: extra rise of the speed at large load, more at thin sites.
+Motion along the beam is suppressed at both: v_shown = v / sqrt(1 - (v / (2 h f))^2), h the remaining
+thickness, f the frequency (80 to 500 Hz). Thin sites and large loads read too high, which resembles a larger
+m.
+Tell-tale: additional rise of the speed at large load, more at thin sites.
 Source: Graff 1975, Wave Motion in Elastic Solids, chapter 8 (cut-off of a layer with held faces).
 """
 

@@ -1,8 +1,8 @@
-"""Shear waves probe the tissue at 100 to 400 Hz, the force in seconds: c = 2 s mu_SWE.
+"""Shear waves probe the tissue at 100 to 400 Hz, the force over seconds: c = 2 s mu_SWE.
 
 Kelvin-Voigt: rho v^2 = 2 (mu^2 + w^2 eta^2)/(mu + sqrt(mu^2 + w^2 eta^2)); tissue is stiffer at high
-frequency, so that s < 1. All speeds are off by one factor, their shape is right.
-Tell-tale: force and speeds require different c, the shape of speed over depth fits.
+frequency, so s < 1. All speeds are off by the same factor; their variation with depth is right.
+Tell-tale: force and speeds require different c, while the shape of speed over depth fits.
 Source: Klatt et al. 2010, Phys Med Biol 55:6445.
 """
 

@@ -1,9 +1,9 @@
-"""The tissue between skin and bone is thicker or thinner than the model's.
+"""The tissue between skin and bone is thicker or thinner than in the model.
 
-z -> (1 + e) z of the tissue below first touch: e within 20 % (posture, swelling since the MRI, voxel
-size). Stiffness and speed over depth go as 1/H.
+z -> (1 + e) z of the tissue below first touch, with e within 20 % (posture, swelling since the MRI, voxel
+size). Stiffness and speed over depth scale as 1/H.
 FEBio: the mesh's nodes are moved.
-Tell-tale: the skin-bone distance of the first B-mode frame: it is measured, so look there.
+Tell-tale: the skin-bone distance of the first B-mode frame, which is measured directly.
 Source: Hayes et al. 1972, J Biomech 5:541 (stiffness of a layer over its thickness).
 """
 
@@ -21,7 +21,7 @@ SCALE = Parameter("thickness_change", null=0.0, start=0.05, low=-0.2, high=0.2, 
 
 
 def apply(model: LimbModel, theta: Theta) -> LimbModel:
-    """Heights of the tissue's nodes scaled about first touch; the probe stays."""
+    """Scale the heights of the tissue's nodes about first touch; the probe stays in place."""
     change = theta[SCALE.name]
     if change == 0.0:
         return model

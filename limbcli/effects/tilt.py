@@ -1,9 +1,8 @@
-"""The probe was held at an angle, not along the skin's normal.
+"""The probe was held at an angle to the skin's normal.
 
-A rotation of the rigid probe about its own axes, up to 10 degrees. It touches with one edge first,
-whichever it is: the force starts low and catches up; a moment appears. Depth counts from first touch,
-wherever the probe touches.
-FEBio: the probe's shell is turned before it is written.
+A rotation of the rigid probe about its own axes, up to 10 degrees. One edge touches first, so the force
+starts low and catches up, and a moment appears. Depth counts from first touch, wherever the probe touches.
+FEBio: the probe's shell is rotated before it is written.
 Tell-tale: a left-right difference of the speeds; bone and face not parallel on the B-mode frame.
 Source: Zheng, Mak & Lue 1999, J Rehabil Res Dev 36:71 (effect of misalignment on indentation).
 """
@@ -18,7 +17,7 @@ from scipy.interpolate import LinearNDInterpolator
 from limbcli.effects.base import Effect, Parameter, Theta
 from limbcli.model import Array, LimbModel
 
-_AROUND = 10.0  # mm beside the probe
+_AROUND = 10.0  # margin around the probe (mm) within which the skin is considered
 ABOUT_SHORT = Parameter("tilt_about_short_axis_deg", null=0.0, start=5.0, low=-15.0, high=15.0, typical=5.0,
                         prior="by hand, within 10 deg", both_sides=True)  # fmt: skip
 ABOUT_LONG = Parameter("tilt_about_long_axis_deg", null=0.0, start=5.0, low=-15.0, high=15.0, typical=5.0,
@@ -26,10 +25,10 @@ ABOUT_LONG = Parameter("tilt_about_long_axis_deg", null=0.0, start=5.0, low=-15.
 
 
 def apply(model: LimbModel, theta: Theta) -> LimbModel:
-    """Turn the probe about an axis in its face, then move it along the beam until it is as near the skin as
-    before: on a round limb the lowered edge is beside the top.
+    """Rotate the probe about an axis in its face, then move it along the beam until its gap to the skin is
+    the same as before; on a round limb the lowered edge lies beside the highest point.
 
-    Right-handed turns: +5 deg about the short axis (y) lowers the side of +x, about the long one (x) that
+    Right-handed rotations: +5 deg about the short axis (y) lowers the side of +x, about the long one (x) that
     of -y.
     """
     turn = np.deg2rad([theta[ABOUT_LONG.name], theta[ABOUT_SHORT.name], 0.0])
@@ -55,7 +54,7 @@ def apply(model: LimbModel, theta: Theta) -> LimbModel:
 
 
 def _gap(model: LimbModel, probe: Array) -> float:
-    """Least height (mm) of the probe's points (n, 3) above the skin, along the beam; NaN without a skin."""
+    """Smallest height (mm) of the probe's points (n, 3) above the skin along the beam; NaN without skin."""
     surface = model.mesh.surfaces.get("skin")
     if surface is None:
         return float("nan")

@@ -1,4 +1,4 @@
-"""Pure changes of a model's tissue that several effects share."""
+"""Pure changes of a model's tissue used by several effects."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.model import Array, Block, ElementMap, LimbModel, Material, Value
 
-TISSUE = "tissue"  # the name of its material
-WRAPPERS = ("prestrain", "biphasic", "viscoelastic")  # of a whole tissue, each around those after it
-# Barycentric places on a facet, in sixths.
+TISSUE = "tissue"  # name of the tissue's material
+WRAPPERS = ("prestrain", "biphasic", "viscoelastic")  # laws that wrap a whole tissue, outermost first
+# Barycentric coordinates of points on a facet, in sixths.
 _SPREAD = (
     (6, 0, 0), (0, 6, 0), (0, 0, 6), (3, 3, 0), (0, 3, 3), (3, 0, 3), (2, 2, 2), (4, 1, 1), (1, 4, 1),
     (1, 1, 4),
@@ -22,7 +22,7 @@ _STIFFNESSES = ("c1", "c2", "c3", "c4", "c5", "c6", "kappa", "ksi", "mu", "lambd
 
 
 def tissue_block(model: LimbModel) -> Block:
-    """The block made of the tissue.
+    """The block whose material is the tissue.
 
     Raises
     ------
@@ -40,14 +40,14 @@ def tissue_block(model: LimbModel) -> Block:
 
 
 def core(material: Material) -> Material:
-    """The elastic law at the heart of a material: itself, or the first solid of a mixture, unwrapped."""
+    """The innermost elastic law of a material: itself, or the first solid of a mixture, without wrappers."""
     while material.parts:
         material = material.parts[0]
     return material
 
 
 def ground_modulus(model: LimbModel) -> float:
-    """c = 2 mu of the tissue's elastic law (MPa): sum of its c_k; the mean where it is a map."""
+    """c = 2 mu of the tissue's elastic law (MPa): the sum of its c_k, with a map represented by its mean."""
     parameters = core(model.materials[TISSUE]).parameters
     total = 0.0
     for k in range(1, 7):
@@ -57,7 +57,7 @@ def ground_modulus(model: LimbModel) -> float:
 
 
 def with_core(model: LimbModel, changed: Material) -> LimbModel:
-    """The model with the elastic law at the heart of its tissue replaced."""
+    """The model with the innermost elastic law of its tissue replaced."""
 
     def swap(material: Material) -> Material:
         if not material.parts:
@@ -68,14 +68,14 @@ def with_core(model: LimbModel, changed: Material) -> LimbModel:
 
 
 def within(material: Material, laws: Sequence[str], change: Callable[[Material], Material]) -> Material:
-    """A material with what lies within wrappers of these laws changed; without any, all of it."""
+    """A material changed inside wrappers of these laws; without any wrapper, all of it is changed."""
     if material.law not in laws:
         return change(material)
     return replace(material, parts=(within(material.parts[0], laws, change),))
 
 
 def with_part(model: LimbModel, part: Material) -> LimbModel:
-    """One more solid beside the tissue's: a mixture, within what wraps the tissue as a whole."""
+    """Add a solid in parallel to the tissue's: a mixture, inside the wrappers of the whole tissue."""
 
     def beside(tissue: Material) -> Material:
         solids = tissue.parts if tissue.law == "mixture" else (tissue,)
@@ -85,7 +85,7 @@ def with_part(model: LimbModel, part: Material) -> LimbModel:
 
 
 def scaled(model: LimbModel, factor: Array) -> LimbModel:
-    """The tissue's stiffness times `factor` (n_cells,), cell by cell; all of its solids alike."""
+    """The tissue's stiffness multiplied by `factor` (n_cells,), cell by cell; all of its solids alike."""
     block = tissue_block(model)
 
     def scale(material: Material, path: str) -> Material:
@@ -101,7 +101,8 @@ def scaled(model: LimbModel, factor: Array) -> LimbModel:
 
 
 def skin_points(model: LimbModel) -> Array:
-    """Points spread over the skin's facets, dense enough that the nearest one tells the distance."""
+    """Points distributed over the skin's facets, dense enough for the nearest one to give the distance to the
+    skin."""
     surface = model.mesh.surfaces.get("skin")
     if surface is None:
         raise SolveError("the model has no surface `skin`", where="effect", fix="mesh again")
@@ -118,8 +119,8 @@ def skin_points(model: LimbModel) -> Array:
 def limb_axis(model: LimbModel) -> tuple[float, float, float]:
     """Direction of the limb's long axis in the site's frame, within the skin's plane (unit vector).
 
-    From the patient's head-foot axis; where the model does not know its place in the
-    patient, across the probe's long side.
+    It is derived from the patient's head-foot axis or, if the model has no patient frame, taken across the
+    probe's long side.
     """
     entries = model.info.get("patient_from_model")
     axis = np.array([0.0, 1.0, 0.0])
@@ -133,7 +134,7 @@ def limb_axis(model: LimbModel) -> tuple[float, float, float]:
 
 
 def fibre_direction(model: LimbModel) -> Value:
-    """Where the muscle's fibres run: as in the case, cell by cell where they differ; else `limb_axis`."""
+    """Direction of the muscle fibres: that of the case, cell by cell where it varies; else `limb_axis`."""
     given = model.fibres
     if given is None:
         return limb_axis(model)
@@ -144,7 +145,8 @@ def fibre_direction(model: LimbModel) -> Value:
 
 
 def thickness(model: LimbModel) -> float:
-    """Skin to bone along the beam (mm): depth of the nearest bone facet below the origin; NaN if none."""
+    """Distance from skin to bone along the beam (mm): depth of the nearest bone facet below the origin; NaN
+    if none."""
     surface = model.mesh.surfaces.get("bone")
     if surface is None:
         nodes = model.mesh.node_sets.get("fixed")

@@ -1,9 +1,9 @@
-"""Stress relaxes: the tissue remembers how fast it was loaded.
+"""Stress relaxation: the stress depends on the loading history.
 
-S(t) = int G(t - s) dS_e/ds ds, G = 1 + sum g_i exp(-t/tau_i): c is the lasting stiffness. Under a prescribed
-depth and one relaxation function for the whole stress, the force is the same convolution of the
-elastic force (exactly at small strain; a few per cent at large), which is how it is predicted
-here; shear waves see 1 + sum g_i.
+S(t) = int G(t - s) dS_e/ds ds, G = 1 + sum g_i exp(-t/tau_i), with c the equilibrium stiffness. Under a
+prescribed depth and one relaxation function for the whole stress, the force is the same convolution of the
+elastic force (exactly at small strain, within a few per cent at large), which is how it is predicted here;
+shear waves see 1 + sum g_i.
 FEBio: `viscoelastic` around the tissue's law.
 Tell-tale: decay at constant depth, or creep at constant force, in every hold; hysteresis.
 Source: Fung 1993, Biomechanics, section 7.6; Zheng & Mak 1999, J Biomech Eng 121:330 (limb tissue).
@@ -24,7 +24,7 @@ SHARE = Parameter("relaxing_share", null=0.0, start=0.2, low=0.0, high=3.0, typi
 
 
 def apply(model: LimbModel, theta: Theta) -> LimbModel:
-    """The wrapper that FEBio needs; load and time stay as they are."""
+    """Wrap the tissue's law for FEBio; load and time are unchanged."""
     if theta[SHARE.name] == 0.0:
         return model
     prony = {"g0": 1.0, "g1": theta[SHARE.name], "t1": theta.get(TAU, 10.0)}

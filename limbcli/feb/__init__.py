@@ -1,1 +1,1 @@
-"""FEBio's formats, known nowhere else: model files, logs, record files."""
+"""FEBio's formats, confined to this package: model files, logs, record files."""

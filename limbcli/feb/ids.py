@@ -1,4 +1,4 @@
-"""Numbers as text, and the ids that a model's parts get in a file (from 1, without gaps)."""
+"""Numbers as text, and the ids of a model's parts in a file (from 1, without gaps)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _LARGEST_WHOLE = 1e15
 
 
 def number(value: float) -> str:
-    """The shortest text that reads back to the same bits.
+    """The shortest text that parses to the same binary value.
 
     >>> number(2.0), number(0.1 + 0.2), number(1e-9), number(-0.0), number(True)
     ('2', '0.30000000000000004', '1e-09', '-0.0', '1')
@@ -52,7 +52,7 @@ class Ids:
 
 
 def give_ids(model: LimbModel) -> Ids:
-    """Number everything; must-points of each step become a load curve of their own."""
+    """Assign ids to all parts; the must-points of each step become a separate load curve."""
     names = [*model.materials, *(body.name for body in model.bodies)]
     if len(set(names)) != len(names):
         raise CaseError(
@@ -82,7 +82,7 @@ def give_ids(model: LimbModel) -> Ids:
 
 
 def _must_curve(step: Step, start: float, curves: dict[str, Curve]) -> str | None:
-    """The name of the curve under `<dtmax>`; it is added to `curves` where the step only lists times."""
+    """Name of the load curve under `<dtmax>`; it is added to `curves` if the step only lists times."""
     if not step.must_points or step.dt_max_curve is not None:
         return step.dt_max_curve
     largest = step.step_size if step.dt_max is None else step.dt_max
@@ -108,7 +108,7 @@ def _counted(name: str) -> Iterator[str]:
 
 
 def element_maps(model: LimbModel) -> dict[str, ElementMap]:
-    """All element maps of all laws by name; a name stands for one map only."""
+    """All element maps of all laws by name; two different maps must not share a name."""
     found: dict[str, ElementMap] = {}
 
     def visit(material: Material) -> None:

@@ -1,9 +1,9 @@
-"""FEBio's material tags and what the laws are called inside: one table for reader and writer.
+"""FEBio's material tags and our names of the laws: one table for reader and writer.
 
-Elementary laws bring their names with them (`materials.law.FebioNames`); those that wrap others stand here.
-Parameters that only change their name are listed as (FEBio's, ours). Some laws
-are written by FEBio with Young's modulus and Poisson's ratio and kept inside
-with Lame's constants; `lame` and `young` convert.
+Elementary laws define their own names (`materials.law.FebioNames`); those that wrap other laws are listed
+here. Parameters that only change their name are listed as (FEBio's, ours). FEBio writes some laws with
+Young's modulus and Poisson's ratio, while the model stores Lame's constants; `lame` and `young` convert
+between them.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ _PRONY = (("g0", "g0"), *((f"{letter}{k}", f"{letter}{k}") for k in range(1, 7) 
 
 @dataclass(frozen=True)
 class LawTag:
-    """How one law is written in a model file.
+    """Representation of a law in a model file.
 
     parameters : (FEBio's tag, our name) of scalar parameters
-    elastic_constants : E, v in the file are mu, lambda inside
-    part : the child tag that holds the parts, and how many there must be (None: any)
-    fiber : it has a <fiber> direction (parameter "fiber", a unit vector or a map)
+    elastic_constants : E, v in the file are mu, lambda in the model
+    part : child tag of the parts, and their required number (None: any)
+    fiber : the law has a <fiber> direction (parameter "fiber", a unit vector or a map)
     has_density : FEBio accepts <density> in it
     """
 
@@ -52,7 +52,7 @@ _WRAPPERS = (
 
 
 def law_tags() -> tuple[LawTag, ...]:
-    """Every law that FEBio has."""
+    """All laws that can be written to a FEBio file."""
     own = (
         LawTag(each.name, names.material, names.parameters, names.elastic_constants, fiber=each.fiber)
         for each in LAWS.values()
@@ -62,12 +62,12 @@ def law_tags() -> tuple[LawTag, ...]:
 
 
 def tag_of_law(law: str) -> LawTag | None:
-    """By our name."""
+    """The law of our name."""
     return next((each for each in law_tags() if each.law == law), None)
 
 
 def tag_of_febio(material: str) -> LawTag | None:
-    """By FEBio's name."""
+    """The law of FEBio's name."""
     return next((each for each in law_tags() if each.febio == material), None)
 
 

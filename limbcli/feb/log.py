@@ -1,4 +1,4 @@
-"""FEBio's log: how far it came, at what cost, how it ended, and what it complained of."""
+"""FEBio's log: how far the run came, its cost, how it ended, and its messages."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["FebioLog", "LogReader", "Records", "check_complete", "read_log", "re
 
 _LAST_LINES = 12
 _STATISTICS = "N O N L I N E A R"
-_LARGEST = 1e15  # of a total
+_LARGEST = 1e15  # largest accepted total
 _TIME_TOLERANCE = 1e-6
 _VERSION = re.compile(r"^\s*version\s+(\d+(?:\.\d+)+)\s*$")
 _CONVERGED = re.compile(r"^-+ converged at time : (\S+)")
@@ -37,7 +37,7 @@ class Iteration:
     norms: dict[str, tuple[float, float]]
 
     def worst(self) -> tuple[float, float]:
-        """(current, required) of the norm that is furthest from its target.
+        """(current, required) of the norm farthest from its target.
 
         >>> Iteration(1, 0.1, 3, {"residual": (1e-3, 0.0), "energy": (2e-3, 1e-3)}).worst()
         (0.002, 0.001)
@@ -48,12 +48,12 @@ class Iteration:
 
 @dataclass(frozen=True)
 class FebioLog:
-    """What a log reports.
+    """Content of a log.
 
-    ending : "normal" or "error" as FEBio says, "none" if the log stops before its end
-    times : the converged steps' times (without 0)
-    n_iterations, n_reformations : FEBio's totals where it gives them (they leave out
-        attempts that were retried), else counted
+    ending : "normal" or "error" as FEBio reports, "none" if the log is incomplete
+    times : times of the converged steps (without 0)
+    n_iterations, n_reformations : FEBio's totals if present (they exclude attempts that were retried), else
+        counted
     """
 
     version: str
@@ -72,7 +72,7 @@ class FebioLog:
 
 @dataclass
 class LogReader:
-    """Takes a log line by line, as it grows; `result` may be asked at any time."""
+    """Incremental parser of a growing log, line by line; `result` can be called at any time."""
 
     version: str = ""
     ending: Literal["normal", "error", "none"] = "none"
@@ -90,7 +90,7 @@ class LogReader:
     _tail: deque[str] = field(default_factory=lambda: deque(maxlen=_LAST_LINES))
 
     def feed(self, line: str) -> Iteration | None:
-        """One line; returns the iteration that it completes, if it does."""
+        """Parse one line; returns the iteration that it completes, if any."""
         line = line.rstrip("\n").rstrip("\r")
         self._remember(line.strip())
         if self._in_box(line):
@@ -101,13 +101,13 @@ class LogReader:
         return None
 
     def _remember(self, text: str) -> None:
-        """The last lines before the statistics, and how it ended."""
+        """Keep the last lines before the statistics, and the ending."""
         self._in_statistics = self._in_statistics or text.startswith(_STATISTICS)
         if text and (not self._in_statistics or text.endswith("T E R M I N A T I O N")):
             self._tail.append(text)
 
     def _in_box(self, line: str) -> bool:
-        """Messages stand in boxes of stars, with WARNING or ERROR as their first line."""
+        """Parse messages, which are boxes of asterisks that begin with WARNING or ERROR."""
         if _BOX_EDGE.match(line):
             if self._box is None:
                 self._box = []
@@ -159,7 +159,7 @@ class LogReader:
             self._total(found[2], found[3])
 
     def _total(self, name: str, text: str) -> None:
-        """Totals at the end; a log of several steps gives them step by step. No number, no total."""
+        """Read totals at the end of a log, summed over its steps; text that is not a number is ignored."""
         if not 0 <= _number(text) < _LARGEST and not _SECONDS.search(text):
             return
         if found := _SECONDS.search(text):
@@ -196,12 +196,12 @@ def _number(text: str) -> float:
 
 
 def read_log(path: Path) -> FebioLog:
-    """Parse a log, whole or not.
+    """Parse a log, complete or not.
 
     Raises
     ------
     SolveError
-        If there is no file, or it is not a log of FEBio (its last lines are shown).
+        If there is no file, or it is not a FEBio log (the message shows its last lines).
     """
     try:
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
@@ -229,7 +229,7 @@ def read_lines(lines: Iterable[str]) -> FebioLog:
 
 
 def check_complete(log: FebioLog, path: Path, *, end_time: float | None = None) -> None:
-    """Pass only a log that says normal termination and whose last time is the end of the load.
+    """Check that the log reports normal termination and that its last time is the end of the load.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""Proof that a log is of the model file next to it, and of no other.
+"""Check that a log belongs to a given model file.
 
-A run is given a mark, made from the model file's content, as the name of its plot file; the log's list of
-files repeats it. A log without a mark is judged by what FEBio repeats of its input: the number of nodes and
-the parameters of every material.
+Each run gets a mark, derived from the content of the model file, as the name of its plot file, which the log
+repeats in its list of files. A log without a mark is identified by the input that FEBio repeats in it: the
+number of nodes and the parameters of all materials.
 
 Source: FEBio 4, FEBioModel::echo_input (FEBioLib/input.cpp); numbers are printed with six digits.
 """
@@ -22,8 +22,8 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.feb.outline import Outline
 
-_HEAD_LINES = 20_000  # of a log, in which its input is repeated
-_DIGITS = 2e-5  # relative: six digits printed
+_HEAD_LINES = 20_000  # lines at the start of a log that may repeat the input
+_DIGITS = 2e-5  # relative tolerance of numbers printed with six digits
 _MARK = re.compile(r"^\s*(?:Plot|Model) file\s*: \S*?limbcli-([0-9a-f]{16})\.")
 _NODES = re.compile(r"^\s*Number of nodes \.+ ?: (\d+)\s*$")
 _MATERIAL = re.compile(r"^  (\d+) - (.*) \(type: (.*)\)$")
@@ -32,18 +32,18 @@ _SECTION = re.compile(r"^ [A-Z][A-Z ]+$")
 
 
 def mark_of(feb: Path) -> str:
-    """What a run of this file is known by: 16 hexadecimal digits of its content's SHA-256."""
+    """Mark of the runs of this file: 16 hexadecimal digits of the SHA-256 of its content."""
     return hashlib.sha256(feb.read_bytes()).hexdigest()[:16]
 
 
 def marked(feb: Path, ending: str) -> str:
-    """The marked file name that goes into the log's list of files."""
+    """File name with the mark, as it appears in the log's list of files."""
     return f"limbcli-{mark_of(feb)}{ending}"
 
 
 @dataclass
 class Echo:
-    """What a log repeats of its input; materials: by id, the numbers of their parameters by name."""
+    """Input repeated in a log; materials: numeric parameters by material id and name."""
 
     mark: str = ""
     n_nodes: int | None = None
@@ -51,7 +51,7 @@ class Echo:
 
 
 def read_echo(lines: Iterable[str]) -> Echo:
-    """The head of a log.
+    """Parse the head of a log.
 
     >>> read_echo(["\\tPlot file  : limbcli-0123456789abcdef.xplt"]).mark
     '0123456789abcdef'
@@ -84,14 +84,14 @@ def _finite(text: str) -> float | None:
 
 
 def check_belongs(log: Path, feb: Path, outline: Outline, *, by_mark: bool = False) -> None:
-    """Pass only a log of this very model file.
+    """Check that a log belongs to this model file.
 
     by_mark : only the mark counts, as in a run that was given one
 
     Raises
     ------
     SolveError
-        If the log is of another model, or does not say.
+        If the log belongs to another model, or does not identify its model.
     """
     with log.open(encoding="utf-8", errors="replace") as stream:
         echo = read_echo(line.rstrip("\r\n") for line in itertools.islice(stream, _HEAD_LINES))

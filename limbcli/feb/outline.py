@@ -1,7 +1,7 @@
-"""The outline of a model file: what is needed to run it with FEBio and to read its records.
+"""Outline of a model file: what is needed to run it with FEBio and to read its records.
 
-It reads any FEBio 4 file, also one with features that `read_feb` refuses: FEBio
-itself judges those.
+It can be read from any FEBio 4 file, even one with features that `read_feb` rejects, as FEBio itself checks
+those.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from limbcli.feb.read_output import check_form, logged_body
 from limbcli.feb.xml import LARGEST_ID, Tag, open_model
 from limbcli.model import IntArray, LogRecord
 
-# As FEBio numbers them (FEAnalysis, FE_Output_Level).
+# FEBio's numbering of output levels (FEAnalysis, FE_Output_Level).
 _OUTPUT_LEVELS = (
     "OUTPUT_NEVER", "OUTPUT_MAJOR_ITRS", "OUTPUT_MINOR_ITRS", "OUTPUT_MUST_POINTS", "OUTPUT_FINAL",
 )  # fmt: skip
@@ -28,14 +28,15 @@ _KINDS = {"rigid_body_data": "rigid_body", "node_data": "node", "element_data": 
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """end_time : s, of the last step, or None where the file does not say
+    """Outline of a model file.
 
+    end_time : of the last step (s), or None if the file does not give it
     records : tables with a file of their own; `items` is the body's name, else None
     nodes, cells : table[id] = number from 0
     must_points : global times listed under `<dtmax>`
-    materials : by id, the parameters that are plain numbers, by name
+    materials : numeric parameters by material id and name
     output_levels : of the steps, as FEBio numbers them
-    bodies : names of the rigid ones by their material's id, which their records carry
+    bodies : names of the rigid bodies by material id, which their records contain
     """
 
     end_time: float | None
@@ -49,12 +50,12 @@ class Outline:
 
     @property
     def node_ids(self) -> IntArray:
-        """(n_nodes,) the file's ids, by number."""
+        """Ids (n_nodes,) of the nodes in the file, by number."""
         return _ids(self.nodes)
 
     @property
     def cell_ids(self) -> IntArray:
-        """(n_cells,) the file's ids, by number."""
+        """Ids (n_cells,) of the cells in the file, by number."""
         return _ids(self.cells)
 
 
@@ -82,7 +83,7 @@ def read_outline(path: Path) -> Outline:
 
 
 def check_output(outline: Outline, path: Path) -> None:
-    """Pass a model whose records FEBio writes at converged times.
+    """Check that FEBio writes the model's records at converged times.
 
     Raises
     ------
@@ -101,7 +102,7 @@ def check_output(outline: Outline, path: Path) -> None:
 
 
 def _output_level(tag: Tag | None) -> int:
-    """By name or by number; what is neither is FEBio's to refuse."""
+    """The level, given by name or number; FEBio itself rejects anything else."""
     text = tag.text.upper() if tag is not None else _OUTPUT_LEVELS[_MAJOR]
     if text in _OUTPUT_LEVELS:
         return _OUTPUT_LEVELS.index(text)
@@ -139,7 +140,7 @@ def _ids(table: IntArray) -> IntArray:
 
 
 def _materials(root: Tag) -> dict[int, dict[str, float]]:
-    """Numbers without a load curve or map; those of a material's parts are left out."""
+    """Numeric parameters without a load curve or map; those of a material's parts are excluded."""
     found: dict[int, dict[str, float]] = {}
     for element in root.element.iterfind("Material/material"):
         tag = Tag(element, root.file)

@@ -1,9 +1,8 @@
-"""A FEBio 4.0 model file as a `LimbModel`.
+"""Read a FEBio 4.0 model file as a `LimbModel`.
 
-Whatever the file says is either held by the model or refused with an error that
-names tag, line and file. Only what cannot change a result is passed over: the
-names of boundary conditions and surface pairs, the physical constants of
-`<Globals>` (solids use none), and comments.
+Everything in the file is either represented by the model or rejected with an error that names tag, line and
+file. Only content that cannot change a result is ignored: names of boundary conditions and surface pairs, the
+physical constants of `<Globals>` (not used for solids), and comments.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from limbcli.feb.xml import Tag, open_model
 from limbcli.model import FIBRES, Curved, Domain, ElementMap, LimbModel, Material, Mesh, Step, Surface
 
 INFO_MARK = "limbcli-info "
-EMPTY_NODE_SETS, EMPTY_SURFACES = "empty_node_sets", "empty_surfaces"  # kept beside `info`
+EMPTY_NODE_SETS, EMPTY_SURFACES = "empty_node_sets", "empty_surfaces"  # keys stored with `info`
 _SECTIONS = (
     "Module", "Globals", "Control", "Material", "Mesh", "MeshDomains", "MeshData", "Boundary", "Rigid",
     "Contact", "Step", "LoadData", "Output",
@@ -44,15 +43,15 @@ def read_feb(path: Path | str) -> LimbModel:
 
     Returns
     -------
-    LimbModel with nodes and cells numbered from 0 in the file's order. Load curves
-    keep their names (`curve_<id>` where they have none); a curve that only carries
-    must-points under `<dtmax>` becomes `Step.must_points`.
+    LimbModel with nodes and cells numbered from 0 in the file's order. Load curves keep their names
+    (`curve_<id>` if they have none); a curve that only defines must-points under `<dtmax>` becomes
+    `Step.must_points`.
 
     Raises
     ------
     CaseError
-        For anything that is unknown, contradictory, or that the model cannot hold
-        (tag, line and file are named, and are in `facts`).
+        For anything that is unknown, contradictory or not supported by the model (tag, line and file are
+        named, and are in `facts`).
 
     Source: FEBio user manual 4, chapter 3 (free format input).
     """
@@ -96,7 +95,7 @@ def read_feb(path: Path | str) -> LimbModel:
 
 
 def _fibres(maps: Mapping[str, ElementMap]) -> ElementMap | None:
-    """The map of fibre directions, where there is one; whether a law uses it or not."""
+    """The map of fibre directions if there is one, whether or not a law uses it."""
     found = maps.get(FIBRES)
     return found if found is not None and found.values.ndim == 2 else None
 
@@ -150,7 +149,7 @@ def _domains(
 
 
 def _refuse_other_maps(tag: Tag, block: str, material: Material) -> None:
-    """The maps of a domain's material hold values of its cells."""
+    """Reject maps of a domain's material whose values belong to other cells."""
     for value in material.parameters.values():
         if isinstance(value, ElementMap) and value.block != block:
             raise tag.problem(
@@ -162,7 +161,7 @@ def _refuse_other_maps(tag: Tag, block: str, material: Material) -> None:
 
 
 def _solid_domain(tag: Tag, name: str, material: str) -> Domain:
-    """A domain, with FEBio's special rule if one is named by `type` or `elem_type`."""
+    """A domain, with FEBio's element formulation if `type` or `elem_type` names one."""
     rule = tag.optional("type")
     if rule == "ut4-solid":
         tag.allow(attributes=("name", "mat", "type"), children=("alpha", "iso_stab"))
@@ -175,7 +174,7 @@ def _solid_domain(tag: Tag, name: str, material: str) -> Domain:
 
 
 def _without_idle_curves(model: LimbModel, must_curves: frozenset[str]) -> LimbModel:
-    """Curves that only held must-points live on in the steps."""
+    """Remove curves that only define must-points; the steps contain these."""
     used = used_curves(model)
     kept = {name: curve for name, curve in model.curves.items() if name in used or name not in must_curves}
     return replace(model, curves=kept)
@@ -203,14 +202,14 @@ def used_curves(model: LimbModel) -> set[str]:
 
 
 def _with_empty_sets(mesh: Mesh, info: dict[str, Any]) -> Mesh:
-    """The mesh with its empty sets and surfaces, which a file cannot hold."""
+    """Add the empty sets and surfaces, which a file cannot represent."""
     nodes = {str(name): np.zeros(0, dtype=np.int64) for name in info.pop(EMPTY_NODE_SETS, ())}
     surfaces = {str(name): Surface(str(name), {}) for name in info.pop(EMPTY_SURFACES, ())}
     return replace(mesh, node_sets={**mesh.node_sets, **nodes}, surfaces={**mesh.surfaces, **surfaces})
 
 
 def _info(root: Tag) -> dict[str, Any]:
-    """Facts that limbcli's writer left in a comment at the top of the file."""
+    """Information that limbcli's writer stored in a comment at the top of the file."""
     for comment in root.element.iterchildren(etree.Comment):
         text = (comment.text or "").strip()
         if text.startswith(INFO_MARK):

@@ -1,4 +1,4 @@
-"""`<Contact>`: the soft primary surface against the rigid secondary one."""
+"""`<Contact>`: contact between the soft primary surface and the rigid secondary one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from limbcli.feb.read_loads import Scene, flag
 from limbcli.feb.read_mesh import refuse_repeated
 from limbcli.feb.xml import Tag
 
-# FEBio's own defaults of sliding-elastic (FESlidingElasticInterface), where a tag is left out.
+# FEBio's defaults of sliding-elastic for missing tags (FESlidingElasticInterface).
 CONTACT_DEFAULTS = {
     "penalty": 1.0,
     "tolerance": 0.1,

@@ -10,7 +10,7 @@ from limbcli.feb.read_loads import Scene, read_boundary, read_rigid
 from limbcli.feb.xml import Tag
 from limbcli.model import Curve, Step
 
-# What FEBio assumes inside <time_stepper> where a tag is left out (FETimeStepController).
+# FEBio's defaults for missing tags in <time_stepper> (FETimeStepController).
 STEPPER_DEFAULTS = {"max_retries": 5, "opt_iter": 11, "dtmin": 0.0}
 _TEXT, _WHOLE, _REAL = "text", "whole", "real"
 STEPPER_DT_MAX = 0.1
@@ -35,7 +35,7 @@ _TIME_DIGITS = 12
 
 @dataclass(frozen=True, eq=False)
 class _Context:
-    """What a step refers to, and the time at which it starts."""
+    """What a step refers to, and its start time."""
 
     scene: Scene
     curves: Mapping[str, Curve]
@@ -46,9 +46,9 @@ class _Context:
 def read_steps(
     root: Tag, scene: Scene, curves: Mapping[str, Curve]
 ) -> tuple[tuple[Step, ...], frozenset[str]]:
-    """(steps, names of the curves that only held must-points).
+    """(steps, names of the curves that only define must-points).
 
-    Global times of must-points become times from the start of their step.
+    Global times of must-points are converted to times from the start of their step.
     """
     control, several = root.child("Control"), root.child("Step")
     context = _Context(scene, curves, 0.0, set())
@@ -100,7 +100,7 @@ def _positive(tag: Tag) -> Tag:
 
 
 def _loads(owner: Tag, scene: Scene) -> dict[str, Any]:
-    """Supports and drives that hold during one step only."""
+    """Supports and drives that are active during one step only."""
     supports, ties = read_boundary(owner.child("Boundary"), scene)
     drives, springs = read_rigid(owner.child("Rigid"), scene)
     if ties or springs:
@@ -127,10 +127,9 @@ def _stepper(tag: Tag, context: _Context) -> tuple[dict[str, Any], dict[str, Any
 
 
 def _largest_step(tag: Tag | None, context: _Context) -> dict[str, Any]:
-    """A load curve under <dtmax> makes its points must-points, and its values the largest step.
+    """The points of a load curve under <dtmax> become must-points, and its values the largest step.
 
-    Source: FEBio, FETimeStepController::Init and AutoTimeStep (the number in <dtmax> is
-    then ignored).
+    Source: FEBio, FETimeStepController::Init and AutoTimeStep (the number in <dtmax> is then ignored).
     """
     if tag is None:
         return {"dt_max": STEPPER_DT_MAX}

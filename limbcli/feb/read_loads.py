@@ -20,7 +20,7 @@ _RIGID_DOFS = {"Rx": "x", "Ry": "y", "Rz": "z", "Ru": "u", "Rv": "v", "Rw": "w"}
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What loads refer to: the mesh, the node maps, the bodies, and the curves by their ids."""
+    """What loads refer to: the mesh, the node maps, the bodies, and the curves by id."""
 
     mesh: MeshSection
     node_maps: Mapping[str, NodeMap]
@@ -103,7 +103,7 @@ def _curve(tag: Tag) -> Curve:
 
 
 def read_boundary(tag: Tag | None, scene: Scene) -> tuple[tuple[Support, ...], list[tuple[str, str]]]:
-    """(supports, (body, node set) for every node set tied to a rigid body)."""
+    """(supports, (body, node set) for each node set that is tied to a rigid body)."""
     supports: list[Support] = []
     ties: list[tuple[str, str]] = []
     if tag is None:
@@ -261,7 +261,7 @@ def tie(bodies: Mapping[str, RigidBody], ties: list[tuple[str, str]]) -> dict[st
 
 
 def refuse_unused(maps: Mapping[str, object], used: set[str] | frozenset[str], tag: Tag | None) -> None:
-    """A map that nothing uses would be lost in silence."""
+    """Reject a map that nothing uses, as it would be lost silently."""
     for name in maps:
         if name not in used and tag is not None:
             raise CaseError(

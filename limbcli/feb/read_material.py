@@ -1,4 +1,4 @@
-"""`<Material>`: laws into the inside convention, and rigid bodies."""
+"""`<Material>`: laws converted to the model's conventions, and rigid bodies."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from limbcli.feb.xml import Tag
 from limbcli.model import Curved, ElementMap, Material, Value
 
 _DEFAULT_DENSITY = 1e-9
-_UNIT_TOLERANCE = 1e-12  # closer to 1 than this is round-off: leave the digits as they are
+_UNIT_TOLERANCE = 1e-12  # deviation of a length from 1 that counts as round-off; the vector is left unchanged
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ def read_materials(tag: Tag, curves: Mapping[str, str], maps: Mapping[str, Eleme
 
 
 def _rigid_body(tag: Tag, name: str) -> RigidBody:
-    # E and v of a rigid body are only used by auto_penalty of a rigid primary surface: no such contact here.
+    # FEBio uses E and v of a rigid body only for auto_penalty of a rigid primary surface, not supported here.
     tag.allow(attributes=("id", "name", "type"), children=("density", "center_of_mass", "E", "v"))
     center = tag.need("center_of_mass").numbers(3)
     return RigidBody(name=name, center_of_mass=(center[0], center[1], center[2]), density=_density(tag))

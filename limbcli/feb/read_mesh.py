@@ -22,14 +22,14 @@ _NAMES = (
 
 @dataclass(frozen=True, eq=False)
 class Numbering:
-    """From the file's ids to numbers from 0; `cells` count over all blocks in order."""
+    """Conversion of the file's ids to numbers from 0; `cells` count over all blocks in order."""
 
     nodes: IntArray
     cells: IntArray
 
     @staticmethod
     def of(ids: IntArray) -> IntArray:
-        """A table with table[id] = number, -1 where there is none; ids from 1 to `LARGEST_ID`."""
+        """Table with table[id] = number, -1 for unused ids; ids from 1 to `LARGEST_ID`."""
         table = np.full(int(ids.max(initial=0)) + 1, -1, dtype=np.int64)
         table[ids] = np.arange(len(ids))
         return table
@@ -50,7 +50,7 @@ class Numbering:
 
 @dataclass(frozen=True, eq=False)
 class MeshSection:
-    """The mesh with what the other sections refer to by name."""
+    """The mesh and its named parts, to which other sections refer."""
 
     mesh: Mesh
     numbering: Numbering
@@ -63,7 +63,7 @@ class MeshSection:
         return name
 
     def element_set(self, tag: Tag, name: str) -> IntArray:
-        """Cells, numbered over all blocks, of an element set or a whole part."""
+        """Cells of an element set or a whole part, numbered over all blocks."""
         if name in self.element_sets:
             return self.element_sets[name]
         start = 0
@@ -74,7 +74,7 @@ class MeshSection:
         raise tag.problem(f"there is no element set {name!r}", fix="add it to <Mesh>, or correct the name")
 
     def block_of(self, tag: Tag, elem_set: str) -> str:
-        """The block that an element set covers, whole and in order."""
+        """The block whose cells the element set lists completely and in order."""
         start = 0
         for block in self.mesh.blocks:
             covered = np.arange(start, start + len(block.cells))
@@ -106,7 +106,7 @@ def read_mesh(tag: Tag) -> MeshSection:
 
 
 def refuse_repeated(tags: Iterable[Tag]) -> None:
-    """Two of one name: FEBio refuses them or takes the first."""
+    """Reject repeated names: FEBio either refuses them or takes the first."""
     seen: dict[str, Tag] = {}
     for each in tags:
         name = each.optional("name")
@@ -158,14 +158,14 @@ def _blocks(tag: Tag, node_table: IntArray) -> tuple[tuple[Block, ...], IntArray
 
 
 def _check_ids(ids: IntArray, tag: Tag) -> None:
-    """Ids of a section's rows: a table of all ids up to the largest is made of them."""
+    """Check the ids of a section's rows, because a table up to the largest id is allocated."""
     wrong = (ids < 1) | (ids > LARGEST_ID)
     if wrong.any():
         _row(tag, int(np.argmax(wrong))).id_of()
 
 
 def _whole(cells: Array, tag: Tag) -> IntArray:
-    """Node ids of elements: whole numbers (others would be cut to the node before)."""
+    """Node ids of elements, which must be whole numbers (others would be truncated)."""
     ids = np.clip(np.rint(cells), -1, LARGEST_ID + 1).astype(np.int64)
     if not np.array_equal(ids, cells):
         row = int(np.argmax((ids != cells).any(axis=1)))
@@ -174,7 +174,7 @@ def _whole(cells: Array, tag: Tag) -> IntArray:
 
 
 def _row(tag: Tag, number: int) -> Tag:
-    """The child tag of this number."""
+    """The child tag with this number."""
     return next(itertools.islice(tag, number, None))
 
 
@@ -229,7 +229,7 @@ def _pairs(tag: Tag, surfaces: Mapping[str, Surface]) -> dict[str, tuple[str, st
 
 
 def read_mesh_data(tag: Tag | None, section: MeshSection) -> tuple[dict[str, ElementMap], dict[str, NodeMap]]:
-    """The maps by name; `lid` counts from 1 inside the set."""
+    """The maps by name; `lid` counts from 1 within the set."""
     elements: dict[str, ElementMap] = {}
     nodes: dict[str, NodeMap] = {}
     if tag is None:
@@ -254,7 +254,7 @@ def read_mesh_data(tag: Tag | None, section: MeshSection) -> tuple[dict[str, Ele
 
 
 def _width(tag: Tag) -> int:
-    """FEBio 4 reads `data_type`; `datatype` is what files of version 3 have."""
+    """Number of values per row; FEBio 4 uses `data_type`, files of version 3 have `datatype`."""
     widths = {"scalar": 1, "vec3": 3}
     datatype = tag.optional("data_type") or tag.optional("datatype") or "scalar"
     if datatype not in widths:

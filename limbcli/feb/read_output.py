@@ -52,7 +52,7 @@ def _record(
 
 
 def _nodes(tag: Tag, mesh: MeshSection) -> IntArray | None:
-    """Those of the set that is named, else those listed; None: all."""
+    """Nodes of the named set if there is one, else those listed; None: all."""
     name = tag.optional("node_set")
     if name is not None:
         return mesh.mesh.node_sets[mesh.node_set(tag, name)]
@@ -60,7 +60,7 @@ def _nodes(tag: Tag, mesh: MeshSection) -> IntArray | None:
 
 
 def _elements(tag: Tag, mesh: MeshSection) -> IntArray | None:
-    """Those of the set, or the whole part, that is named, else those listed; None: all."""
+    """Cells of the named set or whole part if there is one, else those listed; None: all."""
     name = tag.optional("elem_set")
     return _items(tag, mesh.numbering.cells, "element") if name is None else mesh.element_set(tag, name)
 
@@ -70,7 +70,7 @@ def _items(tag: Tag, table: IntArray, kind: str) -> IntArray | None:
 
 
 def check_form(tag: Tag) -> None:
-    """A record whose file can be read back."""
+    """Check that the record's file can be read back."""
     unreadable = {
         "delim": tag.optional("delim") not in _DELIMITERS,
         "format": tag.optional("format") is not None,
@@ -85,7 +85,7 @@ def check_form(tag: Tag) -> None:
 
 
 def logged_body(tag: Tag, bodies: Mapping[str, str]) -> str:
-    """The rigid body of a record, by its material's id in `bodies`; an empty list means all of them."""
+    """The rigid body of a record, by its material id in `bodies`; an empty list means all of them."""
     if not tag.text and len(bodies) == 1:
         return next(iter(bodies.values()))
     if tag.text not in bodies:

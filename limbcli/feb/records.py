@@ -1,7 +1,7 @@
-"""FEBio's record files: what the model asked to be logged, step by step.
+"""FEBio's record files: the quantities that the model logs, step by step.
 
-A block per converged step: `*Step`, `*Time`, `*Data`, then one row an item, id
-first. A killed run leaves its last block cut, perhaps within a number.
+Each converged step has a block: `*Step`, `*Time`, `*Data`, then one row per item, id first. If the run is
+killed, the last block is incomplete, possibly within a number.
 """
 
 from __future__ import annotations
@@ -14,14 +14,17 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.model import Array, IntArray
 
-_LARGEST = 1_000_000_000  # id or step
+_LARGEST = 1_000_000_000  # largest accepted id or step number
 
 
 @dataclass(frozen=True, eq=False)
 class Records:
-    """steps, times (n_times,); ids (n_items,) as in the file; values (n_times, n_items, n_columns).
+    """Content of a record file.
 
-    truncated : the last block was cut, and is left out
+    steps, times : (n_times,)
+    ids : (n_items,) as in the file
+    values : (n_times, n_items, n_columns)
+    truncated : the last block was incomplete and is left out
     """
 
     steps: IntArray
@@ -32,17 +35,17 @@ class Records:
 
 
 def read_records(path: Path, *, n_columns: int | None = None, n_items: int | None = None) -> Records:
-    """Read a record file (comma or space between values).
+    """Read a record file (values separated by comma or space).
 
     Parameters
     ----------
-    n_columns, n_items : what is expected, where known; else the first block shows it
+    n_columns, n_items : expected numbers if known; else those of the first block
 
     Raises
     ------
     SolveError
-        If the file is missing, has no complete block, or a block before the last
-        one does not fit, or a value is not a number.
+        If the file is missing, has no complete block, a block before the last one does not fit, or a value is
+        not a number.
     """
     try:
         text = path.read_text(encoding="ascii", errors="replace")
@@ -74,7 +77,7 @@ def read_records(path: Path, *, n_columns: int | None = None, n_items: int | Non
         raise _broken(path, f"a value at time {at:g} is not a number")
     times = np.array([block.time for block in kept])
     again = np.flatnonzero((np.diff(times) == 0) & (np.diff([block.step for block in kept]) == 0))
-    if len(again):  # two steps may be closer than the digits of their times
+    if len(again):  # two steps may print the same time
         raise _broken(path, f"the step at time {times[again[0]]:g} appears more than once: unconverged")
     if not np.isfinite(times).all() or (np.diff(times) < 0).any():
         raise _broken(path, "its times do not increase from step to step")
@@ -98,7 +101,7 @@ class _Block:
 
 
 def _block(text: str, path: Path) -> _Block | None:
-    """One block after its `*Step`, or None if it is cut or cannot be read."""
+    """One block after its `*Step`, or None if it is incomplete or cannot be read."""
     lines = text.split("\n", 3)
     if len(lines) < 4 or not lines[1].startswith("*Time") or not lines[2].startswith("*Data"):
         return None

@@ -1,11 +1,10 @@
-"""Settings with which FEBio is known to converge on an indentation, and why.
+"""Settings with which FEBio is known to converge on an indentation, and the reasons for them.
 
-All of them come from models of a limb and of blocks under a probe that FEBio 4.11
-ran to their end: BFGS with the symmetric matrix (the cheapest there; full Newton with
-frictionless sliding-elastic converges only linearly), penalty 20 times the tissue's
-own (auto_penalty), a probe that starts a little inside so that the first iteration has
-a contact force to measure itself by, a first step of 0.2 mm, and steps of at most 1 mm
-(a step of a large part of an element inverts tet10).
+They are derived from models of a limb and of blocks under a probe that FEBio 4.11 completed: BFGS with the
+symmetric matrix (the cheapest option; full Newton with frictionless sliding-elastic converges only linearly),
+a penalty of 20 times the tissue's own stiffness (auto_penalty), a probe that starts slightly inside the
+tissue, so that the first iteration has a contact force as reference for convergence, a first step of 0.2 mm,
+and steps of at most 1 mm (a step of a large part of an element inverts tet10).
 """
 
 from __future__ import annotations
@@ -29,9 +28,9 @@ LEAST_START = 0.02
 _START_SHARE = 0.5
 _TIME_DIGITS = 3
 
-# Tolerances: with them every level's force is within 0.1 % of a solve to 1e-8 (what each costs:
-# templates/feb/README.md). For tet4 they are FEBio's defaults. With dtol 0.01, tet10 levels are up to 0.3 %
-# off, and 1.2 % were seen at a first one.
+# Tolerances: with them the force of each level is within 0.1 % of a solve to 1e-8 (cost of each:
+# templates/feb/README.md). For tet4 they are FEBio's defaults. With dtol 0.01, tet10 forces are up to 0.3 %
+# off, and in one case 1.2 % at a first level.
 TOLERANCES: dict[str, dict[str, float]] = {
     "tet10": {"dtol": 0.001, "etol": 0.01, "rtol": 1e-5},
     "tet4": {"dtol": 0.001, "etol": 0.01, "rtol": 0.0},
@@ -40,10 +39,10 @@ TOLERANCES: dict[str, dict[str, float]] = {
 
 @dataclass(frozen=True)
 class Schedule:
-    """When the probe reaches which depth.
+    """Times at which the probe reaches given depths.
 
-    start : mm, depth of the probe face at time 0
-    times (s, short decimals) and depths (mm), of equal length, growing
+    start : depth of the probe face at time 0 (mm)
+    times, depths : s (short decimals) and mm, of equal length, increasing
     """
 
     start: float
@@ -51,7 +50,7 @@ class Schedule:
     depths: tuple[float, ...]
 
     def curve(self) -> Curve:
-        """Travel of the probe from its start (mm, inwards positive) over time."""
+        """Load curve of the probe's travel from its start (mm, positive inwards) over time."""
         travel = [depth - self.start for depth in self.depths]
         return Curve(((0.0, 0.0), *zip(self.times, travel, strict=True)))
 
@@ -61,21 +60,21 @@ class Schedule:
 
 
 def schedule(depths: Sequence[float], *, start: float | None = None) -> Schedule:
-    """About 0.1 s a millimetre, every level at a time of at most three decimals.
+    """Schedule of about 0.1 s per millimetre, with each level at a time of at most three decimals.
 
-    Rounded times are harmless as load-curve points and dangerous as anything else: a
-    must-point a hair before the end leaves a step too small to converge. So the last
-    time is a multiple of the first step that binary arithmetic hits exactly.
+    Rounded times are harmless as points of a load curve, but a must-point slightly before the end of the load
+    leaves a step too small to converge. Therefore the last time is a multiple of the first step that is exact
+    in binary arithmetic.
 
     Parameters
     ----------
-    depths : mm, growing, all above `least_level()`
-    start : mm, depth of the probe at time 0; None: 0.05, less where the first level is shallow
+    depths : mm, increasing, all above `least_level()`
+    start : depth of the probe at time 0 (mm); None: 0.05, less if the first level is shallow
 
     Raises
     ------
     CaseError
-        If the depths do not grow, or the first is too small.
+        If the depths do not increase, or the first is too small.
 
     >>> schedule([1.0, 2.5, 8.0])
     Schedule(start=0.05, times=(0.1, 0.25, 0.8), depths=(1.0, 2.5, 8.0))
@@ -101,7 +100,8 @@ def schedule(depths: Sequence[float], *, start: float | None = None) -> Schedule
 
 
 def whole_steps(time: float) -> int:
-    """First steps until a time (s) or, where binary arithmetic would miss that by a hair, a little later.
+    """Number of first steps until a time (s), or one that ends slightly later if binary arithmetic would miss
+    that time.
 
     >>> whole_steps(0.25)
     13
@@ -113,9 +113,9 @@ def whole_steps(time: float) -> int:
 
 
 def apart(depths: Sequence[float], *, least: float = 0.02) -> list[float]:
-    """Depths at least `least` mm apart, the deepest always among them.
+    """Depths at least `least` mm apart, always including the deepest.
 
-    A step of a few micrometres has next to no load to measure its convergence by.
+    A step of a few micrometres has hardly any load as a reference for its convergence.
 
     >>> apart([0.5, 1.0, 1.005, 4.0, 4.001])
     [0.5, 1.0, 4.001]
@@ -130,7 +130,7 @@ def apart(depths: Sequence[float], *, least: float = 0.02) -> list[float]:
 
 
 def least_level() -> float:
-    """Depth (mm) below which a level is not simulated: the probe starts there already."""
+    """Depth (mm) below which no level is simulated, because the probe already starts there."""
     return LEAST_START
 
 
@@ -156,14 +156,14 @@ def robust_step(plan: Schedule, element: str) -> Step:
     )
 
 
-USUAL_PENALTY = 20.0  # times the tissue's own stiffness: with it FEBio converges, tet4 and tet10
+USUAL_PENALTY = 20.0  # multiple of the tissue's stiffness with which FEBio converges for tet4 and tet10
 
 
 def robust_contact(contact: Contact) -> Contact:
     """The same pair of surfaces, frictionless, with settings that converge for tet4 and tet10.
 
-    At penalty 20 the tet10 force is 2 to 3 % below that of augmented Lagrangian, tet4's 4 to
-    6 %; at 200 tet10 did not converge.
+    At penalty 20 the force of tet10 is 2 to 3 % below that of augmented Lagrangian, that of tet4 4 to 6 %; at
+    200 tet10 did not converge.
     """
     return replace(
         contact,

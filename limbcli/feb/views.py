@@ -1,4 +1,4 @@
-"""The model as the templates want it: rows ready-made, materials and steps as plain views."""
+"""The model in the form that the templates need: formatted rows, and plain views of materials and steps."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def map_rows(values: Array, tag: str) -> Markup:
 
 @dataclass(frozen=True)
 class MaterialView:
-    """rows: (tag, attributes, text); tag is that of a part ("solid", "elastic")."""
+    """rows: (tag, attributes, text); tag: that of a part ("solid", "elastic")."""
 
     tag: str
     type: str
@@ -236,7 +236,8 @@ def _setting(value: object) -> str:
 
 
 def drive_groups(drives: Sequence[Drive]) -> list[list[Drive]]:
-    """Fixed degrees of freedom of one body, in FEBio's order, share a tag; others stand alone."""
+    """Groups of drives that share a tag: fixed degrees of freedom of one body, in FEBio's order; others
+    separately."""
     groups: list[list[Drive]] = []
     for drive in drives:
         last = groups[-1][-1] if groups else None

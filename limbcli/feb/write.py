@@ -33,30 +33,29 @@ from limbcli.template_rendering import TemplateFolders, filled, refuse_unused
 
 _FOLDER = "feb"
 MAIN_TEMPLATE = f"{_FOLDER}/model.feb.j2"
-# FEBio's own XML reader (XMLReader::GetChar) knows five entities by name and none by number,
-# and looks for them in comments too.
+# FEBio's XML reader (XMLReader::GetChar) supports five named entities and no numeric ones, and also
+# expands them in comments.
 _ENTITIES = {"&#39;": "&apos;", "&#34;": "&quot;"}
 _IN_COMMENTS = {"--": "-\\u002d", "&": "\\u0026", "<": "\\u003c", ">": "\\u003e"}
 FILE_ID_KEYS = ("file_node_ids", "file_cell_ids")
 
 
 def write_feb(model: LimbModel, path: Path, templates: Path | None = None) -> Path:
-    """Write a model file; `read_feb` gives the model back exactly.
+    """Write a model file; `read_feb` restores the model exactly.
 
     Parameters
     ----------
-    path : `.feb`, or `.feb.gz` to have it packed
-    templates : a folder of your own with `feb/*.j2`; what is missing there is ours
+    path : `.feb`, or `.feb.gz` for a compressed file
+    templates : your own folder with `feb/*.j2`; templates missing there are taken from limbcli
 
-    Numbers are written so that they read back to the same bits (neo-Hookean and
-    Holmes-Mow to round-off, because the file holds E and v). Ids run from 1 without
-    gaps. `info` is kept as JSON in a comment.
+    Numbers are written so that they parse to the same binary value (neo-Hookean and Holmes-Mow to round-off,
+    because the file contains E and v). Ids run from 1 without gaps. `info` is stored as JSON in a comment.
 
     Raises
     ------
     CaseError
-        If the model cannot be written (a value that is not finite, two maps with one
-        name, must-points that do not grow) or a template of the user's is faulty.
+        If the model cannot be written (a value that is not finite, two maps with the same name, must-points
+        that do not increase) or a user template is faulty.
     ToolError
         If the templates are missing.
     """
@@ -75,7 +74,7 @@ def write_feb(model: LimbModel, path: Path, templates: Path | None = None) -> Pa
 
 
 def render(model: LimbModel, *, templates: Path | None = None) -> str:
-    """The text of the model file."""
+    """Text of the model file."""
     environment = _environment(templates)
     text = filled(environment, MAIN_TEMPLATE, _context(model), ours="templates/feb")
     if templates is not None:
@@ -100,7 +99,7 @@ def _environment(templates: Path | None) -> jinja2.Environment:
 
 
 def _context(model: LimbModel) -> dict[str, Any]:
-    """What the templates see."""
+    """Variables of the templates."""
     ids = give_ids(model)
     return {
         "model": model,
@@ -128,7 +127,7 @@ def _mesh_context(model: LimbModel, ids: Ids) -> dict[str, Any]:
         "surfaces": [
             {"name": name, "rows": surface_rows(each)}
             for name, each in mesh.surfaces.items()
-            if each.n_facets  # FEBio takes an empty <Surface> for its neighbour
+            if each.n_facets  # FEBio confuses an empty <Surface> with its neighbour
         ],
         "element_maps": [
             {
@@ -147,7 +146,7 @@ def _mesh_context(model: LimbModel, ids: Ids) -> dict[str, Any]:
 
 
 def _info(model: LimbModel) -> Markup | None:
-    """`info` as JSON that may stand in a comment; with the names of the sets that are not written."""
+    """`info` as JSON that is valid in a comment, including the names of the sets that are not written."""
     kept = {key: value for key, value in model.info.items() if key not in ("plot_variables", *FILE_ID_KEYS)}
     empty_sets = [name for name, each in model.mesh.node_sets.items() if len(each) == 0]
     empty_surfaces = [name for name, each in model.mesh.surfaces.items() if each.n_facets == 0]

@@ -1,4 +1,4 @@
-"""An XML tag that knows its file and line, and lets nothing pass that was not asked for."""
+"""An XML tag that knows its file and line, and rejects all content that was not requested."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from limbcli.errors import CaseError
 from limbcli.model import Array, IntArray
 
 UNITS = "mm-N-s"
-LARGEST_ID = 50_000_000  # of a node or an element
+LARGEST_ID = 50_000_000  # largest accepted id of a node or an element
 _GZIP_MAGIC = b"\x1f\x8b"
-_LARGEST = 500_000_000  # bytes of a model's text
+_LARGEST = 500_000_000  # largest accepted size of a model's text (bytes)
 _PLAIN_NAME = re.compile(r"\w[\w .+()-]{0,119}", re.ASCII)
 _TAKEN = {"model.log", "force-depth.csv"}
 _TAKEN_ENDINGS = (".feb", ".gz", ".json", ".jsonl", ".png", ".npz", ".xplt", ".dmp", ".vtu", ".pvd")
-_MOST_IDS = 100_000_000  # in one list
-_CHANGE_A_VALUE = ("lc", "type")  # attributes with which a value is not what stands in the tag
+_MOST_IDS = 100_000_000  # largest accepted number of ids in one list
+_CHANGE_A_VALUE = ("lc", "type")  # attributes that make a value differ from the text of its tag
 
 
 @dataclass(frozen=True, eq=False)
 class Tag:
-    """One element of a model file. Every reading method raises CaseError with tag, line and file."""
+    """One element of a model file. All reading methods raise CaseError with tag, line and file."""
 
     element: etree._Element
     file: Path
@@ -52,7 +52,7 @@ class Tag:
         return (self.element.text or "").strip()
 
     def problem(self, what: str, *, fix: str) -> CaseError:
-        """The error to raise about this tag."""
+        """The error to raise for this tag."""
         return CaseError(
             f"<{self.name}>: {what}",
             where=f"{self.file}, line {self.line}",
@@ -67,7 +67,7 @@ class Tag:
     def allow(
         self, *, attributes: Collection[str] = (), children: Collection[str] = (), many: Collection[str] = ()
     ) -> None:
-        """Refuse attributes and children that are not named here; only `many` may repeat."""
+        """Reject attributes and children that are not listed; only those in `many` may be repeated."""
         for key in self.attributes:
             if key not in attributes:
                 raise self.problem(
@@ -125,9 +125,9 @@ class Tag:
         return value
 
     def constant(self, *, attributes: Collection[str] = ()) -> str:
-        """The text of a value; refused where a load curve or a type other than "const" makes it another.
+        """Text of a value; rejected if a load curve or a type other than "const" changes the value.
 
-        attributes : of these two, those that the caller reads itself
+        attributes : those of these two that the caller reads itself
         """
         for key in _CHANGE_A_VALUE:
             given = self.optional(key)
@@ -139,7 +139,7 @@ class Tag:
         return self.text
 
     def choice(self, values: Collection[str]) -> str:
-        """The text, which must be one of `values` (compared without case)."""
+        """The text, which must be one of `values` (case-insensitive)."""
         self.constant()
         for value in values:
             if self.text.lower() == value.lower():
@@ -150,7 +150,7 @@ class Tag:
         return self.numbers(1, attributes=attributes)[0]
 
     def numbers(self, count: int, *, attributes: Collection[str] = ()) -> tuple[float, ...]:
-        """Finite numbers between commas. attributes : see `constant`"""
+        """Finite numbers separated by commas; attributes : see `constant`."""
         words = self.constant(attributes=attributes).split(",")
         try:
             values = tuple(float(word) for word in words if "_" not in word)
@@ -172,9 +172,9 @@ class Tag:
         return bool(self.integer())
 
     def ids(self) -> IntArray:
-        """Whole numbers between commas; a:b and a:b:step are ranges as in FEBio.
+        """Whole numbers separated by commas; a:b and a:b:step are ranges as in FEBio.
 
-        Of numbers with only white space between them FEBio takes the first (XMLTag::value).
+        If numbers are separated only by white space, FEBio takes the first (XMLTag::value).
         """
         values: list[int] = []
         words = [word for each in self.text.split(",") if (word := each.strip())]
@@ -196,7 +196,8 @@ class Tag:
             ) from error
 
     def table(self, names: Collection[str], width: int, key: str) -> tuple[IntArray, Array]:
-        """Ids (attribute `key`) and `width` numbers of each child, fast: (n,), (n, width)."""
+        """Ids (attribute `key`) and `width` numbers of each child, parsed in bulk for speed: (n,), (n,
+        width)."""
         rows = [each for each in self.element if isinstance(each.tag, str)]
         for each in rows:
             if each.tag not in names or list(each.attrib) != [key]:
@@ -263,7 +264,7 @@ def open_model(path: Path) -> Tag:
 
 
 def _check_units(root: Tag) -> None:
-    """What is read of a model and of its records is in these units; a file that names none is taken to be."""
+    """Check the units: model and records are read in these; a file without units is assumed to use them."""
     module = root.child("Module")
     units = module.child("units") if module is not None else None
     if units is not None and units.text != UNITS:
@@ -273,7 +274,7 @@ def _check_units(root: Tag) -> None:
 
 
 def _refuse_other_files(root: Tag) -> None:
-    """A run takes one file along, and its hash stands for the whole model."""
+    """Reject references to other files: a run uses a single file, and its hash identifies the whole model."""
     steps = root.child("Step")
     for each in (*root, *(part for step in steps or () for part in step)):
         if each.name == "Include" or each.optional("from") is not None:
@@ -284,9 +285,10 @@ def _refuse_other_files(root: Tag) -> None:
 
 
 def _take_out_comments(root: etree._Element) -> None:
-    """Those inside the sections: the text before and after one is whole, as to FEBio (XMLReader::GetChar).
+    """Remove comments inside the sections, joining the text before and after, as FEBio does
+    (XMLReader::GetChar).
 
-    Those between the sections stay, among them the writer's own.
+    Comments between the sections are kept, among them the writer's own.
     """
     for section in root:
         if isinstance(section.tag, str):
@@ -294,12 +296,12 @@ def _take_out_comments(root: etree._Element) -> None:
 
 
 def model_text(path: Path) -> bytes:
-    """The content of a `.feb` or `.feb.gz` file, unpacked.
+    """Uncompressed content of a `.feb` or `.feb.gz` file.
 
     Raises
     ------
     OSError, EOFError, zlib.error
-        If it cannot be read, or is larger than any model.
+        If it cannot be read, or exceeds the largest accepted size of a model.
     """
     if path.stat().st_size > _LARGEST:
         raise OSError(f"it is larger than {_LARGEST / 1e6:.0f} MB")
@@ -308,12 +310,13 @@ def model_text(path: Path) -> bytes:
 
 
 def _check_file_names(root: Tag) -> None:
-    """Files that a solver writes stay in the run's folder, beside its own and each of its own.
+    """Check that the files written by a solver stay in the run's folder and do not overwrite each other or
+    its own files.
 
     Raises
     ------
     CaseError
-        If a name has a folder in it, is one that the run itself needs, or stands twice.
+        If a name contains a folder, is one that the run itself needs, or occurs twice.
     """
     seen: set[str] = set()
     for element in cast(list[etree._Element], root.element.xpath(".//*[@file]")):

@@ -1,7 +1,7 @@
-"""Best fit and profile likelihoods of a costly model, from few simulations.
+"""Best fit and profile likelihoods of an expensive model from few simulations.
 
-Everything is searched on surrogates; another simulation is made where they are not sure
-enough: at the best fit, at the intervals' ends, and along the profiles.
+All searches run on surrogates. A simulation is added where the surrogates are not accurate enough: at the
+best fit, at the ends of the intervals, and along the profiles.
 """
 
 from __future__ import annotations
@@ -21,18 +21,19 @@ from limbcli.interval_limits import noise_scale, threshold_95
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
-_PRECISE = 0.1  # allowed error of the surrogate, in standard deviations of the data
-_NEAR = 0.05  # a point counts as solved within this distance in ln theta
-_END_NEAR = 0.3  # an interval's end is trusted within this distance
-_SETTLES = 4  # times that weights follow the best fit, at most
+_PRECISE = 0.1  # largest accepted error of the surrogate, in standard deviations of the data
+_NEAR = 0.05  # distance in ln theta within which a point counts as solved
+_END_NEAR = 0.3  # largest accepted distance in ln theta of an interval's end from a solved point
+_SETTLES = 4  # largest number of refits with updated weights
 
 
 class EstimationProblem(Protocol):
-    """What is to be estimated, on surrogates.
+    """An estimation problem that is evaluated on surrogates.
 
-    parameters : on the log scale, the whole vector theta; `profiled`: indices; `simulated`: of those that a
-        simulation is made with
-    n_freedom : data minus parameters
+    parameters : the whole vector theta, on the log scale
+    profiled : indices of the parameters to profile
+    simulated : indices of the parameters that are inputs of a simulation
+    n_freedom : number of data minus number of parameters
     """
 
     parameters: list[FitParameter]
@@ -41,43 +42,46 @@ class EstimationProblem(Protocol):
     n_freedom: int
 
     def objective(self) -> Objective:
-        """Residuals in standard deviations, on the present surrogates."""
+        """Residuals in standard deviations, on the current surrogates."""
         ...
 
     def settle(self, theta: Array) -> bool:
-        """Take the weights of the residuals as they are at this fit; whether that changes them."""
+        """Recompute the weights of the residuals at this fit; returns whether they changed."""
         ...
 
     def starts(self) -> list[Array]: ...
 
     def uncertainty(self, theta: Array) -> float:
-        """Error of the surrogates there, in standard deviations of the data."""
+        """Error of the surrogates at theta, in standard deviations of the data."""
         ...
 
     def distance(self, theta: Array) -> float:
-        """To the nearest simulated point, in ln of the parameters that need a simulation."""
+        """Distance to the nearest simulated point, in ln of the parameters that need a simulation."""
         ...
 
     def solve(self, theta: Array) -> None:
-        """Simulate there and refresh the surrogates; SolveError where there is no answer."""
+        """Simulate at theta and refresh the surrogates; raises SolveError if the model cannot be solved
+        there."""
         ...
 
     def within_reach(self, theta: Array) -> Array:
-        """The point, drawn in to where a simulation may be expected to converge."""
+        """theta, moved towards the solved points to where a simulation can be expected to converge."""
         ...
 
     def solved_at(self, theta: Array) -> Array:
-        """The parameters that a simulation there is made with."""
+        """The parameters with which theta is simulated."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Intervals:
-    """profiles by parameter name; `best`, the most likely theta, with its `fit`.
+    """Profile likelihoods by parameter name, and the best fit.
 
-    scale : chi-square per degree of freedom where above 1 (deviances were divided by it)
-    threshold : of the deviance at the ends of the intervals
-    n_solves : simulations added; `unsolved`: parameter sets without an answer
+    best : most likely theta, with its `fit`
+    scale : chi-square per degree of freedom where it exceeds 1, else 1; the deviances are divided by it
+    threshold : deviance at the ends of the intervals
+    n_solves : number of simulations added
+    unsolved : parameter sets at which the model could not be solved
     """
 
     profiles: dict[str, Profile]
@@ -92,7 +96,8 @@ class Intervals:
 
 
 def drawn_in(theta: Array, solved: Array, shape: Sequence[FitParameter]) -> Array:
-    """theta (c, shape..., ...), its shape at most a step beyond that of the solved points (n, >= n_shape)."""
+    """theta (c, shape..., ...) with its shape limited to one step factor beyond the solved points (n, >=
+    n_shape)."""
     near = theta.copy()
     for k, parameter in enumerate(shape):
         low, high = solved[:, k].min(), solved[:, k].max()
@@ -103,12 +108,13 @@ def drawn_in(theta: Array, solved: Array, shape: Sequence[FitParameter]) -> Arra
 def adaptive_profiles(
     problem: EstimationProblem, *, max_solves: int, estimate: Array | None = None, progress: Progress = SILENT
 ) -> Intervals:
-    """Profiles with as few simulations as the accuracy of the intervals allows.
+    """Profile likelihoods from as few simulations as the accuracy of the intervals allows.
 
-    Where chi-square exceeds its degrees of freedom the noise is taken to be larger by that
-    factor; the surer that is, the more the intervals are those of a noise that is estimated (`threshold_95`).
+    Where chi-square exceeds its degrees of freedom, the noise is assumed to be larger than stated by that
+    factor. The stronger the evidence for this, the closer the intervals are to those of a noise that is
+    estimated from the data (`threshold_95`).
 
-    estimate : a theta found otherwise (the published fit); where given, no interval leaves it out
+    estimate : a theta found by another method (the published fit); every interval is widened to include it
     """
     work = _Work(problem, estimate)
     for done in range(max_solves + 1):
@@ -149,7 +155,7 @@ class _Work:
         return Intervals(found, best.theta, best.cost, problem.n_freedom, scale, threshold, 0, best)
 
     def least_certain(self, found: Intervals) -> tuple[Array, str, int] | None:
-        """Where to simulate next: (theta, parameter whose profile asks, side), or None."""
+        """Where to simulate next: (theta, parameter whose profile needs it, side), or None."""
         near = self.problem.within_reach
         candidates = [(near(found.best), "", 0)]
         for name, profile in found.profiles.items():
@@ -179,9 +185,10 @@ class _Work:
             self._draw_in(theta, name, side)
 
     def _draw_in(self, theta: Array, name: str, side: int) -> None:
-        """No answer there: search and profiles stop half-way between it and the starts, in what lies beyond.
+        """Narrow the bounds where the model cannot be solved, half-way (in ln) between theta and the starts.
 
-        It is the parameter whose profile asked, where that does, else all that a simulation is made with.
+        Only parameters that lie beyond the starts are narrowed: the one whose profile requested the point if
+        it is among them, else all those that are inputs of the simulation.
         """
         parameters, starts = self.problem.parameters, np.array(self.problem.starts())
         least, most = starts.min(axis=0), starts.max(axis=0)

@@ -1,12 +1,13 @@
-"""One row of a cohort as the layered slab sees it: what tissue makes of its readings, and how sure these are.
+"""Model of the rows of a cohort as layered slabs: readings predicted from the tissue, and their noise.
 
-Tissue: theta = ln c_muscle (MPa), ln c_fat (MPa), ln m. Readings of a row, at the strain that it reached:
+Tissue: theta = ln c_muscle (MPa), ln c_fat (MPa), ln m. Readings of a row, at the largest strain it reached:
 
-    ln of largest force over (face, strain)             how stiff the whole is
-    ln of the secant's slope over the stiffness          how it stiffens, which is m's
-    fat's part of what fat and muscle shorten            which layer is the softer
+    ln of largest force over (face, strain)              overall stiffness
+    ln of the secant's slope over that of the line       stiffening, which determines m
+    fat's fraction of the shortening of fat and muscle   which of the two layers is softer
 
-Skin's own shortening is compared with what the slab says and not used: skin's stiffness is held.
+The shortening of the skin is compared with the prediction of the slab but not used in the fit, because the
+skin's stiffness is fixed.
 """
 
 from __future__ import annotations
@@ -32,27 +33,32 @@ from limbcli.model import Array
 
 PARAMETERS = ("c_muscle", "c_fat", "m")
 C_MUSCLE, C_FAT, M = range(3)
-# A first mean, and the deviation that the weak prior on the spread expects: c of some kPa, within a factor 2.
+# Initial guess of the population mean, and the standard deviation that the weak prior on the spread expects:
+# c of some kPa, within a factor 2.
 START = np.log(np.array([0.008, 0.008, 3.0]))
 PRIOR_DEVIATION = np.array([0.5, 0.7, 0.4])
-ASSUMED_EDGE = 0.1  # mm, one deviation of an edge, where no table gives it
-FORCE_NOISE = 0.02  # of the force, one deviation: transducer and hold
-_STEEPNESS = 1.4  # d ln force / d ln depth, typically: what an error of the depth makes of the force
+ASSUMED_EDGE = 0.1  # standard deviation of a layer edge (mm), where no table gives it
+FORCE_NOISE = 0.02  # relative standard deviation of the force, from transducer and hold
+_STEEPNESS = 1.4  # typical d ln force / d ln depth, which converts depth error into force error
+# Rows needed to determine the slope's noise; difference of R2 up to which a parabola fits no better than a
+# line; and standard deviation of ln slope where the table does not determine it.
 _LEAST_NEAR_LINE, _NEAR_LINE, _ASSUMED_SLOPE = 20, 0.003, 0.05
-_LOGISTIC = 0.25  # largest slope of a share by its logit
-_TO_DEVIATION = 1.4826  # of a Gaussian, over the median absolute deviation
+_LOGISTIC = 0.25  # largest derivative of a fraction by its logit
+_TO_DEVIATION = 1.4826  # standard deviation over median absolute deviation, for a Gaussian
 
 
 @dataclass(frozen=True, eq=False)
 class CohortModel:
-    """Rows of one population: coordinates (n, 6), the tissue's left open, and what tissue makes of them."""
+    """Rows of one population: coordinates (n, 6), those of the tissue left open, and the readings as
+    functions of the tissue."""
 
     shape: Array
     of_tissue: OfTissue
 
     @staticmethod
     def of(family: LayeredFamily, thickness: Array, face: Array, strain: Array) -> CohortModel:
-        """thickness (n, 3: skin, fat, muscle) mm, face (n,) mm2, strain (n,) of the whole."""
+        """Build the model from thickness (n, 3: skin, fat, muscle) mm, face area (n,) mm2 and strain (n,) of
+        the whole thickness."""
         root = np.sqrt(face)
         whole = thickness.sum(axis=1)
         share = thickness[:, 1] / (thickness[:, 1] + thickness[:, 2])
@@ -61,7 +67,7 @@ class CohortModel:
         return CohortModel(shape, family.of_shape(shape))
 
     def __call__(self, theta: Array, slopes: bool) -> tuple[Array, Array]:
-        """Readings (..., n, 3) of tissue (..., n, 3), and their derivatives (..., n, 3, 3)."""
+        """Readings (..., n, 3) for tissue parameters (..., n, 3), and their derivatives (..., n, 3, 3)."""
         values, rates = self.of_tissue(tissue(theta), slopes=slopes)
         part = 1.0 / (1.0 + np.exp(-values[..., MUSCLE_PART]))
         seen = np.stack(
@@ -76,7 +82,7 @@ class CohortModel:
         return seen, found
 
     def skin_part(self, theta: Array) -> Array:
-        """Skin's part (n,) of the whole shortening."""
+        """Skin's fraction (n,) of the total shortening."""
         return np.asarray(self.of_tissue(tissue(theta))[0][..., SKIN_PART])
 
     def log_slope(self, theta: Array) -> Array:
@@ -85,23 +91,24 @@ class CohortModel:
         return np.asarray(theta[..., C_MUSCLE] + values[..., FORCE] - values[..., CONVEXITY])
 
     def at_an_end(self, theta: Array) -> NDArray[np.bool_]:
-        """Which rows' tissue (n,) lies at an end of the family."""
+        """Rows (n,) whose tissue parameters lie at a limit of the family's range."""
         x, ends = tissue(theta), [RATIO, EXPONENT]
         return np.asarray(((x <= LOW[ends] + 1e-3) | (x >= HIGH[ends] - 1e-3)).any(axis=1))
 
     @property
     def inside(self) -> NDArray[np.bool_]:
-        """Rows (n,) whose shape and strain the family holds."""
+        """Rows (n,) whose shape and strain lie within the family's range."""
         return is_inside(self.shape)
 
 
 def tissue(theta: Array) -> Array:
-    """ln ratio and ln m (..., 2) of theta (..., 3)."""
+    """Tissue coordinates ln(c_fat / c_muscle) and ln m (..., 2) of theta (..., 3)."""
     return np.stack([theta[..., C_FAT] - theta[..., C_MUSCLE], theta[..., M]], axis=-1)
 
 
 def readings(force: Array, face: Array, whole: Array, shortened: Array, slope: Array) -> Array:
-    """The three readings (n, 3) of rows: N, mm2, mm, (n, 3) mm, MPa/mm."""
+    """The three readings (n, 3) of each row from force (N), face (mm2), whole thickness (mm), shortening of
+    the layers (n, 3) (mm) and slope (MPa/mm)."""
     depth = shortened.sum(axis=1)
     below = shortened[:, 1] + shortened[:, 2]
     secant = force / face / depth
@@ -111,13 +118,14 @@ def readings(force: Array, face: Array, whole: Array, shortened: Array, slope: A
 def reading_noise(
     shortened: Array, layer_deviation: Array, slope_deviation: float, emulator_error: Array
 ) -> Array:
-    """Covariances (n, 3, 3): the edges' noise, the slope's, the force's, and the emulator's error.
+    """Noise covariances (n, 3, 3) of the readings, from the errors of layer edges, slope, force and emulator.
 
-    layer_deviation (3,) mm of a layer's shortening; emulator_error (4,) as LayeredFamily.error
+    layer_deviation : (3,) standard deviation of the shortening of a layer (mm)
+    emulator_error : (4,) as LayeredFamily.error
     """
     depth, below = shortened.sum(axis=1), shortened[:, 1] + shortened[:, 2]
     part = np.clip(shortened[:, 1] / below, 0.0, 1.0)
-    edge = layer_deviation.max()  # the whole has two outer edges in each image, as a layer has
+    edge = layer_deviation.max()  # the whole thickness has two edges in each image, as a layer has
     out = np.zeros((len(depth), 3, 3))
     out[:, 0, 0] = FORCE_NOISE**2 + (_STEEPNESS * edge / depth) ** 2 + emulator_error[FORCE] ** 2
     out[:, 1, 1] = slope_deviation**2 + emulator_error[CONVEXITY] ** 2
@@ -135,9 +143,9 @@ def row_modes_of(
     layer_deviation: Array | None = None,
     slope_deviation: float = _ASSUMED_SLOPE,
 ) -> Array:
-    """The most likely tissue (n, 3) of each row under the weak prior alone: no row knows of another.
+    """Most likely tissue (n, 3) of each row under the weak prior alone, each row independently of the others.
 
-    layer_deviation (3,) mm; None: what is assumed where no table gives it
+    layer_deviation : (3,) mm; None: the value assumed where no table gives it
     """
     deviation = np.full(3, 2 * ASSUMED_EDGE) if layer_deviation is None else layer_deviation
     noise = reading_noise(shortened, deviation, slope_deviation, family.error)
@@ -145,10 +153,12 @@ def row_modes_of(
 
 
 def slope_noise(convexity: Array, r2_line: Array | None, r2_parabola: Array | None) -> tuple[float, bool]:
-    """Deviation of the ln of stiffness, and whether the table determines it.
+    """Standard deviation of ln stiffness, and whether the table determines it.
 
-    Where a parabola fits no better than the line, the line's slope must be the secant's: what the two differ
-    by is noise. convexity (n,): ln of secant over slope.
+    Where a parabola fits no better than a line, the slope of the line must equal that of the secant, so their
+    difference is noise.
+
+    convexity : (n,) ln of secant over slope
     """
     if r2_line is None or r2_parabola is None:
         return _ASSUMED_SLOPE, False

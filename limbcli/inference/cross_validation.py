@@ -1,10 +1,12 @@
-"""Compliance of people whom the model has not seen, predicted from thicknesses: ten folds by person.
+"""Compliance of people whom the model has not seen, predicted from layer thicknesses by ten-fold
+cross-validation with all rows of a person in one fold.
 
-Compliance is one over the published stiffness. The prediction is what the layered slab answers with the mean
-tissue of the training people's site, corrected by a regression on the logarithms of thicknesses with slopes
-of all sites together and, shrunken towards them, of each site. It is fitted to what it is judged by, the mean
-of |predicted - measured| / measured. How strongly slopes are shrunken, and whether the slab helps, is chosen
-by folds within the training people. Nothing of a left-out person enters: not a mean, not a scale.
+Compliance is the reciprocal of the published stiffness. The prediction is that of the layered slab with the
+mean tissue of the site's training people, corrected by a regression on the logarithms of the thicknesses. The
+regression has slopes common to all sites and slopes of each site that are shrunken towards them. It minimises
+the measure by which it is judged, the mean of |predicted - measured| / measured. How strongly the slopes are
+shrunken, and whether the slab helps, is chosen by cross-validation within the training people. Nothing of a
+left-out person is used, neither in a mean nor in a scale.
 """
 
 from __future__ import annotations
@@ -19,20 +21,20 @@ from scipy.optimize import minimize
 from limbcli.model import Array, IntArray
 
 FOLDS, INNER_FOLDS = 10, 3
-_DRAWS = 4000  # of people again: the ends of the interval then stand to a few hundredths
-_SHRINK = ((1.0, 10.0), (1.0, 60.0))  # slopes of all sites, of each site
-_INTERCEPT = 1e-3
-_CORNER = 0.05  # where the absolute value is rounded off
-_FLAT = 1e-6
-_STEPS = 60
+_DRAWS = 4000  # bootstrap samples: enough for interval ends that vary by a few hundredths
+_SHRINK = ((1.0, 10.0), (1.0, 60.0))  # candidate ridge penalties: (slopes of all sites, slopes of each site)
+_INTERCEPT = 1e-3  # ridge penalty of a site's intercept
+_CORNER = 0.05  # relative error within which the absolute value is smoothed
+_FLAT = 1e-6  # standard deviation below which a feature counts as constant
+_STEPS = 60  # largest number of L-BFGS-B iterations
 
 Physics = Callable[[Array], Array]
-"""Which rows are trained on (n,) bool -> ln compliance of all rows (n,), up to a constant a site."""
+"""Training rows (n,) bool -> ln compliance of all rows (n,), up to one constant per site."""
 
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """fold (n,); predicted compliance (n,); chosen: hyperparameters of every fold."""
+    """fold (n,); predicted compliance (n,); chosen: hyperparameters of each fold."""
 
     fold: IntArray
     predicted: Array
@@ -40,7 +42,7 @@ class LeftOut:
 
 
 def person_folds(people: Array, n_folds: int, seed: int) -> IntArray:
-    """The fold of every row (n,): all rows of a person in one, folds of equal numbers of people."""
+    """Fold of each row (n,): all rows of a person in the same fold, folds with equal numbers of people."""
     names = np.unique(people.astype(str))
     shuffled = np.random.default_rng(seed).permutation(names)
     number = {name: k % n_folds for k, name in enumerate(shuffled)}
@@ -48,16 +50,16 @@ def person_folds(people: Array, n_folds: int, seed: int) -> IntArray:
 
 
 def percent_off(predicted: Array, measured: Array) -> Array:
-    """|predicted - measured| / measured (n,), percent."""
+    """Relative prediction error |predicted - measured| / measured (n,), percent."""
     return np.asarray(100.0 * np.abs(predicted - measured) / measured)
 
 
 def mean_interval(people: Array, values: Array, *, seed: int = 7) -> tuple[float, float]:
-    """95 % interval of the mean of values (n,), if other people like these had been measured.
+    """95 % bootstrap interval of the mean of values (n,) over people.
 
-    Percentiles of the means of people drawn again with replacement, all rows of a person together (Efron &
-    Tibshirani 1993, An Introduction to the Bootstrap, chapters 8 and 13); that the training would have seen
-    other people, too, is not in it.
+    Percentiles of the means of people resampled with replacement, all rows of a person together (Efron &
+    Tibshirani 1993, An Introduction to the Bootstrap, chapters 8 and 13). It does not include that training
+    on other people would change the model.
     """
     names, number = np.unique(people.astype(str), return_inverse=True)
     total = np.bincount(number, weights=values)
@@ -71,9 +73,9 @@ def mean_interval(people: Array, values: Array, *, seed: int = 7) -> tuple[float
 def predict_left_out(
     people: Array, sites: Array, features: Array, compliance: Array, physics: Physics, *, seed: int = 7
 ) -> LeftOut:
-    """Every row's compliance from a model of the people of the other nine folds.
+    """Compliance of each row from a model of the people in the other nine folds.
 
-    features (n, k): logarithms of thicknesses and what else is known before the probe is pressed
+    features : (n, k) logarithms of thicknesses and anything else known before the probe is pressed
     """
     fold = person_folds(people, FOLDS, seed)
     predicted, chosen = np.empty(len(fold)), []
@@ -89,7 +91,8 @@ def predict_left_out(
 
 
 def springs_left_out(people: Array, thickness: Array, compliance: Array, *, seed: int = 7) -> Array:
-    """Springs in series: compliance = a fat + b muscle, all sites together, least squares, same folds."""
+    """Springs in series: compliance = a fat + b muscle, all sites together, by least squares on the same
+    folds."""
     fold = person_folds(people, FOLDS, seed)
     predicted = np.empty(len(fold))
     for k in range(FOLDS):
@@ -102,7 +105,7 @@ def springs_left_out(people: Array, thickness: Array, compliance: Array, *, seed
 def lines_left_out(
     people: Array, sites: Array, thickness: Array, compliance: Array, *, seed: int = 7
 ) -> Array:
-    """Linear site by site: compliance = a + b fat + c muscle by least squares; on the same folds."""
+    """Linear model of each site: compliance = a + b fat + c muscle, by least squares on the same folds."""
     fold = person_folds(people, FOLDS, seed)
     predicted = np.empty(len(fold))
     columns = np.column_stack([np.ones(len(fold)), thickness])
@@ -118,7 +121,7 @@ def lines_left_out(
 def _choose(
     people: Array, sites: Array, features: Array, compliance: Array, slab: Array, train: Array, seed: int
 ) -> tuple[float, float, bool]:
-    """The hyperparameters with the least error in folds within the training people."""
+    """Hyperparameters with the smallest error in cross-validation within the training people."""
     inner = person_folds(people, INNER_FOLDS, seed)
     best, least = (*_SHRINK[-1], True), np.inf
     for (all_, site), use in itertools.product(_SHRINK, (True, False)):
@@ -137,7 +140,7 @@ def _choose(
 
 @dataclass(frozen=True, eq=False)
 class _Regression:
-    """ln compliance = [slab +] intercept of the site + features (slopes of all + slopes of the site)."""
+    """ln compliance = [slab +] intercept of the site + features @ (common slopes + slopes of the site)."""
 
     names: Sequence[str]
     middle: Array

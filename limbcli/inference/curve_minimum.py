@@ -1,4 +1,4 @@
-"""Where a curve is lowest: of a model, and of measured points by a parabola."""
+"""Position of a curve's minimum: on a grid of model values, and of measured points by a parabola."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ _FEWEST = 3
 
 @dataclass(frozen=True)
 class LowestPoint:
-    """Of a parabola through points: where it is lowest, None where it is not; its 95 % ends, None where open.
+    """Minimum of a parabola through points.
 
+    at : position of the minimum; None if the parabola has none
+    low, high : ends of its 95 % interval; None where open
     has_curvature : whether the points curve upwards by more than their noise explains (one-sided 97.5 %)
     """
 
@@ -27,7 +29,8 @@ class LowestPoint:
 
 
 def lowest_on_grid(x: Array, y: Array) -> float:
-    """The x of the least y, by the parabola through the three points round it; an end where it lies there.
+    """The x of the smallest y, refined by a parabola through it and its neighbours; the end point if it is
+    smallest.
 
     >>> x = np.linspace(-1.0, 1.0, 21)
     >>> round(lowest_on_grid(x, (x - 0.23) ** 2), 6), lowest_on_grid(x, x)
@@ -41,10 +44,11 @@ def lowest_on_grid(x: Array, y: Array) -> float:
 
 
 def lowest_of_points(x: Array, y: Array, deviation: Array) -> LowestPoint:
-    """Of the parabola y = a + b x + c x^2 through measured points (n,), whose y have these deviations.
+    """Minimum of the parabola y = a + b x + c x^2 through measured points (n,), given the standard deviations
+    of y.
 
-    The interval holds every x at which the slope b + 2 c x may be 0. It is bounded just where c differs from
-    0 by more than its noise; else nothing is reported.
+    The interval holds every x at which the slope b + 2 c x is compatible with 0. It is bounded only if c
+    exceeds 0 by more than its noise; otherwise no ends are reported.
 
     Source: Fieller 1954, J R Stat Soc B 16:175.
 

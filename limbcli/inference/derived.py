@@ -1,4 +1,4 @@
-"""Profile likelihood of a quantity that follows from the parameters, such as where a curve is lowest."""
+"""Profile likelihood of a quantity derived from the parameters, such as the position of a curve's minimum."""
 
 from __future__ import annotations
 
@@ -14,13 +14,16 @@ from limbcli.inference.residual import Objective, Residual
 from limbcli.interval_limits import THRESHOLD_95
 from limbcli.model import Array
 
-_HELD = 1e-3  # how closely the quantity is held, in its own unit
-_STEP = 1e-4  # of ln theta, for its slopes
+_HELD = 1e-3  # standard deviation of the penalty that constrains the quantity, in its own unit
+_STEP = 1e-4  # finite-difference step in ln theta for the quantity's derivatives
 
 
 @dataclass(frozen=True)
 class DerivedInterval:
-    """value at the best fit; low, high: 95 % ends, or where the walk ended if nothing was excluded there."""
+    """Value at the best fit, and the ends of its 95 % interval.
+
+    low, high : ends of the interval; on a side where nothing is excluded, the last value reached
+    """
 
     value: float
     low: float
@@ -33,14 +36,17 @@ def derived_interval(
     objective: Objective, parameters: Sequence[FitParameter], best: Fit, quantity: Callable[[Array], float],
     *, low: float, high: float, pace: float, scale: float = 1.0, threshold: float = THRESHOLD_95,
 ) -> DerivedInterval:  # fmt: skip
-    """The values of `quantity` that the data do not exclude, between `low` and `high`.
+    """Interval of the values of `quantity` that the data do not exclude, between `low` and `high`.
 
-    The quantity is held at values ever further from that of the best fit while all parameters give way, by a
-    residual of its own that is not counted.
+    The quantity is constrained to values increasingly far from its best-fit value while all parameters are
+    refitted; the constraint is a penalty residual that does not enter the deviance.
 
-    objective : residuals in standard deviations; scale : the deviance is divided by it
-    threshold : of the deviance at an end (`threshold_95` where the noise may be larger than stated)
-    quantity : theta -> a number that changes smoothly with ln theta; pace : of the walk, in its unit
+    objective : residuals in standard deviations
+    quantity : theta -> a number that varies smoothly with ln theta
+    pace : step of the walk outwards, in the unit of the quantity
+    scale : the deviance is divided by it
+    threshold : deviance at the ends of the interval (`threshold_95` where the noise may be larger than
+        stated)
 
     Source: Venzon and Moolgavkar 1988, Appl. Stat. 37:87, for a function of the parameters.
     """
@@ -56,7 +62,7 @@ def derived_interval(
 
         fit = best_of(held, parameters, [guess])
         missed = abs(quantity(fit.theta) - target)
-        if missed > 10.0 * _HELD:  # no parameters within their bounds make it that
+        if missed > 10.0 * _HELD:  # no parameters within their bounds give this value
             return np.inf, fit.theta
         return (objective(fit.theta, False).cost - best.cost) / scale, fit.theta
 
@@ -66,7 +72,7 @@ def derived_interval(
         for _ in range(int(np.ceil(abs(stop - value) / pace))):
             outside = float(np.clip(inside + sign * pace, low, high))
             deviance, moved = at(outside, theta)
-            if not np.isfinite(deviance):  # the parameters' bounds end the walk, not the data
+            if not np.isfinite(deviance):  # the walk ends at the parameter bounds, not because of the data
                 break
             if deviance > threshold:
                 inside = _crossing(at, inside, theta, outside, threshold)
@@ -81,7 +87,8 @@ def derived_interval(
 def _crossing(
     at: Callable[[float, Array], tuple[float, Array]], near: float, theta: Array, far: float, threshold: float
 ) -> float:
-    """Where the deviance meets its threshold between `near`, fitted by theta, and `far`: by halving."""
+    """Value at which the deviance reaches the threshold, by bisection between `near` (fitted by theta) and
+    `far`."""
     for _ in range(4):
         middle = 0.5 * (near + far)
         deviance, moved = at(middle, theta)

@@ -1,4 +1,4 @@
-"""A curve's surrogate, made anew from everything its `SolvedPoints` holds."""
+"""Surrogate of a curve, rebuilt from all solved points in its `SolvedPoints`."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from limbcli.inference.prediction import Prediction, SolvedPoints
 from limbcli.inference.surrogate import Node, Surrogate
 from limbcli.model import Array, IntArray
 
-_LARGEST_LOG = 50.0
-_LEAST = 1e-12
+_LARGEST_LOG = 50.0  # upper limit of ln value, against overflow
+_LEAST = 1e-12  # lower limit of a value before its logarithm is taken
 
 
 class Emulator:
-    """theta -> values like the curve itself, and how sure each value is.
+    """theta -> values, with the interface of the curve itself, and the standard deviation of each value.
 
-    Outputs whose derivatives the curve gives are interpolated with them, the others
-    (wave speeds) without. Call `refresh` after every solve.
+    Outputs whose derivatives the curve provides are interpolated with these derivatives, the others (wave
+    speeds) without. Call `refresh` after each solve.
     """
 
     def __init__(self, curve: SolvedPoints):
@@ -53,12 +53,12 @@ class Emulator:
         return deviation
 
     def distance(self, theta: Array) -> float:
-        """To the nearest solved point: the largest change of a parameter's logarithm."""
+        """Distance to the nearest solved point: the largest change of a parameter's logarithm."""
         return min(float(np.max(np.abs(np.log(theta / other)))) for other, _ in self.curve.solved)
 
 
 def _graded(answer: Prediction) -> Array:
-    """Which outputs have all their derivatives: (n,) bool."""
+    """Outputs that have all their derivatives: (n,) bool."""
     if answer.jacobian is None:
         return np.zeros(len(answer.values), dtype=bool)
     return np.asarray(np.isfinite(answer.jacobian).all(axis=1))

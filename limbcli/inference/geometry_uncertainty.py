@@ -1,8 +1,9 @@
-"""What uncertainty of the model's shape adds to a force fit: modes of the simulated force, a deviation each.
+"""Contribution of the uncertain geometry of the model to a force fit: modes of the simulated force.
 
-Each mode is ln of the force of a varied model over that of the fitted one, at the depths that were simulated.
-A mode moves all levels together, so it adds covariance to the residuals: V = diag(noise) + U U', U the
-modes in N at the measured depths. The residuals are whitened by V's Cholesky factor.
+Each mode is ln of the ratio of the force of a varied model to that of the fitted one, for a variation by one
+standard deviation, at the simulated depths. A mode shifts all levels together, so it adds covariance to the
+residuals: V = diag(noise) + U U', with U the modes in N at the measured depths. The residuals are whitened by
+the Cholesky factor of V.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from limbcli.model import Array
 
 
 def at_depths(modes: Array, knots: Array, depth: Array) -> Array:
-    """Modes (n_modes, n_knots) of ln force read at measured depths (n,): (n, n_modes); flat before the first.
+    """Modes (n_modes, n_knots) of ln force interpolated at measured depths (n,): (n, n_modes); constant
+    before the first knot.
 
     >>> at_depths(np.array([[0.1, 0.3]]), np.array([1.0, 3.0]), np.array([0.5, 2.0])).ravel()
     array([0.1, 0.2])
@@ -28,7 +30,7 @@ def at_depths(modes: Array, knots: Array, depth: Array) -> Array:
 
 
 def whitened(objective: Objective, deviation: Array, spread: Array) -> Objective:
-    """An objective whose first n residuals are in deviations (n,), whitened for modes in N (n, n_modes)."""
+    """Whiten the first n residuals, given in standard deviations (n,), for modes in N (n, n_modes)."""
     scaled = spread / deviation[:, None]
     factor = np.linalg.cholesky(np.eye(len(deviation)) + scaled @ scaled.T)
     n = len(deviation)
@@ -45,18 +47,19 @@ def whitened(objective: Objective, deviation: Array, spread: Array) -> Objective
 
 
 def shifts(columns: Array, moved: Array) -> Array:
-    """By how much ln theta (n_modes, p) of a least-squares fit moves with each mode.
+    """Change of ln theta (n_modes, p) of a least-squares fit by each mode.
 
-    columns : (n, p) d force / d ln theta; moved : (n, n_modes) N
+    columns : (n, p) d force / d ln theta
+    moved : (n, n_modes) N
     """
     return np.asarray((np.linalg.pinv(columns) @ moved).T)
 
 
 def no_narrower(wide: Intervals, narrow: Intervals) -> Intervals:
-    """The intervals with the shape's uncertainty, none of them within those of the noise alone.
+    """The intervals with the uncertainty of the geometry, extended to include those of the noise alone.
 
-    Where data scatter beyond their noise, modes may explain that, and the factor by which the noise was
-    widened falls: an uncertainty must not narrow the result.
+    Where the data scatter more than their noise, the modes may explain that scatter and so reduce the factor
+    by which the noise was enlarged; an additional uncertainty must not narrow the result.
     """
     profiles = {name: _hull(each, narrow.profiles[name]) for name, each in wide.profiles.items()}
     return replace(wide, profiles=profiles)
@@ -78,7 +81,7 @@ def ends(intervals: Intervals) -> dict[str, list[float | None]]:
 
 
 def total_share(modes: Sequence[Array]) -> float:
-    """One deviation of ln force by all modes, root mean square over the depths; 0 without modes.
+    """Standard deviation of ln force due to all modes, root mean square over the depths; 0 without modes.
 
     >>> round(total_share([np.array([0.3, 0.3]), np.array([0.4, 0.4])]), 3)
     0.5

@@ -1,4 +1,4 @@
-"""How sure: standard errors, correlation, and one plain word per parameter."""
+"""How certain a fit is: standard errors, correlations, and a verdict for each parameter."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from limbcli.inference.profile import Profile
 from limbcli.model import Array
 from limbcli.significant_digits import short
 
-_NO_INFLUENCE = 1e-3  # of the force, for a doubling of the parameter
-_WEAK_RATIO = 3.0  # upper over lower end of the interval
-_TRADES_OFF = 0.95
-_TWO_SIDED = 1.96  # standard errors to either side of a 95 % interval
-_ALIKE = 1e-7  # of the largest singular value: below it a combination of parameters moves nothing
-_TAKES_PART = 1e-6  # of such a combination's length
+_NO_INFLUENCE = 1e-3  # relative change of the force by doubling a parameter, below which it has no influence
+_WEAK_RATIO = 3.0  # upper over lower end of the interval, above which a parameter is weakly identified
+_TRADES_OFF = 0.95  # magnitude of a correlation above which two parameters trade off
+_TWO_SIDED = 1.96  # half width of a 95 % interval, in standard errors
+_ALIKE = 1e-7  # singular value, relative to the largest, below which a combination changes nothing
+_TAKES_PART = 1e-6  # component of such a unit vector above which a parameter belongs to the combination
 
 
 def force_variance(slope: Array, *, force_deviation: float, depth_deviation: float) -> Array:
     """Variance of the force residual F_exp - F_sim(measured depth).
 
-    sigma_F^2 + (dF/dd sigma_d)^2: force is controlled and depth is the noisy quantity, so
-    the depth error enters through the slope of the curve.
+    sigma_F^2 + (dF/dd sigma_d)^2: force is controlled and depth is the noisy quantity, so the depth error
+    enters through the slope of the curve.
 
     >>> force_variance(np.array([0.0, 4.0]), force_deviation=0.3, depth_deviation=0.1)
     array([0.09, 0.25])
@@ -34,9 +34,10 @@ def force_variance(slope: Array, *, force_deviation: float, depth_deviation: flo
 
 
 def are_determined(columns: Array) -> NDArray[np.bool_]:
-    """Which parameters (p,) the data tell apart from the others, by the derivatives (n, p) of a prediction.
+    """Parameters (p,) that the data can distinguish from the others, by the derivatives (n, p) of a
+    prediction.
 
-    Neither one without any influence nor one that makes up for others whole has a standard error.
+    A parameter without any influence, or whose effect others can reproduce exactly, has no standard error.
 
     >>> alike = np.array([[1.0, 2.0, 0.0], [2.0, 4.0, 1.0], [3.0, 6.0, 0.0]])
     >>> are_determined(alike).tolist(), are_determined(alike[:, [0, 2]]).tolist()
@@ -63,8 +64,8 @@ def log_covariance(
 ) -> Array:
     """Covariance (p, p) of ln theta of an unweighted least-squares estimate.
 
-    A V A' with A = (S'S)^-1 S' (the sandwich: the fit weighs all residuals alike, the noise
-    does not), plus what quantities held fixed carry in: (A s)(A s)' sigma^2 of each.
+    A V A' with A = (S'S)^-1 S' (the sandwich estimator: the fit weighs all residuals equally although their
+    variances differ), plus the contribution of each quantity that was held fixed: (A s)(A s)' sigma^2.
 
     Parameters
     ----------
@@ -88,7 +89,7 @@ def log_covariance(
 
 
 def correlation(covariance: Array) -> Array:
-    """Correlations; NaN for what does not vary or is not known.
+    """Correlation matrix; NaN for a parameter whose variance is 0 or unknown.
 
     >>> correlation(np.array([[4.0, 1.0], [1.0, 1.0]]))
     array([[1. , 0.5], [0.5, 1. ]])
@@ -127,11 +128,12 @@ def verdict(
     why_no_profile: str = "no interval was computed",
     unit: str = "",
 ) -> Verdict:
-    """One plain word for a parameter, and the sentence behind it, whose numbers are in `unit`.
+    """Classification of a parameter, and the sentence that explains it, with numbers in `unit`.
 
-    influence : whether it moves the force at this value; where it does not, other values may be excluded
+    influence : whether the parameter changes the force at this value; even where it does not, other values
+        may be excluded
     correlations : (other parameter, correlation) of the logs
-    log_deviation : standard error of ln theta; it decides where there is no profile, NaN if unknown
+    log_deviation : standard error of ln theta, used where there is no profile; NaN if unknown
     """
     name = parameter.name
     if not influence and (profile is None or (profile.open_low and profile.open_high)):
@@ -166,7 +168,7 @@ def verdict(
 
 
 def _without_profile(name: str, value: float, log_deviation: float, why: str) -> Verdict:
-    """By the standard error alone, or, where there is none, without a claim."""
+    """Verdict from the standard error alone or, without one, a statement that the uncertainty is unknown."""
     if not np.isfinite(log_deviation):
         return Verdict("weak", f"{name} = {short(value, 4)}; its uncertainty cannot be determined: {why}.")
     reach = float(np.exp(min(2 * _TWO_SIDED * log_deviation, 50.0)))
@@ -176,7 +178,7 @@ def _without_profile(name: str, value: float, log_deviation: float, why: str) ->
 
 
 def _excluded(parameter: FitParameter, profile: Profile | None, unit: str = "") -> str:
-    """What the data do exclude, in words."""
+    """The values that the data exclude, in words."""
     if profile is None:
         return "no interval was computed"
     unit = unit and f" {unit}"

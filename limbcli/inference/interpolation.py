@@ -1,4 +1,4 @@
-"""Sampling a simulated curve by PCHIP, with the derivative of the sample with respect to the curve."""
+"""PCHIP interpolation of a simulated curve, with the derivative of the result by the curve's values."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from limbcli.monotone_interpolation import Monotone
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """A curve read off at given places.
+    """A curve evaluated at given places.
 
-    values : (n,); slopes : (n,) d value / d place;
-    weights : (n, n_knots) d value / d knot value.
+    values : (n,)
+    slopes : (n,) d value / d place
+    weights : (n, n_knots) d value / d knot value
     """
 
     values: Array
@@ -25,9 +26,9 @@ class Sample:
 
 
 def pchip_sample(knots: Array, values: Array, places: Array) -> Sample:
-    """Shape-preserving piecewise cubic through (knots, values), read at `places`.
+    """Evaluate the shape-preserving piecewise cubic through (knots, values) at `places`.
 
-    The curve of `monotone`, as in `scipy.interpolate.PchipInterpolator` and MATLAB's `pchip`.
+    The same curve as `Monotone`, `scipy.interpolate.PchipInterpolator` and MATLAB's `pchip`.
 
     Parameters
     ----------
@@ -38,7 +39,7 @@ def pchip_sample(knots: Array, values: Array, places: Array) -> Sample:
     Raises
     ------
     FitError
-        If knots do not increase, or a place lies outside them.
+        If the knots do not increase, or a place lies outside them.
 
     >>> sample = pchip_sample(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 4.0]), np.array([0.5, 2.0]))
     >>> sample.values
@@ -49,7 +50,7 @@ def pchip_sample(knots: Array, values: Array, places: Array) -> Sample:
 
 
 def pchip_inverse(knots: Array, values: Array, wanted: Array) -> Array:
-    """Places within the knots where the curve through growing values takes the values `wanted`.
+    """Places within the knots at which the curve through increasing values equals `wanted`.
 
     >>> pchip_inverse(np.arange(4.0), 2 * np.arange(4.0), np.array([0.0, 3.0, 9.0])).round(9)
     array([0. , 1.5, 3. ])

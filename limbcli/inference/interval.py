@@ -1,10 +1,10 @@
-"""95 % intervals of the paper's fit, by profile likelihood.
+"""95 % intervals of the paper's fit by profile likelihood.
 
-The likelihood knows what the paper's objective does not: that depth is the noisy
-quantity, that c, held fixed in the fit, is only known to the precision of the
-shear-wave reading, and that the mesh puts the force off. At fixed f_kappa and m every stress,
-hence every force, is proportional to c, so c costs no simulation. Beside layers that keep a stiffness of
-their own only a share of ln c reaches ln force, and the mesh's error is another parameter.
+The likelihood includes what the paper's objective leaves out: depth is the noisy quantity; c, held fixed in
+the fit, is known only to the precision of the shear-wave measurement; and the mesh biases the force. At fixed
+f_kappa and m every stress, and hence every force, is proportional to c, so varying c needs no simulation.
+Where layers with a fixed stiffness of their own are in the model, ln force changes by only a fraction of ln
+c, and the mesh error is a separate parameter.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from limbcli.inference.two_step_fit import ForceDepth, search_parameters
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
-_LEAST_LOG_DEVIATION = 1e-4
-_REACH = 6.0  # of c, in its standard deviations
+_LEAST_LOG_DEVIATION = 1e-4  # lower limit of the standard deviation of ln c or ln gain
+_REACH = 6.0  # distance of the bounds of c or the gain from the start value, in standard deviations
 
 
 @dataclass(frozen=True, eq=False)
 class Stiffness:
-    """c (MPa) and the standard deviation of its logarithm.
+    """c (MPa) and the standard deviation of ln c.
 
-    gain_deviation : of ln of the simulated force, by the mesh alone. Where all forces are proportional
-        to c, an error common to them cannot be told apart from an error of c.
-    share : (n_knots,) d ln force / d ln c at the simulated depths, where layers beside the tissue keep a
-        stiffness of their own; None: 1
+    gain_deviation : standard deviation of ln of the simulated force due to the mesh. Where all forces are
+        proportional to c, an error common to them cannot be distinguished from an error of c.
+    share : (n_knots,) d ln force / d ln c at the simulated depths, where layers have a fixed stiffness of
+        their own; None: 1
     """
 
     c: float
@@ -46,12 +46,16 @@ class Stiffness:
 
     @property
     def force_deviation(self) -> float:
-        """Standard deviation of ln force that c and the mesh leave together, where all is in proportion."""
+        """Standard deviation of ln force due to c and the mesh together, where all forces are proportional to
+        c."""
         return float(np.hypot(self.log_deviation, self.gain_deviation))
 
     def nuisances(self) -> list[tuple[FitParameter, float]]:
-        """What scales forces beside the parameters that are sought, with the deviation of its logarithm: c,
-        with it the mesh's error, which beside layers comes after it."""
+        """Nuisance parameters that scale the forces, each with the standard deviation of its logarithm.
+
+        This is c, with the mesh error included in it; where layers have a fixed stiffness, c and then the
+        mesh's gain.
+        """
         if self.share is None:
             return [_around("c", self.c, self.force_deviation)]
         return [_around("c", self.c, self.log_deviation), _around("gain", 1.0, self.gain_deviation)]
@@ -75,14 +79,16 @@ def force_intervals(
     shape_modes: Array | None = None,
     progress: Progress = SILENT,
 ) -> Intervals:
-    """Profiles of f_kappa and m (those in `free`), with c moving within its and the mesh's uncertainty.
+    """Profile likelihoods of f_kappa and m (those in `free`), with c varying within its own and the mesh's
+    uncertainty.
 
-    Chi-square = sum (F_exp - F_sim)^2 / (sigma_F^2 + (dF/dd sigma_d)^2) + (ln c/c0)^2 / sigma^2,
-    slopes dF/dd those of the fit. At most `max_solves` simulations are added to those in
-    `curve`. `best` of the result is (c, the parameters in `free`), beside layers then the mesh's gain.
+    Chi-square = sum (F_exp - F_sim)^2 / (sigma_F^2 + (dF/dd sigma_d)^2) + (ln c/c0)^2 / sigma^2, with the
+    slopes dF/dd of the fit. At most `max_solves` simulations are added to those in `curve`. `best` of the
+    result is (c, the parameters in `free`), followed by the mesh's gain where layers have a fixed stiffness.
 
     theta : (f_kappa, m) of the fit
-    shape_modes : (n_modes, n_knots) of ln force, one deviation each, by uncertainty of the model's shape
+    shape_modes : (n_modes, n_knots) changes of ln force, one standard deviation each, due to the uncertainty
+        of the model's geometry
     """
     problem = _ForceProblem(curve, knots, data, stiffness, theta, tuple(free), shape_modes)
     estimate = problem.starts()[0]
@@ -90,7 +96,8 @@ def force_intervals(
 
 
 class _ForceProblem:
-    """theta = (c, those of f_kappa and m that are free, beside layers a gain)."""
+    """Estimation problem; theta = (c, the free ones of f_kappa and m, and a gain where layers have a fixed
+    stiffness)."""
 
     def __init__(
         self, curve: SolvedPoints, knots: Array, data: ForceDepth, stiffness: Stiffness, fitted: Array,
@@ -127,11 +134,11 @@ class _ForceProblem:
         return force
 
     def settle(self, theta: Array) -> bool:
-        """The weights are those of the published fit."""
+        """Always False: the weights are those of the published fit."""
         return False
 
     def starts(self) -> list[Array]:
-        """The fit, and the three visited points whose forces are nearest to its."""
+        """The fit, and the three solved points whose forces are closest to those of the fit."""
         target = self.curve(self.fitted).values
         visited = sorted(self.curve.solved, key=lambda each: float(np.sum((each[1].values - target) ** 2)))
         thetas = [self.fitted, *(theta for theta, _ in visited[1:4])]
@@ -152,7 +159,7 @@ class _ForceProblem:
         self.emulator.refresh()
 
     def within_reach(self, theta: Array) -> Array:
-        """Not further than a increment beyond what was solved before."""
+        """theta, limited to one step factor beyond the solved points."""
         solved = np.array([each for each, _ in self.curve.solved])
         near = theta.copy()
         for k, (parameter, column) in enumerate(zip(self.parameters[1:], self.free, strict=False), 1):
@@ -167,8 +174,10 @@ class _ForceProblem:
 
 
 def _times_c(predict: Predictor, c0: float, share: Array, fixed: Array, free: tuple[int, ...]) -> Predictor:
-    """Force as a function of (c, free shape parameters[, gain]): by (c / c0) to the power of its share (n,),
-    and in proportion to the gain."""
+    """Force as a function of (c, free shape parameters[, gain]).
+
+    It is proportional to (c / c0) to the power of its share (n,), and to the gain.
+    """
     last = 1 + len(free)
 
     def scaled(theta: Array, *, derivative: bool = True) -> Prediction:

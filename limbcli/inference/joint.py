@@ -1,12 +1,12 @@
-"""Joint likelihood: depth at given force, and shear-wave speed, of one or several sites.
+"""Joint likelihood of depth at given force and of shear-wave speed, for one or several sites.
 
-Force is controlled and depth is the noisy reading, so the residual is a depth: measured
-minus the depth at which the simulation reaches the measured force. A level's wave speed
-enters by its logarithm, the thickness of its layers as it is, at the simulated depth of
-that force. All sites share c and the law's other parameters ("shape"); each has a gain of
-its own for the numerical error of its mesh. At fixed shape every stress is proportional to
-c, so forces go with c and speeds with its root: only the shape costs simulations. Where layers beside
-the tissue keep a stiffness of their own, it is not: there curves have c as one more parameter.
+Force is controlled and depth is the noisy reading, so the residual is a depth: the measured depth minus the
+depth at which the simulation reaches the measured force. The wave speed of a level enters by its logarithm,
+and the thickness of its layers directly, both at the simulated depth of that force. All sites share c and the
+other parameters of the law ("shape"); each site has its own gain for the numerical error of its mesh. At
+fixed shape every stress is proportional to c, so forces scale with c and speeds with its square root, and
+only changes of the shape need simulations. This does not hold where layers with a fixed stiffness of their
+own are in the model; there the curves have c as an additional parameter.
 """
 
 from __future__ import annotations
@@ -48,18 +48,22 @@ __all__ = [
     "predict_site",
 ]
 
-C_SPAN = 10.0  # c may differ from its start value by this factor
-C_STEP_FACTOR = 2.0  # of c, that a simulation may lie beyond those there are, where c needs simulations
-_LEAST = 1e-4
+C_SPAN = 10.0  # factor from the start value of c to either of its bounds
+C_STEP_FACTOR = 2.0  # largest factor of c from the solved points to a new one, where c is simulated
+_LEAST = 1e-4  # lower limit of the standard deviation of the prior on ln c
 
 
 @dataclass(frozen=True, eq=False)
 class JointTask:
-    """What is fitted: curves and data by site, the shape's parameters, c's start and the unloaded speed.
+    """Input of the joint fit: curves and data by site, the shape parameters, the start value of c and the
+    unloaded speed.
 
-    c0 : MPa, the c of the curves; log_speed_0: ln sqrt(c0 / (2 rho)) in m/s, by site, or as `RestSpeed`
-    c_deviation : of ln c, a prior round c0; None where the speeds themselves say it
-    beside_layers : by site, whether its curve is of (c / c0, shape...): layers there keep their own stiffness
+    c0 : MPa, the c of the curves
+    log_speed_0 : ln sqrt(c0 / (2 rho)) in m/s, by site, or as `RestSpeed`
+    c_deviation : standard deviation of a prior on ln c around c0; None where the speeds themselves determine
+        c
+    beside_layers : by site, whether its curve is a function of (c / c0, shape...), because its layers have a
+        fixed stiffness
     """
 
     curves: Sequence[SolvedPoints]
@@ -75,7 +79,8 @@ class JointTask:
 
 
 class JointProblem:
-    """theta = (c, shape..., a gain for each site whose gain is uncertain), for `adaptive_profiles`."""
+    """Estimation problem for `adaptive_profiles`; theta = (c, shape..., a gain for each site whose gain is
+    uncertain)."""
 
     def __init__(self, task: JointTask, starts: Sequence[Array]):
         self.task = task
@@ -97,7 +102,7 @@ class JointProblem:
     # ------------------------------------------------------------ residuals
 
     def predict(self, k: int, theta: Array, *, data: SiteMeasurement | None = None) -> SitePrediction:
-        """Site k at theta, on the surrogates."""
+        """Prediction of site k at theta by the surrogates."""
         data, gain, rest = data or self.task.data[k], self._gain(k, theta), self.task.log_speed_0[k]
         place = self.place(k, theta)
         if self.task.is_beside_layers(k):
@@ -107,7 +112,8 @@ class JointProblem:
         return predict_site(self.emulators[k], data, place, c_ratio=ratio, gain=gain, log_speed_0=rest)
 
     def place(self, k: int, theta: Array) -> Array:
-        """The parameters of site k's curve: the law's shape, beside layers after c / c0."""
+        """Parameters of the curve of site k: the law's shape, preceded by c / c0 where layers have a fixed
+        stiffness."""
         shape = self.solved_at(theta)
         return np.r_[theta[0] / self.task.c0, shape] if self.task.is_beside_layers(k) else shape
 
@@ -128,7 +134,7 @@ class JointProblem:
         return residual
 
     def _spread(self, slope: Array, k: int, theta: Array) -> Array:
-        """Columns (ln c, ln gain, ln shape) of a site to columns of theta."""
+        """Map derivatives of a site by (ln c, ln gain, ln shape) to derivatives by theta."""
         wide = np.zeros((len(slope), len(theta)))
         wide[:, 0] = slope[:, 0] / theta[0]
         wide[:, 1 : 1 + self.n_shape] = slope[:, 2:] / theta[1 : 1 + self.n_shape]
@@ -155,7 +161,7 @@ class JointProblem:
     def _gain(self, k: int, theta: Array) -> float:
         return float(theta[1 + self.n_shape + self.gained.index(k)]) if k in self.gained else 1.0
 
-    # ------------------------------------------------------------ what adaptive_profiles asks
+    # ------------------------------------------------------------ interface of adaptive_profiles
 
     def settle(self, theta: Array) -> bool:
         return self._weights.settle(theta)
@@ -199,12 +205,12 @@ class JointProblem:
         return near
 
     def solved_at(self, theta: Array) -> Array:
-        """The law's shape."""
+        """The law's shape parameters."""
         return np.asarray(theta[1 : 1 + self.n_shape])
 
 
 def c_drawn_in(c: float, solved: Array, c0: float) -> float:
-    """c at most a step beyond what was simulated: solved (n,) of c / c0.
+    """c limited to one step factor beyond the simulated values; solved : (n,) of c / c0.
 
     >>> c_drawn_in(0.05, np.array([0.5, 2.0]), 0.01)
     0.04
@@ -215,14 +221,14 @@ def c_drawn_in(c: float, solved: Array, c0: float) -> float:
 def joint_fit(
     task: JointTask, starts: Sequence[Array], *, max_solves: int = 16, progress: Progress = SILENT
 ) -> tuple[JointProblem, Intervals]:
-    """Most likely c and shape, with their profiles.
+    """Maximum-likelihood c and shape, with their profile likelihoods.
 
-    starts : several (c, shape...); the curves must hold at least two solved points each
+    starts : several initial guesses (c, shape...); each curve must hold at least two solved points
 
     Raises
     ------
     FitError
-        If there is nothing to fit, or no start leads anywhere.
+        If there are fewer levels than parameters, or no start leads to a fit.
     """
     n_levels, n_parameters = sum(len(each.force) for each in task.data), 1 + len(task.shape)
     if n_levels < n_parameters:
@@ -236,10 +242,11 @@ def joint_fit(
 
 
 def held_out_error(problem: JointProblem, found: Intervals, *, n_folds: int = 3) -> tuple[float, float]:
-    """Root mean square error of left-out depths (mm) and of left-out ln speeds, every n-th level in turn.
+    """Cross-validated root mean square errors of depth (mm) and of ln speed; every n-th level is left out in
+    turn.
 
-    The rest of the levels is fitted again each time (on the surrogates), so a law with more
-    parameters is not favoured. NaN where there are no speeds.
+    The remaining levels are fitted again each time (on the surrogates), so a law with more parameters has no
+    advantage. NaN where there are no speeds.
     """
     from limbcli.inference.profile import best_of
 

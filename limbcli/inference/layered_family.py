@@ -1,10 +1,11 @@
-"""The emulator of the layered slab: readings of an indentation for any thickness, layers and tissue, in
-microseconds, from solves of the reference solver that ship with the package.
+"""Emulator of the layered slab: readings of an indentation for any thickness, layers and tissue, in
+microseconds, from reference-solver results shipped with the package.
 
-Per reading a polynomial in the family's numbers and the strain, of second or third degree (whichever misses
-left-out members less), over the trend that springs in series give. It is fitted to the solves' values and to
-their exact derivatives by tissue. Its error is what it misses on members left out of the fit, told reading by
-reading; held-out members of another sequence are the check of the tests.
+For each reading it is a polynomial of second or third degree in the family's coordinates and the strain,
+whichever has the smaller cross-validation error, added to the trend of springs in series. It is fitted to the
+values of the solves and to their exact derivatives by the tissue parameters. Its error is the
+cross-validation error of each reading over members left out of the fit; the tests check it with held-out
+members of another sequence.
 """
 
 from __future__ import annotations
@@ -34,19 +35,21 @@ from limbcli.inference.layered_solves import (
 from limbcli.model import Array, IntArray
 
 _DEGREES, _CORRECTION_DEGREE = (2, 3), 1
-_RIDGE = 1e-4
-_SLOPE_WEIGHT = 0.5
-_FOLDS = 6
+_RIDGE = 1e-4  # ridge penalty per row, of terms above first degree
+_SLOPE_WEIGHT = 0.5  # weight of the derivatives relative to the values
+_FOLDS = 6  # folds of the cross-validation
 _MESH, _FINE = "family", "fine"
-_FEWEST_FINE = 6  # members on the finer mesh, from which on they correct the family
+_FEWEST_FINE = 6  # smallest number of members on the finer mesh for a correction by them
 
 
 @dataclass(frozen=True, eq=False)
 class LayeredFamily:
-    """powers (n_terms, 6); coefficients (n_terms, 4); error (4,): one deviation of every reading.
+    """Fitted emulator: powers (n_terms, 6); coefficients (n_terms, 4); error (4,), one standard deviation of
+    each reading.
 
-    Readings: ln of force over (c_muscle, face, strain); ln of the secant over the slope of the line through
-    first contact; logit of muscle's part of what fat and muscle shorten; skin's part of the whole shortening.
+    Readings: ln of force over (c_muscle, face, strain); ln of the slope of the secant over that of the line
+    fitted from first contact; logit of muscle's fraction of the shortening of fat and muscle; skin's fraction
+    of the total shortening.
     """
 
     powers: IntArray
@@ -63,7 +66,7 @@ class LayeredFamily:
         )
 
     def of_shape(self, x: Array) -> OfTissue:
-        """The readings of rows of given shape and strain, x (n, 6), as functions of their tissue alone."""
+        """Readings as functions of the tissue alone, for rows of given shape and strain x (n, 6)."""
         x = np.clip(x, LOW, HIGH)
         u = _scaled(x)
         u[:, [RATIO, EXPONENT]] = 1.0
@@ -77,18 +80,19 @@ class LayeredFamily:
 
 @dataclass(frozen=True, eq=False)
 class OfTissue:
-    """Rows' readings: a trend over polynomials of scaled ln ratio and ln m.
+    """Readings of rows as functions of their tissue: a trend plus polynomials in scaled ln ratio and ln m.
 
-    table (n, degree + 1, degree + 1, 4); shares (n, 3) of skin, fat, muscle
+    table : (n, degree + 1, degree + 1, 4)
+    shares : (n, 3) of skin, fat and muscle
     """
 
     table: Array
     shares: Array
 
     def __call__(self, tissue: Array, *, slopes: bool = False) -> tuple[Array, Array]:
-        """Readings (..., n, 4) at ln ratio and ln m (..., n, 2), and derivatives (..., n, 4, 2) by them.
+        """Readings (..., n, 4) at ln ratio and ln m (..., n, 2), and their derivatives (..., n, 4, 2).
 
-        Beyond an end of the family the end's value stands.
+        Beyond a limit of the family's range the value at the limit is used.
         """
         ends = [RATIO, EXPONENT]
         low, high = LOW[ends], HIGH[ends]
@@ -116,7 +120,8 @@ class OfTissue:
 
 
 def is_inside(x: Array) -> NDArray[np.bool_]:
-    """Which coordinates (n, 6) lie within the family, whatever the tissue: (n,) bool."""
+    """Coordinates (n, 6) that lie within the family's range, except for the tissue, which is not checked:
+    (n,) bool."""
     own = [k for k in range(x.shape[1]) if k not in (RATIO, EXPONENT)]
     slack = 0.02 * (HIGH - LOW)
     return np.asarray(((x >= LOW - slack) & (x <= HIGH + slack))[:, own].all(axis=1))
@@ -124,7 +129,7 @@ def is_inside(x: Array) -> NDArray[np.bool_]:
 
 @functools.cache
 def layered_family(path: Path = FILE) -> LayeredFamily:
-    """The emulator from its file of solves.
+    """Build the emulator from its file of solves.
 
     Raises
     ------
@@ -166,7 +171,7 @@ def _scaled(x: Array) -> Array:
 
 
 def _terms(u: Array, powers: IntArray, *, by: int | None = None) -> Array:
-    """Monomials (n, n_terms) of scaled coordinates, or their derivatives by one of them."""
+    """Monomials (n, n_terms) of scaled coordinates, or their derivatives by coordinate `by`."""
     highest = int(powers.max())
     table = u[:, :, None] ** np.arange(highest + 1)  # (n, 6, degree + 1)
     out = np.ones((len(u), len(powers)))
@@ -196,7 +201,7 @@ def _fitted(solved: SolvedMember, powers: IntArray) -> Array:
 
 
 def _left_out(solved: SolvedMember, powers: IntArray) -> Array:
-    """Root mean square (4,) of what members left out of the fit are missed by."""
+    """Cross-validation error (4,): root mean square residual of the members left out of the fit."""
     numbers = np.unique(solved.member)
     missed = np.empty_like(solved.y)
     for fold in range(_FOLDS):
@@ -207,7 +212,8 @@ def _left_out(solved: SolvedMember, powers: IntArray) -> Array:
 
 
 def _correction(fine: SolvedMember, powers: IntArray, coefficients: Array) -> Array:
-    """What a finer mesh adds (n_terms, 4): a plane through what the family misses of its members."""
+    """Correction of the coefficients by a finer mesh (n_terms, 4): a plane through the residuals of its
+    members."""
     low = powers.sum(axis=1) <= _CORRECTION_DEGREE
     missed = fine.y - _terms(_scaled(fine.x), powers) @ coefficients
     a = _terms(_scaled(fine.x), powers[low])

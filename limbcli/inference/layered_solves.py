@@ -1,8 +1,8 @@
-"""The solves of the layered slab as they ship: coordinates, readings and their derivatives, row by row.
+"""The shipped solves of the layered slab: coordinates, readings and their derivatives, row by row.
 
-How a solve becomes a reading is said in `LayeredFamily`; readings are kept over a trend, springs in series.
-The file is made by tests/benchmarks/cohort_family.py with limbcli's reference solver (0.1.0), model and
-mesh as in `stages.cohorts.family`; its members are a scrambled Sobol sequence.
+`LayeredFamily` defines the readings; they are stored relative to a trend, that of springs in series. The file
+is made by tests/benchmarks/cohort_family.py with limbcli's reference solver (0.1.0), with the model and mesh
+of `stages.cohorts.family`; its members are a scrambled Sobol sequence.
 """
 
 from __future__ import annotations
@@ -23,16 +23,17 @@ FORCE, CONVEXITY, MUSCLE_PART, SKIN_PART = range(4)
 READINGS = ("force", "convexity", "muscle_part", "skin_part")
 COORDINATES = ("thickness", "fat_share", "skin", "ratio", "m", "strain")
 RATIO, EXPONENT = 3, 4  # places in COORDINATES
-SKIN_RATIO = 5.0  # c_skin / c_muscle, held
-# Ends of every coordinate: logarithms of thickness, ratio and m. Beyond them the nearest end is taken.
+SKIN_RATIO = 5.0  # c_skin / c_muscle, fixed
+# Range of each coordinate, with logarithms of thickness, ratio and m. Beyond it the nearest limit is used.
 LOW = np.array([np.log(0.35), 0.015, 0.02, np.log(0.1), np.log(1.5), 0.03])
 HIGH = np.array([np.log(4.2), 0.70, 0.14, np.log(15.0), np.log(12.0), 0.45])
-_NUDGE = 1e-4
+_NUDGE = 1e-4  # finite-difference step in ln ratio or ln m
 
 
 @dataclass(frozen=True, eq=False)
 class SolvedMember:
-    """Rows of the solves: x (n, 6) coordinates, y (n, 4) over the trend, slopes (n, 4, 2) by the tissue."""
+    """Rows of the solves: coordinates x (n, 6), readings y (n, 4) minus the trend, slopes (n, 4, 2) by the
+    tissue."""
 
     member: IntArray
     x: Array
@@ -41,7 +42,7 @@ class SolvedMember:
 
 
 def read_solved(path: Path, mesh: str) -> SolvedMember:
-    """The rows of one mesh ("family", "fine", "held-out family" ...) as coordinates and readings."""
+    """Coordinates and readings of the rows of one mesh ("family", "fine", "held-out family" ...)."""
     try:
         with path.open(newline="", encoding="utf-8") as stream:
             rows = [row for row in csv.DictReader(stream) if row["mesh"] == mesh]
@@ -61,7 +62,7 @@ def read_solved(path: Path, mesh: str) -> SolvedMember:
 
 
 def _member(number: int, rows: Sequence[Mapping[str, str]]) -> tuple[IntArray, Array, Array, Array]:
-    """One member's strains, in their order."""
+    """The rows of one member, one per strain, in the order of the file."""
 
     def column(name: str) -> Array:
         return np.array([float(row[name]) for row in rows])
@@ -88,7 +89,7 @@ def _member(number: int, rows: Sequence[Mapping[str, str]]) -> tuple[IntArray, A
 
 
 def _convexity(strain: Array, force: Array) -> Array:
-    """ln of the secant's slope over that of the line through first contact, up to every strain."""
+    """ln of the slope of the secant over that of the line fitted from first contact, up to each strain."""
     curve = Monotone.through(np.r_[0.0, strain], np.r_[0.0, force * strain])
     found = np.empty(len(strain))
     for k, end in enumerate(strain):
@@ -100,15 +101,17 @@ def _convexity(strain: Array, force: Array) -> Array:
 
 
 def shares_of(x: Array) -> Array:
-    """Skin's, fat's and muscle's shares (n, 3) of the thickness."""
+    """Fractions (n, 3) of the thickness that are skin, fat and muscle."""
     skin = x[:, 2] / np.exp(x[:, 0])
     return np.column_stack([skin, (1 - skin) * x[:, 1], (1 - skin) * (1 - x[:, 1])])
 
 
 def trend(shares: Array, log_ratio: Array) -> tuple[Array, Array]:
-    """Layers as springs in series: what the polynomials are over. Readings (..., n, 4), and by ln ratio.
+    """Trend of the readings (..., n, 4), the layers taken as springs in series, and its derivative by ln
+    ratio.
 
-    shares (n, 3), log_ratio (..., n). The solves say by how much layers under a probe are no springs.
+    shares (n, 3), log_ratio (..., n). The polynomials represent the difference between the solves and this
+    trend.
     """
     soft = shares[:, 1] * np.exp(-log_ratio)
     whole = shares[:, 0] / SKIN_RATIO + soft + shares[:, 2]

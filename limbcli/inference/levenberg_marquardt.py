@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt between bounds."""
+"""Levenberg-Marquardt least squares with bounds."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from limbcli.progress import SILENT, Progress
 
 Mask = NDArray[np.bool_]
 Guide = Callable[[Array], Array]
-_MOST_TRIALS = 40
-_LEAST_GAIN = 1e-4
+_MOST_TRIALS = 40  # trial steps in one iteration
+_LEAST_GAIN = 1e-4  # actual over predicted decrease of the cost above which a step is accepted
 _SMALLEST_DAMPING = 1e-14
 _LARGEST_DAMPING = 1e14
-_TOUCHING = 1.0 + 1e-12
+_TOUCHING = 1.0 + 1e-12  # factor within which a parameter counts as on its bound
 
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """One accepted point of the search."""
+    """One accepted iterate of the search."""
 
     theta: Array
     cost: float
@@ -33,10 +33,12 @@ class Iterate:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Where the search ended.
+    """Result of the search.
 
-    theta, (n_parameters,); residual (n,) and jacobian (n, n_parameters) d residual / d theta
-    there; cost = sum of squares; `reason` says which test ended it.
+    theta : (n_parameters,)
+    residual, jacobian : (n,) and (n, n_parameters) d residual / d theta at theta
+    cost : sum of squares
+    reason : the termination test that was met
     """
 
     parameters: tuple[FitParameter, ...]
@@ -63,26 +65,28 @@ def levenberg_marquardt(
     guide: Guide | None = None,
     progress: Progress = SILENT,
 ) -> Fit:
-    """Least squares between bounds.
+    """Bounded least squares.
 
-    Damped Gauss-Newton steps on the normalised parameters, the damping chosen to meet a
-    trust radius in More's scaling. A parameter that sits on a bound and would be pushed out is held
-    there for that step; a step that crosses a bound is cut at it and solved again for
-    the others. A trial where the model has no answer (SolveError) counts as worse.
+    Damped Gauss-Newton steps in the normalised parameters; the damping is chosen to meet a trust radius in
+    More's scaling. A parameter that is on a bound and would be pushed beyond it is held there for that step;
+    a step that crosses a bound is clipped at it and solved again for the remaining parameters. A trial at
+    which the model cannot be solved (SolveError) counts as worse.
 
-    guide : theta -> a better guess, from whatever is known of the model so far (costless); it is
-        tried before the step, and counts only where the cost there does fall. Which point
-        is the end is decided by the same tests with the model's own derivatives.
+    guide : theta -> a better guess from what is known of the model so far (at no cost). It is tried before
+        the step and accepted only if the cost decreases there. Convergence is decided by the same tests with
+        the model's own derivatives.
 
-    Ends when the actual and the predicted relative fall of the cost are both at most
-    `tolerance`, or no parameter moves by more than `tolerance` of itself, or no direction leads down.
+    The search ends when the actual and the predicted relative decrease of the cost are both at most
+    `tolerance`, or no parameter changes by more than `tolerance` relative to itself, or there is no descent
+    direction.
 
     Raises
     ------
     SolveError
-        If there is no answer at the start values.
+        If the model cannot be solved at the start values.
     FitError
-        If the residual is not finite there, or `max_iterations` do not suffice and it `must_settle`.
+        If the residual is not finite there, or the search has not converged after `max_iterations` and
+        `must_settle` is set.
 
     Source: Marquardt 1963; More 1978, The Levenberg-Marquardt algorithm, Lect. Notes Math. 630:105.
     """
@@ -107,7 +111,7 @@ def levenberg_marquardt(
 
 
 class _Search:
-    """State of one search: the current point, its linearisation, trust radius and scaling."""
+    """State of a search: current point, its linearisation, trust radius and scaling."""
 
     def __init__(
         self,
@@ -135,7 +139,7 @@ class _Search:
         self.history = [Iterate(self.theta.copy(), self.now.cost)]
 
     def iterate(self, tolerance: float) -> str:
-        """One accepted step; returns the reason why it is the last, if it is."""
+        """Make one accepted step; returns the termination reason, or "" if the search goes on."""
         line = self._line()
         self.scale = np.maximum(self.scale, np.sqrt(np.diag(line.curvature)))
         if self.now.cost == 0.0 or not line.free.any():
@@ -188,7 +192,7 @@ class _Search:
         return _Line(x, gradient, jacobian.T @ jacobian, free, least - x, most - x)
 
     def _step(self, line: _Line) -> Array:
-        """The step within the trust radius: the damping that meets it, by bisection."""
+        """The step within the trust radius; its damping is found by bisection."""
         scale = np.maximum(self.scale, 1e-8 * float(self.scale.max()))
         step = line.step(_SMALLEST_DAMPING, scale)
         if np.linalg.norm(scale * step) <= 1.1 * self.radius:
@@ -204,7 +208,8 @@ class _Search:
         return line.step(float(np.exp(high)), scale)
 
     def _guided(self, line: _Line) -> bool:
-        """Whether the guide's guess, drawn into the box of steps, was better."""
+        """Try the guide's guess, clipped to the allowed step; returns whether it lowered the cost and was
+        accepted."""
         assert self.guide is not None
         wished = normalised(self.parameters, np.clip(self.guide(self.theta), self.low, self.high))
         theta = natural(self.parameters, line.x + np.clip(wished - line.x, line.low, line.high))
@@ -217,7 +222,8 @@ class _Search:
         return True
 
     def _resize(self, step: Array, line: _Line, gain: float, actual: float) -> None:
-        """More's rule: shrink along the parabola through the trial, grow after a good step."""
+        """Update the trust radius by More's rule: shrink it along the parabola through the trial, enlarge it
+        after a good step."""
         size = float(np.linalg.norm(self.scale * step))
         if gain <= 0.25:
             slope = float(2 * line.gradient @ step)
@@ -246,7 +252,8 @@ class _Search:
 
 @dataclass(frozen=True, eq=False)
 class _Line:
-    """r + J s at a point x: gradient J'r, curvature J'J, the free parameters, the box of steps."""
+    """Linear model r + J s at a point x: gradient J'r, curvature J'J, the free parameters, and the limits of
+    the step."""
 
     x: Array
     gradient: Array
@@ -256,7 +263,8 @@ class _Line:
     high: Array
 
     def step(self, damping: float, scale: Array) -> Array:
-        """Damped step; bounds it would cross are met exactly and the rest solved again."""
+        """Damped step; bounds that it would cross are met exactly, and the remaining parameters are solved
+        again."""
         step, free = np.zeros(len(self.x)), self.free.copy()
         for _ in range(len(self.x)):
             damped = self.curvature[np.ix_(free, free)] + damping * np.diag(scale[free] ** 2)
@@ -270,5 +278,5 @@ class _Line:
         return step
 
     def fall(self, step: Array) -> float:
-        """How much the linear model says the cost falls."""
+        """Decrease of the cost predicted by the linear model."""
         return -float(2 * self.gradient @ step + step @ self.curvature @ step)

@@ -1,4 +1,4 @@
-"""Whether a fit meets its data: the misfit against what the stated noise explains, and R2."""
+"""Whether a fit agrees with its data: the misfit compared with the stated noise, and R2."""
 
 from __future__ import annotations
 
@@ -10,14 +10,20 @@ from limbcli.inference.statistics import root_mean_square
 from limbcli.model import Array
 from limbcli.significant_digits import short
 
-BEYOND_NOISE = 2.0  # times the stated noise; with six residuals chance alone gives 1.5 in one of forty
-LEAST_R2 = 0.9  # any curve that rises with the force has more
+# Ratio of RMSE to stated noise above which a fit is poor; with six residuals chance alone exceeds 1.5 in one
+# case of forty.
+BEYOND_NOISE = 2.0
+LEAST_R2 = 0.9  # R2 below which a fit is poor; any curve that increases with the force has more
 
 
 @dataclass(frozen=True)
 class Misfit:
-    """rmse, noise : root mean square of the loaded levels' residuals and of what their noise explains, N; r2
-    may be NaN."""
+    """Misfit of a force fit.
+
+    rmse : root mean square of the residuals at the loaded levels (N)
+    noise : root mean square expected from the stated noise (N)
+    r2 : coefficient of determination; may be NaN
+    """
 
     rmse: float
     noise: float
@@ -25,7 +31,7 @@ class Misfit:
 
     @property
     def times_noise(self) -> float:
-        """NaN where no noise is stated."""
+        """RMSE divided by the expected noise; NaN if no noise is stated."""
         return self.rmse / self.noise if self.noise > 0 else float("nan")
 
     @property
@@ -51,7 +57,10 @@ class Misfit:
 
 
 def misfit(residual: Array, variance: Array, r2: float) -> Misfit:
-    """residual, variance of it : N, N^2, (n,) of the loaded levels; at first touch the probe misses nothing
+    """Misfit of a fit from its residuals.
+
+    residual, variance : (n,) at the loaded levels (N) and their variance (N^2); first touch is excluded,
+        because there the residual is 0
 
     >>> misfit(np.array([0.3, -0.3]), np.array([0.01, 0.09]), 0.99).times_noise
     1.3416407864998738

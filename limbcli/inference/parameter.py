@@ -1,4 +1,4 @@
-"""What is searched for: a name, a start value, bounds, and how it is normalised."""
+"""A fit parameter: name, start value, bounds and normalisation."""
 
 from __future__ import annotations
 
@@ -13,17 +13,16 @@ from limbcli.model import Array
 
 F_KAPPA_BOUNDS = (0.01, 1000.0)
 M_BOUNDS = (1.0, 100.0)
-_ON_BOUND = 1e-3
+_ON_BOUND = 1e-3  # relative distance within which a value lies on a bound
 
 
 @dataclass(frozen=True)
 class FitParameter:
-    """A positive parameter, its start value and bounds.
+    """A positive parameter with start value and bounds.
 
-    The search runs on the normalised coordinate x: theta / start (scale "ratio",
-    the published method) or ln(theta / start) (scale "log"). Both make the
-    tolerances and steps independent of the parameter's unit. No search changes it by more
-    than the factor `step_factor` at a time.
+    The search runs in the normalised coordinate x: theta / start (scale "ratio", the published method) or
+    ln(theta / start) (scale "log"). Both make tolerances and steps independent of the parameter's unit. No
+    search changes the parameter by more than the factor `step_factor` in one step.
 
     >>> f_kappa = FitParameter("f_kappa", start=100.0, low=0.01, high=1000.0)
     >>> f_kappa.normalised(650.0), f_kappa.natural(6.5)
@@ -59,7 +58,7 @@ class FitParameter:
         return theta if self.scale == "log" else self.start
 
     def at_bound(self, theta: float) -> Literal["low", "high"] | None:
-        """Which bound a value sits on (within 0.1 % of it), if any."""
+        """The bound that a value lies on (within 0.1 % of it), if any."""
         if theta <= self.low * (1.0 + _ON_BOUND):
             return "low"
         return "high" if theta >= self.high * (1.0 - _ON_BOUND) else None

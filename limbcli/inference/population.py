@@ -1,24 +1,26 @@
-"""A hierarchical estimate: every row has parameters of its own, drawn from one population.
+"""Hierarchical (mixed-effects) estimate: each row has its own parameters, drawn from one population.
 
     y_i = g_i(theta_i) + noise,  noise ~ N(0, R_i),  theta_i ~ N(mean, spread)
 
-y_i are a row's readings, g_i the model of that row, theta_i logarithms of its parameters. The population's
-mean and spread are those of greatest likelihood but for a weak inverse-Wishart prior on the spread, which
-keeps it from collapsing where a parameter is hardly seen (it weighs as much as a few rows). They are found by
-expectation-maximisation: first with Laplace's approximation of every row's distribution, then with
-importance sampling from wider t distributions round it and round the population, which is right where the
-row's distribution is not Gaussian. The effective number of draws says whether the sampling can be trusted.
+y_i are the readings of a row, g_i is the model of that row, and theta_i are the logarithms of its parameters.
+The population's mean and spread (covariance) maximise the likelihood times a weak inverse-Wishart prior on
+the spread. The prior weighs as much as a few rows and keeps the spread from collapsing where the data hardly
+inform a parameter. The maximum is found by expectation-maximisation: first with Laplace's approximation of
+each row's posterior, then with importance sampling from wider t distributions centred on the row's mode and
+on the population mean, which remains valid where the posterior is not Gaussian. The effective number of draws
+shows whether the sampling can be trusted.
 
-Standard errors come from the curvature of the likelihood with the prior: the information of complete rows,
-less what is lost as their parameters are not seen. Rows of one person are not independent: where there are
-any, errors are no smaller than by the scatter of the people's own scores. Few people leave more uncertainty
-than a Gaussian of that error has: a mean is that of Student's t for as many people less one, the upper end
-of a deviation that of chi-square. What a row takes from the mean, it takes with the mean's uncertainty
-(Morris 1983, J Am Stat Assoc 78:47).
+Standard errors come from the curvature of the posterior: the information of the complete data, minus the
+information lost because the rows' parameters are not observed. Rows of one person are not independent; where
+a person has several rows, the errors are at least those from the scatter of the scores summed by person. With
+few people the uncertainty is larger than that of a Gaussian with this error: intervals of a mean use
+Student's t with n_people - 1 degrees of freedom, and the upper end of a deviation uses chi-square. A row's
+interval includes the uncertainty of the population mean, in the proportion in which the row's estimate
+depends on that mean (Morris 1983, J Am Stat Assoc 78:47).
 
 Source: Dempster, Laird and Rubin 1977, J R Stat Soc B 39:1; Gelman et al. 2013, Bayesian Data Analysis,
 sections 10.4 (importance sampling) and 13.6 (EM for a hierarchical model); Louis 1982, J R Stat Soc B 44:226
-(the curvature); Liang and Zeger 1986, Biometrika 73:13 (rows that belong together).
+(the curvature); Liang and Zeger 1986, Biometrika 73:13 (rows of one person).
 """
 
 from __future__ import annotations
@@ -33,24 +35,29 @@ from scipy.stats import t as student_t
 from limbcli.model import Array
 
 Model = Callable[[Array, bool], tuple[Array, Array]]
-"""theta (..., n, p), whether derivatives are wanted -> readings (..., n, q), derivatives (..., n, q, p)."""
+"""(theta (..., n, p), whether to compute derivatives) -> readings (..., n, q), derivatives (..., n, q, p)."""
 
-DRAWS = 1000
-_PRIOR_ROWS = 3.0  # rows that the prior on the spread weighs as much as
-_FREEDOM = 6.0  # of the t distribution that is drawn from
-_WIDER = 1.15
-_MOST_ROUNDS, _SAMPLED_ROUNDS = 150, 15
-_STILL = 1e-3
-_STEPS, _STEPS_BETWEEN = 40, 4  # of Newton's method: at the ends, and between two rounds
-_HALVINGS = 8
-_LARGEST_STEP = 1.0
-_LOW, _HIGH = 0.025, 0.975  # of a 95 % interval
-_LEAST_TOLD = 0.01  # rows' worth of information: less is the draws' graininess
+DRAWS = 1000  # importance samples per row
+_PRIOR_ROWS = 3.0  # weight of the prior on the spread, as a number of rows
+_FREEDOM = 6.0  # degrees of freedom of the t proposal distribution
+_WIDER = 1.15  # scale of the proposal relative to the Gaussian it replaces
+_MOST_ROUNDS, _SAMPLED_ROUNDS = 150, 15  # largest number of EM rounds: Laplace, then importance sampling
+_STILL = 1e-3  # convergence: change of the mean in one round, in standard deviations of the population
+_STEPS, _STEPS_BETWEEN = 40, 4  # Gauss-Newton iterations: in the first and last round, and in those between
+_HALVINGS = 8  # largest number of halvings of one step
+_LARGEST_STEP = 1.0  # limit of a Gauss-Newton step in each parameter, in ln
+_LOW, _HIGH = 0.025, 0.975  # quantiles at the ends of a 95 % interval
+_LEAST_TOLD = 0.01  # lower limit of an eigenvalue of the information, in rows; less is sampling noise
 
 
 @dataclass(frozen=True, eq=False)
 class Population:
-    """mean (p,), spread (p, p) covariance; standard errors of the means and of the deviations (p,)."""
+    """Estimated population.
+
+    mean : (p,)
+    spread : (p, p) covariance
+    mean_error, deviation_error : (p,) standard errors of the means and of the standard deviations
+    """
 
     mean: Array
     spread: Array
@@ -71,11 +78,12 @@ class Population:
 
     @property
     def deviation_interval(self) -> tuple[Array, Array]:
-        """95 % interval of the deviations: low, high (p,).
+        """95 % interval of the standard deviations: low, high (p,).
 
-        Upwards by chi-square with as many degrees of freedom as give this error, and no fewer than the rows
-        that the prior weighs as much as; downwards by the error itself, as below the prior's deviation it is
-        the prior that holds the spread up.
+        The upper end uses chi-square with the number of degrees of freedom that corresponds to the standard
+        error, but at least the number of rows that the prior weighs as much as. The lower end uses the
+        Gaussian error itself, because below the prior's deviation it is the prior that keeps the spread from
+        falling.
         """
         free = np.maximum(0.5 * (self.deviation / self.deviation_error) ** 2, _PRIOR_ROWS)
         low = self.deviation - norm.ppf(_HIGH) * self.deviation_error
@@ -84,12 +92,15 @@ class Population:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Of every row: posterior mean and deviation under the population found (n, p), low and high of the 95 %
-    interval with the uncertainty of the population's mean (n, p), the mode (n, p), effective draws (n,), and
-    how much of the population's variance was left unlearnt (n, p), 0 to 1.
+    """Posterior of each row under the estimated population.
 
-    misfit (n,): distance of the readings from those of the population's middle, squared, in deviations of
-    both population and noise; as many degrees of freedom as readings.
+    mean, deviation, mode : (n, p)
+    low, high : ends of the 95 % interval, including the uncertainty of the population mean (n, p)
+    effective : effective number of draws (n,)
+    shrinkage : posterior variance over population variance (n, p), 0 to 1; 1 where the data do not inform the
+        parameter
+    misfit : squared Mahalanobis distance (n,) of the readings from those of the population mean, with the
+        covariance of population and noise together; chi-square with as many degrees of freedom as readings
     """
 
     mean: Array
@@ -122,10 +133,13 @@ def estimate_population(
     people: Array | None = None,
     seed: int = 7,
 ) -> tuple[Population, Rows]:
-    """Mean and spread of a population, and every row's own estimate.
+    """Mean and spread of a population, and the posterior of each row.
 
-    readings (n, q); noise (n, q, q), covariances; start (p,) a first mean; prior_deviation (p,) the deviation
-    that the weak prior on the spread expects; people (n,) whose each row is, None: each of somebody else.
+    readings : (n, q)
+    noise : (n, q, q) covariances
+    start : (p,) initial guess of the mean
+    prior_deviation : (p,) standard deviation that the weak prior on the spread expects
+    people : (n,) the person of each row; None: each row belongs to a different person
     """
     problem = _Problem(readings, noise, _inverse(noise), model)
     prior = _PRIOR_ROWS * np.diag(prior_deviation**2)
@@ -163,7 +177,7 @@ def _inverse(matrix: Array) -> Array:
 
 
 def row_modes(model: Model, readings: Array, noise: Array, mean: Array, spread: Array) -> Array:
-    """The most likely parameters (n, p) of every row under a population that is given."""
+    """Most likely parameters (n, p) of each row under a given population."""
     problem = _Problem(readings, noise, _inverse(noise), model)
     return modes(problem, mean, spread, np.tile(mean, (len(readings), 1)))[0]
 
@@ -171,9 +185,9 @@ def row_modes(model: Model, readings: Array, noise: Array, mean: Array, spread: 
 def modes(
     problem: _Problem, mean: Array, spread: Array, start: Array, *, steps: int = _STEPS
 ) -> tuple[Array, Array]:
-    """The most likely parameters (n, p) of every row under a population, and their covariance (n, p, p).
+    """Most likely parameters (n, p) of each row under a given population, and their covariance (n, p, p).
 
-    Gauss-Newton with steps cut in half where they climb.
+    Gauss-Newton iterations; a step that increases the cost is halved.
     """
     precision = _inverse(spread)
     theta = start.copy()
@@ -203,7 +217,7 @@ def modes(
 
 
 def _cost(problem: _Problem, values: Array, theta: Array, mean: Array, precision: Array) -> Array:
-    """Minus the logarithm of likelihood times prior, but for a constant: (...,)."""
+    """Negative log of likelihood times prior, up to a constant: (n,)."""
     missed, apart = problem.readings - values, theta - mean
     fit = np.einsum("ni,nij,nj->n", missed, problem.weights, missed)
     return np.asarray(0.5 * (fit + np.einsum("ni,ij,nj->n", apart, precision, apart)))
@@ -220,7 +234,8 @@ def _quadratic(
 
 
 def _maximised(theta: Array, covariance: Array, prior: Array) -> tuple[Array, Array]:
-    """Mean and spread from every row's mean and covariance."""
+    """Population mean and spread that maximise the expected log posterior (M step), from the mean and
+    covariance of each row."""
     mean = theta.mean(axis=0)
     apart = theta - mean
     total = covariance.sum(axis=0) + apart.T @ apart + prior
@@ -228,7 +243,7 @@ def _maximised(theta: Array, covariance: Array, prior: Array) -> tuple[Array, Ar
 
 
 def _standard_draws(n: int, p: int, seed: int) -> Array:
-    """(DRAWS, n, p) of a standard t distribution, in pairs of opposite sign."""
+    """Draws (DRAWS, n, p) from a standard t distribution, in antithetic pairs."""
     rng = np.random.default_rng(seed)
     half = rng.standard_normal((DRAWS // 2, n, p))
     half /= np.sqrt(rng.chisquare(_FREEDOM, (DRAWS // 2, n, 1)) / _FREEDOM)
@@ -238,10 +253,10 @@ def _standard_draws(n: int, p: int, seed: int) -> Array:
 def _sampled(
     problem: _Problem, mean: Array, spread: Array, theta: Array, covariance: Array, draws: Array
 ) -> tuple[Array, Array]:
-    """Points (DRAWS, n, p) and weights (DRAWS, n) that sum to 1 over the draws.
+    """Importance sampling: points (DRAWS, n, p) and weights (DRAWS, n) that sum to 1 over the draws.
 
-    Half of the points lie round every row's mode, half are of the population: where readings leave a row open
-    to one side, most of what it may be lies far from its mode.
+    Half of the points are drawn around each row's mode, half from the population: where the readings bound a
+    parameter on one side only, most of its posterior lies far from the mode.
     """
     near, far = (np.asarray(_WIDER * np.linalg.cholesky(each), float) for each in (covariance, spread))
     points = np.concatenate([theta + np.einsum("nij,dnj->dni", near, draws[::2]), mean + draws[1::2] @ far.T])
@@ -257,7 +272,8 @@ def _sampled(
 
 
 def _log_density(apart: Array, root: Array) -> Array:
-    """Of the t distribution that is drawn from, (d, n), but for a constant; root (p, p), or (n, p, p)."""
+    """Log density (d, n) of the t proposal distribution, up to a constant; root : Cholesky factor (p, p) or
+    (n, p, p)."""
     p = apart.shape[-1]
     standard = (_inverse(root) @ apart[..., None])[..., 0]
     size = np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum(axis=-1)
@@ -273,13 +289,13 @@ def _moments(points: Array, weights: Array) -> tuple[Array, Array]:
 def _errors(
     points: Array, weights: Array, mean: Array, spread: Array, prior: Array, people: Array | None
 ) -> Array:
-    """Standard errors (2 p,) of means and of deviations, in deviations of the population; with the
-    correlations held."""
+    """Standard errors (2 p,) of the means and of the standard deviations, the correlations held fixed; in
+    units of the population's standard deviations."""
     deviation = np.sqrt(np.diag(spread))
     apart, like = (points - mean) / deviation, spread / np.outer(deviation, deviation)
     precision = _inverse(like)
     pulled = apart @ precision
-    scores = np.concatenate([pulled, apart * pulled - 1.0], axis=2)  # of complete data, by draw and row
+    scores = np.concatenate([pulled, apart * pulled - 1.0], axis=2)  # complete data, by draw and row
     own = np.einsum("dn,dni->ni", weights, scores)
     lost = np.einsum("dn,dni,dnj->ij", weights, scores - own, scores - own)
     complete = _complete_information(apart, weights, precision, prior / np.outer(deviation, deviation))
@@ -296,7 +312,8 @@ def _errors(
 
 
 def _complete_information(apart: Array, weights: Array, precision: Array, prior: Array) -> Array:
-    """(2 p, 2 p) of rows whose parameters were seen, and of the prior on the spread."""
+    """Information matrix (2 p, 2 p) of the complete data (rows whose parameters are observed), including the
+    prior on the spread."""
     p = len(precision)
     summed = np.einsum("dn,dni->i", weights, apart)
     squares = np.einsum("dn,dni,dnj->ij", weights, apart, apart) + prior
@@ -312,7 +329,8 @@ def _rows(
     problem: _Problem, population: Population, mode: Array, points: Array, weights: Array, seed: int
 ) -> Rows:
     middle, covariance = _moments(points, weights)
-    taken = covariance @ _inverse(population.spread)  # of a shift of the population's mean
+    # Fraction of a shift of the population mean by which the row's estimate shifts.
+    taken = covariance @ _inverse(population.spread)
     mean_errors = _mean_errors(population, points.shape, seed)
     shifted = points + np.einsum("nij,dnj->dni", taken, mean_errors)
     low, high = (_quantiles(shifted, weights, q) for q in (_LOW, _HIGH))
@@ -330,7 +348,7 @@ def _rows(
 
 
 def _mean_errors(population: Population, shape: tuple[int, ...], seed: int) -> Array:
-    """Draws (DRAWS, n, p) of how far off the population's mean is; a row of it for each row."""
+    """Draws (DRAWS, n, p) of the error of the population mean, independent for each row."""
     rng = np.random.default_rng([seed, 1])
     return np.asarray(rng.standard_t(population.n_people - 1, shape) * population.mean_error)
 

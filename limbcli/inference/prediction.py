@@ -1,8 +1,7 @@
-"""What a fit asks of a simulation: theta -> prediction, with a derivative where there is one.
+"""Interface between a fit and a simulation: theta -> prediction, with derivatives where available.
 
-Nothing here knows a solver. A model that cannot differentiate itself is wrapped in
-`Differences`, which evaluates the shifted parameter sets side by side; `SolvedPoints` keeps
-everything that was ever solved.
+This module does not depend on any solver. A model without derivatives is wrapped in `Differences`, which
+evaluates the shifted parameter sets in parallel; `SolvedPoints` caches all solved points.
 """
 
 from __future__ import annotations
@@ -22,30 +21,30 @@ from limbcli.model import Array
 class Prediction:
     """values (n,), and jacobian (n, n_parameters) d value / d theta, or None.
 
-    A column of NaN is a derivative that was not asked for.
+    A column of NaN is a derivative that was not requested.
     """
 
     values: Array
     jacobian: Array | None = None
 
     def has(self, wrt: Sequence[int]) -> bool:
-        """Whether the derivatives with respect to these parameters are there."""
+        """Whether the derivatives with respect to these parameters are available."""
         if not wrt:
             return True
         return self.jacobian is not None and bool(np.isfinite(self.jacobian[:, list(wrt)]).all())
 
 
 class PredictedCurve(Protocol):
-    """theta (n_parameters,) -> positive values (n,) at fixed places, say forces at depth levels.
+    """theta (n_parameters,) -> positive values (n,) at fixed places, such as forces at depth levels.
 
-    `wrt`: the parameters whose derivative is needed. Raises SolveError where there is no answer.
+    wrt : the parameters whose derivative is needed. Raises SolveError where the model cannot be solved.
     """
 
     def __call__(self, theta: Array, wrt: Sequence[int] = ()) -> Prediction: ...
 
 
 class Predictor(Protocol):
-    """What an objective compares with data; without `derivative` the jacobian may be left out."""
+    """Prediction that an objective compares with data; without `derivative` the jacobian may be None."""
 
     def __call__(self, theta: Array, *, derivative: bool = True) -> Prediction: ...
 
@@ -55,15 +54,16 @@ ParallelMap = Callable[[Callable[[Array], Any], Iterable[Array]], Iterable[Any]]
 
 
 class Differences:
-    """A curve without derivatives, made differentiable by forward differences.
+    """Adds forward-difference derivatives to a curve that has none.
 
     Parameters
     ----------
     evaluate : theta -> values (n,)
-    upper : (n_parameters,) bounds; near one, or where there is no answer, the step goes down
-    relative_step : of each parameter. It must drown the solver's own tolerance: FEBio's
-        forces are good to about 1e-3, so the step is large and the derivative a secant.
-    run_all : a `map`; one that works in parallel runs the shifted sets side by side.
+    upper : (n_parameters,) upper bounds; where a step would cross one, or the shifted set cannot be solved,
+        the step is taken downwards
+    relative_step : step relative to each parameter. It must be large compared with the solver's tolerance:
+        FEBio's forces are accurate to about 1e-3, so the step is large and the derivative a secant.
+    run_all : a `map` function; a parallel one evaluates the shifted sets at the same time
     """
 
     def __init__(
@@ -112,9 +112,9 @@ class Differences:
 
 
 class SolvedPoints:
-    """A curve that never solves the same parameters twice, and remembers all of them.
+    """Cache of a curve: the same parameters are never solved twice.
 
-    `solved` holds (theta, prediction) in the order first solved.
+    `solved` holds (theta, prediction) in the order in which they were first solved.
     """
 
     def __init__(self, curve: PredictedCurve):
@@ -123,7 +123,7 @@ class SolvedPoints:
         self.n_calls = 0
 
     def close(self) -> None:
-        """End what the curve holds open; what is known stays."""
+        """Release the resources of the curve; the cached points remain."""
         close = getattr(self._curve, "close", None)
         if close is not None:
             close()
@@ -140,11 +140,11 @@ class SolvedPoints:
 
     @property
     def n_solves(self) -> int:
-        """Simulations run: calls, or what the curve itself counts."""
+        """Number of simulations run: the curve's own count if it has one, else the number of calls."""
         return int(getattr(self._curve, "n_solves", self.n_calls))
 
     def expect(self, more: int) -> None:
-        """Tell a curve that announces its simulations how many more there are at most."""
+        """Tell a curve that reports progress the largest number of further simulations."""
         if hasattr(self._curve, "at_most"):
             self._curve.at_most = self.n_solves + more
 
@@ -156,12 +156,12 @@ class SolvedPoints:
 def sampled(
     curve: PredictedCurve, knots: Array, depths: Array, *, free: Sequence[int], fixed: Array
 ) -> Predictor:
-    """Force at measured depths, as a function of some of the curve's parameters.
+    """Force at measured depths as a function of some of the curve's parameters.
 
-    The curve's forces at `knots` (increasing, > 0), with the origin added, are read at
-    `depths` by PCHIP; before first touch (depth < 0) the force is 0.
+    The curve's forces at `knots` (increasing, > 0), with the origin added, are interpolated at `depths` by
+    PCHIP; before first touch (depth < 0) the force is 0.
 
-    free : indices of the parameters that theta holds; `fixed` (n_parameters,) gives the others.
+    free : indices of the parameters that theta holds; `fixed` (n_parameters,) gives the others
     """
     places, columns = np.maximum(depths, 0.0), list(free)
 
@@ -178,6 +178,6 @@ def sampled(
 
 
 def slopes_at(curve: PredictedCurve, knots: Array, depths: Array, theta: Array) -> Array:
-    """dF/dd of the sampled curve at the measured depths (n,), N/mm."""
+    """dF/dd of the interpolated curve at the measured depths (n,), N/mm."""
     values = curve(theta).values
     return pchip_sample(np.r_[0.0, knots], np.r_[0.0, values], np.maximum(depths, 0.0)).slopes

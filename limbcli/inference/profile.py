@@ -1,4 +1,4 @@
-"""Profile likelihoods: how far a parameter can go while the others give way."""
+"""Profile likelihoods: the deviance of one parameter's values with the other parameters refitted."""
 
 from __future__ import annotations
 
@@ -14,20 +14,23 @@ from limbcli.inference.residual import Objective, Residual
 from limbcli.interval_limits import THRESHOLD_95
 from limbcli.model import Array
 
-_TIGHT = 1e-4
-_CLOSE = 0.02
-_FEWEST = 6  # points on a side
+_TIGHT = 1e-4  # tolerance of the fits
+_CLOSE = 0.02  # tolerance of the deviance at an interval's end
+_FEWEST = 6  # smallest number of points on one side of the best fit
 _Point = tuple[float, float, Array]  # value, deviance, theta
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """The profile of one parameter.
+    """Profile likelihood of one parameter.
 
-    values (n,) increasing; deviance (n,) the fall-off of twice the log likelihood from its
-    maximum; thetas (n, n_parameters) where the others went. low, high: the interval's ends;
-    `open_low`, `open_high`: the profile is still below the threshold at that bound, so the
-    data exclude nothing on that side.
+    values : (n,) increasing
+    deviance : (n,) decrease of twice the log likelihood from its maximum
+    thetas : (n, n_parameters) refitted parameters at the values
+    low, high : ends of the interval
+    open_low, open_high : the profile is still below the threshold at that bound, so the data exclude nothing
+        on that side
+    ends : (2, n_parameters) theta at low and at high
     """
 
     name: str
@@ -46,12 +49,12 @@ class Profile:
 
 
 def best_of(objective: Objective, parameters: Sequence[FitParameter], starts: Sequence[Array]) -> Fit:
-    """The lowest of several fits; starts without an answer are passed over.
+    """The fit with the lowest cost from several starts; starts that cannot be solved are skipped.
 
     Raises
     ------
     FitError
-        If none of them ends.
+        If no start leads to a fit.
     """
     fits = []
     for start in starts:
@@ -83,13 +86,13 @@ def profile_likelihood(
     scale: float = 1.0,
     n_points: int = 31,
 ) -> Profile:
-    """Profile of parameter `index`, walked outwards from the best fit to its bounds.
+    """Profile likelihood of parameter `index`, followed outwards from the best fit to its bounds.
 
     objective : residuals in standard deviations, so that its cost is chi-square
-    scale : the deviance is divided by it (1, or chi-square per degree of freedom where the
-        data scatter more than their stated noise)
-    threshold : of the deviance at an end; the 95 % quantile of chi-square with one degree
-        of freedom, or `threshold_95` where the noise may be larger than stated.
+    scale : the deviance is divided by it (1, or chi-square per degree of freedom where the data scatter more
+        than their stated noise)
+    threshold : deviance at the ends of the interval; the 95 % quantile of chi-square with one degree of
+        freedom, or `threshold_95` where the noise may be larger than stated
 
     Source: Venzon and Moolgavkar 1988, Appl. Stat. 37:87; Raue et al. 2009, Bioinformatics 25:1923.
     """
@@ -121,7 +124,7 @@ class _Walker:
         self.index, self.scale, self.n_points = index, scale, n_points
 
     def walk(self, sign: int, threshold: float) -> _Side:
-        """Grid steps until the deviance is well above the threshold; the crossing by bisection."""
+        """Step along the grid until the deviance exceeds the threshold, then locate the crossing."""
         parameter = self.parameters[self.index]
         start = float(self.best.theta[self.index])
         points: list[_Point] = []
@@ -143,7 +146,7 @@ class _Walker:
         return _Side(points, inside[2], True)
 
     def _filled(self, points: list[_Point]) -> list[_Point]:
-        """A short side gets points enough for a smooth curve."""
+        """Replace the points of a short side by enough points for a smooth curve."""
         if len(points) >= _FEWEST:
             return points
         start, last = float(self.best.theta[self.index]), points[-1]
@@ -154,7 +157,8 @@ class _Walker:
         return [*more, last]
 
     def _crossing(self, inside: _Point, outside: _Point, threshold: float) -> tuple[Array, list[_Point]]:
-        """Where the deviance meets the threshold: its root is nearly linear in ln theta."""
+        """Theta where the deviance reaches the threshold, by a bracketed secant search: the deviance's root
+        is nearly linear in ln theta."""
         found = []
         for _ in range(12):
             low, high = (np.sqrt(max(point[1], 0.0)) for point in (inside, outside))

@@ -1,4 +1,4 @@
-"""Objectives: what a fit makes small."""
+"""Objectives: the residuals that a fit minimises."""
 
 from __future__ import annotations
 
@@ -30,8 +30,7 @@ Objective = Callable[[Array, bool], Residual]
 def force_residual(predict: Predictor, measured: Array, *, deviation: Array | None = None) -> Objective:
     """F_exp - F_sim at the measured depths: the paper's objective, unweighted.
 
-    deviation : (n,) one standard deviation of each residual; where given the residual
-        is divided by it.
+    deviation : (n,) standard deviation of each residual; if given, the residual is divided by it
     """
     weight = np.ones_like(measured) if deviation is None else 1.0 / deviation
 
@@ -47,7 +46,7 @@ def force_residual(predict: Predictor, measured: Array, *, deviation: Array | No
 
 
 def with_prior(objective: Objective, index: int, *, mean: float, log_deviation: float) -> Objective:
-    """The objective, and one more residual: ln(theta_index / mean) / log_deviation."""
+    """The objective extended by a prior residual: ln(theta_index / mean) / log_deviation."""
 
     def extended(theta: Array, derivative: bool = True) -> Residual:
         base = objective(theta, derivative)

@@ -1,7 +1,7 @@
-"""A site's depth and wave speed at given force, by its simulated curves, with their derivatives.
+"""Depth and wave speed of a site at given force from its simulated curves, with derivatives.
 
-Force is controlled and depth is the noisy reading, so the residual is a depth: measured
-minus the depth at which the simulation reaches the measured force.
+Force is controlled and depth is the noisy reading, so the residual is a depth: the measured depth minus the
+depth at which the simulation reaches the measured force.
 """
 
 from __future__ import annotations
@@ -17,17 +17,20 @@ from limbcli.inference.prediction import PredictedCurve
 from limbcli.inference.site_layers import NO_LAYERS, LayerData
 from limbcli.model import Array
 
-_SAME_WEIGHT = 0.02  # of its logarithm
+_SAME_WEIGHT = 0.02  # change of ln weight below which the weights count as unchanged
 
 
 @dataclass(frozen=True, eq=False)
 class SiteMeasurement:
-    """One site's measurement beside its simulation's levels.
+    """Measurement of one site, and the depths of its simulated levels.
 
-    knots (n_knots,) mm: depths of the simulated levels, increasing
-    force, depth (n,): levels past first touch; speed_force (n_speeds,) N with ln speed
-    (n_speeds,) and its deviation, first touch included; all deviations one standard deviation
-    gain_deviation : of the simulated force, relative (mesh, element); layers : their thickness at given force
+    knots : (n_knots,) depths of the simulated levels (mm), increasing
+    force, depth : (n,) levels past first touch
+    speed_force, log_speed, speed_deviation : (n_speeds,) force (N), ln speed and its standard deviation,
+        first touch included
+    force_deviation, depth_deviation : one standard deviation each
+    gain_deviation : relative standard deviation of the simulated force (mesh, element)
+    layers : thickness of the layers at given force
     """
 
     name: str
@@ -43,14 +46,15 @@ class SiteMeasurement:
     layers: LayerData = NO_LAYERS
 
     def weights_at(self, stiffness: Array) -> Array:
-        """One deviation of depth at given force (n,) mm, where the curve rises by stiffness (n,) N/mm.
+        """Standard deviation (n,) of depth at given force (mm), for a curve with stiffness (n,) N/mm.
 
         sqrt(sigma_d^2 + (sigma_F / (dF/dd))^2)
         """
         return np.sqrt(self.depth_deviation**2 + (self.force_deviation / stiffness) ** 2)
 
     def without(self, levels: NDArray[np.bool_]) -> SiteMeasurement:
-        """Some force levels left out: (n,) bool of those to leave out; their speeds go too."""
+        """The measurement without some force levels ((n,) bool) and without the speeds and layers at their
+        forces."""
         gone = np.isin(self.speed_force, self.force[levels])
         keep, speeds = ~levels, ~gone
         return SiteMeasurement(
@@ -63,8 +67,8 @@ class SiteMeasurement:
 
 @dataclass(frozen=True, eq=False)
 class SitePrediction:
-    """depth (n,) mm at the measured forces, log_speed (n_speeds,), layers (n_layers,) mm, each with
-    d / d (ln c, ln gain, ln shape)."""
+    """Predicted depth (n,) mm at the measured forces, log_speed (n_speeds,) and layers (n_layers,) mm, each
+    with its derivative by (ln c, ln gain, ln shape)."""
 
     depth: Array
     depth_slope: Array
@@ -76,7 +80,7 @@ class SitePrediction:
 
 
 class DepthWeights:
-    """One deviation (n,) mm of the depths of every site, with the slopes of its curve at one theta."""
+    """Standard deviations (n,) mm of each site's depths, from the stiffness of its curve at one theta."""
 
     def __init__(
         self, data: Sequence[SiteMeasurement], predict: Callable[[int, Array], SitePrediction], theta: Array
@@ -88,7 +92,7 @@ class DepthWeights:
         return self._here[k]
 
     def settle(self, theta: Array) -> bool:
-        """Take the slopes at this theta; whether that changes the weights by what matters to a fit."""
+        """Recompute the weights at this theta if any changes by more than 2 %; returns whether it did."""
         there = self._at(theta)
         changes = [np.abs(np.log(a / b)).max(initial=0.0) for a, b in zip(there, self._here, strict=True)]
         if max(changes, default=0.0) <= _SAME_WEIGHT:
@@ -101,7 +105,7 @@ class DepthWeights:
 
 
 RestSpeed = float | Callable[[Array], tuple[float, Array]]
-"""ln of the speed in unloaded tissue, or shape -> that and its derivatives by ln shape."""
+"""ln of the speed in unloaded tissue, or a function: shape -> that value and its derivatives by ln shape."""
 
 
 def predict_site(
@@ -113,14 +117,15 @@ def predict_site(
     gain: float,
     log_speed_0: RestSpeed,
 ) -> SitePrediction:
-    """What a site's simulation says of its measurement.
+    """Prediction of a site's measurement from its simulated curve.
 
-    curve : shape -> forces at the knots (N), then speeds there (m/s), which may lack if the data have none,
-        then, where they hold layers, depths below the skin (mm) of all borders at the first knot, at the
-        second, ...;
-        for c_ratio 1 and gain 1
-    log_speed_0 : ln of the speed in unloaded tissue at c_ratio 1: sqrt(c / (2 rho)), but for laws with fibres
-    stiffness (n,) : dF/dd at the forces, N/mm
+    curve : shape -> forces at the knots (N); then speeds there (m/s), which may be missing if the data have
+        none; then, where the data have layers, the depths below the skin (mm) of all layer borders at the
+        first knot, at the second, ...; for c_ratio 1 and gain 1
+    log_speed_0 : ln of the speed in unloaded tissue at c_ratio 1; the speed is sqrt(c / (2 rho)), except for
+        laws with fibres
+
+    `stiffness` (n,) of the result is dF/dd at the forces (N/mm).
     """
     n, answer = len(data.knots), curve(shape, tuple(range(len(shape))))
     assert answer.jacobian is not None
@@ -132,7 +137,7 @@ def predict_site(
     reached = invert(knots, force, wanted)
     stiffness, reached_by = _implicit(knots, force, force_by, reached, wanted)
     of_speeds, of_layers = slice(m, m + len(data.speed_force)), slice(m + len(data.speed_force), None)
-    last = len(answer.values) - n * len(data.layers.rest)  # its speeds may have been left out of the data
+    last = len(answer.values) - n * len(data.layers.rest)  # speeds may be missing before them
     thickness, thickness_by = _layers(
         data.layers, knots, answer.values[last:], by_log[last:], reached[of_layers], reached_by[of_layers]
     )
@@ -160,12 +165,15 @@ def predict_site(
 def predict_beside_layers(
     curve: PredictedCurve, data: SiteMeasurement, place: Array, *, gain: float, log_speed_0: RestSpeed
 ) -> SitePrediction:
-    """As `predict_site`, where layers beside the tissue keep a stiffness of their own: c is simulated.
+    """Prediction as by `predict_site`, where layers with a fixed stiffness make c a parameter of the
+    simulation.
 
-    curve : of (c / c0, shape...) = place; log_speed_0 : of that, or a number at c0
+    curve : function of (c / c0, shape...), here `place`
+    log_speed_0 : function of the same parameters, or a number at c0
     """
     found = predict_site(curve, data, place, c_ratio=1.0, gain=gain, log_speed_0=log_speed_0)
-    columns = [2, 1, *range(3, 2 + len(place))]  # of c the curve's own, not those of a force in proportion
+    # Derivatives by c are those of the curve itself, not of a force proportional to c.
+    columns = [2, 1, *range(3, 2 + len(place))]
     return replace(
         found, depth_slope=found.depth_slope[:, columns], log_speed_slope=found.log_speed_slope[:, columns],
         layers_slope=found.layers_slope[:, columns],
@@ -173,7 +181,8 @@ def predict_beside_layers(
 
 
 def rest_speed_by_c(log_speed_0: RestSpeed) -> Callable[[Array], tuple[float, Array]]:
-    """ln of the speed in unloaded tissue by (c / c0, shape...): it grows with the root of c."""
+    """ln of the speed in unloaded tissue as a function of (c / c0, shape...): the speed grows with the root
+    of c."""
 
     def at(place: Array) -> tuple[float, Array]:
         known = log_speed_0(place[1:]) if callable(log_speed_0) else (log_speed_0, np.zeros(len(place) - 1))
@@ -185,7 +194,8 @@ def rest_speed_by_c(log_speed_0: RestSpeed) -> Callable[[Array], tuple[float, Ar
 def _layers(
     data: LayerData, knots: Array, borders: Array, borders_by: Array, at: Array, at_by: Array
 ) -> tuple[Array, Array]:
-    """Thickness (n,) and its derivatives, of borders (n_knots * n_borders,) and theirs by ln shape."""
+    """Thickness (n,) and its derivatives, from borders (n_knots * n_borders,) and their derivatives by ln
+    shape."""
     if not len(data):
         return np.zeros(0), np.zeros((0, at_by.shape[1]))
     n_borders = len(data.rest)
@@ -196,7 +206,8 @@ def _layers(
 
 
 def invert(knots: Array, force: Array, wanted: Array) -> Array:
-    """Depths at which the PCHIP curve through (knots, force) reaches `wanted`; linear beyond its end.
+    """Depths at which the PCHIP curve through (knots, force) reaches `wanted`; extrapolated linearly beyond
+    its end.
 
     >>> invert(np.arange(4.0), 2 * np.arange(4.0), np.array([-1.0, 0.0, 3.0, 8.0]))
     array([0. , 0. , 1.5, 4. ])

@@ -1,7 +1,7 @@
-"""Layers of a site at given force, by its simulated borders, with their derivatives.
+"""Layer thicknesses of a site at given force from its simulated layer borders, with derivatives.
 
-A border is a material line; its depth below the skin is simulated at the knots and read at the simulated
-depth of each reading's force. A thickness is the difference of a layer's two borders.
+A border is a material line; its depth below the skin is simulated at the knots and interpolated at the
+simulated depth of each reading's force. A thickness is the difference between the two borders of a layer.
 """
 
 from __future__ import annotations
@@ -18,8 +18,13 @@ from limbcli.model import Array, IntArray
 
 @dataclass(frozen=True, eq=False)
 class LayerData:
-    """Readings of thickness: force (n,) N, layer (n,) from 0 at the skin, thickness (n,) mm and their
-    covariance (n, n) mm^2; rest (n_borders,) mm: the layers' lower borders below the skin before loading."""
+    """Thickness readings.
+
+    force : (n,) N
+    layer : (n,) index of the layer, from 0 at the skin
+    thickness, covariance : (n,) mm and (n, n) mm^2
+    rest : (n_borders,) depths of the layers' lower borders below the skin before loading (mm)
+    """
 
     force: Array
     layer: IntArray
@@ -35,11 +40,11 @@ class LayerData:
         return np.asarray(np.linalg.cholesky(self.covariance), dtype=float)
 
     def whitened(self, values: Array) -> Array:
-        """Values (n, ...) mm in units of independent deviations."""
+        """Values (n, ...) mm, whitened by the Cholesky factor of the covariance."""
         return np.asarray(np.linalg.solve(self._factor, values)) if len(self) else values
 
     def without(self, gone: NDArray[np.bool_]) -> LayerData:
-        """Some readings left out: (n,) bool."""
+        """The data without some readings: (n,) bool."""
         keep = ~gone
         return LayerData(
             self.force[keep], self.layer[keep], self.thickness[keep],
@@ -51,9 +56,10 @@ class LayerData:
     ) -> tuple[Array, Array]:
         """Thickness (n,) mm and its derivatives (n, 2 + n_shape) by ln c, ln gain, ln shape.
 
-        knots (n_knots,) mm from 0; borders (n_knots, n_borders) mm below the skin, and by ln shape
-        (n_knots, n_borders, n_shape); at (n,) mm, the simulated depths of the readings' forces, and at_by
-        (n, 2 + n_shape)
+        knots : (n_knots,) mm from 0
+        borders, borders_by : (n_knots, n_borders) mm below the skin, and derivatives by ln shape (n_knots,
+            n_borders, n_shape)
+        at, at_by : (n,) simulated depths of the readings' forces (mm), and derivatives (n, 2 + n_shape)
         """
         values, slopes = np.zeros((len(self), len(self.rest) + 1)), np.zeros((len(self), len(self.rest) + 1))
         by_shape = np.zeros((len(self), len(self.rest) + 1, borders_by.shape[2]))

@@ -1,8 +1,9 @@
-"""One tissue in several states: a common law, and the stretches that the states had before they were loaded.
+"""Fit of one tissue measured in several states that share a law but differ in their stretch before loading.
 
-The likelihood is that of the joint fit (depth at given force, and the logarithm of every speed, at rest and
-under load). All states share one simulated curve, a function of the law's shape and of the stretches; what a
-state adds is where on it the state lies: ln of its stretches is a constant plus some of the parameters.
+The likelihood is that of the joint fit: depth at given force, and the logarithm of each wave speed, at rest
+and under load. All states share one simulated curve, which is a function of the law's shape parameters and of
+the stretches. A state only selects a point in that parameter space: ln of its stretches is a constant plus a
+linear combination of the stretch parameters.
 """
 
 from __future__ import annotations
@@ -30,18 +31,21 @@ from limbcli.inference.site_depth import (
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
-_LEAST = 1e-9  # of forces (N) and speeds (relative)
-_FOR_THE_BEST = 4  # rounds of simulations before any interval
-_NEAR = 0.05  # a best fit counts as simulated within this, in ln of the curve's parameters
-_SURE = 0.05  # error of the surrogate in a state, in standard deviations of its data
+_LEAST = 1e-9  # lower limit of predicted forces (N) and relative speeds, before logarithms are taken
+_FOR_THE_BEST = 4  # largest number of rounds of simulations that refine the best fit before the intervals
+_NEAR = 0.05  # largest distance from a solved point, in ln of the curve's parameters, of a simulated best fit
+_SURE = 0.05  # largest accepted surrogate error in a state, in standard deviations of its data
 EvenSpeed = Callable[[Array], tuple[float, Array]]
-"""theta of the curve -> ln of the speed in evenly stretched tissue at c0, and its derivatives by ln theta."""
+"""Curve parameters -> ln of the speed in evenly stretched tissue at c0, and its derivatives by their ln."""
 
 
 @dataclass(frozen=True, eq=False)
 class StateMeasurement:
-    """A state's data, and ln of its stretches: offset (n_ways,) plus factors (n_ways, n_stretches) times ln
-    of the stretch parameters. `data.knots` are depths of the probe on the common curve (mm)."""
+    """Data of one state, and ln of its stretches as an affine function of the stretch parameters.
+
+    ln stretches (n_ways,) = offset (n_ways,) + factors (n_ways, n_stretches) times ln of the stretch
+    parameters. `data.knots` are probe depths on the common curve (mm).
+    """
 
     data: SiteMeasurement
     offset: Array
@@ -50,14 +54,16 @@ class StateMeasurement:
 
 @dataclass(frozen=True, eq=False)
 class StatesTask:
-    """What is fitted.
+    """Input of the fit of several states.
 
-    curve : (shape, stretches) -> forces and relative speeds at the knots, the relative speed at rest, and
-        exp of the skin's rise (mm), for c0
-    even_speed : what those speeds are relative to
-    shape, stretches : the law's parameters, and those of the states
-    gain_deviation : numerical error of ln force, common to all states, as their mesh is
-    beside_layers : the curve is of (c / c0, shape, stretches), as layers keep a stiffness of their own
+    curve : (shape, stretches) -> forces and relative speeds at the knots, the relative speed at rest, and exp
+        of the rise of the skin (mm), all for c0
+    even_speed : the speed in evenly stretched tissue to which those speeds are relative
+    shape, stretches : parameters of the law and of the states
+    gain_deviation : standard deviation of the numerical error of ln force, common to all states because they
+        share one mesh
+    beside_layers : the curve is a function of (c / c0, shape, stretches), because layers with a fixed
+        stiffness of their own are in the model
     """
 
     curve: SolvedPoints
@@ -71,7 +77,8 @@ class StatesTask:
 
 
 class StatesProblem:
-    """theta = (c, shape..., stretches..., the gain where it is uncertain), for `adaptive_profiles`."""
+    """Estimation problem for `adaptive_profiles`; theta = (c, shape..., stretches..., gain if it is
+    uncertain)."""
 
     def __init__(self, task: StatesTask, starts: Sequence[Array]):
         self.task = task
@@ -90,36 +97,37 @@ class StatesProblem:
         self.n_freedom = max(n_data - len(self.profiled), 1)
         self._weights = DepthWeights([each.data for each in task.states], self.predict, self.starts()[0])
 
-    # ------------------------------------------------------------ where a state lies
+    # ------------------------------------------------------------ parameters of a state
 
     def place(self, k: int, theta: Array) -> Array:
-        """The curve's parameters in state k: the law's shape, then its stretches."""
+        """Parameters of the curve in state k: the law's shape, then the stretches of that state."""
         state = self.task.states[k]
         stretches = np.exp(state.offset + state.factors @ np.log(self.stretch_values(theta)))
         return np.r_[self.curve_shape(theta), stretches]
 
     def curve_shape(self, theta: Array) -> Array:
-        """The law's shape as the curve takes it: after c / c0 where layers keep a stiffness of their own."""
+        """Shape parameters passed to the curve, preceded by c / c0 where layers have a fixed stiffness."""
         shape = np.asarray(theta[1 : 1 + self.n_shape])
         return np.r_[theta[0] / self.task.c0, shape] if self.task.beside_layers else shape
 
     def c_of_curve(self, theta: Array) -> float:
-        """MPa, with which the curve's parameters give the tissue of theta."""
+        """The c (MPa) that, together with the curve's parameters, describes the tissue of theta."""
         return self.task.c0 if self.task.beside_layers else float(theta[0])
 
     def stretch_values(self, theta: Array) -> Array:
-        """The parameters of the stretches."""
+        """Stretch parameters of theta."""
         first = 1 + self.n_shape
         return np.asarray(theta[first : first + self.n_stretches])
 
     # ------------------------------------------------------------ residuals
 
     def predict(self, k: int, theta: Array) -> SitePrediction:
-        """State k at theta, on the surrogate; slopes by ln c, ln gain, ln of the curve's parameters."""
+        """Prediction of state k at theta by the surrogate, with derivatives by ln c, ln gain and ln of the
+        curve's parameters."""
         x, data = self.place(k, theta), self.task.states[k].data
         n, answer = len(data.knots), self.emulator(x)
         assert answer.jacobian is not None
-        known = np.maximum(answer.values, _LEAST)  # far off the surrogate may say anything
+        known = np.maximum(answer.values, _LEAST)  # far from solved points it may be anything
         by_log = answer.jacobian * x / known[:, None]
         even, even_by = self.task.even_speed(x)
         relative = slice(n, 2 * n)
@@ -158,7 +166,7 @@ class StatesProblem:
         return residual
 
     def _spread(self, slope: Array, k: int, theta: Array) -> Array:
-        """Columns (ln c, ln gain, ln of the curve's parameters) to columns of theta."""
+        """Map derivatives by (ln c, ln gain, ln of the curve's parameters) to derivatives by theta."""
         by_log = np.zeros((len(slope), len(theta)))
         first = 1 + self.n_shape
         by_log[:, 0] = slope[:, 0]
@@ -173,7 +181,7 @@ class StatesProblem:
     def gain(self, theta: Array) -> float:
         return float(theta[-1]) if self.gained else 1.0
 
-    # ------------------------------------------------------------ what adaptive_profiles asks
+    # ------------------------------------------------------------ interface of adaptive_profiles
 
     def settle(self, theta: Array) -> bool:
         return self._weights.settle(theta)
@@ -201,7 +209,8 @@ class StatesProblem:
         return self.emulator.distance(self.place(k, theta))
 
     def solve(self, theta: Array) -> None:
-        """Simulate the states about which the surrogate is not sure, or the one that lies furthest off."""
+        """Simulate the states in which the surrogate is too uncertain, or else the state farthest from any
+        solved point."""
         several = range(len(self.task.states))
         uncertain = [k for k in several if self._uncertainty_of(k, theta) > _SURE]
         uncertain = uncertain or [max(several, key=lambda each: self._distance_of(each, theta))]
@@ -218,23 +227,24 @@ class StatesProblem:
         return near
 
     def solved_at(self, theta: Array) -> Array:
-        """The law's shape and the parameters of the stretches."""
+        """The law's shape parameters and the stretch parameters."""
         return np.asarray(theta[1 : 1 + self.n_shape + self.n_stretches])
 
 
 def states_fit(
     task: StatesTask, starts: Sequence[Array], *, max_rounds: int = 3, progress: Progress = SILENT
 ) -> tuple[StatesProblem, Intervals]:
-    """Most likely c, shape and stretches, with their profiles.
+    """Maximum-likelihood c, shape and stretches, with their profile likelihoods.
 
-    starts : several (c, shape..., stretches...); the curve must hold some solved points
-    max_rounds : of simulations for the intervals, each of the states that need one; those for the best fit
-        come before
+    starts : several initial guesses (c, shape..., stretches...); the curve must already hold some solved
+        points
+    max_rounds : largest number of rounds of simulations for the intervals; each round simulates every state
+        that needs it. The rounds that refine the best fit come before and are not counted.
 
     Raises
     ------
     FitError
-        If there is nothing to fit, or no start leads anywhere.
+        If there are fewer data than parameters, or no start leads to a fit.
     """
     n_levels = sum(len(each.data.force) for each in task.states)
     n_speeds = sum(len(each.data.log_speed) for each in task.states)
@@ -253,6 +263,6 @@ def states_fit(
             break
         try:
             problem.solve(problem.within_reach(best))
-        except SolveError:  # the profiles draw their bounds in
+        except SolveError:  # adaptive_profiles narrows the bounds instead
             break
     return problem, adaptive_profiles(problem, max_solves=max_rounds, progress=progress)

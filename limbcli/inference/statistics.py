@@ -1,4 +1,4 @@
-"""Goodness of a fit, in the words of the paper."""
+"""Goodness of fit by the measures that the paper uses."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from limbcli.model import Array
 
 
 def coefficient_of_determination(measured: Array, simulated: Array) -> float:
-    """R2 = 1 - SS_residual / SS_total. NaN where the data do not vary.
+    """R2 = 1 - SS_residual / SS_total; NaN where the data do not vary.
 
-    On a monotone curve R2 is near 1 for any monotone model: it is no evidence of fit.
+    For a monotone curve R2 is near 1 for any monotone model, so it is no evidence of a good fit.
 
     >>> coefficient_of_determination(np.array([0.0, 2.0, 4.0]), np.array([0.0, 2.0, 4.0]))
     1.0

@@ -1,8 +1,8 @@
-"""A smooth surrogate for the simulation, built from the simulations already paid for.
+"""A smooth surrogate of the simulation, built from the simulations that have already been run.
 
-Profiles and several starts need hundreds of predictions. Between the parameter sets
-that were solved, the logs of forces are interpolated by a Gaussian process that takes
-the exact derivatives too; its own standard deviation says where another solve is due.
+Profile likelihoods and fits from several starts need hundreds of predictions. Between the solved parameter
+sets, the logarithms of the forces are interpolated by a Gaussian process that also uses the exact
+derivatives; its predictive standard deviation shows where another simulation is needed.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from scipy.linalg import cho_factor, cho_solve
 
 from limbcli.model import Array
 
-_LENGTHS = (0.5, 0.9, 1.6, 2.8, 5.0)
-_NUGGET = 1e-9
-_SAME = 1e-3
+_LENGTHS = (0.5, 0.9, 1.6, 2.8, 5.0)  # candidate length scales in ln theta
+_NUGGET = 1e-9  # added to the covariance's diagonal, relative to it
+_SAME = 1e-3  # two points closer than this in ln theta coincide
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,10 +31,10 @@ class Node:
 
 
 class Surrogate:
-    """ln theta (p,) -> ln value (q,), with its derivative and standard deviation.
+    """ln theta (p,) -> ln value (q,), with derivative and standard deviation.
 
-    Squared-exponential kernel on ln theta over a linear trend (universal kriging with
-    derivatives); the length scales are those of greatest likelihood on a small grid.
+    Squared-exponential kernel in ln theta over a linear trend (universal kriging with derivatives); the
+    length scales maximise the likelihood over a small grid.
 
     Source: Rasmussen and Williams 2006, Gaussian Processes for Machine Learning, sections 2.7, 9.4.
     """
@@ -137,7 +137,7 @@ class _Fitted:
 
 
 def _thinned(nodes: Sequence[Node]) -> tuple[Node, ...]:
-    """Without points that (nearly) coincide; the later ones win."""
+    """The nodes without (nearly) coincident points; of two, the later one is kept."""
     kept: list[Node] = []
     for node in reversed(nodes):
         if all(np.max(np.abs(node.x - other.x)) > _SAME for other in kept):

@@ -1,4 +1,4 @@
-"""The paper's identification: f_kappa with m = 2 first, then f_kappa and m from there."""
+"""The paper's identification: f_kappa with m = 2 first, then f_kappa and m starting from that result."""
 
 from __future__ import annotations
 
@@ -22,15 +22,17 @@ from limbcli.progress import SILENT, Progress
 F_KAPPA, M = 0, 1
 START_F_KAPPA = 100.0
 M_MOONEY_RIVLIN = 2.0
-M_STEP_FACTOR = 2.5  # stretches to the power of m: a long step ends where nothing can be solved
+# Largest factor of m in one step. Stresses depend on stretches to the power of m, so a larger step may lead
+# to models that cannot be solved.
+M_STEP_FACTOR = 2.5
 MOONEY_RIVLIN, OGDEN = "mooney-rivlin", "ogden"
 
 
 @dataclass(frozen=True, eq=False)
 class ForceDepth:
-    """The measurement a force fit sees: force (n,) N at depth (n,) mm, first touch included.
+    """Data of a force fit: force (n,) N at depth (n,) mm, first touch included.
 
-    force_deviation, depth_deviation: one standard deviation each.
+    force_deviation, depth_deviation : one standard deviation each
     """
 
     force: Array
@@ -40,13 +42,13 @@ class ForceDepth:
 
     @property
     def loaded(self) -> NDArray[np.bool_]:
-        """(n,) bool: the levels past first touch, which alone carry information."""
+        """(n,) bool: the levels past first touch, the only ones that carry information."""
         return self.depth > 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class FittedStep:
-    """One step of the identification: what was searched, where it ended, how well it fits."""
+    """One step of the identification: free parameters, result and goodness of fit."""
 
     name: str
     fit: Fit
@@ -80,21 +82,20 @@ def two_step(
     guided: bool = True,
     progress: Progress = SILENT,
 ) -> tuple[FittedStep, FittedStep]:
-    """Identify (f_kappa, m) from a force-depth curve, c held fixed.
+    """Identify (f_kappa, m) from a force-depth curve, with c held fixed.
 
-    Minimises the sum of squared F_exp - F_sim at the measured depths, the simulated curve
-    sampled by PCHIP: first over f_kappa from 100 with m = 2 (Mooney-Rivlin type), then over
-    both from that result (Ogden type), each parameter normalised by its start value.
+    Minimises the sum of squared F_exp - F_sim at the measured depths, with the simulated curve interpolated
+    by PCHIP: first over f_kappa from 100 with m = 2 (Mooney-Rivlin type), then over both from that result
+    (Ogden type), each parameter normalised by its start value.
 
-    guided : every iteration first tries the minimum on a surrogate of the solved points, which
-        saves simulations; the end point meets the same tests either way
-
+    guided : each iteration first tries the minimum on a surrogate of the solved points, which saves
+        simulations; the end point must pass the same tests either way
     curve : (f_kappa, m) -> force (n_knots,) N at depths `knots` mm
 
     Raises
     ------
     FitError
-        With fewer than three loaded levels, or where a step does not settle.
+        With fewer than three loaded levels, or if a step does not converge.
     """
     if int(data.loaded.sum()) < 3:
         raise FitError(
@@ -137,7 +138,7 @@ def _guide(
     parameters: Sequence[FitParameter], free: tuple[int, ...], start: Array, curve: SolvedPoints,
     knots: Array, data: ForceDepth,
 ) -> Guide:  # fmt: skip
-    """The minimum of the same objective on a surrogate made of everything solved so far."""
+    """Minimum of the same objective on a surrogate of all points solved so far."""
 
     def guess(theta: Array) -> Array:
         predict = sampled(Emulator(curve), knots, data.depth, free=free, fixed=start)

@@ -1,1 +1,1 @@
-"""A synthetic subject whose truth is known: anatomy, MRI, measurements."""
+"""A synthetic subject with known truth: anatomy, MRI, measurements."""

@@ -1,9 +1,8 @@
-"""A transtibial residual limb in formulas: skin, fat, muscle, tibia, fibula, vessels.
+"""A transtibial residual limb defined by formulas: skin, fat, muscle, tibia, fibula, vessels.
 
-Limb frame (mm): x to the subject's left, y posterior, z proximal; the distal tip of
-the soft tissue is at the origin. The limb goes on proximally without an end: an
-image, or a closed surface, cuts it. Every shape is an implicit function (see
-`shapes`), so truth surfaces and label maps follow at any resolution.
+Limb frame (mm): x to the subject's left, y posterior, z proximal; the distal tip of the soft tissue is at the
+origin. Proximally the limb is unbounded: an image, or a closed surface, cuts it. All shapes are implicit
+functions (see `shapes`), so surfaces and label maps can be derived at any resolution.
 
 The proportions are those of a short, slim limb; none is taken from a person.
 """
@@ -20,7 +19,7 @@ from limbcli.phantom.shapes import capsule, gradient, project, rounded_intersect
 
 
 class Tissue(IntEnum):
-    """What is at a point; the order is that of the signal table in `mri`."""
+    """Tissue at a point, in the order of the signal table in `mri`."""
 
     AIR = 0
     SKIN = 1
@@ -34,10 +33,13 @@ class Tissue(IntEnum):
 
 @dataclass(frozen=True)
 class Bone:
-    """A long bone: slightly triangular section, tapering, its distal end bevelled and rounded.
+    """A long bone with a slightly triangular, tapering section and a bevelled, rounded distal end.
 
-    x, y : its axis at z = 0; `lean` (dx/dz, dy/dz); the section's radius at the end and its growth
-    with z; `end` : height of the sawn end on the axis; `bevel` : its outward normal (points distally).
+    x, y : position of its axis at z = 0
+    lean : (dx/dz, dy/dz) of the axis
+    radius, growth : radius of the section at z = 0, and its increase per mm of z
+    end : height of the sawn end on the axis
+    bevel : outward normal of the end (points distally)
     """
 
     x: float
@@ -65,7 +67,7 @@ class Bone:
 
 @dataclass(frozen=True, eq=False)
 class Capsule:
-    """A skin marker: an oil capsule lying on the skin, its axis along the limb."""
+    """A skin marker: an oil capsule on the skin, its axis along the limb."""
 
     center: Array
     axis: Array
@@ -79,7 +81,7 @@ class Capsule:
 
 @dataclass(frozen=True, eq=False)
 class Anatomy:
-    """The whole limb. Half widths (x) and half depths (y) in mm, at the end of the cap and per mm of z."""
+    """The whole limb. Half widths (x) and half depths (y): mm at the end of the cap, and mm per mm of z."""
 
     half_width: float = 43.0
     half_depth: float = 38.5
@@ -102,7 +104,7 @@ class Anatomy:
     markers: tuple[Capsule, ...] = ()
 
     def skin(self, points: Array) -> Array:
-        """The outer surface; in the cap a superellipsoid, above it a tapering tube."""
+        """The outer surface: a superellipsoid in the cap, a tapering tube above it."""
         x, y, z = points.T
         scale = self.half_depth / self.half_width
         angle = np.arctan2(y / scale, x)
@@ -117,11 +119,11 @@ class Anatomy:
         return {"tibia": self.tibia, "fibula": self.fibula}
 
     def bone(self, points: Array) -> Array:
-        """Both bones at once."""
+        """Union of both bones."""
         return np.minimum(self.tibia(points), self.fibula(points))
 
     def fascia_depth(self, points: Array) -> Array:
-        """Thickness of skin and fat together above a point: thicker at the back and at the tip."""
+        """Combined thickness of skin and fat above a point; thicker at the back and at the tip."""
         angle = np.arctan2(points[:, 1], points[:, 0])
         tip = 3.0 * np.exp(-np.maximum(points[:, 2], 0.0) / 20.0)
         return self.skin_thickness + self.fat_thickness + self.fat_posterior * np.sin(angle) + tip
@@ -151,7 +153,8 @@ class Anatomy:
         return tissue
 
     def skin_point(self, *, angle_deg: float, height: float) -> tuple[Array, Array]:
-        """The skin at an angle about the limb's axis (0 left, 90 posterior) and its outward normal."""
+        """Point on the skin at an angle about the limb's axis (0 left, 90 posterior), and the outward normal
+        there."""
         angle = np.radians(angle_deg)
         guess = np.array([[self.half_width * np.cos(angle), self.half_depth * np.sin(angle), height]])
         point = project(self.skin, guess)
@@ -159,7 +162,7 @@ class Anatomy:
         return point[0], normal / np.linalg.norm(normal)
 
     def with_marker(self, *, angle_deg: float, height: float) -> Anatomy:
-        """The same limb with one more marker lying on its skin."""
+        """The same limb with one more marker on its skin."""
         point, normal = self.skin_point(angle_deg=angle_deg, height=height)
         axis = np.array([0.0, 0.0, 1.0]) - normal[2] * normal
         axis /= np.linalg.norm(axis)
@@ -170,7 +173,7 @@ class Anatomy:
 
 
 def random_anatomy(rng: np.random.Generator) -> Anatomy:
-    """A limb of its own for every seed: sizes and positions within a few per cent of the default's."""
+    """A different limb for each seed: sizes and positions vary by a few per cent around the default."""
     base = Anatomy()
     size = rng.uniform(0.96, 1.05)
     return replace(

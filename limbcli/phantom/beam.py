@@ -1,4 +1,4 @@
-"""Along the beam: how far below the probe's centre the bone is."""
+"""Depth of the bone below the probe's centre, along the beam."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from limbcli.model import Array, LimbModel, Surface
 
 
 def skin_bone_distance(model: LimbModel) -> float | None:
-    """Distance mm from skin to bone along z at x = y = 0; None where the beam meets no bone.
+    """Distance (mm) from skin to bone along z at x = y = 0; None if the beam meets no bone.
 
     Needs the surfaces "skin" and "bone" of a site's model.
     """

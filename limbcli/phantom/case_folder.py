@@ -1,4 +1,4 @@
-"""The text of case.toml and truth.toml."""
+"""Text of case.toml and truth.toml."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LEVELS_HEADER = "force_n,depth_mm,swe_mean_m_per_s,swe_sd_m_per_s,swe_pixels,pha
 
 @dataclass(frozen=True)
 class NoiseLaw:
-    """One standard deviation each, as [site.noise] of case.toml names them."""
+    """Standard deviations of the noise, named as in [site.noise] of case.toml."""
 
     force_n: float = 0.1
     depth_mm: float = 0.3
@@ -83,7 +83,7 @@ def case_table(
     sites: Sequence[Mapping[str, Any]],
     element: str = "tet10",
 ) -> dict[str, Any]:
-    """The whole of case.toml, in the order of the case format."""
+    """Content of case.toml, in the order of the case format."""
     return {
         "format": 1,
         "subject": {"id": subject_id, "limb": "left"},
@@ -102,7 +102,7 @@ def case_table(
 def site_table(
     place: PhantomSite, subject: Subject, *, marker: int | None, noise: NoiseLaw | None, measured: bool
 ) -> dict[str, Any]:
-    """One [[site]]: placed by the marker of that number, or by its position."""
+    """One [[site]], placed by the marker with that number or, without one, by its position."""
     table: dict[str, Any] = {"name": place.name}
     if marker is not None:
         table["marker"] = marker
@@ -120,7 +120,7 @@ def site_table(
 
 
 def geometry_truth(subject: Subject, *, seed: int, dice_labels: str) -> dict[str, Any]:
-    """What is true of the subject's geometry, for truth.toml."""
+    """The subject's true geometry, for truth.toml."""
 
     def rounded(values: Array) -> list[float]:
         return [round(float(each), 4) for each in np.asarray(values).ravel()]

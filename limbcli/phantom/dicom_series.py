@@ -1,8 +1,8 @@
-"""A volume as one DICOM MR Image Storage series, a file a slice.
+"""Write a volume as a DICOM MR Image Storage series, one file per slice.
 
-Tags as PS3.3 section A.4 asks of the MR image object; everything about the person
-is synthetic, and the same volume and seed give the same bytes. Stored values are
-12 bits with a RescaleSlope other than 1, as some scanners write them.
+The tags are those that PS3.3 section A.4 requires of the MR image object. All personal data are synthetic,
+and the same volume and seed give identical bytes. Stored values have 12 bits with a RescaleSlope other than
+1, as some scanners write them.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ def write_series(
 ) -> list[Path]:
     """Write `signal` (ni columns, nj rows, nk slices; >= 0) as files IM_0001.dcm, ... in `folder`.
 
-    Files are numbered against the slice direction, so that who sorts by name alone
-    gets the limb upside down. Returns the paths in the order of the slices.
+    Files are numbered against the slice direction, so that sorting by name alone turns the limb upside down.
+    Returns the paths in the order of the slices.
     """
     folder.mkdir(parents=True, exist_ok=True)
     top = 2**BITS - 1
@@ -55,7 +55,7 @@ def write_series(
 
 
 def _uids(subject: str, seed: int, implicit: bool, stored: Array) -> dict[str, str]:
-    """UIDs that depend on the content only (study, series, frame, and a stem for instances)."""
+    """UIDs that depend only on the content (study, series, frame, and a stem for instances)."""
     stem = [subject, str(seed), str(implicit), str(int(stored.sum(dtype=np.int64))), str(stored.shape)]
     names = ("study", "series", "frame")
     uid = {name: str(generate_uid(entropy_srcs=[*stem, name])) for name in names}

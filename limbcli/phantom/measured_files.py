@@ -1,4 +1,4 @@
-"""A site's measured files: levels.csv, trace.csv, swe/level_00.csv, ..."""
+"""Measured files of a site: levels.csv, trace.csv, swe/level_00.csv, ..."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ TRACE_HEADER = "time_s,force_n,depth_mm,accel_x_g,accel_y_g,accel_z_g"
 
 
 def write_readings(folder: Path, readings: Readings) -> None:
-    """Write a site's folder as the case format has it."""
+    """Write a site's folder in the case format."""
     write_levels(folder, readings)
     trace = (f"{t:.4f},{f:.3f},{d:.3f},{x:.3f},{y:.3f},{z:.3f}" for t, f, d, x, y, z in readings.trace)
     _write(folder / "trace.csv", [TRACE_HEADER, *trace])
@@ -20,7 +20,7 @@ def write_readings(folder: Path, readings: Readings) -> None:
 
 
 def write_levels(folder: Path, readings: Readings) -> None:
-    """Write levels.csv alone, which is all that a state has."""
+    """Write levels.csv alone, the only file of a state."""
     folder.mkdir(parents=True, exist_ok=True)
     header, rows = levels_rows(readings)
     _write(folder / "levels.csv", [",".join(header), *(",".join(row) for row in rows)])

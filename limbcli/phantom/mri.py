@@ -1,9 +1,8 @@
-"""The anatomy as a T1-weighted MR image: partial volume, bias field, Rician noise.
+"""The anatomy as a T1-weighted MR image with partial volume, bias field and Rician noise.
 
-Fat, marrow and oil are bright, cortex and flowing blood dark. A voxel's signal is
-the mean over the tissues in it (supersampled where the tissue changes), times a
-smooth coil sensitivity; noise enters both quadrature channels before the magnitude
-is taken (Gudbjartsson & Patz 1995, Magn Reson Med 34:910).
+Fat, marrow and oil are bright, cortex and flowing blood dark. A voxel's signal is the mean over the tissues
+in it (supersampled where the tissue changes), multiplied by a smooth coil sensitivity. Noise is added to both
+quadrature channels before the magnitude is taken (Gudbjartsson & Patz 1995, Magn Reson Med 34:910).
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from limbcli.model import Array, IntArray
 from limbcli.phantom.anatomy import Anatomy, Tissue
 from limbcli.progress import SILENT, Progress
 
-# Arbitrary units, in the order of `Tissue`.
+# Signal in arbitrary units, in the order of `Tissue`.
 SIGNAL = {
     Tissue.AIR: 0.0,
     Tissue.SKIN: 420.0,
@@ -37,8 +36,10 @@ BIAS = 0.12
 class VoxelGrid:
     """Voxel centres of an image in the patient frame (LPS, mm).
 
-    origin (3,) : centre of voxel (0, 0, 0); axes (3, 3) : rows are the unit directions of
-    the column index i, the row index j and the slice index k; spacing (3,); shape (3,) counts.
+    origin : (3,) centre of voxel (0, 0, 0)
+    axes : (3, 3) rows are the unit directions of the column index i, the row index j and the slice index k
+    spacing : (3,)
+    shape : (3,) counts
     """
 
     origin: Array
@@ -47,7 +48,7 @@ class VoxelGrid:
     shape: tuple[int, int, int]
 
     def points(self, index: Array) -> Array:
-        """(n, 3) fractional indices (i, j, k) -> (n, 3) patient positions."""
+        """Fractional indices (n, 3) (i, j, k) -> patient positions (n, 3)."""
         return self.origin + (index * self.spacing) @ self.axes
 
     @property
@@ -66,7 +67,7 @@ class VoxelGrid:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedVolume:
-    """signal (ni, nj, nk) float; fractions of every tissue in every voxel (n_tissues, ni, nj, nk)."""
+    """signal (ni, nj, nk) float; fractions of all tissues in each voxel (n_tissues, ni, nj, nk)."""
 
     grid: VoxelGrid
     signal: Array
@@ -74,7 +75,7 @@ class SimulatedVolume:
 
     @property
     def labels(self) -> IntArray:
-        """0 air, 1 soft tissue, 2 bone, 3 marker: what fills most of the voxel."""
+        """Label of the majority tissue of each voxel: 0 air, 1 soft tissue, 2 bone, 3 marker."""
         f = self.fractions
         bone = f[Tissue.CORTEX] + f[Tissue.MARROW]
         marker = f[Tissue.MARKER]
@@ -90,10 +91,10 @@ def tissue_fractions(
     supersampling: tuple[int, int, int] = (3, 3, 4),
     progress: Progress = SILENT,
 ) -> Array:
-    """Share of every tissue in every voxel, (n_tissues, ni, nj, nk).
+    """Fraction of each tissue in each voxel, (n_tissues, ni, nj, nk).
 
-    One sample decides a voxel whose neighbours all hold the same tissue; the others
-    are the mean over supersampling[0] * [1] * [2] samples.
+    A voxel whose neighbours all contain the same tissue is classified by one sample; the others are the mean
+    over supersampling[0] * [1] * [2] samples.
     """
 
     def classify(index: Array) -> IntArray:
@@ -124,7 +125,7 @@ def _offsets(counts: tuple[int, int, int]) -> Array:
 
 
 def acquire(fractions: Array, grid: VoxelGrid, *, rng: np.random.Generator) -> SimulatedVolume:
-    """The magnitude image of the tissue fractions."""
+    """Magnitude image of the tissue fractions."""
     levels = np.array([SIGNAL[each] for each in Tissue])
     clean = np.tensordot(levels, fractions, axes=1)
     texture = ndimage.gaussian_filter(rng.standard_normal(grid.shape), 2.0)
@@ -136,7 +137,7 @@ def acquire(fractions: Array, grid: VoxelGrid, *, rng: np.random.Generator) -> S
 
 
 def bias_field(shape: tuple[int, int, int], rng: np.random.Generator) -> Array:
-    """A smooth coil sensitivity around 1: a random quadratic, +-`BIAS` over the image."""
+    """Smooth coil sensitivity around 1: a random quadratic, +-`BIAS` over the image."""
     i, j, k = np.meshgrid(*(np.linspace(-1, 1, n) for n in shape), indexing="ij")
     terms = [i, j, k, i * j, j * k, i * k, i**2 - 1 / 3, j**2 - 1 / 3, k**2 - 1 / 3]
     field = sum(weight * term for weight, term in zip(rng.uniform(-1, 1, len(terms)), terms, strict=True))

@@ -1,4 +1,4 @@
-"""Measuring what is true: readings with noise, and the load cell's record."""
+"""Simulated measurement of true levels: readings with noise, and the record of the load cell."""
 
 from __future__ import annotations
 
@@ -13,19 +13,21 @@ from limbcli.phantom.case_folder import NoiseLaw
 from limbcli.phantom.protocol import LoadingProtocol, TrueLevels
 
 SAMPLE_NOISE_N, SAMPLE_NOISE_MM = 0.03, 0.02
-TRAVEL_NOISE_MM = 0.1  # of the guide that the probe runs on, where its travel is recorded
+TRAVEL_NOISE_MM = 0.1  # standard deviation of the recorded travel of the probe on its guide
 LAYER_COLUMNS = ("skin_mm", "fat_mm", "muscle_mm")
 _PROBE_DOWN_G = (0.0, -0.05, -0.99)
 
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """One measurement as it would be written down, a row a level.
+    """One measurement as it would be recorded, one row per level.
 
-    skin_bone is None where the beam meets no bone; trace: columns time s, force N, depth mm and
-    three accelerations in g; travel: of the probe (mm), where it is recorded; layers: mm of skin and
-    fat and, above bone, muscle (n_levels, 2 or 3), where they are read. travel_error: mm (n_levels,), that
-    a travel is read with; None: none. left_out : numbers of true levels that have no row
+    skin_bone : None if the beam meets no bone
+    trace : columns time (s), force (N), depth (mm) and three accelerations (g)
+    travel : of the probe (mm), if recorded
+    layers : (n_levels, 2 or 3) skin, fat and, above bone, muscle (mm), if read
+    travel_error : (n_levels,) error of the travel reading (mm); None: none
+    left_out : numbers of true levels that have no row
     """
 
     force: Array
@@ -43,12 +45,12 @@ class Readings:
 def measure(
     true: TrueLevels, law: NoiseLaw, *, protocol: LoadingProtocol, rng: np.random.Generator
 ) -> Readings:
-    """Read every level off once.
+    """Read each level once.
 
-    Force and depth errors are independent from level to level; level 0 is the tare and
-    the reference of the depth, so it is 0 by definition. A speed carries an error common
-    to its level's pixels and one of each pixel's own, both relative. Skin and fat are read with
-    an error of each thickness; muscle is what is left of the way to the bone.
+    Errors of force and depth are independent between levels; level 0 is the tare and the reference of the
+    depth, so it is 0 by definition. A speed has one error common to the pixels of its level and one for each
+    pixel, both relative. Skin and fat are read with independent errors of their thicknesses; muscle is the
+    rest of the distance to the bone.
     """
     n = len(true.force)
     first = np.arange(n) == 0
@@ -77,14 +79,14 @@ def measure(
 
 
 def _layers(borders: Array, skin_bone: Array | None, deviation: float, rng: np.random.Generator) -> Array:
-    """mm (n_levels, 2 or 3): skin, fat, and the rest down to the bone."""
+    """Thickness (n_levels, 2 or 3) of skin, fat, and the rest down to the bone (mm)."""
     upper = np.diff(borders, axis=1, prepend=0.0)
     upper = upper + deviation * rng.standard_normal(upper.shape)
     return upper if skin_bone is None else np.column_stack([upper, skin_bone - upper.sum(axis=1)])
 
 
 def _noisy_map(swe: SweMap, factor: float, pixel: float, rng: np.random.Generator) -> SweMap:
-    """A pixel whose reading leaves the scanner's range has no reading."""
+    """Add noise to a map; pixels whose reading falls outside the scanner's range are removed."""
     speed = swe.speed_m_per_s * factor * (1 + pixel * rng.standard_normal(len(swe)))
     keep = (speed >= SPEED_LOW_M_PER_S) & (speed <= SPEED_HIGH_M_PER_S)
     return SweMap(swe.lateral[keep], swe.depth[keep], speed[keep])
@@ -93,7 +95,7 @@ def _noisy_map(swe: SweMap, factor: float, pixel: float, rng: np.random.Generato
 def _trace(
     force: Array, depth: Array, protocol: LoadingProtocol, rng: np.random.Generator, *, quiet: bool
 ) -> Array:
-    """Force and depth against time: smooth ramps and holds, sampled; the probe's weight lies along z."""
+    """Force and depth over time: smooth ramps and holds, sampled; the probe's weight acts along z."""
     per_ramp = round(protocol.ramp * protocol.sampling_hz)
     per_hold = round(protocol.hold * protocol.sampling_hz)
     s = (np.arange(per_ramp) + 1.0) / per_ramp

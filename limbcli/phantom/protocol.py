@@ -1,4 +1,4 @@
-"""How a measurement is taken: force in steps, each held; what is true at every level."""
+"""Measurement protocol: force steps, each held, and the true values at each level."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from limbcli.model import Array
 
 @dataclass(frozen=True)
 class LoadingProtocol:
-    """Force-controlled steps (N) up to a force or a strain, each held; the load cell's record.
+    """Force-controlled steps (N) up to a force or a strain, each held, and the sampling of the load cell.
 
-    max_strain : largest depth as a share of the skin-bone distance under the probe
-    first : N at the first level
+    max_strain : largest depth as a fraction of the skin-bone distance under the probe
+    first : force at the first level (N)
     """
 
     step: float = 2.0
@@ -29,7 +29,7 @@ class LoadingProtocol:
     first: float = 0.0
 
     def forces(self, *, reached: float) -> Array:
-        """The levels' forces from the first up, as far as a simulation reached.
+        """Forces of the levels from the first upwards, as far as the simulation reached.
 
         >>> LoadingProtocol(step=2.0, max_force=20.0).forces(reached=7.0)
         array([0., 2., 4., 6.])
@@ -40,10 +40,10 @@ class LoadingProtocol:
 
 @dataclass(frozen=True, eq=False)
 class TrueLevels:
-    """What is so at every level, before it is measured: force N, depth mm, and the speed map.
+    """True values at each level: force (N), depth (mm) and speed map.
 
-    skin_bone : mm under the probe's centre before loading, or None where the beam meets no bone.
-    borders : mm (n_levels, 2) below the skin of skin's and fat's lower borders, or None where none is known.
+    skin_bone : distance under the probe's centre before loading (mm), or None if the beam meets no bone
+    borders : (n_levels, 2) lower borders of skin and fat below the skin (mm), or None if unknown
     """
 
     force: Array
@@ -56,14 +56,14 @@ class TrueLevels:
 def depth_at_force(depth: Array, force: Array, targets: Array) -> Array:
     """Depths at which a simulated curve reaches given forces.
 
-    The curve is PCHIP through the simulated points and is inverted as it stands
-    (bisection), so that sampling the same curve at the answer gives the force back. Depths
-    at which the probe does not touch the mesh yet (force 0) may lead.
+    The curve is PCHIP through the simulated points and is inverted exactly (by bisection), so that evaluating
+    the same curve at the result reproduces the force. The curve may begin with depths at which the probe does
+    not yet touch the mesh (force 0).
 
     Raises
     ------
     SolveError
-        If the force does not grow with depth, or never reaches a target.
+        If the force does not increase with depth, or never reaches a target.
 
     >>> depth_at_force(np.arange(5.0), np.arange(5.0) ** 2, np.array([0.0, 9.0])).round(9)
     array([0., 3.])

@@ -1,4 +1,4 @@
-"""Implicit shapes: f < 0 inside, f = 0 on the surface, f about the distance (mm) near it."""
+"""Implicit shapes: f < 0 inside, f = 0 on the surface, f approximates the distance (mm) near it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Implicit = Callable[[Array], Array]
 
 
 def rounded_intersection(a: Array, b: Array, *, radius: float) -> Array:
-    """Both shapes at once, the edge where they meet rounded to `radius`.
+    """Intersection of two shapes, with the edge where they meet rounded to `radius`.
 
     >>> rounded_intersection(np.array([-5.0, -1.0]), np.array([-5.0, -1.0]), radius=2.0).round(3)
     array([-5.   , -0.586])

@@ -1,4 +1,4 @@
-"""From a simulated indentation to what is true at every level of a protocol."""
+"""True values at each level of a protocol, from a simulated indentation."""
 
 from __future__ import annotations
 
@@ -17,17 +17,18 @@ from limbcli.shear_waves.ogden import OgdenTerms
 from limbcli.shear_waves.pixels import Window, predict_map
 from limbcli.shear_waves.speed import wave_speed_m_per_s
 
-# Deformation gradients of some elements, and which of the recorded ones these are -> m/s.
+# (deformation gradients of some elements, their indices among the recorded ones) -> m/s
 Speed = Callable[[Array, NDArray[np.bool_]], Array]
 
 
 @dataclass(frozen=True, eq=False)
 class Indentation:
-    """A simulated indentation, states from first touch on (n_states of them).
+    """A simulated indentation: states from first touch on (n_states of them).
 
-    depth mm, force N (n_states,); positions (n_states, n_points, 3) mm of the tissue in the site's frame;
-    deformation_gradient (n_states, n_points, 3, 3)
-    borders : mm (n_states, 2) of skin's and fat's lower borders below the skin, where they are followed
+    depth, force : (n_states,) mm and N
+    positions : (n_states, n_points, 3) of the tissue in the site's frame (mm)
+    deformation_gradient : (n_states, n_points, 3, 3)
+    borders : (n_states, 2) lower borders of skin and fat below the skin (mm), if recorded
     """
 
     depth: Array
@@ -37,7 +38,8 @@ class Indentation:
     borders: Array | None = None
 
     def at(self, depth: float) -> tuple[Array, Array]:
-        """Positions and deformation gradients at a depth, linear between the two nearest states."""
+        """Positions and deformation gradients at a depth, interpolated linearly between the two nearest
+        states."""
         after = int(np.clip(np.searchsorted(self.depth, depth), 1, len(self.depth) - 1))
         low, high = self.depth[after - 1], self.depth[after]
         share = (depth - low) / (high - low)
@@ -58,14 +60,14 @@ def true_levels(
     density_kg_per_m3: float = 1000.0,
     speed: Speed | None = None,
 ) -> TrueLevels:
-    """Depth and speed map at every force step that the simulation reaches.
+    """Depth and speed map at each force step that the simulation reaches.
 
-    speed : of a law that `terms` cannot hold; they are not needed then
+    speed : wave speed of a law that `terms` cannot represent; `terms` is not needed then
 
     Raises
     ------
     SolveError
-        If it reaches fewer than three.
+        If it reaches fewer than three steps.
     """
     forces = protocol.forces(reached=float(simulated.force[-1]))
     if len(forces) < 3:
@@ -97,7 +99,7 @@ def _map(
     window: Window,
     density: float,
 ) -> SweMap:
-    """Only elements about the window are looked at."""
+    """Speed map from the elements near the window only."""
     reach = window.half_width + 2 * window.smoothing
     near = (np.abs(positions[:, 0]) <= reach) & (
         np.abs(positions[:, 1]) <= window.elevation + 2 * window.smoothing

@@ -1,4 +1,4 @@
-"""Anatomy, its pose in the scanner, and the image grid around it."""
+"""Anatomy, its pose in the scanner, and the image grid."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from limbcli.phantom.anatomy import Anatomy, random_anatomy
 from limbcli.phantom.mri import VoxelGrid
 from limbcli.phantom.shapes import project
 
-LENGTH = 156.0  # of limb in the image, mm
+LENGTH = 156.0  # length of limb in the image (mm)
 SITE_HEIGHT = 84.0
-AIR = 9.0  # around the limb and its markers
+AIR = 9.0  # width of air around the limb and its markers (mm)
 
 
 @dataclass(frozen=True, eq=False)
 class PhantomSite:
-    """A site of the phantom: where on the limb (angle about its axis, height), and how the probe lies."""
+    """A site of the phantom: its position on the limb (angle about the axis, height), and the probe's
+    orientation."""
 
     name: str
     angle_deg: float
@@ -36,7 +37,7 @@ PLACES = (
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A limb lying in a scanner. Positions and directions of the patient frame (LPS, mm)."""
+    """A limb in a scanner. Positions and directions are in the patient frame (LPS, mm)."""
 
     anatomy: Anatomy
     patient_from_limb: Array
@@ -54,7 +55,7 @@ class Subject:
         return points @ self.limb_from_patient[:3, :3].T + self.limb_from_patient[:3, 3]
 
     def position(self, place: PhantomSite) -> Array:
-        """The place's point on the skin, patient frame."""
+        """The site's point on the skin, in the patient frame."""
         point, _ = self.anatomy.skin_point(angle_deg=place.angle_deg, height=place.height)
         return self.to_patient(point[None])[0]
 
@@ -68,9 +69,9 @@ def make_subject(
     voxel: tuple[float, float, float] = (1.0, 1.0, 4.0),
     places: tuple[PhantomSite, ...] = PLACES,
 ) -> Subject:
-    """A random limb, posed a little askew, in an oblique image that just holds it.
+    """A random limb, slightly rotated, in an oblique image that just contains it.
 
-    Two markers: at the first place, and at the front, further proximal.
+    It has two markers: at the first place, and at the front, further proximal.
     """
     anatomy = random_anatomy(rng)
     marked = next((each for each in places if each.by_marker), places[0])
@@ -90,7 +91,7 @@ def make_subject(
 
 
 def _grid_around(anatomy: Anatomy, pose: Array, axes: Array, spacing: Array) -> VoxelGrid:
-    """The smallest grid along `axes` that holds `LENGTH` of the limb, its markers and some air."""
+    """The smallest grid along `axes` that contains `LENGTH` of the limb, its markers and some air."""
     angle, height = np.meshgrid(np.linspace(0, 2 * np.pi, 49), np.linspace(2.0, LENGTH, 40))
     ring = np.stack([40 * np.cos(angle).ravel(), 36 * np.sin(angle).ravel(), height.ravel()], axis=1)
     outline = [project(anatomy.skin, ring), np.array([[0.0, 0.0, 0.0], [0.0, 0.0, LENGTH]])]

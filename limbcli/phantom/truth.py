@@ -1,4 +1,4 @@
-"""The truth beside the case: label map, closed surfaces, parameters. The case never reads it."""
+"""The truth beside the case: label map, closed surfaces and parameters, which the case never reads."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from limbcli.phantom.subject import Subject
 
 @dataclass(frozen=True, eq=False)
 class TrueSurface:
-    """points (n, 3) mm, patient frame; triangles (m, 3), outward normals."""
+    """points (n, 3) in mm, patient frame; triangles (m, 3), outward normals."""
 
     points: Array
     triangles: IntArray
 
 
 def closed_surface(shape: Implicit, subject: Subject, *, edge: float) -> TrueSurface:
-    """An implicit shape of the limb frame, cut by the last slice's outer face, as triangles.
+    """Triangulate an implicit shape of the limb frame, cut by the outer face of the last slice.
 
-    Marching cubes on a grid of `edge` mm, then every vertex that is not on the cut is
-    moved onto the surface itself: the vertices are exact at any `edge`.
+    Marching cubes on a grid of `edge` mm; each vertex that is not on the cut is then projected onto the
+    surface, so the vertices are exact for any `edge`.
     """
 
     def cut(limb: Array) -> Array:
@@ -49,7 +49,7 @@ def closed_surface(shape: Implicit, subject: Subject, *, edge: float) -> TrueSur
 
 
 def _bounds(shape: Implicit, cut: Implicit) -> tuple[Array, Array]:
-    """A box around the shape, from a coarse look."""
+    """Bounding box of the shape, from a coarse grid."""
     axes = (np.arange(-75, 76, 5.0), np.arange(-75, 76, 5.0), np.arange(-10, 216, 5.0))
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     inside = points[np.maximum(shape(points), cut(points)) < 4.0]
@@ -65,7 +65,7 @@ def surfaces(subject: Subject, *, edge: float = 2.0) -> dict[str, TrueSurface]:
 
 
 def write_surface(path: Path, surface: TrueSurface) -> None:
-    """A binary PLY without a date: the same surface gives the same bytes."""
+    """Write a binary PLY without a date, so that the same surface gives identical bytes."""
     header = (
         "ply\nformat binary_little_endian 1.0\ncomment mm, patient LPS\n"
         f"element vertex {len(surface.points)}\nproperty float x\nproperty float y\nproperty float z\n"
@@ -77,7 +77,7 @@ def write_surface(path: Path, surface: TrueSurface) -> None:
 
 
 def write_labels(path: Path, labels: IntArray, grid: VoxelGrid) -> None:
-    """A label map as NIfTI; its affine is RAS, as the format wants."""
+    """Write a label map as NIfTI; its affine is RAS, as the format requires."""
     affine = np.diag([-1.0, -1.0, 1.0, 1.0]) @ grid.patient_from_index
     image = nib.Nifti1Image(labels.astype(np.uint8), affine)
     image.header.set_xyzt_units("mm")

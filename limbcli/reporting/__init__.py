@@ -1,1 +1,1 @@
-"""The report page: reads what the stages left and shows it; computes nothing."""
+"""The report page: reads and displays the results of the stages, without computing anything."""

@@ -1,4 +1,4 @@
-"""The page of a cohort: reads what `cohort.json` holds and shows it; computes nothing."""
+"""The page of a cohort: displays the content of `cohort.json`, without computing anything."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _LISTED = 25
 
 
 def cohort_reportlets(data: Data) -> list[Reportlet]:
-    """One question each, in the order of reading."""
+    """The reportlets, one per question, in reading order."""
     return [
         population(data),
         standing_out(data),

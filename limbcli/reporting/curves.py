@@ -1,4 +1,4 @@
-"""The simulated curves that `fit` left in curves.csv and swe.csv, or `run` in force-depth.csv."""
+"""Simulated curves written by `fit` to curves.csv and swe.csv, or by `run` to force-depth.csv."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _DEPTH, _MEASURED, _FORCE_UNIT = "depth_mm", "measured_n", "_n"
 
 
 def read_curves(result: StageResult, measured_depth: Array | None = None) -> tuple[SimulatedCurve, ...]:
-    """Every simulated force column, sampled at the measured depths where the file has them.
+    """All simulated force columns, with values at the measured depths if the file has them.
 
     measured_depth : (n_levels,) mm
 
@@ -49,7 +49,7 @@ def read_run_curve(result: StageResult) -> SimulatedCurve:
 
 
 def read_predicted_speeds(result: StageResult) -> PredictedSpeeds | None:
-    """The mean shear-wave speeds that the fitted model predicts, or None if the fit left none.
+    """Mean shear-wave speeds predicted by the fitted model, or None if the fit wrote none.
 
     Raises as `read_curves`.
     """
@@ -92,4 +92,4 @@ def _curve(key: str, depth: Array, force: Array, measured_depth: Array | None) -
     return SimulatedCurve(key, label, depth, force, sampled)
 
 
-_SAME_DEPTH = 1e-4  # mm; the file keeps six digits
+_SAME_DEPTH = 1e-4  # tolerance (mm) of equal depths; the file has six digits

@@ -1,4 +1,4 @@
-"""What `fit` left, as the page needs it: the one place that knows the keys of fit.json."""
+"""Results of `fit` in the form that the page needs; the only module that knows the keys of fit.json."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STEP_NAMES = {MOONEY_RIVLIN: "Mooney-Rivlin type", OGDEN: "Ogden type"}
 
 @dataclass(frozen=True)
 class EstimateView:
-    """One parameter of one step: value, 95 % interval and what can be said of it in a word."""
+    """One parameter of one step: value, 95 % interval and verdict."""
 
     name: str
     value: float | None
@@ -37,12 +37,12 @@ class EstimateView:
 
     @property
     def headline(self) -> str:
-        """The value, or words where the data do not hold one."""
+        """The value, or words if the data do not determine one."""
         computed = not self.interval_why or self.interval_why.startswith(_OPEN)
         return headline(self.value, self.low, self.high, self.flag, why=self.words, computed=computed)
 
     def times(self, factor: float | None, name: str, unit: str) -> EstimateView | None:
-        """What is known of the parameter times a quantity that is held fixed (kappa' = f_kappa c)."""
+        """Estimate of the parameter times a quantity that is held fixed (kappa' = f_kappa c)."""
         if factor is None:
             return None
         value, low, high = (
@@ -71,12 +71,12 @@ class StepView:
     correlation: float | None
 
     def estimate(self, name: str) -> EstimateView | None:
-        """What is known of a parameter that was searched for."""
+        """Estimate of a free parameter of the step."""
         return next((each for each in self.estimates if each.name == name), None)
 
     @property
     def kappa(self) -> EstimateView | None:
-        """What is known of kappa', in kPa, from f_kappa."""
+        """Estimate of kappa' in kPa, derived from f_kappa."""
         f_kappa = self.estimate("f_κ")
         return f_kappa.times(self.c_kpa, "κ′", "kPa") if f_kappa else None
 
@@ -102,7 +102,7 @@ class FitView:
 
 
 def read_fit_view(result: StageResult) -> FitView:
-    """The fit of one site, from the data of its result."""
+    """The fit of one site, from its result."""
     data = result.data
     locks = "tet4" in str(data.get("element", ""))
     steps = tuple(
@@ -129,7 +129,7 @@ def read_fit_view(result: StageResult) -> FitView:
 
 
 def _poor(misfit: object) -> str:
-    """The sentence of a fit that misses its data; nothing where it meets them, or an older result."""
+    """The sentence about a fit that disagrees with its data; "" if it agrees, or for an older result."""
     return str(misfit.get("words") or "") if isinstance(misfit, Mapping) and misfit.get("poor") else ""
 
 
@@ -156,16 +156,17 @@ def _step(key: str, content: Mapping[str, Any], *, locks: bool) -> StepView:
 
 
 def read_estimates(parameters: Mapping[str, Any], *, locks: bool) -> tuple[EstimateView, ...]:
-    """The table `parameters` of a fit; `locks`: it was found with four-node tetrahedra."""
+    """The table `parameters` of a fit; `locks`: the fit used four-node tetrahedra."""
     return tuple(_estimate(name, each, locks=locks) for name, each in parameters.items())
 
 
-_OPEN = "open to both"  # how the reason of an interval begins that was looked for and has no end
+_OPEN = "open to both"  # start of the reason of an interval that was computed but is open on both sides
 OF_THE_MESH = "of this tet4 mesh, not of the tissue"
 
 
 def _estimate(name: str, content: Mapping[str, Any], *, locks: bool) -> EstimateView:
-    """`locks`: with four-node tetrahedra even a narrow f_kappa describes the mesh."""
+    """`locks`: with four-node tetrahedra even a narrow interval of f_kappa describes the mesh, not the
+    tissue."""
     symbol, unit = _UNITS.get(name, (name, ""))
     flag = str(content.get("flag") or DASH)
     if locks and name == "f_kappa" and flag == "identified":

@@ -1,4 +1,4 @@
-"""A parameter's headline: its value where the data determine it, else words."""
+"""Headline of a parameter: its value if the data determine it, else words."""
 
 from __future__ import annotations
 
@@ -19,10 +19,13 @@ def headline(
     why: str = "",
     computed: bool = True,
 ) -> str:
-    """A value is given only where the data exclude others on both sides and it is no bound of the search.
+    """The value, shown only if the data exclude others on both sides and it is not a bound of the search;
+    else words.
 
-    low, high : 95 % interval; None where it is open; `computed`: False where none was looked for
-    flag : the verdict's word (`inference.uncertainty`); why : its sentence, which names the bound
+    low, high : 95 % interval; None where it is open
+    computed : False if no interval was computed
+    flag : flag of the verdict (`inference.identifiability`)
+    why : its sentence, which names the bound
 
     >>> headline(5.98, 5.5, 6.4, "identified"), headline(1000.0, 3.3, None, "at bound")
     ('5.98', 'above 3.30')

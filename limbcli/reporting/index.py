@@ -1,4 +1,4 @@
-"""One page for several subjects: key figures and links to their reports."""
+"""Index page of several subjects: key figures and links to their reports."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from limbcli.reporting.sections.parameters import interval_text, with_verdict
 
 @dataclass(frozen=True)
 class IndexRow:
-    """One site of one subject; `link` is relative to the index page, empty where there is no report.
+    """One site of one subject; `link` is relative to the index page, "" if there is no report.
 
-    assumed : what of the geometry was not imaged, in words; nothing where all was
-    older : in words, that the report shows another fit than this one; nothing where it shows this
+    assumed : which part of the geometry was not imaged, in words; "" if all was
+    older : in words, that the report shows another fit than this one; "" if it shows this one
     """
 
     folder: str
@@ -37,14 +37,14 @@ class IndexRow:
 
     @property
     def word(self) -> str:
-        """The state in a word or two."""
+        """The state in one or two words."""
         if self.mood in ("fine", "warning"):
             return "poor fit" if self.view is not None and self.view.poor else "fitted"
         return "failed" if self.mood == "failed" else "not fitted"
 
     @property
     def cells(self) -> tuple[Cell, ...]:
-        """c, m with interval, κ′, R2 and misfit of the Ogden type; dashes carry the state as their reason."""
+        """c, m with interval, κ′, R2 and misfit of the Ogden type; dashes give the state as their reason."""
         step = self.view.last if self.view else None
         if self.view is None or step is None:
             return (Cell(DASH, reason=self.state, span=6),)
@@ -63,7 +63,7 @@ class IndexRow:
 
 
 def study_rows(rows: Sequence[IndexRow]) -> list[StudyRow]:
-    """What is known of c, m and kappa' at every site that was fitted."""
+    """Estimates of c, m and kappa' for all fitted sites."""
     found = []
     for row in rows:
         step = row.view.last if row.view else None
@@ -84,5 +84,5 @@ HEADINGS = (
 
 
 def relative(page: Path, folder: Path) -> str:
-    """The address of a page as seen from a folder, with forward slashes."""
+    """Address of a page relative to a folder, with forward slashes."""
     return Path(os.path.relpath(page, folder)).as_posix()

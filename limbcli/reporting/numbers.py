@@ -1,4 +1,4 @@
-"""Numbers as a reader wants them: significant digits, a unit, or a dash with its reason."""
+"""Formatting of numbers for readers: significant digits, unit, or a dash with its reason."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from limbcli.reporting.reportlet import Cell
 DASH = "–"
 _MOST_IN_A_ROW = 4
 _SMALLEST_EXPONENT = -4
-_THIN = "\u00a0"  # keeps a number and its unit on one line
+_THIN = "\u00a0"  # non-breaking space, keeps a number and its unit on one line
 
 
 def significant(value: float, digits: int = 3) -> str:
@@ -37,7 +37,7 @@ def number(value: object) -> float | None:
 
 
 def cell(value: object, *, digits: int = 3, reason: str = "not in the result", unit: str = "") -> Cell:
-    """A table cell; undefined values become a dash that carries its reason.
+    """A table cell; an undefined value is shown as a dash with its reason.
 
     >>> cell(2.5, unit="mm").text, cell(None, reason="no SWE").text, cell(None, reason="no SWE").reason
     ('2.50\xa0mm', '–', 'no SWE')
@@ -67,14 +67,14 @@ _UNIT_ENDINGS = {
 }  # fmt: skip
 
 
-_OPTIONS = "asked"  # a result's key
+_OPTIONS = "asked"  # key of a result's options
 _SHARES = ("share_below_", "share_above_")
-_ROUNDING = 1e-9  # of the largest of several numbers: less is what rounding left of nothing
-_EXTENTS = ("matrix", "spacing", "shape")  # lists that are so much by so much; others are coordinates
+_ROUNDING = 1e-9  # fraction of the largest of several numbers below which a number is rounding error
+_EXTENTS = ("matrix", "spacing", "shape")  # lists joined by ×; other lists are coordinates
 
 
 def named(key: str) -> tuple[str, str]:
-    """A result's key as words and unit.
+    """Key of a result as words and unit.
 
     >>> named("edge_mean_mm"), named("n_nodes"), named("wave_speed_m_per_s")
     (('edge mean', 'mm'), ('number of nodes', ''), ('wave speed', 'm/s'))
@@ -94,9 +94,9 @@ def named(key: str) -> tuple[str, str]:
 
 
 def plain_rows(data: Mapping[str, Any], *, prefix: str = "", unit: str = "") -> list[tuple[Cell, ...]]:
-    """The values of a result as (name, value with unit) rows; a table inside it is opened.
+    """The values of a result as rows (name, value with unit); nested tables are expanded.
 
-    The options that it was asked for are left to its command, which says them with their units.
+    The options of the result are omitted, because its command shows them with their units.
 
     >>> for name, value in plain_rows({"volume_cm3": {"skin": 1626.6}, "n_slices": 56}):
     ...     print(name.text, "=", value.text)
@@ -123,9 +123,9 @@ def plain_rows(data: Mapping[str, Any], *, prefix: str = "", unit: str = "") -> 
 
 
 def _shown(value: object, unit: str, *, by: str) -> Cell | None:
-    """One value as a cell, or None for what does not belong in one (long lists, nested tables).
+    """One value as a cell, or None for a value that does not fit in one (long list, nested table).
 
-    by : what stands between the numbers of a list
+    by : separator between the numbers of a list
     """
     if value is None:
         return Cell(DASH, reason="undefined for this result")

@@ -1,4 +1,4 @@
-"""What each stage left behind: a result, a failure, or nothing yet."""
+"""Outcome of each stage: a result, a failure, or nothing yet."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from limbcli.results import ERROR_FILE, StageResult, read_result, stage_folder
 
 SUBJECT_STAGES = ("segment",)
 SITE_STAGES = ("mesh", "build-feb", "run", "fit")
-# Stages that not every case goes through: part of the page once they have been run.
+# Optional stages, which are part of the page only if they have been run.
 EXTRA_SUBJECT_STAGES = ("fit-joint",)
 EXTRA_SITE_STAGES = ("fit-states", "fit-elements", "mesh-study", "diagnose")
 _COMMANDS = {
@@ -30,9 +30,9 @@ Status = Literal["done", "failed", "missing"]
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a stage ended without a result: error family, what happened, where, what to do.
+    """Why a stage ended without a result: error family, what happened, where, and the fix.
 
-    problems : the same of each, where there are several
+    problems : the same for each problem, if there are several
     """
 
     error: str
@@ -43,12 +43,12 @@ class Failure:
 
     @property
     def headline(self) -> str:
-        """What happened, in a line: of several problems only how many."""
+        """What happened, in one line; for several problems only their number."""
         return self.what.splitlines()[0] if self.problems else self.what
 
 
 def problems_of(facts: object) -> tuple[Mapping[str, str], ...]:
-    """What, where and fix of each problem that an error carries; nothing where it is but one.
+    """What, where and fix of each problem in an error's facts; empty if there is only one.
 
     >>> problems_of({"problems": [{"what": "a", "where": "b", "fix": "c", "family": "case"}] * 2})[1]
     {'what': 'a', 'where': 'b', 'fix': 'c'}
@@ -65,9 +65,9 @@ def problems_of(facts: object) -> tuple[Mapping[str, str], ...]:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """One stage of one site (or of the subject). A failed stage may still hold an older result.
+    """One stage of one site (or of the subject). A failed stage may still have an older result.
 
-    held_by : label of the earlier stage whose failure kept this one from being run
+    held_by : label of the earlier stage whose failure prevented this one from being run
     """
 
     stage: str
@@ -90,7 +90,7 @@ class Outcome:
 
 @dataclass(frozen=True, eq=False)
 class Outcomes:
-    """Every stage's outcome for one subject, in the order of the work."""
+    """Outcomes of all stages for one subject, in the order of the workflow."""
 
     all: tuple[Outcome, ...]
 
@@ -98,7 +98,7 @@ class Outcomes:
         return next(each for each in self.all if (each.stage, each.site) == (stage, site))
 
     def maybe(self, stage: str, site: str | None = None) -> Outcome | None:
-        """One of the stages that not every case goes through, or None where it was not run."""
+        """Outcome of an optional stage, or None if it was not run."""
         return next((each for each in self.all if (each.stage, each.site) == (stage, site)), None)
 
     @property
@@ -110,7 +110,7 @@ class Outcomes:
         return tuple(each for each in self.all if each.status == "failed")
 
     def warnings(self) -> list[tuple[str, str]]:
-        """(where from, text); a warning that later stages pass on is listed once."""
+        """(source, text); a warning that later stages repeat is listed once."""
         seen: dict[str, str] = {}
         for outcome in self.done:
             assert outcome.result is not None
@@ -122,9 +122,9 @@ class Outcomes:
 def read_outcomes(
     out: Path, sites: tuple[str, ...], *, case_name: str = "CASE", subject: str = ""
 ) -> Outcomes:
-    """Look at every stage's folder below `out`; never raises for what is missing or broken there.
+    """Read the folders of all stages below `out`; never raises for missing or damaged content.
 
-    subject : whose results they are to be; another's are shown as failures and not used
+    subject : expected subject; results of another are shown as failures and not used
     """
     keys: list[tuple[str, str | None]] = [(stage, None) for stage in SUBJECT_STAGES]
     keys += [(stage, site) for site in sites for stage in SITE_STAGES]
@@ -141,7 +141,7 @@ def read_outcomes(
 
 
 def _held(outcome: Outcome, before: Outcome | None) -> Outcome:
-    """A stage without a result behind a failed one did not fail itself: it could not be run."""
+    """Mark a stage without a result as not run if an earlier stage failed."""
     if before is None or outcome.result is not None:
         return outcome
     return replace(outcome, status="missing", failure=None, held_by=before.label)
@@ -166,7 +166,7 @@ def _outcome(out: Path, stage: str, site: str | None, case_name: str, subject: s
 
 
 def _failed_run(folder: Path, stage: str) -> Failure | None:
-    """Why the last run ended, where it left its own account beside the place of a result; or None."""
+    """Failure of the last run, if it wrote a report of it beside the place of a result; or None."""
     path = folder.with_name(folder.name + FAILED) / f"{stage}.json"
     try:
         content = json.loads(path.read_text(encoding="utf-8"))["data"]["failure"]
@@ -179,7 +179,7 @@ def _failed_run(folder: Path, stage: str) -> Failure | None:
 
 
 def _failure(path: Path) -> Failure | None:
-    """The failure that a batch noted, or None. A note that cannot be read is a failure too."""
+    """The failure recorded by a batch, or None. A record that cannot be read also counts as a failure."""
     if not path.is_file():
         return None
     try:

@@ -1,4 +1,4 @@
-"""Reportlets to one HTML file that needs nothing else."""
+"""Render reportlets to one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from limbcli.reporting.reportlet import Picture, Reportlet
 from limbcli.template_rendering import TemplateFolders, filled, refuse_unused
 
 _LARGE_BYTES = 200_000
-_MOST_PIXELS = 2400  # across; enough for a printed page
+_MOST_PIXELS = 2400  # largest width of an embedded picture; enough for a printed page
 _TYPES = {".svg": "image/svg+xml", ".png": "image/png", ".jpg": "image/jpeg"}
 
 
 @dataclass(frozen=True)
 class Shown:
-    """A picture as the page holds it: a data URI and what it shows."""
+    """A picture as embedded in the page: a data URI and a description."""
 
     uri: str
     alt: str
 
 
 def save_pictures(reportlets: Sequence[Reportlet], folder: Path) -> dict[str, Path]:
-    """Every picture as a file in `folder`; returns by picture name the one the page shows.
+    """Save each picture as a file in `folder`; returns, by picture name, the file that the page shows.
 
-    Drawings are saved as PNG and SVG with their data as CSV; what a stage made is copied.
+    Drawings are saved as PNG and SVG with their data as CSV; pictures made by a stage are copied.
     """
     folder.mkdir(parents=True, exist_ok=True)
     shown: dict[str, Path] = {}
@@ -61,7 +61,7 @@ def _save(picture: Picture, folder: Path) -> Path:
 
 
 def data_uri(path: Path) -> str:
-    """The picture as a `data:` address; a large PNG is packed as WebP (the file keeps every pixel)."""
+    """The picture as a `data:` URI; a large PNG is converted to WebP (the file keeps all pixels)."""
     kind, content = _TYPES[path.suffix.lower()], path.read_bytes()
     if path.suffix.lower() == ".png" and len(content) > _LARGE_BYTES:
         packed = _as_webp(path)
@@ -83,14 +83,15 @@ def _as_webp(path: Path) -> bytes:
 
 
 def render(template: str, facts: Mapping[str, Any], *, templates: Path | None = None) -> str:
-    """A template of `templates/report/` filled in, as UTF-8 can hold it; the user's own folder comes first.
+    """Render a template of `templates/report/` to text that can be encoded as UTF-8; the user's folder takes
+    precedence.
 
     Raises
     ------
     CaseError
-        If a template of the user's is faulty, asks for what is not there, or is used by nothing.
+        If a user template is faulty, uses an undefined variable, or is not used by any page.
     ToolError
-        If our templates are not found, or the user's folder does not exist.
+        If the built-in templates are not found, or the user's folder does not exist.
     """
     folders = [templates_folder() / "report"]
     if templates is not None:

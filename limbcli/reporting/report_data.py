@@ -1,4 +1,4 @@
-"""Everything one report page is made from, put together by the report stage."""
+"""All data of one report page, collected by the report stage."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from limbcli.reporting.outcome import Outcomes
 
 @dataclass(frozen=True, eq=False)
 class CycleMaterial:
-    """A record's loading cycles and the remarks on them.
+    """Loading cycles of a record, with remarks on them.
 
     settled : whether the last loading repeats the one before it within noise
-    contradiction : a sentence where later cycles contradict the one that was fitted
+    contradiction : a sentence if later cycles contradict the one that was fitted
     """
 
     loops: tuple[Loop, ...]
@@ -31,9 +31,9 @@ class CycleMaterial:
 
 @dataclass(frozen=True, eq=False)
 class SiteMaterial:
-    """One site's measurement and the pieces that need another package to read.
+    """Measurement of one site, and the data that are read by other packages.
 
-    Where a piece is None, the matching `why_*` says why, in words for the page.
+    If an item is None, the corresponding `why_*` gives the reason, in words for the page.
     """
 
     name: str

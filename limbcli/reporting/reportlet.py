@@ -1,4 +1,4 @@
-"""A reportlet answers one question with a figure or table, and says what good and bad look like."""
+"""A reportlet answers one question with a figure or table, and explains what good and bad look like."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ Mood = Literal["fine", "warning", "failed", "missing"]
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A drawing (saved as PNG and SVG), or a PNG that a stage made.
+    """A drawing (saved as PNG and SVG), or a PNG made by a stage.
 
-    name : file name without ending; alt : what a reader who cannot see it must know
+    name : file name without suffix
+    alt : alternative text for readers who cannot see the picture
     vector : whether the page shows the SVG (lines) rather than the PNG (many facets)
-    scene : a view that can be turned (`figures.scene`); the picture stands where there is no WebGL
+    scene : an interactive 3-D view (`figures.scene`); the picture is shown where WebGL is not available
     """
 
     name: str
@@ -33,7 +34,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Cell:
-    """Text of a table cell; `reason` says why a value is a dash; `lead` makes it a row's head."""
+    """Text of a table cell; `reason` explains a dash; `lead` makes it a row heading."""
 
     text: str
     reason: str = ""
@@ -44,7 +45,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class PageTable:
-    """Rows of cells below one or two heading rows; numeric tables are set in columns."""
+    """Rows of cells below one or two heading rows; numeric tables are aligned in columns."""
 
     caption: str
     head: tuple[tuple[Cell, ...], ...]
@@ -53,7 +54,7 @@ class PageTable:
 
     @property
     def labelled(self) -> tuple[tuple[tuple[Cell, str], ...], ...]:
-        """Rows of cells, each with the words of its column, for screens too narrow for columns.
+        """Rows of cells, each with its column heading, for screens too narrow for columns.
 
         >>> names = (Cell("site", down=2), Cell("Ogden", span=2)), (Cell("c"), Cell("m"))
         >>> [label for _, label in PageTable("", names, ((Cell("p1"), Cell("8"), Cell("6")),)).labelled[0]]
@@ -71,7 +72,7 @@ class PageTable:
 
 
 def _placed(rows: Sequence[Sequence[Cell]]) -> list[list[tuple[Cell, int]]]:
-    """Every cell with the column that it begins in; cells that reach down push those below aside."""
+    """Each cell with its first column; cells that span several rows shift those below."""
     taken: set[tuple[int, int]] = set()
     placed = []
     for k, row in enumerate(rows):
@@ -90,9 +91,10 @@ def _placed(rows: Sequence[Sequence[Cell]]) -> list[list[tuple[Cell, int]]]:
 class Reportlet:
     """One question and its answer.
 
-    answer : in a sentence, where there is one; it stands first
-    look_for, bad : the caption: what to look for, and what bad looks like
-    notes : findings in plain words; warned : those that must not be overlooked
+    answer : a sentence, if there is one; it is shown first
+    look_for, bad : the caption: what to look for, and what a bad result looks like
+    notes : findings in plain words
+    warned : findings that must not be overlooked
     """
 
     key: str
@@ -116,7 +118,7 @@ class Reportlet:
 
 
 def placeholder(key: str, title: str, outcome: Outcome) -> Reportlet:
-    """An honest gap: the stage has not been run, or failed, and what makes it."""
+    """Reportlet of a stage that has not been run or failed, with the command that provides its result."""
     if outcome.status == "failed":
         return Reportlet(key, title, "failed", outcome.site, failure=outcome.failure, command=outcome.command)
     notes = [f"There is no result of “{outcome.stage}” yet, so this cannot be shown."]

@@ -1,5 +1,5 @@
-"""Drawings of a cohort: who has which tissue, what the model misses, what one tissue would miss, who was
-predicted how."""
+"""Drawings of a cohort: tissue of each person, misfit of the model, misfit of a homogeneous tissue, and
+predicted compliance."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ Row = Mapping[str, Any]
 _PARAMETERS = (("c_muscle_kpa", "c of muscle [kPa]"), ("c_fat_kpa", "c of fat [kPa]"), ("m", "m [–]"))
 _COLOURS = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, "#56b4e9", "#8a6d00", QUIET)
 _LABELS_UPRIGHT = 5
-_NAME_WIDTH = 20  # characters on a line
+_NAME_WIDTH = 20  # characters per line of a label
 _TICKS = (-50, -20, -10, -5, -2, 0, 2, 5, 10, 20, 50)
 
 
 def distributions(rows: Sequence[Row], sites: Mapping[str, Any]) -> Figure:
-    """A dot a person with the 95 % interval behind it; the bar is the population's middle and spread."""
+    """One dot per person with the 95 % interval behind it; the bar shows the population's mean and spread."""
     names = list(sites)
     with style():
         figure = new_figure(max(7.4, 1.1 * len(names)), 7.6)
@@ -89,7 +89,8 @@ def _bar(axes: Axes, x: float, own: Mapping[str, Any], name: str) -> None:
 
 
 def misfits(rows: Sequence[Row]) -> Figure:
-    """Left: fat's part of the shortening below the skin; right: skin's part of the whole, not used."""
+    """Left: fat's fraction of the shortening below the skin; right: skin's fraction of the total, not used in
+    the fit."""
     with style():
         figure = new_figure(7.4, 3.8)
         left, right = figure.subplots(1, 2)
@@ -106,7 +107,7 @@ def misfits(rows: Sequence[Row]) -> Figure:
 
 
 def one_tissue(rows: Sequence[Row]) -> Figure:
-    """What a homogeneous tissue misses of fat's shortening, over how thick the fat is."""
+    """Error of a homogeneous tissue in the shortening of the fat, over the fat thickness."""
     with style():
         figure = new_figure(7.0, 3.8)
         axes = figure.subplots()
@@ -130,7 +131,7 @@ def one_tissue(rows: Sequence[Row]) -> Figure:
 
 
 def compliance(entries: Sequence[Row]) -> Figure:
-    """Compliance of people left out: predicted over measured, by site."""
+    """Compliance of held-out people: predicted over measured, by site."""
     with style():
         figure = new_figure(7.4, 5.2)
         axes = figure.subplots()

@@ -1,4 +1,4 @@
-"""How the identification walked to its end, and how the solver's residual fell."""
+"""Progress of the identification, and convergence of the solver's residual."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from limbcli.reporting.figures.style import BLUE, GREEN, VERMILION, new_figure, 
 
 @dataclass(frozen=True, eq=False)
 class FitWalk:
-    """Accepted points of one fit: iteration (n,), sum of squares (n,) N^2, parameters name -> (n,)."""
+    """Accepted iterates of one fit: iteration (n,), sum of squares (n,) N^2, parameters name -> (n,)."""
 
     key: str
     label: str
@@ -26,19 +26,19 @@ class FitWalk:
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Solver iterations in order: worst norm over its target (n,), 1 or less at rest; load step (n,)."""
+    """Solver iterations in order: worst norm over its target (n,), 1 or less if converged; load step (n,)."""
 
     ratio: Array
     level: Array
 
 
-_LEAST_N2 = 1e-8  # N²; smaller is drawn here: a tenth of a millinewton in all, below what any cell reads
+_LEAST_N2 = 1e-8  # smaller values (N²) are drawn here: 0.1 mN in all, below any load cell's resolution
 _COLOURS = {"mooney-rivlin": BLUE, "ogden": VERMILION}
 _SYMBOLS = {"f_kappa": r"$f_\kappa$ [–]", "m": "m [–]", "c_kpa": "c [kPa]", "kappa_kpa": "κ′ [kPa]"}
 
 
 def fit_walk(walks: Sequence[FitWalk]) -> Figure:
-    """One panel for the sum of squared force differences, one for each parameter that was searched."""
+    """One panel for the sum of squared force residuals, and one for each free parameter."""
     names = list(dict.fromkeys(name for walk in walks for name in walk.parameters))
     with style():
         figure = new_figure(7.4, 3.3)
@@ -68,7 +68,7 @@ def fit_walk(walks: Sequence[FitWalk]) -> Figure:
 
 
 def newton_residuals(residuals: Residuals) -> Figure:
-    """Worst norm over target of every solver iteration, load step after load step."""
+    """Worst norm over target of each solver iteration, load step by load step."""
     with style():
         figure = new_figure(7.4, 2.9)
         axes = figure.subplots()

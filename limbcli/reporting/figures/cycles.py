@@ -1,4 +1,4 @@
-"""The loops of repeated loading, and the energy that each takes."""
+"""The loops of repeated loading, and the energy lost in each."""
 
 from __future__ import annotations
 
@@ -27,14 +27,15 @@ from limbcli.reporting.figures.style import (
 )
 
 _COLOURS = (VERMILION, ORANGE, PURPLE, GREEN, BLUE)
-_SHADES = "plasma"  # of more cycles than these colours
+_SHADES = "plasma"  # colour map used if there are more cycles than these colours
 
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """One cycle: depth and force (n,) mm and N of its loading and its unloading, in the order measured.
+    """One cycle: depth (mm) and force (N), (n,), of its loading and its unloading, in the order measured.
 
-    lost, lost_deviation : N mm, None without unloading; lost_fraction : of the work of loading
+    lost, lost_deviation : N mm, None without unloading
+    lost_fraction : relative to the work of loading
     """
 
     number: int
@@ -46,7 +47,7 @@ class Loop:
 
 
 def cycles(loops: Sequence[Loop]) -> Figure:
-    """Left: force over depth, a colour a cycle; right: energy lost by cycle, where unloading was read."""
+    """Left: force over depth, one colour per cycle; right: energy lost by cycle, if unloading was read."""
     with style():
         figure = new_figure(7.4, 4.2)
         lossy = [each for each in loops if each.lost is not None]

@@ -30,14 +30,14 @@ BONE = "#7a4b12"
 
 @dataclass(frozen=True, eq=False)
 class DeformedState:
-    """A site's model at the deepest level.
+    """Model of a site at the deepest level.
 
     points, displacement : (n_points, 3) mm, model frame; NaN where nothing was recorded
     kind, cells : the tissue's cells
     skin, bone, probe, cut : facets by kind
-    probe_shift : (3,) mm, how far the rigid probe has moved
+    probe_shift : (3,) displacement of the rigid probe (mm)
     stretch : (n_cells,) smallest principal stretch, NaN where not recorded; or None
-    sides : of the patient, that x and y point to; None where that is not known
+    sides : patient's sides to which x and y point; None if unknown
     """
 
     points: Array
@@ -55,7 +55,7 @@ class DeformedState:
 
 
 def section_figure(state: DeformedState) -> Figure:
-    """x-z section at y = 0: displacement magnitude, and shortening where the run recorded it."""
+    """x-z section at y = 0: displacement magnitude, and shortening if the run recorded it."""
     with_stretch = state.stretch is not None and bool(np.isfinite(state.stretch).any())
     with style():
         span = _span(state)
@@ -79,7 +79,7 @@ def section_figure(state: DeformedState) -> Figure:
 
 
 def _span(state: DeformedState) -> Array:
-    """(3,) mm of all that a section shows: the tissue, and the probe where it ends."""
+    """Size (3,) of what a section shows (mm): the tissue, and the probe in its final position."""
     probe = [facets.ravel() for facets in state.probe.values()]
     shown = [state.points[np.unique(state.cells)]]
     shown += [state.points[np.unique(each)] + state.probe_shift for each in probe]
@@ -131,7 +131,7 @@ def _bar(axes: Axes, drawn: ScalarMappable, label: str) -> None:
 
 
 def _outlines(axes: Axes, state: DeformedState) -> None:
-    """Skin before (dashed) and now, bone, and the probe where it ends."""
+    """Undeformed (dashed) and deformed skin, bone, and the probe in its final position."""
     for facets, values, colour, dashes, label in (
         (state.skin, state.points, QUIET, "--", "skin before"),
         (state.skin, state.points + state.displacement, INK, "-", "skin now"),

@@ -1,4 +1,4 @@
-"""Measured force over depth, the simulated curves, and what is left between them."""
+"""Measured force over depth, the simulated curves, and their residuals."""
 
 from __future__ import annotations
 
@@ -34,11 +34,12 @@ class MeasuredCurve:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedCurve:
-    """A simulation's curve: depth (n,) mm, force (n,) N.
+    """A simulated curve: depth (n,) mm, force (n,) N.
 
-    key : "start", "mooney-rivlin", "ogden"; label : for the legend
-    at_levels : (n_levels,) N at the measured depths, as the fit sampled it (NaN where it did not);
-        None: read off the curve
+    key : "start", "mooney-rivlin", "ogden"
+    label : for the legend
+    at_levels : (n_levels,) N at the measured depths, as interpolated by the fit (NaN elsewhere); None:
+        interpolated from the curve
     """
 
     key: str
@@ -79,7 +80,7 @@ def force_depth(measured: MeasuredCurve, curves: Sequence[SimulatedCurve]) -> Fi
 
 
 def _legend(figure: Figure, axes: Axes) -> None:
-    """The legend above the panels, where no curve can run through it."""
+    """The legend above the panels, where it cannot cover a curve."""
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=2, fontsize=8.5)
 
@@ -116,7 +117,8 @@ def _noise_words(measured: MeasuredCurve) -> str:
 
 
 def _limit(axes: Axes, measured: MeasuredCurve, curves: Sequence[SimulatedCurve]) -> None:
-    """Beside fits, a start curve far above the data must not flatten the data; alone, it is seen whole."""
+    """Limit the force axis: with fits, a start curve far above the data must not compress them; alone, it is
+    shown completely."""
     bar = measured.force_sd or 0.0
     alone = [] if any(each.key != "start" for each in curves) else [each.force for each in curves]
     shown = np.concatenate([measured.force - bar, measured.force + bar, *alone])
@@ -144,7 +146,7 @@ def _draw_difference(axes: Axes, measured: MeasuredCurve, curve: SimulatedCurve)
         measured.depth[up], difference[up], "o", linestyle=dashes, ms=3.5, lw=1.0, color=colour,
         label=curve.label,
     )  # fmt: skip
-    if len(down):  # what no fit was made to
+    if len(down):  # unloading levels are not fitted
         axes.plot(
             measured.depth[down], difference[down], "o", ms=3.5, color=colour, mfc="white",
             label=f"{curve.label}, unloading",
@@ -152,7 +154,7 @@ def _draw_difference(axes: Axes, measured: MeasuredCurve, curve: SimulatedCurve)
 
 
 def _limit_difference(axes: Axes, measured: MeasuredCurve, curves: Sequence[SimulatedCurve]) -> None:
-    """Scale to the fits, not to the start curve, which is meant to be far off."""
+    """Scale the axis to the fits, not to the start curve, which is expected to be far off."""
     fits = [each for each in curves if each.key != "start"] or list(curves)
     sizes = [np.abs(_difference(measured, each)) for each in fits]
     largest = max((float(np.nanmax(each)) for each in sizes if np.isfinite(each).any()), default=0.0)

@@ -1,4 +1,4 @@
-"""The layers below the probe, level by level: predicted as bands, measured borders as points."""
+"""Layers below the probe, level by level: predicted as bands, measured borders as points."""
 
 from __future__ import annotations
 
@@ -10,14 +10,19 @@ from matplotlib.figure import Figure
 from limbcli.model import Array
 from limbcli.reporting.figures.style import INK, MARKERS, QUIET, new_figure, style
 
-_HALF_BAND = 0.5  # N to either side of the only level, so that its layers are seen
+_HALF_BAND = 0.5  # half width (N) of the bands of a single level
 _BANDS = {"skin": "#e8b7a0", "fat": "#f3dfa2", "muscle": "#b8656a"}
 
 
 @dataclass(frozen=True, eq=False)
 class LayerPicture:
-    """force (n_levels,) N; names of the layers from the skin inward; measured, predicted (n_levels, n_layers)
-    mm, measured NaN where not read; deviation mm of a thickness."""
+    """Layers at each level.
+
+    force : (n_levels,) N
+    names : of the layers, from the skin inwards
+    measured, predicted : (n_levels, n_layers) mm; measured is NaN where not read
+    deviation : standard deviation of a thickness (mm)
+    """
 
     force: Array
     names: tuple[str, ...]
@@ -27,7 +32,7 @@ class LayerPicture:
 
 
 def layers_figure(shown: LayerPicture) -> Figure:
-    """Left: depth below the probe of every border; right: what measured thicknesses are beyond predicted."""
+    """Left: depth of each border below the probe; right: measured minus predicted thickness."""
     with style():
         figure = new_figure(7.6, 4.3)
         left, right = figure.subplots(1, 2, width_ratios=(3, 2))

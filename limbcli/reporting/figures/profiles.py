@@ -1,4 +1,4 @@
-"""How far each parameter can go before the data object."""
+"""Profile likelihoods: how far each parameter can move before the data exclude it."""
 
 from __future__ import annotations
 
@@ -12,15 +12,22 @@ from limbcli.interval_limits import THRESHOLD_95
 from limbcli.model import Array
 from limbcli.reporting.figures.style import BLUE, INK, QUIET, VERMILION, new_figure, plain_log, style
 
-_ROOMY = 3  # panels, up to which each is wide enough for labels at 1, 2 and 5
+_ROOMY = 3  # largest number of panels wide enough for labels at 1, 2 and 5
 _SYMBOLS = {"f_kappa": r"$f_\kappa$", "m": "m", "c": "c"}
 
 
 @dataclass(frozen=True, eq=False)
 class ProfileCurve:
-    """values (n,) of a parameter; deviance (n,) fall of twice the log likelihood; the fit's value; `limit`
-    of the deviance at the ends of the 95 % interval; interval: its ends where they are not those of the curve
-    (one that holds a fit found otherwise, or an uncertainty that the curve lacks), None: where it crosses."""
+    """Profile likelihood of one parameter.
+
+    values : (n,) of the parameter
+    deviance : (n,) decrease of twice the log likelihood from its maximum
+    estimate : the value of the fit
+    limit : deviance at the ends of the 95 % interval
+    interval : its ends if they differ from those of the curve (an interval widened to include a fit by
+        another method, or an uncertainty that the curve does not include); None: where the curve crosses the
+        limit
+    """
 
     name: str
     values: Array
@@ -32,7 +39,7 @@ class ProfileCurve:
 
 
 def profile_figure(profiles: Sequence[ProfileCurve]) -> Figure:
-    """A panel a parameter: a valley is an answer, a plain is none."""
+    """One panel per parameter: a valley shows a determined parameter, a plain an undetermined one."""
     with style():
         figure = new_figure(max(7.4, 1.85 * len(profiles)), 3.3)
         panels = figure.subplots(1, max(len(profiles), 1), sharey=True, squeeze=False)[0]
@@ -61,7 +68,7 @@ def profile_figure(profiles: Sequence[ProfileCurve]) -> Figure:
 
 
 def _not_excluded(values: Array, deviance: Array, limit: float) -> tuple[float, float]:
-    """Where the curve crosses the limit on either side of its lowest point, or its ends."""
+    """Where the curve crosses the limit on either side of its minimum, or its ends."""
     lowest, ends = int(deviance.argmin()), []
     for side in (slice(lowest, None, -1), slice(lowest, None)):
         outside = np.flatnonzero(deviance[side] > limit)

@@ -1,4 +1,5 @@
-"""The deformed model as a scene that a page can turn: corners, displacements, facets, packed small."""
+"""The deformed model as an interactive 3-D scene of the page: points, displacements and facets in a compact
+encoding."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ from limbcli.model import Array, IntArray
 from limbcli.reporting.figures.deformed import DISPLACEMENT_MAP, DeformedState
 from limbcli.reporting.figures.section import cut_tetrahedra, linear_tetrahedra, linear_triangles
 
-_STEPS = 32000  # of a coordinate over the scene's size, in two bytes
+_STEPS = 32000  # integer steps of a coordinate over the size of the scene, stored in two bytes
 _COLOURS = 64
 _CORNERS = {"tri3": 3, "tri6": 3, "quad4": 4, "quad8": 4, "tet4": 4, "tet10": 4, "hex8": 8, "penta6": 6}
 _BOUNDARY = {3: ((0, 1), (1, 2), (2, 0)), 4: ((0, 1), (1, 2), (2, 3), (3, 0))}
@@ -21,9 +22,9 @@ _BOUNDARY = {3: ((0, 1), (1, 2), (2, 0)), 4: ((0, 1), (1, 2), (2, 3), (3, 0))}
 
 @dataclass(frozen=True, eq=False)
 class ScenePart:
-    """Points (n, 3) mm at rest, their displacement (n, 3) mm, triangles (m, 3) and edges (k, 2) to draw.
+    """Undeformed points (n, 3) mm, their displacement (n, 3) mm, triangles (m, 3) and edges (k, 2) to draw.
 
-    coloured : by the size of the displacement; else in one colour
+    coloured : by the magnitude of the displacement; else in a single colour
     """
 
     name: str
@@ -35,9 +36,10 @@ class ScenePart:
 
 
 def scene_of(state: DeformedState) -> dict[str, Any]:
-    """What the page's script draws: parts packed in base64, the field's range, its colours.
+    """Input of the page's script: base64-encoded parts, the range of the field, and its colours.
 
-    Coordinates are whole numbers of `step_mm` from `origin_mm`; displacements of `displacement_step_mm`.
+    Coordinates are integer multiples of `step_mm` from `origin_mm`; displacements are multiples of
+    `displacement_step_mm`.
     """
     parts = [each for each in _parts(state) if len(each.triangles)]
     every = np.concatenate([each.points for each in parts])
@@ -86,7 +88,7 @@ def _parts(state: DeformedState) -> list[ScenePart]:
 def _surface(
     name: str, facets: dict[str, IntArray], points: Array, displacement: Array, *, coloured: bool = True
 ) -> ScenePart:
-    """Facets whose corners are all known; edges are those of the elements, not of the triangles drawn."""
+    """Facets whose corners are all known; the edges are those of the elements, not of the triangles drawn."""
     triangles, edges = [np.zeros((0, 3), np.int64)], [np.zeros((0, 2), np.int64)]
     for kind, each in facets.items():
         known = each[np.isfinite(displacement[each]).all(axis=(1, 2))]
@@ -108,7 +110,7 @@ def _surface(
 
 
 def _section(state: DeformedState) -> ScenePart:
-    """The cut through the probe's middle plane (y = 0), for a look inside."""
+    """The cut through the probe's middle plane (y = 0), which shows the inside."""
     tetrahedra, _ = linear_tetrahedra(state.kind, state.cells)
     cut = cut_tetrahedra(state.points, tetrahedra)
     points, displacement = cut.at(state.points), cut.at(state.displacement)

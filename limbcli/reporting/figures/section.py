@@ -1,4 +1,5 @@
-"""Geometry for pictures only: cutting tetrahedra and facets by a plane, quadratic cells into linear ones."""
+"""Geometry for pictures only: plane cuts of tetrahedra and facets, and splitting of quadratic cells into
+linear ones."""
 
 from __future__ import annotations
 
@@ -22,12 +23,12 @@ _EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """A cut through tetrahedra: corners on edges, joined to triangles.
+    """A cut through tetrahedra: vertices on their edges, connected to triangles.
 
-    ends : (n, 2) node numbers of the edge each corner lies on
-    weight : (n,) share of the second end
-    triangles : (n_triangles, 3) into the corners
-    cells : (n_triangles,) the tetrahedron each triangle belongs to
+    ends : (n, 2) node numbers of the edge that each vertex lies on
+    weight : (n,) interpolation weight of the second node
+    triangles : (n_triangles, 3) vertex indices
+    cells : (n_triangles,) the tetrahedron of each triangle
     """
 
     ends: IntArray
@@ -36,13 +37,13 @@ class Section:
     cells: IntArray
 
     def at(self, values: Array) -> Array:
-        """Nodal values (n_points, ...) on the corners, linear along the edges."""
+        """Nodal values (n_points, ...) interpolated linearly along the edges to the vertices."""
         weight = self.weight.reshape(-1, *([1] * (values.ndim - 1)))
         return (1.0 - weight) * values[self.ends[:, 0]] + weight * values[self.ends[:, 1]]
 
 
 def linear_tetrahedra(kind: str, cells: IntArray) -> tuple[IntArray, IntArray]:
-    """Four-node cells that fill tet4 or tet10 cells, and which cell each came from.
+    """Four-node cells that subdivide tet4 or tet10 cells, and the cell that each came from.
 
     >>> linear_tetrahedra("tet10", np.arange(10)[None])[0].shape
     (8, 4)
@@ -56,13 +57,13 @@ def linear_tetrahedra(kind: str, cells: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def linear_triangles(kind: str, facets: IntArray) -> IntArray:
-    """Three-node facets that fill tri3, tri6 or quad4 facets."""
+    """Three-node facets that subdivide tri3, tri6 or quad4 facets."""
     parts = {"tri3": np.array([[0, 1, 2]]), "tri6": _TRI6_PARTS, "quad4": _QUAD4_PARTS}[kind]
     return np.asarray(facets[:, parts].reshape(-1, 3))
 
 
 def cut_tetrahedra(points: Array, tetrahedra: IntArray, *, axis: int = 1, height: float = 0.0) -> Section:
-    """Where the plane `x[axis] = height` passes through the tetrahedra.
+    """Intersection of the tetrahedra with the plane `x[axis] = height`.
 
     >>> corners = np.array([[0.0, -1, 0], [0, 1, 0], [1, 1, 0], [0, 1, 1]])
     >>> cut_tetrahedra(corners, np.arange(4)[None]).triangles.shape
@@ -89,7 +90,7 @@ def cut_tetrahedra(points: Array, tetrahedra: IntArray, *, axis: int = 1, height
 def cut_triangles(
     points: Array, triangles: IntArray, *, axis: int = 1, height: float = 0.0
 ) -> tuple[IntArray, Array]:
-    """Where the plane passes through facets: edge ends (n, 2, 2) and weights (n, 2) of each segment."""
+    """Intersection of facets with the plane: edge nodes (n, 2, 2) and weights (n, 2) of each segment."""
     side = points[:, axis] - height
     side = np.where(side == 0.0, 1e-9, side)
     above = side[triangles] > 0
@@ -102,5 +103,5 @@ def cut_triangles(
 
 
 def on_segments(ends: IntArray, weight: Array, values: Array) -> Array:
-    """Nodal values (n_points, d) at both corners of each segment: (n, 2, d)."""
+    """Nodal values (n_points, d) interpolated to both ends of each segment: (n, 2, d)."""
     return (1.0 - weight)[..., None] * values[ends[..., 0]] + weight[..., None] * values[ends[..., 1]]

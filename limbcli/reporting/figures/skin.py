@@ -1,4 +1,4 @@
-"""The deformed skin, seen from outside."""
+"""Outside view of the deformed skin."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from limbcli.reporting.figures.deformed import BONE, DISPLACEMENT_MAP, UNKNOWN, 
 from limbcli.reporting.figures.section import linear_triangles
 from limbcli.reporting.figures.style import INK, bare, new_figure, style
 
-_ARROW = 14.0  # mm
+_ARROW = 14.0  # length of an arrow (mm)
 
 
 def skin_figure(state: DeformedState) -> Figure:
-    """The deformed skin in a slanted view, coloured by how far it moved along z; bone in the cuts."""
+    """The deformed skin in an oblique view, coloured by its displacement along z; bone in the cuts."""
     moved = state.points + state.displacement
     skin, cut, bone = (_triangles(each, moved) for each in (state.skin, state.cut, state.bone))
     facets = np.concatenate([skin, cut, bone])
@@ -56,9 +56,9 @@ def skin_figure(state: DeformedState) -> Figure:
 
 
 def _view(points: Array, facets: IntArray) -> tuple[Array, IntArray, Array]:
-    """Parallel projection from above and beside: picture coordinates, far-to-near order, brightness."""
+    """Parallel projection from above and the side: picture coordinates, far-to-near order, brightness."""
     seen = np.nan_to_num(points) @ _turned().T
-    # Viewer looks along -(third axis of the turned frame); picture is (right, up).
+    # The viewer looks along the negative third axis of the rotated frame; the picture's axes are (right, up).
     picture = seen[:, :2]
     depth = seen[facets, 2].mean(axis=1)
     corners = seen[facets]
@@ -70,7 +70,7 @@ def _view(points: Array, facets: IntArray) -> tuple[Array, IntArray, Array]:
 
 
 def _turned() -> Array:
-    """(3, 3) of the view: rows are right and up on the picture, and towards the viewer."""
+    """Rotation (3, 3) of the view: rows point right and up in the picture, and towards the viewer."""
     turn, tilt = np.radians(-35.0), np.radians(48.0)
     about_z = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
     about_x = np.array([[1, 0, 0], [0, np.cos(tilt), np.sin(tilt)], [0, -np.sin(tilt), np.cos(tilt)]])
@@ -78,7 +78,7 @@ def _turned() -> Array:
 
 
 def _label_sides(axes: Axes, sides: tuple[str, str]) -> None:
-    """Two arrows beside the limb, along x and y, with the sides of the patient that they point to."""
+    """Draw two arrows beside the limb, along x and y, labelled with the patient's sides they point to."""
     low, high = axes.get_xlim()[0], axes.get_ylim()[1]
     for word, direction in zip(sides, _turned()[:2, :2].T, strict=True):
         right, up = (_ARROW * float(each) for each in direction)
@@ -98,7 +98,7 @@ def _scale_bar(axes: Axes, length: float) -> None:
 
 
 def _triangles(facets: dict[str, IntArray], points: Array) -> IntArray:
-    """Linear facets whose corners are all known."""
+    """Linear facets whose corners all have known positions."""
     parts = [linear_triangles(kind, each) for kind, each in facets.items()]
     every = np.concatenate(parts) if parts else np.zeros((0, 3), dtype=np.int64)
     return every[np.isfinite(points[every]).all(axis=(1, 2))]

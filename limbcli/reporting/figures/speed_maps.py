@@ -1,4 +1,4 @@
-"""Shear-wave maps in the probe's frame: measured, predicted, and what is between, level by level."""
+"""Shear-wave maps in the probe's frame: measured, predicted and their difference, level by level."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _LEAST_INCHES = 1.0
 
 @dataclass(frozen=True, eq=False)
 class LevelMaps:
-    """One level: the force (N) it was held at, the predicted map, and the measured one where there is one."""
+    """One level: its force (N), the predicted map, and the measured one if there is one."""
 
     level: int
     force: float
@@ -31,16 +31,17 @@ class LevelMaps:
 
 
 def chosen_levels(levels: Sequence[LevelMaps]) -> list[LevelMaps]:
-    """A handful of them, evenly spread, first and last included; with measured maps where there are any."""
+    """A few levels, evenly spaced, including first and last; those with measured maps if there are any."""
     best = [each for each in levels if each.measured is not None] or list(levels)
     index = np.unique(np.linspace(0, len(best) - 1, min(len(best), MOST_LEVELS)).round().astype(int))
     return [best[k] for k in index]
 
 
 def speed_maps(levels: Sequence[LevelMaps], *, toward: str | None = None) -> Figure:
-    """A column a level; measured, predicted, and predicted less measured, or the predicted row alone.
+    """One column per level; rows: measured, predicted, and predicted minus measured, or the predicted row
+    alone.
 
-    toward : the side of the patient to which `lateral` grows, where it is known
+    toward : side of the patient towards which `lateral` increases, if known
     """
     shown = chosen_levels(levels)
     paired = any(each.measured is not None for each in shown)
@@ -78,7 +79,7 @@ def speed_maps(levels: Sequence[LevelMaps], *, toward: str | None = None) -> Fig
 
 
 def _height(shown: Sequence[LevelMaps]) -> float:
-    """Of one panel (inches), as the maps' sides demand, with room for the words beside a flat one."""
+    """Height of one panel (inches) by the maps' aspect ratio, with room for the labels beside a flat one."""
     wide = max(float(np.ptp(each.lateral)) for each in _all(shown))
     deep = max(float(np.ptp(each.depth)) for each in _all(shown))
     return float(np.clip(5.4 / len(shown) * deep / max(wide, 1.0), _LEAST_INCHES, 2.4))
@@ -89,7 +90,7 @@ def _all(levels: Sequence[LevelMaps]) -> list[SweMap]:
 
 
 def _difference(level: LevelMaps) -> SweMap | None:
-    """Predicted less measured on the pixels that both have."""
+    """Predicted minus measured speed at the pixels common to both."""
     if level.measured is None:
         return None
     own, other = level.predicted, level.measured
@@ -123,7 +124,8 @@ def _panel(axes: Axes, pixels: SweMap | None, norm: Normalize, colours: str, not
 
 
 def _size(pixels: SweMap) -> Array:
-    """(2,) mm of a pixel across and down: the steps of its neighbours; of a single row or column, square."""
+    """Width and height (2,) of a pixel (mm), from the spacing of its neighbours; square for a single row or
+    column."""
     steps = [np.diff(np.unique(np.round(each, 4))) for each in (pixels.lateral, pixels.depth)]
     known = [float(np.median(each)) for each in steps if len(each)]
     other = known[0] if known else 1.0

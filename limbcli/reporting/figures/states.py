@@ -1,4 +1,4 @@
-"""Speed at rest over stretch: the states, the fitted law's curve, and where it is lowest."""
+"""Speed at rest over stretch: the states, the curve of the fitted law, and its minimum."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from limbcli.reporting.figures.style import (
 
 @dataclass(frozen=True)
 class StateReading:
-    """A state: its stretch with 95 % ends (1), its speed at rest and one standard deviation (m/s)."""
+    """A state: its stretch (-) with 95 % ends, and its speed at rest with one standard deviation (m/s)."""
 
     name: str
     stretch: float
@@ -36,11 +36,12 @@ class StateReading:
 
 @dataclass(frozen=True, eq=False)
 class StatesPanel:
-    """One way of stretching.
+    """One direction of stretch.
 
-    counted : "case", on the stretch scale of the case, or "unloaded"
-    stretch, speed (n,) : the fitted law's curve; unloaded : the stretch at which its tissue is unloaded
-    lowest : the stretch of the least speed with its 95 % ends; None where the data do not determine it
+    counted : scale of the stretch: "case", that of the case, or "unloaded"
+    stretch, speed : (n,) curve of the fitted law
+    unloaded : the stretch at which the tissue is unloaded
+    lowest : stretch of minimum speed with its 95 % ends; None if the data do not determine it
     """
 
     way: str
@@ -53,7 +54,7 @@ class StatesPanel:
 
 
 def states_figure(panels: Sequence[StatesPanel]) -> Figure:
-    """A panel a way; the interval of the lowest point is shaded, or its absence said."""
+    """One panel per direction; the interval of the minimum is shaded, or its absence stated."""
     with style():
         rows = max(len(each.readings) for each in panels)
         figure = new_figure(7.2 if len(panels) == 1 else 9.6, 4.0 + 0.2 * rows)

@@ -36,7 +36,7 @@ class StiffnessSection:
 
 
 def stiffness_figure(section: StiffnessSection) -> Figure:
-    """x-z section at y = 0, before loading: c element by element, and where the image was."""
+    """x-z section at y = 0, before loading: c element by element, and the position of the image."""
     tetrahedra, parent = linear_tetrahedra(section.kind, section.cells)
     cut = cut_tetrahedra(section.points, tetrahedra)
     corners = cut.at(section.points)[:, [0, 2]]
@@ -70,7 +70,7 @@ def stiffness_figure(section: StiffnessSection) -> Figure:
 
 
 def _range(values: Array) -> Normalize:
-    """The colours' ends; a uniform map lies in their middle."""
+    """Limits of the colour scale; a uniform map is placed in its middle."""
     low, high = float(values.min()), float(values.max())
     margin = 0.0 if high - low > 1e-3 * high else 0.05 * high
     return Normalize(low - margin, high + margin)

@@ -1,4 +1,4 @@
-"""Parameters of several sites side by side."""
+"""Parameters of several sites in comparison."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from limbcli.reporting.fit_view import EstimateView
 
 _COLUMNS = (("c", "c [kPa]"), ("m", "m [–]"), ("κ′", "κ′ [kPa]"))
 _OPEN = "#8a8a8a"
-_NAME_WIDTH = 28  # characters on a line
+_NAME_WIDTH = 28  # characters per line of a label
 
 
 @dataclass(frozen=True)
 class StudyRow:
-    """A site's label and what is known of c, m and kappa', by symbol."""
+    """Label of a site, and its estimates of c, m and kappa', by symbol."""
 
     label: str
     estimates: dict[str, EstimateView]
 
 
 def study_figure(rows: Sequence[StudyRow]) -> Figure:
-    """A row a site, a panel a parameter: a dot with its interval where the data hold a value, else the side
-    that is not excluded as an arrow."""
+    """One row per site, one panel per parameter: a dot with its interval if the data determine a value, else
+    an arrow on the side that is not excluded."""
     with style():
         names = [textwrap.fill(row.label, _NAME_WIDTH) for row in rows]
         lines = max((name.count("\n") + 1 for name in names), default=1)

@@ -1,4 +1,4 @@
-"""One look for all drawings: quiet axes, colours that colour-blind readers can tell apart."""
+"""Common style of all drawings: unobtrusive axes, and colours that colour-blind readers can distinguish."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocato
 INK = "#22303c"
 QUIET = "#8a97a3"
 GRID = "#e3e8ec"
-# Okabe and Ito's palette, the part of it that prints well.
+# The colours of Okabe and Ito's palette that print well.
 BLUE, ORANGE, GREEN, VERMILION, PURPLE = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7"
 
-MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")  # tell apart what is printed in grey
-_MANY_DECADES = 200.0  # largest over smallest value: beyond it labels at 1, 2 and 5 would touch
-_NARROW = 6.0  # the same ratio, below which labels at 1, 2 and 5 are too few
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")  # distinguish series printed in grey
+_MANY_DECADES = 200.0  # ratio of largest to smallest value above which labels at 1, 2 and 5 would touch
+_NARROW = 6.0  # ratio of largest to smallest value below which labels at 1, 2 and 5 are too few
 
 _SETTINGS: dict[Any, Any] = {
     "font.family": "sans-serif",
@@ -53,7 +53,8 @@ _SETTINGS: dict[Any, Any] = {
 
 
 def literal(text: str) -> str:
-    """A name of the user's, for a label: dollars are no mathematics, and a legend lists what begins with `_`.
+    """A user-supplied name as a literal label: dollar signs do not start mathematics, and a leading `_` does
+    not hide it from a legend.
 
     >>> literal("cost $1$"), literal("_left"), literal("p1")
     ('cost \\\\$1\\\\$', ' _left', 'p1')
@@ -64,18 +65,19 @@ def literal(text: str) -> str:
 
 @contextlib.contextmanager
 def style() -> Iterator[None]:
-    """Our settings for the drawings made in this block; the caller's own come back after it."""
+    """Apply our settings to the drawings made in this block; the caller's are restored afterwards."""
     with matplotlib.rc_context(_SETTINGS):
         yield
 
 
 def new_figure(width: float = 7.2, height: float = 3.8) -> Figure:
-    """An empty figure (inches) with a layout that keeps labels apart; draw it inside `style()`."""
+    """An empty figure (size in inches) with a layout that prevents overlapping labels; draw it inside
+    `style()`."""
     return Figure(figsize=(width, height), dpi=150, layout="constrained")
 
 
 def plain_log(axis: Axis, *, few: bool = False) -> None:
-    """Numbers as they are spoken at the ticks of a logarithmic axis, after all is drawn: 20, not 2 × 10¹.
+    """Plain numbers (20, not 2 × 10¹) at the ticks of a logarithmic axis; call it after everything is drawn.
 
     few : for a short axis, on which labels at 1, 2 and 5 would touch over more than a decade
     """
@@ -92,6 +94,6 @@ def plain_log(axis: Axis, *, few: bool = False) -> None:
 
 
 def bare(axes: Axes) -> None:
-    """A picture's axes: equal scales, no grid."""
+    """Axes of a picture: equal scales, no grid."""
     axes.set_aspect("equal")
     axes.grid(False)

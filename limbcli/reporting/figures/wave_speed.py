@@ -1,4 +1,4 @@
-"""Shear-wave speed of each level against force and against depth, with straight lines."""
+"""Shear-wave speed of each level against force and against depth, with regression lines."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from limbcli.reporting.figures.style import BLUE, INK, QUIET, VERMILION, new_fig
 
 @dataclass(frozen=True, eq=False)
 class SpeedReadings:
-    """Per level: x (n,), mean speed (n,) m/s, its SD over pixels (n,) m/s or NaN."""
+    """Readings by level: x (n,), mean speed (n,) m/s, its SD over pixels (n,) m/s or NaN."""
 
     force: Array
     depth: Array
@@ -25,7 +25,7 @@ class SpeedReadings:
 
 @dataclass(frozen=True, eq=False)
 class PredictedSpeeds:
-    """What the fitted model says: its force (N), depth (mm) and mean speed at each level, (n,) each."""
+    """Prediction of the fitted model: force (N), depth (mm) and mean speed at each level, (n,) each."""
 
     force: Array
     depth: Array
@@ -59,7 +59,7 @@ def wave_speed(
 
 
 def _measured(axes: Axes, readings: SpeedReadings, x: Array, line: Line | None, unit: str) -> float:
-    """Draw the readings; returns the top of the tallest bar."""
+    """Draw the readings; returns the top of the highest error bar."""
     there = np.isfinite(x) & np.isfinite(readings.mean_m_per_s)
     spread = np.where(np.isfinite(readings.sd_m_per_s), readings.sd_m_per_s, 0.0)
     with_bars = bool(np.any(spread[there] > 0))

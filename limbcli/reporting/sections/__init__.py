@@ -1,1 +1,1 @@
-"""The reportlets: one file a question, each a function of the page's material."""
+"""The reportlets: one file per question, each a function of the page's data."""

@@ -1,4 +1,4 @@
-"""Of a limb that nobody imaged: how much of the intervals its assumed geometry makes."""
+"""For a limb that was not imaged: how much its assumed geometry contributes to the intervals."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ _NAMES = {"f_kappa": "f_κ", "m": "m"}
 
 
 def geometry_tables(site: str, data: Mapping[str, Any]) -> tuple[PageTable, ...]:
-    """Both parts of the 95 % intervals, and every variation; nothing where the geometry was imaged.
+    """Both contributions to the 95 % intervals, and all variations; empty if the geometry was imaged.
 
-    data : of fit.json
+    data : content of fit.json
     """
     uncertainty = data.get("geometry_uncertainty")
     if not isinstance(uncertainty, Mapping):
@@ -57,7 +57,7 @@ def _variations(site: str, uncertainty: Mapping[str, Any]) -> PageTable:
 
 
 def _signed(share: float) -> str:
-    """Percent, with its sign where it is not nothing.
+    """Percentage with its sign, unless it rounds to zero.
 
     >>> _signed(0.0123), _signed(-0.0002), _signed(-1.5)
     ('+1.2', '0.0', '-150.0')

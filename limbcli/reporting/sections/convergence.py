@@ -1,4 +1,4 @@
-"""Did the identification, and the solver inside it, come to rest?"""
+"""Did the identification, and the solver in it, converge?"""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ TITLE = "Did the identification converge?"
 
 
 def convergence(page: ReportData, site: SiteMaterial) -> Reportlet:
-    """The search's misfit and parameters by iteration; the solver's residuals where recorded."""
+    """Misfit and parameters by iteration of the search; the solver's residuals if recorded."""
     key = f"convergence-{site.name}"
     outcome = page.outcomes.of("fit", site.name)
     result = outcome.usable
@@ -42,7 +42,7 @@ PROFILES_TITLE = "How well do the data constrain each parameter?"
 
 
 def profiles(page: ReportData, site: SiteMaterial) -> Reportlet | None:
-    """The profile likelihoods that the fit drew, or None where it drew none."""
+    """Profile likelihoods computed by the fit, or None if there are none."""
     result = page.outcomes.of("fit", site.name).usable
     if result is None or "profiles" not in result.files:
         return None

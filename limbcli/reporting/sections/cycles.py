@@ -11,7 +11,8 @@ TITLE = "Is the response repeatable over loading cycles?"
 
 
 def repeated_loading(page: ReportData, site: SiteMaterial) -> Reportlet | None:
-    """Loops, energy lost by cycle, when the tissue repeats itself; None where it was loaded once, one way."""
+    """Loops, energy loss by cycle, and when the response becomes repeatable; None if there is only one
+    loading."""
     found = site.cycles
     if found is None:
         return None
@@ -64,7 +65,7 @@ def _none(reason: str) -> Cell:
 
 
 def _tenths(energy: float) -> str:
-    """N mm, as the alternative text and the table say it.
+    """Energy in N mm, as text for the alternative text and the table.
 
     >>> _tenths(0.62), _tenths(-0.04)
     ('0.6', '0.0')

@@ -14,7 +14,7 @@ TITLE = "Does the model deform like a limb?"
 
 
 def deformation(page: ReportData, site: SiteMaterial) -> Reportlet:
-    """A section under the probe and the skin from outside, at the deepest level."""
+    """A section under the probe and an outside view of the skin, at the deepest level."""
     key = f"deformation-{site.name}"
     state = site.deformed
     if state is None:

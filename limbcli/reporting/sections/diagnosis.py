@@ -1,4 +1,4 @@
-"""What is missing in the model, if anything?"""
+"""What, if anything, is missing in the model?"""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MOODS: Mapping[str, Mood] = {"adequate": "fine", "named": "warning"}
 
 
 def diagnosis(page: ReportData, site: SiteMaterial) -> Reportlet | None:
-    """Verdict, gap before and after, candidates, what stays unseen; None where `diagnose` was not run."""
+    """Verdict, gap before and after, candidates and undetectable effects; None if `diagnose` was not run."""
     outcome = page.outcomes.maybe("diagnose", site.name)
     if outcome is None:
         return None
@@ -53,7 +53,7 @@ def _section(key: str, site: SiteMaterial, result: StageResult) -> Reportlet:
 
 
 def in_short(page: ReportData, site: SiteMaterial) -> str | None:
-    """One line: what is missing, and the gap before and after; None if `diagnose` left none."""
+    """One line: what is missing, and the gap before and after; None without a result of `diagnose`."""
     outcome = page.outcomes.maybe("diagnose", site.name)
     if outcome is None or outcome.usable is None:
         return None
@@ -71,7 +71,7 @@ def in_words(data: Mapping[str, Any]) -> str:
     >>> in_words({"verdict": "adequate", "added": [], "shrink": gap[:1]})
     'adequate'
     """
-    added, shrink = data.get("added"), data.get("shrink", ())  # an older result may not say
+    added, shrink = data.get("added"), data.get("shrink", ())  # missing in older results
     if not added or len(shrink) < 2:
         return str(data.get("verdict", DASH))
     before, after = (each["chi2_per_nu"] for each in (shrink[0], shrink[-1]))
@@ -129,7 +129,7 @@ def _shrunk(data: Mapping[str, Any]) -> PageTable:
 
 
 def _interval(stage: Mapping[str, Any], name: str) -> str:
-    """Value and interval, without the ends that the data leave open; nothing where an older result has none.
+    """Value and interval, without ends that the data leave open; "" for an older result without intervals.
 
     >>> stage = {"values": {"m": 3.9}, "intervals_95": {"m": [1.0, 6.2]}}
     >>> _interval(stage, "m"), _interval({**stage, "not_told_by_the_data": ["m below"]}, "m")
@@ -164,7 +164,7 @@ def _blind(data: Mapping[str, Any]) -> PageTable:
 
 
 def _sizes(data: Mapping[str, Any]) -> tuple[PageTable, ...]:
-    """How large each effect could be when it alone is added; nothing where an older result does not say."""
+    """Possible size of each effect if it alone is added; empty for an older result without them."""
     rows = []
     for effect, sizes in data.get("sizes_95", {}).items():
         for name, (low, high) in sizes.items():

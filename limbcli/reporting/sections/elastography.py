@@ -31,7 +31,8 @@ _BAD_PREDICTED = (
 
 
 def elastography(page: ReportData, site: SiteMaterial) -> Reportlet:
-    """Speed against force with its line and R2, and against depth; beside it what the fit predicts."""
+    """Speed over force with its regression line and R2, and over depth, together with the prediction of the
+    fit."""
     key = f"elastography-{site.name}"
     fit = page.outcomes.of("fit", site.name).result
     predicted, warned = _predicted(fit)
@@ -78,7 +79,7 @@ def _speeds(site: SiteMaterial, predicted: PredictedSpeeds | None) -> Picture:
 
 
 def _pictures(site: SiteMaterial, fit: StageResult | None) -> list[Picture]:
-    """The fit's maps, where it left them."""
+    """Maps of the fit, if it wrote them."""
     texts = {
         "swe_maps_picture": f"Shear-wave maps at site {site.name}, level by level, in the probe's frame: "
         "measured where measured, predicted by the fitted model, and the difference.",
@@ -94,7 +95,7 @@ def _pictures(site: SiteMaterial, fit: StageResult | None) -> list[Picture]:
 
 
 def _notes(fit: StageResult | None) -> tuple[str, ...]:
-    """How far the prediction is off, and what c was."""
+    """Error of the predicted speeds, and the c used."""
     reported = fit.data.get("swe") if fit else None
     notes = []
     if isinstance(reported, dict) and number(reported.get("rmse_m_per_s")) is not None:

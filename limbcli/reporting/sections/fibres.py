@@ -1,4 +1,4 @@
-"""Which way do the muscle fibres run, and on what evidence?"""
+"""What is the direction of the muscle fibres, and on what evidence?"""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _USE = (
 
 
 def fibres(page: ReportData, site: SiteMaterial) -> Reportlet | None:
-    """The picture and the words that `mesh` left; None where it was not run."""
+    """The picture and sentences written by `mesh`; None if it was not run."""
     result = page.outcomes.of("mesh", site.name).usable
     found = result.data.get("fibres") if result is not None else None
     if result is None or not isinstance(found, Mapping):

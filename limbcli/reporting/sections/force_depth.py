@@ -1,4 +1,4 @@
-"""Does the model follow the measured force?"""
+"""Does the model reproduce the measured force?"""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def force_over_depth(page: ReportData, site: SiteMaterial) -> Reportlet:
 
 
 def _curves(page: ReportData, site: SiteMaterial) -> tuple[tuple[SimulatedCurve, ...], tuple[str, ...]]:
-    """The fit's curves, else the run's, and what could not be read."""
+    """The curves of the fit or, without one, of the run; and messages about what could not be read."""
     assert site.measured is not None
     fit, run = page.outcomes.of("fit", site.name), page.outcomes.of("run", site.name)
     try:

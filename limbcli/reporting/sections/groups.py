@@ -1,4 +1,4 @@
-"""The page's chapters, in the order they are read."""
+"""The chapters of the page, in reading order."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from limbcli.reporting.sections.states import states
 
 @dataclass(frozen=True, eq=False)
 class SectionGroup:
-    """A chapter: the subject's, or one site's."""
+    """A chapter: of the subject, or of one site."""
 
     key: str
     title: str
@@ -42,7 +42,7 @@ SITE_REPORTLETS: tuple[Callable[[ReportData, SiteMaterial], Reportlet | None], .
 
 
 def groups(page: ReportData, own: Mapping[str, Any]) -> tuple[SectionGroup, ...]:
-    """Results first, then what they rest on, then where they come from."""
+    """Results first, then their basis, then their provenance."""
     sites = [_site(page, site) for site in page.sites]
     together = [each for make in (joint, laws) if (each := make(page)) is not None]
     return (
@@ -67,7 +67,8 @@ def _is_gap(reportlet: Reportlet) -> bool:
 
 
 def _together(site: SiteMaterial, gaps: list[Reportlet]) -> Reportlet:
-    """Several questions that cannot be answered yet, in one place: why, and what makes each."""
+    """Combine several questions that cannot be answered yet: the reason for each, and the command that
+    provides it."""
     rows = tuple(
         (
             Cell(each.title, lead=True),

@@ -1,4 +1,4 @@
-"""What depth and shear waves say together, and which law foretells best what it has not seen."""
+"""What depth and shear waves show together, and which law best predicts held-out data."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LAWS_TITLE = "Which law predicts held-out levels best?"
 
 
 def joint(page: ReportData) -> Reportlet | None:
-    """Parameters of the joint fit, its curves and profiles; None where it was not run."""
+    """Parameters, curves and profiles of the joint fit; None if it was not run."""
     outcome = page.outcomes.maybe("fit-joint")
     if outcome is None:
         return None
@@ -98,7 +98,7 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
 
 
 def laws(page: ReportData) -> Reportlet | None:
-    """The laws by the error of levels that were left out; None where they were not compared, or are old."""
+    """The laws by their error on held-out levels; None if they were not compared, or a later run failed."""
     outcome = page.outcomes.maybe("fit-joint")
     result = outcome.usable if outcome is not None else None
     if result is None or not result.data.get("laws"):

@@ -1,4 +1,4 @@
-"""Do the layers move as the model moves them?"""
+"""Do the layers deform as in the model?"""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ TITLE = "Do skin, fat and muscle move as the model moves them?"
 
 
 def layers(page: ReportData, site: SiteMaterial) -> Reportlet | None:
-    """The layers measured and predicted, level by level; None where the site has none."""
+    """Measured and predicted layers, level by level; None if the site has none."""
     result = page.outcomes.of("fit", site.name).result
     layers = result.data.get("layers") if result else None
     if result is None or not isinstance(layers, dict) or "layers_picture" not in result.files:

@@ -1,4 +1,4 @@
-"""Is the mesh good enough to compute with?"""
+"""Is the mesh good enough for the computation?"""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ TITLE = "Is the mesh fine enough where it matters, and sound everywhere?"
 
 
 def mesh(page: ReportData, site: SiteMaterial) -> Reportlet:
-    """The mesh stage's picture and quality figures."""
+    """Picture and quality figures of the mesh stage."""
     key = f"mesh-{site.name}"
     outcome = page.outcomes.of("mesh", site.name)
     result = outcome.usable

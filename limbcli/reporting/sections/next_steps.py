@@ -1,4 +1,4 @@
-"""What to measure next at a site: what the diagnosis proposes, and what the fit's own weak points ask for."""
+"""What to measure next at a site, according to the diagnosis and the weak points of the fit."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from limbcli.reporting.report_data import ReportData, SiteMaterial
 
 
 def next_steps(page: ReportData, site: SiteMaterial, view: FitView) -> tuple[str, ...]:
-    """Sentences, the most telling first; nothing where nothing is left to ask."""
+    """Sentences, the most informative first; empty if nothing is left to measure."""
     steps = []
     if view.poor:
         steps.append(
@@ -38,7 +38,7 @@ def next_steps(page: ReportData, site: SiteMaterial, view: FitView) -> tuple[str
 
 
 def _proposed(found: object) -> list[str]:
-    """The diagnosis's own proposal, with how likely it is to decide."""
+    """The diagnosis's own proposal, with the probability that it decides between the explanations."""
     if not isinstance(found, Mapping) or not found.get("recommended"):
         return []
     menu = found.get("menu") or []

@@ -1,4 +1,4 @@
-"""How much of the answer is the mesh: elements side by side, and the mesh study."""
+"""How much the mesh affects the result: comparison of elements, and the mesh study."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from limbcli.results import StageResult
 
 ELEMENTS_TITLE = "How much of f_κ is due to the element type?"
 STUDY_TITLE = "How much of the force is due to mesh and crop?"
-_LARGE = 0.1  # numerical error of the force, relative
+_LARGE = 0.1  # relative numerical error of the force that counts as large
 
 
 def elements(page: ReportData, site: SiteMaterial) -> Reportlet | None:
-    """Linear and quadratic tetrahedra on the same mesh; None where they were not compared."""
+    """Linear and quadratic tetrahedra on the same mesh; None if they were not compared."""
     key = f"fit-elements-{site.name}"
     outcome = page.outcomes.maybe("fit-elements", site.name)
     if outcome is None:
@@ -59,7 +59,7 @@ def _element_row(name: str, row: Mapping[str, Any]) -> tuple[Cell, ...]:
 
 
 def mesh_study(page: ReportData, site: SiteMaterial) -> Reportlet | None:
-    """Force over element size and margin; None where the study was not made."""
+    """Force over element size and margin; None if the study was not run."""
     key = f"mesh-study-{site.name}"
     outcome = page.outcomes.maybe("mesh-study", site.name)
     if outcome is None:

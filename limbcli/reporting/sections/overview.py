@@ -1,4 +1,4 @@
-"""The verdict at a glance: what was found at each site, how far each stage came, what was warned of."""
+"""Overview: findings at each site, progress of each stage, and warnings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from limbcli.reporting.sections.parameters import parameter_warnings
 
 @dataclass(frozen=True)
 class Fact:
-    """One big number of a card: what, value with unit, and a word on how sure it is."""
+    """One key figure of a card: name, value with unit, and a remark on its certainty."""
 
     name: str
     value: str
@@ -71,7 +71,7 @@ _PILL_WORDS: dict[str, tuple[Mood, str]] = {
 
 
 def overview(page: ReportData) -> Overview:
-    """Cards, states and warnings for the head of the page."""
+    """Cards, stage badges and warnings for the top of the page."""
     sites = tuple(_site(page, site) for site in page.sites)
     warnings = [SourcedWarning("report", text) for text in page.notices]
     warnings += [SourcedWarning(label, text) for label, text in page.outcomes.warnings()]

@@ -1,4 +1,4 @@
-"""Which parameters, how sure, and what cannot be determined from these data."""
+"""Which parameters were found, how certain they are, and what these data cannot determine."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from limbcli.reporting.reportlet import Cell, Mood, PageTable, Reportlet, head
 from limbcli.reporting.sections.assumed_geometry import geometry_tables
 
 KEY, TITLE = "parameters", "Which tissue parameters, and how certain are they?"
-_NOTABLE = 1.5  # times the stated noise
+_NOTABLE = 1.5  # ratio of misfit to stated noise above which it is mentioned
 TET4_WORDS = (
     "This model is made of four-node tetrahedra, which lock: they resist the change of shape of nearly "
     "incompressible tissue. The f_κ (and κ′) found with them compensates for the mesh. It is a property "
@@ -25,7 +25,7 @@ TET10_WORDS = (
 
 
 def parameters(page: ReportData) -> Reportlet:
-    """The table of the papers, a row a site; below it intervals and flags in plain words."""
+    """The table used in the papers, one row per site, followed by intervals and flags in plain words."""
     outcomes = [page.outcomes.of("fit", site.name) for site in page.sites]
     views = _views(page)
     notes, warned = _notes(views)
@@ -46,7 +46,7 @@ def parameters(page: ReportData) -> Reportlet:
 
 
 def parameter_warnings(page: ReportData) -> list[str]:
-    """What stands between these numbers and the tissue: locking, noise that was assumed or exceeded."""
+    """Reasons why these numbers may not describe the tissue: locking, noise that was assumed or exceeded."""
     return _notes(_views(page))[1]
 
 
@@ -98,14 +98,14 @@ def _four(view: FitView | None, key: str, why: str) -> list[Cell]:
 
 
 def with_verdict(shown: Cell, estimate: EstimateView | None) -> Cell:
-    """A value that the data do not hold gives way to words, with the verdict below."""
+    """Cell of a value; if the data do not determine it, words instead, with the verdict below."""
     if estimate is None or estimate.is_sound:
         return shown
     return replace(shown, text=estimate.headline.split(" (")[0], reason=f"{estimate.name}: {estimate.flag}")
 
 
 def _details(site: str, view: FitView) -> PageTable:
-    """Every parameter of every step: value, interval, flag and what was done to find it."""
+    """All parameters of all steps: value, interval, flag and computational effort."""
     names = head("type", "parameter", "value", "95 % interval", "verdict")
     rows = []
     for step in view.steps:
@@ -120,7 +120,7 @@ def _details(site: str, view: FitView) -> PageTable:
 
 
 def estimate_cells(each: EstimateView) -> tuple[Cell, ...]:
-    """Name, value, 95 % interval and verdict; words that hold no number have no unit.
+    """Name, value, 95 % interval and verdict; words without a number have no unit.
 
     >>> c = EstimateView("c", 50.0, "kPa", 1.0, 90.0, "", "no influence")
     >>> [cell.text.replace("\u00a0", " ") for cell in estimate_cells(c)]
@@ -140,7 +140,7 @@ def estimate_cells(each: EstimateView) -> tuple[Cell, ...]:
 
 
 def interval_text(each: EstimateView) -> str:
-    """An interval of which at least one end is known, without its unit.
+    """An interval with at least one known end, without its unit.
 
     >>> interval_text(EstimateView("m", 4.0, "", 3.0, None, "", "weak"))
     'above\xa03.00'
@@ -170,7 +170,7 @@ def _notes(views: dict[str | None, FitView]) -> tuple[list[str], list[str]]:
 
 
 def _noise_words(view: FitView) -> list[str]:
-    """Whether the intervals stand on measured noise, and whether that noise explains the differences."""
+    """Whether the intervals are based on measured noise, and whether that noise explains the residuals."""
     words = []
     if view.noise_source == "assumed":
         words.append(

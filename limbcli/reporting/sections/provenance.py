@@ -1,4 +1,4 @@
-"""What made this page: commands, versions, solver, inputs, units."""
+"""How this page was made: commands, versions, solvers, inputs, units."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ KEY, TITLE = "provenance", "How was this page made?"
 
 
 def provenance(page: ReportData, own: Mapping[str, Any]) -> Reportlet:
-    """Commands, solvers, versions and input hashes of every stage, and of this page (`own`)."""
+    """Commands, solvers, versions and input hashes of all stages, and of this page (`own`)."""
     done = page.outcomes.done
     system = str(own.get("units", DASH))
     units = f"Unit system inside: {system}; every other unit is given with its number."

@@ -1,4 +1,4 @@
-"""Are skin, bones and markers outlined where they are?"""
+"""Are skin, bones and markers outlined correctly?"""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _HANDLED = {"markers", "geometry"}
 
 
 def segmentation(page: ReportData) -> Reportlet:
-    """Contact sheet, markers and the segmentation's own figures."""
+    """Contact sheet, markers and numbers of the segmentation."""
     outcome = page.outcomes.of("segment")
     result = outcome.usable
     if result is None:
@@ -60,7 +60,7 @@ def segmentation(page: ReportData) -> Reportlet:
 
 
 def _verdict(data: Mapping[str, Any]) -> str:
-    """What the segmentation says of itself, or nothing."""
+    """The segmentation's assessment of itself, or ""."""
     quality = data.get("quality")
     return str(quality.get("verdict", "")) if isinstance(quality, Mapping) else ""
 

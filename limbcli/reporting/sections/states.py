@@ -17,7 +17,7 @@ _WAYS = ("along", "around")
 
 
 def states(page: ReportData, site: SiteMaterial) -> Reportlet | None:
-    """Speed at rest over stretch, the states' stretches and the common law; None where it was not fitted."""
+    """Speed at rest over stretch, the states' stretches and the common law; None if it was not fitted."""
     outcome = page.outcomes.maybe("fit-states", site.name)
     if outcome is None:
         return None
