@@ -1,7 +1,8 @@
 """Read triangle surfaces as written by scanners and CAD programs: PLY, OBJ, STL and others.
 
 PLY: paulbourke.net/dataformats/ply; OBJ: paulbourke.net/dataformats/obj. Colours, normals and texture
-coordinates in such files are ignored.
+coordinates in such files are ignored. PLY and OBJ are read here because meshio rejects many files of
+scanners and pymeshlab silently drops quadrilaterals beside triangles.
 """
 
 from __future__ import annotations

@@ -201,7 +201,7 @@ WITHIN: Final = 3.84
 """Deviance above the minimum within which a value belongs to a parameter's interval: 95 %, one parameter.
 Convention (chi2 with one degree of freedom)."""
 
-MAP_DOUBT: Final = 1.35
+MAP_INTERVAL_FACTOR: Final = 1.35
 """Factor by which the intervals of c and m (in ln) and of effect sizes are widened where maps determine them:
 the model error in maps is set to its maximum-likelihood size, and the root-mean-square errors of c and m
 exceeded the reported ones by this factor at sites simulated with another solver

@@ -47,7 +47,7 @@ _STEPS, _STEPS_BETWEEN = 40, 4  # Gauss-Newton iterations: in the first and last
 _HALVINGS = 8  # largest number of halvings of one step
 _LARGEST_STEP = 1.0  # limit of a Gauss-Newton step in each parameter, in ln
 _LOW, _HIGH = 0.025, 0.975  # quantiles at the ends of a 95 % interval
-_LEAST_TOLD = 0.01  # lower limit of an eigenvalue of the information, in rows; less is sampling noise
+_LEAST_INFORMATION = 0.01  # lower limit of an eigenvalue of the information, in rows; less is sampling noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,7 +300,7 @@ def _errors(
     lost = np.einsum("dn,dni,dnj->ij", weights, scores - own, scores - own)
     complete = _complete_information(apart, weights, precision, prior / np.outer(deviation, deviation))
     information, ways = np.linalg.eigh(complete - lost)
-    errors = (ways / np.maximum(information, _LEAST_TOLD)) @ ways.T
+    errors = (ways / np.maximum(information, _LEAST_INFORMATION)) @ ways.T
     variance = np.diag(errors)
     if people is not None and len(set(people.tolist())) < len(people):
         _, number = np.unique(people.astype(str), return_inverse=True)

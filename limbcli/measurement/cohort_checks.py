@@ -122,8 +122,8 @@ def _unnamed(raw: RawTable, complete: Rows, path: Path, name: str, noun: str) ->
         complete & np.array([not cell for cell in raw.texts[name]]),
         np.array(raw.lines),
         path,
-        lambda k: f"the {noun} is not told",
-        f"write the {noun} into every row, also where it is that of the row above",
+        lambda k: f"the {noun} is missing",
+        f"enter the {noun} in every row, even if it is the same as in the row above",
     )
 
 

@@ -35,7 +35,7 @@ _BEHIND = np.radians([10.0, 35.0, 60.0])
 _POINTS = 300  # approximate largest number of points sampled per bone
 _TOP = 0.995  # quantile of the points' heights that is taken as a bone's end
 # No shift is proposed beyond this misfit (standard deviations) or this uncertainty across the limb (mm).
-_MISFIT, _DOUBT = 3.0, 6.0
+_MISFIT, _MOST_UNCERTAIN = 3.0, 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ def put_back(
     spread = np.linalg.inv(curvature)
     across = np.eye(3) - np.outer(search.axis, search.axis)
     uncertainty = float(np.sqrt(np.linalg.eigvalsh(across @ spread @ across).max()))
-    if uncertainty > _DOUBT:
+    if uncertainty > _MOST_UNCERTAIN:
         return None
     return PutBack(tuple(wrong), np.asarray(best.x, float), uncertainty)
 

@@ -34,7 +34,7 @@ from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailu
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-_TELL_S = 4.0  # s, minimum interval between two progress events of a part; longer with many workers
+_EVENT_INTERVAL_S = 4.0  # s, minimum interval between two progress events of a part; longer with many workers
 _LOOK_S = 10.0  # s between two checks whether any worker is left
 _SAME = "call the same batch again: finished work is not repeated"
 
@@ -71,7 +71,8 @@ def together(
         call = Call(
             client=WorkerStanding.own(), typed_options=options_of_call(sys.argv, [case for case, _ in cases]),
             called=CALLED.get(), threads=threads_of(jobs) if scheduler is None else 1,
-            topic=f"limbcli-{uuid.uuid4().hex}", event_interval_s=max(_TELL_S, n_workers / 2), wait=wait,
+            topic=f"limbcli-{uuid.uuid4().hex}",
+            event_interval_s=max(_EVENT_INTERVAL_S, n_workers / 2), wait=wait,
             options=options,
         )  # fmt: skip
         return _Together(client, call, cases, progress).all()

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from limbcli.errors import LimbError
-from limbcli.progress import Progress
+from limbcli.progress import Listener, Progress
 from limbcli.results import CALLED
 from limbcli.stages.batch import DIAGNOSE, CaseRun, StartedCase, opened
 from limbcli.stages.batching.cluster import WorkerStanding, as_called, refuse_other
@@ -21,7 +21,6 @@ FIRST, SITE, DIAGNOSIS, LAST = "first", "site", "diagnosis", "last"
 FIRST_STAGE = {FIRST: "segment", SITE: SITE_STAGES[0], DIAGNOSIS: DIAGNOSE, LAST: "report"}
 WAITING = "waiting"  # first word of the note that a part waits for a lock held by another process
 NOT_BEGUN = StartedCase("", done=False)
-Tell = Callable[[str, dict[str, Any]], None]
 
 
 @dataclass(frozen=True)
@@ -125,7 +124,7 @@ class _EventLog:
             self._send({"part": self._part, "stage": self._stage, "text": text})
 
 
-def done(part: BatchTask, call: Call, listener: Tell) -> PartOutcome:
+def done(part: BatchTask, call: Call, listener: Listener) -> PartOutcome:
     """Run one part in this process; its errors are recorded in its outcome.
 
     listener : called with each progress event

@@ -37,7 +37,7 @@ from limbcli.stages.cohorts.result import (
 )
 
 STAGE, RESULT, ROWS, PAGE = "cohort", "cohort.json", "rows.csv", "cohort.html"
-_TOLD_OF = (ROWS, PAGE)  # files whose hashes the result records, to check that all are of the same run
+_RECORDED = (ROWS, PAGE)  # files whose hashes the result records, to check that all are of the same run
 _ROWS_BEGIN = b"subject,location,line,"  # beginning of the header line of rows.csv
 FEWEST_PEOPLE = 5  # least number of people at a site to estimate a population
 FEWEST_DRAWS = 30  # least effective number of draws for a reliable interval
@@ -195,7 +195,7 @@ def _written(
             writer = csv.DictWriter(stream, list(content["rows"][0]), lineterminator="\n")
             writer.writeheader()
             writer.writerows(content["rows"])
-        content["provenance"]["files_sha256"] = {name: sha256(work / name) for name in _TOLD_OF}
+        content["provenance"]["files_sha256"] = {name: sha256(work / name) for name in _RECORDED}
         text = json.dumps(content, indent=1, allow_nan=False)
         (work / RESULT).write_text(text + "\n", encoding="utf-8")
     return _result(out, content)
@@ -231,7 +231,7 @@ def read_cohort(out: Path) -> StageResult:
         )
     try:
         found = _result(out, json.loads(path.read_text(encoding="utf-8")))
-        recorded = {name: found.provenance["files_sha256"][name] for name in _TOLD_OF}
+        recorded = {name: found.provenance["files_sha256"][name] for name in _RECORDED}
     except UNLIKE_OURS as error:
         raise CaseError(
             f"the result of `cohort` cannot be read ({error})",

@@ -166,8 +166,8 @@ def _measured(case: Case, site: Site, out: Path, writer: StageWriter, options: F
             lines = layers.lines(model)
         except MeasurementError as problem:
             writer.warnings.append(f"site {site.name}: layers are not used: {problem.what}")
-    is_told = options.c_kpa is not None or np.isfinite(levels.swe_mean_m_per_s[0])
-    c = initial_stiffness(levels, site, options)[0].c if is_told else None
+    is_known = options.c_kpa is not None or np.isfinite(levels.swe_mean_m_per_s[0])
+    c = initial_stiffness(levels, site, options)[0].c if is_known else None
     return Measured(site, model, levels, c, error, layers if lines else None, lines)
 
 
@@ -188,10 +188,10 @@ def _report_free(measured: Sequence[Measured], options: FitOptions, writer: Stag
 
 def _start_c(measured: Sequence[Measured], options: FitOptions) -> float:
     """Mean of the sites' own values of c (MPa). Raises MeasurementError if no site has one."""
-    told = [each.c for each in measured if each.c is not None]
+    known = [each.c for each in measured if each.c is not None]
     first = measured[0]
-    told = told or [initial_stiffness(first.levels, first.site, options)[0].c]
-    return float(np.exp(np.mean(np.log(told))))
+    known = known or [initial_stiffness(first.levels, first.site, options)[0].c]
+    return float(np.exp(np.mean(np.log(known))))
 
 
 def _curves(

@@ -386,7 +386,7 @@ def test_intervals_of_the_tissue_are_wider_where_maps_tell_it(rng):
     for name in ("c_kpa", "m"):
         ends = np.log(np.array(reported.intervals[name]) / reported.values[name])
         assert np.log(np.array(wider.intervals[name]) / wider.values[name]) == pytest.approx(
-            thresholds.MAP_DOUBT * ends, rel=1e-2
+            thresholds.MAP_INTERVAL_FACTOR * ends, rel=1e-2
         )
 
 

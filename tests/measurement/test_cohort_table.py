@@ -115,7 +115,7 @@ def test_a_missing_column_is_named_with_what_it_holds(tmp_path, name):
 @pytest.mark.parametrize(("name", "noun"), [("subject", "person"), ("location", "site")])
 def test_a_row_of_nobody_or_nowhere_is_named(tmp_path, name, noun):
     told = reported(tmp_path, changed(good(), **{name: ""}))
-    assert f"the {noun} is not told" in told
+    assert f"the {noun} is missing" in told
     assert "line 5" in told
     assert reported(tmp_path, changed(good(), **{name: ""}, fat_mm="")) == "", "it is left out"
 

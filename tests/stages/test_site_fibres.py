@@ -26,7 +26,7 @@ from limbcli.stages.mesh import mesh
 from limbcli.stages.report import report
 from limbcli.stages.running.vtu import write_step
 from limbcli.stages.segment import segment
-from limbcli.stages.site_model.fibres import NOT_TOLD, with_fibres
+from limbcli.stages.site_model.fibres import DEFAULT_DIRECTION, with_fibres
 from limbcli.stages.site_model.indentation_model import indentation_model
 from tests.imaging.test_fibre_map import write as write_map
 from tests.stages.block_case import block_model
@@ -198,7 +198,7 @@ def test_nothing_told_leaves_the_model_as_it_is(made, model):
     plain = replace(model, fibres=None)
     found, reported = with_fibres(case, case.sites[0], plain)
     assert found is plain
-    assert reported.source == NOT_TOLD
+    assert reported.source == DEFAULT_DIRECTION
 
 
 def test_vtu_and_page_show_them_and_they_turn_with_the_tissue(made, model, tmp_path: Path):

@@ -162,18 +162,18 @@ def write_tissue_map(
 
 
 def _warnings(found: TissueMap, levels: Levels) -> list[str]:
-    found_warnings = []
+    warnings = []
     if found.n_outside > _MOST_OUTSIDE * len(found.swe):
-        found_warnings.append(
+        warnings.append(
             f"{found.n_outside} of {len(found.swe)} pixels of the stiffness map are where the model "
             "has no tissue: check lateral_mm, depth_mm and the site's position"
         )
     if not levels.begins_at_zero:
-        found_warnings.append(
+        warnings.append(
             f"there is no level 0: the stiffness map is that of {levels.force[0]:g} N and "
             f"{levels.depth[0]:g} mm, of tissue that is already loaded"
         )
     odd = check_mean(found.swe, float(levels.swe_mean_m_per_s[0]))
-    return found_warnings + [
+    return warnings + [
         f"{map_file(Path(), int(levels.rows[0])).name}: {each.what} ({each.fix})" for each in odd
     ]

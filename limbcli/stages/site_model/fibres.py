@@ -24,7 +24,7 @@ from limbcli.stages.provenance.chain_inputs import note_case
 _LEAST_COVERED = 0.5  # least share of the tissue's elements near the probe that a fibre map must cover
 _NEAR_PROBE = 30.0  # mm, distance from first touch within which coverage is checked
 _OUT_OF_SKIN_DEG = 60.0
-NOT_TOLD = "no fibre direction is given: along the limb, within the skin"
+DEFAULT_DIRECTION = "no fibre direction is given: along the limb, within the skin"
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ def _site_fibres(case: Case, site: Site, model: LimbModel) -> SiteFibres:
         source = f"pennation {planes}, {direction.how}"
         return _alike(rotation.T @ direction.axis, n, source, direction.deviation_deg)
     if case.imaging.fibres is None:
-        return SiteFibres(None, NOT_TOLD)
+        return SiteFibres(None, DEFAULT_DIRECTION)
     return _of_map(case, site, model, to_patient, model.mesh.points[block.cells].mean(axis=1))
 
 

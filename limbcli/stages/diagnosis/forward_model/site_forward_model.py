@@ -87,7 +87,7 @@ class SiteForwardModel(Fits):
 
     @property
     def interval_widening(self) -> float:
-        return thresholds.MAP_DOUBT if IN_MAPS in self.data.noise.names else 1.0
+        return thresholds.MAP_INTERVAL_FACTOR if IN_MAPS in self.data.noise.names else 1.0
 
     def fit(self, explanation: Explanation, start: Mapping[str, float]) -> Fitted:
         """Least-squares fit of c, m and the effects' parameters; the best over the effects' grid points."""
@@ -109,7 +109,7 @@ class SiteForwardModel(Fits):
 
     def reported(self, fitted: Fitted, *, scale: float = 1.0, besides: Array | None = None) -> Reported:
         """Values and intervals from the profile over m; those of c and m are widened where maps determine
-        them (`thresholds.MAP_DOUBT`)."""
+        them (`thresholds.MAP_INTERVAL_FACTOR`)."""
         whiten = self.whiten if besides is None else Whitener.of(self.data.noise.covariance + besides)
 
         def walk(m: float, start: Mapping[str, float]) -> Conditional:
