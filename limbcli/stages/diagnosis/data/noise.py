@@ -34,7 +34,7 @@ COMMON_GAIN = 0.03
 _IN_PARTS, _BELOW_FACE, _FADES_MM, _NEAR_MM = 0.13, 0.106, 6.5, 4.5
 _IN_LEVEL, _ALIKE = 0.24, 0.87  # _ALIKE: correlation between neighbouring levels
 # A smooth error beside it, which is not estimated at a site: no map tells it from a smooth effect. Its size
-# per unit of strain is 1.5 times the likeliest over the same sites; its length scales (lateral, in depth) in mm.
+# per unit of strain is 1.5 times the likeliest over the same sites; length scales (lateral, in depth) in mm.
 _SMOOTH, _SMOOTH_MM = 0.06, (17.0, 7.0)
 SMOOTH_IN_MAPS = "model: maps, smooth"
 _RESOLVED = 0.001  # standard deviation of a part's ln speed, independent of strain
