@@ -5,12 +5,14 @@
 For every site of the FEBio study in the reference data (`febio-hidden`) with maps free of noise and bones
 that are the files': its records without the hidden effect in place of the readings, at the depths that were
 read, but no deeper than the last map, fitted without effects with all that a diagnosis allows for. A line a
-site: ln of c and m found over the true ones, and the deviance that is left.
+site: ln of c and m found over the true ones, the deviance that is left, and the effects that the model's own
+error resembles, with how much of that deviance each would explain to first order (from 2 on).
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import tempfile
 import tomllib
 from dataclasses import replace
@@ -18,11 +20,17 @@ from pathlib import Path
 
 import numpy as np
 
+from limbcli.diagnostics.model.forward_model import Fitted
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
+from limbcli.diagnostics.statistical_tests.score import Trial, score
 from limbcli.effects.curves import Curves, force_at
 from limbcli.effects.reading import Reading
+from limbcli.errors import LimbError
 from limbcli.stages.diagnosis.data.site_data import SiteData
 from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
+
+RESEMBLES = 2.0  # least score that is printed
 
 
 def without_noise(site: SiteData, windows: Windows, truth: dict) -> SiteData:
@@ -41,8 +49,21 @@ def without_noise(site: SiteData, windows: Windows, truth: dict) -> SiteData:
     return replace(found, data=replace(site.data, y=found.predict(record, Reading())))
 
 
-def fitted(truth: dict, folder: Path) -> tuple[float, float, float, int]:
-    """ln of c and of m over the true ones, chi2, number of data."""
+def resembled(model: SiteForwardModel, found: Fitted) -> dict[str, float]:
+    """Score of every effect at a fit without effects."""
+    whiten = Whitener.of(model.data.noise.covariance)
+    off, jacobian = whiten(model.data.y - found.prediction), whiten(found.jacobian)
+    state, scores = LinearFit.of(off, jacobian, as_it_stands=True), {}
+    for facts in model.candidates:
+        with contextlib.suppress(LimbError):  # a channel is missing, or only FEBio can simulate it
+            raw = model.directions(found, facts.name)
+            whitened = tuple(replace(each, columns=whiten(each.columns)) for each in raw)
+            scores[facts.name] = score(state, Trial(facts.name, whitened)).statistic
+    return scores
+
+
+def fitted(truth: dict, folder: Path) -> tuple[float, float, float, int, dict[str, float]]:
+    """ln of c and of m over the true ones, chi2, number of data, scores of the effects."""
     from map_errors import prepared_site  # the file beside this one
 
     prepared = prepared_site(truth["id"], folder)
@@ -52,10 +73,11 @@ def fitted(truth: dict, folder: Path) -> tuple[float, float, float, int]:
         model.settle_noise()
         found = model.fit((), {})
         off = model.whiten(model.data.y - found.prediction)
+        scores = resembled(model, found)
     finally:
         prepared.close()
     ln_c, ln_m = (float(np.log(found.values[name] / truth[name])) for name in ("c_kpa", "m"))
-    return ln_c, ln_m, float(off @ off), len(off)
+    return ln_c, ln_m, float(off @ off), len(off), scores
 
 
 def main() -> None:
@@ -66,13 +88,15 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", default=SAME_BONES)
     options = parser.parse_args()
     truths = tomllib.loads((SITES / "truth.toml").read_text(encoding="utf-8"))["case"]
-    print("| site | ln c | ln m | chi2 | data |\n|-|-|-|-|-|")
+    print("| site | ln c | ln m | chi2 | data | resembles |\n|-|-|-|-|-|-|")
     rows = []
     for truth in (each for each in truths if each["id"] in options.only):
         rows.append(fitted(truth, options.out))
-        ln_c, ln_m, chi2, n = rows[-1]
-        print(f"| {truth['id']} | {ln_c:.3f} | {ln_m:.3f} | {chi2:.0f} | {n} |", flush=True)
-    ln = np.array(rows)[:, :2]
+        ln_c, ln_m, chi2, n, scores = rows[-1]
+        most = sorted(((value, name) for name, value in scores.items() if value > RESEMBLES), reverse=True)
+        alike = ", ".join(f"{name} {value:.1f}" for value, name in most)
+        print(f"| {truth['id']} | {ln_c:.3f} | {ln_m:.3f} | {chi2:.0f} | {n} | {alike} |", flush=True)
+    ln = np.array([each[:2] for each in rows])
     for name, mean, rms in zip(("c", "m"), ln.mean(axis=0), np.sqrt((ln**2).mean(axis=0)), strict=True):
         print(f"ln {name} found less true: mean {mean:.3f}, root mean square {rms:.3f}")
     print(f"chi2, sum: {sum(each[2] for each in rows):.0f}")

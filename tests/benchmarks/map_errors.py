@@ -6,7 +6,8 @@ For every site of the FEBio study in the reference data (`febio-hidden`) with ma
 its hidden effect: segmented and meshed into FOLDER, its working mesh tied to its own as `diagnose` does, and
 ln speed of its parts at the true c and m less FEBio's, at eight forces (f_kappa as held, not the true one). A
 line a site; with --fit the constants of `stages.diagnosis.data.noise` by maximum likelihood, beside those
-that stand there, whose sizes are meant to be twice as large. Sites whose bones in the files are not those of
+that stand there, whose sizes are meant to be twice as large (not that of the smooth part). What the limb's
+far side rests on is allowed for as in a diagnosis. Sites whose bones in the files are not those of
 FEBio's model are left out (see figures/diagnosis-febio.md).
 """
 
@@ -25,12 +26,15 @@ from scipy.optimize import minimize
 
 from limbcli.case import Case
 from limbcli.effects import EFFECTS
+from limbcli.effects.curves import Curves
 from limbcli.model import Array, IntArray
 from limbcli.progress import SILENT
 from limbcli.stages.diagnosis.curves.site_simulations import FIRST_M
 from limbcli.stages.diagnosis.data import noise
 from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.stages.diagnosis.mesh_error import model_errors
+from limbcli.stages.diagnosis.mesh_error.far_side import FAR_SIDE
+from limbcli.stages.diagnosis.mesh_error.numerical_checks import _FAR_SIDE_LEFT
 from limbcli.stages.diagnosis.prepare import Prepared, WorkingMesh, prepare
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment
@@ -38,18 +42,23 @@ from limbcli.stages.segment import segment
 SHARED = Path(os.environ.get("LIMBCLI_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 SITES = SHARED / "febio-hidden"
 SAME_BONES = ["h03", "h05", "h06", "h08", "h09", "h10", "h11", "h13", "h14", "h20", "h23", "h24", "h25"]
-NAMES = ("in parts", "below the face", "fades mm", "near mm", "alike", "in a level", "growth")
+NAMES = ("in parts", "below the face", "fades mm", "near mm", "alike", "in a level", "growth",
+         "smooth", "smooth, lateral mm", "smooth, in depth mm")  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
 class Off:
-    """Ln speed of the model less FEBio's (n,), where and when; rise (n,) : of ln speed over ln depth."""
+    """Ln speed of the model less FEBio's (n,), where and when.
+
+    rise (n,) : of ln speed over ln depth; far_side (n,) : change by holding the limb's far side
+    """
 
     off: Array
     level: IntArray
     place: Array
     strain: Array
     rise: Array
+    far_side: Array
 
 
 def prepared_site(site: str, folder: Path) -> Prepared:
@@ -80,16 +89,18 @@ def measured(site: str, truth: dict, folder: Path) -> tuple[str, Off]:
     try:
         prepared.curves.solve_nodes(FIRST_M)
         curves = prepared.curves.curves(truth["c_kpa"] / 1e3, truth["m"], (), {}, [])
+        near = min(FIRST_M, key=lambda m: abs(np.log(m / truth["m"])))
+        free, held = (
+            prepared.simulations.curves(near, changes) for changes in ((), ((FAR_SIDE, FAR_SIDE.start),))
+        )
     finally:
         prepared.close()
     windows = prepared.simulations.windows
     depth, force, theirs = record_of(site, windows)
-    known = np.nan_to_num(curves.log_speed[:, 1:])
-    rise = np.gradient(known, curves.depth, axis=0) * curves.depth[:, None]
-    ours, growth = (
-        np.array([np.interp(force, curves.force, column) for column in table.T]).T
-        for table in (curves.log_speed[:, 1:], rise)
-    )
+    rise = np.gradient(np.nan_to_num(curves.log_speed), curves.depth, axis=0) * curves.depth[:, None]
+    ours, growth = (at_force(curves, table, force) for table in (curves.log_speed, rise))
+    per_c = force * prepared.simulations.c / (truth["c_kpa"] / 1e3)
+    far = np.nan_to_num(at_force(held, held.log_speed, per_c) - at_force(free, free.log_speed, per_c))
     off = ours - theirs[:, 1:]
     level, part = np.nonzero(np.isfinite(off))
     spread = " ".join(f"{100 * each:.1f}" for each in np.nanstd(off, axis=1))
@@ -97,21 +108,32 @@ def measured(site: str, truth: dict, folder: Path) -> tuple[str, Off]:
     ratio = np.interp(depth, curves.depth, curves.force) / force
     line = f"| {site} | {truth['m']:.1f} | {ratio[1]:.2f} to {ratio[-1]:.2f} | {means} | {spread} |"
     strain = depth[level] / truth["thickness_mm"]
-    return line, Off(off[level, part], level, windows.middles[part], strain, growth[level, part])
+    place = windows.middles[part]
+    return line, Off(off[level, part], level, place, strain, growth[level, part], far[level, part])
+
+
+def at_force(curves: Curves, table: Array, force: Array) -> Array:
+    """Columns of the parts (n, n_parts) of a table over the curves' depths, at these forces (n,)."""
+    return np.array([np.interp(force, curves.force, column) for column in table[:, 1:].T]).T
 
 
 def cost(sizes: Array, sites: list[Off]) -> float:
     """Minus ln likelihood, but for a constant; sizes : by `NAMES`."""
-    in_parts, below, fades, near, alike, in_level, growth = sizes
+    in_parts, below, fades, near, alike, in_level, growth, smooth, lateral, in_depth = sizes
     total = 0.0
     for each in sites:
         x, z = each.place.T
         deviation = (in_parts + below * np.exp(-(z - z.min()) / fades)) * each.strain
         apart = np.hypot(np.subtract.outer(x, x), np.subtract.outer(z, z))
         found = np.exp(-apart / near) * np.outer(deviation, deviation)
+        wide = (np.subtract.outer(x, x) / lateral) ** 2 + (np.subtract.outer(z, z) / in_depth) ** 2
+        found += smooth**2 * np.exp(-0.5 * wide) * np.outer(each.strain, each.strain)
         found += in_level**2 * np.outer(each.strain**2, each.strain**2)
         found *= alike ** np.abs(np.subtract.outer(each.level, each.level))
-        found += growth**2 * np.outer(each.rise, each.rise) + np.eye(len(x)) * noise._RESOLVED**2
+        found += growth**2 * np.outer(each.rise, each.rise)
+        found += (
+            _FAR_SIDE_LEFT**2 * np.outer(each.far_side, each.far_side) + np.eye(len(x)) * noise._RESOLVED**2
+        )
         try:
             factor = cho_factor(found, lower=True)
         except np.linalg.LinAlgError:  # errors that are all but one another's copies
@@ -136,18 +158,18 @@ def main() -> None:
             print(line, flush=True)
     stands = np.array([
         noise._IN_PARTS, noise._BELOW_FACE, noise._FADES_MM, noise._NEAR_MM, noise._ALIKE, noise._IN_LEVEL,
-        model_errors._MAP_STRAIN,
+        model_errors._MAP_STRAIN, noise._SMOOTH, *noise._SMOOTH_MM,
     ])  # fmt: skip
     print(f"ln likelihood of what stands: {-cost(stands, found):.0f}")
     if options.fit:
         start = np.log(stands)
         best = minimize(
-            lambda x: cost(np.minimum(np.exp(x), [np.inf] * 4 + [0.999] + [np.inf] * 2), found),
+            lambda x: cost(np.minimum(np.exp(x), [np.inf] * 4 + [0.999] + [np.inf] * 5), found),
             start, method="L-BFGS-B", options={"maxiter": 40, "eps": 1e-3},
         )  # fmt: skip
         print(f"likeliest: {-best.fun:.0f}")
         for name, one, other in zip(NAMES, stands, np.exp(best.x), strict=True):
-            print(f"  {name:15s} {one:.3f} -> {other:.3f}")
+            print(f"  {name:20s} {one:.3f} -> {other:.3f}")
 
 
 if __name__ == "__main__":

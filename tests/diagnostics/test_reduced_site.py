@@ -15,7 +15,7 @@ from limbcli.effects import EFFECTS, effect
 from limbcli.effects.depth_zero import TOUCHES
 from limbcli.effects.reading import Reading, read
 from limbcli.errors import SolveError
-from limbcli.stages.diagnosis.data.noise import IN_MAPS, LEAST_IN_MAPS, ModelError
+from limbcli.stages.diagnosis.data.noise import IN_MAPS, LEAST_IN_MAPS, STRAIN, ModelError
 from limbcli.stages.diagnosis.data.site_data import site_data
 from limbcli.stages.diagnosis.forward_model.changes import logs
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
@@ -365,6 +365,30 @@ def test_how_far_maps_and_model_differ_is_found_from_the_data(rng):
         shares.append(np.sqrt(variance_in_maps(the_bench) / before))
     assert shares[0] == pytest.approx(LEAST_IN_MAPS, rel=0.05)
     assert shares[1] > 0.8
+
+
+def test_the_error_of_all_strains_lies_along_the_fitted_model(rng):
+    """Of its first size, in the direction in which a gain of depth changes what the fit predicts."""
+    nothing = np.zeros(
+        (14, 1 + reduced.ReducedBook(reduced.block_model(6, 5, 5), [0.0, 3.0]).windows.n_parts)
+    )
+    error = ModelError(STRAIN, np.zeros(14), nothing, strain=0.05)
+    the_bench = bench(levels(rng), errors=[error])
+    fitted = the_bench.fit((), {})
+    curves, reading = the_bench.curves_of(fitted)
+    before = strain_error(the_bench)
+    the_bench.strain_along(fitted)
+    after = strain_error(the_bench)
+    more, less = (the_bench.site.predict(curves, replace(reading, depth_gain=g)) for g in (1.01, 0.99))
+    changes = np.array([row.channel in ("force", "swe") for row in the_bench.site.rows])
+    direction = np.where(changes, (more - less) / 0.02, 0.0)
+    assert after == pytest.approx(0.05**2 * np.outer(direction, direction), rel=0.02, abs=1e-9)
+    assert np.trace(before) == pytest.approx(np.trace(after), rel=0.3)
+
+
+def strain_error(the_bench: SiteForwardModel) -> np.ndarray:
+    (part,) = [each for each in the_bench.data.noise.parts if each.name == STRAIN]
+    return part.covariance
 
 
 def variance_in_maps(the_bench: SiteForwardModel) -> float:

@@ -14,6 +14,7 @@ from limbcli.errors import CaseError, SolveError
 from limbcli.model_io import save_model
 from limbcli.progress import SILENT
 from limbcli.results import open_stage
+from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.build_feb import TissueOptions, build_feb
 from limbcli.stages.diagnosis import written_model as written
 from limbcli.stages.diagnosis.curves.curve_plan import Solving
@@ -72,7 +73,8 @@ def test_the_same_mesh_solved_again_is_the_same(tmp_path):
     working = simulations.curves(5.0)
     simulations.close()
     at = np.searchsorted(working.depth, again.depth - 1e-6)
-    assert len(at) == 3
+    assert len(at) == 6
+    assert again.depth[-1] == pytest.approx(DEPTHS[-1])  # nothing is extrapolated beyond it
     assert again.force == pytest.approx(working.force[at], rel=1e-3)
 
 
@@ -112,7 +114,7 @@ def test_a_layer_beside_the_tissue_is_no_error_of_a_mesh(ran, tmp_path):
     comparison = MeshComparison(
         site, DEPTHS, simulations, out=layered, size=5.0, several=[4.0], notes=notes, progress=SILENT
     )  # fmt: skip
-    correction = comparison.correction(freed={})
+    correction = comparison.correction(freed={}, held={})
     simulations.close()
     assert not correction.log_force.any()
     assert correction.mesh_error.max() < 0.2
@@ -140,11 +142,39 @@ def test_the_limb_is_half_way_from_a_cut_that_is_held_to_one_that_is_free(tmp_pa
     """Of ln force and ln speeds; a part that the free model does not show stays as it is."""
     held, freed = _curves([0.0, 2.0, 5.0], [0.1, 0.2, 0.3]), _curves([0.0, 1.0, 3.2], [0.0, np.nan, 0.5])
     comparison = _comparison(tmp_path, {4.0: held}, np.array([0.0, 1.5, 2.0]), 5.0)
-    alone = comparison.correction(solves=False, freed={})
+    alone = comparison.correction(solves=False, freed={}, held={})
     assert not alone.log_force.any()
-    found = comparison.correction(solves=False, freed={4.0: freed})
+    found = comparison.correction(solves=False, freed={4.0: freed}, held={})
     assert held.force * np.exp(found.log_force[0]) == pytest.approx(np.sqrt(held.force * freed.force))
     assert found.log_speed[0, :, 0] == pytest.approx([-0.05, 0.0, 0.1])
+
+
+def test_the_limb_is_half_way_from_a_far_side_that_is_free_to_one_that_is_held(tmp_path):
+    """Beside what freeing the cut changes."""
+    plain, freed = _curves([0.0, 2.0, 5.0], [0.1, 0.2, 0.3]), _curves([0.0, 1.0, 3.2], [0.0, 0.1, 0.5])
+    held = _curves([0.0, 2.2, 6.0], [0.1, 0.3, 0.2])
+    comparison = _comparison(tmp_path, {4.0: plain}, np.array([0.0, 1.5, 2.0]), 5.0)
+    alone = comparison.correction(solves=False, freed={}, held={4.0: held})
+    assert plain.force * np.exp(alone.log_force[0]) == pytest.approx(np.sqrt(plain.force * held.force))
+    both = comparison.correction(solves=False, freed={4.0: freed}, held={4.0: held})
+    cut = comparison.correction(solves=False, freed={4.0: freed}, held={})
+    assert both.log_force == pytest.approx(alone.log_force + cut.log_force)
+    assert both.log_speed == pytest.approx(alone.log_speed + cut.log_speed)
+
+
+def test_the_deepest_depths_of_the_own_mesh_are_attempted_but_not_required(tmp_path, monkeypatch):
+    given, solve = [], ReferenceSession.solve
+
+    def noted(self, *args, **options):
+        given.append((options["required"], options["hoped"]))
+        return solve(self, *args, **options)
+
+    simulations = _simulations(tmp_path)
+    simulations.curves(5.0)
+    monkeypatch.setattr(ReferenceSession, "solve", noted)
+    own_curves(block.block_model("tet4"), simulations, [5.0], size_ratio=2.0)
+    simulations.close()
+    assert given == [(4, 5)]  # of 0.45, 0.9, 1.8, 2.7, 3.6 mm: 0.6 of the depth, and all of it
 
 
 def test_an_error_of_quadratic_elements_goes_as_the_square_of_their_edge(tmp_path):
@@ -155,7 +185,7 @@ def test_an_error_of_quadratic_elements_goes_as_the_square_of_their_edge(tmp_pat
         assert comparison._left(h) == pytest.approx(1.5 * kept)
     usual = [
         _comparison(tmp_path, {4.0: _curves([0.0, 1.0], [0.0, 0.0])}, np.zeros(2), size)
-        .correction(solves=False, freed={}).mesh_error for size in (2.5, 5.0)
+        .correction(solves=False, freed={}, held={}).mesh_error for size in (2.5, 5.0)
     ]  # fmt: skip
     assert usual[0] == pytest.approx(0.03)
     assert usual[1] == pytest.approx(4 * usual[0])

@@ -94,6 +94,10 @@ class Noise:
             )
         )
 
+    def with_part(self, new: NoisePart) -> Noise:
+        """The noise with the part of this name replaced."""
+        return Noise(tuple(new if part.name == new.name else part for part in self.parts))
+
     @property
     def is_assumed(self) -> bool:
         """Whether the measurement's own noise is only assumed, so that no absolute test is possible."""

@@ -24,12 +24,14 @@ class Reach:
     beside : m -> curves of the same depths on another mesh, along which curves are extrapolated where this
         one's solver stops
     begin : levels on another mesh at an m, used as initial guess
+    enough : fraction of the depth needed that must be reached by the solver
     """
 
     needed: float | None = None
     enough_force: float | None = None
     beside: Callable[[float], Curves] | None = None
     begin: LevelsAt | None = None
+    enough: float = 0.7
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,6 @@ _STALLED = 5.0  # tolerance where contact points chatter, as a multiple of the u
 # becomes, the deeper the probe penetrates it. At m 5 and a depth of 14 of 38 mm the usual penalty lowers the
 # force by 22 %, four times this penalty by 10 %.
 _CONTACT_STIFFER = 4.0
-_ENOUGH = 0.7  # fraction of the depth needed that must be reached by the solver
 _MOST_CHANGE = 10.0  # largest factor on the force at fixed deformation: stretched cells, exponential laws
 
 
@@ -81,7 +80,7 @@ class SiteSimulations:
     Parameters
     ----------
     meshed : the site's model as `mesh` makes it; depths : mm, of the levels to simulate
-    reach : how far to simulate. Where the solver stops short of the depth needed, but beyond `_ENOUGH` of it,
+    reach : how far to simulate. Where the solver stops short of the depth needed, but beyond enough of it,
         curves are extrapolated along those of a stiffer law, or of the model without effects: `in_part` lists
         these
     c : MPa, the reference stiffness; keep : cache folder of solved curves
@@ -111,7 +110,7 @@ class SiteSimulations:
         self.needed = self.depths[-1] if reach.needed is None else reach.needed
         self._hoped, self._required = (
             min(int(np.searchsorted(self.depths, share * self.needed - 1e-9)) + 1, self.n_depths)
-            for share in (1.0, _ENOUGH)
+            for share in (1.0, reach.enough)
         )
         self.in_part: dict[str, float] = {}  # label of a model -> mm reached, where less than needed
         self._session: ReferenceSession | None = None

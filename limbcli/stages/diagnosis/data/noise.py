@@ -21,6 +21,7 @@ from limbcli.model import Array, IntArray
 from limbcli.stages.diagnosis.data.rows import Row
 
 GAIN_OF_SPEEDS = "gain of all speeds"
+STRAIN = "model: strain by the thickness"
 # Standard deviation of a common factor on all speeds: the scanner's calibration (assumed 2 %, as it is never
 # stated) and the models' own error. At sites simulated with FEBio, c is 6 % too high on average; 4 % would
 # cover it in 93 % of intervals, but hide three of fifteen effects.
@@ -33,6 +34,10 @@ COMMON_GAIN = 0.03
 # as much among themselves; the fraction that applies to a site is estimated from its data.
 _IN_PARTS, _BELOW_FACE, _FADES_MM, _NEAR_MM = 0.13, 0.106, 6.5, 4.5
 _IN_LEVEL, _ALIKE = 0.24, 0.87  # _ALIKE: correlation between neighbouring levels
+# A smooth error beside it, which is not estimated at a site: no map tells it from a smooth effect. Its size
+# per unit of strain is 1.5 times the likeliest over the same sites; length scales (lateral, in depth) in mm.
+_SMOOTH, _SMOOTH_MM = 0.06, (17.0, 7.0)
+SMOOTH_IN_MAPS = "model: maps, smooth"
 _RESOLVED = 0.001  # standard deviation of a part's ln speed, independent of strain
 IN_MAPS, LEAST_IN_MAPS = "model: maps", 0.3  # name, and smallest fraction of the assumed error
 IN_MEAN = 0.07  # standard deviation of ln mean speed per unit of strain, where there is no map
@@ -100,6 +105,11 @@ class MapNoise:
         part, level = _map_places(rows)
         return maps_model_error(self.middles, part, np.abs(self.strain[level]), level, share=share)
 
+    def smooth(self, rows: Sequence[Row]) -> Array:
+        """Covariance (n, n) of the smooth part of the model error."""
+        part, level = _map_places(rows)
+        return smooth_model_error(self.middles, part, np.abs(self.strain[level]), level)
+
     def beside_unseen(self, rows: Sequence[Row], own: Array) -> Array:
         """Covariance (n, n) of parts that are incomplete in their level's map or adjacent to such a part, or
         to one that the model does not show; own (n,) : as in `of_pixels`."""
@@ -129,6 +139,16 @@ def maps_model_error(
     near = np.exp(-apart / _NEAR_MM) * np.outer(deviation, deviation)
     found = alike * (near + _IN_LEVEL**2 * np.outer(strain**2, strain**2))
     return np.asarray(found + (apart < 1e-9) * _RESOLVED**2)
+
+
+def smooth_model_error(middles: Array, part: IntArray, strain: Array, level: IntArray) -> Array:
+    """Covariance (n, n) of ln speeds in parts of maps from the smooth part of the model error; arguments as
+    in `maps_model_error`."""
+    apart = np.zeros((len(part), len(part)))
+    for at, scale in zip(middles[part].T, _SMOOTH_MM, strict=True):
+        apart += (np.subtract.outer(at, at) / scale) ** 2
+    alike = _ALIKE ** np.abs(np.subtract.outer(level, level))
+    return np.asarray(_SMOOTH**2 * alike * np.exp(-0.5 * apart) * np.outer(strain, strain))
 
 
 def _map_places(rows: Sequence[Row]) -> tuple[IntArray, IntArray]:
@@ -174,6 +194,7 @@ def noise_parts(
         for name, covariance, origin in (
             ("measurement: pixels of the maps", maps.of_pixels(mine, own[is_map]), source),
             (IN_MAPS, maps.of_model(mine, map_share), "computed"),
+            (SMOOTH_IN_MAPS, maps.smooth(mine), "computed"),
             (BESIDE, maps.beside_unseen(mine, own[is_map]), "assumed"),
         ):
             whole = np.zeros((len(rows), len(rows)))

@@ -53,6 +53,15 @@ class Predictions:
         """Scale the noise part `name` to this fraction of its assumed size, at every site."""
         for each in self.sites:
             each.site = each.site.with_share(name, share)
+        self._join()
+
+    def strain_along(self, fitted: Fitted) -> None:
+        """Take the error common to all strains along the derivative of this fit, at every site."""
+        for k, each in enumerate(self.sites):
+            each.site = each.site.with_strain_of(*self.curves_of(fitted, k))
+        self._join()
+
+    def _join(self) -> None:
         self._data = joined([each.site for each in self.sites])
         self.whiten = Whitener.of(self._data.noise.covariance)
 

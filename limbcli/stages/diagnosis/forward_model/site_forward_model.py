@@ -52,14 +52,15 @@ class SiteForwardModel(Fits):
         self.verify, self.not_simulated, self.shares = verify, set(), {}
 
     def settle_noise(self) -> None:
-        """Estimate the model errors in maps, near parts that are not shown and elsewhere, from the fit
-        without effects.
+        """Take the error of all strains along the fit without effects, and estimate the model errors in maps,
+        near parts that are not shown and elsewhere, from that fit.
 
         Raises
         ------
         SolveError, FitError
             If that fit fails.
         """
+        self.strain_along(self.fit((), {}))
         for name, least in ((BESIDE, LEAST_BESIDE), (IN_MAPS, LEAST_IN_MAPS)):
             if name not in self.data.noise.names:
                 continue

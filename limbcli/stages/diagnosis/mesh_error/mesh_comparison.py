@@ -27,6 +27,7 @@ _SAFETY = 1.5
 # Smallest mesh error of ln force; usual one of an uncorrected mesh with edges of _USUAL_EDGE mm.
 _LEAST_ERROR, _USUAL_ERROR, _USUAL_EDGE = 0.01, 0.03, 2.5
 _FREED = 0.5  # position of the limb between a fixed (0) and a free (1) cut
+_HELD = 0.5  # position of the limb between a free (0) and a held (1) far side, of which nothing is known
 _UNCORRECTED = 1.2  # factor on the model error in maps if the working mesh is not corrected
 
 
@@ -50,23 +51,34 @@ class MeshComparison:
         self.site, self.depth, self.simulations, self.out = site, depth, simulations, out
         self.size, self.several, self.notes, self.progress = size, several, notes, progress
 
-    def correction(self, *, solves: bool = True, freed: Mapping[float, Curves]) -> MeshCorrection:
+    def correction(
+        self, *, solves: bool = True, freed: Mapping[float, Curves], held: Mapping[float, Curves]
+    ) -> MeshCorrection:
         """Correction to the site's own mesh by simulations there (`solves`); otherwise none, with a usual
         error.
 
-        freed : by m, the working mesh's curves with the cut free, as far as they are known
+        freed, held : by m, the working mesh's curves with the cut free, and with the far side held, as far as
+        they are known
         """
         found = self._solved_correction() if solves else None
         if found is None:
-            found = self._usual_correction(sorted(freed) or [self.several[0]])
-        if not freed:
+            found = self._usual_correction(sorted({*freed, *held}) or [self.several[0]])
+        for changed, position in ((freed, _FREED), (held, _HELD)):
+            found = self._towards(found, changed, position)
+        return found
+
+    def _towards(
+        self, found: MeshCorrection, changed: Mapping[float, Curves], position: float
+    ) -> MeshCorrection:
+        """The correction, moved by this fraction of the way to the changed curves."""
+        if not changed:
             return found
-        known = np.array(sorted(freed))
+        known = np.array(sorted(changed))
         nearest = [float(known[np.abs(bend(known) - bend(m)).argmin()]) for m in found.m]
-        cuts = {m: self._cut(m, freed[m]) for m in nearest}
+        changes = {m: self._change(m, changed[m]) for m in nearest}
         return replace(
-            found, log_force=found.log_force + np.array([cuts[m][0] for m in nearest]),
-            log_speed=found.log_speed + np.array([cuts[m][1] for m in nearest]),
+            found, log_force=found.log_force + position * np.array([changes[m][0] for m in nearest]),
+            log_speed=found.log_speed + position * np.array([changes[m][1] for m in nearest]),
         )  # fmt: skip
 
     def _usual_correction(self, several: Sequence[float]) -> MeshCorrection:
@@ -78,12 +90,12 @@ class MeshComparison:
             1.0, usual, np.zeros(len(self.depth)), map_share=_UNCORRECTED,
         )  # fmt: skip
 
-    def _cut(self, m: float, freed: Curves) -> tuple[Array, Array]:
-        """Correction of ln force (n,) and ln speeds (n, n_parts) from a fixed cut to the limb."""
+    def _change(self, m: float, changed: Curves) -> tuple[Array, Array]:
+        """Change of ln force (n,) and ln speeds (n, n_parts) of the working mesh with this m."""
         working = self.simulations.curves(m)
         change = np.zeros(len(working.depth))
-        change[1:] = np.log(np.maximum(freed.force[1:], 1e-9) / np.maximum(working.force[1:], 1e-9))
-        return _FREED * change, _FREED * np.nan_to_num(freed.log_speed - working.log_speed)
+        change[1:] = np.log(np.maximum(changed.force[1:], 1e-9) / np.maximum(working.force[1:], 1e-9))
+        return change, np.nan_to_num(changed.log_speed - working.log_speed)
 
     def _solved_correction(self) -> MeshCorrection | None:
         """Correction from simulations with these m on the site's own mesh; None, with a warning, if

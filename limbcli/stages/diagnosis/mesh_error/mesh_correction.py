@@ -33,7 +33,9 @@ F_KAPPA, START_M = 100.0, 2.0  # ratio of bulk modulus to c; exponent m of the s
 # smallest mean work assumed.
 _TIMES_USUAL, _LEAST_WORK = 5.0, 1000.0
 _FOLLOWED = 0.2  # range of extrapolation beyond the last m, as a fraction of the distance to the next m
-_SHARES = (0.3, 0.6)  # depths at which the own mesh is simulated, as fractions of the depth needed
+# Depths at which the own mesh is simulated, as fractions of the depth needed; those beyond _ENOUGH where the
+# solver gets there.
+_SHARES, _ENOUGH = tuple(k / 6 for k in range(1, 7)), 0.6
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +116,8 @@ def own_curves(
         meshed, depths, c=simulations.c, f_kappa=simulations.f_kappa, density_kg_per_m3=simulations.density,
         windows=simulations.windows, keep=simulations.kept.folder, progress=simulations.progress,
         reach=Reach(
-            enough_force=simulations.enough_force, beside=simulations.curves, begin=simulations.levels
+            enough_force=simulations.enough_force, beside=simulations.curves, begin=simulations.levels,
+            enough=_ENOUGH,
         ),
         solving=replace(simulations.solving, penalty=size_ratio * simulations.model.contacts[0].penalty),
     )  # fmt: skip

@@ -13,7 +13,7 @@ from limbcli.errors import LimbError, SolveError
 from limbcli.model import Array
 from limbcli.results import read_result
 from limbcli.stages.diagnosis.curves.site_simulations import FIRST_M
-from limbcli.stages.diagnosis.data.noise import IN_MEAN, ModelError
+from limbcli.stages.diagnosis.data.noise import IN_MEAN, STRAIN, ModelError
 from limbcli.stages.diagnosis.data.site_data import USUAL_THICKNESS
 from limbcli.stages.diagnosis.mesh_error.geometry_gain import assumed_gain
 from limbcli.stages.diagnosis.mesh_error.mesh_comparison import at_depths
@@ -25,7 +25,7 @@ _ALIKE = 0.8  # correlation of the mesh error between neighbouring levels
 # comparison, a probe 53 mm long that is tilted by 1 degree touches 0.5 mm earlier.
 _VOXEL_SHARE, _IMAGE_GAIN = 0.5, 0.05
 _SURFACE_GEOMETRY = (0.3, 0.04)  # mm, of ln force: the same for given surfaces, assumed more accurate
-_STRAIN = 0.03  # relative standard deviation of all strains: posture, volume of the limb on another day
+_STRAIN = 0.02  # relative standard deviation of all strains: posture, the scanner's scale of depths
 _MAP_STRAIN = 0.05  # the same for a map's pattern alone, whose growth with depth differs between meshes
 
 
@@ -132,7 +132,7 @@ class ModelErrors:
         none = np.zeros((n, len(self.simulations.windows.depths)))
         return [
             ModelError("model: depth at first touch", np.zeros(n), none, depth=touch),
-            ModelError("model: strain by the thickness", np.zeros(n), none, strain=strain),
+            ModelError(STRAIN, np.zeros(n), none, strain=strain),
             *self._growth(),
             ModelError("model: gain of the force by the geometry", np.full(n, gain), none),
         ]

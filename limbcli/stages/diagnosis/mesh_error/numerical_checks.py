@@ -28,6 +28,7 @@ from limbcli.progress import Progress
 from limbcli.stages.diagnosis.curves.penetration import LEFT_ERROR, Penetration, penetration
 from limbcli.stages.diagnosis.curves.site_simulations import FIRST_M, SiteSimulations
 from limbcli.stages.diagnosis.data.noise import FEWEST_SMOOTH, SmoothDepth, readings
+from limbcli.stages.diagnosis.mesh_error.far_side import FAR_SIDE, far_side
 from limbcli.stages.diagnosis.mesh_error.mesh_comparison import MeshComparison, ResultNotes, at_depths
 from limbcli.stages.diagnosis.mesh_error.mesh_correction import START_M, MeshCorrection, SiteMeshRun, own_run
 
@@ -38,6 +39,8 @@ _THICKNESS_LEFT = 0.8
 # whole limbs and four blocks fixed at 57 mm, the true position differs from half-way by 0.32 (root mean
 # square).
 _CUT_LEFT = 0.3
+# The same for holding the far side: a limb hangs freely or is held, one as likely as the other.
+_FAR_SIDE_LEFT = 0.5
 _STIFFNESSES = np.geomspace(0.1, 10.0, 81)  # trial values of c, as multiples of the reference c
 _STIFFER = 4.0  # factor on f_kappa, towards the incompressible limit
 
@@ -90,17 +93,28 @@ class NumericalChecks:
         self.penetration: Penetration | None = None  # of the simulated contact; set by `interventions`
 
     def correction(self, *, solves: bool = True) -> MeshCorrection:
-        """Correction to the site's own mesh and to a limb that is not cut; `solves`: by simulations."""
-        several, freed = self._compared_at(), {}
-        if solves:
-            crop = effect("crop")
-            for m in several:
-                with contextlib.suppress(SolveError):  # reported when it is tried as an intervention
-                    freed[m] = self.simulations.curves(m, ((crop, crop.start),))
+        """Correction to the site's own mesh, and to a limb that is not cut and rests on something; `solves`:
+        by simulations."""
+        several = self._compared_at()
+        freed = self._changed_by(effect("crop"), several) if solves else {}
+        held = self._changed_by(FAR_SIDE, several) if solves and self._has_far_side else {}
         return MeshComparison(
             self.site, self.depth, self.simulations, out=self.out, size=self.size, several=several,
             notes=self.notes, progress=self.progress,
-        ).correction(solves=solves, freed=freed)  # fmt: skip
+        ).correction(solves=solves, freed=freed, held=held)  # fmt: skip
+
+    @property
+    def _has_far_side(self) -> bool:
+        """Whether there is tissue behind the bone (not in a layer on a bench)."""
+        return len(far_side(self.simulations.model)) > 0
+
+    def _changed_by(self, numerical: Effect, several: Sequence[float]) -> dict[float, Curves]:
+        """Curves with this numerical effect, by m, where they can be solved."""
+        found = {}
+        for m in several:
+            with contextlib.suppress(SolveError):  # reported when it is tried as an intervention
+                found[m] = self.simulations.curves(m, ((numerical, numerical.start),))
+        return found
 
     def _compared_at(self) -> list[float]:
         """The values of m to compare, the likely one first; with maps, whose difference between meshes grows
@@ -128,7 +142,10 @@ class NumericalChecks:
     def interventions(self) -> list[Intervention]:
         """All numerical checks, made at the likely m, as their effects grow with m."""
         found, m = [], self.likely_m
-        for numerical in (effect("crop"), effect("contact"), INCOMPRESSIBILITY, effect("thickness")):
+        tried = [effect("crop"), effect("contact"), INCOMPRESSIBILITY, effect("thickness")]
+        if self._has_far_side:
+            tried.insert(1, FAR_SIDE)
+        for numerical in tried:
             self.progress.event("note", text=f"numerical check: {numerical.name}")
             try:
                 found.append(self._intervene(numerical, m))
@@ -153,7 +170,8 @@ class NumericalChecks:
         # Reducing the penalty to a quarter lowers the force by 1.5 to 3 times what the remaining gap does.
         # The curves are corrected for this gap; if it is unknown, the whole change counts as uncertain.
         share = {
-            "crop": _CUT_LEFT, "contact": 1.0 if self.penetration is None else LEFT_ERROR,
+            "crop": _CUT_LEFT, FAR_SIDE.name: _FAR_SIDE_LEFT,
+            "contact": 1.0 if self.penetration is None else LEFT_ERROR,
             "thickness": _THICKNESS_LEFT,
         }  # fmt: skip
         return replace(judged, left=share.get(numerical.name, 1.0))
