@@ -1,11 +1,11 @@
 """Correction of the diagnosis' coarse working mesh to the limb: finer elements, and no truncation.
 
-The model is simulated on the site's own mesh down to the deepest level, with the tissue's likely m. The difference in
-force between the meshes hardly depends on the material law; that in a map's pattern grows with m, so that
-with maps it is determined at further m and interpolated. The cut ends are fixed in the model but not in the
-limb: fixed ends give too high a force and free ends too low a force. Larger and larger models converge
-half-way between the two (fixed at 40, 57 and 75 mm beyond the probe: a third, a half and more of the way, on
-three limbs).
+The model is simulated on the site's own mesh down to the deepest level, with the tissue's likely m. The
+difference in force between the meshes hardly depends on the material law; that in a map's pattern grows with
+m, so that with maps it is determined at further m and interpolated. The cut ends are fixed in the model but
+not in the limb: fixed ends give too high a force and free ends too low a force. Larger and larger models
+converge half-way between the two (fixed at 40, 57 and 75 mm beyond the probe: a third, a half and more of the
+way, on three limbs). What the far side rests on (`far_side`) is not known either.
 """
 
 from __future__ import annotations
@@ -97,8 +97,8 @@ class SiteMeshRun:
 def own_curves(
     meshed: LimbModel, simulations: SiteSimulations, several: Sequence[float], *, size_ratio: float
 ) -> dict[float, Curves]:
-    """Curves for each of these m on the site's own mesh, at the simulated depths; cached on disk like those of
-    the working mesh. Failures after the first m are left out.
+    """Curves for each of these m on the site's own mesh, at the simulated depths; cached on disk like those
+    of the working mesh. Failures after the first m are left out.
 
     size_ratio : edge length of the own mesh over that of the working mesh. The effect of a penalty depends on
     the facet size, so that scaling the penalty by this ratio gives both meshes the same contact.
