@@ -23,8 +23,8 @@ from limbcli.stages.diagnosis.data.rows import Row
 GAIN_OF_SPEEDS = "gain of all speeds"
 STRAIN = "model: strain by the thickness"
 # Standard deviation of a common factor on all speeds: the scanner's calibration (assumed 2 %, as it is never
-# stated) and the models' own error. At sites simulated with FEBio, c is 6 % too high on average; 4 % would
-# cover it in 93 % of intervals, but hide three of fifteen effects.
+# stated) and the models' own error. At sites simulated with FEBio, c was 6 % too high on average, and is 4 %
+# with the far side allowed for; a gain of 4 % had hidden three of fifteen effects there.
 COMMON_GAIN = 0.03
 # Model error in a map: standard deviation of ln speed per unit of strain (depth over thickness). _IN_PARTS in
 # every part; _BELOW_FACE more at the top of the map, decaying over _FADES_MM; correlated exponentially over
