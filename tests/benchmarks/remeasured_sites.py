@@ -1,15 +1,20 @@
 """FEBio's records of the study's sites, measured anew: case folders with noise of their own, and their truth.
 
-    python tests/benchmarks/remeasured_sites.py --out SET [--only h05 h13] [--draw 1] [--with-effect]
+    python tests/benchmarks/remeasured_sites.py --out SET [--only h05 h13] [--draw 1] [--hidden study]
     python SHARED/febio-hidden/score.py run --limbcli limbcli --cases SET --out OUT
     python SHARED/febio-hidden/score.py table --cases SET --out OUT
 
 The FEBio study (`febio-hidden` in the reference data) has five sites with nothing hidden, but FEBio's records
-without noise of all that are simulated without their effect, too. From each of them a site nNN is made, in
-which nothing is hidden (rNN with --with-effect: its record with the effect, where that is in the model), with
-the noise that the study states and a seed from the site's number and the draw. Limb, place, channels and
-further columns are the site's own; traces are left out. Deeper than the last map of a record, ln speed is
-extrapolated linearly. SET/truth.toml has the form of the study's.
+without noise of all that are simulated without their effect, too. From each of them a site is made with the
+noise that the study states and a seed from the site's number and the draw:
+
+    --hidden nothing      nNN, in which nothing is hidden
+    --hidden study        rNN, with what the study hides at this site: of the tissue or the probe by FEBio's
+                          record with it, of instruments and operator applied to the record
+    --hidden instrument   iNN, with one effect of instruments or operator, it and its size drawn by the seed
+
+Limb, place, channels and further columns are the site's own; traces are left out. Deeper than the last map of
+a record, ln speed is extrapolated linearly. SET/truth.toml has the form of the study's.
 """
 
 from __future__ import annotations
@@ -18,9 +23,11 @@ import argparse
 import os
 import shutil
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from instrument_effects import APPLY, Readings, drawn  # the file beside this one
 
 from limbcli.measurement.elastography import SweMap, map_file, write_map
 from limbcli.model import Array
@@ -32,6 +39,7 @@ STEPS, AT_LEAST = (2.0, 1.0, 0.5), 7  # N between levels: the largest that gives
 HOLD, SITE = 20.0, "p1"  # s
 FORCE_N, DEPTH_MM, LEVEL, PIXEL = 0.1, 0.3, 0.05, 0.1  # noise; the last two of speeds
 TRAVEL_MM, SKIN_BONE_MM = 0.05, 0.3
+PREFIX = {"nothing": "n", "study": "r", "instrument": "i"}
 
 
 def nominal_forces(most: float) -> Array:
@@ -55,46 +63,65 @@ def measured(maps: list[SweMap], rng: np.random.Generator) -> list[SweMap]:
     return found
 
 
-def level_table(
-    columns: list[str], force: Array, depth: Array, maps: list[SweMap], thickness: float,
-    rng: np.random.Generator,
-) -> dict[str, Array]:  # fmt: skip
+def level_table(columns: list[str], exact: Readings, rng: np.random.Generator) -> dict[str, Array]:
     """The columns of the site's table; depth 0 at the first level by definition."""
-    read = depth + DEPTH_MM * rng.standard_normal(len(depth)) * (force > 0)
-    speeds = [each.speed_m_per_s for each in maps]
+    pressed = exact.depth != 0
+    read = exact.depth + DEPTH_MM * rng.standard_normal(len(exact.depth)) * pressed
+    speeds = [each.speed_m_per_s for each in exact.maps]
     known = {
-        "force_n": force + FORCE_N * rng.standard_normal(len(force)),
+        "force_n": exact.force + FORCE_N * rng.standard_normal(len(exact.force)),
         "depth_mm": read,
-        "hold_s": np.full(len(force), HOLD),
+        "hold_s": np.full(len(exact.force), HOLD),
         "swe_mean_m_per_s": np.array([each.mean() for each in speeds]),
         "swe_sd_m_per_s": np.array([each.std() for each in speeds]),
         "swe_pixels": np.array([len(each) for each in speeds]),
-        "probe_travel_mm": depth + TRAVEL_MM * rng.standard_normal(len(depth)) * (force > 0),
-        "skin_bone_mm": thickness + SKIN_BONE_MM * rng.standard_normal() - read,
+        "probe_travel_mm": exact.travel + TRAVEL_MM * rng.standard_normal(len(exact.travel)) * pressed,
+        "skin_bone_mm": exact.thickness + SKIN_BONE_MM * rng.standard_normal() - read,
     }
     return {name: known[name] for name in columns}
 
 
-def remeasure(truth: dict, which: str, draw: int, out: Path) -> dict | None:
+def hidden_in(truth: dict, hidden: str, exact: Readings, rng: np.random.Generator) -> tuple[Readings, dict]:
+    """The readings with what is hidden, and what the truth says of it."""
+    if hidden == "nothing":
+        return exact, {"effects": ["none"], "answer": "none"}
+    if hidden == "instrument":
+        name, parameters = drawn(exact, "map" in truth["channels"], rng)
+        return APPLY[name](exact, parameters), {
+            "effects": [name], "answer": name, "parameters": {name: parameters},
+        }  # fmt: skip
+    for name in set(APPLY) & set(truth["effects"]):
+        exact = APPLY[name](exact, truth["parameters"][name])
+    told = ("effects", "answer", "acceptable", "parameters", "visibility")
+    return exact, {key: truth[key] for key in told if key in truth}
+
+
+def remeasure(truth: dict, hidden: str, draw: int, out: Path) -> dict | None:
     """Writes the case folder; its entry in the truth, or None where FEBio's record is not there."""
     from what_maps_keep import at_forces  # the file beside this one
 
+    in_model = set(truth["effects"]) - set(APPLY) - {"none"}
+    if hidden == "study" and truth["effects"] == ["none"]:
+        return None
+    which = "with" if hidden == "study" and in_model else "without"
     source, path = SITES / truth["id"], SITES / "exact" / f"{truth['id']}.npz"
-    exact = dict(np.load(path)) if path.is_file() else {}
-    if f"{SITE}_{which}_map_m_per_s" not in exact:
+    known = dict(np.load(path)) if path.is_file() else {}
+    if f"{SITE}_{which}_map_m_per_s" not in known:
         return None
     case = tomllib.loads((source / "case.toml").read_text(encoding="utf-8"))
     case["site"] = [each for each in case["site"] if each["name"] == SITE]
     site = case["site"][0]
     site.pop("trace", None)
     table = np.genfromtxt(source / site["levels"], delimiter=",", names=True)
-    force = nominal_forces(float(exact[f"{SITE}_{which}_force_n"][-1]))
-    depth = np.interp(force, exact[f"{SITE}_{which}_force_n"], exact[f"{SITE}_{which}_depth_mm"])
-    number = int(truth["id"][1:])
-    rng = np.random.default_rng([number, draw, which == "with"])
-    maps = measured(at_forces(exact, which, force), rng)
-    columns = level_table(list(table.dtype.names), force, depth, maps, truth["thickness_mm"], rng)
-    name = f"{'r' if which == 'with' else 'n'}{number:02d}"
+    force = nominal_forces(float(known[f"{SITE}_{which}_force_n"][-1]))
+    depth = np.interp(force, known[f"{SITE}_{which}_force_n"], known[f"{SITE}_{which}_depth_mm"])
+    exact = Readings(force, depth, depth, truth["thickness_mm"], at_forces(known, which, force))
+    number, prefix = int(truth["id"][1:]), PREFIX[hidden]
+    rng = np.random.default_rng([number, draw, list(PREFIX).index(hidden)])
+    exact, told = hidden_in(truth, hidden, exact, rng)
+    maps = measured(exact.maps, rng)
+    columns = level_table(list(table.dtype.names), replace(exact, maps=maps), rng)
+    name = f"{prefix}{number:02d}"
     target = out / name
     (target / SITE).mkdir(parents=True)
     shutil.copytree(source / "surfaces", target / "surfaces")
@@ -109,13 +136,7 @@ def remeasure(truth: dict, which: str, draw: int, out: Path) -> dict | None:
         for level, each in enumerate(maps):
             write_map(map_file(target / site["swe_maps"], level), each)
     kept = {key: truth[key] for key in ("channels", "thickness_mm", "c_kpa", "m", "fk")}
-    hidden = {
-        key: truth[key]
-        for key in ("effects", "answer", "acceptable", "parameters", "visibility")
-        if key in truth
-    }
-    nothing = {"effects": ["none"], "answer": "none"}
-    return {"id": name, **kept, **(hidden if which == "with" else nothing)}
+    return {"id": name, **kept, **told}
 
 
 def main() -> None:
@@ -123,16 +144,15 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--only", nargs="*")
     parser.add_argument("--draw", type=int, default=1)
-    parser.add_argument("--with-effect", action="store_true")
+    parser.add_argument("--hidden", choices=list(PREFIX), default="nothing")
     options = parser.parse_args()
     truths = tomllib.loads((SITES / "truth.toml").read_text(encoding="utf-8"))["case"]
-    which = "with" if options.with_effect else "without"
     made = []
     for truth in truths:
         if options.only is None or truth["id"] in options.only:
-            entry = remeasure(truth, which, options.draw, options.out)
+            entry = remeasure(truth, options.hidden, options.draw, options.out)
             if entry is None:
-                print(f"{truth['id']}: no record {which} its effect")
+                print(f"{truth['id']}: no record for this")
             else:
                 made.append(entry)
     (options.out / "truth.toml").write_text(toml({"case": made}), encoding="utf-8")
