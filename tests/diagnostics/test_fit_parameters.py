@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from limbcli.effects import effect
-from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot, on_bounds, stuck
+from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot, bound_hits, stuck
 
 CASES = [
     ("nonlinearity", {"weight_q": 0.0, "second_pair_share": 0.0}, ""),  # a law with one of its two terms
@@ -27,9 +27,10 @@ def test_a_size_on_the_bound_of_the_search_is_told_and_one_at_a_laws_own_limit_i
     known = effect(name)
     slots = [Slot(each.name, each) for each in known.parameters]
     x = np.array([0.0, 0.0, *(values.get(each.name, each.start) for each in known.parameters)])
-    found = on_bounds(x, slots, [known])
+    found = bound_hits(x, slots, [known])
     assert bool(found) == bool(message)
-    assert all(message in each for each in found)
+    assert all(message in each.message for each in found)
+    assert all(each.is_absent == ("absent" in message) for each in found)
 
 
 def test_what_a_bound_holds_does_not_move_with_the_data():

@@ -382,7 +382,9 @@ def test_the_error_of_all_strains_lies_along_the_fitted_model(rng):
     more, less = (the_bench.site.predict(curves, replace(reading, depth_gain=g)) for g in (1.01, 0.99))
     changes = np.array([row.channel in ("force", "swe") for row in the_bench.site.rows])
     direction = np.where(changes, (more - less) / 0.02, 0.0)
-    assert after == pytest.approx(0.05**2 * np.outer(direction, direction), rel=0.02, abs=1e-9)
+    assert after == pytest.approx(0.05**2 * np.outer(direction, direction), rel=1e-6, abs=1e-9)
+    the_bench.strain_along(fitted)
+    assert strain_error(the_bench) == pytest.approx(after, rel=1e-9, abs=1e-12), "its size stays"
     assert np.trace(before) == pytest.approx(np.trace(after), rel=0.3)
 
 

@@ -113,7 +113,13 @@ def step_data(*, m: float, m_free: bool, r2: float, rmse_n: float) -> dict:
 
 
 def add_fit(
-    out: Path, site: str, *, element: str = "tet10", noise: str = "repeats", scale: float = 1.0
+    out: Path,
+    site: str,
+    *,
+    element: str = "tet10",
+    noise: str = "repeats",
+    scale: float = 1.0,
+    c_kpa: float | None = None,
 ) -> None:
     with open_stage(out, "fit", subject="S1", site=site) as writer:
         steps = {
@@ -123,7 +129,7 @@ def add_fit(
         writer.data.update(
             element=element, solver="reference", solver_version="0.1.0", linear_solver="pardiso",
             c_source="2 mu from SWE at level 0 (2.250 m/s)", steps=steps, noise={"source": noise},
-            noise_scale=scale,
+            noise_scale=scale, asked={} if c_kpa is None else {"c_kpa": c_kpa},
         )  # fmt: skip
         rows = ["depth_mm,measured_n,start_n,mooney-rivlin_n,ogden_n"]
         rows += [
@@ -361,6 +367,14 @@ def test_summary_says_what_to_measure_next(tmp_path):
     (several,) = [each.next_steps for each in overview(gather(case, out=out)).sites]
     assert "explanations in 5 to 92 of 100 cases" in several[0]
     assert not any("limbcli diagnose" in each for each in steps)
+    assert not any("Measure the shear-wave speed" in each for each in steps)
+
+
+def test_summary_asks_for_a_speed_where_c_was_given(tmp_path):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    add_fit(out, "p1", c_kpa=9.0)
+    (steps,) = [each.next_steps for each in overview(gather(case, out=out)).sites]
+    assert any("Measure the shear-wave speed at 0 N" in each for each in steps)
 
 
 def test_every_cell_of_a_table_has_its_columns_words_for_narrow_screens(whole):

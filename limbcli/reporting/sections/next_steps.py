@@ -30,7 +30,7 @@ def next_steps(page: ReportData, site: SiteMaterial, view: FitView) -> tuple[str
             "with source = “repeats”: all intervals rest on an assumed noise."
         )
     steps += _of_the_parameters(site, view)
-    if "by hand" in view.c_source or "--c-kpa" in view.c_source:
+    if view.c_is_given:
         steps.append(
             "Measure the shear-wave speed at 0 N: c was entered by hand, and all results scale with it."
         )

@@ -51,6 +51,7 @@ def diagnosis_json(found: Diagnosis, site: SiteData, forward_model: SiteForwardM
         "noise": {
             "is_relative": found.relative,
             "parts": site.data.noise.provenance(),
+            "estimated_fractions": dict(forward_model.shares),
             "scatter_over_stated": found.roughness.ratio if found.roughness else None,
         },
         "channels": list(site.channels),

@@ -57,6 +57,7 @@ class SiteData:
     """The data of one site, and the layout of a prediction for them.
 
     travel_from : reference level of the probe's travel
+    strain_deviation : relative standard deviation of all strains, the noise part `STRAIN`
     bone_as_shown : the models' bone was placed where the image showed it, so that a wrong speed of sound
     misplaces both
     """
@@ -72,6 +73,7 @@ class SiteData:
     slope: Array = field(default_factory=lambda: np.zeros(0))
     depth_error: float = 0.0
     travel_from: int = 0
+    strain_deviation: float = 0.0
     bone_as_shown: bool = False
 
     def with_share(self, name: str, share: float) -> SiteData:
@@ -91,13 +93,13 @@ class SiteData:
         first = np.where(is_travel, 0.0, self.slope * pressed) if len(self.slope) else pressed
         if part is None or not first.any():
             return self
-        size = np.sqrt(np.trace(part.covariance) / np.sum(first**2))
         more, less = (
             self.predict(curves, replace(reading, depth_gain=reading.depth_gain * (1 + step)))
             for step in (_STRAIN_STEP, -_STRAIN_STEP)
         )
         direction = np.where(first != 0.0, (more - less) / (2 * _STRAIN_STEP), 0.0)
-        noise = self.data.noise.with_part(common(STRAIN, size * direction, source=part.source))
+        moved = self.strain_deviation * direction
+        noise = self.data.noise.with_part(common(STRAIN, moved, source=part.source))
         return replace(self, data=replace(self.data, noise=noise))
 
     def predict(self, curves: Curves, reading: Reading) -> Array:
@@ -242,6 +244,7 @@ def site_data(
         slope,
         noise.depth,
         travel_zero(levels, keep),
+        next((each.strain for each in model_error if each.name == STRAIN), 0.0),
         bone_as_shown,
     )
 

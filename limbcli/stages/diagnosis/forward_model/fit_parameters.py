@@ -29,8 +29,17 @@ def stuck(x: Array, slots: Sequence[Slot]) -> NDArray[np.bool_]:
     return np.asarray((x[2:] - low < near) | (high - x[2:] < near), dtype=bool)
 
 
-def on_bounds(x: Array, slots: Sequence[Slot], effects: Collection[Effect]) -> list[str]:
-    """Messages for parameters that ended on a bound, as far as this is an objection to the fit.
+@dataclass(frozen=True)
+class BoundHit:
+    """A parameter, by its name in the fit, that ended on a bound; is_absent : where its effect is absent."""
+
+    name: str
+    message: str
+    is_absent: bool = False
+
+
+def bound_hits(x: Array, slots: Sequence[Slot], effects: Collection[Effect]) -> list[BoundHit]:
+    """Parameters that ended on a bound, as far as this is an objection to the fit.
 
     Some of an effect's parameters may be at their null value, but not all of them; positions may be anywhere.
     The largest extent is an objection, because it turns the effect into a different one: so large a ball is
@@ -44,7 +53,7 @@ def on_bounds(x: Array, slots: Sequence[Slot], effects: Collection[Effect]) -> l
             continue
         if p.shape:
             if p.extent and p.high - value < value - p.low:
-                found.append(f"{slot.name} ended on its higher bound {p.high:g}")
+                found.append(_beyond(slot, "higher", p.high))
             continue
         if any(
             not fixed[n] and not other.parameter.shape and _same_effect(slot, other, effects)
@@ -54,16 +63,20 @@ def on_bounds(x: Array, slots: Sequence[Slot], effects: Collection[Effect]) -> l
         if abs(value - p.null) > thresholds.ON_BOUND * (p.high - p.low):
             if p.natural_bounds:
                 continue
-            side = "higher" if value > p.null else "lower"
-            found.append(f"{slot.name} ended on its {side} bound {p.high if value > p.null else p.low:g}")
+            found.append(_beyond(slot, "higher", p.high) if value > p.null else _beyond(slot, "lower", p.low))
         elif all(
             abs(x[2 + n] - other.parameter.null)
             <= thresholds.ON_BOUND * (other.parameter.high - other.parameter.low)
             for n, other in enumerate(slots)
             if not other.parameter.shape and _same_effect(slot, other, effects)
         ):
-            found.append(f"{slot.name} ended at {p.null:g}, where the effect is absent")
+            message = f"{slot.name} ended at {p.null:g}, where the effect is absent"
+            found.append(BoundHit(slot.name, message, is_absent=True))
     return found
+
+
+def _beyond(slot: Slot, side: str, bound: float) -> BoundHit:
+    return BoundHit(slot.name, f"{slot.name} ended on its {side} bound {bound:g}")
 
 
 def _same_effect(one: Slot, other: Slot, effects: Collection[Effect]) -> bool:

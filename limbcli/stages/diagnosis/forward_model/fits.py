@@ -19,7 +19,7 @@ from limbcli.diagnostics.model.linear import LinearFit, Whitener
 from limbcli.effects.base import Theta
 from limbcli.errors import FitError, SolveError
 from limbcli.model import Array
-from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot, on_bounds, stuck
+from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot, bound_hits, stuck
 from limbcli.stages.diagnosis.forward_model.predictions import Predictions
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves, label
 from limbcli.units import kpa_from_mpa
@@ -179,10 +179,12 @@ class Fits(Predictions):
 
     def _plausible_sizes(self, fitted: Fitted, share: float) -> dict[str, float]:
         """For parameters on a bound: the typical value on that side, moved towards the bound by `share`."""
-        sizes = {}
-        for slot in self.slots(fitted.explanation):
+        sizes, slots = {}, self.slots(fitted.explanation)
+        x = np.array([0.0, 0.0, *(fitted.values[slot.name] for slot in slots)])
+        beyond = {hit.name for hit in bound_hits(x, slots, self.effects.values()) if not hit.is_absent}
+        for slot in slots:
             p, value = slot.parameter, fitted.values[slot.name]
-            if any(text.startswith(slot.name + " ended on") for text in fitted.at_bound):
+            if slot.name in beyond:
                 usual = np.clip(p.null + np.sign(value - p.null) * abs(p.typical - p.null), p.low, p.high)
                 sizes[slot.name] = float(usual + share * (value - usual))
         return sizes
@@ -247,6 +249,6 @@ class Fits(Predictions):
         return Fitted(
             explanation, self.predict(x, explanation, points), jacobian[:, free],
             ("c", "m") if free[1] else ("c",), values, tuple(s.name for s in slots),
-            tuple(on_bounds(x, slots, self.effects.values())), notes, {"grid": label(points)},
-            self.predict(x[:2], (), ()) if explanation else None,
+            tuple(hit.message for hit in bound_hits(x, slots, self.effects.values())), notes,
+            {"grid": label(points)}, self.predict(x[:2], (), ()) if explanation else None,
         )  # fmt: skip
