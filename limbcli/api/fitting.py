@@ -31,6 +31,7 @@ def fit(
     intervals: bool = True,
     gain_deviation_fraction: float | None = None,
     contact_check: bool = True,
+    boundary_check: bool = True,
     cycle: int | str = "last",
     templates: PathLike | None = None,
     time_limit_s: float | None = None,
@@ -52,6 +53,7 @@ def fit(
     gain_deviation_fraction : numerical error of the force to allow for; None: from `mesh(study=True)` if that
         was run, else by element type and edge length
     contact_check : solve the fitted model once more with a stiffer contact
+    boundary_check : and with the cut plane free, and with the far side of the limb held
     cycle : the loading cycle to fit, if there are several: its number, or "last"
     templates : a folder of Jinja templates that take precedence over the built-in ones
     time_limit_s : of each FEBio run
@@ -74,7 +76,8 @@ def fit(
     with at_work(case, out, wait=wait, progress=progress) as work:
         options = _options(
             c_kpa, c_deviation_fraction, tolerance=tolerance, max_iterations=max_iterations,
-            contact_check=contact_check, time_limit_s=time_limit_s, cycle=cycle, stiffness_map=stiffness_map,
+            contact_check=contact_check, boundary_check=boundary_check,
+            time_limit_s=time_limit_s, cycle=cycle, stiffness_map=stiffness_map,
             intervals=intervals, gain_deviation=gain_deviation_fraction,
             templates=maybe_path(templates, "templates"),
         )  # fmt: skip
@@ -97,6 +100,7 @@ def fit_joint(
     c_deviation_fraction: float | None = None,
     gain_deviation_fraction: float | None = None,
     contact_check: bool = True,
+    boundary_check: bool = True,
     cycle: int | str = "last",
     wait: bool = True,
     progress: Heard = None,
@@ -123,7 +127,10 @@ def fit_joint(
     from limbcli.stages import fit_joint as stage
 
     with at_work(case, out, wait=wait, progress=progress) as work:
-        options = _options(c_kpa, c_deviation_fraction, contact_check=contact_check, cycle=cycle)
+        options = _options(
+            c_kpa, c_deviation_fraction, contact_check=contact_check, boundary_check=boundary_check,
+            cycle=cycle,
+        )  # fmt: skip
         within("fit", gain_deviation_fraction=gain_deviation_fraction)
         joint = stage.JointOptions(law=law, compare_laws=compare_laws, gain_deviation=gain_deviation_fraction)
         found = stage.fit_joint(
@@ -204,8 +211,9 @@ def compare_elements(
 
     with at_work(case, out, wait=wait, progress=progress) as work:
         options = _options(
-            c_kpa, None, tolerance=tolerance, max_iterations=max_iterations, contact_check=False, cycle=cycle
-        )
+            c_kpa, None, tolerance=tolerance, max_iterations=max_iterations, contact_check=False,
+            boundary_check=False, cycle=cycle,
+        )  # fmt: skip
         found = stage.compare_elements(
             work.case, out=work.out, sites=names_of(sites), options=options, progress=work.progress
         )
@@ -217,6 +225,7 @@ def _options(
     c_deviation_fraction: float | None,
     *,
     contact_check: bool,
+    boundary_check: bool,
     cycle: int | str,
     tolerance: float = 1e-3,
     max_iterations: int = 50,
@@ -233,7 +242,8 @@ def _options(
 
     options = FitOptions(
         c_kpa=c_kpa, c_deviation=c_deviation_fraction, tolerance=tolerance, max_iterations=max_iterations,
-        contact_check=contact_check, time_limit_s=time_limit_s, cycle=str(cycle), **others,
+        contact_check=contact_check, boundary_check=boundary_check, time_limit_s=time_limit_s,
+        cycle=str(cycle), **others,
     )  # fmt: skip
     check_numbers(options)
     return options

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from limbcli.cli.fit_options import (
+    BoundaryCheckOpt,
     CDeviationOpt,
     CompareElementOpt,
     CompareLawsOpt,
@@ -57,6 +58,7 @@ def command(
     compare_laws: CompareLawsOpt = False,
     gain_deviation: GainDeviationOpt = None,
     contact_check: ContactCheckOpt = True,
+    boundary_check: BoundaryCheckOpt = True,
     cycle: CycleOpt = "last",
     compare_element: CompareElementOpt = False,
     templates: TemplatesOpt = None,
@@ -73,7 +75,8 @@ def command(
     options = FitOptions(
         c_kpa=c_kpa, c_deviation=c_deviation, stiffness_map=stiffness_map, tolerance=tolerance,
         max_iterations=max_iterations, intervals=intervals, gain_deviation=gain_deviation,
-        contact_check=contact_check, cycle=cycle, templates=templates, time_limit_s=time_limit_s,
+        contact_check=contact_check, boundary_check=boundary_check, cycle=cycle, templates=templates,
+        time_limit_s=time_limit_s,
     )  # fmt: skip
     given = {"--law": law != "ogden", "--compare-laws": compare_laws}
     check_choice(

@@ -57,6 +57,12 @@ ContactCheckOpt = Annotated[
         help="Also solve the fitted model with a stiffer contact, to quantify the probe's penetration."
     ),
 ]
+BoundaryCheckOpt = Annotated[
+    bool,
+    typer.Option(
+        help="Also solve the fitted model with the cut plane free, and with the limb's far side held."
+    ),
+]
 CompareElementOpt = Annotated[
     bool, typer.Option("--compare-element", help="Compare tet4 and tet10 on the same mesh.")
 ]

@@ -31,7 +31,8 @@ from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.solvers import choose
 from limbcli.solvers.base import Simulation, Solver
 from limbcli.stages.build_feb import tissue_stiffness
-from limbcli.stages.fitting.contact_check import forces_with_penalty, write_contact_check
+from limbcli.stages.fitting.boundary_check import Boundary, moved_parameters, write_boundary_check
+from limbcli.stages.fitting.contact_check import forces_again, forces_with_penalty, write_contact_check
 from limbcli.stages.fitting.cycles import through_cycle, write_cycle
 from limbcli.stages.fitting.exports import write_mat_file
 from limbcli.stages.fitting.force_curves import FileCurve, ReferenceCurve, with_tissue
@@ -43,6 +44,7 @@ from limbcli.stages.fitting.options import FitOptions, check_choice, check_numbe
 from limbcli.stages.fitting.predicted_speeds import write_speeds
 from limbcli.stages.fitting.result import Identified, write_result
 from limbcli.stages.fitting.stiffness_map import tissue_map, write_tissue_map
+from limbcli.stages.fitting.table import NAMES
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.provenance.chain_inputs import note_case, note_templates
 from limbcli.stages.site_model.site_layers import held_layers
@@ -170,9 +172,26 @@ def _fit_site(
             harder = partial(forces_with_penalty, fitted, progress=progress)
             penalty = fitted.contacts[0].penalty
             write_contact_check(penalty, curve(theta).values, knots, harder, writer, progress=progress)
+        if options.boundary_check:
+            _check_boundaries(fitted, curve, knots, data, theta, writer, progress)
         write_speeds(fitted, simulation, levels, site, writer)
         write_layers(fitted, simulation, levels, site, writer)
         write_mat_file(writer)
+
+
+def _check_boundaries(
+    fitted: LimbModel, curve: SolvedPoints, knots: Array, data: ForceDepth, theta: Array,
+    writer: StageWriter, progress: Progress,
+) -> None:  # fmt: skip
+    def again(boundary: Boundary) -> Array:
+        return forces_again(boundary.of(fitted), "boundary check", progress=progress)
+
+    flags = writer.data["flags"]
+    free = {k: name for k, name in enumerate(NAMES) if flags[name] == "identified"}
+    parameters = partial(moved_parameters, curve, knots, data, theta, free)
+    write_boundary_check(
+        fitted, curve(theta).values, knots, again, writer, parameters=parameters, progress=progress
+    )
 
 
 def _intervals(

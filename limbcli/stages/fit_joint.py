@@ -32,6 +32,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.solvers.material_lines import MaterialLines
 from limbcli.stages.fit import FitOptions, built_model, check_numbers, initial_stiffness
+from limbcli.stages.fitting.boundary_check import write_boundary_check
 from limbcli.stages.fitting.contact_check import write_contact_check
 from limbcli.stages.fitting.cycles import through_cycle, write_cycle
 from limbcli.stages.fitting.exports import write_mat_file
@@ -141,8 +142,7 @@ def fit_joint(
                     write_joint(writer, models, law, problem, found, n_solves)
                     if law.has_fibres:
                         _check_directions(writer, measured, law, problem, found, out, progress)
-                    if options.contact_check:
-                        _check_contacts(writer, measured, curves, problem, found, progress)
+                    _check_assumptions(writer, measured, curves, problem, found, options, progress)
         if joint.compare_laws:
             write_comparison(writer, table)
         writer.data["asked"] = {**options.requested("joint"), "gain_deviation": joint.gain_deviation}
@@ -253,22 +253,31 @@ def _check_directions(
             )
 
 
-def _check_contacts(
+def _check_assumptions(
     writer: StageWriter, measured: Sequence[Measured], curves: Sequence[LawCurve], problem: JointProblem,
-    found: Intervals, progress: Progress,
+    found: Intervals, options: FitOptions, progress: Progress,
 ) -> None:  # fmt: skip
-    """Relative effect of a stiffer contact at every site; c scales tissue and contact alike."""
+    """Relative effects of a stiffer contact and of other boundaries at every site; independent of c."""
+    if not (options.contact_check or options.boundary_check):
+        return
     for k, (each, curve) in enumerate(zip(measured, curves, strict=True)):
         place = problem.place(k, found.best)
         try:
             forces = curve(place).values[: len(curve.depths)]
         except SolveError as error:
-            writer.warnings.append(f"{each.site.name}: the contact was not checked: {error.what}")
+            writer.warnings.append(f"{each.site.name}: contact and boundaries were not checked: {error.what}")
             continue
-        write_contact_check(
-            each.model.contacts[0].penalty, forces, curve.depths, partial(curve.with_penalty, place), writer,
-            site=each.site.name, progress=progress,
-        )  # fmt: skip
+        name = each.site.name
+        if options.contact_check:
+            write_contact_check(
+                each.model.contacts[0].penalty, forces, curve.depths, partial(curve.with_penalty, place),
+                writer, site=name, progress=progress,
+            )  # fmt: skip
+        if options.boundary_check:
+            again = partial(curve.with_boundary, place)
+            write_boundary_check(
+                curve.fitted(place), forces, curve.depths, again, writer, site=name, progress=progress
+            )
 
 
 def site_data(measured: Measured, knots: Array, joint: JointOptions, *, speeds: bool) -> SiteMeasurement:

@@ -36,7 +36,14 @@ def chain(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     found["build"] = limbcli.build_feb(case.folder, out=str(out), c_kpa=8.0)
     found["run"] = limbcli.run(case, out=out, solver="reference")
     found["fit"] = limbcli.fit(
-        case, out=out, sites="p1", solver="reference", c_kpa=8.0, intervals=False, contact_check=False
+        case,
+        out=out,
+        sites="p1",
+        solver="reference",
+        c_kpa=8.0,
+        intervals=False,
+        contact_check=False,
+        boundary_check=False,
     )
     found["report"] = limbcli.report(case, out=out)
     return found
@@ -246,7 +253,7 @@ def test_check_returns_problems_and_raises_none(chain: dict[str, Any], tmp_path:
 
 def test_fits_of_several_sites_and_of_both_elements(chain: dict[str, Any]):
     case, out = chain["case"], chain["out"]
-    joint = limbcli.fit_joint(case, out=out, c_kpa=8.0, contact_check=False)
+    joint = limbcli.fit_joint(case, out=out, c_kpa=8.0, contact_check=False, boundary_check=False)
     assert joint.sites == ("p1",)
     assert joint.law == "ogden"
     assert joint.parameter("c_kpa").value > 0

@@ -27,13 +27,13 @@ from scipy.optimize import minimize
 from limbcli.case import Case
 from limbcli.effects import EFFECTS
 from limbcli.effects.curves import Curves
+from limbcli.effects.far_side import FAR_SIDE
 from limbcli.model import Array, IntArray
 from limbcli.progress import SILENT
 from limbcli.stages.diagnosis.curves.site_simulations import FIRST_M
 from limbcli.stages.diagnosis.data import noise
 from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.stages.diagnosis.mesh_error import model_errors
-from limbcli.stages.diagnosis.mesh_error.far_side import FAR_SIDE
 from limbcli.stages.diagnosis.mesh_error.numerical_checks import _FAR_SIDE_LEFT
 from limbcli.stages.diagnosis.prepare import Prepared, WorkingMesh, prepare
 from limbcli.stages.mesh import mesh

@@ -251,7 +251,12 @@ def test_a_fit_recovers_the_tissue_and_allows_for_the_shape(chain, tmp_path):
     mesh(case, out=out, **SIZES)
     build_feb(case, out=out)
     wanted = FitOptions(
-        gain_deviation=0.02, c_kpa=8.0, c_deviation=0.02, contact_check=False, max_interval_solves=3
+        gain_deviation=0.02,
+        c_kpa=8.0,
+        c_deviation=0.02,
+        contact_check=False,
+        boundary_check=False,
+        max_interval_solves=3,
     )
     (first,) = fit(case, out=out, solver="reference", options=wanted)
     found = first.data
@@ -319,7 +324,12 @@ def test_a_bone_met_on_its_flank_is_within_the_interval_that_allows_for_it(tmp_p
     mesh(case, out=out, **SIZES)
     build_feb(case, out=out)
     wanted = FitOptions(
-        gain_deviation=0.02, c_kpa=8.0, c_deviation=0.02, contact_check=False, max_interval_solves=3
+        gain_deviation=0.02,
+        c_kpa=8.0,
+        c_deviation=0.02,
+        contact_check=False,
+        boundary_check=False,
+        max_interval_solves=3,
     )
     uncertainty = fit(case, out=out, solver="reference", options=wanted)[0].data["geometry_uncertainty"]
     (low, _), (alone, _) = uncertainty["interval_95"]["m"], uncertainty["interval_95_noise"]["m"]

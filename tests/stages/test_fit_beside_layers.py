@@ -91,7 +91,7 @@ def case_beside_fat(folder: Path) -> Case:
 def test_the_joint_fit_finds_the_tissue_beside_fat(tmp_path: Path) -> None:
     """Begun at another c; with forces in proportion to c it would be a seventh too low."""
     case = case_beside_fat(tmp_path)
-    options = FitOptions(c_kpa=1000 * C0, c_deviation=0.001, contact_check=False)
+    options = FitOptions(c_kpa=1000 * C0, c_deviation=0.001, contact_check=False, boundary_check=False)
     joint = JointOptions(max_solves=12, gain_deviation=1e-4)
     found = fit_joint(case, out=tmp_path / "out", joint=joint, options=options)
     assert found.data["c_kpa"] == pytest.approx(1000 * TRUE_C, rel=0.005)
@@ -159,7 +159,7 @@ def test_what_c_leaves_unsure_of_f_kappa_is_what_another_c_makes_of_it(tmp_path:
     for factor in (1.03, 1.0):
         options = FitOptions(
             c_kpa=1000 * TRUE_C * factor, c_deviation=0.05, gain_deviation=0.0, contact_check=False,
-            intervals=factor == 1.0, max_interval_solves=1, tolerance=1e-4,
+            boundary_check=False, intervals=factor == 1.0, max_interval_solves=1, tolerance=1e-4,
         )  # fmt: skip
         found[factor] = fit(case, out=tmp_path / "out", solver="reference", options=options)[0].data
     moved = np.log(found[1.03]["f_kappa"] / found[1.0]["f_kappa"]) / np.log(1.03)

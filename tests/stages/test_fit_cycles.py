@@ -28,7 +28,7 @@ pytestmark = pytest.mark.slow
 TRUTH = {"c": 0.008, "f_kappa": 150.0, "m": 3.0}
 DEPTHS = np.array([0.9, 1.8, 2.7, 3.6])
 LEFT, STIFFER = 0.7, 1.6  # mm that stays after cycle 1; how much stiffer the first loading is
-QUICK = FitOptions(intervals=False, contact_check=False)
+QUICK = FitOptions(intervals=False, contact_check=False, boundary_check=False)
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +74,7 @@ def test_the_last_loading_is_fitted_from_its_own_first_touch(built):
 def test_a_fit_on_a_first_cycle_that_later_ones_contradict_says_so(built):
     case, out = built
     found = fit(case, out=out, solver="reference", options=FitOptions(
-        cycle="1", intervals=False, contact_check=False))[0]  # fmt: skip
+        cycle="1", intervals=False, contact_check=False, boundary_check=False))[0]  # fmt: skip
     assert found.data["c_kpa"] == pytest.approx(1e3 * TRUTH["c"] * STIFFER)
     assert found.data["cycle"]["fitted"] == 1
     assert found.data["cycle"]["contradicted_by"] == 3
@@ -104,7 +104,7 @@ def test_a_cycle_whose_depths_were_not_built_is_simulated_at_its_own(built, forc
                  for d, f in zip(np.r_[0, DEPTHS[:3]], np.r_[0, forces[:3]], strict=True)]  # fmt: skip
         (folder / "levels.csv").write_text("\n".join(rows) + "\n")
         build_feb(case, out=out)
-        options = FitOptions(cycle="1", intervals=False, contact_check=False)
+        options = FitOptions(cycle="1", intervals=False, contact_check=False, boundary_check=False)
         found = fit(case, out=out, solver="reference", options=options)[0]
         assert found.data["n_levels"] == 5
         assert found.data["f_kappa"] == pytest.approx(150.0, rel=0.02)

@@ -36,7 +36,7 @@ C, SHAPE = 0.006, np.array([3.0, 1.0, 0.5])  # MPa; m, fibre_shear, fibre_tensio
 DEPTHS = np.array([0.9, 1.8, 2.7, 3.6])
 ALONG = {"across": (0.0, 1.0, 0.0), "along": (1.0, 0.0, 0.0)}  # the fibres in each probe's frame
 LAW = LAWS["fibres"]
-OPTIONS = FitOptions(contact_check=False)
+OPTIONS = FitOptions(contact_check=False, boundary_check=False)
 SECOND = """
 [[site]]
 name = "along"

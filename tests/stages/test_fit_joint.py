@@ -149,7 +149,7 @@ def test_laws_are_compared_by_what_they_did_not_see(case_and_out, tmp_path):
 @pytest.mark.slow
 def test_a_c_given_by_hand_is_said_to_be_free_where_speeds_tell_it(case_and_out, joint):
     case, out = case_and_out
-    given = FitOptions(c_kpa=12.0, contact_check=False)
+    given = FitOptions(c_kpa=12.0, contact_check=False, boundary_check=False)
     again = fit_joint(case, out=out, joint=JointOptions(max_solves=4), options=given)
     assert again.data["c_kpa"] == pytest.approx(joint.data["c_kpa"], rel=0.02)
     assert any(text.startswith("--c-kpa 12: the shear-wave speeds determine c") for text in again.warnings)
@@ -182,7 +182,7 @@ def second_without_speeds(measured, tmp_path_factory):
 def test_c_is_told_by_the_speeds_of_one_site_of_two(second_without_speeds, given):
     """Whatever was given by hand for the other is only where the search begins."""
     case, out = second_without_speeds
-    options = FitOptions(c_kpa=given, contact_check=False)
+    options = FitOptions(c_kpa=given, contact_check=False, boundary_check=False)
     found = fit_joint(case, out=out, joint=JointOptions(max_solves=4), options=options)
     assert found.data["c_kpa"] == pytest.approx(8.0, rel=0.02)
     assert found.data["chi_square"] < 0.1

@@ -106,7 +106,7 @@ def test_fit_predicts_the_layers_and_says_that_they_agree(truth, tmp_path):
     case = layered_case(tmp_path, truth)
     (result,) = fit(
         case, out=tmp_path / "out", solver="reference",
-        options=FitOptions(intervals=False, contact_check=False),
+        options=FitOptions(intervals=False, contact_check=False, boundary_check=False),
     )  # fmt: skip
     reported = result.data["layers"]
     assert reported["names"] == ["skin", "fat", "muscle"]
@@ -129,7 +129,7 @@ def test_soft_fat_is_told_by_the_fit(truth, tmp_path):
     case = layered_case(tmp_path, truth, fat_gone=np.array([0.15, 0.3, 0.45, 0.6]))
     (result,) = fit(
         case, out=tmp_path / "out", solver="reference",
-        options=FitOptions(intervals=False, contact_check=False),
+        options=FitOptions(intervals=False, contact_check=False, boundary_check=False),
     )  # fmt: skip
     reported = result.data["layers"]
     assert reported["p"] < 1e-6
@@ -144,7 +144,7 @@ def test_the_joint_fit_uses_layers_and_finds_the_truth(truth, tmp_path):
     case = layered_case(tmp_path, truth)
     found = fit_joint(
         case, out=tmp_path / "out", joint=JointOptions(max_solves=4),
-        options=FitOptions(contact_check=False),
+        options=FitOptions(contact_check=False, boundary_check=False),
     )  # fmt: skip
     assert found.data["n_layer_readings"] == 8
     assert found.data["c_kpa"] == pytest.approx(8.0, rel=0.01)

@@ -15,7 +15,7 @@ from limbcli.stages.provenance.commands import CommandStep
 
 ALL = FitOptions(
     c_kpa=8.0, c_deviation=0.2, tolerance=0.01, max_iterations=9, intervals=False, gain_deviation=0.1,
-    contact_check=False, cycle="1", templates=Path("own"), time_limit_s=60.0,
+    contact_check=False, boundary_check=False, cycle="1", templates=Path("own"), time_limit_s=60.0,
 )  # fmt: skip
 CASE = SimpleNamespace(subject="S1", selected=lambda _: [SimpleNamespace(name="p1", states=(1, 2))])
 
@@ -26,18 +26,20 @@ def test_options_of_every_kind_of_fit_are_taken_again(kind):
     compared = kind == COMPARISON
     objective = "force" if compared else kind
     check_choice(objective, compare_element=compared, solver="auto", options=FitOptions(**given))
-    assert "contact_check" in given or kind in ("states", COMPARISON)
+    assert {"contact_check", "boundary_check"} <= set(given) or kind in ("states", COMPARISON)
 
 
 def test_states_fitted_after_the_force_remember_only_what_speaks_to_them(tmp_path, monkeypatch):
     monkeypatch.setattr(fit_states, "_fit_site", lambda *_: None)
-    (made,) = fit_states.fit_states(CASE, out=tmp_path, options=FitOptions(c_kpa=8.0, contact_check=False))
+    (made,) = fit_states.fit_states(
+        CASE, out=tmp_path, options=FitOptions(c_kpa=8.0, contact_check=False, boundary_check=False)
+    )
     assert made.data["asked"] == {}
 
 
 def test_a_comparison_made_from_python_does_too(tmp_path, monkeypatch):
     monkeypatch.setattr(fit_elements, "_compare_site", lambda *_: None)
-    requested = FitOptions(c_kpa=8.0, contact_check=False)
+    requested = FitOptions(c_kpa=8.0, contact_check=False, boundary_check=False)
     (made,) = fit_elements.compare_elements(CASE, out=tmp_path, options=requested)
     assert made.data["asked"] == {"c_kpa": 8.0}
 

@@ -32,15 +32,33 @@ def forces_with_penalty(
 ) -> Array:  # fmt: skip
     """Forces (n_reached,) N at the model's levels with another contact penalty.
 
-    like : a session that has solved the model; its levels are the initial guesses of this solve. The solve
-        ends at the first level not reached quickly from there, as a comparison does not need every level
+    like : as in `forces_again`
 
     Raises
     ------
     SolveError
         If the model cannot be solved with this penalty.
     """
-    model = with_penalty(model, penalty)
+    return forces_again(
+        with_penalty(model, penalty), "contact check", like=like, threads=threads, progress=progress
+    )
+
+
+def forces_again(
+    model: LimbModel, check: str, *, like: ReferenceSession | None = None, threads: int = 2,
+    progress: Progress = SILENT,
+) -> Array:  # fmt: skip
+    """Forces (n_reached,) N at the levels of a fitted model that was changed for this check.
+
+    like : a session that has solved the model before the change; its levels are the initial guesses of this
+        solve. The solve ends at the first level not reached quickly from there, as a comparison does not need
+        every level
+
+    Raises
+    ------
+    SolveError
+        If the model cannot be solved.
+    """
     session = ReferenceSession(
         model, progress=progress, threads=threads, tolerance=_TOLERANCE, stalled=_STALLED
     )
@@ -51,7 +69,7 @@ def forces_with_penalty(
         return session.solve(model, required=1, hoped=0).must_points.forces
     except ArithmeticError as error:
         raise SolveError(
-            f"the law overflows ({error})", where="contact check", fix="--no-contact-check"
+            f"the law overflows ({error})", where=check, fix=f"--no-{check.replace(' ', '-')}"
         ) from error
     finally:
         session.close()

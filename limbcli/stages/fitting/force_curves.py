@@ -29,7 +29,8 @@ from limbcli.solvers.material_lines import FILE as LINES
 from limbcli.solvers.material_lines import MaterialLines
 from limbcli.solvers.session import ReferenceSession, SessionResult
 from limbcli.stages.diagnosis.curves.model_simplification import softer_jumps
-from limbcli.stages.fitting.contact_check import forces_with_penalty
+from limbcli.stages.fitting.boundary_check import Boundary
+from limbcli.stages.fitting.contact_check import forces_again, forces_with_penalty
 from limbcli.stages.fitting.laws import FitLaw
 from limbcli.stages.site_model.indentation_model import TISSUE
 from limbcli.temporary_folders import scratch_folder
@@ -197,10 +198,20 @@ class LawCurve:
 
         Raises SolveError if not even the first level is reached.
         """
-        model = self._eased(self._model.with_material(TISSUE, self.law.material(self._c, theta)))
         return forces_with_penalty(
-            model, penalty, like=self._session, threads=self._threads, progress=self._progress
+            self.fitted(theta), penalty, like=self._session, threads=self._threads, progress=self._progress
         )
+
+    def with_boundary(self, theta: Array, boundary: Boundary) -> Array:
+        """The same with another boundary and the same contact."""
+        return forces_again(
+            boundary.of(self.fitted(theta)), "boundary check", like=self._session, threads=self._threads,
+            progress=self._progress,
+        )  # fmt: skip
+
+    def fitted(self, theta: Array) -> LimbModel:
+        """The model with these parameters as it is solved."""
+        return self._eased(self._model.with_material(TISSUE, self.law.material(self._c, theta)))
 
     def __call__(self, theta: Array, wrt: Sequence[int] = ()) -> Prediction:
         self.n_solves += 1

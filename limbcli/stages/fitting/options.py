@@ -20,9 +20,12 @@ COMPARISON = "--compare-element"
 _OF_FORCE = ("tolerance", "max_iterations", "intervals", "templates", "time_limit_s")
 _SAYS_NOTHING: Mapping[str, Sequence[str]] = {
     "joint": _OF_FORCE,
-    "states": ("c_kpa", "c_deviation", "contact_check", "cycle", "stiffness_map", *_OF_FORCE),
+    "states": (
+        "c_kpa", "c_deviation", "contact_check", "boundary_check", "cycle", "stiffness_map", *_OF_FORCE,
+    ),
     COMPARISON: (
-        "c_deviation", "intervals", "gain_deviation", "contact_check", "templates", "time_limit_s",
+        "c_deviation", "intervals", "gain_deviation", "contact_check", "boundary_check", "templates",
+        "time_limit_s",
     ),
 }  # fmt: skip
 
@@ -39,6 +42,7 @@ class FitOptions:
         `mesh --study` if it was run, else by element type and edge length)
     cycle : the cycle whose loading is fitted, a number or "last" (the last one with three levels of loading)
     contact_check : solve the fitted model again with a stiffer contact and report the change
+    boundary_check : the same with the cut plane free, and with the far side of the limb held
     """
 
     c_kpa: float | None = None
@@ -50,6 +54,7 @@ class FitOptions:
     intervals: bool = True
     gain_deviation: float | None = None
     contact_check: bool = True
+    boundary_check: bool = True
     cycle: str = LAST
     templates: Path | None = None
     time_limit_s: float | None = None

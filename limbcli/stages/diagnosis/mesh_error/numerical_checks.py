@@ -20,6 +20,7 @@ from limbcli.diagnostics import thresholds
 from limbcli.effects import Effect, effect
 from limbcli.effects.base import Parameter, Theta
 from limbcli.effects.curves import Curves, depth_at, log_force_at
+from limbcli.effects.far_side import FAR_SIDE, far_side
 from limbcli.effects.tissue import core, with_core
 from limbcli.errors import LimbError, SolveError
 from limbcli.measurement.indentation import Levels
@@ -28,7 +29,6 @@ from limbcli.progress import Progress
 from limbcli.stages.diagnosis.curves.penetration import LEFT_ERROR, Penetration, penetration
 from limbcli.stages.diagnosis.curves.site_simulations import FIRST_M, SiteSimulations
 from limbcli.stages.diagnosis.data.noise import FEWEST_SMOOTH, SmoothDepth, readings
-from limbcli.stages.diagnosis.mesh_error.far_side import FAR_SIDE, far_side
 from limbcli.stages.diagnosis.mesh_error.mesh_comparison import MeshComparison, ResultNotes, at_depths
 from limbcli.stages.diagnosis.mesh_error.mesh_correction import START_M, MeshCorrection, SiteMeshRun, own_run
 

@@ -1,0 +1,106 @@
+"""What other boundaries of a fitted model change: force, and the parameters that would then fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from limbcli.errors import SolveError
+from limbcli.feb.settings import schedule
+from limbcli.inference.prediction import Prediction, SolvedPoints
+from limbcli.inference.two_step_fit import ForceDepth
+from limbcli.model import LimbModel
+from limbcli.solvers.session import ReferenceSession
+from limbcli.stages.fitting.boundary_check import BOUNDARIES, moved_parameters, write_boundary_check
+from limbcli.stages.fitting.contact_check import forces_again
+from limbcli.stages.site_model.indentation_model import indentation_model
+from tests.stages import block_case as block
+
+BOTH = {0: "f_kappa", 1: "m"}
+DEPTHS = np.array([1.0, 2.0, 3.0])
+CUT_FREE, FAR_SIDE_HELD = BOUNDARIES
+
+
+def cut_block() -> LimbModel:
+    """The block of tissue, as cut from a limb at its sides, on bone at its base."""
+    model = indentation_model(block.block_model(), schedule(list(DEPTHS)), c=0.008, f_kappa=100.0, m=3.0)
+    points, fixed = model.mesh.points, model.mesh.node_sets["fixed"]
+    bone = fixed[points[fixed, 2] < -15.999]
+    sets = {**model.mesh.node_sets, "bone": bone, "cut": np.setdiff1d(fixed, bone)}
+    return replace(model, mesh=replace(model.mesh, node_sets=sets))
+
+
+def solved(model: LimbModel) -> np.ndarray:
+    with ReferenceSession(model, threads=1) as session:
+        return session.solve().must_points.forces
+
+
+def writer() -> SimpleNamespace:
+    return SimpleNamespace(data={}, summary=[], warnings=[])
+
+
+def test_a_freed_cut_lowers_the_force_and_a_boundary_that_is_not_there_is_left_out():
+    model, written = cut_block(), writer()
+    forces = solved(model)
+    write_boundary_check(
+        model, forces, DEPTHS, lambda each: forces_again(each.of(model), "boundary check", threads=1), written
+    )
+    found = written.data["boundary_check"]
+    change = found["cut_free"]["force_change_fraction"]
+    assert change == pytest.approx(solved(CUT_FREE.of(model)) / forces - 1.0, abs=1e-3)
+    assert np.all(change < -0.005)
+    assert np.all(np.diff(change) < 0), "the more, the deeper"
+    assert found["far_side_held"] == {"not_evaluated": "the model has no such boundary"}
+    (line,) = written.summary
+    assert line.startswith("if the cut plane were free, the force would be")
+    assert line.endswith("% lower at 3.0 mm")
+    assert not written.warnings
+
+
+def test_levels_solved_before_lead_to_the_same_forces():
+    """Their displacements are not zero where another boundary holds the tissue."""
+    model = cut_block()
+    sides = replace(model, supports=CUT_FREE.of(model).supports, mesh=CUT_FREE.of(model).mesh)
+    with ReferenceSession(sides, threads=1) as session:
+        session.solve()
+        led = forces_again(model, "boundary check", like=session, threads=1)
+    assert led == pytest.approx(solved(model), rel=1e-3)
+
+
+def test_what_cannot_be_solved_is_said_and_the_other_boundary_is_still_tried():
+    model, written = cut_block(), writer()
+
+    def again(_):
+        raise SolveError("a fold of the skin", where="level 2", fix="none")
+
+    write_boundary_check(model, np.ones(3), DEPTHS, again, written, site="p2")
+    assert written.data["boundary_check"]["p2"]["cut_free"] == {"not_evaluated": "a fold of the skin"}
+    assert "far_side_held" in written.data["boundary_check"]["p2"]
+    (line,) = written.warnings
+    assert line == "p2: the force if the cut plane were free was not evaluated: a fold of the skin"
+
+
+def law(theta: np.ndarray, wrt=()) -> Prediction:
+    """Forces of a curve that f_kappa scales and m bends."""
+    f_kappa, m = theta
+    values = f_kappa**0.3 * np.expm1(0.2 * m * DEPTHS) / m
+    by_m = f_kappa**0.3 * (0.2 * DEPTHS * np.exp(0.2 * m * DEPTHS) / m - np.expm1(0.2 * m * DEPTHS) / m**2)
+    return Prediction(values, np.stack([0.3 * values / f_kappa, by_m], axis=1))
+
+
+def test_the_parameters_that_would_fit_are_those_by_which_the_changed_model_gives_the_same_curve():
+    theta, nearby = np.array([80.0, 3.0]), np.array([84.0, 2.95])
+    curve = SolvedPoints(law)
+    data = ForceDepth(curve(theta).values, DEPTHS, 0.1, 0.1)
+    ratio = curve(theta).values / curve(nearby).values  # of a model that needs `nearby` for that curve
+    found = moved_parameters(curve, DEPTHS, data, theta, BOTH, ratio)
+    assert found == pytest.approx({"f_kappa": 84.0, "m": 2.95}, rel=5e-3)
+    assert moved_parameters(curve, DEPTHS, data, theta, BOTH, 0.3 * ratio) == {}
+    assert moved_parameters(curve, DEPTHS, data, theta, {}, ratio) == {}, "none is identified"
+    (name,) = moved_parameters(curve, DEPTHS, data, theta, {1: "m"}, ratio)
+    assert name == "m"
+    two = moved_parameters(curve, DEPTHS, data, theta, BOTH, ratio[:2])
+    assert two == pytest.approx(found, rel=2e-2), "from the levels that were reached"
