@@ -246,7 +246,7 @@ class _Run:
         larger = [each for each in kept if set(best.explanation) <= set(each.explanation)]
         if max(each.left_p for each in larger) < thresholds.LEFT:
             return "ambiguous", "a residual remains; it may not be the full explanation"
-        chance = self._chance_of(best, times=thresholds.NAMED_BY_GAIN)
+        chance = self._chance_of(best, times=thresholds.NAMED_BY_GAIN, among_effects=True)
         if chance >= thresholds.NAMED:
             return "ambiguous", f"its own evidence is too weak to name it (p {chance:.2g})"
         if best.fitted.notes and not Account(self.baseline).estimates(best.fitted, best.state).is_pulled:
@@ -281,8 +281,11 @@ class _Run:
         """
         return self._chance_of(refit) < thresholds.ALPHA
 
-    def _chance_of(self, refit: Refit, *, times: float = 1.0) -> float:
+    def _chance_of(self, refit: Refit, *, times: float = 1.0, among_effects: bool = False) -> float:
         """p of the evidence for this explanation itself.
+
+        among_effects : adjusted over the effects alone, for the question which of them it is; tests of parts
+            of the data only say whether there is any
 
         The smaller of two: the first-order p at the fit without effects, weakened where the refit gains less
         than predicted; and the p of the refit's gain, multiplied by `times`.
@@ -295,10 +298,14 @@ class _Run:
             return 0.0
         found = self.family.of(refit.explanation[0])
         of_gain = min(times * self._gain_p(refit), 1.0)
-        return of_gain if found is None else min(self._borne_out(found, refit), of_gain)
+        if found is None:
+            return of_gain
+        return min(self._borne_out(found, refit, found.p_among if among_effects else None), of_gain)
 
-    def _borne_out(self, found: Tested, refit: Refit) -> float:
+    def _borne_out(self, found: Tested, refit: Refit, p: float | None = None) -> float:
         """Adjusted p of a first-order score, weakened where the refit gains less than the score predicts.
+
+        p : to be used for the adjusted p; None: that over the whole family
 
         The p is moved along the tail of the chi2 distribution for the same number of tests. Where the noise
         level is unknown, both statistics are scaled by the scatter that remains after the refit.
@@ -306,10 +313,11 @@ class _Run:
         unit = self._scatter(refit) if self.baseline.relative else 1.0
         gain = (self.baseline.state.chi2 - refit.state.chi2) / unit + thresholds.SLACK
         promised, n = found.score.statistic / unit, max(len(found.score.direction.names), 1)
+        adjusted = found.p_adjusted if p is None else p
         if gain >= promised:
-            return found.p_adjusted
+            return adjusted
         times = np.exp(chi2_distribution.logsf(max(gain, 0.0), n) - chi2_distribution.logsf(promised, n))
-        return float(-np.expm1(times * np.log1p(-min(found.p_adjusted, 1.0 - 1e-12))))
+        return float(-np.expm1(times * np.log1p(-min(adjusted, 1.0 - 1e-12))))
 
     @staticmethod
     def _scatter(refit: Refit) -> float:

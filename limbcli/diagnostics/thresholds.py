@@ -165,9 +165,9 @@ LEFT: Final = ALPHA
 residual that would be detected, unless one further effect explains it, which is then also reported."""
 
 NAMED: Final = 0.02
-"""Adjusted p of the evidence for an effect from which it is not named, even if nothing else fits: with ALPHA,
-one in twenty limbs without any effect would reach this point. Chosen, after a p of 0.043 had named a wrong
-effect."""
+"""p of the evidence for an effect, adjusted over the effects, from which it is not named, even if nothing
+else fits: with ALPHA, one in twenty limbs without any effect would reach this point. Chosen, after a p of
+0.043 (over all tests) had named a wrong effect."""
 
 NAMED_BY_GAIN: Final = 1000.0
 """Factor on the p of a refit's gain in that decision: this p assumes normal errors of known size, which model

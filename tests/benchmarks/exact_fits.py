@@ -5,8 +5,9 @@
 For every site of the FEBio study in the reference data (`febio-hidden`) with maps free of noise and bones
 that are the files': its records without the hidden effect in place of the readings, at the depths that were
 read, but no deeper than the last map, fitted without effects with all that a diagnosis allows for. A line a
-site: ln of c and m found over the true ones, the deviance that is left, and the effects that the model's own
-error resembles, with how much of that deviance each would explain to first order (from 2 on).
+site: ln of c and m found over the true ones, the deviance that is left, the zero of depth (mm) and of force
+(N) and the gain of depth that the model's own error is taken for, each alone and to first order, and the
+effects that it resembles, with how much of that deviance each would explain to first order (from 2 on).
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import numpy as np
 
 from limbcli.diagnostics.model.forward_model import Fitted
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
-from limbcli.diagnostics.statistical_tests.score import Trial, score
+from limbcli.diagnostics.statistical_tests.score import Score, Trial, score
 from limbcli.effects.curves import Curves, force_at
 from limbcli.effects.reading import Reading
 from limbcli.errors import LimbError
@@ -31,6 +32,7 @@ from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
 
 RESEMBLES = 2.0  # least score that is printed
+ZEROS = ("depth-zero", "force-zero", "depth-gain")
 
 
 def without_noise(site: SiteData, windows: Windows, truth: dict) -> SiteData:
@@ -49,7 +51,7 @@ def without_noise(site: SiteData, windows: Windows, truth: dict) -> SiteData:
     return replace(found, data=replace(site.data, y=found.predict(record, Reading())))
 
 
-def resembled(model: SiteForwardModel, found: Fitted) -> dict[str, float]:
+def resembled(model: SiteForwardModel, found: Fitted) -> dict[str, Score]:
     """Score of every effect at a fit without effects."""
     whiten = Whitener.of(model.data.noise.covariance)
     off, jacobian = whiten(model.data.y - found.prediction), whiten(found.jacobian)
@@ -58,11 +60,11 @@ def resembled(model: SiteForwardModel, found: Fitted) -> dict[str, float]:
         with contextlib.suppress(LimbError):  # a channel is missing, or only FEBio can simulate it
             raw = model.directions(found, facts.name)
             whitened = tuple(replace(each, columns=whiten(each.columns)) for each in raw)
-            scores[facts.name] = score(state, Trial(facts.name, whitened)).statistic
+            scores[facts.name] = score(state, Trial(facts.name, whitened))
     return scores
 
 
-def fitted(truth: dict, folder: Path) -> tuple[float, float, float, int, dict[str, float]]:
+def fitted(truth: dict, folder: Path) -> tuple[float, float, float, int, dict[str, Score]]:
     """ln of c and of m over the true ones, chi2, number of data, scores of the effects."""
     from map_errors import prepared_site  # the file beside this one
 
@@ -88,17 +90,26 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", default=SAME_BONES)
     options = parser.parse_args()
     truths = tomllib.loads((SITES / "truth.toml").read_text(encoding="utf-8"))["case"]
-    print("| site | ln c | ln m | chi2 | data | resembles |\n|-|-|-|-|-|-|")
-    rows = []
+    print(f"| site | ln c | ln m | chi2 | data | {' | '.join(ZEROS)} | resembles |\n|{'-|' * 9}")
+    rows, zeros = [], []
     for truth in (each for each in truths if each["id"] in options.only):
         rows.append(fitted(truth, options.out))
         ln_c, ln_m, chi2, n, scores = rows[-1]
-        most = sorted(((value, name) for name, value in scores.items() if value > RESEMBLES), reverse=True)
+        zeros.append([float(scores[name].eta[0]) for name in ZEROS])
+        most = sorted(
+            ((s.statistic, name) for name, s in scores.items() if s.statistic > RESEMBLES), reverse=True
+        )
         alike = ", ".join(f"{name} {value:.1f}" for value, name in most)
-        print(f"| {truth['id']} | {ln_c:.3f} | {ln_m:.3f} | {chi2:.0f} | {n} | {alike} |", flush=True)
+        of_zeros = " | ".join(f"{each:.2f}" for each in zeros[-1])
+        print(
+            f"| {truth['id']} | {ln_c:.3f} | {ln_m:.3f} | {chi2:.0f} | {n} | {of_zeros} | {alike} |",
+            flush=True,
+        )
     ln = np.array([each[:2] for each in rows])
     for name, mean, rms in zip(("c", "m"), ln.mean(axis=0), np.sqrt((ln**2).mean(axis=0)), strict=True):
         print(f"ln {name} found less true: mean {mean:.3f}, root mean square {rms:.3f}")
+    for name, each in zip(ZEROS, np.array(zeros).T, strict=True):
+        print(f"{name}: mean {each.mean():.3f}, root mean square {np.sqrt((each**2).mean()):.3f}")
     print(f"chi2, sum: {sum(each[2] for each in rows):.0f}")
 
 

@@ -311,10 +311,12 @@ def test_noise_stated_too_small_is_no_evidence_for_an_effect(before, after, clos
     assert closes_gross(base, left) == closed
 
 
-def judged(p_adjusted, statistic, n_parameters=1):
+def judged(p_adjusted, statistic, n_parameters=1, p_among=None):
     direction = SimpleNamespace(names=("size",) * n_parameters)
     return SimpleNamespace(
-        p_adjusted=p_adjusted, score=SimpleNamespace(statistic=statistic, direction=direction)
+        p_adjusted=p_adjusted,
+        p_among=p_adjusted if p_among is None else p_among,
+        score=SimpleNamespace(statistic=statistic, direction=direction),
     )
 
 
@@ -417,7 +419,7 @@ def test_no_name_for_what_one_site_in_twenty_with_nothing_missing_shows(
 ):
     """Its own evidence is that of chance, and its refit tells no more; two effects were each needed."""
     run = _Run(SimpleNamespace(state=SimpleNamespace(nu=100, chi2=100.0), relative=False), 3, False)
-    run.family = SimpleNamespace(of=lambda name: judged(p, 5.0))
+    run.family = SimpleNamespace(of=lambda name: judged(0.045, 5.0, p_among=p))
     run.refits = SimpleNamespace(trials={"all": SimpleNamespace(directions=[None] * 40)}, known={})
     monkeypatch.setattr("limbcli.diagnostics.engine.Closing.is_closed", lambda self, refit: True)
     best = SimpleNamespace(

@@ -56,7 +56,7 @@ def every(errors: ModelErrors):
     return {each.name.removeprefix("model: "): each for each in errors.all(correction, [crop, locking])}
 
 
-@pytest.mark.parametrize(("spacing", "touch"), [([2.0, 2.0, 2.0], 1.0), ([1.0, 1.0, 8.0], 1.0), (None, 0.3)])
+@pytest.mark.parametrize(("spacing", "touch"), [([2.0, 2.0, 2.0], 1.0), ([1.0, 1.0, 8.0], 1.0), (None, 0.2)])
 def test_first_touch_is_known_to_half_a_voxels_edge(spacing, touch, tmp_path):
     """And with it the thickness, in hypotenuse with the 3 % by which a limb is another on another day."""
     if spacing is not None:

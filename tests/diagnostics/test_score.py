@@ -10,6 +10,7 @@ from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.model.forward_model import Direction
 from limbcli.diagnostics.model.linear import LinearFit
 from limbcli.diagnostics.model.noise import ErrorDraws
+from limbcli.diagnostics.statistical_tests.localisation_tests import PREFIX
 from limbcli.diagnostics.statistical_tests.multiple_testing import _TestSpace, score_family
 from limbcli.diagnostics.statistical_tests.score import Trial, cone_projection, cosine, score, statistics
 
@@ -82,6 +83,23 @@ def test_family_is_calibrated(rng, relative):
         family = score_family(state, trials, ErrorDraws((7,), n, 800), relative=relative)
         below += family.smallest < 0.05
     assert below / 150 <= 0.05 + 2.5 * np.sqrt(0.05 * 0.95 / 150)
+
+
+def test_parts_of_the_data_do_not_count_where_effects_are_told_apart(rng):
+    """Adjusted over the effects alone, p is the same whatever else is tested, and smaller than over all."""
+    n, J = 30, rng.standard_normal((30, 2))
+    state = LinearFit.of(rng.standard_normal(n), J)
+    effects = [Trial(f"effect {k}", (Direction(rng.standard_normal((n, 1)), (0,)),)) for k in range(5)]
+    parts = [Trial(f"{PREFIX}{k}", (Direction(np.eye(n)[:, 6 * k : 6 * k + 6], (0,) * 6),)) for k in range(5)]
+    alone, together = (
+        score_family(state, each, ErrorDraws((7,), n, 2000)) for each in (effects, effects + parts)
+    )
+    for few, all_ in zip(alone.tests, together.tests, strict=False):
+        assert all_.p_among == few.p_among
+        assert all_.p <= all_.p_among < all_.p_adjusted
+    assert together.tests[-1].p_among <= together.tests[-1].p_adjusted
+    expected = 1 - (1 - together.tests[0].p) ** 5  # five directions that are nearly independent
+    assert together.tests[0].p_among == pytest.approx(expected, abs=0.06)
 
 
 @pytest.mark.slow

@@ -22,6 +22,7 @@ from scipy.linalg import orth
 from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.model.linear import LinearFit
 from limbcli.diagnostics.model.noise import ErrorDraws
+from limbcli.diagnostics.statistical_tests.localisation_tests import PREFIX
 from limbcli.diagnostics.statistical_tests.score import (
     RCOND,
     Score,
@@ -37,6 +38,7 @@ from limbcli.model import Array, IntArray
 class Tested:
     """One test: its score, its own p, and its p adjusted over the family.
 
+    p_among : adjusted over the tests of the same kind alone: of the effects, or of the parts of the data
     critical : the statistic that would just be significant after adjustment (in units of the statistic)
     by_chance : the statistic that a fraction `alpha` of all draws exceeds, without adjustment
     """
@@ -47,6 +49,7 @@ class Tested:
     p_adjusted: float
     critical: float
     by_chance: float = 0.0
+    p_among: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -103,16 +106,17 @@ def score_family(
     if not len(values):
         return Family((), None, alpha)
     space = _TestSpace.of(state, trials, relative=relative)
+    kinds = np.array([each.name.startswith(PREFIX) for each in trials] + ([] if relative else [True]))
     drawn = space.statistics(errors.batch(0))
-    adjusted, n = _Adjusted.of(drawn, values), 1
+    adjusted, n = _Adjusted.of(drawn, values, kinds), 1
     while n < thresholds.MOST_BATCHES and not adjusted.clear_of(decisive):
         drawn = np.vstack([drawn, *(space.statistics(errors.batch(k)) for k in range(n, 2 * n))])
-        adjusted, n = _Adjusted.of(drawn, values), 2 * n
+        adjusted, n = _Adjusted.of(drawn, values, kinds), 2 * n
     threshold = float(np.quantile(adjusted.smallest, alpha))
     tests = tuple(
         Tested(trial.name, scores[k], adjusted.alone[k], adjusted.p[k],
                float(np.quantile(drawn[:, k], 1 - threshold)) / scale,
-               float(np.quantile(drawn[:, k], 1 - alpha)) / scale)
+               float(np.quantile(drawn[:, k], 1 - alpha)) / scale, adjusted.among[k])
         for k, trial in enumerate(trials)
     )  # fmt: skip
     overall = None if relative else Overall(total, state.nu, adjusted.alone[-1], adjusted.p[-1])
@@ -187,17 +191,25 @@ def _squares(rows: NDArray[np.float32]) -> Array:
 
 @dataclass(frozen=True)
 class _Adjusted:
-    """Own and adjusted p of every test, and the sorted smallest p of each draw."""
+    """Of every test its own p and its p adjusted over all tests, and over those of its kind; and the sorted
+    smallest p of each draw."""
 
     alone: tuple[float, ...]
     p: tuple[float, ...]
+    among: tuple[float, ...]
     smallest: Array
 
     @staticmethod
-    def of(drawn: Array, values: Array) -> _Adjusted:
+    def of(drawn: Array, values: Array, kinds: NDArray[np.bool_]) -> _Adjusted:
+        """drawn (n_draws, n_tests), values (n_tests,), kinds (n_tests,)"""
         alone = tuple(_p(drawn[:, k], value) for k, value in enumerate(values))
-        smallest = np.sort(np.min([_ranks(each) for each in drawn.T], axis=0))
-        return _Adjusted(alone, tuple(_adjust(smallest, p) for p in alone), smallest)
+        ranks = np.array([_ranks(each) for each in drawn.T])
+        smallest = np.sort(ranks.min(axis=0))
+        own = {kind: np.sort(ranks[kinds == kind].min(axis=0)) for kind in set(kinds.tolist())}
+        return _Adjusted(
+            alone, tuple(_adjust(smallest, p) for p in alone),
+            tuple(_adjust(own[kind], p) for p, kind in zip(alone, kinds.tolist(), strict=True)), smallest,
+        )  # fmt: skip
 
     def clear_of(self, decisive: Sequence[float]) -> bool:
         """Whether every adjusted p is clear of these levels by more than its Monte Carlo error.
@@ -206,7 +218,7 @@ class _Adjusted:
         thus rests on the few draws that are as extreme.
         """
         n = len(self.smallest)
-        alone, p = np.array(self.alone), np.array(self.p)
+        alone, p = np.tile(self.alone, 2), np.array([*self.p, *self.among])
         deviation = p * np.sqrt(1.0 / (n * alone) + (1.0 - p) / (n * p))
         return all((np.abs(p - each) > thresholds.CLEAR_SD * deviation).all() for each in decisive)
 

@@ -38,7 +38,7 @@ def diagnosis_json(found: Diagnosis, site: SiteData, forward_model: SiteForwardM
     candidates = [
         {"name": t.name, "sentence": found.facts[t.name].sentence, "kind": found.facts[t.name].kind,
          "score": t.score.statistic, "p": t.p, "p_adjusted": t.p_adjusted,
-         "estimate": _estimate(t.score.direction, t.score.eta, known),
+         "p_among_effects": t.p_among, "estimate": _estimate(t.score.direction, t.score.eta, known),
          "at": t.score.direction.point}
         for t in family.tests if t.name in found.facts
     ]  # fmt: skip

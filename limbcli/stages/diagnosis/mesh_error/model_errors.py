@@ -24,7 +24,9 @@ _ALIKE = 0.8  # correlation of the mesh error between neighbouring levels
 # Imaged surfaces: standard deviation of the depth at first touch, in voxel edges, and of ln force. For
 # comparison, a probe 53 mm long that is tilted by 1 degree touches 0.5 mm earlier.
 _VOXEL_SHARE, _IMAGE_GAIN = 0.5, 0.05
-_SURFACE_GEOMETRY = (0.3, 0.04)  # mm, of ln force: the same for given surfaces, assumed more accurate
+# The same for given surfaces: FEBio's records without noise at thirteen sites have zeros of depth 0.19 mm off
+# (root mean square), to which other errors of the model contribute (`tests/benchmarks/exact_fits.py`).
+_SURFACE_GEOMETRY = (0.2, 0.04)
 _STRAIN = 0.02  # relative standard deviation of all strains: posture, the scanner's scale of depths
 _MAP_STRAIN = 0.05  # the same for a map's pattern alone, whose growth with depth differs between meshes
 
