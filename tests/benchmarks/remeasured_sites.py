@@ -90,6 +90,9 @@ def hidden_in(truth: dict, hidden: str, exact: Readings, rng: np.random.Generato
         return APPLY[name](exact, parameters), {
             "effects": [name], "answer": name, "parameters": {name: parameters},
         }  # fmt: skip
+    if "thickness" in truth["effects"]:
+        of_surfaces = 1.0 + truth["parameters"]["thickness"]["epsilon"]
+        exact = replace(exact, thickness=exact.thickness * of_surfaces)
     for name in set(APPLY) & set(truth["effects"]):
         exact = APPLY[name](exact, truth["parameters"][name])
     told = ("effects", "answer", "acceptable", "parameters", "visibility")
