@@ -11,7 +11,7 @@ from limbcli.case import StatedNoise
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
 from limbcli.diagnostics.statistical_tests.roughness import roughness
 from limbcli.effects.curves import Curves
-from limbcli.effects.reading import Protocol, Reading
+from limbcli.effects.reading import Protocol, Reading, read
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
 from limbcli.stages.diagnosis.data.held_forces import HeldForces
@@ -260,6 +260,24 @@ def test_an_error_of_depth_moves_the_data_in_proportion_however_steep_the_curve(
     left = site.data.y - site.predict(steep(), Reading())
     levels = np.array([row.level for row in site.rows])
     assert left == pytest.approx(-site.slope * error[levels], rel=0.02, abs=0.02)
+
+
+def test_an_error_of_depth_moves_maps_by_the_slopes_of_its_noise_where_an_effect_makes_them_steeper():
+    """Guided waves in thin tissue, near their cut-off: at the depths as read, four times that would be left."""
+    error = 0.3 * np.random.default_rng(5).standard_normal(14) * (np.arange(14) > 0)
+    record, exact, guided = measured_on_steep(error), measured_on_steep(0.0), Reading(guided=0.038)
+    speeds = np.repeat(steep().log_speed[:, :1], 61, axis=1)
+    curves = Curves(STEEP, steep().force, speeds, MAPPED.depths, 9.0)
+    shown = read(curves, Protocol(exact.force, exact.depth, np.zeros(14)), guided).log_speed[:, 0]
+    as_read = read(curves, Protocol(record.force, record.depth, np.zeros(14)), guided).log_speed[:, 0]
+    slopes = np.repeat((0.1 + 0.04 * exact.depth)[:, None], 60, axis=1)
+    maps = [grid_map(each) for each in np.exp(shown)]
+    site = site_data("p1", record, StatedNoise(), windows=MAPPED, maps=maps, map_slopes=slopes)
+    is_map = np.array([row.channel == "map" for row in site.rows])
+    at = np.array([row.level for row in site.rows])[is_map]
+    allowed = -site.slope[is_map] * error[at]
+    left = (site.data.y - site.predict(curves, guided))[is_map]
+    assert np.abs(left - allowed).max() < 0.3 * np.abs((shown - as_read)[at] - allowed).max()
 
 
 @pytest.mark.parametrize("reading", [Reading(force_zero=3.0), Reading(preload=1.5), Reading(depth_gain=1.1)])
