@@ -263,7 +263,7 @@ def test_an_error_of_depth_moves_the_data_in_proportion_however_steep_the_curve(
 
 
 def test_an_error_of_depth_moves_maps_by_the_slopes_of_its_noise_where_an_effect_makes_them_steeper():
-    """Guided waves in thin tissue, near their cut-off: at the depths as read, four times that would be left."""
+    """Guided waves near their cut-off: at the depths as they were read, four times that would be left."""
     error = 0.3 * np.random.default_rng(5).standard_normal(14) * (np.arange(14) > 0)
     record, exact, guided = measured_on_steep(error), measured_on_steep(0.0), Reading(guided=0.038)
     speeds = np.repeat(steep().log_speed[:, :1], 61, axis=1)
