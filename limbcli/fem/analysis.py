@@ -68,7 +68,7 @@ class Analysis:
 
     def run(
         self, visit: Visitor | None = None, *, guesses: Guesses | None = None, required: int | None = None,
-        hoped: int | None = None, last: int | None = None, patient: bool = True,
+        full_effort: int | None = None, last: int | None = None, patient: bool = True,
         ends: Callable[[], bool] | None = None,
     ) -> list[Snapshot]:  # fmt: skip
         """Run all steps from rest to the end; `visit` is called at every converged time.
@@ -76,7 +76,7 @@ class Analysis:
         guesses : returns an initial guess at a time, from earlier runs of the same load, or None
         required : number of must-points that have to be reached; if a later one fails, the run ends with
             the results so far. None: all
-        hoped : number of must-points solved with full effort; later ones are attempted with a small
+        full_effort : number of must-points solved with full effort; later ones are attempted with a small
             iteration budget. None: as `required`
         last : number of must-points attempted at all; None: all
         patient : where Newton's method fails, fall back on pseudo-time relaxation, which is slow
@@ -87,7 +87,7 @@ class Analysis:
         state: State | None = None
         histories: Histories | None = None
         begin, n_must = 0.0, 0
-        hoped = required if hoped is None else hoped
+        full_effort = required if full_effort is None else full_effort
         times = self.times()
         n_steps = sum(map(len, times))
         number = 0
@@ -107,7 +107,7 @@ class Analysis:
                 load_step = LoadStep(number, n_steps, newton.depth_at(begin + target))
                 known = guesses(newton.system, begin + target) if guesses else None
                 newton.system.remember(state)
-                brief = hoped is not None and n_must >= hoped
+                brief = full_effort is not None and n_must >= full_effort
                 try:
                     state, forces = self._stepping.advance_to(begin + target, load_step, known, brief=brief)
                 except SolveError:

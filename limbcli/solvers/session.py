@@ -129,13 +129,13 @@ class ReferenceSession:
         records: bool = False,
         field_gradients: bool | Collection[str] = False,
         required: int | None = None,
-        hoped: int | None = None,
+        full_effort: int | None = None,
         last: int | None = None,
         patient: bool = True,
-        leads: bool = True,
+        keep_levels: bool = True,
         enough_force: float | None = None,
-        afresh: bool = False,
-        led_by: Solved | None = None,
+        independent: bool = False,
+        start_levels: Solved | None = None,
     ) -> SessionResult:
         """Solve the model, or `model2` with the same mesh, contact and supports.
 
@@ -150,14 +150,15 @@ class ReferenceSession:
         field_gradients : fill these tables and differentiate their fields by `wrt`; True for all, or the
             record files to differentiate
         required : number of levels that must be reached, later ones only if possible; None: all
-        hoped : number of levels solved with full effort, later ones attempted briefly; None: as `required`
+        full_effort : number of levels solved with full effort, later ones attempted briefly; None: as
+            `required`
         last : number of levels attempted; None: all
         patient : where Newton's method fails, fall back on pseudo-time relaxation, which is slow
-        leads : keep the levels as initial guesses for later solves
+        keep_levels : keep the levels as initial guesses for later solves
         enough_force : force on the body (N) at which no further levels are solved; None: all are solved
-        afresh : use nothing from earlier solves except the levels kept by `leads`, so that the result does
-            not depend on any other solves
-        led_by : start from these levels instead of those of the nearest solve with `leads`
+        independent : use nothing from earlier solves except the levels kept by `keep_levels`, so that the
+            result does not depend on any other solves
+        start_levels : start from these levels instead of those of the nearest solve with `keep_levels`
 
         Raises
         ------
@@ -178,23 +179,23 @@ class ReferenceSession:
         if wrt and path_dependent(model):
             return self._differenced(
                 model, wrt, weights or {}, field_gradients, records=records, required=required, last=last,
-                leads=leads, enough_force=enough_force, led_by=led_by, hoped=hoped, patient=patient,
-                afresh=afresh,
+                keep_levels=keep_levels, enough_force=enough_force, start_levels=start_levels,
+                full_effort=full_effort, patient=patient, independent=independent,
             )  # fmt: skip
         moved = dict(weights or {})
         self._analysis.model = model
         values = parameter_values(model, wrt, moved)
         self._warm = self._warm or WarmStart()
-        led = self._warm if led_by is None else WarmStart.by(led_by)
-        led.at(values)
-        if afresh:
+        start = self._warm if start_levels is None else WarmStart.by(start_levels)
+        start.at(values)
+        if independent:
             self._analysis.forget()
         started = time.monotonic()
         requested = self._records(model, records or bool(field_gradients))
         parameters = {(each[0], each[1]): law_parameter(each, moved.get(each), model) for each in wrt}
         watch = StateObserver(requested, parameters, self.body, of_fields=field_gradients)
         snapshots = self._analysis.run(
-            watch, guesses=partial(self._guess, led), required=required, hoped=hoped, last=last,
+            watch, guesses=partial(self._guess, start), required=required, full_effort=full_effort, last=last,
             patient=patient,
             ends=None if enough_force is None else lambda: watch.force() >= enough_force,
         )  # fmt: skip
@@ -205,7 +206,7 @@ class ReferenceSession:
             watch.slopes,
             tuple(o.lame for o in self._analysis.system.operands),
         )
-        if leads:
+        if keep_levels:
             self._warm.keep(levels)
         simulation = self._simulation(snapshots, requested, watch.rows, time.monotonic() - started)
         must = np.array([s.must for s in snapshots])
@@ -220,8 +221,8 @@ class ReferenceSession:
         )
 
     @property
-    def led(self) -> Solved | None:
-        """The levels of the last solve with `leads`; None if there is none."""
+    def kept_levels(self) -> Solved | None:
+        """The levels of the last solve with `keep_levels`; None if there is none."""
         return self._warm.last if self._warm is not None else None
 
     def lead(self, solved: Solved) -> None:
@@ -279,9 +280,9 @@ class ReferenceSession:
         *,
         records: bool,
         last: int | None,
-        leads: bool,
+        keep_levels: bool,
         enough_force: float | None,
-        led_by: Solved | None,
+        start_levels: Solved | None,
         **options: Any,
     ) -> SessionResult:
         """A solve with gradients by central differences with a relative parameter step of 1e-3.
@@ -289,8 +290,8 @@ class ReferenceSession:
         The result is limited to the levels that all of the solves reached.
         """
         found = self.solve(
-            model, records=records or bool(fields), last=last, leads=leads, enough_force=enough_force,
-            led_by=led_by, **options,
+            model, records=records or bool(fields), last=last, keep_levels=keep_levels,
+            enough_force=enough_force, start_levels=start_levels, **options,
         )  # fmt: skip
         n = len(found.must_points.times)
         ends: dict[Parameter, tuple[SessionResult, SessionResult, float]] = {}
@@ -301,7 +302,12 @@ class ReferenceSession:
                     changed, step = nudged(model, name, sign * _DIFFERENCE, along=weights.get(name))
                     pair.append(
                         self.solve(
-                            changed, records=bool(fields), last=n, leads=False, led_by=found.levels, **options
+                            changed,
+                            records=bool(fields),
+                            last=n,
+                            keep_levels=False,
+                            start_levels=found.levels,
+                            **options,
                         )
                     )
                     n = min(n, len(pair[-1].must_points.times))
@@ -360,8 +366,8 @@ class ReferenceSession:
             linear_solver=self._analysis.newton.linear_name,
         )
 
-    def _guess(self, led: WarmStart, system: System, time: float) -> State | None:
-        found = led.guess(system, time)
+    def _guess(self, start: WarmStart, system: System, time: float) -> State | None:
+        found = start.guess(system, time)
         if found is None and self._other is not None:
             found = self._other.guess(system, time)
         return found

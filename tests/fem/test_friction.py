@@ -188,16 +188,16 @@ def test_differenced_solves_take_all_that_was_asked() -> None:
     model = indented(0.3)
     with closing(ReferenceSession(model, threads=1, tolerance=1e-9)) as session:
         first = session.solve(last=2, wrt=[("tissue", "m1-m2"), ("tissue", "m1"), ("tissue", "m2")])
-        led = session.led
+        led = session.kept_levels
         assert led is first.levels
         by = first.force_gradient
         assert len(first.must_points.times) == len(by["tissue", "m1"]) == 2
         tied, apart = by["tissue", "m1-m2"], by["tissue", "m1"] - by["tissue", "m2"]
         np.testing.assert_allclose(tied, apart, rtol=1e-3, atol=1e-3 * abs(by["tissue", "m1"]).max())
         enough = 0.9 * float(first.must_points.forces[0])
-        short = session.solve(wrt=[("tissue", "c1")], enough_force=enough, leads=False)
+        short = session.solve(wrt=[("tissue", "c1")], enough_force=enough, keep_levels=False)
         assert len(short.must_points.times) == len(short.force_gradient["tissue", "c1"]) == 1
-        assert session.led is led
+        assert session.kept_levels is led
         assert session.model is model
 
 

@@ -36,7 +36,8 @@ def test_a_level_that_is_not_required_ends_the_run_and_one_that_is_fails_it():
         session.solve()
     assert session.solve(required=1).must_points.forces == pytest.approx(reached.forces, rel=1e-5)
     brief = session._analysis.counts.retries
-    assert session.solve(required=1, hoped=2).must_points.forces == pytest.approx(reached.forces, rel=1e-5)
+    full = session.solve(required=1, full_effort=2).must_points.forces
+    assert full == pytest.approx(reached.forces, rel=1e-5)
     assert session._analysis.counts.retries - brief > BRIEF_CUTS + 1  # with the full effort
     session.close()
 
@@ -73,14 +74,14 @@ def test_a_session_that_starts_like_another_leaves_that_ones_guesses_alone():
     session.solve()
     harder = base.with_material("tissue", ogden_type(c=0.005, f_kappa=5.0, m=6.0))
 
-    def work(*, leads: bool) -> list[int]:
+    def work(*, keep_levels: bool) -> list[int]:
         """Iterations of a new session's solve and of the same once more."""
         other = ReferenceSession(base, threads=1)
         other.start_like(session)
-        return [other.solve(harder, leads=leads).simulation.n_iterations for _ in range(2)]
+        return [other.solve(harder, keep_levels=keep_levels).simulation.n_iterations for _ in range(2)]
 
-    before = work(leads=True)
-    after = work(leads=False)
+    before = work(keep_levels=True)
+    after = work(keep_levels=False)
     assert before[0] == after[0]
     assert before[1] < after[1]
 
@@ -92,9 +93,9 @@ def test_a_solve_may_be_led_by_levels_of_its_own():
     requested = base.with_material("tissue", ogden_type(c=0.005, f_kappa=5.0, m=6.0))
     session = ReferenceSession(base, threads=1)
     first = session.solve()
-    alone, other = (session.solve(each, leads=False, afresh=True) for each in (requested, near))
-    led = session.solve(requested, leads=False, afresh=True, led_by=other.levels)
-    again = session.solve(requested, leads=False, afresh=True)
+    alone, other = (session.solve(each, keep_levels=False, independent=True) for each in (requested, near))
+    led = session.solve(requested, keep_levels=False, independent=True, start_levels=other.levels)
+    again = session.solve(requested, keep_levels=False, independent=True)
     session.close()
     np.testing.assert_allclose(led.must_points.forces, alone.must_points.forces, rtol=1e-5)
     counts = np.diff([each.simulation.n_iterations for each in (first, alone, other, led, again)])
@@ -157,13 +158,13 @@ def test_a_solve_afresh_depends_on_nothing_but_the_levels_that_lead():
     base = punch(depth=2.0)
     laws = [base.with_material("tissue", ogden_type(c=0.005, f_kappa=f, m=m)) for f, m in ((5, 6), (40, 2))]
 
-    def force(*before: LimbModel, afresh: bool) -> Array:
+    def force(*before: LimbModel, independent: bool) -> Array:
         session = ReferenceSession(base, threads=1, tolerance=1e-3)
         for each in before:
-            session.solve(each, leads=False)
-        found = session.solve(laws[0], afresh=afresh).must_points.forces
+            session.solve(each, keep_levels=False)
+        found = session.solve(laws[0], independent=independent).must_points.forces
         session.close()
         return found
 
-    np.testing.assert_array_equal(force(laws[1], afresh=True), force(afresh=True))
-    assert (force(laws[1], afresh=False) != force(afresh=False)).any()
+    np.testing.assert_array_equal(force(laws[1], independent=True), force(independent=True))
+    assert (force(laws[1], independent=False) != force(independent=False)).any()

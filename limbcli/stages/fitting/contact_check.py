@@ -66,7 +66,7 @@ def forces_again(
         if like is None:
             return session.solve(model).must_points.forces
         session.start_like(like)
-        return session.solve(model, required=1, hoped=0).must_points.forces
+        return session.solve(model, required=1, full_effort=0).must_points.forces
     except ArithmeticError as error:
         raise SolveError(
             f"the law overflows ({error})", where=check, fix=f"--no-{check.replace(' ', '-')}"

@@ -187,7 +187,7 @@ class LawCurve:
         with a wider band."""
         if not self.law.has_fibres:
             return self._session.solve(model, **options)
-        if self._session.led is not None:
+        if self._session.kept_levels is not None:
             with suppress(SolveError):
                 return self._session.solve(self._eased(model), patient=False, **options)
         self._session.solve(softer_jumps(model))

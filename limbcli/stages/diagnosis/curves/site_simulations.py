@@ -108,7 +108,7 @@ class SiteSimulations:
         self.depths = [float(each) for each in depths]
         self.n_solves, self.n_depths = 0, len(depths)
         self.needed = self.depths[-1] if reach.needed is None else reach.needed
-        self._hoped, self._required = (
+        self._full_effort, self._required = (
             min(int(np.searchsorted(self.depths, share * self.needed - 1e-9)) + 1, self.n_depths)
             for share in (1.0, reach.enough)
         )
@@ -235,7 +235,7 @@ class SiteSimulations:
         if model.has_friction:
             model = fewer_steps(model, _PATH_STEPS * self.n_depths)
         numerical = is_numerical(ingredients)
-        hoped = self._required if numerical else self._hoped
+        full_effort = self._required if numerical else self._full_effort
         # numerical effects (mesh, cut, contact) enter every verdict; only the work of candidates is limited
         limited = bool(ingredients) and not numerical
         fitted = limited and has_fitted_size(ingredients)
@@ -251,18 +251,19 @@ class SiteSimulations:
             session = shared if of_law_alone else self._fresh(model)
             if not of_law_alone:
                 session.start_like(shared)
+            start_levels = self._levels_with(ingredients) if fitted and not model.has_friction else None
             try:
                 result = session.solve(
                     model,
                     records=True,
                     required=self._required,
-                    hoped=hoped,
-                    leads=not ingredients,
+                    full_effort=full_effort,
+                    keep_levels=not ingredients,
                     patient=not limited,
-                    last=None if m == USUAL_M and not ingredients else hoped,
+                    last=None if m == USUAL_M and not ingredients else full_effort,
                     enough_force=self.enough_force,
-                    afresh=True,
-                    led_by=self._levels_with(ingredients) if fitted and not model.has_friction else None,
+                    independent=True,
+                    start_levels=start_levels,
                 )
             finally:
                 self.work.end()
@@ -305,7 +306,7 @@ class SiteSimulations:
             if ingredients:
                 self._with_effects[_names(ingredients)] = key
         n_reached = self.n_depths if enough else n_reached
-        if n_reached < hoped:
+        if n_reached < full_effort:
             self._report_level(m, ingredients, n_reached)
         self.kept.keep_curves(key, curves, work=work, n_reached=n_reached)
         return curves
@@ -346,12 +347,12 @@ class SiteSimulations:
             return None
 
     def _report_level(self, m: float, ingredients: Ingredients, n_reached: int) -> None:
-        if n_reached >= self._hoped:
+        if n_reached >= self._full_effort:
             return
         words = " and ".join(effect.name for effect, _ in ingredients) or "no effect"
         name, reached = f"{words}, m {m:g}", self.depths[n_reached - 1]
         self.in_part[name] = reached
-        text = f"{name}: solved to {reached:.1f} of {self.depths[self._hoped - 1]:.1f} mm"
+        text = f"{name}: solved to {reached:.1f} of {self.depths[self._full_effort - 1]:.1f} mm"
         self.progress.event("note", text=text)
 
     def _levels_with(self, ingredients: Ingredients) -> Solved | None:
