@@ -18,6 +18,8 @@ from limbcli.stages.diagnosis.bones.bone_hypotheses import OtherBones
 from limbcli.stages.mesh import mesh_options, mesh_site, read_limb, site_position
 from limbcli.stages.site_model.mesh_inputs import MeshInputs
 
+_FORM = 2  # of what is written: increased where a limb that an earlier version wrote cannot be used
+
 
 def limb_with(
     other: OtherBones, case: Case, sites: Sequence[Site], *, out: Path, work: Path, progress: Progress
@@ -43,7 +45,7 @@ def limb_with(
 def _key(other: OtherBones, segmented: StageResult) -> str:
     known = segmented.provenance.get("files_sha256", {})
     surfaces = {name: known.get(name) for name in segmented.files}
-    recipe = [other.left_out, other.moved, surfaces, segmented.data]
+    recipe = [_FORM, other.left_out, other.moved, surfaces, segmented.data]
     return hashlib.sha256(json.dumps(plain(recipe), sort_keys=True).encode()).hexdigest()[:12]
 
 
@@ -51,6 +53,7 @@ def _write_segment(other: OtherBones, case: Case, segmented: StageResult, folder
     with open_stage(folder, "segment", subject=case.subject) as writer:
         writer.data.update(segmented.data)
         writer.data["bones_changed"] = other.words
+        writer.data["bones_moved"] = sorted(other.moved)
         for name, filename in segmented.files.items():
             path = segmented.path(name)
             if not name.startswith("bone_"):
