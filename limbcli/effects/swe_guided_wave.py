@@ -1,7 +1,7 @@
 """Between probe and bone shear waves are guided and run faster than in unbounded tissue.
 
 Motion along the beam is suppressed at both: v_shown = v / sqrt(1 - (v / (2 h f))^2), h the remaining
-thickness, f the frequency (80 to 500 Hz). Thin sites and large loads read too high, which resembles a larger
+thickness, f the frequency (50 to 500 Hz). Thin sites and large loads read too high, which resembles a larger
 m.
 Tell-tale: additional rise of the speed at large load, more at thin sites.
 Source: Graff 1975, Wave Motion in Elastic Solids, chapter 8 (cut-off of a layer with held faces).
@@ -19,9 +19,9 @@ GUIDED = Parameter(
     null=0.0,
     start=0.1,
     low=0.0,
-    high=1.6,
+    high=4.0,
     typical=0.25,
-    prior="f 80 to 500 Hz: 1.6 to 0.04",
+    prior="f 50 to 500 Hz: 4 to 0.04",
 )
 
 
