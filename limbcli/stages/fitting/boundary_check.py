@@ -8,6 +8,7 @@ case says how a limb was held. The truth lies between the model and the two extr
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,7 +76,10 @@ def write_boundary_check(
             continue
         n = len(solved)
         ratio = solved / np.maximum(forces[:n], 1e-9)
-        moved = parameters(ratio) if parameters else {}
+        moved: Mapping[str, float] = {}
+        if parameters is not None:
+            with suppress(SolveError):  # of the derivatives, where a solver has to run for them
+                moved = parameters(ratio)
         found[boundary.key] = {"depths_mm": depths[:n], "force_change_fraction": ratio - 1.0, **moved}
         worst = int(np.argmax(np.abs(ratio - 1.0)))
         words = f"{100 * abs(ratio[worst] - 1.0):.1f} % {'higher' if ratio[worst] > 1 else 'lower'}"
