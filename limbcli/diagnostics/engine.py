@@ -351,6 +351,7 @@ class _Run:
         )
         shrink = account.shrink(shown, self.refits, kept if word in ("named", "ambiguous") else ())
         relative = baseline.relative if best is None else baseline.is_relative(best.state)
+        of_sizes = self.refits or Refits(baseline, self.trials, self.facts, {}, {})
         return Diagnosis(
             verdict=word, reason=reason, relative=relative, base=baseline.base, family=self.family,
             flagged=flagged, refits=tuple(self.refits.known.values()) if self.refits else (),
@@ -361,5 +362,5 @@ class _Run:
             angles=account.angles(kept), not_evaluated=self.not_evaluated, left_out=self.left_out,
             roughness=baseline.rough, facts=self.facts, seed=baseline.seed, held_out_z=account.held_out_z(),
             sizes=account.sizes_95(self.family, self.facts, self.trials),
-            refitted_sizes=account.refitted_sizes(self.refits, shrink),
+            refitted_sizes=account.refitted_sizes(of_sizes, shrink),
         )  # fmt: skip

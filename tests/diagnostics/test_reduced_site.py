@@ -62,6 +62,18 @@ def test_force_offset_is_named_and_the_tissue_comes_right(rng):
     assert abs(after - truth) < abs(before - truth)
 
 
+def test_sizes_of_effects_that_need_no_simulation_are_those_of_a_refit_though_nothing_was_found(rng):
+    """To first order a preload that has moved c far, and leaves nothing, would be excluded."""
+    model = bench(levels(rng), names=("preload", "force-zero", "anisotropy"))
+    found = diagnose(model, n_draws=1500)
+    assert (found.verdict, found.refits, found.not_evaluated) == ("adequate", (), {})
+    assert "force-zero" in found.refitted_sizes
+    assert "anisotropy" not in found.refitted_sizes, "the fit with fibres is simulated"
+    low, high = found.refitted_sizes["force-zero"].intervals["force_zero_n"]
+    value = model.fit(("force-zero",), {}).values["force_zero_n"]
+    assert 0.5 * (low + high) == pytest.approx(value, abs=0.02)
+
+
 @pytest.mark.parametrize("n_speeds", [1, 3])
 def test_speeds_at_a_few_levels_count_and_more_of_them_are_proposed(rng, n_speeds):
     few = levels(rng)

@@ -80,21 +80,25 @@ class Account:
             fitted, scale=self._scale_within(state), besides=self.baseline.form_error(fitted)
         )
 
-    def refitted_sizes(self, refits: Refits | None, shrink: Sequence[Shrink]) -> dict[str, RefittedSizes]:
-        """Sizes of every effect that was refitted alone and stayed within its bounds.
+    def refitted_sizes(self, refits: Refits, shrink: Sequence[Shrink]) -> dict[str, RefittedSizes]:
+        """Sizes of every effect that was refitted alone, or can be without a simulation, and stayed within
+        its bounds.
+
+        The first-order interval at the fit without effects is far too narrow where an effect that hardly
+        shows has moved c and m far, such as a preload in a record of forces.
 
         Where `shrink` has a stage for the effect, the interval also covers that stage's, whose profile over m
         captures nonlinearity that the sensitivities do not.
         """
         found, whiten, widening = {}, self.baseline.whiten, self.baseline.forward_model.interval_widening
-        for each in refits.known.values() if refits else ():
-            if len(each.explanation) != 1 or each.fitted.at_bound:
+        for name in refits.trials:
+            fitted = refits.alone(name)
+            if fitted is None or fitted.at_bound:
                 continue
-            name, fitted = each.explanation[0], each.fitted
             form = whiten(whiten(self.baseline.form_error(fitted)).T)
-            scale = self._scale_within(each.state)
+            scale = self._scale_within(self.baseline.linearised(fitted))
             sizes = refitted_sizes(fitted, whiten(fitted.jacobian), scale, form, widening)
-            found_by = (stage.estimates for stage in shrink if stage.explanation == each.explanation)
+            found_by = (stage.estimates for stage in shrink if stage.explanation == (name,))
             reported = next(found_by, None)
             found[name] = sizes if reported is None else sizes.hull_with(reported.intervals)
         return found

@@ -60,6 +60,18 @@ class Refits:
         label = " + ".join(explanation)
         return explanation in self.known or label in self.left_out or label in self.not_evaluated
 
+    def alone(self, name: str) -> Fitted | None:
+        """A fit with this effect alone, for the interval of its size; None if it fails, or would need a
+        simulation."""
+        if (name,) in self.known:
+            return self.known[(name,)].fitted
+        if self.facts[name].simulated:
+            return None
+        try:
+            return self._fit((name,))
+        except LimbError:
+            return None
+
     def best(self) -> Refit | None:
         """The refit with the lowest chi2 that has no parameter on a bound."""
         usable = [refit for refit in self.known.values() if not refit.fitted.at_bound]
@@ -105,14 +117,18 @@ class Refits:
 
     def _draft(self, explanation: Explanation) -> Fitted | None:
         """The fit on the surrogate; None if it fails, with the reason in `not_evaluated`."""
-        found = score(self.baseline.state, self._joint(explanation))
-        start = {name: float(eta) for name, eta in zip(found.direction.names, found.eta, strict=False)}
-        start |= found.direction.at
         try:
-            return self.baseline.forward_model.fit(explanation, start)
+            return self._fit(explanation)
         except LimbError as error:
             self.not_evaluated[" + ".join(explanation)] = error.what
             return None
+
+    def _fit(self, explanation: Explanation) -> Fitted:
+        """The fit on the surrogate, from the sizes of the first order."""
+        found = score(self.baseline.state, self._joint(explanation))
+        start = {name: float(eta) for name, eta in zip(found.direction.names, found.eta, strict=False)}
+        start |= found.direction.at
+        return self.baseline.forward_model.fit(explanation, start)
 
     def _settle(self, explanation: Explanation, draft: Fitted, *, simulated: bool = True) -> None:
         """Simulate the fitted model if `simulated`, test its residual and store the refit."""
