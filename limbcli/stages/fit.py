@@ -31,7 +31,7 @@ from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.solvers import choose
 from limbcli.solvers.base import Simulation, Solver
 from limbcli.stages.build_feb import tissue_stiffness
-from limbcli.stages.fitting.boundary_check import Boundary, moved_parameters, write_boundary_check
+from limbcli.stages.fitting.boundary_check import ChangedBoundary, moved_parameters, write_boundary_check
 from limbcli.stages.fitting.contact_check import forces_again, forces_with_penalty, write_contact_check
 from limbcli.stages.fitting.cycles import through_cycle, write_cycle
 from limbcli.stages.fitting.exports import write_mat_file
@@ -183,7 +183,7 @@ def _check_boundaries(
     fitted: LimbModel, curve: SolvedPoints, knots: Array, data: ForceDepth, theta: Array,
     writer: StageWriter, progress: Progress,
 ) -> None:  # fmt: skip
-    def again(boundary: Boundary) -> Array:
+    def again(boundary: ChangedBoundary) -> Array:
         return forces_again(boundary.of(fitted), "boundary check", progress=progress)
 
     flags = writer.data["flags"]

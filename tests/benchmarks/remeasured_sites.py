@@ -25,13 +25,16 @@ import shutil
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from instrument_effects import APPLY, Readings, drawn  # the file beside this one
 
 from limbcli.measurement.elastography import SweMap, map_file, write_map
 from limbcli.model import Array
 from limbcli.phantom.case_folder import toml
+
+if TYPE_CHECKING:
+    from tests.benchmarks.instrument_effects import Readings
 
 SHARED = Path(os.environ.get("LIMBCLI_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 SITES = SHARED / "febio-hidden"
@@ -83,6 +86,8 @@ def level_table(columns: list[str], exact: Readings, rng: np.random.Generator) -
 
 def hidden_in(truth: dict, hidden: str, exact: Readings, rng: np.random.Generator) -> tuple[Readings, dict]:
     """The readings with what is hidden, and what the truth says of it."""
+    from instrument_effects import APPLY, drawn  # the file beside this one
+
     if hidden == "nothing":
         return exact, {"effects": ["none"], "answer": "none"}
     if hidden == "instrument":
@@ -101,7 +106,8 @@ def hidden_in(truth: dict, hidden: str, exact: Readings, rng: np.random.Generato
 
 def remeasure(truth: dict, hidden: str, draw: int, out: Path) -> dict | None:
     """Writes the case folder; its entry in the truth, or None where FEBio's record is not there."""
-    from what_maps_keep import at_forces  # the file beside this one
+    from instrument_effects import APPLY, Readings  # the files beside this one
+    from what_maps_keep import at_forces
 
     in_model = set(truth["effects"]) - set(APPLY) - {"none"}
     if hidden == "study" and truth["effects"] == ["none"]:

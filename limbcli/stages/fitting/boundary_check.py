@@ -28,7 +28,7 @@ _FAR = 2.0  # factor on a parameter up to which its linear estimate is given
 
 
 @dataclass(frozen=True)
-class Boundary:
+class ChangedBoundary:
     """A boundary other than the model's: key in the result, and how a sentence calls it."""
 
     key: str
@@ -41,13 +41,13 @@ class Boundary:
 
 
 BOUNDARIES = (
-    Boundary("cut_free", "if the cut plane were free", CROP),
-    Boundary("far_side_held", "if the far side of the limb were held", FAR_SIDE),
+    ChangedBoundary("cut_free", "if the cut plane were free", CROP),
+    ChangedBoundary("far_side_held", "if the far side of the limb were held", FAR_SIDE),
 )
 
 
 def write_boundary_check(
-    model: LimbModel, forces: Array, depths: Array, again: Callable[[Boundary], Array], writer: StageWriter,
+    model: LimbModel, forces: Array, depths: Array, again: Callable[[ChangedBoundary], Array], writer: StageWriter,
     *, parameters: Callable[[Array], Mapping[str, float]] | None = None, site: str | None = None,
     progress: Progress = SILENT,
 ) -> None:  # fmt: skip

@@ -29,7 +29,7 @@ from limbcli.solvers.material_lines import FILE as LINES
 from limbcli.solvers.material_lines import MaterialLines
 from limbcli.solvers.session import ReferenceSession, SessionResult
 from limbcli.stages.diagnosis.curves.model_simplification import softer_jumps
-from limbcli.stages.fitting.boundary_check import Boundary
+from limbcli.stages.fitting.boundary_check import ChangedBoundary
 from limbcli.stages.fitting.contact_check import forces_again, forces_with_penalty
 from limbcli.stages.fitting.laws import FitLaw
 from limbcli.stages.site_model.indentation_model import TISSUE
@@ -202,7 +202,7 @@ class LawCurve:
             self.fitted(theta), penalty, like=self._session, threads=self._threads, progress=self._progress
         )
 
-    def with_boundary(self, theta: Array, boundary: Boundary) -> Array:
+    def with_boundary(self, theta: Array, boundary: ChangedBoundary) -> Array:
         """The same with another boundary and the same contact."""
         return forces_again(
             boundary.of(self.fitted(theta)), "boundary check", like=self._session, threads=self._threads,
