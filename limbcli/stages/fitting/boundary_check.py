@@ -48,8 +48,8 @@ BOUNDARIES = (
 
 def write_boundary_check(
     model: LimbModel, forces: Array, depths: Array, again: Callable[[ChangedBoundary], Array],
-    writer: StageWriter, *, parameters: Callable[[Array], Mapping[str, float]] | None = None, site: str | None = None,
-    progress: Progress = SILENT,
+    writer: StageWriter, *, parameters: Callable[[Array], Mapping[str, float]] | None = None,
+    site: str | None = None, progress: Progress = SILENT,
 ) -> None:  # fmt: skip
     """Write `boundary_check` of a fit and a line of the summary for every boundary.
 
