@@ -111,7 +111,8 @@ class _Run:
             return False
         refitted = {each.explanation: each for each in singles}
         return all(
-            (each.name,) in refitted and self._borne_out(each, refitted[(each.name,)]) >= thresholds.ALPHA
+            (each.name,) in refitted
+            and self._borne_out(each.p_adjusted, each, refitted[(each.name,)]) >= thresholds.ALPHA
             for each in self._significant
         )
 
@@ -300,12 +301,11 @@ class _Run:
         of_gain = min(times * self._gain_p(refit), 1.0)
         if found is None:
             return of_gain
-        return min(self._borne_out(found, refit, found.p_among if among_effects else None), of_gain)
+        p = found.p_among if among_effects else found.p_adjusted
+        return min(self._borne_out(p, found, refit), of_gain)
 
-    def _borne_out(self, found: Tested, refit: Refit, p: float | None = None) -> float:
+    def _borne_out(self, p: float, found: Tested, refit: Refit) -> float:
         """Adjusted p of a first-order score, weakened where the refit gains less than the score predicts.
-
-        p : to be used for the adjusted p; None: that over the whole family
 
         The p is moved along the tail of the chi2 distribution for the same number of tests. Where the noise
         level is unknown, both statistics are scaled by the scatter that remains after the refit.
@@ -313,11 +313,10 @@ class _Run:
         unit = self._scatter(refit) if self.baseline.relative else 1.0
         gain = (self.baseline.state.chi2 - refit.state.chi2) / unit + thresholds.SLACK
         promised, n = found.score.statistic / unit, max(len(found.score.direction.names), 1)
-        adjusted = found.p_adjusted if p is None else p
         if gain >= promised:
-            return adjusted
+            return p
         times = np.exp(chi2_distribution.logsf(max(gain, 0.0), n) - chi2_distribution.logsf(promised, n))
-        return float(-np.expm1(times * np.log1p(-min(adjusted, 1.0 - 1e-12))))
+        return float(-np.expm1(times * np.log1p(-min(p, 1.0 - 1e-12))))
 
     @staticmethod
     def _scatter(refit: Refit) -> float:

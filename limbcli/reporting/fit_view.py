@@ -111,7 +111,7 @@ def read_fit_view(result: StageResult) -> FitView:
         for key, content in data.get("steps", {}).items()
         if isinstance(content, Mapping)
     )
-    noise, options = data.get("noise"), data.get("asked") or {}
+    noise, options = data.get("noise"), data.get("asked")
     solver = " ".join(str(data[key]) for key in ("solver", "solver_version") if data.get(key))
     walks = tuple(
         walk for key, content in data.get("steps", {}).items() if (walk := _walk(key, content)) is not None
@@ -120,7 +120,7 @@ def read_fit_view(result: StageResult) -> FitView:
         element=str(data.get("element", DASH)),
         solver=solver or DASH,
         c_source=str(data.get("c_source") or "").replace("2 mu ", "2 µ "),
-        c_is_given=number(options.get("c_kpa")) is not None,
+        c_is_given=isinstance(options, Mapping) and number(options.get("c_kpa")) is not None,
         noise_scale=number(data.get("noise_scale")),
         noise_source=str(noise.get("source", "")) if isinstance(noise, Mapping) else "",
         steps=steps,

@@ -32,7 +32,7 @@ from limbcli.solvers import choose
 from limbcli.solvers.base import Simulation, Solver
 from limbcli.stages.build_feb import tissue_stiffness
 from limbcli.stages.fitting.boundary_check import ChangedBoundary, moved_parameters, write_boundary_check
-from limbcli.stages.fitting.contact_check import forces_again, forces_with_penalty, write_contact_check
+from limbcli.stages.fitting.contact_check import forces_with_penalty, write_contact_check
 from limbcli.stages.fitting.cycles import through_cycle, write_cycle
 from limbcli.stages.fitting.exports import write_mat_file
 from limbcli.stages.fitting.force_curves import FileCurve, ReferenceCurve, with_tissue
@@ -43,6 +43,7 @@ from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.stages.fitting.options import FitOptions, check_choice, check_numbers
 from limbcli.stages.fitting.predicted_speeds import write_speeds
 from limbcli.stages.fitting.result import Identified, write_result
+from limbcli.stages.fitting.solve_again import forces_again
 from limbcli.stages.fitting.stiffness_map import tissue_map, write_tissue_map
 from limbcli.stages.fitting.table import NAMES
 from limbcli.stages.provenance.chain import Chain

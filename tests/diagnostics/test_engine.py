@@ -498,7 +498,7 @@ def test_what_a_refit_bears_out_is_the_same_whatever_level_was_assumed_of_noise_
     for times in (1.0, 9.0):
         baseline = SimpleNamespace(state=SimpleNamespace(nu=100, chi2=107.0 * times), relative=True)
         refit = SimpleNamespace(explanation=("a",), state=SimpleNamespace(nu=99, chi2=99.0 * times))
-        found.append(_Run(baseline, 3, False)._borne_out(judged(0.01, 10.0 * times), refit))
+        found.append(_Run(baseline, 3, False)._borne_out(0.01, judged(0.01, 10.0 * times), refit))
     assert found[1] == pytest.approx(found[0])
     assert found[0] < 0.05
 

@@ -66,6 +66,10 @@ LEVELS = (
 )
 SIZES = {"size": 3.5, "far_size": 8.0}
 RADIUS = 200 / (2 * np.pi)
+QUICK = FitOptions(
+    gain_deviation=0.02, c_kpa=8.0, c_deviation=0.02, contact_check=False, boundary_check=False,
+    max_interval_solves=3,
+)  # fmt: skip
 
 
 def numbers(folder: Path, *, shape: str = SHAPE, place: str = "", more: str = "", first: str = "") -> Case:
@@ -250,15 +254,7 @@ def test_a_fit_recovers_the_tissue_and_allows_for_the_shape(chain, tmp_path):
     segment(case, out=out)
     mesh(case, out=out, **SIZES)
     build_feb(case, out=out)
-    wanted = FitOptions(
-        gain_deviation=0.02,
-        c_kpa=8.0,
-        c_deviation=0.02,
-        contact_check=False,
-        boundary_check=False,
-        max_interval_solves=3,
-    )
-    (first,) = fit(case, out=out, solver="reference", options=wanted)
+    (first,) = fit(case, out=out, solver="reference", options=QUICK)
     found = first.data
     uncertainty = found["geometry_uncertainty"]
     for name, true in (("f_kappa", 2.0), ("m", 5.0)):
@@ -276,7 +272,7 @@ def test_a_fit_recovers_the_tissue_and_allows_for_the_shape(chain, tmp_path):
     assert (kinds["depth"] < 0).all()  # more tissue is softer
     assert (kinds["roundness"] > 0).all()  # the last one is the flatter: more of the face at once
     assert uncertainty["n_solves"] == 9
-    brief = replace(wanted, intervals=False)
+    brief = replace(QUICK, intervals=False)
     again = fit(case, out=out, solver="reference", options=brief)[0].data["geometry_uncertainty"]
     assert again["n_solves"] == 0
     assert again["variations"] == uncertainty["variations"]
@@ -323,15 +319,7 @@ def test_a_bone_met_on_its_flank_is_within_the_interval_that_allows_for_it(tmp_p
     segment(case, out=out)
     mesh(case, out=out, **SIZES)
     build_feb(case, out=out)
-    wanted = FitOptions(
-        gain_deviation=0.02,
-        c_kpa=8.0,
-        c_deviation=0.02,
-        contact_check=False,
-        boundary_check=False,
-        max_interval_solves=3,
-    )
-    uncertainty = fit(case, out=out, solver="reference", options=wanted)[0].data["geometry_uncertainty"]
+    uncertainty = fit(case, out=out, solver="reference", options=QUICK)[0].data["geometry_uncertainty"]
     (low, _), (alone, _) = uncertainty["interval_95"]["m"], uncertainty["interval_95_noise"]["m"]
     assert low < 5.0 < alone
     moved = {each["kind"]: each["log_shift"]["m"] for each in uncertainty["variations"]}

@@ -15,7 +15,7 @@ from limbcli.inference.two_step_fit import ForceDepth
 from limbcli.model import LimbModel
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.fitting.boundary_check import BOUNDARIES, moved_parameters, write_boundary_check
-from limbcli.stages.fitting.contact_check import forces_again
+from limbcli.stages.fitting.solve_again import forces_again
 from limbcli.stages.site_model.indentation_model import indentation_model
 from tests.stages import block_case as block
 

@@ -16,14 +16,11 @@ from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageWriter
 from limbcli.solvers.session import ReferenceSession
+from limbcli.stages.fitting.solve_again import forces_again
 from limbcli.stages.site_model.indentation_model import with_penalty
 
 HARDER = 4.0  # penalty of the check, as a multiple of the model's
 MATTERS = 0.05  # relative change of force above which a warning is given; below it the mesh error is larger
-_TOLERANCE = 1e-4
-# Relative residual that is accepted where the iterations stall, as they do where fibres begin to be
-# stretched. On a limb with fibres this changed the force of one level of eight by 0.06 %.
-_STALLED = 1e-2
 
 
 def forces_with_penalty(
@@ -42,37 +39,6 @@ def forces_with_penalty(
     return forces_again(
         with_penalty(model, penalty), "contact check", like=like, threads=threads, progress=progress
     )
-
-
-def forces_again(
-    model: LimbModel, check: str, *, like: ReferenceSession | None = None, threads: int = 2,
-    progress: Progress = SILENT,
-) -> Array:  # fmt: skip
-    """Forces (n_reached,) N at the levels of a fitted model that was changed for this check.
-
-    like : a session that has solved the model before the change; its levels are the initial guesses of this
-        solve. The solve ends at the first level not reached quickly from there, as a comparison does not need
-        every level
-
-    Raises
-    ------
-    SolveError
-        If the model cannot be solved.
-    """
-    session = ReferenceSession(
-        model, progress=progress, threads=threads, tolerance=_TOLERANCE, stalled=_STALLED
-    )
-    try:
-        if like is None:
-            return session.solve(model).must_points.forces
-        session.start_like(like)
-        return session.solve(model, required=1, full_effort=0).must_points.forces
-    except ArithmeticError as error:
-        raise SolveError(
-            f"the law overflows ({error})", where=check, fix=f"--no-{check.replace(' ', '-')}"
-        ) from error
-    finally:
-        session.close()
 
 
 def write_contact_check(

@@ -30,8 +30,9 @@ from limbcli.solvers.material_lines import MaterialLines
 from limbcli.solvers.session import ReferenceSession, SessionResult
 from limbcli.stages.diagnosis.curves.model_simplification import softer_jumps
 from limbcli.stages.fitting.boundary_check import ChangedBoundary
-from limbcli.stages.fitting.contact_check import forces_again, forces_with_penalty
+from limbcli.stages.fitting.contact_check import forces_with_penalty
 from limbcli.stages.fitting.laws import FitLaw
+from limbcli.stages.fitting.solve_again import forces_again
 from limbcli.stages.site_model.indentation_model import TISSUE
 from limbcli.temporary_folders import scratch_folder
 
