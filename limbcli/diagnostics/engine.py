@@ -247,6 +247,9 @@ class _Run:
         larger = [each for each in kept if set(best.explanation) <= set(each.explanation)]
         if max(each.left_p for each in larger) < thresholds.LEFT:
             return "ambiguous", "a residual remains; it may not be the full explanation"
+        if best.is_beaten:
+            better = min(larger, key=lambda refit: refit.state.chi2)
+            return "ambiguous", f"{' + '.join(better.explanation)} fits better than chance allows"
         chance = self._chance_of(best, times=thresholds.NAMED_BY_GAIN, among_effects=True)
         if chance >= thresholds.NAMED:
             return "ambiguous", f"its own evidence is too weak to name it (p {chance:.2g})"

@@ -232,11 +232,11 @@ def test_a_pair_that_nothing_tells_apart_does_not_choose_the_measurement():
 
 @pytest.mark.slow
 def test_rates_over_many_data_sets(rng):
-    """At twice the visible size: of 70 data sets 56 are named and right, two at the most are named wrong, and
+    """At twice the visible size: of 70 data sets 53 are named and right, two at the most are named wrong, and
     the truth is missing in three sets at the most.
 
-    A share of right names of 70 % would pass with 4 %; 10 % of wrong names with 5 %; 10 % of truths that are
-    missing with 7 %. All of these stood at 61, 0 and 0 when this was written.
+    A share of right names of 65 % would pass with 4 %; 10 % of wrong names with 5 %; 10 % of truths that are
+    missing with 7 %. They stood at 55, 0 and 0 when this was written.
     """
     sizes = {"offset": 3.4, "wave": 4.2, "place": 7.2, "guided": 23.0, "bias": 18.0, "step": 7.0, "jump": 7.2}
     right = wrong = inside = 0
@@ -246,7 +246,7 @@ def test_rates_over_many_data_sets(rng):
         if found.verdict == "named":
             right, wrong = right + (found.chosen == (name,)), wrong + (found.chosen != (name,))
         inside += (name,) in found.confidence_set
-    assert right >= 56
+    assert right >= 53
     assert wrong <= 2
     assert inside >= 67
 
@@ -402,12 +402,29 @@ def test_what_a_name_leaves_one_effect_more_has_to_explain(monkeypatch, alone, w
     run._chance_of = lambda refit, **how: 0.0
     monkeypatch.setattr("limbcli.diagnostics.engine.Closing.is_closed", lambda self, refit: True)
     fitted = SimpleNamespace(notes=(), at_bound=())
-    kept = [SimpleNamespace(explanation=("a",), left_p=alone, fitted=fitted)]
+    kept = [SimpleNamespace(explanation=("a",), left_p=alone, fitted=fitted, is_beaten=False)]
     if with_one_more is not None:
         kept.append(SimpleNamespace(explanation=("a", "b"), left_p=with_one_more, fitted=fitted))
     objection = run._why_not_named(kept[0], kept, [])
     assert (objection is None) == named
     assert named or objection[0] == "ambiguous"
+
+
+@pytest.mark.parametrize("beaten", [False, True])
+def test_no_name_for_what_a_larger_explanation_beats(monkeypatch, beaten):
+    run = _Run(SimpleNamespace(), 3, False)
+    run._chance_of = lambda refit, **how: 0.0
+    monkeypatch.setattr("limbcli.diagnostics.engine.Closing.is_closed", lambda self, refit: True)
+    fitted = SimpleNamespace(notes=(), at_bound=())
+    kept = [
+        SimpleNamespace(
+            explanation=each, left_p=0.5, fitted=fitted, is_beaten=beaten and len(each) == 1,
+            state=SimpleNamespace(chi2=10.0 - len(each)),
+        )
+        for each in [("a",), ("a", "b")]
+    ]  # fmt: skip
+    objection = run._why_not_named(kept[0], kept, [])
+    assert objection == (("ambiguous", "a + b fits better than chance allows") if beaten else None)
 
 
 @pytest.mark.parametrize(
@@ -423,7 +440,7 @@ def test_no_name_for_what_one_site_in_twenty_with_nothing_missing_shows(
     run.refits = SimpleNamespace(trials={"all": SimpleNamespace(directions=[None] * 40)}, known={})
     monkeypatch.setattr("limbcli.diagnostics.engine.Closing.is_closed", lambda self, refit: True)
     best = SimpleNamespace(
-        explanation=("a", "b")[:several], left_p=0.5, state=SimpleNamespace(nu=99, chi2=after),
+        explanation=("a", "b")[:several], left_p=0.5, state=SimpleNamespace(nu=99, chi2=after), is_beaten=False,
         fitted=SimpleNamespace(notes=(), at_bound=(), effect_names=("size",)),
     )  # fmt: skip
     objection = run._why_not_named(best, [best], [])

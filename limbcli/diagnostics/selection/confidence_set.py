@@ -59,19 +59,19 @@ class Refit:
     @property
     def fits(self) -> bool:
         """Adequate and not significantly worse than the best; a parameter may be on a bound."""
-        return self.is_adequate and not self._is_beaten
+        return self.is_adequate and not self.is_beaten
 
     def is_close_to(self, members: Sequence[Refit]) -> bool:
         """Slightly below adequacy, but fitting as well as a member: both leave the same scatter, whose level
         does not favour either of them."""
         if self.fitted.at_bound or self.is_adequate or self.left_p < thresholds.BARELY * thresholds.ADEQUATE:
             return False
-        return not self._is_beaten and any(
+        return not self.is_beaten and any(
             self.state.chi2 < m.state.chi2 + thresholds.AS_WELL for m in members
         )
 
     @property
-    def _is_beaten(self) -> bool:
+    def is_beaten(self) -> bool:
         """Whether the gap to the best explanation is larger than chance allows."""
         if self.gap is None or self.gap_allowed is None:
             return False
