@@ -440,8 +440,8 @@ def test_no_name_for_what_one_site_in_twenty_with_nothing_missing_shows(
     run.refits = SimpleNamespace(trials={"all": SimpleNamespace(directions=[None] * 40)}, known={})
     monkeypatch.setattr("limbcli.diagnostics.engine.Closing.is_closed", lambda self, refit: True)
     best = SimpleNamespace(
-        explanation=("a", "b")[:several], left_p=0.5, state=SimpleNamespace(nu=99, chi2=after), is_beaten=False,
-        fitted=SimpleNamespace(notes=(), at_bound=(), effect_names=("size",)),
+        explanation=("a", "b")[:several], left_p=0.5, state=SimpleNamespace(nu=99, chi2=after),
+        is_beaten=False, fitted=SimpleNamespace(notes=(), at_bound=(), effect_names=("size",)),
     )  # fmt: skip
     objection = run._why_not_named(best, [best], [])
     assert (objection is None) == named
