@@ -53,7 +53,8 @@ def fit(
     gain_deviation_fraction : numerical error of the force to allow for; None: from `mesh(study=True)` if that
         was run, else by element type and edge length
     contact_check : solve the fitted model once more with a stiffer contact
-    boundary_check : and with the cut plane free, and with the far side of the limb held
+    boundary_check : and with the cut plane free, and with the far side of the limb held; the intervals
+        allow for both
     cycle : the loading cycle to fit, if there are several: its number, or "last"
     templates : a folder of Jinja templates that take precedence over the built-in ones
     time_limit_s : of each FEBio run

@@ -60,7 +60,8 @@ ContactCheckOpt = Annotated[
 BoundaryCheckOpt = Annotated[
     bool,
     typer.Option(
-        help="Also solve the fitted model with the cut plane free, and with the limb's far side held."
+        help="Also solve the fitted model with the cut plane free, and with the limb's far side held; "
+        "the intervals allow for both."
     ),
 ]
 CompareElementOpt = Annotated[

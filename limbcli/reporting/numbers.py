@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from limbcli.reporting.reportlet import Cell
@@ -27,6 +27,39 @@ def significant(value: float, digits: int = 3) -> str:
     if int(exponent) < _SMALLEST_EXPONENT:
         return f"{mantissa}e{int(exponent)}"
     return f"{value:.{max(digits - 1 - int(exponent), 0)}f}"
+
+
+def signed_percent(share: float) -> str:
+    """Percentage with its sign, unless it rounds to zero.
+
+    >>> signed_percent(0.0123), signed_percent(-0.0002), signed_percent(-1.5)
+    ('+1.2', '0.0', '-150.0')
+    """
+    return f"{100 * share:+.1f}" if abs(100 * share) >= 0.05 else "0.0"
+
+
+def range_percent(shares: Iterable[object]) -> str:
+    """Range of percentages, with their signs; a dash if none of the values is a number.
+
+    >>> range_percent([-0.097, None, 0.02]), range_percent([None])
+    ('-9.7 to +2.0 %', '–')
+    """
+    known = [share for each in shares if (share := number(each)) is not None]
+    return f"{signed_percent(min(known))} to {signed_percent(max(known))} %" if known else DASH
+
+
+def interval(found: Sequence[float | None] | None) -> str:
+    """Both ends of an interval; "open" without any, a dash without an interval.
+
+    >>> interval([3.5, None]), interval(None)
+    ('above 3.50', '–')
+    """
+    low, high = (number(each) for each in found) if found else (None, None)
+    if low is None and high is None:
+        return "open" if found else DASH
+    if low is None or high is None:
+        return f"above {significant(low)}" if low is not None else f"below {significant(high or 0.0)}"
+    return f"{significant(low)} to {significant(high)}"
 
 
 def number(value: object) -> float | None:

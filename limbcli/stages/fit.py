@@ -31,13 +31,20 @@ from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.solvers import choose
 from limbcli.solvers.base import Simulation, Solver
 from limbcli.stages.build_feb import tissue_stiffness
-from limbcli.stages.fitting.boundary_check import ChangedBoundary, moved_parameters, write_boundary_check
+from limbcli.stages.fitting.boundary_check import (
+    ChangedBoundary,
+    ChangedForces,
+    boundary_modes,
+    changed_forces,
+    moved_parameters,
+    write_boundary_check,
+)
 from limbcli.stages.fitting.contact_check import forces_with_penalty, write_contact_check
 from limbcli.stages.fitting.cycles import through_cycle, write_cycle
 from limbcli.stages.fitting.exports import write_mat_file
 from limbcli.stages.fitting.force_curves import FileCurve, ReferenceCurve, with_tissue
 from limbcli.stages.fitting.geometry import site_geometry_uncertainty
-from limbcli.stages.fitting.geometry_result import write_geometry
+from limbcli.stages.fitting.geometry_result import write_geometry, write_widening
 from limbcli.stages.fitting.layers import write_layers
 from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.stages.fitting.options import FitOptions, check_choice, check_numbers
@@ -135,6 +142,10 @@ def _fit_site(
         uncertainty = site_geometry_uncertainty(
             case, site, out, fitted, curve(theta).values, writer, progress=progress
         )
+        changed = _changed_boundaries(fitted, curve(theta).values, progress) if options.boundary_check else []
+        modes = boundary_modes(changed, len(knots))
+        if uncertainty is not None:
+            modes = np.vstack([uncertainty.modes, modes])
         intervals, of_noise, why_none = None, None, "no interval was requested"
         if not (site.noise.force > 0 or site.noise.depth > 0):
             why_none = "the case states no noise of force or depth"
@@ -145,8 +156,8 @@ def _fit_site(
         elif options.intervals:
             limit = options.max_interval_solves
             intervals = of_noise = _intervals(curve, knots, data, known, steps, limit, progress)
-            if uncertainty is not None:
-                wide = _intervals(curve, knots, data, known, steps, limit, progress, uncertainty.modes)
+            if len(modes):
+                wide = _intervals(curve, knots, data, known, steps, limit, progress, modes)
                 intervals = (no_narrower(wide[0], of_noise[0]), no_narrower(wide[1], of_noise[1]))
         identified = Identified(
             curve,
@@ -159,7 +170,7 @@ def _fit_site(
             intervals,
             cold,
             why_none,
-            uncertainty,
+            modes if len(modes) else None,
             gains,
         )
         simulation = _write_fitted_run(fitted, solver, writer, options, progress)
@@ -174,25 +185,21 @@ def _fit_site(
             penalty = fitted.contacts[0].penalty
             write_contact_check(penalty, curve(theta).values, knots, harder, writer, progress=progress)
         if options.boundary_check:
-            _check_boundaries(fitted, curve, knots, data, theta, writer, progress)
+            free = {k: name for k, name in enumerate(NAMES) if writer.data["flags"][name] == "identified"}
+            parameters = partial(moved_parameters, curve, knots, data, theta, free)
+            write_boundary_check(changed, knots, writer, parameters=parameters)
+        if of_noise is not None and len(modes):
+            write_widening(of_noise[-1], writer)
         write_speeds(fitted, simulation, levels, site, writer)
         write_layers(fitted, simulation, levels, site, writer)
         write_mat_file(writer)
 
 
-def _check_boundaries(
-    fitted: LimbModel, curve: SolvedPoints, knots: Array, data: ForceDepth, theta: Array,
-    writer: StageWriter, progress: Progress,
-) -> None:  # fmt: skip
+def _changed_boundaries(fitted: LimbModel, forces: Array, progress: Progress) -> list[ChangedForces]:
     def again(boundary: ChangedBoundary) -> Array:
         return forces_again(boundary.of(fitted), "boundary check", progress=progress)
 
-    flags = writer.data["flags"]
-    free = {k: name for k, name in enumerate(NAMES) if flags[name] == "identified"}
-    parameters = partial(moved_parameters, curve, knots, data, theta, free)
-    write_boundary_check(
-        fitted, curve(theta).values, knots, again, writer, parameters=parameters, progress=progress
-    )
+    return changed_forces(fitted, forces, again, progress=progress)
 
 
 def _intervals(
@@ -202,7 +209,7 @@ def _intervals(
     """Profile-likelihood intervals of both steps.
 
     known : c and its uncertainty at each step; limit : greatest number of additional simulations
-    modes : changes of ln force by the uncertain geometry, to be included; None without it
+    modes : changes of ln force by uncertain geometry and boundaries, to be included; None without them
     """
     theta = steps[-1].theta
     curve.expect(limit + _FIRST_SOLVES)

@@ -32,7 +32,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.solvers.material_lines import MaterialLines
 from limbcli.stages.fit import FitOptions, built_model, check_numbers, initial_stiffness
-from limbcli.stages.fitting.boundary_check import write_boundary_check
+from limbcli.stages.fitting.boundary_check import changed_forces, write_boundary_check
 from limbcli.stages.fitting.contact_check import write_contact_check
 from limbcli.stages.fitting.cycles import through_cycle, write_cycle
 from limbcli.stages.fitting.exports import write_mat_file
@@ -275,9 +275,8 @@ def _check_assumptions(
             )  # fmt: skip
         if options.boundary_check:
             again = partial(curve.with_boundary, place)
-            write_boundary_check(
-                curve.fitted(place), forces, curve.depths, again, writer, site=name, progress=progress
-            )
+            changed = changed_forces(curve.fitted(place), forces, again, progress=progress)
+            write_boundary_check(changed, curve.depths, writer, site=name)
 
 
 def site_data(measured: Measured, knots: Array, joint: JointOptions, *, speeds: bool) -> SiteMeasurement:

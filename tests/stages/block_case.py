@@ -121,8 +121,9 @@ def true_curve(
 def make_case(
     folder: Path, out: Path, depths: np.ndarray, forces: np.ndarray, *, c: float, element: str = "tet4",
     build: bool = True, speeds: np.ndarray | None = None, penalty: float | None = None,
+    model: LimbModel | None = None,
 ) -> Case:  # fmt: skip
-    """A case folder with this measurement; mesh and build-feb are done in `out`."""
+    """A case folder with this measurement; mesh (of `model` or a block) and build-feb are done in `out`."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "case.toml").write_text(CASE_TOML)
     for name in ("skin.stl", "bone.stl"):
@@ -136,7 +137,7 @@ def make_case(
     (folder / "levels.csv").write_text("\n".join([header, *rows]) + "\n")
     case = Case.open(folder)
     with open_stage(out, "mesh", subject="B1", site="p1") as writer:
-        save_model(block_model(element), writer.file("model", "model.npz"))
+        save_model(model or block_model(element), writer.file("model", "model.npz"))
     if build:
         build_feb(case, out=out, options=TissueOptions(contact_penalty=penalty))
     return case

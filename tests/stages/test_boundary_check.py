@@ -14,7 +14,15 @@ from limbcli.inference.prediction import Prediction, SolvedPoints
 from limbcli.inference.two_step_fit import ForceDepth
 from limbcli.model import LimbModel
 from limbcli.solvers.session import ReferenceSession
-from limbcli.stages.fitting.boundary_check import BOUNDARIES, moved_parameters, write_boundary_check
+from limbcli.stages.fit import FitOptions, fit
+from limbcli.stages.fitting.boundary_check import (
+    BOUNDARIES,
+    ChangedForces,
+    boundary_modes,
+    changed_forces,
+    moved_parameters,
+    write_boundary_check,
+)
 from limbcli.stages.fitting.solve_again import forces_again
 from limbcli.stages.site_model.indentation_model import indentation_model
 from tests.stages import block_case as block
@@ -24,13 +32,17 @@ DEPTHS = np.array([1.0, 2.0, 3.0])
 CUT_FREE, FAR_SIDE_HELD = BOUNDARIES
 
 
-def cut_block() -> LimbModel:
-    """The block of tissue, as cut from a limb at its sides, on bone at its base."""
-    model = indentation_model(block.block_model(), schedule(list(DEPTHS)), c=0.008, f_kappa=100.0, m=3.0)
+def cut_from_a_limb() -> LimbModel:
+    """The block of tissue, cut at its sides, on bone at its base."""
+    model = block.block_model()
     points, fixed = model.mesh.points, model.mesh.node_sets["fixed"]
     bone = fixed[points[fixed, 2] < -15.999]
     sets = {**model.mesh.node_sets, "bone": bone, "cut": np.setdiff1d(fixed, bone)}
     return replace(model, mesh=replace(model.mesh, node_sets=sets))
+
+
+def cut_block() -> LimbModel:
+    return indentation_model(cut_from_a_limb(), schedule(list(DEPTHS)), c=0.008, f_kappa=100.0, m=3.0)
 
 
 def solved(model: LimbModel) -> np.ndarray:
@@ -45,9 +57,10 @@ def writer() -> SimpleNamespace:
 def test_a_freed_cut_lowers_the_force_and_a_boundary_that_is_not_there_is_left_out():
     model, written = cut_block(), writer()
     forces = solved(model)
-    write_boundary_check(
-        model, forces, DEPTHS, lambda each: forces_again(each.of(model), "boundary check", threads=1), written
+    changed = changed_forces(
+        model, forces, lambda each: forces_again(each.of(model), "boundary check", threads=1)
     )
+    write_boundary_check(changed, DEPTHS, written)
     found = written.data["boundary_check"]
     change = found["cut_free"]["force_change_fraction"]
     assert change == pytest.approx(solved(CUT_FREE.of(model)) / forces - 1.0, abs=1e-3)
@@ -76,11 +89,37 @@ def test_what_cannot_be_solved_is_said_and_the_other_boundary_is_still_tried():
     def again(_):
         raise SolveError("a fold of the skin", where="level 2", fix="none")
 
-    write_boundary_check(model, np.ones(3), DEPTHS, again, written, site="p2")
+    write_boundary_check(changed_forces(model, np.ones(3), again), DEPTHS, written, site="p2")
     assert written.data["boundary_check"]["p2"]["cut_free"] == {"not_evaluated": "a fold of the skin"}
     assert "far_side_held" in written.data["boundary_check"]["p2"]
     (line,) = written.warnings
     assert line == "p2: the force if the cut plane were free was not evaluated: a fold of the skin"
+
+
+def test_half_of_what_a_boundary_changes_is_one_standard_deviation():
+    error = SolveError("a fold of the skin", where="level 2", fix="none")
+    changed = [
+        ChangedForces(CUT_FREE, np.array([0.81, 0.64])), ChangedForces(FAR_SIDE_HELD, error=error),
+        ChangedForces(FAR_SIDE_HELD),
+    ]  # fmt: skip
+    assert boundary_modes(changed, 3) == pytest.approx(np.log([[0.9, 0.8, 0.8]])), "the last one goes on"
+    assert boundary_modes(changed[1:], 3).shape == (0, 3)
+
+
+@pytest.mark.slow
+def test_a_limb_that_gives_way_beyond_the_cut_lies_within_the_intervals(tmp_path):
+    """Half-way between held and free; f_kappa makes up for it, farther than noise and mesh alone allow."""
+    model = indentation_model(cut_from_a_limb(), schedule(list(DEPTHS)), c=0.008, f_kappa=40.0, m=3.0)
+    forces = np.sqrt(solved(model) * solved(CUT_FREE.of(model)))
+    out = tmp_path / "out"
+    case = block.make_case(tmp_path / "case", out, DEPTHS, forces, c=0.008, model=cut_from_a_limb())
+    options = FitOptions(c_deviation=0.002, gain_deviation=0.002, max_interval_solves=6, contact_check=False)
+    result = fit(case, out=out, solver="reference", options=options)[0]
+    (low, high), (_, highest) = (result.data[key]["f_kappa"] for key in ("interval_95_noise", "interval_95"))
+    assert low < result.data["f_kappa"] < high < 40.0 < highest
+    assert result.data["standard_error"]["f_kappa"] > 2.0 * (high - low) / 3.92
+    (line,) = [each for each in result.summary if "with noise and mesh alone" in each]
+    assert f"to {high:.3g} for f_kappa" in line
 
 
 def law(theta: np.ndarray, wrt=()) -> Prediction:

@@ -10,6 +10,7 @@ from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.report_data import ReportData
 from limbcli.reporting.reportlet import Cell, Mood, PageTable, Reportlet, head
 from limbcli.reporting.sections.assumed_geometry import geometry_tables
+from limbcli.reporting.sections.model_checks import model_check_tables, noise_alone
 
 KEY, TITLE = "parameters", "Which tissue parameters, and how certain are they?"
 _NOTABLE = 1.5  # ratio of misfit to stated noise above which it is mentioned
@@ -30,7 +31,8 @@ def parameters(page: ReportData) -> Reportlet:
     views = _views(page)
     notes, warned = _notes(views)
     details = tuple(_details(str(site), view) for site, view in views.items())
-    details += tuple(each for site, view in views.items() for each in geometry_tables(str(site), view.raw))
+    for site, view in views.items():
+        details += (*geometry_tables(str(site), view.raw), *model_check_tables(str(site), view.raw))
     return Reportlet(
         KEY,
         TITLE,
@@ -161,6 +163,7 @@ def _notes(views: dict[str | None, FitView]) -> tuple[list[str], list[str]]:
         notes.append(f"Site {site}: c is {view.c_source or 'of unknown origin'}.")
         notes += [f"Site {site}, {_effort(step)}" for step in view.steps]
         warned += [f"Site {site}: {text}" for text in _noise_words(view)]
+        notes += [f"Site {site}: {text}." for text in [noise_alone(view.raw)] if text]
     elements = {view.element for view in views.values()}
     if "tet4" in elements:
         warned.append(TET4_WORDS)

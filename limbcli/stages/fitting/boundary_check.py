@@ -2,12 +2,13 @@
 
 A model is held where it was cut from the limb, and its far side is free. A limb gives way beyond the cut, so
 that the force is too high, and where its far side rests on something the force is too low. No column of a
-case says how a limb was held. The truth lies between the model and the two extremes.
+case says how a limb was held. The truth lies between the model and the two extremes, and half of what each
+of them changes counts as one standard deviation of the force.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -24,6 +25,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageWriter
 from limbcli.significant_digits import short
 
+_SHARE = 0.5  # standard deviation of ln force, as a share of what the other boundary changes
 _FAR = 2.0  # factor on a parameter up to which its linear estimate is given
 
 
@@ -46,15 +48,60 @@ BOUNDARIES = (
 )
 
 
+@dataclass(frozen=True, eq=False)
+class ChangedForces:
+    """Forces of the fitted model with another boundary, as ratios (n_reached,) to its own; None without them.
+
+    error : why it could not be solved; None also where the model has no such boundary
+    """
+
+    boundary: ChangedBoundary
+    ratio: Array | None = None
+    error: SolveError | None = None
+
+
+def changed_forces(
+    model: LimbModel, forces: Array, again: Callable[[ChangedBoundary], Array], *,
+    progress: Progress = SILENT,
+) -> list[ChangedForces]:  # fmt: skip
+    """The forces with each of `BOUNDARIES`.
+
+    model, forces (n_levels,) N : the fitted model
+    again : the forces (n_reached,) N of the same model with another boundary; raises SolveError
+    """
+    found = []
+    for boundary in BOUNDARIES:
+        if boundary.of(model) is model:
+            found.append(ChangedForces(boundary))
+            continue
+        progress.event("note", text=f"the fitted model {boundary.words}")
+        try:
+            solved = again(boundary)
+            found.append(ChangedForces(boundary, solved / np.maximum(forces[: len(solved)], 1e-9)))
+        except SolveError as error:
+            found.append(ChangedForces(boundary, error=error))
+    return found
+
+
+def boundary_modes(changed: Sequence[ChangedForces], n_levels: int) -> Array:
+    """Changes of ln force (n_modes, n_levels), one standard deviation each: half of what a boundary changes.
+
+    The other extreme then lies two standard deviations from the model. Beyond the last level that was reached
+    the change is that of this level.
+    """
+    modes = [_SHARE * np.log(np.maximum(each.ratio, 1e-9)) for each in changed if each.ratio is not None]
+    return np.array([np.pad(each, (0, n_levels - len(each)), mode="edge") for each in modes]).reshape(
+        len(modes), n_levels
+    )
+
+
 def write_boundary_check(
-    model: LimbModel, forces: Array, depths: Array, again: Callable[[ChangedBoundary], Array],
-    writer: StageWriter, *, parameters: Callable[[Array], Mapping[str, float]] | None = None,
-    site: str | None = None, progress: Progress = SILENT,
+    changed: Sequence[ChangedForces], depths: Array, writer: StageWriter, *,
+    parameters: Callable[[Array], Mapping[str, float]] | None = None, site: str | None = None,
 ) -> None:  # fmt: skip
     """Write `boundary_check` of a fit and a line of the summary for every boundary.
 
-    model, forces (n_levels,) N, depths (n_levels,) mm : the fitted model
-    again : the forces (n_reached,) N of the same model with another boundary; raises SolveError
+    depths (n_levels,) mm : levels of the fitted model
     parameters : ratio of forces (n_reached,) -> the parameters with which that model fits the same data
     site : name of the site, in a fit of several sites, each of which has its own check
     """
@@ -63,19 +110,15 @@ def write_boundary_check(
         data, at = writer.data.setdefault("boundary_check", {}), f"{site}: "
     found: dict[str, dict[str, object]] = {}
     data["boundary_check" if site is None else site] = found
-    for boundary in BOUNDARIES:
-        if boundary.of(model) is model:
-            found[boundary.key] = {"not_evaluated": "the model has no such boundary"}
+    for each in changed:
+        boundary, ratio = each.boundary, each.ratio
+        if ratio is None:
+            why = each.error.what if each.error is not None else "the model has no such boundary"
+            found[boundary.key] = {"not_evaluated": why}
+            if each.error is not None:
+                writer.warnings.append(f"{at}the force {boundary.words} was not evaluated: {why}")
             continue
-        progress.event("note", text=f"the fitted model {boundary.words}")
-        try:
-            solved = again(boundary)
-        except SolveError as error:
-            found[boundary.key] = {"not_evaluated": error.what}
-            writer.warnings.append(f"{at}the force {boundary.words} was not evaluated: {error.what}")
-            continue
-        n = len(solved)
-        ratio = solved / np.maximum(forces[:n], 1e-9)
+        n = len(ratio)
         moved: Mapping[str, float] = {}
         if parameters is not None:
             with suppress(SolveError):  # of the derivatives, where a solver has to run for them

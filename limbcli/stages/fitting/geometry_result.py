@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -39,9 +40,16 @@ def write_geometry(
         writer.warnings.insert(0, uncertainty.words)
     writer.summary.append(
         f"the assumed geometry contributes a force uncertainty of {short(100 * share, 2)} % (one standard "
-        f"deviation, "
-        f"{len(uncertainty.done)} shapes); {_widening(reported)}"
+        f"deviation, {len(uncertainty.done)} shapes)"
     )
+
+
+def write_widening(of_noise: Intervals, writer: StageWriter) -> None:
+    """Write `interval_95_noise`, of the measurement's noise alone, and a line of the summary."""
+    before = ends(of_noise)
+    writer.data["interval_95_noise"] = before
+    if words := widening(before):
+        writer.summary.append(words)
 
 
 def _rows(found: Identified, uncertainty: GeometryUncertainty) -> list[dict[str, Any]]:
@@ -74,13 +82,16 @@ def _deviations(rows: list[dict[str, Any]], uncertainty: GeometryUncertainty) ->
     }
 
 
-def _widening(reported: dict[str, Any]) -> str:
+def widening(before: Mapping[str, Sequence[float | None]]) -> str:
+    """Sentence on the intervals without the uncertainty of geometry and boundaries; empty if all are open.
+
+    >>> widening({"f_kappa": [None, 90.0], "m": [4.0, 5.0]})
+    'with noise and mesh alone the 95 % interval would be 4 to 5 for m'
+    >>> widening({"m": [4.0, None]})
+    ''
     """
-    >>> _widening({"interval_95_noise": {"m": [4.0, 5.0]}, "interval_95": {"m": [3.5, 5.5]}})
-    '95 % of m: 4 to 5 from noise alone, 3.5 to 5.5 with it'
-    """
-    before, after = (reported[key].get("m", [None, None]) for key in ("interval_95_noise", "interval_95"))
-    if None in before or None in after:
-        return "the interval of m is open" if reported["interval_95"] else "no interval was computed"
-    narrow, wide = (f"{short(low)} to {short(high)}" for low, high in (before, after))
-    return f"95 % of m: {narrow} from noise alone, {wide} with it"
+    parts = [
+        f"{short(low)} to {short(high)} for {name}"
+        for name, (low, high) in before.items() if low is not None and high is not None
+    ]  # fmt: skip
+    return f"with noise and mesh alone the 95 % interval would be {', '.join(parts)}" if parts else ""

@@ -25,7 +25,6 @@ from limbcli.inference.prediction import SolvedPoints, slopes_at
 from limbcli.inference.two_step_fit import FittedStep, ForceDepth, sensitivities
 from limbcli.model import Array
 from limbcli.reporting.headline import headline
-from limbcli.stages.fitting.geometry import GeometryUncertainty
 from limbcli.units import kpa_from_mpa
 
 NAMES = ("f_kappa", "m")
@@ -36,6 +35,8 @@ _LEAST_EXPECTED = 0.5  # lower limit of the expected chi-square: with as many pa
 class Identified:
     """All results of the two steps.
 
+    modes : changes of ln force (n_modes, n_knots), one standard deviation each, by what is not known of the
+    model's geometry and boundaries
     gains : numerical error of ln force at each step's parameters; empty: that of `stiffness`
     """
 
@@ -49,7 +50,7 @@ class Identified:
     intervals: Sequence[Intervals] | None
     cold_seconds: float
     why_no_intervals: str = "no interval was requested"
-    geometry: GeometryUncertainty | None = None
+    modes: Array | None = None
     gains: Sequence[float] = ()
 
     def gain_of(self, step: FittedStep) -> float:
@@ -126,8 +127,8 @@ def total_covariance(found: Identified, step: FittedStep) -> Array:
     deviations = np.array([sigma_c, found.gain_of(step)])
     variance = variance * _noise_scale(found, step, columns, variance, held * deviations)
     block = log_covariance(columns, variance, nuisance=held, nuisance_deviation=deviations)
-    if found.geometry is not None:
-        moved = shifts(columns, geometry_spread(found, step))
+    if found.modes is not None:
+        moved = shifts(columns, _spread(found, step, found.modes))
         block = block + moved.T @ moved
     places = [1 + k for k in free]
     covariance[np.ix_(places, places)] = block
@@ -159,12 +160,11 @@ def c_share(found: Identified) -> Array:
     return np.ones(len(depth)) if share is None else at_depths(share[None], found.knots, depth)[:, 0]
 
 
-def geometry_spread(found: Identified, step: FittedStep) -> Array:
-    """Change of force (n, n_modes), N, at the loaded levels by one standard deviation of each variation."""
-    assert found.geometry is not None
+def _spread(found: Identified, step: FittedStep, modes: Array) -> Array:
+    """Change of force (n, n_modes), N, at the loaded levels by one standard deviation of each mode."""
     answer = sensitivities(found.curve, found.knots, found.data, step.theta)
     depth = found.data.depth[found.data.loaded]
-    return np.asarray(answer.values[:, None] * at_depths(found.geometry.modes, found.knots, depth))
+    return np.asarray(answer.values[:, None] * at_depths(modes, found.knots, depth))
 
 
 def step_misfit(found: Identified, step: FittedStep) -> Misfit:

@@ -1,0 +1,68 @@
+"""What a fit found when it solved its model again with other boundaries and a stiffer contact."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from limbcli.reporting.numbers import DASH, interval, number, range_percent, significant
+from limbcli.reporting.reportlet import Cell, PageTable, head
+from limbcli.reporting.sections.assumed_geometry import SYMBOLS
+
+_BOUNDARIES = {"cut_free": "cut plane free, not held", "far_side_held": "far side held, not free"}
+
+
+def model_check_tables(site: str, data: Mapping[str, Any]) -> tuple[PageTable, ...]:
+    """One row for every change of the model; empty if nothing was checked.
+
+    data : content of fit.json
+    """
+    rows = []
+    boundaries = data.get("boundary_check")
+    for key, label in _BOUNDARIES.items():
+        found = boundaries.get(key) if isinstance(boundaries, Mapping) else None
+        rows += [_row(label, found)] if isinstance(found, Mapping) else []
+    contact = data.get("contact_check")
+    if isinstance(contact, Mapping):
+        rows.append(_row(_contact(contact), contact))
+    if not rows:
+        return ()
+    caption = (
+        f"Site {site}: the fitted model with other assumptions. How the limb was held is not measured: half "
+        "of what a boundary changes counts as one standard deviation of the force"
+    )
+    names = head("changed", "force, over the levels", "f_κ that would fit", "m that would fit")
+    return (PageTable(caption, (names,), tuple(rows)),)
+
+
+def noise_alone(data: Mapping[str, Any]) -> str:
+    """The intervals without the uncertainty of boundaries and geometry; empty if they are not wider for it.
+
+    data : content of fit.json
+    """
+    found = data.get("interval_95_noise")
+    if not isinstance(found, Mapping):
+        return ""
+    parts = [f"{symbol} {interval(found.get(name))}" for name, symbol in SYMBOLS.items()]
+    return f"with noise and mesh alone, 95 %: {', '.join(parts)}"
+
+
+def _row(label: str, found: Mapping[str, Any]) -> tuple[Cell, ...]:
+    why = found.get("not_evaluated")
+    if why is not None:
+        return Cell(label, lead=True), Cell(DASH, reason=str(why), span=3)
+    moved = [number(found.get(name)) for name in ("f_kappa", "m")]
+    return (
+        Cell(label, lead=True), Cell(range_percent(found["force_change_fraction"])),
+        *(Cell(DASH if each is None else significant(each, 2)) for each in moved),
+    )  # fmt: skip
+
+
+def _contact(found: Mapping[str, Any]) -> str:
+    """
+    >>> _contact({"penalty": 20.0, "tried": 80.0})
+    'contact 4 times as stiff'
+    """
+    penalty, tried = number(found.get("penalty")), number(found.get("tried"))
+    times = f"{significant(tried / penalty, 1)} times as stiff" if penalty and tried else "stiffer"
+    return f"contact {times}"
