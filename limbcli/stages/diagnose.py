@@ -196,7 +196,7 @@ class _Diagnosed:
         ).best()
         try:
             found = self._found(place)
-            better = place.better_than(_best_gain(found))
+            better = place.better_than(_best_gain(found), is_named=found.verdict == "named")
             if better is not place:
                 place = better
                 found = self._found(place)

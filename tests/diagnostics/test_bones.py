@@ -92,7 +92,7 @@ def test_rivals_wait_until_the_effects_have_been_looked_at():
         closed.clear()
         own, other = place("own"), place("other")
         own.rivals, own.given_up = [(weak, other)], ["tried"]
-        found = own.better_than(effect_gain)
+        found = own.better_than(effect_gain, is_named=False)
         waiting = [each.stand for each, _ in found.rivals]
         assert (found.out.name, [each.stand for each in found.bones] + waiting) == (chosen, [stand])
         assert (closed, found.given_up) == (gone, ["tried"])
@@ -101,6 +101,18 @@ def test_rivals_wait_until_the_effects_have_been_looked_at():
             assert (found.rivals, found.bones) == ([], [evidence])
         found.close()
         assert sorted(closed) == ["other", "own"]
+
+
+@pytest.mark.parametrize(("named", "waits"), [(False, True), (True, False)])
+def test_a_limb_with_mended_bones_waits_for_its_effects_where_none_is_named_on_the_other(named, waits):
+    """One of several effects is better by more than the bones alone: it may be theirs."""
+    back = OtherBones("with bone_2 put back", 4.0, moved={"bone_2": np.ones(3)})
+    own, other = (Place([SimpleNamespace(close=lambda: None)], None, Path(each)) for each in ("own", "other"))
+    own.rivals = [(Evidence(back, 20.0, 30, fits=True), other)]
+    found = own.better_than(60.0, is_named=named)
+    assert found is own
+    assert [rival for _, rival in found.rivals] == ([other] if waits else [])
+    assert len(found.bones) == (not waits)
 
 
 def test_a_bad_fit_is_told_by_its_chi2():

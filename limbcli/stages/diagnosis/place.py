@@ -52,11 +52,12 @@ class Place:
         other.close()
         return self
 
-    def better_than(self, effect_gain: float) -> Place:
+    def better_than(self, effect_gain: float, *, is_named: bool) -> Place:
         """This place, or a rival that the readings support even against the best effect.
 
-        effect_gain : reduction of chi2 by the best single effect on this limb; rivals that it beats are
-        settled
+        effect_gain : reduction of chi2 by the best single effect on this limb. Rivals that it beats are
+        settled, but not a limb whose misplaced bones were put back, unless the effect is named (is_named):
+        effects that cannot be told apart may be those of bones that are known to be wrong
         """
         rivals = sorted(self.rivals, key=lambda each: -each[0].gain)
         if rivals and rivals[0][0].beats(effect_gain):
@@ -64,7 +65,7 @@ class Place:
         self.rivals = []
         for found, rival in rivals:
             stays = found.against(effect_gain)
-            if stays.stand == "open":
+            if stays.stand == "open" or (found.other.is_repair and not is_named):
                 self.rivals.append((stays, rival))
             else:
                 self.settled(stays, rival)
