@@ -32,7 +32,12 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.solvers.material_lines import MaterialLines
 from limbcli.stages.fit import FitOptions, built_model, check_numbers, initial_stiffness
-from limbcli.stages.fitting.boundary_check import changed_forces, write_boundary_check
+from limbcli.stages.fitting.boundary_check import (
+    BOUNDARIES,
+    ChangedForces,
+    changed_forces,
+    write_boundary_check,
+)
 from limbcli.stages.fitting.contact_check import write_contact_check
 from limbcli.stages.fitting.cycles import through_cycle, write_cycle
 from limbcli.stages.fitting.exports import write_mat_file
@@ -41,6 +46,7 @@ from limbcli.stages.fitting.fibre_rest_speed import rest_speed
 from limbcli.stages.fitting.fibre_uncertainty import stated_deviation, write_direction_uncertainty
 from limbcli.stages.fitting.force_curves import LawCurve
 from limbcli.stages.fitting.geometry import NOT_ALLOWED_FOR
+from limbcli.stages.fitting.joint_boundaries import allowing_for
 from limbcli.stages.fitting.joint_result import law_row, write_comparison, write_joint
 from limbcli.stages.fitting.laws import LAWS, FitLaw, first_shapes, law_named
 from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
@@ -125,12 +131,18 @@ def fit_joint(
         if law.has_fibres:
             write_orientations(models, [each.levels.has_swe for each in measured], writer)
         table = []
+        changed: list[list[ChangedForces]] = [[] for _ in measured]  # by the law that was asked for
         for name in names:
             progress.event("note", text=f"law {name}")
             with ExitStack() as curves_open:
                 try:
                     curves = _curves(measured, LAWS[name], c0, curves_open, progress)
-                    problem, found = _identify(measured, LAWS[name], c0, curves, joint, options, progress)
+                    first = _identify(measured, LAWS[name], c0, curves, joint, options, progress)
+                    if name == law.name and options.boundary_check:
+                        changed = _changed_boundaries(curves, *first, progress)
+                    problem, found = allowing_for(
+                        changed, *first, max_solves=joint.max_solves, progress=progress
+                    )
                 except (SolveError, FitError) as error:
                     if name == law.name:
                         raise
@@ -142,7 +154,11 @@ def fit_joint(
                     write_joint(writer, models, law, problem, found, n_solves)
                     if law.has_fibres:
                         _check_directions(writer, measured, law, problem, found, out, progress)
-                    _check_assumptions(writer, measured, curves, problem, found, options, progress)
+                    if options.boundary_check:
+                        for each, curve, forces in zip(measured, curves, changed, strict=True):
+                            write_boundary_check(forces, curve.depths, writer, site=each.site.name)
+                    if options.contact_check:
+                        _check_contact(writer, measured, curves, problem, found, progress)
         if joint.compare_laws:
             write_comparison(writer, table)
         writer.data["asked"] = {**options.requested("joint"), "gain_deviation": joint.gain_deviation}
@@ -253,30 +269,39 @@ def _check_directions(
             )
 
 
-def _check_assumptions(
+def _changed_boundaries(
+    curves: Sequence[LawCurve], problem: JointProblem, found: Intervals, progress: Progress
+) -> list[list[ChangedForces]]:
+    """Forces of every site's fitted model with other boundaries; their ratios do not depend on c."""
+    changed = []
+    for k, curve in enumerate(curves):
+        place = problem.place(k, found.best)
+        try:
+            forces = curve(place).values[: len(curve.depths)]
+        except SolveError as error:
+            changed.append([ChangedForces(each, error=error) for each in BOUNDARIES])
+            continue
+        again = partial(curve.with_boundary, place)
+        changed.append(changed_forces(curve.fitted(place), forces, again, progress=progress))
+    return changed
+
+
+def _check_contact(
     writer: StageWriter, measured: Sequence[Measured], curves: Sequence[LawCurve], problem: JointProblem,
-    found: Intervals, options: FitOptions, progress: Progress,
+    found: Intervals, progress: Progress,
 ) -> None:  # fmt: skip
-    """Relative effects of a stiffer contact and of other boundaries at every site; independent of c."""
-    if not (options.contact_check or options.boundary_check):
-        return
+    """Relative effect of a stiffer contact at every site; independent of c."""
     for k, (each, curve) in enumerate(zip(measured, curves, strict=True)):
         place = problem.place(k, found.best)
         try:
             forces = curve(place).values[: len(curve.depths)]
         except SolveError as error:
-            writer.warnings.append(f"{each.site.name}: contact and boundaries were not checked: {error.what}")
+            writer.warnings.append(f"{each.site.name}: the contact was not checked: {error.what}")
             continue
-        name = each.site.name
-        if options.contact_check:
-            write_contact_check(
-                each.model.contacts[0].penalty, forces, curve.depths, partial(curve.with_penalty, place),
-                writer, site=name, progress=progress,
-            )  # fmt: skip
-        if options.boundary_check:
-            again = partial(curve.with_boundary, place)
-            changed = changed_forces(curve.fitted(place), forces, again, progress=progress)
-            write_boundary_check(changed, curve.depths, writer, site=name)
+        write_contact_check(
+            each.model.contacts[0].penalty, forces, curve.depths, partial(curve.with_penalty, place),
+            writer, site=each.site.name, progress=progress,
+        )  # fmt: skip
 
 
 def site_data(measured: Measured, knots: Array, joint: JointOptions, *, speeds: bool) -> SiteMeasurement:

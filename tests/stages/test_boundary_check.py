@@ -15,6 +15,7 @@ from limbcli.inference.two_step_fit import ForceDepth
 from limbcli.model import LimbModel
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.fit import FitOptions, fit
+from limbcli.stages.fit_joint import JointOptions, fit_joint
 from limbcli.stages.fitting.boundary_check import (
     BOUNDARIES,
     ChangedForces,
@@ -23,6 +24,8 @@ from limbcli.stages.fitting.boundary_check import (
     moved_parameters,
     write_boundary_check,
 )
+from limbcli.stages.fitting.force_curves import LawCurve
+from limbcli.stages.fitting.laws import LAWS
 from limbcli.stages.fitting.solve_again import forces_again
 from limbcli.stages.site_model.indentation_model import indentation_model
 from tests.stages import block_case as block
@@ -120,6 +123,30 @@ def test_a_limb_that_gives_way_beyond_the_cut_lies_within_the_intervals(tmp_path
     assert result.data["standard_error"]["f_kappa"] > 2.0 * (high - low) / 3.92
     (line,) = [each for each in result.summary if "with noise and mesh alone" in each]
     assert f"to {high:.3g} for f_kappa" in line
+
+
+@pytest.mark.slow
+def test_a_joint_fit_counts_its_boundaries_as_an_uncertain_gain_of_the_force(tmp_path):
+    model = indentation_model(cut_from_a_limb(), schedule(list(DEPTHS)), c=0.008, f_kappa=20.0, m=5.0)
+    curve = LawCurve(model, LAWS["ogden"], c=0.008, density_kg_per_m3=1000.0)
+    forces, speeds = np.split(curve(np.array([20.0, 5.0])).values, 2)
+    curve.close()
+    case = block.make_case(
+        tmp_path / "case", tmp_path / "out", DEPTHS, forces, c=0.008, speeds=speeds, model=cut_from_a_limb()
+    )
+    joint, widths = JointOptions(max_solves=4, gain_deviation=0.01), []
+    for checked in (False, True):
+        options = FitOptions(contact_check=False, boundary_check=checked)
+        data = fit_joint(case, out=tmp_path / "out", joint=joint, options=options).data
+        assert data["c_kpa"] == pytest.approx(8.0, rel=0.01)
+        low, high = data["interval_95"]["f_kappa"]
+        widths.append(high / low)
+        assert ("boundary_check" in data) is checked
+    change = np.array(data["boundary_check"]["p1"]["cut_free"]["force_change_fraction"])
+    share = float(np.sqrt(np.mean((0.5 * np.log1p(change)) ** 2)))
+    assert data["gain_deviations"] == {"p1": pytest.approx(np.hypot(0.01, share))}
+    assert share > 0.05
+    assert widths[1] > 2.0 * widths[0], "f_kappa makes up for it"
 
 
 def law(theta: np.ndarray, wrt=()) -> Prediction:

@@ -42,8 +42,8 @@ class FitOptions:
         `mesh --study` if it was run, else by element type and edge length)
     cycle : the cycle whose loading is fitted, a number or "last" (the last one with three levels of loading)
     contact_check : solve the fitted model again with a stiffer contact and report the change
-    boundary_check : the same with the cut plane free, and with the far side of the limb held; intervals of a
-        fit to force allow for both
+    boundary_check : the same with the cut plane free, and with the far side of the limb held; the intervals
+        allow for both
     """
 
     c_kpa: float | None = None
