@@ -655,6 +655,7 @@ def add_on_demand(out: Path) -> None:
         writer.data.update(
             parameters=parameters, laws=laws, law="ogden", law_words="Ogden type", element="tet10",
             sites=["p1"], chi_square=11.5, n_freedom=12, gains={"p1": 1.02}, gain_deviations={"p1": 0.03},
+            boundary_check={"p1": {"cut_free": {"force_change_fraction": [-0.01, -0.097]}}},
         )  # fmt: skip
         small_png(writer.file("picture", "fit-joint.png"))
     with open_stage(out, "fit-elements", subject="S1", site="p1") as writer:
@@ -676,7 +677,8 @@ def test_what_was_made_on_demand_is_on_the_page(tmp_path):
     assert "not predicted" in page.table("two-term-ogden")[2][3]
     assert page.table("777")[2][:3] == ["tet10", "315", "777"]
     assert "chi-square 11.5 for 12 degrees of freedom" in page.text
-    assert "multiplied by 1.02 (numerical error allowed: 3.0 %)" in page.text
+    assert "multiplied by 1.02 (error of mesh and boundaries allowed: 3.0 %)" in page.text
+    assert page.table("cut plane free")[1][:2] == ["cut plane free, not held", "-9.7 to -1.0 %"]
     assert {"fit-joint", "laws", "fit-elements-p1", "mesh-study-p1"} <= {
         attrs["id"] for _, attrs in page.tags if "id" in attrs
     }

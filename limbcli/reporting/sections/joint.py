@@ -9,6 +9,7 @@ from limbcli.reporting.fit_view import EstimateView, read_estimates
 from limbcli.reporting.numbers import DASH, cell, quantity
 from limbcli.reporting.report_data import ReportData
 from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head, placeholder
+from limbcli.reporting.sections.model_checks import model_check_tables
 from limbcli.reporting.sections.parameters import TET4_WORDS, estimate_cells
 from limbcli.results import StageResult
 
@@ -33,7 +34,7 @@ def joint(page: ReportData) -> Reportlet | None:
         TITLE,
         "fine" if all(each.is_sound for each in estimates) and not result.warnings else "warning",
         pictures=tuple(_pictures(result, sites)),
-        tables=(_table(estimates, data, sites),),
+        tables=(_table(estimates, data, sites), *_checks(data)),
         look_for="curves through the points of both columns, chi-square near its degrees of freedom, and "
         "a c that agrees with the shear-wave reading at zero load: one tissue explains both",
         bad="a fit that follows one column and misses the other, or parameters that leave the intervals of "
@@ -63,6 +64,15 @@ def _table(estimates: tuple[EstimateView, ...], data: Mapping[str, Any], sites: 
     return PageTable(f"Joint fit of {sites}: {law}; c is free", (names,), rows, numeric=False)
 
 
+def _checks(data: Mapping[str, Any]) -> list[PageTable]:
+    """What other boundaries and a stiffer contact change, site by site."""
+    keys = ("boundary_check", "contact_check")
+    by_site = {
+        site: {key: (data.get(key) or {}).get(site) for key in keys} for site in data.get("sites") or ()
+    }
+    return [table for site, found in by_site.items() for table in model_check_tables(str(site), found)]
+
+
 def _notes(data: Mapping[str, Any]) -> list[str]:
     notes = [
         f"Fitted to the depths at the measured forces and the logarithms of all levels' speeds, each "
@@ -90,7 +100,7 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
     gains, deviations = data.get("gains") or {}, data.get("gain_deviations") or {}
     notes += [
         f"Site {site}: the simulated force was multiplied by {quantity(gain, '')} "
-        f"(numerical error allowed: {quantity(100 * deviations[site], '%', digits=2)})."
+        f"(error of mesh and boundaries allowed: {quantity(100 * deviations[site], '%', digits=2)})."
         for site, gain in gains.items()
         if site in deviations
     ]
