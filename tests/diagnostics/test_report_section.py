@@ -49,6 +49,10 @@ def test_section_shows_verdict_candidates_and_blind_spots(tmp_path):
     sizes = {(row[0].text, row[1].text): row[2].text for row in shown.more[2].rows}
     assert float(sizes["force-zero", "f0_n"]) < 0.0
     assert "open" in sizes.values()
+    by = {row[0].text: row[4].text for row in shown.more[2].rows}
+    known = diagnosis_json(found, bench.site, bench)["sizes_refitted"]
+    assert "thickness" not in known
+    assert by == {name: "refit" if name in known else "first order" for name in by}
     assert len(shown.pictures) == 3
 
 

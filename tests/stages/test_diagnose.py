@@ -138,6 +138,7 @@ def test_a_force_offset_on_the_block(tmp_path, rng):
     assert replace(again, provenance={}, files=found.files).summary == found.summary
     sizes = content["sizes_95"]["force-zero"]["f0_n"]
     assert sizes[0] < 1.2 < sizes[1]
+    assert "force-zero" in content["sizes_refitted"]
     assert found.path("sizes").is_file()
 
 

@@ -165,12 +165,13 @@ def _blind(data: Mapping[str, Any]) -> PageTable:
 
 def _sizes(data: Mapping[str, Any]) -> tuple[PageTable, ...]:
     """Possible size of each effect if it alone is added; empty for an older result without them."""
-    rows = []
+    rows, refitted = [], data.get("sizes_refitted")
     for effect, sizes in data.get("sizes_95", {}).items():
+        by = DASH if refitted is None else "refit" if effect in refitted else "first order"
         for name, (low, high) in sizes.items():
-            texts = (effect, name, *("open" if end is None else short(end) for end in (low, high)))
+            texts = (effect, name, *("open" if end is None else short(end) for end in (low, high)), by)
             rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
-    titles = head("effect", "size", "from", "to (95 %)")
+    titles = head("effect", "size", "from", "to (95 %)", "by")
     return (PageTable("Size of each effect when it alone is added", (titles,), tuple(rows)),) if rows else ()
 
 

@@ -78,6 +78,7 @@ def diagnosis_json(found: Diagnosis, site: SiteData, forward_model: SiteForwardM
         "sizes_95": reported_sizes(
             sizes_of(forward_model, site), found.sizes, found.estimates.values["c_kpa"], found.refitted_sizes
         ),
+        "sizes_refitted": sorted(found.refitted_sizes),
         "not_evaluated": dict(found.not_evaluated),
         "left_out": dict(found.left_out),
         "seed": found.seed,
