@@ -180,19 +180,28 @@ def _fit_site(
             writer.warnings.insert(0, one_state(site))
         if uncertainty is not None:
             write_geometry(identified, uncertainty, of_noise[-1] if of_noise else None, writer)
-        if options.contact_check:
-            harder = partial(forces_with_penalty, fitted, progress=progress)
-            penalty = fitted.contacts[0].penalty
-            write_contact_check(penalty, curve(theta).values, knots, harder, writer, progress=progress)
-        if options.boundary_check:
-            free = {k: name for k, name in enumerate(NAMES) if writer.data["flags"][name] == "identified"}
-            parameters = partial(moved_parameters, curve, knots, data, theta, free)
-            write_boundary_check(changed, knots, writer, parameters=parameters)
+        _write_checks(identified, fitted, changed, writer, options, progress)
         if of_noise is not None and len(modes):
             write_widening(of_noise[-1], writer)
         write_speeds(fitted, simulation, levels, site, writer)
         write_layers(fitted, simulation, levels, site, writer)
         write_mat_file(writer)
+
+
+def _write_checks(
+    found: Identified, fitted: LimbModel, changed: Sequence[ChangedForces], writer: StageWriter,
+    options: FitOptions, progress: Progress,
+) -> None:  # fmt: skip
+    """Write what a stiffer contact and other boundaries (`changed`) change, as far as the options ask."""
+    theta = found.steps[-1].theta
+    if options.contact_check:
+        harder, forces = partial(forces_with_penalty, fitted, progress=progress), found.curve(theta).values
+        penalty = fitted.contacts[0].penalty
+        write_contact_check(penalty, forces, found.knots, harder, writer, progress=progress)
+    if options.boundary_check:
+        free = {k: name for k, name in enumerate(NAMES) if writer.data["flags"][name] == "identified"}
+        parameters = partial(moved_parameters, found.curve, found.knots, found.data, theta, free)
+        write_boundary_check(changed, found.knots, writer, parameters=parameters)
 
 
 def _changed_boundaries(fitted: LimbModel, forces: Array, progress: Progress) -> list[ChangedForces]:
