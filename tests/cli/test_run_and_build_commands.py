@@ -31,6 +31,7 @@ def limbcli(*words: object) -> int:
     return 0
 
 
+@pytest.mark.slow
 def test_a_model_file_is_run_and_told_as_json(
     febio: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

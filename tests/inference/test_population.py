@@ -84,6 +84,7 @@ def test_a_person_seen_four_times_is_not_four_people(rng):
     assert (of_several.mean_error > 1.5 * of_rows.mean_error).all()
 
 
+@pytest.mark.slow
 def test_intervals_cover_at_their_rate_where_the_model_is_curved(rng):
     theta, seen, noise = cohort(curved, 400, 0.15, rng)
     _, rows = estimate_population(curved, seen, noise, start=MEAN + 0.2, prior_deviation=PRIOR)
@@ -92,6 +93,7 @@ def test_intervals_cover_at_their_rate_where_the_model_is_curved(rng):
     assert inside.mean(axis=0) == pytest.approx(np.full(3, 0.95), abs=0.045)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wider", [0.5, 1.0, 1.5])
 def test_intervals_of_five_people_cover_though_the_spread_is_not_that_of_the_prior(rng, wider):
     """Of the mean, of the spread, and of people of whom the readings tell less than the population does."""

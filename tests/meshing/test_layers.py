@@ -65,6 +65,7 @@ def test_cells_are_good_and_the_probe_meets_the_skin(made):
     assert mesh.points[contact, 2].max() == pytest.approx(0.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_layers_reach_into_the_corners_of_four_cuts(made_axial):
     """With cuts on four sides some nodes lie in two of them: they reach the skin along the cuts' edge."""
     mesh = made_axial.model.mesh

@@ -156,6 +156,7 @@ def started_child(feb: Path) -> int | None:
     return int(text) if text else None
 
 
+@pytest.mark.slow
 def test_a_febio_that_does_not_end_after_its_log_is_ended_and_its_run_counts(binary, feb, monkeypatch):
     monkeypatch.setenv("FAKE_FEBIO", "lingers")
     monkeypatch.setattr("limbcli.solvers.febio.LINGERS_S", 0.3)

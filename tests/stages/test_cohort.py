@@ -94,6 +94,7 @@ def test_twelve_people_are_found_where_they_are(twelve):
     assert own["m"]["mean_shrinkage"] > own["c_muscle_kpa"]["mean_shrinkage"]
 
 
+@pytest.mark.slow
 def test_few_people_have_no_folds_and_all_else(tmp_path):
     rows, _ = people(7, mean=MEAN, spread=SPREAD, rng=np.random.default_rng(8))
     result = cohort(written(tmp_path / "t.csv", rows), out=tmp_path / "out")

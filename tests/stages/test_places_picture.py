@@ -75,6 +75,7 @@ def test_a_site_on_a_marker_does_not_hide_its_name(monkeypatch):
     assert not boxes[0].overlaps(boxes[1])
 
 
+@pytest.mark.slow
 def test_all_views_have_one_scale_and_words_stay_in_them(monkeypatch):
     aside = np.array([-14.0, -9.0, 290.0])  # at the right edge of the last view
     figure, _ = drawn(monkeypatch, "p", {"a-site-with-a-long-name": aside})
