@@ -44,12 +44,12 @@ from limbcli.stages.fitting.cycles import through_cycle, write_cycle
 from limbcli.stages.fitting.exports import write_mat_file
 from limbcli.stages.fitting.force_curves import FileCurve, ReferenceCurve, with_tissue
 from limbcli.stages.fitting.geometry import site_geometry_uncertainty
-from limbcli.stages.fitting.geometry_result import write_geometry, write_widening
+from limbcli.stages.fitting.geometry_result import write_geometry
 from limbcli.stages.fitting.layers import write_layers
 from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.stages.fitting.options import FitOptions, check_choice, check_numbers
 from limbcli.stages.fitting.predicted_speeds import write_speeds
-from limbcli.stages.fitting.result import Identified, write_result
+from limbcli.stages.fitting.result import Identified, write_result, write_widening
 from limbcli.stages.fitting.solve_again import forces_again
 from limbcli.stages.fitting.stiffness_map import tissue_map, write_tissue_map
 from limbcli.stages.fitting.table import NAMES

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -44,14 +43,6 @@ def write_geometry(
     )
 
 
-def write_widening(of_noise: Intervals, writer: StageWriter) -> None:
-    """Write `interval_95_noise`, of the measurement's noise alone, and a line of the summary."""
-    before = ends(of_noise)
-    writer.data["interval_95_noise"] = before
-    if words := widening(before):
-        writer.summary.append(words)
-
-
 def _rows(found: Identified, uncertainty: GeometryUncertainty) -> list[dict[str, Any]]:
     step = found.steps[-1]
     answer = sensitivities(found.curve, found.knots, found.data, step.theta)
@@ -80,18 +71,3 @@ def _deviations(rows: list[dict[str, Any]], uncertainty: GeometryUncertainty) ->
         name: float(np.sqrt(weights @ np.square([each["log_shift"][name] for each in rows])))
         for name in NAMES
     }
-
-
-def widening(before: Mapping[str, Sequence[float | None]]) -> str:
-    """Sentence on the intervals without the uncertainty of geometry and boundaries; empty if all are open.
-
-    >>> widening({"f_kappa": [None, 90.0], "m": [4.0, 5.0]})
-    'with noise and mesh alone the 95 % interval would be 4 to 5 for m'
-    >>> widening({"m": [4.0, None]})
-    ''
-    """
-    parts = [
-        f"{short(low)} to {short(high)} for {name}"
-        for name, (low, high) in before.items() if low is not None and high is not None
-    ]  # fmt: skip
-    return f"with noise and mesh alone the 95 % interval would be {', '.join(parts)}" if parts else ""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 from limbcli.case import Site
 from limbcli.drawing import save_figure
 from limbcli.inference.adaptive import Intervals
+from limbcli.inference.geometry_uncertainty import ends
 from limbcli.inference.two_step_fit import MOONEY_RIVLIN, OGDEN
 from limbcli.model import LimbModel
 from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth
@@ -22,7 +23,7 @@ from limbcli.stages.fitting.exports import parameter_rows, write_exports
 from limbcli.stages.fitting.table import NAMES, Identified, step_misfit, step_table
 from limbcli.units import kpa_from_mpa
 
-__all__ = ["Identified", "draw_fit", "write_curves", "write_result"]
+__all__ = ["Identified", "draw_fit", "write_curves", "write_result", "write_widening"]
 
 _FINE = 120
 _TOP = (
@@ -72,6 +73,29 @@ def write_result(
     write_exports(writer, rows, fitted)
     draw_fit(found, site, writer)
     _summarise(found, last, writer)
+
+
+def write_widening(of_noise: Intervals, writer: StageWriter) -> None:
+    """Write `interval_95_noise`, of the measurement's noise alone, and a line of the summary."""
+    before = ends(of_noise)
+    writer.data["interval_95_noise"] = before
+    if words := widening(before):
+        writer.summary.append(words)
+
+
+def widening(before: Mapping[str, Sequence[float | None]]) -> str:
+    """Sentence on the intervals without the uncertainty of geometry and boundaries; empty if all are open.
+
+    >>> widening({"f_kappa": [None, 90.0], "m": [4.0, 5.0]})
+    'with noise and mesh alone the 95 % interval would be 4 to 5 for m'
+    >>> widening({"m": [4.0, None]})
+    ''
+    """
+    parts = [
+        f"{short(low)} to {short(high)} for {name}"
+        for name, (low, high) in before.items() if low is not None and high is not None
+    ]  # fmt: skip
+    return f"with noise and mesh alone the 95 % interval would be {', '.join(parts)}" if parts else ""
 
 
 def _warn_unsolved(best: Intervals, writer: StageWriter) -> None:
