@@ -51,6 +51,7 @@ def test_section_shows_verdict_candidates_and_blind_spots(tmp_path):
     assert "open" in sizes.values()
     by = {row[0].text: row[4].text for row in shown.more[2].rows}
     known = diagnosis_json(found, bench.site, bench)["sizes_refitted"]
+    assert "force-zero" in known
     assert "thickness" not in known
     assert by == {name: "refit" if name in known else "first order" for name in by}
     assert len(shown.pictures) == 3

@@ -96,7 +96,8 @@ def test_what_cannot_be_solved_is_said_and_the_other_boundary_is_still_tried():
     assert written.data["boundary_check"]["p2"]["cut_free"] == {"not_evaluated": "a fold of the skin"}
     assert "far_side_held" in written.data["boundary_check"]["p2"]
     (line,) = written.warnings
-    assert line == "p2: the force if the cut plane were free was not evaluated: a fold of the skin"
+    assert line.startswith("p2: the force if the cut plane were free was not evaluated: a fold of the skin; ")
+    assert line.endswith("; no interval allows for it")
 
 
 def test_half_of_what_a_boundary_changes_is_one_standard_deviation():

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from limbcli.reporting.fit_view import MOONEY_RIVLIN, OGDEN, EstimateView, FitView, StepView, read_fit_view
-from limbcli.reporting.numbers import DASH, cell, quantity, significant
+from limbcli.reporting.numbers import DASH, cell, interval, quantity, significant
 from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.report_data import ReportData
 from limbcli.reporting.reportlet import Cell, Mood, PageTable, Reportlet, head
@@ -147,13 +147,7 @@ def interval_text(each: EstimateView) -> str:
     >>> interval_text(EstimateView("m", 4.0, "", 3.0, None, "", "weak"))
     'above\xa03.00'
     """
-    if each.low is None and each.high is not None:
-        return f"below\u00a0{significant(each.high)}"
-    if each.high is None and each.low is not None:
-        return f"above\u00a0{significant(each.low)}"
-    assert each.low is not None
-    assert each.high is not None
-    return f"{significant(each.low)}\u00a0to\u00a0{significant(each.high)}"
+    return interval((each.low, each.high)).replace(" ", "\u00a0")
 
 
 def _notes(views: dict[str | None, FitView]) -> tuple[list[str], list[str]]:

@@ -116,7 +116,9 @@ def write_boundary_check(
             why = each.error.what if each.error is not None else "the model has no such boundary"
             found[boundary.key] = {"not_evaluated": why}
             if each.error is not None:
-                writer.warnings.append(f"{at}the force {boundary.words} was not evaluated: {why}")
+                writer.warnings.append(
+                    f"{at}the force {boundary.words} was not evaluated: {why}; no interval allows for it"
+                )
             continue
         n = len(ratio)
         moved: Mapping[str, float] = {}
