@@ -153,7 +153,8 @@ class _Run:
         """Extend members whose residual hints at a further effect (p below `SECOND`) by one more effect.
 
         The evidence for the second of two effects is weak once the first has changed c and m. A member
-        therefore stays in the set together with its own extension, and both are reported.
+        therefore stays in the set together with its own extension, and both are reported. If the extension
+        beats it, a second effect is there, but not necessarily that one: all that may fit as well are tried.
         """
         found = [each for refit in kept for each in candidates.extended(refit, below=thresholds.SECOND)]
         larger = list({frozenset(each): each for each in found}.values())
@@ -162,6 +163,13 @@ class _Run:
         compared = refits.compared([*(refit.explanation for refit in kept), *larger])
         compared = self._with_look_alikes(compared, candidates, refits)
         first = {refit.explanation for refit in kept}
+        beaten = [each for each in compared if each.explanation in first and each.is_beaten]
+        rivals = [r for each in beaten for r in candidates.rival_extensions(each) if not refits.tried(r)]
+        if rivals:
+            found = refits.compared([*(refit.explanation for refit in compared), *rivals])
+            # more rivals allow a larger gap, but do not undo that one of them alone has beaten the member
+            refits.known |= {each.explanation: each for each in beaten}
+            compared = [refits.known[each.explanation] for each in found]
         return [
             each for each in compared
             if each.explanation in first

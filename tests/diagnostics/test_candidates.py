@@ -77,6 +77,16 @@ def test_what_leaves_something_is_extended_by_what_is_near_significance(left_p, 
     assert look_alike({}).extended(refit, below=0.05) == longer
 
 
+def test_what_an_extension_beats_is_extended_by_all_that_may_fit_as_well():
+    """The best extension gains 8, and 6 may be due to chance: a rival has to gain more than 2."""
+    tests = [
+        SimpleNamespace(name=name, p_adjusted=0.9, score=SimpleNamespace(statistic=statistic))
+        for name, statistic in (("where: force", 30.0), ("a", 2.1), ("b", 1.9), ("c", 8.0))
+    ]
+    refit = SimpleNamespace(explanation=("x",), gap=8.0, gap_allowed=6.0, family=SimpleNamespace(tests=tests))
+    assert look_alike({}).rival_extensions(refit) == [("x", "c"), ("x", "a")]
+
+
 def test_two_effects_look_as_alike_as_what_the_fit_leaves_of_them(rng):
     """What both share with the fitted parameters does not make them alike; nor does their size or sign."""
     jacobian = np.eye(6)[:, :1]
