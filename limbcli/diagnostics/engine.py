@@ -164,17 +164,27 @@ class _Run:
         compared = self._with_look_alikes(compared, candidates, refits)
         first = {refit.explanation for refit in kept}
         beaten = [each for each in compared if each.explanation in first and each.is_beaten]
-        rivals = [r for each in beaten for r in candidates.rival_extensions(each) if not refits.tried(r)]
-        if rivals:
-            found = refits.compared([*(refit.explanation for refit in compared), *rivals])
-            # more rivals allow a larger gap, but do not undo that one of them alone has beaten the member
-            refits.known |= {each.explanation: each for each in beaten}
-            compared = [refits.known[each.explanation] for each in found]
+        compared = self._with_rival_extensions(compared, beaten, candidates, refits)
         return [
             each for each in compared
             if each.explanation in first
             or (each.in_set and self._each_is_needed(each, refits, thresholds.SECOND))
         ]  # fmt: skip
+
+    def _with_rival_extensions(
+        self, compared: list[Refit], beaten: Sequence[Refit], candidates: Candidates, refits: Refits
+    ) -> list[Refit]:
+        """Add the untried extensions of beaten refits that may fit as well as those that beat them.
+
+        More rivals allow a larger gap. This does not undo that one of them alone has beaten a refit.
+        """
+        new = [each for refit in beaten for each in candidates.rival_extensions(refit)]
+        untried = list({frozenset(each): each for each in new if not refits.tried(each)}.values())
+        if not untried:
+            return compared
+        found = refits.compared([*(refit.explanation for refit in compared), *untried])
+        refits.known |= {each.explanation: each for each in beaten}
+        return [refits.known[each.explanation] for each in found]
 
     def _each_is_needed(self, refit: Refit, refits: Refits, level: float = thresholds.ADEQUATE) -> bool:
         """Removal test: whether the explanation fails if any one of its effects is removed (by a refit).

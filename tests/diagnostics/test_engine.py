@@ -427,52 +427,18 @@ def test_no_name_for_what_a_larger_explanation_beats(monkeypatch, beaten):
     assert objection == (("ambiguous", "a + b fits better than chance allows") if beaten else None)
 
 
-class _Extended(SimpleNamespace):
-    """Refits of `a`, which leaves something, and of its extensions, which gain 9 (`a + b`) and 8 (`a + c`).
-
-    With one rival `a` is beaten; with two, as more may be due to chance, it would not be.
-    """
-
-    def compared(self, several):
-        gap_allowed = 6.0 if len(several) < 3 else 12.0
-        refits = [
-            _ExtendedRefit(each, {("a",): 9.0, ("a", "b"): 0.0}.get(each, 1.0), gap_allowed)
-            for each in several
-        ]
-        self.known.update({each.explanation: each for each in refits})
-        return refits
-
-    def tried(self, explanation):
-        return explanation in self.known
-
-    def of(self, explanation):
-        return self.known.get(explanation)
-
-
-class _ExtendedRefit:
-    in_set, fitted = True, SimpleNamespace(at_bound=())
-
-    def __init__(self, explanation, gap, gap_allowed):
-        self.explanation, self.gap, self.gap_allowed = explanation, gap, gap_allowed
-        self.is_beaten = gap > gap_allowed
-        self.left_p = 0.1 if len(explanation) == 1 else 0.5
-        self.state = SimpleNamespace(chi2=gap)
-        scores = {"b": (0.15, 9.0), "c": (0.5, 8.0), "d": (0.9, 1.0)}
-        self.family = SimpleNamespace(tests=[
-            SimpleNamespace(name=name, p_adjusted=p, score=SimpleNamespace(statistic=statistic))
-            for name, (p, statistic) in scores.items()
-        ])  # fmt: skip
-
-
-def test_the_second_effect_of_two_is_any_that_fits_as_well_and_the_first_alone_stays_beaten():
-    run = _Run(SimpleNamespace(), 3, False)
-    candidates = Candidates(None, dict.fromkeys("abcd"), SimpleNamespace(tests=(), of=lambda name: None))
-    refits = _Extended(known={})
-    kept = run._repeated(refits.compared([("a",)]), candidates, refits)
-    assert {each.explanation for each in kept} == {("a",), ("a", "b"), ("a", "c")}
-    assert kept[0].explanation == ("a",)
-    assert kept[0].is_beaten
-    assert refits.known[("a",)] is kept[0]
+@pytest.mark.parametrize(
+    ("seed", "sizes"), [(188, {"jump": 14.0, "wave": 2.8}), (190, {"offset": 7.0, "wave": 2.6})]
+)
+def test_where_another_second_effect_beats_the_first_alone_the_true_one_is_found_as_well(seed, sizes):
+    """The residual of the first suggests another than the true one, or also the true one. The first alone
+    stays beaten, although more rivals allow a larger gap."""
+    found = run(toy.make(np.random.default_rng(seed), sizes), seed=seed)
+    first = (next(iter(sizes)),)
+    assert found.verdict == "ambiguous"
+    assert set(sizes) in [set(each) for each in found.confidence_set]
+    assert len(set(map(frozenset, found.confidence_set))) == len(found.confidence_set) > 2
+    assert next(each for each in found.refits if each.explanation == first).is_beaten
 
 
 @pytest.mark.parametrize(
