@@ -189,6 +189,7 @@ class _Run:
     def _each_is_needed(self, refit: Refit, refits: Refits, level: float = thresholds.ADEQUATE) -> bool:
         """Removal test: whether the explanation fails if any one of its effects is removed (by a refit).
 
+        It does not fail if what remains is adequate and fits as well, whatever that leaves.
         A single effect is needed if it has evidence of its own, or if it fits as well as the best
         explanation, whose evidence then supports it equally.
         """
@@ -202,7 +203,8 @@ class _Run:
             smaller = refits.of(tuple(each for each in refit.explanation if each != name))
             if smaller is None or smaller.fitted.at_bound:
                 continue
-            if smaller.left_p >= level:
+            gain = smaller.state.chi2 - refit.state.chi2
+            if smaller.left_p >= level or (smaller.is_adequate and gain < thresholds.NEEDED):
                 return False
         return True
 

@@ -135,6 +135,10 @@ SECOND: Final = 0.15
 """Adjusted p of a member's remaining residual below which one further effect is added to it. Chosen between
 ALPHA and REFIT_BELOW: the evidence for a second effect is weak once the first has changed c and m."""
 
+NEEDED: Final = 2.0
+"""Smallest reduction of deviance by one of several effects whose removal leaves an adequate explanation:
+Akaike's criterion for one parameter. Convention."""
+
 # ------------------------------------------------ model-form error of an effect
 
 OF_FORM: Final = 0.02

@@ -442,6 +442,22 @@ def test_where_another_second_effect_beats_the_first_alone_the_true_one_is_found
 
 
 @pytest.mark.parametrize(
+    ("seed", "sizes"), [(188, {"jump": 14.0, "wave": 2.8}), (190, {"offset": 7.0, "wave": 2.6})]
+)
+def test_an_effect_that_gains_next_to_nothing_beside_another_is_not_in_the_set(seed, sizes):
+    """Of the pairs with the first effect, which is adequate alone, some fit better by less than 2."""
+    found = run(toy.make(np.random.default_rng(seed), sizes), seed=seed)
+    refits = {frozenset(each.explanation): each for each in found.refits}
+    first = frozenset([next(iter(sizes))])
+    gains = {pair: refits[first].state.chi2 - refits[pair].state.chi2 for pair in refits if first < pair}
+    little = {pair for pair, gain in gains.items() if gain < 2.0}
+    assert refits[first].is_adequate
+    assert any(refits[pair].in_set for pair in little)
+    assert not little & set(map(frozenset, found.confidence_set))
+    assert frozenset(sizes) in set(map(frozenset, found.confidence_set)) - little
+
+
+@pytest.mark.parametrize(
     ("p", "after", "several", "named"),
     [(0.043, 95.0, 1, False), (0.019, 95.0, 1, True), (0.043, 60.0, 1, True), (0.043, 95.0, 2, True)],
 )
