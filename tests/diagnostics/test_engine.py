@@ -427,34 +427,36 @@ def test_no_name_for_what_a_larger_explanation_beats(monkeypatch, beaten):
     assert objection == (("ambiguous", "a + b fits better than chance allows") if beaten else None)
 
 
-@pytest.mark.parametrize(
-    ("seed", "sizes"), [(188, {"jump": 14.0, "wave": 2.8}), (190, {"offset": 7.0, "wave": 2.6})]
+@pytest.fixture(
+    scope="module", params=[(188, {"jump": 14.0, "wave": 2.8}), (190, {"offset": 7.0, "wave": 2.6})]
 )
-def test_where_another_second_effect_beats_the_first_alone_the_true_one_is_found_as_well(seed, sizes):
+def two_hidden(request):
+    """Two hidden effects, the second weak, and the diagnosis."""
+    seed, sizes = request.param
+    return list(sizes), run(toy.make(np.random.default_rng(seed), sizes), seed=seed)
+
+
+def test_where_another_second_effect_beats_the_first_alone_the_true_one_is_found_as_well(two_hidden):
     """The residual of the first suggests another than the true one, or also the true one. The first alone
     stays beaten, although more rivals allow a larger gap."""
-    found = run(toy.make(np.random.default_rng(seed), sizes), seed=seed)
-    first = (next(iter(sizes)),)
+    hidden, found = two_hidden
     assert found.verdict == "ambiguous"
-    assert set(sizes) in [set(each) for each in found.confidence_set]
+    assert set(hidden) in [set(each) for each in found.confidence_set]
     assert len(set(map(frozenset, found.confidence_set))) == len(found.confidence_set) > 2
-    assert next(each for each in found.refits if each.explanation == first).is_beaten
+    assert next(each for each in found.refits if each.explanation == (hidden[0],)).is_beaten
 
 
-@pytest.mark.parametrize(
-    ("seed", "sizes"), [(188, {"jump": 14.0, "wave": 2.8}), (190, {"offset": 7.0, "wave": 2.6})]
-)
-def test_an_effect_that_gains_next_to_nothing_beside_another_is_not_in_the_set(seed, sizes):
+def test_an_effect_that_gains_next_to_nothing_beside_another_is_not_in_the_set(two_hidden):
     """Of the pairs with the first effect, which is adequate alone, some fit better by less than 2."""
-    found = run(toy.make(np.random.default_rng(seed), sizes), seed=seed)
+    hidden, found = two_hidden
     refits = {frozenset(each.explanation): each for each in found.refits}
-    first = frozenset([next(iter(sizes))])
+    first = frozenset(hidden[:1])
     gains = {pair: refits[first].state.chi2 - refits[pair].state.chi2 for pair in refits if first < pair}
     little = {pair for pair, gain in gains.items() if gain < 2.0}
     assert refits[first].is_adequate
     assert any(refits[pair].in_set for pair in little)
     assert not little & set(map(frozenset, found.confidence_set))
-    assert frozenset(sizes) in set(map(frozenset, found.confidence_set)) - little
+    assert frozenset(hidden) in set(map(frozenset, found.confidence_set)) - little
 
 
 @pytest.mark.parametrize(

@@ -33,6 +33,7 @@ def test_the_share_that_made_the_data_is_found(share: float, rng: np.random.Gene
     assert np.mean(found) == pytest.approx(share, rel=0.05)
 
 
+@pytest.mark.slow
 def test_fitted_parameters_are_allowed_for(rng: np.random.Generator):
     """With half as many parameters as there are data the residual is small, and yet the share is 1."""
     columns = rng.standard_normal((N, N // 2))
