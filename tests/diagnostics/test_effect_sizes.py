@@ -176,6 +176,7 @@ def test_what_is_told_holds_the_first_order_and_the_refit_with_its_own_c():
     assert reported["inclusion"]["stiffness_ratio"] == pytest.approx((np.exp(0.8), np.exp(0.9)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("times", [1.0, 3.0])
 def test_sizes_are_as_wide_as_the_data_scatter(times):
     """Where they scatter more than their stated noise, sizes that are 0 are still inside at their rate."""

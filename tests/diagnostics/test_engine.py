@@ -34,6 +34,7 @@ def run(case, seed: int = 7, **more):
     return diagnose(case, seed=seed, n_draws=1500, propose=False, **more)
 
 
+@pytest.mark.slow
 def test_nothing_missing_is_seldom_named(rng):
     """Two of 40 at the most, as of a test at 5 %. False alarms in 10 % of all data sets would pass with 22 %,
     in 20 % with 1 %."""
@@ -495,6 +496,7 @@ def test_a_score_is_evidence_as_far_as_the_refit_bears_it_out(gained, p):
     assert run._chance_of(refit, times=10.0) == pytest.approx(p, abs=0.002)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 2])
 def test_what_no_refit_bears_out_is_not_found(seed):
     """Only the effect's own direction stands out, to first order; a size held near 0 gains too little."""

@@ -86,6 +86,7 @@ def test_lines_are_those_of_each_site_and_of_other_people(rng):
     assert moved.tolist() == ((sites == "A") & (fold != fold[0])).tolist()
 
 
+@pytest.mark.slow
 def test_slopes_of_chance_are_shrunken_and_those_of_a_site_are_not(rng):
     """Chosen by people that were left out of the training, too: judged by themselves, the weakest shrinking
     is always the best."""
