@@ -70,6 +70,7 @@ def of_places(residual, columns=BALLS, **more):
     return sizes_95(state, family, known, {"inclusion": trial}, **more)["inclusion"]["ln_ratio"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [0.0, 0.4, 2.0])
 def test_where_the_place_is_not_known_the_size_is_inside_at_its_rate(rng, size):
     """Of the place that happens to explain most, the interval alone holds nothing there 4 times of 10."""

@@ -65,6 +65,7 @@ def test_twins_are_never_told_apart(rng):
     assert found.angles["toe / twin-of-toe"] == pytest.approx(1.0, abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("readings", [frozenset({"wave", "step"}), frozenset({"wave"})])
 def test_what_needs_no_simulation_is_judged_whatever_else_was_simulated(rng, monkeypatch, readings):
     """Two effects of the readings alone cost nothing; only what has to be simulated is left out for time."""
@@ -437,6 +438,7 @@ def two_hidden(request):
     return list(sizes), run(toy.make(np.random.default_rng(seed), sizes), seed=seed)
 
 
+@pytest.mark.slow
 def test_where_another_second_effect_beats_the_first_alone_the_true_one_is_found_as_well(two_hidden):
     """The residual of the first suggests another than the true one, or also the true one. The first alone
     stays beaten, although more rivals allow a larger gap."""
@@ -447,6 +449,7 @@ def test_where_another_second_effect_beats_the_first_alone_the_true_one_is_found
     assert next(each for each in found.refits if each.explanation == (hidden[0],)).is_beaten
 
 
+@pytest.mark.slow
 def test_an_effect_that_gains_next_to_nothing_beside_another_is_not_in_the_set(two_hidden):
     """Of the pairs with the first effect, which is adequate alone, some fit better by less than 2."""
     hidden, found = two_hidden

@@ -20,6 +20,7 @@ def noise() -> Noise:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.2, 0.5, 0.9])
 def test_the_share_that_made_the_data_is_found(share: float, rng: np.random.Generator):
     columns = np.stack([np.ones(N), np.linspace(-1.0, 1.0, N)], axis=1)

@@ -67,6 +67,7 @@ def figures() -> dict[str, Figure]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", figures())
 def test_every_labelled_axis_names_its_unit(name):
     for axes in figures()[name].axes:
