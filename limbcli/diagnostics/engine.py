@@ -23,7 +23,7 @@ from scipy.stats import chi2 as chi2_distribution
 from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.conclusions.account import Account
 from limbcli.diagnostics.conclusions.verdict import Diagnosis, Word
-from limbcli.diagnostics.model.forward_model import Facts, ForwardModel
+from limbcli.diagnostics.model.forward_model import Explanation, Facts, ForwardModel
 from limbcli.diagnostics.selection.baseline_fit import BaselineFit
 from limbcli.diagnostics.selection.candidates import Candidates, closes_gross, whitened_trials
 from limbcli.diagnostics.selection.confidence_set import Refit
@@ -157,7 +157,7 @@ class _Run:
         beats it, a second effect is there, but not necessarily that one: all that may fit as well are tried.
         """
         found = [each for refit in kept for each in candidates.extended(refit, below=thresholds.SECOND)]
-        larger = list({frozenset(each): each for each in found}.values())
+        larger = _each_once(found)
         if not larger:
             return kept
         compared = refits.compared([*(refit.explanation for refit in kept), *larger])
@@ -179,7 +179,7 @@ class _Run:
         More rivals allow a larger gap. This does not undo that one of them alone has beaten a refit.
         """
         new = [each for refit in beaten for each in candidates.rival_extensions(refit)]
-        untried = list({frozenset(each): each for each in new if not refits.tried(each)}.values())
+        untried = _each_once([each for each in new if not refits.tried(each)])
         if not untried:
             return compared
         found = refits.compared([*(refit.explanation for refit in compared), *untried])
@@ -189,7 +189,7 @@ class _Run:
     def _each_is_needed(self, refit: Refit, refits: Refits, level: float = thresholds.ADEQUATE) -> bool:
         """Removal test: whether the explanation fails if any one of its effects is removed (by a refit).
 
-        It does not fail if what remains is adequate and fits as well, whatever that leaves.
+        It does not fail if the rest is adequate and fits as well within `NEEDED`, whatever it leaves.
         A single effect is needed if it has evidence of its own, or if it fits as well as the best
         explanation, whose evidence then supports it equally.
         """
@@ -386,3 +386,8 @@ class _Run:
             sizes=account.sizes_95(self.family, self.facts, self.trials),
             refitted_sizes=account.refitted_sizes(of_sizes, shrink),
         )  # fmt: skip
+
+
+def _each_once(several: Sequence[Explanation]) -> list[Explanation]:
+    """These explanations, without those that name the same effects in another order."""
+    return list({frozenset(each): each for each in several}.values())

@@ -83,7 +83,9 @@ def test_what_an_extension_beats_is_extended_by_all_that_may_fit_as_well():
         SimpleNamespace(name=name, p_adjusted=0.9, score=SimpleNamespace(statistic=statistic))
         for name, statistic in (("where: force", 30.0), ("a", 2.1), ("b", 1.9), ("c", 8.0))
     ]
-    refit = SimpleNamespace(explanation=("x",), gap=8.0, gap_allowed=6.0, family=SimpleNamespace(tests=tests))
+    refit = SimpleNamespace(
+        explanation=("x",), gap_beyond_chance=8.0 - 6.0, family=SimpleNamespace(tests=tests)
+    )
     assert look_alike({}).rival_extensions(refit) == [("x", "c"), ("x", "a")]
 
 

@@ -113,8 +113,10 @@ class Candidates:
     def rival_extensions(self, refit: Refit) -> list[Explanation]:
         """The explanation, which a larger one beats, with each further effect whose score on its residual may
         bring it within the allowed gap of the best: at most `PAIRS_KEPT`, those that score highest."""
-        needed = (refit.gap or 0.0) - (refit.gap_allowed or 0.0)
-        left = [t for t in refit.family.tests if t.name in self.trials and t.score.statistic > needed]
+        left = [
+            t for t in refit.family.tests
+            if t.name in self.trials and t.score.statistic > refit.gap_beyond_chance
+        ]  # fmt: skip
         left.sort(key=lambda t: -t.score.statistic)
         return [(*refit.explanation, t.name) for t in left[: thresholds.PAIRS_KEPT]]
 

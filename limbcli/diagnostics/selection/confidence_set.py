@@ -71,11 +71,16 @@ class Refit:
         )
 
     @property
+    def gap_beyond_chance(self) -> float:
+        """Gap to the best explanation less the largest that chance allows; -inf before the comparison."""
+        if self.gap is None or self.gap_allowed is None:
+            return -np.inf
+        return self.gap - self.gap_allowed
+
+    @property
     def is_beaten(self) -> bool:
         """Whether the gap to the best explanation is larger than chance allows."""
-        if self.gap is None or self.gap_allowed is None:
-            return False
-        return self.gap > self.gap_allowed + thresholds.SLACK
+        return self.gap_beyond_chance > thresholds.SLACK
 
 
 def compare(
