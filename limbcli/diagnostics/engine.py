@@ -374,9 +374,10 @@ class _Run:
         shrink = account.shrink(shown, self.refits, kept if word in ("named", "ambiguous") else ())
         relative = baseline.relative if best is None else baseline.is_relative(best.state)
         of_sizes = self.refits or Refits(baseline, self.trials, self.facts, {}, {})
+        refitted = tuple(self.refits.known.values()) if self.refits else ()
         return Diagnosis(
             verdict=word, reason=reason, relative=relative, base=baseline.base, family=self.family,
-            flagged=flagged, refits=tuple(self.refits.known.values()) if self.refits else (),
+            flagged=flagged, refits=refitted,
             confidence_set=tuple(r.explanation for r in kept), chosen=best.explanation if best else (),
             closed=word == "named", shrink=shrink,
             blind_spots=account.blind_spots(self.family, self.facts),
@@ -385,6 +386,7 @@ class _Run:
             roughness=baseline.rough, facts=self.facts, seed=baseline.seed, held_out_z=account.held_out_z(),
             sizes=account.sizes_95(self.family, self.facts, self.trials),
             refitted_sizes=account.refitted_sizes(of_sizes, shrink),
+            common_errors=account.common_errors(refitted),
         )  # fmt: skip
 
 

@@ -11,8 +11,9 @@ from limbcli.diagnostics.conclusions.blind_spots import BlindSpot, blind_spot
 from limbcli.diagnostics.conclusions.effect_sizes import RefittedSizes, refitted_sizes, sizes_95
 from limbcli.diagnostics.conclusions.next_measurement import NextStep, rank_proposals
 from limbcli.diagnostics.conclusions.verdict import Shrink
+from limbcli.diagnostics.model.common_errors import CommonError, common_errors
 from limbcli.diagnostics.model.estimates import Reported
-from limbcli.diagnostics.model.forward_model import Facts, Fitted
+from limbcli.diagnostics.model.forward_model import Explanation, Facts, Fitted
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
 from limbcli.diagnostics.selection.baseline_fit import BaselineFit
 from limbcli.diagnostics.selection.confidence_set import Refit
@@ -133,6 +134,15 @@ class Account:
                            base_names=self.baseline.base.base_names, scale=self._scale(self.baseline.state))
             )  # fmt: skip
         return tuple(sorted(spots, key=lambda spot: -spot.detectable_times_typical))
+
+    def common_errors(self, refits: Sequence[Refit]) -> dict[Explanation, tuple[CommonError, ...]]:
+        """Estimates of the unknowns that many data have in common, by explanation; () is the base model."""
+        baseline = self.baseline
+        states = {(): baseline.state} | {each.explanation: each.state for each in refits}
+        return {
+            explanation: common_errors(baseline.data.noise, baseline.whiten, state)
+            for explanation, state in states.items()
+        }
 
     def next_steps(self, kept: Sequence[Refit], not_evaluated: dict[str, str]) -> tuple[NextStep, ...]:
         """Measurements that would distinguish the members of the set.

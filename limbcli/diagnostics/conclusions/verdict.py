@@ -9,6 +9,7 @@ from typing import Literal
 from limbcli.diagnostics.conclusions.blind_spots import BlindSpot
 from limbcli.diagnostics.conclusions.effect_sizes import RefittedSizes
 from limbcli.diagnostics.conclusions.next_measurement import NextStep
+from limbcli.diagnostics.model.common_errors import CommonError
 from limbcli.diagnostics.model.estimates import Reported
 from limbcli.diagnostics.model.forward_model import Explanation, Facts, Fitted
 from limbcli.diagnostics.selection.confidence_set import Refit
@@ -54,6 +55,7 @@ class Diagnosis:
     sizes : by effect and parameter, the 95 % interval of its distance from null when it alone is added, to
     first order; refitted_sizes : by effect that was refitted alone, the intervals of the parameters' values
     angles : cosines between the changes in the data by each pair of members of the confidence set
+    common_errors : by fitted explanation, what its fit makes of the unknowns that many data have in common
     """
 
     verdict: Word
@@ -78,6 +80,7 @@ class Diagnosis:
     held_out_z: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     sizes: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
     refitted_sizes: Mapping[str, RefittedSizes] = field(default_factory=dict)
+    common_errors: Mapping[Explanation, tuple[CommonError, ...]] = field(default_factory=dict)
 
     @property
     def estimates(self) -> Reported:

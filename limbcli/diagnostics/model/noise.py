@@ -62,11 +62,20 @@ class ErrorDraws:
 @dataclass(frozen=True, eq=False)
 class NoisePart:
     """One cause of noise: covariance (n, n) and source ("repeats", "spec", "assumed", "computed", or
-    "estimated" from the data)."""
+    "estimated" from the data).
+
+    direction : (n,) effect of one standard deviation, if the part is a single unknown; else None
+    """
 
     name: str
     covariance: Array
     source: str
+    direction: Array | None = None
+
+    def scaled(self, share: float) -> NoisePart:
+        """The part with its standard deviation multiplied by an estimated factor."""
+        direction = None if self.direction is None else share * self.direction
+        return NoisePart(self.name, share**2 * self.covariance, "estimated", direction)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,12 +96,7 @@ class Noise:
 
     def with_share(self, name: str, share: float) -> Noise:
         """The noise with the standard deviation of part `name` scaled by the estimated `share`."""
-        return Noise(
-            tuple(
-                NoisePart(name, share**2 * part.covariance, "estimated") if part.name == name else part
-                for part in self.parts
-            )
-        )
+        return Noise(tuple(part.scaled(share) if part.name == name else part for part in self.parts))
 
     def with_part(self, new: NoisePart) -> Noise:
         """The noise with the part of this name replaced."""
@@ -124,7 +128,7 @@ def common(name: str, direction: Array, *, source: str) -> NoisePart:
            [2., 4.]])
     """
     direction = np.asarray(direction, dtype=float)
-    return NoisePart(name, np.outer(direction, direction), source)
+    return NoisePart(name, np.outer(direction, direction), source, direction)
 
 
 def correlated(

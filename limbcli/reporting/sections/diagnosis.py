@@ -41,7 +41,7 @@ def _section(key: str, site: SiteMaterial, result: StageResult) -> Reportlet:
         site.name,
         pictures=_pictures(result, site.name),
         tables=(_candidates(data),),
-        more=(_shrunk(data), _blind(data), *_sizes(data)),
+        more=(_shrunk(data), _blind(data), *_sizes(data), *_common(data)),
         look_for="residuals of the base model (grey) that leave the band of two standard deviations, "
         "and that the model with the addition (blue) brings back into it",
         bad="one name where the verdict is ambiguous, a misfit that remains, or a candidate right of "
@@ -173,6 +173,23 @@ def _sizes(data: Mapping[str, Any]) -> tuple[PageTable, ...]:
             rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
     titles = head("effect", "size", "from", "to (95 %)", "by")
     return (PageTable("Size of each effect when it alone is added", (titles,), tuple(rows)),) if rows else ()
+
+
+def _common(data: Mapping[str, Any]) -> tuple[PageTable, ...]:
+    """Estimates of the errors that many readings have in common; empty for an older result without them."""
+    rows = [
+        tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts))
+        for texts in (
+            (each["name"].removeprefix("model: "), f"{each['value']:+.1f}", f"{each['deviation']:.1f}")
+            for each in data.get("common_errors", ())
+        )
+    ]
+    titles = head("error", "estimate (prior deviations)", "left of the prior's deviation")
+    return (
+        (PageTable("Errors of model and instruments, fitted with their priors", (titles,), tuple(rows)),)
+        if rows
+        else ()
+    )
 
 
 def _number(value: float | None) -> str:

@@ -11,16 +11,20 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.conclusions.next_measurement import best_step, useful_steps
 from limbcli.diagnostics.conclusions.verdict import Diagnosis, Shrink
+from limbcli.diagnostics.model.common_errors import CommonError
 from limbcli.diagnostics.model.forward_model import Direction
 from limbcli.diagnostics.statistical_tests.localisation_tests import PREFIX
 from limbcli.drawing import save_figure
 from limbcli.effects.base import Parameter
 from limbcli.stages.diagnosis.data.joint import slices
+from limbcli.stages.diagnosis.data.noise import COMPRESSIBILITY
 from limbcli.stages.diagnosis.data.site_data import SiteData
 from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
+from limbcli.stages.diagnosis.mesh_error.numerical_checks import f_kappa_at
 from limbcli.stages.diagnosis.sizes import reported_sizes, value_ends
 
 
@@ -59,7 +63,12 @@ def diagnosis_json(found: Diagnosis, site: SiteData, forward_model: SiteForwardM
         "overall": vars(family.overall) if family.overall else None,
         "where": where,
         "candidates": sorted(candidates, key=lambda c: (c["p_adjusted"], -c["score"])),
-        "refits": [_refit(each) for each in found.refits],
+        "common_errors": [vars(each) for each in found.common_errors.get(found.chosen, ())],
+        "f_kappa": f_kappa_estimate(found.common_errors.get(found.chosen, ())),
+        "refits": [
+            {**_refit(each), "f_kappa": f_kappa_estimate(found.common_errors.get(each.explanation, ()))}
+            for each in found.refits
+        ],
         "confidence_set": [list(each) for each in found.confidence_set],
         "look_alike_cosines": dict(found.angles),
         "added": list(found.chosen),
@@ -83,6 +92,25 @@ def diagnosis_json(found: Diagnosis, site: SiteData, forward_model: SiteForwardM
         "left_out": dict(found.left_out),
         "seed": found.seed,
     }
+
+
+def f_kappa_estimate(errors: Sequence[CommonError]) -> dict[str, Any] | None:
+    """f_kappa of a fit with its 95 % interval, which other errors of the model widen, and that of the prior;
+    an end that is open is None. None if its influence was not computed."""
+    found = next((each for each in errors if each.name == COMPRESSIBILITY), None)
+    if found is None:
+        return None
+    ends = (-thresholds.SIZE_WITHIN, thresholds.SIZE_WITHIN)
+    deviation = min(float(np.hypot(found.deviation, thresholds.F_KAPPA_ERROR)), 1.0)
+    return {
+        "value": _closed(f_kappa_at(found.value)),
+        "interval_95": [_closed(f_kappa_at(found.value + side * deviation)) for side in ends],
+        "prior_95": [_closed(f_kappa_at(side)) for side in ends],
+    }
+
+
+def _closed(value: float) -> float | None:
+    return value if np.isfinite(value) else None
 
 
 def _stage(stage: Shrink) -> dict[str, Any]:

@@ -67,6 +67,10 @@ class HeldForces:
 
     def predict(self, curves: Curves, reading: Reading) -> Array:
         """Prediction of `y` (n_features,) by a model."""
+        return fall(self.force(curves, reading), self.windows)
+
+    def force(self, curves: Curves, reading: Reading) -> Array:
+        """Prediction of the recorded force (n,) in N on the grid by a model."""
         depth = true_depth(curves, self.depth, reading)
         elastic = force_at(curves, depth)
         force = elastic.copy()
@@ -76,8 +80,7 @@ class HeldForces:
         for drainage, rate in reading.draining:
             memory = [relaxing(pressed, tau) for tau in drainage.times(rate).tolist()]
             force = force * drainage.left(pressed, np.column_stack(memory), rate)
-        force = reading.force_gain * (force - borne_at_zero(curves, reading)) + reading.force_zero
-        return fall(force, self.windows)
+        return reading.force_gain * (force - borne_at_zero(curves, reading)) + reading.force_zero
 
 
 def relaxing(elastic: Array, tau: float) -> Array:

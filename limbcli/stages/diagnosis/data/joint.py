@@ -1,6 +1,7 @@
 """Several measurements of one place (another orientation, a repeat) as one data set.
 
-The tissue is the same; the noise is independent except for the scanner's gain on all speeds.
+The tissue and its compressibility are the same; the noise is independent except for the scanner's gain on all
+speeds.
 """
 
 from __future__ import annotations
@@ -12,9 +13,9 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from limbcli.diagnostics.model.forward_model import Data
-from limbcli.diagnostics.model.noise import ASSUMED, Noise, NoisePart
+from limbcli.diagnostics.model.noise import ASSUMED, Noise, NoisePart, common
 from limbcli.model import Array
-from limbcli.stages.diagnosis.data.noise import GAIN_OF_SPEEDS
+from limbcli.stages.diagnosis.data.noise import COMPRESSIBILITY, GAIN_OF_SPEEDS
 from limbcli.stages.diagnosis.data.site_data import SiteData
 
 
@@ -47,18 +48,15 @@ def _noise(sites: Sequence[SiteData]) -> Noise:
     for name in names:
         found = [_part(site, name) for site in sites]
         source = _least_known([part.source for part in found if part is not None])
-        if name == GAIN_OF_SPEEDS:
-            direction = np.concatenate(
-                [_direction(part, len(site.data)) for part, site in zip(found, sites, strict=True)]
-            )
-            covariance = np.outer(direction, direction)
-        else:
-            blocks = [
-                np.zeros((len(site.data), len(site.data))) if part is None else part.covariance
-                for part, site in zip(found, sites, strict=True)
-            ]
-            covariance = block_diag(*blocks)
-        parts.append(NoisePart(name, covariance, source))
+        if name in (GAIN_OF_SPEEDS, COMPRESSIBILITY):
+            directions = [_direction(part, len(site.data)) for part, site in zip(found, sites, strict=True)]
+            parts.append(common(name, np.concatenate(directions), source=source))
+            continue
+        blocks = [
+            np.zeros((len(site.data), len(site.data))) if part is None else part.covariance
+            for part, site in zip(found, sites, strict=True)
+        ]
+        parts.append(NoisePart(name, block_diag(*blocks), source))
     return Noise(tuple(parts))
 
 
@@ -72,7 +70,7 @@ def _part(site: SiteData, name: str) -> NoisePart | None:
 
 
 def _direction(part: NoisePart | None, n: int) -> Array:
-    return np.zeros(n) if part is None else np.sqrt(np.diag(part.covariance))
+    return np.zeros(n) if part is None or part.direction is None else part.direction
 
 
 def _groups(sites: Sequence[SiteData]) -> dict[str, np.ndarray]:

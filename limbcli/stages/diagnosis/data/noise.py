@@ -21,6 +21,7 @@ from limbcli.model import Array, IntArray
 from limbcli.stages.diagnosis.data.rows import Row
 
 GAIN_OF_SPEEDS = "gain of all speeds"
+COMPRESSIBILITY = "model: f-kappa"
 STRAIN = "model: strain by the thickness"
 # Standard deviation of a common factor on all speeds: the scanner's calibration (assumed 2 %, as it is never
 # stated) and the models' own error. At sites simulated with FEBio, c was 6 % too high on average, and is 4 %

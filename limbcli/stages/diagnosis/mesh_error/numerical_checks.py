@@ -28,9 +28,15 @@ from limbcli.model import Array, LimbModel
 from limbcli.progress import Progress
 from limbcli.stages.diagnosis.curves.penetration import LEFT_ERROR, Penetration, penetration
 from limbcli.stages.diagnosis.curves.site_simulations import FIRST_M, SiteSimulations
-from limbcli.stages.diagnosis.data.noise import FEWEST_SMOOTH, SmoothDepth, readings
+from limbcli.stages.diagnosis.data.noise import COMPRESSIBILITY, FEWEST_SMOOTH, SmoothDepth, readings
 from limbcli.stages.diagnosis.mesh_error.mesh_comparison import MeshComparison, ResultNotes, at_depths
-from limbcli.stages.diagnosis.mesh_error.mesh_correction import START_M, MeshCorrection, SiteMeshRun, own_run
+from limbcli.stages.diagnosis.mesh_error.mesh_correction import (
+    F_KAPPA,
+    START_M,
+    MeshCorrection,
+    SiteMeshRun,
+    own_run,
+)
 
 USUAL_C = 0.006  # MPa, reference c; arbitrary, as force and modulus are proportional to it
 # Remaining uncertainty as a fraction of the change by 5 % more tissue: surfaces and posture leave 4 %.
@@ -53,7 +59,7 @@ def _stiffened(model: LimbModel, theta: Theta) -> LimbModel:
 
 
 INCOMPRESSIBILITY = Effect(
-    name="f-kappa",
+    name=COMPRESSIBILITY.removeprefix("model: "),
     sentence="the compressibility assumed by the diagnosis is not the tissue's",
     kind="numerical",
     source="nearly incompressible limit",
@@ -61,6 +67,20 @@ INCOMPRESSIBILITY = Effect(
     apply=_stiffened,
     solves=True,
 )
+
+
+def f_kappa_at(deviations: float) -> float:
+    """f_kappa that is this many standard deviations of its prior from the value in the models; inf beyond the
+    incompressible limit.
+
+    A deviation is the change to `_STIFFER` times the value, and to first order the change by compressibility
+    is proportional to that of 1 / f_kappa.
+
+    >>> f_kappa_at(0.0), f_kappa_at(1.0), f_kappa_at(2.0)
+    (100.0, 400.0, inf)
+    """
+    per = 1.0 - deviations * (1.0 - 1.0 / _STIFFER)
+    return F_KAPPA / per if per > 0 else float("inf")
 
 
 @dataclass(frozen=True, eq=False)

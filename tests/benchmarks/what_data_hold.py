@@ -1,0 +1,430 @@
+"""What the readings hold of every effect in the library, and what of it the diagnosis keeps.
+
+    python tests/benchmarks/what_data_hold.py --out FOLDER [--only h05 h13] [--sites]
+
+For every site of the FEBio study in the reference data (`febio-hidden`), segmented and meshed into FOLDER
+unless it is: chi2 by which each effect of the library, at its plausible size, changes the data beyond what other
+c and m make of it (the latter to first order). From the site's fit without effects, with the diagnosis'
+surrogate, at the point of the effect's grid where the readings show most; in each channel alone, and in all
+together, at three stages:
+
+    read     the readings as they are: levels, pixels of maps, quarter seconds of the holds in a record, with
+             the noise that the site states for them (or that a record's scatter shows)
+    reduced  the data that the diagnosis compares, with the same noise: parts of maps, two ratios a hold
+    judged   the same with the errors of the model and all that is counted as uncertain beside the noise
+
+A reduction that keeps less than half is a fault; what is judged says how much our models let one see. A line a
+site and effect is kept in FOLDER/what-data-hold.jsonl, and what is there is not computed again. Printed are a
+summary by channel and one by effect, and with --sites every line as read/reduced/judged.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from limbcli.case import Case, Site
+from limbcli.diagnostics.model.forward_model import Fitted
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
+from limbcli.effects import EFFECTS
+from limbcli.effects.base import Effect, Theta, point_name
+from limbcli.effects.curves import force_at
+from limbcli.effects.reading import read
+from limbcli.errors import LimbError
+from limbcli.measurement.indentation import read_trace
+from limbcli.model import Array, IntArray
+from limbcli.progress import SILENT
+from limbcli.stages.diagnosis.data import held_forces
+from limbcli.stages.diagnosis.data.held_forces import HeldForces
+from limbcli.stages.diagnosis.data.noise import SmoothDepth
+from limbcli.stages.diagnosis.data.site_data import SiteData
+from limbcli.stages.diagnosis.data.windows import Windows, pitch_of
+from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
+from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
+from limbcli.stages.diagnosis.prepare import Prepared, WorkingMesh, _Preparation, prepare
+from limbcli.stages.mesh import mesh
+from limbcli.stages.segment import segment
+
+SHARED = Path(os.environ.get("LIMBCLI_SHARED", Path(__file__).resolve().parents[3] / "shared"))
+SITES = SHARED / "febio-hidden"
+STAGES = ("read", "reduced", "judged")
+CHANNELS = {"force": "force", "swe": "mean speed", "map": "maps", "hold": "holds", "travel": "travel",
+            "skin-bone": "skin-bone", "all": "all"}  # fmt: skip
+Line = Mapping[str, Any]
+SHOWS = 25.0  # chi2 in the readings above which an effect is said to show, as in the study's gates
+_STEP_MM, _STEP_LN_M = 0.1, 1e-2
+
+
+@dataclass(frozen=True)
+class PixelWindows(Windows):
+    """Parts as large as pixels; changes between meshes are filtered over as many mm as in the usual parts.
+
+    filtered : pixels, side of the median filter
+    """
+
+    filtered: int = 3
+
+    def without_spikes(self, ln_speed: Array) -> Array:
+        parts = ln_speed[:, 1:].reshape(-1, self.down, self.across)
+        smooth = median_filter(parts, size=(1, self.filtered, self.filtered), mode="nearest")
+        return np.column_stack([ln_speed[:, 0], smooth.reshape(len(ln_speed), -1)])
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Raw readings of one channel: their change by an effect and by ln c and ln m, and their noise.
+
+    change (n,); base (n, 2); own (n,) : independent standard deviations; shared (n, k) : what errors that
+    several readings have in common make of them, each at one standard deviation
+    """
+
+    channel: str
+    change: Array
+    base: Array
+    own: Array
+    shared: Array
+
+
+def unexplained(blocks: Sequence[Block]) -> float:
+    """chi2 left of the changes when c, m and the shared errors have made of them what they can."""
+    if not blocks:
+        return 0.0
+    change, own = (np.concatenate([getattr(each, name) for each in blocks]) for name in ("change", "own"))
+    base, shared = (np.concatenate([getattr(each, name) for each in blocks]) for name in ("base", "shared"))
+    columns = np.hstack([base, shared]) / own[:, None]
+    known = np.hstack([np.zeros((shared.shape[1], base.shape[1])), np.eye(shared.shape[1])])
+    A, y = np.vstack([columns, known]), np.concatenate([change / own, np.zeros(len(known))])
+    left = y - A @ np.linalg.lstsq(A, y, rcond=None)[0]
+    return float(left @ left)
+
+
+class RawReadings:
+    """The raw readings of one site, and how effects change them.
+
+    pixels : curves of the same simulations in pixels of the maps; None where there are no maps
+    """
+
+    def __init__(self, prepared: Prepared, fitted: Fitted, pixels: SiteCurves | None):
+        self.site: SiteData = prepared.curves.site
+        self.prepared, self.fitted, self.pixels = prepared, fitted, pixels
+        self.c, self.m = fitted.values["c_kpa"] / 1e3, fitted.values["m"]
+        protocol = self.site.protocol
+        self.smooth = replace(protocol, depth=SmoothDepth.through(protocol).at(protocol.force))
+        self.n_shared = 2 * len(protocol) + 1  # depth and speed of each level, zero of the travel
+
+    def blocks(self, rows: Array, effect: Effect, point: Theta) -> list[Block]:
+        """rows (n,) : change of the reduced data by the effect at its plausible size."""
+        found = [self._of_rows(channel, rows) for channel in self._channels()]
+        if self.pixels is not None:
+            found.append(self._of_pixels(effect, point))
+        if self.site.held is not None:
+            found.append(self._of_holds(effect, point))
+        return found
+
+    def _channels(self) -> list[str]:
+        present = dict.fromkeys(row.channel for row in self.site.rows)
+        return [each for each in present if each not in ("map", "hold")]
+
+    def _of_rows(self, channel: str, rows: Array) -> Block:
+        """Levels are not reduced: a channel's rows are its readings."""
+        site, at = self.site, np.array([row.channel == channel for row in self.site.rows])
+        level = site._levels[at]
+        parts = {part.name: part.covariance for part in site.data.noise.parts}
+        own = np.sqrt(np.diag(parts["measurement: own error of each reading"]))[at]
+        shared = np.zeros((at.sum(), self.n_shared))
+        shared[np.arange(len(level)), level] = site.depth_error * site.slope[at] * self._pressed[level]
+        if channel == "travel":
+            zero = parts["measurement: zero of the travel"]
+            shared[:, -1] = np.sqrt(np.diag(zero))[at]
+        base = np.zeros((len(level), 2))  # a parameter on its bound has no column
+        base[:, : self.fitted.jacobian.shape[1]] = self.fitted.jacobian[at]
+        return Block(channel, rows[at], base, own, shared)
+
+    @property
+    def _pressed(self) -> Array:
+        protocol = self.site.protocol
+        return 1.0 - ((protocol.force == 0.0) & (protocol.depth == 0.0))
+
+    # -------------------------------------------------------------- maps
+
+    def _of_pixels(self, effect: Effect, point: Theta) -> Block:
+        level, pixel = self._seen
+        shared = np.zeros((len(level), self.n_shared))
+        rises = (self._speeds(self._plain, further=_STEP_MM) - self._speeds(self._plain)) / _STEP_MM
+        n = len(self.site.protocol)
+        shared[np.arange(len(level)), level] = (
+            self.site.depth_error * rises[level, pixel] * self._pressed[level]
+        )
+        noise = self.prepared.site.noise
+        shared[np.arange(len(level)), n + level] = noise.swe_level_fraction
+        change = self._speed_change(effect, point)[level, pixel]
+        other = self._speeds((self.m * np.exp(_STEP_LN_M), (), {}, [])) - self._speeds(self._plain)
+        base = np.column_stack([np.full(len(level), 0.5), (other / _STEP_LN_M)[level, pixel]])
+        own = np.full(len(level), noise.swe_pixel_fraction)
+        known = np.isfinite(change) & np.isfinite(base).all(axis=1) & np.isfinite(shared).all(axis=1)
+        return Block("map", change[known], base[known], own[known], shared[known])
+
+    @property
+    def _plain(self) -> tuple[float, tuple[str, ...], Theta, list[Theta]]:
+        return self.m, (), {}, []
+
+    @property
+    def _seen(self) -> tuple[IntArray, IntArray]:
+        """Level and number of each pixel that was read."""
+        assert self.pixels is not None
+        windows, maps = self.pixels.simulations.windows, _maps_of(self.prepared.site)
+        numbers = [windows.part_of(each.lateral, each.depth) for each in maps]
+        level = np.concatenate([np.full(len(each), k) for k, each in enumerate(numbers)])
+        pixel = np.concatenate(numbers)
+        return level[pixel >= 0], pixel[pixel >= 0]
+
+    def _speeds(
+        self, model: tuple[float, tuple[str, ...], Theta, Sequence[Theta]], further: float = 0.0
+    ) -> Array:
+        """ln speed (n_levels, n_pixels) of a model: m, explanation, parameters, points of its grids."""
+        assert self.pixels is not None
+        m, explanation, theta, points = model
+        curves = self.pixels.curves(self.c, m, explanation, theta, points)
+        reading = self.pixels.reading(self.c, explanation, theta, points)
+        protocol = replace(self.smooth, depth=self.smooth.depth + further)
+        return read(curves, protocol, reading).log_speed[:, 1:]
+
+    def _speed_change(self, effect: Effect, point: Theta) -> Array:
+        moved = self._speeds((self.m, (effect.name,), plausible(effect, point), [effect.held(point)]))
+        return _from_onset(moved - self._speeds(self._plain), effect, point)
+
+    # -------------------------------------------------------------- holds
+
+    def _of_holds(self, effect: Effect, point: Theta) -> Block:
+        """ln force in every quarter of a second of each hold, about the hold's mean."""
+        held, curves = self.site.held, self.prepared.curves
+        assert held is not None
+        holds = [
+            (int(a[0, 0]), int(b[1, 1])) for a, b in zip(held.windows[::2], held.windows[1::2], strict=True)
+        ]
+
+        def ln_force(c: float, m: float, names: tuple[str, ...], theta: Theta, points: list[Theta]) -> Array:
+            found = curves.curves(c, m, names, theta, points)
+            forces = held.force(found, curves.reading(c, names, theta, points))
+            return np.concatenate([_about_mean(np.log(np.maximum(forces[a:b], 1e-6))) for a, b in holds])
+
+        plain = ln_force(self.c, self.m, (), {}, [])
+        more_c = ln_force(self.c * np.exp(_STEP_LN_M), self.m, (), {}, [])
+        more_m = ln_force(self.c, self.m * np.exp(_STEP_LN_M), (), {}, [])
+        change = (
+            ln_force(self.c, self.m, (effect.name,), plausible(effect, point), [effect.held(point)]) - plain
+        )
+        base = np.column_stack([more_c - plain, more_m - plain]) / _STEP_LN_M
+        own = np.concatenate([np.full(b - a, self._of_sample(held, a, b)) for a, b in holds])
+        return Block("hold", change, base, own, np.zeros((len(change), self.n_shared)))
+
+    def _of_sample(self, held: HeldForces, a: int, b: int) -> float:
+        """Standard deviation of ln force in a quarter of a second of one hold, from the scatter of the
+        record's samples of force and depth."""
+        assert self.prepared.site.trace is not None
+        trace = read_trace(self.prepared.site.trace)
+        n_samples = max(held_forces.STEP_S / float(np.median(np.diff(trace.time))), 1.0)
+        curves = self.prepared.curves.curves(self.c, self.m, (), {}, [])
+        depth = float(held.depth[a:b].mean())
+        force = force_at(curves, np.array([depth - _STEP_MM, depth, depth + _STEP_MM]))
+        stiffness = (force[2] - force[0]) / (2 * _STEP_MM)
+        of_depth = 0.0 if trace.depth is None else stiffness * held_forces._scatter(trace.depth)
+        return float(np.hypot(held_forces._scatter(trace.force), of_depth) / np.sqrt(n_samples) / force[1])
+
+
+def plausible(effect: Effect, point: Theta) -> Theta:
+    """The effect's parameters at a plausible size, at one point of its grid."""
+    return {each.name: each.typical for each in effect.parameters} | effect.free(point)
+
+
+def _about_mean(values: Array) -> Array:
+    return values - values.mean()
+
+
+def _from_onset(change: Array, effect: Effect, point: Theta) -> Array:
+    """Zero at the levels (first axis) before the effect sets in."""
+    first = int(np.ceil(point.get(effect.onset, 0.0) * len(change)))
+    return np.where(np.arange(len(change))[:, None] < first, 0.0, change)
+
+
+def _maps_of(site: Site) -> list[Any]:
+    from limbcli.stages.site_model.site_levels import levels_of, maps_of
+
+    found = maps_of(site, levels_of(site))
+    assert found is not None
+    return found
+
+
+def reduced(
+    forward_model: SiteForwardModel, fitted: Fitted, change: Array, *, judged: bool
+) -> dict[str, float]:
+    """chi2 of a change (n,) of the reduced data, by channel and in all."""
+    data = forward_model.data
+    parts = [part.covariance for part in data.noise.parts if judged or part.name.startswith("measurement")]
+    covariance = np.asarray(sum(parts))
+    if not judged:  # what is assumed of other causes in a hold is not noise of its readings
+        covariance = covariance - np.diag([held_forces._FLOOR**2 * (each == "hold") for each in data.channel])
+    masks = {**data.channels(), "all": np.ones(len(data), dtype=bool)}
+    found = {}
+    for channel, mask in masks.items():
+        at = np.flatnonzero(mask)
+        whiten = Whitener.of(covariance[np.ix_(at, at)])
+        state = LinearFit.of(whiten(change[at]), whiten(fitted.jacobian[at]))
+        found[channel] = state.chi2
+    return found
+
+
+def in_pixels(case: Case, prepared: Prepared, fitted: Fitted, out: Path) -> SiteCurves | None:
+    """Curves of the site in pixels of its maps, on the same mesh; None where it has no maps."""
+    if prepared.site.swe_maps is None:
+        return None
+    maps, usual = _maps_of(prepared.site), prepared.simulations.windows
+    across, down = (
+        round((high - low) / pitch_of(np.concatenate([getattr(each, name) for each in maps])))
+        for name, low, high in (("lateral", usual.left, usual.right), ("depth", usual.top, usual.bottom))
+    )
+    options = replace(WorkingMesh(), size=prepared.size)
+    preparation = _Preparation(case, prepared.site, out, options, SILENT)
+    preparation.windows = PixelWindows(
+        usual.left, usual.right, usual.top, usual.bottom, across, down, usual.smoothing, usual.elevation,
+        whole_is_known=True, filtered=round(3 * across / usual.across),
+    )  # fmt: skip
+    preparation.work = preparation.work.with_name(f".pixels-{prepared.site.name}")
+    known = prepared.curves
+    found = SiteCurves(known.site, preparation.simulations(), known.effects, penetration=known.penetration,
+                       refused=known.refused)  # fmt: skip
+    found.solve_nodes(list(known.nodes))
+    found.changes.m = min(found.nodes, key=lambda m: abs(np.log(m / fitted.values["m"])))
+    return found
+
+
+def of_site(case: Case, site: Site, out: Path) -> Iterator[dict[str, Any]]:
+    """A line for each effect that can be evaluated there."""
+    effects = {each.name: each for each in EFFECTS if each.kind != "numerical" and not each.febio_only}
+    prepared = prepare(case, site, effects, out=out, mesh=WorkingMesh(), progress=SILENT)
+    pixels = None
+    try:
+        forward_model = SiteForwardModel([prepared.curves])
+        forward_model.settle_noise()
+        fitted = forward_model.fit((), {})
+        pixels = in_pixels(case, prepared, fitted, out)
+        raw = RawReadings(prepared, fitted, pixels)
+        for facts in forward_model.candidates:
+            effect = effects[facts.name]
+            found = []
+            for point in effect.grid:
+                with contextlib.suppress(LimbError):  # no channel shows it, or the law has no solution
+                    found.append(_line(forward_model, fitted, raw, effect, point))
+            if found:
+                best = max(found, key=lambda each: float(each["read"]["all"]))
+                yield {"site": f"{case.folder.name} {site.name}", "effect": facts.name, **best}
+    finally:
+        prepared.close()
+        if pixels is not None:
+            pixels.simulations.close()
+
+
+def _line(
+    forward_model: SiteForwardModel, fitted: Fitted, raw: RawReadings, effect: Effect, point: Theta
+) -> dict[str, Any]:
+    explanation, theta = (effect.name,), plausible(effect, point)
+    forward_model._check_channels(explanation)
+    x = [np.log(raw.c), np.log(raw.m), *(theta[slot.name] for slot in forward_model.slots(explanation))]
+    change = forward_model.predict(np.array(x), explanation, [effect.held(point)]) - fitted.prediction
+    blocks = raw.blocks(change, effect, point)
+    return {
+        "point": point_name(point),
+        "read": {each.channel: unexplained([each]) for each in blocks} | {"all": unexplained(blocks)},
+        "reduced": reduced(forward_model, fitted, change, judged=False),
+        "judged": reduced(forward_model, fitted, change, judged=True),
+    }
+
+
+# ------------------------------------------------------------------ tables
+
+
+def shown(lines: Sequence[Line], channel: str) -> list[tuple[float, float, float]]:
+    """chi2 read, reduced and judged wherever the readings of this channel show an effect."""
+    found = [tuple(line[stage].get(channel, 0.0) for stage in STAGES) for line in lines]
+    return [(a, b, c) for a, b, c in found if a > SHOWS]
+
+
+def by_channel(lines: Sequence[Line]) -> Iterator[str]:
+    yield "| channel | shown (effects x sites) | reduced/read, median (10 to 90 %) | below half | judged/reduced |"
+    yield "|-|-|-|-|-|"
+    for channel, name in CHANNELS.items():
+        found = np.array(shown(lines, channel))
+        if len(found):
+            kept = found[:, 1] / found[:, 0]
+            low, middle, high = np.quantile(kept, [0.1, 0.5, 0.9])
+            judged = float(np.median(found[:, 2] / found[:, 1]))
+            yield (
+                f"| {name} | {len(found)} | {middle:.2f} ({low:.2f} to {high:.2f}) | {int(np.sum(kept < 0.5))} "
+                f"| {judged:.2f} |"
+            )
+
+
+def by_effect(lines: Sequence[Line]) -> Iterator[str]:
+    """In all channels together, over the sites where an effect can be evaluated."""
+    yield "| effect | sites | shown when read, reduced, judged | chi2 read, median | reduced/read | judged/reduced |"
+    yield "|-|-|-|-|-|-|"
+    for effect in dict.fromkeys(line["effect"] for line in lines):
+        mine = [line for line in lines if line["effect"] == effect]
+        chi2 = np.array([[line[stage]["all"] for stage in STAGES] for line in mine])
+        counts = ", ".join(str(int(each)) for each in np.sum(chi2 > SHOWS, axis=0))
+        ratio = np.median(chi2[:, 1:] / np.maximum(chi2[:, :-1], 1e-9), axis=0)
+        yield (
+            f"| {effect} | {len(mine)} | {counts} | {np.median(chi2[:, 0]):.0f} "
+            f"| {ratio[0]:.2f} | {ratio[1]:.2f} |"
+        )
+
+
+def by_site(lines: Sequence[Line]) -> Iterator[str]:
+    for line in lines:
+        found = (
+            f"{CHANNELS[channel]} " + "/".join(f"{line[stage].get(channel, 0.0):.3g}" for stage in STAGES)
+            for channel in line["read"]
+        )
+        yield f"{line['site']}  {line['effect']}  {', '.join(found)}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--only", nargs="*", default=[])
+    parser.add_argument("--sites", action="store_true")
+    options = parser.parse_args()
+    kept = options.out / "what-data-hold.jsonl"
+    options.out.mkdir(parents=True, exist_ok=True)
+    lines = [json.loads(line) for line in kept.read_text().splitlines()] if kept.is_file() else []
+    done = {line["site"] for line in lines}
+    for folder in sorted(each for each in SITES.glob("h??") if not options.only or each.name in options.only):
+        case = Case.open(folder)
+        for site in case.sites:
+            if f"{folder.name} {site.name}" in done:
+                continue
+            out = options.out / folder.name
+            if not (out / "mesh").is_dir():
+                segment(case, out=out)
+                mesh(case, out=out)
+            new = list(of_site(case, site, out))
+            lines += new
+            with kept.open("a", encoding="utf-8") as file:
+                file.writelines(json.dumps(line) + "\n" for line in new)
+            print(f"{folder.name} {site.name}: {len(new)} effects", file=sys.stderr, flush=True)
+    for table in (by_site(lines) if options.sites else (), by_channel(lines), by_effect(lines)):
+        print(*table, sep="\n", end="\n\n")
+
+
+if __name__ == "__main__":
+    main()
