@@ -218,7 +218,8 @@ distribution)."""
 F_KAPPA_ERROR: Final = 0.7
 """Root-mean-square error of f_kappa as it is estimated beside c and m, in standard deviations of its prior.
 At thirteen sites of the FEBio study with maps and nothing hidden it is 0.68, where its own deviation is 0.2:
-errors of the models in maps resemble compressibility (`tests/benchmarks/figures/diagnosis-parts.md`)."""
+errors of the models in maps resemble compressibility (`tests/benchmarks/figures/diagnosis-parts.md`).
+Chosen, as measured."""
 
 PULLED: Final = 0.1
 """Change of ln m above which the prior counts as having moved m. Chosen."""

@@ -3,8 +3,8 @@
     python tests/benchmarks/what_data_hold.py --out FOLDER [--only h05 h13] [--sites]
 
 For every site of the FEBio study in the reference data (`febio-hidden`), segmented and meshed into FOLDER
-unless it is: chi2 by which each effect of the library, at its plausible size, changes the data beyond what other
-c and m make of it (the latter to first order). From the site's fit without effects, with the diagnosis'
+unless it is: chi2 by which each effect of the library, at its plausible size, changes the data beyond what
+other c and m make of it (the latter to first order). From the site's fit without effects, with the diagnosis'
 surrogate, at the point of the effect's grid where the readings show most; in each channel alone, and in all
 together, at three stages:
 
@@ -13,9 +13,9 @@ together, at three stages:
     reduced  the data that the diagnosis compares, with the same noise: parts of maps, two ratios a hold
     judged   the same with the errors of the model and all that is counted as uncertain beside the noise
 
-A reduction that keeps less than half is a fault; what is judged says how much our models let one see. A line a
-site and effect is kept in FOLDER/what-data-hold.jsonl, and what is there is not computed again. Printed are a
-summary by channel and one by effect, and with --sites every line as read/reduced/judged.
+A reduction that keeps less than half is a fault; what is judged says how much our models let one see. A line
+a site and effect is kept in FOLDER/what-data-hold.jsonl, and what is there is not computed again. Printed are
+a summary by channel and one by effect, and with --sites every line as read/reduced/judged.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import contextlib
 import json
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -360,7 +360,7 @@ def shown(lines: Sequence[Line], channel: str) -> list[tuple[float, float, float
 
 
 def by_channel(lines: Sequence[Line]) -> Iterator[str]:
-    yield "| channel | shown (effects x sites) | reduced/read, median (10 to 90 %) | below half | judged/reduced |"
+    yield "| channel | shown (effects x sites) | reduced/read (10 to 90 %) | below half | judged/reduced |"
     yield "|-|-|-|-|-|"
     for channel, name in CHANNELS.items():
         found = np.array(shown(lines, channel))
@@ -368,15 +368,15 @@ def by_channel(lines: Sequence[Line]) -> Iterator[str]:
             kept = found[:, 1] / found[:, 0]
             low, middle, high = np.quantile(kept, [0.1, 0.5, 0.9])
             judged = float(np.median(found[:, 2] / found[:, 1]))
+            below = int(np.sum(kept < 0.5))
             yield (
-                f"| {name} | {len(found)} | {middle:.2f} ({low:.2f} to {high:.2f}) | {int(np.sum(kept < 0.5))} "
-                f"| {judged:.2f} |"
+                f"| {name} | {len(found)} | {middle:.2f} ({low:.2f} to {high:.2f}) | {below} | {judged:.2f} |"
             )
 
 
 def by_effect(lines: Sequence[Line]) -> Iterator[str]:
     """In all channels together, over the sites where an effect can be evaluated."""
-    yield "| effect | sites | shown when read, reduced, judged | chi2 read, median | reduced/read | judged/reduced |"
+    yield "| effect | sites | shown: read, reduced, judged | chi2 read | reduced/read | judged/reduced |"
     yield "|-|-|-|-|-|-|"
     for effect in dict.fromkeys(line["effect"] for line in lines):
         mine = [line for line in lines if line["effect"] == effect]

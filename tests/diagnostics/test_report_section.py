@@ -54,6 +54,8 @@ def test_section_shows_verdict_candidates_and_blind_spots(tmp_path):
     assert "force-zero" in known
     assert "thickness" not in known
     assert by == {name: "refit" if name in known else "first order" for name in by}
+    common = {row[0].text: (float(row[1].text), float(row[2].text)) for row in shown.more[3].rows}
+    assert 0.0 < common["gain of all speeds"][1] < 1.0
     assert len(shown.pictures) == 3
 
 

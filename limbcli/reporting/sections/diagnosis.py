@@ -177,19 +177,13 @@ def _sizes(data: Mapping[str, Any]) -> tuple[PageTable, ...]:
 
 def _common(data: Mapping[str, Any]) -> tuple[PageTable, ...]:
     """Estimates of the errors that many readings have in common; empty for an older result without them."""
-    rows = [
-        tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts))
-        for texts in (
-            (each["name"].removeprefix("model: "), f"{each['value']:+.1f}", f"{each['deviation']:.1f}")
-            for each in data.get("common_errors", ())
-        )
-    ]
+    rows = []
+    for each in data.get("common_errors", ()):
+        texts = (each["name"].removeprefix("model: "), f"{each['value']:+.1f}", f"{each['deviation']:.1f}")
+        rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
     titles = head("error", "estimate (prior deviations)", "left of the prior's deviation")
-    return (
-        (PageTable("Errors of model and instruments, fitted with their priors", (titles,), tuple(rows)),)
-        if rows
-        else ()
-    )
+    title = "Errors of model and instruments, fitted with their priors"
+    return (PageTable(title, (titles,), tuple(rows)),) if rows else ()
 
 
 def _number(value: float | None) -> str:
