@@ -9,13 +9,15 @@ surrogate, at the point of the effect's grid where the readings show most; in ea
 together, at three stages:
 
     read     the readings as they are: levels, pixels of maps, quarter seconds of the holds in a record, with
-             the noise that the site states for them (or that a record's scatter shows)
+             the noise that the site states for them (or that a record's scatter shows); pixels whose noise is
+             smooth count as so many fewer
     reduced  the data that the diagnosis compares, with the same noise: parts of maps, two ratios a hold
     judged   the same with the errors of the model and all that is counted as uncertain beside the noise
 
 A reduction that keeps less than half is a fault; what is judged says how much our models let one see. A line
 a site and effect is kept in FOLDER/what-data-hold.jsonl, and what is there is not computed again. Printed are
-a summary by channel and one by effect, and with --sites every line as read/reduced/judged.
+a summary by channel, by effect and by part of the noise model, and with --sites every line, as
+read/reduced/judged.
 """
 
 from __future__ import annotations
@@ -42,6 +44,7 @@ from limbcli.effects.curves import force_at
 from limbcli.effects.reading import read
 from limbcli.errors import LimbError
 from limbcli.measurement.indentation import read_trace
+from limbcli.measurement.map_noise import pixel_noise
 from limbcli.model import Array, IntArray
 from limbcli.progress import SILENT
 from limbcli.stages.diagnosis.data import held_forces
@@ -170,9 +173,22 @@ class RawReadings:
         change = self._speed_change(effect, point)[level, pixel]
         other = self._speeds((self.m * np.exp(_STEP_LN_M), (), {}, [])) - self._speeds(self._plain)
         base = np.column_stack([np.full(len(level), 0.5), (other / _STEP_LN_M)[level, pixel]])
-        own = np.full(len(level), noise.swe_pixel_fraction)
+        own = np.full(len(level), noise.swe_pixel_fraction * np.sqrt(self._pixels_alike))
         known = np.isfinite(change) & np.isfinite(base).all(axis=1) & np.isfinite(shared).all(axis=1)
         return Block("map", change[known], base[known], own[known], shared[known])
+
+    @property
+    def _pixels_alike(self) -> float:
+        """Number of pixels that count as one, where their noise is smooth."""
+        maps = _maps_of(self.prepared.site)
+        found = pixel_noise(maps, usual=self.prepared.site.noise.swe_pixel_fraction)
+        if found.smoothing <= 0:
+            return 1.0
+        sums = []
+        for name in ("lateral", "depth"):
+            apart = pitch_of(np.concatenate([getattr(each, name) for each in maps])) * np.arange(-50, 51)
+            sums.append(float(np.sum(np.exp(-(apart**2) / (4 * found.smoothing**2)))))
+        return 1.0 + found.share * (sums[0] * sums[1] - 1.0)
 
     @property
     def _plain(self) -> tuple[float, tuple[str, ...], Theta, list[Theta]]:
@@ -206,16 +222,23 @@ class RawReadings:
     # -------------------------------------------------------------- holds
 
     def _of_holds(self, effect: Effect, point: Theta) -> Block:
-        """ln force in every quarter of a second of each hold, about the hold's mean."""
+        """ln force in every quarter of a second of each hold, about the hold's mean.
+
+        At the hold's mean depth: the scatter of its samples is noise, which no effect turns into a signal.
+        """
         held, curves = self.site.held, self.prepared.curves
         assert held is not None
         holds = [
             (int(a[0, 0]), int(b[1, 1])) for a, b in zip(held.windows[::2], held.windows[1::2], strict=True)
         ]
+        depth = held.depth.copy()
+        for a, b in holds:
+            depth[a:b] = depth[a:b].mean()
+        steady = replace(held, depth=depth)
 
         def ln_force(c: float, m: float, names: tuple[str, ...], theta: Theta, points: list[Theta]) -> Array:
             found = curves.curves(c, m, names, theta, points)
-            forces = held.force(found, curves.reading(c, names, theta, points))
+            forces = steady.force(found, curves.reading(c, names, theta, points))
             return np.concatenate([_about_mean(np.log(np.maximum(forces[a:b], 1e-6))) for a, b in holds])
 
         plain = ln_force(self.c, self.m, (), {}, [])
@@ -278,10 +301,22 @@ def reduced(
     found = {}
     for channel, mask in masks.items():
         at = np.flatnonzero(mask)
-        whiten = Whitener.of(covariance[np.ix_(at, at)])
-        state = LinearFit.of(whiten(change[at]), whiten(fitted.jacobian[at]))
-        found[channel] = state.chi2
+        found[channel] = _left(covariance[np.ix_(at, at)], change[at], fitted.jacobian[at])
     return found
+
+
+def without_each(forward_model: SiteForwardModel, fitted: Fitted, change: Array) -> dict[str, float]:
+    """chi2 of a change (n,) in all channels without one part of what is not the readings' own noise."""
+    noise = forward_model.data.noise
+    return {
+        part.name: _left(noise.covariance - part.covariance, change, fitted.jacobian)
+        for part in noise.parts if part.name in noise.names and not part.name.startswith("measurement")
+    }  # fmt: skip
+
+
+def _left(covariance: Array, change: Array, jacobian: Array) -> float:
+    whiten = Whitener.of(covariance)
+    return LinearFit.of(whiten(change), whiten(jacobian)).chi2
 
 
 def in_pixels(case: Case, prepared: Prepared, fitted: Fitted, out: Path) -> SiteCurves | None:
@@ -347,6 +382,7 @@ def _line(
         "read": {each.channel: unexplained([each]) for each in blocks} | {"all": unexplained(blocks)},
         "reduced": reduced(forward_model, fitted, change, judged=False),
         "judged": reduced(forward_model, fitted, change, judged=True),
+        "without": without_each(forward_model, fitted, change),
     }
 
 
@@ -389,6 +425,22 @@ def by_effect(lines: Sequence[Line]) -> Iterator[str]:
         )
 
 
+def by_part(lines: Sequence[Line]) -> Iterator[str]:
+    """What each part of the noise that is not the readings' own costs, where the readings show an effect."""
+    yield "| counted as uncertain | judged without it / with it, median: sites with maps | with means |"
+    yield "|-|-|-|"
+    mine = [line for line in lines if line["read"]["all"] > SHOWS]
+    for part in dict.fromkeys(name for line in mine for name in line["without"]):
+        ratios = []
+        for maps in (True, False):
+            found = [
+                line["without"][part] / line["judged"]["all"]
+                for line in mine if part in line["without"] and ("map" in line["read"]) == maps
+            ]  # fmt: skip
+            ratios.append(f"{np.median(found):.2f}" if found else "")
+        yield f"| {part} | {ratios[0]} | {ratios[1]} |"
+
+
 def by_site(lines: Sequence[Line]) -> Iterator[str]:
     for line in lines:
         found = (
@@ -422,7 +474,8 @@ def main() -> None:
             with kept.open("a", encoding="utf-8") as file:
                 file.writelines(json.dumps(line) + "\n" for line in new)
             print(f"{folder.name} {site.name}: {len(new)} effects", file=sys.stderr, flush=True)
-    for table in (by_site(lines) if options.sites else (), by_channel(lines), by_effect(lines)):
+    tables = (by_channel(lines), by_effect(lines), by_part(lines))
+    for table in (by_site(lines), *tables) if options.sites else tables:
         print(*table, sep="\n", end="\n\n")
 
 
