@@ -139,6 +139,11 @@ def test_a_force_offset_on_the_block(tmp_path, rng):
     sizes = content["sizes_95"]["force-zero"]["f0_n"]
     assert sizes[0] < 1.2 < sizes[1]
     assert "force-zero" in content["sizes_refitted"]
+    low, high = content["f_kappa"]["interval_95"]
+    assert content["f_kappa"]["prior_95"][0] <= low < 100.0
+    assert high is None or high > 100.0
+    assert all(each["f_kappa"]["interval_95"][0] > 0 for each in content["refits"])
+    assert "model: f-kappa" in {each["name"] for each in content["common_errors"]}
     assert found.path("sizes").is_file()
 
 
