@@ -11,7 +11,7 @@ from limbcli.diagnostics.engine import diagnose
 from limbcli.effects import effect
 from limbcli.effects.reading import Reading
 from limbcli.stages.diagnosis.data.joint import joined, slices
-from limbcli.stages.diagnosis.data.noise import COMPRESSIBILITY, GAIN_OF_SPEEDS, ModelError
+from limbcli.stages.diagnosis.data.noise import GAIN_OF_SPEEDS
 from limbcli.stages.diagnosis.data.site_data import site_data
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
@@ -59,24 +59,6 @@ def test_noise_is_each_sites_own_but_for_the_scanners_gain(rng):
     assert across[np.ix_(~speeds, ~speeds)] == pytest.approx(0.0)
     assert set(data.blocks) >= {"site a", "site b"}
     assert "b: mean speed" in data.groups
-
-
-def test_compressibility_is_one_unknown_of_all_sites(rng):
-    """With its signs: stiffer in the force, softer in the speeds."""
-    sites = []
-    for name, axes in (("a", ACROSS), ("b", ALONG)):
-        levels, windows = measurement(rng, axes), simulations(axes).windows
-        n = len(levels)
-        error = ModelError(COMPRESSIBILITY, np.full(n, 0.1), np.full((n, len(windows.depths)), -0.02))
-        sites.append(site_data(name, levels, reduced.NOISE, windows=windows, model_error=[error]))
-    data = joined(sites)
-    part = next(each for each in data.noise.parts if each.name == COMPRESSIBILITY)
-    own = [next(p for p in site.data.noise.parts if p.name == COMPRESSIBILITY) for site in sites]
-    assert part.direction == pytest.approx(np.concatenate([each.direction for each in own]))
-    first, second = slices(sites)
-    channels = [np.array([row.channel for row in site.rows]) for site in sites]
-    across = part.covariance[first, second]
-    assert np.all(across[np.ix_(channels[0] == "force", channels[1] == "swe")][1:] < 0)
 
 
 @pytest.mark.parametrize("sources", [("repeats", "assumed"), ("assumed", "repeats")])

@@ -1,7 +1,6 @@
 """Several measurements of one place (another orientation, a repeat) as one data set.
 
-The tissue and its compressibility are the same; the noise is independent except for the scanner's gain on all
-speeds.
+The tissue is the same; the noise is independent except for the scanner's gain on all speeds.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from scipy.linalg import block_diag
 from limbcli.diagnostics.model.forward_model import Data
 from limbcli.diagnostics.model.noise import ASSUMED, Noise, NoisePart, common
 from limbcli.model import Array
-from limbcli.stages.diagnosis.data.noise import COMPRESSIBILITY, GAIN_OF_SPEEDS
+from limbcli.stages.diagnosis.data.noise import GAIN_OF_SPEEDS
 from limbcli.stages.diagnosis.data.site_data import SiteData
 
 
@@ -48,7 +47,7 @@ def _noise(sites: Sequence[SiteData]) -> Noise:
     for name in names:
         found = [_part(site, name) for site in sites]
         source = _least_known([part.source for part in found if part is not None])
-        if name in (GAIN_OF_SPEEDS, COMPRESSIBILITY):
+        if name == GAIN_OF_SPEEDS:
             directions = [_direction(part, len(site.data)) for part, site in zip(found, sites, strict=True)]
             parts.append(common(name, np.concatenate(directions), source=source))
             continue
