@@ -103,13 +103,14 @@ def f_kappa_estimate(errors: Sequence[CommonError]) -> dict[str, Any] | None:
     ends = (-thresholds.SIZE_WITHIN, thresholds.SIZE_WITHIN)
     deviation = min(float(np.hypot(found.deviation, thresholds.F_KAPPA_ERROR)), 1.0)
     return {
-        "value": _closed(f_kappa_at(found.value)),
-        "interval_95": [_closed(f_kappa_at(found.value + side * deviation)) for side in ends],
-        "prior_95": [_closed(f_kappa_at(side)) for side in ends],
+        "value": _finite(f_kappa_at(found.value)),
+        "interval_95": [_finite(f_kappa_at(found.value + side * deviation)) for side in ends],
+        "prior_95": [_finite(f_kappa_at(side)) for side in ends],
     }
 
 
-def _closed(value: float) -> float | None:
+def _finite(value: float) -> float | None:
+    """The value; None where it is infinite, for an interval that is open there."""
     return value if np.isfinite(value) else None
 
 
