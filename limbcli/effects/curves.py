@@ -149,6 +149,32 @@ def columns_at(curves: Curves, depth: Array) -> Array:
     return columns_through(curves.depth, curves.log_speed, depth)
 
 
+def without_gaps(curves: Curves) -> Array:
+    """ln speed (n, n_windows) with the depths at which a window shows no wave taken from its others.
+
+    Interpolated between these, constant before the first and extrapolated linearly beyond the last; NaN for a
+    window with fewer than two.
+    """
+    return columns_at(curves, curves.depth)
+
+
+def gaps_filled(table: Array) -> Array:
+    """Changes (n, n_columns) by depth, with missing ones interpolated over the rows, constant at both ends.
+
+    0 for a column without any.
+
+    >>> nan = np.nan
+    >>> gaps_filled(np.array([[nan, nan], [1.0, nan], [nan, nan], [3.0, nan]])).T
+    array([[1., 1., 2., 3.],
+           [0., 0., 0., 0.]])
+    """
+    known, out, rows = np.isfinite(table), np.zeros_like(table), np.arange(len(table))
+    for k in np.flatnonzero(known.any(axis=0)).tolist():
+        here = known[:, k]
+        out[:, k] = np.interp(rows, rows[here], table[here, k])
+    return out
+
+
 def column_at(knots: Array, values: Array, depth: Array) -> Array:
     """PCHIP within the knots, constant before them, extrapolated linearly beyond."""
     curve = Monotone.through(knots, values)

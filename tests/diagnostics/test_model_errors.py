@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -20,15 +21,20 @@ DEPTH = np.array([0.0, 2.0, np.nan, 8.0])
 N = len(DEPTH)
 
 
-def errors_of(out: Path, *, thickness: float = 25.0, maps: str | None = None) -> ModelErrors:
-    """Four levels, one of which has no depth; ln speeds of the whole and of two parts, straight in depth."""
+def errors_of(
+    out: Path, *, thickness: float = 25.0, maps: str | None = None, hidden: Sequence[int] = ()
+) -> ModelErrors:
+    """Four levels, one of which has no depth; ln speeds of the whole and of two parts, straight in depth.
+
+    hidden : depths of the simulation, by their number, at which the second part is not shown
+    """
     depth = np.linspace(0.0, 10.0, 6)
     slopes = np.array([0.02, 0.03, -0.01])
-    curves = Curves(depth, depth, np.outer(depth, slopes), np.zeros(3), thickness)
-    simulations = SimpleNamespace(
-        curves=lambda m: curves,
-        windows=SimpleNamespace(depths=np.zeros(3), width_uncertainty=lambda log_speed: 0.01 * depth),
-    )
+    speeds = np.outer(depth, slopes)
+    speeds[list(hidden), 2] = np.nan
+    curves = Curves(depth, depth, speeds, np.zeros(3), thickness)
+    windows = SimpleNamespace(depths=np.zeros(3), n_parts=2, width_uncertainty=lambda log_speed: 0.01 * depth)
+    simulations = SimpleNamespace(curves=lambda m: curves, windows=windows)
     nan = np.full(N, np.nan)
     levels = Levels(
         np.arange(N) * 1.0, DEPTH, nan, nan, nan, ("load",) * N, nan, nan, nan, Path("levels.csv")
@@ -95,3 +101,25 @@ def test_means_and_maps_err_by_what_is_theirs(tmp_path):
     assert grown == pytest.approx(0.05 * np.outer([0.0, 2.0, 0.0, 8.0], [0.02, 0.03, -0.01]))
     slopes = errors_of(tmp_path, maps="maps").map_slopes()
     assert slopes == pytest.approx(np.tile([0.03, -0.01], (3, 1)))
+
+
+@pytest.mark.parametrize(
+    ("hidden", "expected"),
+    [
+        ((), [True, True, True]),
+        ((0,), [False, True, True]),  # levels at 0, 2 and 8 mm, simulated every 2 mm
+        ((3, 5), [True, True, True]),
+        ((4, 5), [True, True, False]),
+        ((0, 2, 3, 5), [False, False, False]),  # a curve through two depths is not known
+    ],
+)
+def test_a_part_counts_at_the_levels_near_which_the_model_shows_it(hidden, expected, tmp_path):
+    seen = errors_of(tmp_path, maps="maps", hidden=hidden).parts_seen()
+    assert seen[:, 0].all()
+    assert seen[:, 1].tolist() == expected
+
+
+@pytest.mark.parametrize("hidden", [(), (0,), (3,), (2, 5), (4, 5)])
+def test_the_slope_of_a_part_is_that_of_the_depths_at_which_it_is_shown(hidden, tmp_path):
+    slopes = errors_of(tmp_path, maps="maps", hidden=hidden).map_slopes()
+    assert slopes == pytest.approx(np.array([[0.03, -0.01]] * 3), abs=1e-12)

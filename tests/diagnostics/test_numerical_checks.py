@@ -13,7 +13,6 @@ from limbcli.case import StatedNoise
 from limbcli.effects.curves import Curves, continued, log_force_at
 from limbcli.measurement.indentation import Levels
 from limbcli.stages.diagnosis.curves.site_simulations import FIRST_M
-from limbcli.stages.diagnosis.forward_model.changes import filled
 from limbcli.stages.diagnosis.mesh_error.numerical_checks import (
     Intervention,
     NumericalChecks,
@@ -53,13 +52,6 @@ def test_levels_on_the_way_back_err_by_their_depth_as_those_on_the_way_do():
         sizes.append(checks._judged("crop", curve(1.4), stiffer, "").deviations)
     assert sizes[1] == pytest.approx(sizes[0], rel=1e-3)
     assert sizes[0] == pytest.approx(np.log(1.03) * 20.0 / np.hypot(0.1, 0.3 * 22.0 / 3.0), rel=0.02)
-
-
-def test_gaps_are_closed_by_the_nearest_depth_but_too_many_are_not():
-    table = np.array([[0.0, 1.0, 2.0], [0.1, np.nan, 2.0], [0.2, 3.0, np.nan]])
-    assert filled(table) == pytest.approx(np.array([[0.0, 1.0, 2.0], [0.1, 2.0, 2.0], [0.2, 3.0, 2.0]]))
-    empty = np.array([[0.0, np.nan, np.nan], [0.1, np.nan, np.nan], [0.2, 1.0, 1.0]])
-    assert np.isnan(filled(empty)).any()
 
 
 def test_curves_go_on_beyond_what_was_reached():

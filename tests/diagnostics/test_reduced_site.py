@@ -209,7 +209,8 @@ def test_every_model_that_was_simulated_is_kept_as_it_is(rng):
         true = one.simulations.curves(m, ((effect("skin-layer"), {**theta, **point[0]}),))
         found = one.curves(one.simulations.c, m, skin, theta, point)
         assert found.force[1:] == pytest.approx(true.force[1:], rel=1e-6)
-        assert found.log_speed == pytest.approx(true.log_speed, abs=1e-6, nan_ok=True)
+        shown = np.isfinite(true.log_speed)
+        assert found.log_speed[shown] == pytest.approx(true.log_speed[shown], abs=1e-6)
 
 
 def test_a_fit_that_does_not_stay_ends_at_the_best_that_was_simulated(rng, monkeypatch):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from limbcli.stages.diagnosis.data.held_forces import HeldForces
 from limbcli.stages.diagnosis.data.noise import ModelError, deepest, depth_slopes
 from limbcli.stages.diagnosis.data.site_data import site_data
 from limbcli.stages.diagnosis.data.windows import Windows
+from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 
 N = 6
 
@@ -163,6 +165,31 @@ def test_a_force_that_falls_less_late_in_a_hold_than_early_is_no_scatter():
 def test_assumed_noise_is_recognised_and_known_noise_is_not():
     assert site_data("p1", levels(), StatedNoise(source="assumed"), windows=Windows()).data.noise.is_assumed
     assert not site_data("p1", levels(), StatedNoise(source="spec"), windows=Windows()).data.noise.is_assumed
+
+
+def test_a_part_of_the_maps_is_used_at_the_levels_at_which_the_model_shows_it():
+    usable = np.ones((N, 60), dtype=bool)
+    usable[0, 3] = usable[2:, 7] = False
+    maps = [grid_map(2.0)] * N
+    data = site_data("p1", levels(), StatedNoise(), windows=MAPPED, maps=maps, usable=usable)
+    used = {(row.level, row.part - 1) for row in data.rows if row.channel == "map"}
+    assert used == {(level, part) for level in range(N) for part in range(60) if usable[level, part]}
+    assert np.linalg.eigvalsh(data.data.noise.covariance).min() > 0
+
+
+def test_a_part_that_one_exponents_model_does_not_show_is_continued_there():
+    """Its slope there is that at the depths at which it is shown; the other model has it at all depths."""
+    depth = np.linspace(0.0, 10.0, 6)
+    speeds = np.multiply.outer(depth, np.full(61, 0.02))
+    gap = speeds.copy()
+    gap[4:, 5] = np.nan
+    site = site_data("p1", levels(), StatedNoise(), windows=MAPPED, maps=[grid_map(2.0)] * N)
+    curves = SiteCurves(site, SimpleNamespace(c=0.01), {})
+    curves.nodes = {
+        m: Curves(depth, depth**1.2, table, MAPPED.depths, 28.0) for m, table in ((4.0, speeds), (8.0, gap))
+    }
+    found = curves.curves(0.01, 6.0, (), {}, []).log_speed
+    assert found == pytest.approx(speeds, abs=1e-12)
 
 
 def test_pixels_of_a_level_err_together():

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from typing import Protocol as Typed
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from limbcli.effects.base import Effect, Parameter, Theta, point_name
-from limbcli.effects.curves import Curves
+from limbcli.effects.curves import Curves, gaps_filled
 from limbcli.errors import SolveError
 from limbcli.model import Array, LimbModel
 from limbcli.progress import Progress
@@ -26,6 +27,7 @@ from limbcli.stages.diagnosis.data.windows import Windows
 _REMEMBERED = 8  # number of parameter values cached
 _STEPS_ONE = (0.5, 1.0, 2.0, 4.0)  # spline knots of a one-sided parameter, in units of its start value
 _STEPS_TWO = (-2.0, -1.0, 1.0, 2.0)  # the same for a two-sided parameter
+_MOST_SHOWN = 2 / 3  # fraction of the speeds shown without an effect that must be shown with it
 _ROUNDED = 0.2  # smoothing width of |x| about 0, in units of the start value: a degree of tilt
 
 
@@ -111,7 +113,7 @@ class FieldChange:
     def _at(self, theta: Theta) -> Array:
         size = self.effect.sizes[0]
         moved = shifted(self.simulations, self.m, ((self.effect, {**self.point, **theta}),))
-        moved = np.nan_to_num(filled(moved))
+        moved = gaps_filled(moved)
         if self.missed is not None:
             moved = moved + (theta[size.name] - size.null) / (size.start - size.null) * self.missed
         return moved
@@ -183,7 +185,7 @@ class Changes:
         # the change hardly depends on m, and at one of these values it can be reused for other measurements
         m = min(FIRST_M, key=lambda each: abs(np.log(each / self.m)))
         moved = logs(self.simulations.curves(m, ((effect, theta),)))
-        change = np.nan_to_num(moved - logs(self.simulations.curves(m)))
+        change = gaps_filled(moved - logs(self.simulations.curves(m)))
         if effect.new_mesh:
             change = without_spikes(self.simulations, change)
         return change
@@ -202,10 +204,10 @@ class Changes:
             except SolveError as error:  # step too large; smaller ones suffice
                 problem = error
                 continue
-            moved = filled(np.where(known, moved, 0.0))
-            if np.isfinite(moved).all():
+            moved = np.where(known, moved, np.nan)
+            if _is_known(moved, known):
                 places.append(times)
-                values.append(moved)
+                values.append(gaps_filled(moved))
         if len(places) < 2 and problem is not None:
             raise problem
         if len(places) < 2:
@@ -231,7 +233,7 @@ class Changes:
             self.not_simulated[effect.name] = error.what
             return np.zeros_like(logs(self.simulations.curves(m)))
         missed[0, 0] = 0.0
-        return np.nan_to_num(missed)
+        return gaps_filled(missed)
 
 
 def _spent(effect: Effect) -> SolveError:
@@ -268,20 +270,11 @@ def without_spikes(simulations: CurveSource, change: Array) -> Array:
     """A change of `logs` between meshes, with the speeds median-filtered over neighbouring parts."""
     speeds = slice(1, 2 + simulations.windows.n_parts)
     out = change.copy()
-    out[:, speeds] = simulations.windows.without_spikes(np.nan_to_num(change[:, speeds]))
+    out[:, speeds] = simulations.windows.without_spikes(gaps_filled(change[:, speeds]))
     return out
 
 
-def filled(moved: Array) -> Array:
-    """Changes (n, 1 + n_parts) with missing values (no wave, too few cells) interpolated over depth.
-
-    Unchanged if a force or more than a third of all values is missing.
-    """
-    known = np.isfinite(moved)
-    if not known[:, 0].all() or known.mean() < 2 / 3:
-        return moved
-    out, at = moved.copy(), np.arange(len(moved))
-    for k in range(moved.shape[1]):
-        here = known[:, k]
-        out[:, k] = np.interp(at, at[here], moved[here, k]) if here.any() else 0.0
-    return out
+def _is_known(moved: Array, known: NDArray[np.bool_]) -> bool:
+    """Whether a change (n, 1 + n_parts) has all forces, and most of the speeds that are known without it."""
+    found = np.isfinite(moved)
+    return bool(found[:, 0].all() and found.sum() >= _MOST_SHOWN * known.sum())

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from limbcli.diagnostics.model.forward_model import Explanation
 from limbcli.effects.base import Effect, Theta, point_name
-from limbcli.effects.curves import Curves
+from limbcli.effects.curves import Curves, gaps_filled, without_gaps
 from limbcli.effects.reading import Reading
 from limbcli.errors import LimbError, SolveError
 from limbcli.model import Array
@@ -220,7 +220,7 @@ class SiteCurves:
         missed[0, 0] = 0.0
         if any(effect.new_mesh for effect, _ in solving):
             missed = without_spikes(self.simulations, missed)
-        made = Repair(np.nan_to_num(missed), self._sizes(explanation, theta), float(np.log(m)))
+        made = Repair(gaps_filled(missed), self._sizes(explanation, theta), float(np.log(m)))
         self._repairs[key] = replace(known, solved=(*known.solved, made))
 
     def inherit(
@@ -278,9 +278,10 @@ class SiteCurves:
         nodes = sorted(self.nodes, key=lambda node: abs(bend(node) - bend(m)))[:_NEAR]
         first = self.nodes[nodes[0]]
         weights = _weights(bend(np.array(nodes)), float(bend(m)))
+        # the parts of maps that one m shows and another does not are interpolated between the same depths
+        whole = [replace(each, log_speed=without_gaps(each)) for each in (self.nodes[m] for m in nodes)]
         total = sum(
-            (w * logs(self.nodes[node]) for w, node in zip(weights, nodes, strict=True)),
-            np.zeros_like(logs(first)),
+            (w * logs(each) for w, each in zip(weights, whole, strict=True)), np.zeros_like(logs(first))
         )
         return first.depth, total + self._corrected(m, total.shape[1]), first
 

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from limbcli.case import Site
-from limbcli.effects.curves import Curves
+from limbcli.effects.curves import Curves, gaps_filled
 from limbcli.errors import LimbError, SolveError
 from limbcli.model import Array
 from limbcli.model_io import load_model
@@ -95,7 +95,7 @@ class MeshComparison:
         working = self.simulations.curves(m)
         change = np.zeros(len(working.depth))
         change[1:] = np.log(np.maximum(changed.force[1:], 1e-9) / np.maximum(working.force[1:], 1e-9))
-        return change, np.nan_to_num(changed.log_speed - working.log_speed)
+        return change, gaps_filled(changed.log_speed - working.log_speed)
 
     def _solved_correction(self) -> MeshCorrection | None:
         """Correction from simulations with these m on the site's own mesh; None, with a warning, if
@@ -145,7 +145,7 @@ class MeshComparison:
         working = self.simulations.curves(m)
         at = np.searchsorted(working.depth, own.depth - 1e-6)
         ratio = np.log(own.force[1:] / working.force[at[1:]])
-        return ratio, np.nan_to_num(own.log_speed - working.log_speed[at])
+        return ratio, gaps_filled(own.log_speed - working.log_speed[at])
 
     def _onward(self, own: Curves, ratio: Array, apart: Array) -> tuple[Array, Array]:
         """The same, interpolated to all depths of the working mesh: (n,), (n, n_parts)."""

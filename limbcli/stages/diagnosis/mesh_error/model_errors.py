@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from limbcli.effects.curves import Curves, gaps_filled
 from limbcli.errors import LimbError, SolveError
 from limbcli.model import Array
 from limbcli.results import read_result
@@ -29,6 +30,7 @@ _VOXEL_SHARE, _IMAGE_GAIN = 0.5, 0.05
 _SURFACE_GEOMETRY = (0.2, 0.04)
 _MOVED_BONE = 2.3  # mm, standard deviation of the position of a bone that was put back within the skin
 _STRAIN = 0.02  # relative standard deviation of all strains: posture, the scanner's scale of depths
+_FEWEST_SHOWN = 3  # number of simulated depths that must show a part of a map
 _MAP_STRAIN = 0.05  # the same for a map's pattern alone, whose growth with depth differs between meshes
 
 
@@ -47,7 +49,7 @@ class ModelErrors:
         if self.site.swe_maps is None:
             return []
         curves = self.simulations.curves(self.likely_m)
-        rise = np.nan_to_num(np.gradient(curves.log_speed, curves.depth, axis=0))
+        rise = _rise(curves)
         moved = (
             _MAP_STRAIN
             * np.nan_to_num(self.depth)[:, None]
@@ -58,17 +60,24 @@ class ModelErrors:
     def map_slopes(self) -> Array:
         """Derivative (n_levels used, n_parts) of the model's ln speeds with depth at the levels, in 1/mm."""
         curves = self.simulations.curves(self.likely_m)
-        rise = np.nan_to_num(np.gradient(curves.log_speed[:, 1:], curves.depth, axis=0))
-        keep = np.isfinite(self.levels.force) & np.isfinite(self.levels.depth)
-        return at_depths(self.depth[keep], curves, rise)
+        return at_depths(self._used_depth, curves, _rise(curves)[:, 1:])
 
     def parts_seen(self) -> NDArray[np.bool_]:
-        """Parts of the region (n_parts,) that the models without effects show at every depth."""
-        seen = np.ones(len(self.simulations.windows.depths) - 1, dtype=bool)
+        """Parts of the region that the models without effects show near each level (n_levels used, n_parts).
+
+        That is at the simulated depths above and below it: beyond the last depth at which a part is shown it
+        would rest on extrapolation alone.
+        """
+        seen = np.ones((len(self._used_depth), self.simulations.windows.n_parts), dtype=bool)
         for m in FIRST_M:
             with contextlib.suppress(SolveError):
-                seen &= np.isfinite(self.simulations.curves(m).log_speed[:, 1:]).all(axis=0)
+                seen &= shown_near(self._used_depth, self.simulations.curves(m))
         return seen
+
+    @property
+    def _used_depth(self) -> Array:
+        """Depth (n_levels used,) in mm of the levels that have a force and a depth."""
+        return np.asarray(self.depth[np.isfinite(self.levels.force) & np.isfinite(self.levels.depth)])
 
     def all(self, correction: MeshCorrection, interventions: Sequence[Intervention]) -> list[ModelError]:
         """All model errors to be included in the noise."""
@@ -140,6 +149,34 @@ class ModelErrors:
             *self._growth(),
             ModelError("model: gain of the force by the geometry", np.full(n, gain), none),
         ]
+
+
+def shown_near(depth: Array, curves: Curves) -> NDArray[np.bool_]:
+    """Which parts curves show at the simulated depths above and below others (n_depths, n_parts).
+
+    Parts that are shown at fewer than `_FEWEST_SHOWN` depths are left out.
+
+    >>> speeds = np.zeros((4, 3))
+    >>> speeds[0, 2] = np.nan
+    >>> found = shown_near(np.array([0.5, 1.0]), Curves(np.arange(4.0), np.arange(4.0), speeds, np.zeros(3)))
+    >>> found.tolist()  # the whole region comes first, and is no part
+    [[True, False], [True, True]]
+    """
+    known = np.isfinite(curves.log_speed[:, 1:])
+    last = len(curves.depth) - 1
+    above = np.clip(np.searchsorted(curves.depth, depth, side="right") - 1, 0, last)
+    below = np.clip(np.searchsorted(curves.depth, depth, side="left"), 0, last)
+    return np.asarray(known[above] & known[below] & (known.sum(axis=0) >= _FEWEST_SHOWN))
+
+
+def _rise(curves: Curves) -> Array:
+    """Derivative (n, 1 + n_parts) of ln speeds with depth, in 1/mm; where a part is not shown, that at the
+    depths next to it."""
+    shown, rise = np.isfinite(curves.log_speed), np.full(curves.log_speed.shape, np.nan)
+    for k in np.flatnonzero(shown.sum(axis=0) >= 2).tolist():
+        here = shown[:, k]
+        rise[here, k] = np.gradient(curves.log_speed[here, k], curves.depth[here])
+    return gaps_filled(rise)
 
 
 def _bones_moved(out: Path) -> bool:

@@ -19,7 +19,7 @@ from limbcli.case import Case, Site
 from limbcli.diagnostics import thresholds
 from limbcli.effects import Effect, effect
 from limbcli.effects.base import Parameter, Theta
-from limbcli.effects.curves import Curves, depth_at, log_force_at
+from limbcli.effects.curves import Curves, depth_at, gaps_filled, log_force_at
 from limbcli.effects.far_side import FAR_SIDE, far_side
 from limbcli.effects.tissue import core, with_core
 from limbcli.errors import LimbError, SolveError
@@ -224,7 +224,7 @@ class NumericalChecks:
         change[1:] = np.log(np.maximum(after.force[1:], 1e-9) / np.maximum(before.force[1:], 1e-9))
         change[0] = change[1]
         at_levels = np.interp(self.depth, before.depth, change)
-        speed = np.nan_to_num(after.log_speed - before.log_speed)
+        speed = gaps_filled(after.log_speed - before.log_speed)
         speeds = self._at_levels(before, speed)
         noise = self.site.noise
         slope = SmoothDepth.through(readings(self.levels)).slope(self.levels.force)
