@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from limbcli.effects.places import Places
@@ -35,6 +35,7 @@ class Parameter:
     saturates : distance from `null` over which its effect levels off, as 1 - exp(-distance / saturates);
         None: its effect is proportional to the distance
     looked_at : fraction of the way from `null` to `start` at which its influence near null is evaluated
+    needs : channel without which it stays at null, as nothing tells it from the effect's other parameters
     """
 
     name: str
@@ -50,6 +51,7 @@ class Parameter:
     looked_at: float = 0.02
     extent: bool = False
     both_sides: bool = False
+    needs: str = ""
 
     @staticmethod
     def of_shape(
@@ -150,6 +152,11 @@ class Effect:
     def sizes(self) -> tuple[Parameter, ...]:
         """The parameters that have a null value; with all of them at null there is no effect."""
         return tuple(each for each in self.parameters if not each.shape)
+
+    def measured_by(self, channels: Collection[str]) -> Effect:
+        """The effect with the parameters that these channels can tell (`Parameter.needs`)."""
+        told = tuple(each for each in self.parameters if not each.needs or each.needs in channels)
+        return self if len(told) == len(self.parameters) else replace(self, parameters=told)
 
     @property
     def null(self) -> dict[str, float]:

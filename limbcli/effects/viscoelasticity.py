@@ -3,7 +3,8 @@
 S(t) = int G(t - s) dS_e/ds ds, G = 1 + sum g_i exp(-t/tau_i), with c the equilibrium stiffness. Under a
 prescribed depth and one relaxation function for the whole stress, the force is the same convolution of the
 elastic force (exactly at small strain, within a few per cent at large), which is how it is predicted here;
-shear waves see 1 + sum g_i.
+shear waves see 1 + sum g_i. Tissue relaxes over a continuous range of times. Where holds were recorded, two
+terms a decade apart represent it; levels alone do not tell the two apart, and have one.
 FEBio: `viscoelastic` around the tissue's law.
 Tell-tale: decay at constant depth, or creep at constant force, in every hold; hysteresis.
 Source: Fung 1993, Biomechanics, section 7.6; Zheng & Mak 1999, J Biomech Eng 121:330 (limb tissue).
@@ -19,15 +20,32 @@ from limbcli.effects.tissue import TISSUE, WRAPPERS, within
 from limbcli.model import LimbModel, Material
 
 TAU = "relaxation_time_s"
+_DECADE = 10.0  # ratio of the time constant of the late share to that of the first
 SHARE = Parameter("relaxing_share", null=0.0, start=0.2, low=0.0, high=3.0, typical=0.3,
                   prior="limb tissue, quasi-linear: 0.03 to 0.3")  # fmt: skip
+LATE = Parameter("late_relaxing_share", null=0.0, start=0.1, low=0.0, high=3.0, typical=0.1, needs="hold",
+                 prior="as the first share")  # fmt: skip
+
+
+def terms(theta: Theta) -> tuple[tuple[float, float], ...]:
+    """(share, time constant in s) of the terms that are present, the fast one first.
+
+    >>> terms({"relaxing_share": 0.3, "late_relaxing_share": 0.1, "relaxation_time_s": 1.0})
+    ((0.3, 1.0), (0.1, 10.0))
+    """
+    tau = theta.get(TAU, 10.0)
+    both = ((theta[SHARE.name], tau), (theta.get(LATE.name, 0.0), _DECADE * tau))
+    return tuple((share, time) for share, time in both if share != 0.0)
 
 
 def apply(model: LimbModel, theta: Theta) -> LimbModel:
     """Wrap the tissue's law for FEBio; load and time are unchanged."""
-    if theta[SHARE.name] == 0.0:
+    found = terms(theta)
+    if not found:
         return model
-    prony = {"g0": 1.0, "g1": theta[SHARE.name], "t1": theta.get(TAU, 10.0)}
+    prony = {"g0": 1.0}
+    for k, (share, tau) in enumerate(found, 1):
+        prony |= {f"g{k}": share, f"t{k}": tau}
 
     def relaxing(solid: Material) -> Material:
         return Material("viscoelastic", prony, (solid,), solid.density)
@@ -37,9 +55,7 @@ def apply(model: LimbModel, theta: Theta) -> LimbModel:
 
 
 def observe(reading: Reading, theta: Theta) -> Reading:
-    if theta[SHARE.name] == 0.0:
-        return reading
-    return replace(reading, prony=(*reading.prony, (theta[SHARE.name], theta.get(TAU, 10.0))))
+    return replace(reading, prony=(*reading.prony, *terms(theta)))
 
 
 EFFECT = Effect(
@@ -47,7 +63,7 @@ EFFECT = Effect(
     sentence="stress relaxes while a level is held",
     kind="tissue",
     source="Fung 1993, Biomechanics, section 7.6",
-    parameters=(SHARE,),
+    parameters=(SHARE, LATE),
     apply=apply,
     observe=observe,
     grid=({TAU: 1.0}, {TAU: 10.0}, {TAU: 60.0}),

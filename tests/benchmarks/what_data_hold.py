@@ -228,9 +228,9 @@ class RawReadings:
         """
         held, curves = self.site.held, self.prepared.curves
         assert held is not None
-        holds = [
-            (int(a[0, 0]), int(b[1, 1])) for a, b in zip(held.windows[::2], held.windows[1::2], strict=True)
-        ]
+        begins = np.flatnonzero(held.place == 0)
+        last = np.append(begins[1:], len(held)) - 1
+        holds = list(zip(held.windows[begins, 0, 0].tolist(), held.windows[last, 1, 1].tolist(), strict=True))
         depth = held.depth.copy()
         for a, b in holds:
             depth[a:b] = depth[a:b].mean()
@@ -296,7 +296,10 @@ def reduced(
     parts = [part.covariance for part in data.noise.parts if judged or part.name.startswith("measurement")]
     covariance = np.asarray(sum(parts))
     if not judged:  # what is assumed of other causes in a hold is not noise of its readings
-        covariance = covariance - np.diag([held_forces._FLOOR**2 * (each == "hold") for each in data.channel])
+        held = forward_model.sites[0].site.held
+        at = np.flatnonzero([channel == "hold" for channel in data.channel])
+        if held is not None:
+            covariance[at, at] -= held_forces.floors(held.windows)
     masks = {**data.channels(), "all": np.ones(len(data), dtype=bool)}
     found = {}
     for channel, mask in masks.items():
@@ -355,7 +358,7 @@ def of_site(case: Case, site: Site, out: Path) -> Iterator[dict[str, Any]]:
         pixels = in_pixels(case, prepared, fitted, out)
         raw = RawReadings(prepared, fitted, pixels)
         for facts in forward_model.candidates:
-            effect = effects[facts.name]
+            effect = forward_model.effects[facts.name]
             found = []
             for point in effect.grid:
                 with contextlib.suppress(LimbError):  # no channel shows it, or the law has no solution

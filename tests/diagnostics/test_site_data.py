@@ -150,10 +150,11 @@ def test_channels_are_those_measured():
 
 
 def test_a_force_that_falls_less_late_in_a_hold_than_early_is_no_scatter():
-    """Each hold gives two numbers, and only those of a kind go on evenly from hold to hold."""
-    windows = np.zeros((16, 2, 2), dtype=np.int64)
+    """Each hold gives several ratios, and only those at one place in it go on evenly from hold to hold."""
+    first = np.array([[[0, 2], [2, 4]], [[2, 4], [4, 8]]])
+    windows = np.concatenate([first + 20 * k for k in range(8)])
     falls = np.tile([0.2, 0.1], 8)
-    held = HeldForces(np.linspace(0, 9, 40), windows, falls, np.full(16, 0.01))
+    held = HeldForces(np.linspace(0, 9, 160), windows, falls, np.full(16, 0.01))
     data = site_data("p1", levels(), StatedNoise(), windows=Windows(), held=held).data
     whiten = Whitener.of(data.noise.covariance)
     off = np.where([channel == "hold" for channel in data.channel], data.y, 0.0)

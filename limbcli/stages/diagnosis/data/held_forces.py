@@ -1,13 +1,15 @@
 """Relaxation from a load-cell record: how the force falls within each hold.
 
-Each hold is reduced from thousands of samples to two numbers: ln of the force at its start over the force
-after its first third, and ln of the latter over the force at its end. They are compared with the elastic
-force at the recorded depth, with the relaxation and drainage terms of an explanation.
+Each hold is reduced from thousands of samples to the mean forces of its first half second and of periods
+that double in length (0.5 to 1 s, 1 to 2 s, ... to the end), and these to ln of each over the next. They are
+compared with the elastic force at the recorded depth, with the relaxation and drainage terms of an
+explanation.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +30,11 @@ _DEPTH_SHARE = 0.05  # the same for a depth record, whose steps vary more in siz
 _FORCE_SHARE = 0.4
 _PAUSE_S, _PAUSE_SAMPLES = 1.0, 5.0  # s, sampling intervals: longer gaps are pauses, with unknown motion
 _MOVED_SHARE = 0.15  # relative error of the force change that movement within a hold explains
+_FIRST_S = 0.5  # s, first period of a hold whose mean force is used
 _LEAST_HOLD_S, _LEAST_FORCE = 3.0, 1.0  # s, N: shortest hold, smallest mean force of a hold that is used
-_FLOOR = 0.004  # standard deviation of the ln force ratio from other causes within a hold (assumed)
+# Standard deviation of ln of the force at the start of a hold over that at its end, from other causes
+# (assumed); it accumulates from ratio to ratio.
+_FLOOR = 0.006
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +63,14 @@ class HeldForces:
         found = np.diag(self.deviation**2)
         if self.shared is not None and len(self) > 1:
             found -= np.diag(self.shared[:-1], 1) + np.diag(self.shared[:-1], -1)
+        return found
+
+    @property
+    def place(self) -> IntArray:
+        """Place (n_features,) of each ratio within its hold, from 0."""
+        found = np.zeros(len(self), dtype=np.int64)
+        for k, goes_on in enumerate(_with_next(self.windows)[:-1].tolist(), 1):
+            found[k] = found[k - 1] + 1 if goes_on else 0
         return found
 
     def fallen(self, curves: Curves) -> float:
@@ -188,39 +201,70 @@ def _depth_of_levels(holds: list[tuple[int, int]], force: Array, levels: Levels,
 
 
 def _windows(holds: list[tuple[int, int]], force: Array) -> tuple[IntArray, Array]:
-    """Windows (n_features, 2, 2), two pairs per hold, and the mean force (n_features,) of their holds."""
+    """Windows (n_features, 2, 2), consecutive periods of a hold, and the mean force (n_features,) of their
+    holds."""
     windows, means = [], []
     for a, b in holds:
         mean = float(np.mean(force[a:b]))
         if mean < _LEAST_FORCE:
             continue
-        n = b - a
-        width = max(round(1.0 / STEP_S), n // 6)
-        start, third, end = (a, a + width), (a + n // 3, a + n // 3 + width), (b - width, b)
-        windows += [(start, third), (third, end)]
-        means += [mean, mean]
+        pairs = list(pairwise(periods(a, b)))
+        windows += pairs
+        means += [mean] * len(pairs)
     return np.array(windows, dtype=np.int64).reshape(-1, 2, 2), np.array(means)
+
+
+def periods(a: int, b: int) -> list[tuple[int, int]]:
+    """Periods [from, to) of a hold on the grid: its first half second, then each as long as all before it.
+
+    The last one goes to the end of the hold, and is at least half as long as all before it.
+
+    >>> [(STEP_S * start, STEP_S * end) for start, end in periods(0, round(19.0 / STEP_S))]
+    [(0.0, 0.5), (0.5, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, 8.0), (8.0, 19.0)]
+    >>> [(STEP_S * start, STEP_S * end) for start, end in periods(0, round(3.0 / STEP_S))]
+    [(0.0, 0.5), (0.5, 1.0), (1.0, 2.0), (2.0, 3.0)]
+    """
+    first = round(_FIRST_S / STEP_S)
+    ends = [first]
+    while 3 * ends[-1] <= b - a:
+        ends.append(2 * ends[-1])
+    edges = [a, *(a + end for end in ends), b]
+    return list(pairwise(edges))
+
+
+def _with_next(windows: IntArray) -> NDArray[np.bool_]:
+    """Whether the second window (n_features,) of a pair is the first of the next one."""
+    return np.append(np.all(windows[:-1, 1] == windows[1:, 0], axis=1), False)
 
 
 def _deviations(trace: Trace, windows: IntArray, force: Array, moving: Array | None) -> tuple[Array, Array]:
     """Standard deviations of the ln force ratios, and `HeldForces.shared`.
 
-    From the scatter of the force samples, the scatter of the depth samples times the stiffness, and a floor.
+    From the scatter of the force samples, that of the depth samples times the stiffness, and the floor.
 
     moving : the recorded depth on the grid; movement within a hold adds to the uncertainty
     """
     rate = 1.0 / float(np.median(np.diff(trace.time)))
-    samples = np.maximum((windows[:, 0, 1] - windows[:, 0, 0]) * STEP_S * rate, 1.0)
-    of_samples = (_scatter(trace.force) / np.sqrt(samples) / force) ** 2
+    samples = np.maximum((windows[:, :, 1] - windows[:, :, 0]) * STEP_S * rate, 1.0)
+    of_samples = (_scatter(trace.force) / force[:, None]) ** 2 / samples
     moved = np.zeros(len(force))
     if moving is not None and trace.depth is not None:
         deepest = float(np.nanmax(trace.depth))
         stiffness = 1.5 * float(np.nanmax(trace.force)) / max(deepest, 1.0)  # N/mm, of a power of depth
         places = np.array([[moving[a:b].mean() for a, b in pair] for pair in windows])
         moved = (stiffness * _MOVED_SHARE * np.abs(places[:, 0] - places[:, 1]) / force) ** 2
-        of_samples += (stiffness * _scatter(trace.depth) / np.sqrt(samples) / force) ** 2
-    with_next = np.append(np.all(windows[:-1, 1] == windows[1:, 0], axis=1), False)
-    return np.sqrt(2 * of_samples + 2 * moved + _FLOOR**2), np.where(with_next, of_samples, 0.0)
+        of_samples += (stiffness * _scatter(trace.depth) / force[:, None]) ** 2 / samples
+    goes_on = _with_next(windows)
+    return (
+        np.sqrt(of_samples.sum(axis=1) + 2 * moved + floors(windows)),
+        np.where(goes_on, of_samples[:, 1], 0.0),
+    )
+
+
+def floors(windows: IntArray) -> Array:
+    """Variance (n_features,) of ln force ratios from other causes, in equal parts for those of one hold."""
+    hold = np.cumsum(np.append(0, ~_with_next(windows)[:-1]))
+    return np.asarray(_FLOOR**2 / np.bincount(hold)[hold])
 
 
 def _scatter(values: Array) -> float:

@@ -124,13 +124,14 @@ def thickness_rows(levels: Levels, keep: IntArray) -> Stacked:
 
 
 def hold_rows(held: HeldForces | None) -> Stacked:
-    """An early (part 0) and a late (part 1) force ratio of each hold; each part is a series.
+    """The force ratios of each hold, numbered within it (the part); each part is a series.
 
     Their covariance is given by `hold_noise`, as the ratios of one hold are correlated.
     """
     if held is None:
         return [], [], []
-    return [Row("hold", k, k % 2) for k in range(len(held))], held.y.tolist(), [0.0] * len(held)
+    rows = [Row("hold", k, part) for k, part in enumerate(held.place.tolist())]
+    return rows, held.y.tolist(), [0.0] * len(held)
 
 
 def extra_rows(extras: Sequence[ExtraMeasurement]) -> Stacked:

@@ -41,7 +41,10 @@ class Predictions:
 
     def __init__(self, sites: Sequence[SiteCurves]):
         self.sites = tuple(sites)
-        self.effects: dict[str, Effect] = dict(sites[0].effects)
+        channels = {channel for each in self.sites for channel in each.site.channels}
+        self.effects: dict[str, Effect] = {
+            name: each.measured_by(channels) for name, each in sites[0].effects.items()
+        }
         self._data = joined([each.site for each in sites])
         self.whiten = Whitener.of(self._data.noise.covariance)
 
