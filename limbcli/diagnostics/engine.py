@@ -155,6 +155,7 @@ class _Run:
         The evidence for the second of two effects is weak once the first has changed c and m. A member
         therefore stays in the set together with its own extension, and both are reported. If the extension
         beats it, a second effect is there, but not necessarily that one: all that may fit as well are tried.
+        If no extension gains what its score promises, those that score next are tried.
         """
         found = [each for refit in kept for each in candidates.extended(refit, below=thresholds.SECOND)]
         larger = _each_once(found)
@@ -162,6 +163,7 @@ class _Run:
             return kept
         compared = refits.compared([*(refit.explanation for refit in kept), *larger])
         compared = self._with_look_alikes(compared, candidates, refits)
+        compared = self._with_next_extensions(compared, kept, candidates, refits)
         first = {refit.explanation for refit in kept}
         beaten = [each for each in compared if each.explanation in first and each.is_beaten]
         compared = self._with_rival_extensions(compared, beaten, candidates, refits)
@@ -170,6 +172,17 @@ class _Run:
             if each.explanation in first
             or (each.in_set and self._each_is_needed(each, refits, thresholds.SECOND))
         ]  # fmt: skip
+
+    def _with_next_extensions(
+        self, compared: list[Refit], kept: Sequence[Refit], candidates: Candidates, refits: Refits
+    ) -> list[Refit]:
+        """Add extensions by the effects that score next, of members whose tried ones are not borne out."""
+        hinting = [refit for refit in kept if refit.left_p < thresholds.SECOND]
+        new = [each for refit in hinting for each in candidates.next_extensions(refit, refits.known)]
+        untried = _each_once([each for each in new if not refits.tried(each)])
+        if not untried:
+            return compared
+        return refits.compared([*(refit.explanation for refit in compared), *untried])
 
     def _with_rival_extensions(
         self, compared: list[Refit], beaten: Sequence[Refit], candidates: Candidates, refits: Refits
@@ -254,9 +267,8 @@ class _Run:
     ) -> tuple[Word, str] | None:
         """The verdict to give instead of "named", and the reason ("it fits, but ..."); None if no objection.
 
-        A remaining residual may be due to one further effect: in that case a larger explanation in the set
-        leaves no significant residual, which is accepted. An m on its bound is an objection only if that
-        value is reported: where the fit is flat in m, the weak prior moves the reported value off the bound.
+        An m on its bound is an objection only if that value is reported: where the fit is flat in m, the weak
+        prior moves the reported value off the bound.
         """
         if not self._speaks_for_itself(best):
             return "unexplained", "it is not significant by itself, and the significant ones do not fit"
@@ -265,8 +277,10 @@ class _Run:
                 "it fits no better than an arbitrary smooth curve, or does not predict held-out data"
             )
         larger = [each for each in kept if set(best.explanation) <= set(each.explanation)]
-        if max(each.left_p for each in larger) < thresholds.LEFT:
-            return "ambiguous", "a residual remains; it may not be the full explanation"
+        if best.left_p < thresholds.LEFT:
+            if max(each.left_p for each in larger) < thresholds.LEFT:
+                return "ambiguous", "a residual remains; it may not be the full explanation"
+            return "ambiguous", "it leaves a residual that one further effect explains"
         if best.is_beaten:
             better = min(larger, key=lambda refit: refit.state.chi2)
             return "ambiguous", f"{' + '.join(better.explanation)} fits better than chance allows"

@@ -118,6 +118,10 @@ BARELY: Final = 0.25
 """Fraction of ADEQUATE down to which an explanation is still kept if it fits as well as a member of the set.
 Chosen."""
 
+BORNE_OUT: Final = 0.5
+"""Share of the reduction of deviance that a first-order score promises, below which a further effect's refit
+does not bear it out, and the next ones are tried. Chosen."""
+
 AS_WELL: Final = 4.0
 """Difference of deviance within which one explanation fits as well as another. Chosen."""
 
@@ -166,7 +170,7 @@ IMAGE_ALIKE: Final = 0.97
 
 LEFT: Final = ALPHA
 """p of the remaining residual below which the only explanation is not named: a named effect may leave no
-residual that would be detected, unless one further effect explains it, which is then also reported."""
+residual that would be detected. Where one further effect explains it, it may be half of a pair."""
 
 NAMED: Final = 0.02
 """p of the evidence for an effect, adjusted over the effects, from which it is not named, even if nothing

@@ -77,6 +77,27 @@ def test_what_leaves_something_is_extended_by_what_is_near_significance(left_p, 
     assert look_alike({}).extended(refit, below=0.05) == longer
 
 
+@pytest.mark.parametrize(
+    ("gained", "further"),
+    [(1.0, [("x", "b"), ("x", "c")]), (6.0, []), (None, [("x", "a"), ("x", "b"), ("x", "c")])],
+)
+def test_where_a_score_is_not_borne_out_those_that_score_next_are_tried(gained, further):
+    """Half of what it promises is enough; a score that is not worth a parameter is not tried."""
+    tests = [
+        SimpleNamespace(name=name, p_adjusted=0.9, score=SimpleNamespace(statistic=statistic))
+        for name, statistic in (("where: force", 30.0), ("a", 11.0), ("d", 1.9), ("c", 5.0), ("b", 8.0))
+    ]
+
+    def refitted(chi2: float, *explanation: str) -> SimpleNamespace:
+        family = SimpleNamespace(tests=tests)
+        return SimpleNamespace(explanation=explanation, family=family, state=SimpleNamespace(chi2=chi2))
+
+    known = {each.explanation: each for each in (refitted(100.0, "x"), refitted(50.0, "a", "b"))}
+    if gained is not None:
+        known["a", "x"] = refitted(100.0 - gained, "a", "x")
+    assert look_alike({}).next_extensions(known["x",], known) == further
+
+
 def test_what_an_extension_beats_is_extended_by_all_that_may_fit_as_well():
     """The best extension gains 8, and 6 may be due to chance: a rival has to gain more than 2."""
     tests = [

@@ -397,9 +397,10 @@ def test_c_and_m_reach_over_all_that_fit_also_beside_a_name(monkeypatch, word, o
 
 @pytest.mark.parametrize(
     ("alone", "with_one_more", "named"),
-    [(0.2, None, True), (0.02, None, False), (0.02, 0.3, True), (0.02, 0.03, False)],
+    [(0.2, None, True), (0.02, None, False), (0.02, 0.3, False), (0.02, 0.03, False), (0.2, 0.3, True)],
 )
-def test_what_a_name_leaves_one_effect_more_has_to_explain(monkeypatch, alone, with_one_more, named):
+def test_a_name_leaves_nothing_that_would_be_detected(monkeypatch, alone, with_one_more, named):
+    """Where one effect more explains what it leaves, it may be half of a pair."""
     run = _Run(SimpleNamespace(), 3, False)
     run._chance_of = lambda refit, **how: 0.0
     monkeypatch.setattr("limbcli.diagnostics.engine.Closing.is_closed", lambda self, refit: True)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.model.forward_model import Explanation, Facts, Fitted, ForwardModel
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
@@ -109,6 +111,25 @@ class Candidates:
         ]
         left.sort(key=lambda t: (t.p_adjusted, -t.score.statistic))
         return [(*refit.explanation, t.name) for t in left[: thresholds.GROWN]]
+
+    def next_extensions(self, refit: Refit, tried: Mapping[Explanation, Refit]) -> list[Explanation]:
+        """The explanation with the further effects that score highest among the untried ones, if no extension
+        that was tried gains a share `BORNE_OUT` of what its score on the residual promises.
+
+        tried : all refits, with their effects in any order
+        """
+        scores = {t.name: t.score.statistic for t in refit.family.tests if t.name in self.trials}
+        gains = {
+            name: refit.state.chi2 - each.state.chi2
+            for each in tried.values() if len(each.explanation) == len(refit.explanation) + 1
+            for name in set(each.explanation) - set(refit.explanation)
+            if set(refit.explanation) < set(each.explanation)
+        }  # fmt: skip
+        if any(gains[name] >= thresholds.BORNE_OUT * scores.get(name, np.inf) for name in gains):
+            return []
+        left = [name for name in scores if name not in gains and scores[name] > thresholds.NEEDED]
+        left.sort(key=lambda name: -scores[name])
+        return [(*refit.explanation, name) for name in left[: thresholds.GROWN]]
 
     def rival_extensions(self, refit: Refit) -> list[Explanation]:
         """The explanation, which a larger one beats, with each further effect whose score on its residual may
