@@ -179,7 +179,7 @@ def _common(data: Mapping[str, Any]) -> tuple[PageTable, ...]:
     """Estimates of the errors that many readings have in common; empty for an older result without them."""
     rows = []
     for each in data.get("common_errors", ()):
-        texts = (each["name"].removeprefix("model: "), f"{each['value']:+.1f}", f"{each['deviation']:.1f}")
+        texts = (each["name"].removeprefix("model: "), f"{each['value']:+z.1f}", f"{each['deviation']:.1f}")
         rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
     titles = head("error", "estimate (prior deviations)", "left of the prior's deviation")
     title = "Errors of model and instruments, fitted with their priors"
