@@ -91,6 +91,14 @@ def test_relaxing_record_is_predicted_by_its_own_terms(rng):
     assert np.max(np.abs(without)) > 10.0
 
 
+@pytest.mark.parametrize("hold", [4.0, 20.0, 60.0])
+def test_other_causes_make_the_same_of_a_hold_however_many_ratios_it_gives(rng, hold):
+    found, _ = held_forces(record(rng, noise=0.0, hold=hold, depth=False, shares=((0.4, 2.0),)), levels())
+    begins = np.append(np.flatnonzero(found.place == 0), len(found))
+    wholes = [found.covariance[a:b, a:b].sum() for a, b in pairwise(begins.tolist())]
+    assert np.sqrt(wholes) == pytest.approx(0.006, rel=1e-2)
+
+
 def test_two_relaxation_times_are_told_from_one(rng):
     """A decade apart, at fixed times that are not quite the true ones."""
     found, _ = held_forces(record(rng, shares=((0.5, 1.2), (0.3, 14.0))), levels())

@@ -11,6 +11,7 @@ import pytest
 from limbcli.case import StatedNoise
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
 from limbcli.diagnostics.statistical_tests.roughness import roughness
+from limbcli.effects import effect
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Protocol, Reading, read
 from limbcli.measurement.elastography import SweMap
@@ -19,6 +20,7 @@ from limbcli.stages.diagnosis.data.held_forces import HeldForces
 from limbcli.stages.diagnosis.data.noise import ModelError, deepest, depth_slopes
 from limbcli.stages.diagnosis.data.site_data import site_data
 from limbcli.stages.diagnosis.data.windows import Windows
+from limbcli.stages.diagnosis.forward_model.predictions import Predictions
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 
 N = 6
@@ -191,6 +193,17 @@ def test_a_part_that_one_exponents_model_does_not_show_is_continued_there():
     }
     found = curves.curves(0.01, 6.0, (), {}, []).log_speed
     assert found == pytest.approx(speeds, abs=1e-12)
+
+
+@pytest.mark.parametrize("recorded", [False, True])
+def test_a_late_relaxing_share_is_fitted_where_holds_are_recorded(recorded):
+    windows = np.array([[[0, 4], [8, 12]], [[8, 12], [20, 24]]])
+    held = HeldForces(np.linspace(0, 9, 40), windows, np.array([0.1, 0.05]), np.array([0.01, 0.01]))
+    site = site_data("p1", levels(), StatedNoise(), windows=Windows(), held=held if recorded else None)
+    known = {"viscoelasticity": effect("viscoelasticity")}
+    slots = Predictions([SiteCurves(site, SimpleNamespace(c=0.01), known)]).slots(("viscoelasticity",))
+    late = ["late_relaxing_share"] if recorded else []
+    assert [each.name for each in slots] == ["relaxing_share", *late]
 
 
 def test_pixels_of_a_level_err_together():

@@ -157,10 +157,10 @@ def shown_near(depth: Array, curves: Curves) -> NDArray[np.bool_]:
     Parts that are shown at fewer than `_FEWEST_SHOWN` depths are left out.
 
     >>> speeds = np.zeros((4, 3))
-    >>> speeds[0, 2] = np.nan
-    >>> found = shown_near(np.array([0.5, 1.0]), Curves(np.arange(4.0), np.arange(4.0), speeds, np.zeros(3)))
-    >>> found.tolist()  # the whole region comes first, and is no part
-    [[True, False], [True, True]]
+    >>> speeds[1, 2] = np.nan
+    >>> curves = Curves(np.arange(4.0), np.arange(4.0), speeds, np.zeros(3))
+    >>> shown_near(np.array([0.0, 0.5, 1.5, 2.0]), curves)[:, 1].tolist()  # the whole region is no part
+    [True, False, False, True]
     """
     known = np.isfinite(curves.log_speed[:, 1:])
     last = len(curves.depth) - 1
