@@ -107,13 +107,14 @@ def test_means_and_maps_err_by_what_is_theirs(tmp_path):
     ("hidden", "expected"),
     [
         ((), [True, True, True]),
-        ((0,), [False, True, True]),  # levels at 0, 2 and 8 mm, simulated every 2 mm
-        ((3, 5), [True, True, True]),
+        ((5,), [True, True, True]),  # levels at 0, 2 and 8 mm, simulated every 2 mm
         ((4, 5), [True, True, False]),
-        ((0, 2, 3, 5), [False, False, False]),  # a curve through two depths is not known
+        ((3,), [True, True, False]),  # behind bone, say
+        ((0,), [False, False, False]),  # it comes into view late
+        ((2, 3, 4, 5), [False, False, False]),  # a curve through two depths is not known
     ],
 )
-def test_a_part_counts_at_the_levels_near_which_the_model_shows_it(hidden, expected, tmp_path):
+def test_a_part_counts_at_the_levels_down_to_which_the_model_shows_it(hidden, expected, tmp_path):
     seen = errors_of(tmp_path, maps="maps", hidden=hidden).parts_seen()
     assert seen[:, 0].all()
     assert seen[:, 1].tolist() == expected

@@ -65,7 +65,7 @@ def speed_rows(
 ) -> Stacked:  # fmt: skip
     """Parts of the maps (`MapNoise` gives their covariance), or the mean speeds where there are no maps.
 
-    usable : parts that the model shows at each level (n_levels, n_parts); None: all
+    usable : parts that the model shows from rest to each level (n_levels, n_parts); None: all
     """
     rows: list[Row] = []
     y: list[float] = []

@@ -63,15 +63,17 @@ class ModelErrors:
         return at_depths(self._used_depth, curves, _rise(curves)[:, 1:])
 
     def parts_seen(self) -> NDArray[np.bool_]:
-        """Parts of the region that the models without effects show near each level (n_levels used, n_parts).
+        """Parts of the region that the models without effects show from rest to beyond each level
+        (n_levels used, n_parts).
 
-        That is at the simulated depths above and below it: beyond the last depth at which a part is shown it
-        would rest on extrapolation alone.
+        Beyond the last depth at which a part is shown it would rest on extrapolation. Parts that come into
+        view later are left out: those at the edges of the face, below which there is no tissue at rest, and
+        those behind bone.
         """
         seen = np.ones((len(self._used_depth), self.simulations.windows.n_parts), dtype=bool)
         for m in FIRST_M:
             with contextlib.suppress(SolveError):
-                seen &= shown_near(self._used_depth, self.simulations.curves(m))
+                seen &= shown_down_to(self._used_depth, self.simulations.curves(m))
         return seen
 
     @property
@@ -151,22 +153,21 @@ class ModelErrors:
         ]
 
 
-def shown_near(depth: Array, curves: Curves) -> NDArray[np.bool_]:
-    """Which parts curves show at the simulated depths above and below others (n_depths, n_parts).
+def shown_down_to(depth: Array, curves: Curves) -> NDArray[np.bool_]:
+    """Which parts curves show at all simulated depths down to the next below others (n_depths, n_parts).
 
     Parts that are shown at fewer than `_FEWEST_SHOWN` depths are left out.
 
-    >>> speeds = np.zeros((4, 3))
-    >>> speeds[1, 2] = np.nan
-    >>> curves = Curves(np.arange(4.0), np.arange(4.0), speeds, np.zeros(3))
-    >>> shown_near(np.array([0.0, 0.5, 1.5, 2.0]), curves)[:, 1].tolist()  # the whole region is no part
-    [True, False, False, True]
+    >>> speeds = np.zeros((5, 4))
+    >>> speeds[2, 2] = speeds[0, 3] = np.nan
+    >>> curves = Curves(np.arange(5.0), np.arange(5.0), speeds, np.zeros(4))
+    >>> shown_down_to(np.array([0.0, 1.0, 1.5, 4.0]), curves)[:, 1:].T.tolist()  # the whole is no part
+    [[True, True, False, False], [False, False, False, False]]
     """
     known = np.isfinite(curves.log_speed[:, 1:])
-    last = len(curves.depth) - 1
-    above = np.clip(np.searchsorted(curves.depth, depth, side="right") - 1, 0, last)
-    below = np.clip(np.searchsorted(curves.depth, depth, side="left"), 0, last)
-    return np.asarray(known[above] & known[below] & (known.sum(axis=0) >= _FEWEST_SHOWN))
+    below = np.clip(np.searchsorted(curves.depth, depth, side="left"), 0, len(curves.depth) - 1)
+    so_far = np.logical_and.accumulate(known, axis=0)
+    return np.asarray(so_far[below] & (known.sum(axis=0) >= _FEWEST_SHOWN))
 
 
 def _rise(curves: Curves) -> Array:
