@@ -103,21 +103,10 @@ def test_means_and_maps_err_by_what_is_theirs(tmp_path):
     assert slopes == pytest.approx(np.tile([0.03, -0.01], (3, 1)))
 
 
-@pytest.mark.parametrize(
-    ("hidden", "expected"),
-    [
-        ((), [True, True, True]),
-        ((5,), [True, True, True]),  # levels at 0, 2 and 8 mm, simulated every 2 mm
-        ((4, 5), [True, True, False]),
-        ((3,), [True, True, False]),  # behind bone, say
-        ((0,), [False, False, False]),  # it comes into view late
-        ((2, 3, 4, 5), [False, False, False]),  # a curve through two depths is not known
-    ],
-)
-def test_a_part_counts_at_the_levels_down_to_which_the_model_shows_it(hidden, expected, tmp_path):
+@pytest.mark.parametrize("hidden", [(), (0,), (3,), (4, 5)])
+def test_a_part_counts_if_the_model_shows_it_at_every_depth(hidden, tmp_path):
     seen = errors_of(tmp_path, maps="maps", hidden=hidden).parts_seen()
-    assert seen[:, 0].all()
-    assert seen[:, 1].tolist() == expected
+    assert seen.tolist() == [True, not hidden]
 
 
 @pytest.mark.parametrize("hidden", [(), (0,), (3,), (2, 5), (4, 5)])

@@ -65,7 +65,7 @@ def speed_rows(
 ) -> Stacked:  # fmt: skip
     """Parts of the maps (`MapNoise` gives their covariance), or the mean speeds where there are no maps.
 
-    usable : parts that the model shows from rest to each level (n_levels, n_parts); None: all
+    usable : parts (n_parts,) that the model shows at every level; None: all
     """
     rows: list[Row] = []
     y: list[float] = []
@@ -74,7 +74,7 @@ def speed_rows(
         for level, number in enumerate(keep.tolist()):
             means, counts = windows.log_means(maps[number])
             for part in range(1, len(means)):
-                if np.isfinite(means[part]) and (usable is None or usable[level, part - 1]):
+                if np.isfinite(means[part]) and (usable is None or usable[part - 1]):
                     rows.append(Row("map", level, part))
                     y.append(float(means[part]))
                     own.append(float(noise.swe_pixel_fraction / np.sqrt(max(counts[part], 1))))

@@ -217,7 +217,7 @@ def site_data(
     """Stack the channels that this measurement has.
 
     model_error : known model errors, for all rows of the level table
-    usable : parts of a map that the model shows from rest to each level (n_levels used, n_parts); None: all
+    usable : parts (n_parts,) of a map that the model shows at every level; None: all
     thickness : mm, skin to bone; map_share : factor on the usual model error in maps
     map_slopes : 1/mm (n_levels, n_parts), derivative of a model's ln speeds with depth
     layers : readings of the layers that the models track; bone_as_shown : see `SiteData`

@@ -30,7 +30,6 @@ _VOXEL_SHARE, _IMAGE_GAIN = 0.5, 0.05
 _SURFACE_GEOMETRY = (0.2, 0.04)
 _MOVED_BONE = 2.3  # mm, standard deviation of the position of a bone that was put back within the skin
 _STRAIN = 0.02  # relative standard deviation of all strains: posture, the scanner's scale of depths
-_FEWEST_SHOWN = 3  # number of simulated depths that must show a part of a map
 _MAP_STRAIN = 0.05  # the same for a map's pattern alone, whose growth with depth differs between meshes
 
 
@@ -63,17 +62,15 @@ class ModelErrors:
         return at_depths(self._used_depth, curves, _rise(curves)[:, 1:])
 
     def parts_seen(self) -> NDArray[np.bool_]:
-        """Parts of the region that the models without effects show from rest to beyond each level
-        (n_levels used, n_parts).
+        """Parts of the region (n_parts,) that the models without effects show at every depth.
 
-        Beyond the last depth at which a part is shown it would rest on extrapolation. Parts that come into
-        view later are left out: those at the edges of the face, below which there is no tissue at rest, and
-        those behind bone.
+        Others come into view under load at the edges of the face, or lie at bone: the models err more in
+        them, also at the depths at which they show them.
         """
-        seen = np.ones((len(self._used_depth), self.simulations.windows.n_parts), dtype=bool)
+        seen = np.ones(self.simulations.windows.n_parts, dtype=bool)
         for m in FIRST_M:
             with contextlib.suppress(SolveError):
-                seen &= shown_down_to(self._used_depth, self.simulations.curves(m))
+                seen &= np.isfinite(self.simulations.curves(m).log_speed[:, 1:]).all(axis=0)
         return seen
 
     @property
@@ -151,23 +148,6 @@ class ModelErrors:
             *self._growth(),
             ModelError("model: gain of the force by the geometry", np.full(n, gain), none),
         ]
-
-
-def shown_down_to(depth: Array, curves: Curves) -> NDArray[np.bool_]:
-    """Which parts curves show at all simulated depths down to the next below others (n_depths, n_parts).
-
-    Parts that are shown at fewer than `_FEWEST_SHOWN` depths are left out.
-
-    >>> speeds = np.zeros((5, 4))
-    >>> speeds[2, 2] = speeds[0, 3] = np.nan
-    >>> curves = Curves(np.arange(5.0), np.arange(5.0), speeds, np.zeros(4))
-    >>> shown_down_to(np.array([0.0, 1.0, 1.5, 4.0]), curves)[:, 1:].T.tolist()  # the whole is no part
-    [[True, True, False, False], [False, False, False, False]]
-    """
-    known = np.isfinite(curves.log_speed[:, 1:])
-    below = np.clip(np.searchsorted(curves.depth, depth, side="left"), 0, len(curves.depth) - 1)
-    so_far = np.logical_and.accumulate(known, axis=0)
-    return np.asarray(so_far[below] & (known.sum(axis=0) >= _FEWEST_SHOWN))
 
 
 def _rise(curves: Curves) -> Array:
