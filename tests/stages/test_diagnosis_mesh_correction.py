@@ -139,7 +139,7 @@ def _curves(force: list[float], log_speed: list[float]) -> Curves:
 
 
 def test_the_limb_is_half_way_from_a_cut_that_is_held_to_one_that_is_free(tmp_path):
-    """Of ln force and ln speeds; a part that the free model does not show moves as at the depths next to it."""
+    """Of ln force and ln speeds; a part that the free model does not show moves as at the next depths."""
     held, freed = _curves([0.0, 2.0, 5.0], [0.1, 0.2, 0.3]), _curves([0.0, 1.0, 3.2], [0.0, np.nan, 0.5])
     comparison = _comparison(tmp_path, {4.0: held}, np.array([0.0, 1.5, 2.0]), 5.0)
     alone = comparison.correction(solves=False, freed={}, held={})
