@@ -195,14 +195,14 @@ def test_a_part_that_one_exponents_model_does_not_show_is_continued_there():
 
 
 @pytest.mark.parametrize("recorded", [False, True])
-def test_a_late_relaxing_share_is_fitted_where_holds_are_recorded(recorded):
+def test_a_second_relaxing_share_is_fitted_where_holds_are_recorded(recorded):
     windows = np.array([[[0, 4], [8, 12]], [[8, 12], [20, 24]]])
     held = HeldForces(np.linspace(0, 9, 40), windows, np.array([0.1, 0.05]), np.array([0.01, 0.01]))
     site = site_data("p1", levels(), StatedNoise(), windows=Windows(), held=held if recorded else None)
     known = {"viscoelasticity": effect("viscoelasticity")}
     slots = Predictions([SiteCurves(site, SimpleNamespace(c=0.01), known)]).slots(("viscoelasticity",))
-    late = ["late_relaxing_share"] if recorded else []
-    assert [each.name for each in slots] == ["relaxing_share", *late]
+    second = ["second_relaxing_share"] if recorded else []
+    assert [each.name for each in slots] == ["relaxing_share", *second]
 
 
 def test_pixels_of_a_level_err_together():

@@ -70,15 +70,15 @@ def tree(material: Material) -> str:
     return f"{material.law}({' '.join(sorted(map(tree, material.parts)))})"
 
 
-def test_a_late_share_relaxes_a_decade_later_and_is_fitted_where_holds_are_recorded():
+def test_a_second_share_relaxes_a_decade_later_and_is_fitted_where_holds_are_recorded():
     relaxing, _ = RELAXING
-    both = {"relaxing_share": 0.3, "late_relaxing_share": 0.2, "relaxation_time_s": 1.0}
+    both = {"relaxing_share": 0.3, "second_relaxing_share": 0.2, "relaxation_time_s": 1.0}
     law = applied(block_model(), ((relaxing, both),)).materials[TISSUE]
     assert compile_material(law, TISSUE).prony == (1.0, ((0.3, 1.0), (0.2, 10.0)))
     assert relaxing.observe(Reading(), both).prony == ((0.3, 1.0), (0.2, 10.0))
     assert relaxing.observe(Reading(), {**both, "relaxing_share": 0.0}).prony == ((0.2, 10.0),)
     told = [p.name for p in relaxing.measured_by(("force", "hold")).parameters]
-    assert told == ["relaxing_share", "late_relaxing_share"]
+    assert told == ["relaxing_share", "second_relaxing_share"]
     assert [p.name for p in relaxing.measured_by(("force", "swe")).parameters] == ["relaxing_share"]
 
 

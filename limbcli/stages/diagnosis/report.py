@@ -192,7 +192,7 @@ def _gap(ax: Any, found: Diagnosis, site: SiteData, inside: slice, channel: str)
     for fitted, label, color, marker in stages:
         z = (site.data.y - fitted.prediction[inside]) / site.data.deviation
         ax.plot(at, z[mask], marker, ms=4, color=color, label=label, alpha=0.85)
-    ax.set_xlabel("hold (early, late)" if channel == "hold" else "depth [mm]")
+    ax.set_xlabel("force ratios of the holds, in order" if channel == "hold" else "depth [mm]")
 
 
 def candidates_picture(found: Diagnosis, path: Path) -> None:

@@ -67,7 +67,7 @@ _REPORTED: Mapping[str, tuple[str, _Turn]] = {
     "fibre_tension_per_c": ("ksi_kpa", _of_c),
     "active_stress_per_c": ("t0_kpa", _of_c),
     "relaxing_share": ("g1", _same),
-    "late_relaxing_share": ("g2", _same),
+    "second_relaxing_share": ("g2", _same),
     "friction_coefficient": ("coefficient", _same),
     "support_compliance_mm_per_n": ("k_n_per_mm", _inverse),
     "swe_modulus_scale": ("s_t", _same),
