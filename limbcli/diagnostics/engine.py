@@ -14,7 +14,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -142,12 +142,8 @@ class _Run:
         """
         several = [r for r in compared if len(r.explanation) > 1 and not r.fitted.at_bound]
         usable = sorted(several, key=lambda r: r.state.chi2)
-        new = [
-            each for each in candidates.exchanged(usable[: thresholds.EXCHANGED]) if not refits.tried(each)
-        ]
-        if not new:
-            return compared
-        return refits.compared([*(refit.explanation for refit in compared), *new[: thresholds.LOOK_ALIKES]])
+        new = candidates.exchanged(usable[: thresholds.EXCHANGED])
+        return _with_untried(compared, new, refits, most=thresholds.LOOK_ALIKES)
 
     def _repeated(self, kept: list[Refit], candidates: Candidates, refits: Refits) -> list[Refit]:
         """Extend members whose residual hints at a further effect (p below `SECOND`) by one more effect.
@@ -163,8 +159,8 @@ class _Run:
             return kept
         compared = refits.compared([*(refit.explanation for refit in kept), *larger])
         compared = self._with_look_alikes(compared, candidates, refits)
-        compared = self._with_next_extensions(compared, kept, candidates, refits)
         first = {refit.explanation for refit in kept}
+        compared = self._with_next_extensions(compared, first, candidates, refits)
         beaten = [each for each in compared if each.explanation in first and each.is_beaten]
         compared = self._with_rival_extensions(compared, beaten, candidates, refits)
         return [
@@ -174,15 +170,16 @@ class _Run:
         ]  # fmt: skip
 
     def _with_next_extensions(
-        self, compared: list[Refit], kept: Sequence[Refit], candidates: Candidates, refits: Refits
+        self, compared: list[Refit], first: Collection[Explanation], candidates: Candidates, refits: Refits
     ) -> list[Refit]:
-        """Add extensions by the effects that score next, of members whose tried ones are not borne out."""
-        hinting = [refit for refit in kept if refit.left_p < thresholds.SECOND]
+        """Add extensions of these members by the effects that score next, where the tried ones are not borne
+        out and none of them beats the member."""
+        hinting = [
+            refit for refit in compared
+            if refit.explanation in first and refit.left_p < thresholds.SECOND and not refit.is_beaten
+        ]  # fmt: skip
         new = [each for refit in hinting for each in candidates.next_extensions(refit, refits.known)]
-        untried = _each_once([each for each in new if not refits.tried(each)])
-        if not untried:
-            return compared
-        return refits.compared([*(refit.explanation for refit in compared), *untried])
+        return _with_untried(compared, new, refits)
 
     def _with_rival_extensions(
         self, compared: list[Refit], beaten: Sequence[Refit], candidates: Candidates, refits: Refits
@@ -192,10 +189,7 @@ class _Run:
         More rivals allow a larger gap. This does not undo that one of them alone has beaten a refit.
         """
         new = [each for refit in beaten for each in candidates.rival_extensions(refit)]
-        untried = _each_once([each for each in new if not refits.tried(each)])
-        if not untried:
-            return compared
-        found = refits.compared([*(refit.explanation for refit in compared), *untried])
+        found = _with_untried(compared, new, refits)
         refits.known |= {each.explanation: each for each in beaten}
         return [refits.known[each.explanation] for each in found]
 
@@ -402,6 +396,15 @@ class _Run:
             refitted_sizes=account.refitted_sizes(of_sizes, shrink),
             common_errors=account.common_errors(refitted),
         )  # fmt: skip
+
+
+def _with_untried(
+    compared: list[Refit], new: Sequence[Explanation], refits: Refits, *, most: int | None = None
+) -> list[Refit]:
+    """The compared refits, with those of the untried among these explanations (at most `most`) added and
+    compared with them."""
+    untried = _each_once([each for each in new if not refits.tried(each)])[:most]
+    return refits.compared([*(refit.explanation for refit in compared), *untried]) if untried else compared
 
 
 def _each_once(several: Sequence[Explanation]) -> list[Explanation]:

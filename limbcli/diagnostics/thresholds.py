@@ -170,7 +170,8 @@ IMAGE_ALIKE: Final = 0.97
 
 LEFT: Final = ALPHA
 """p of the remaining residual below which the only explanation is not named: a named effect may leave no
-residual that would be detected. Where one further effect explains it, it may be half of a pair."""
+residual that would be detected. Where a further effect explains the residual, the first may be half of a
+pair."""
 
 NAMED: Final = 0.02
 """p of the evidence for an effect, adjusted over the effects, from which it is not named, even if nothing

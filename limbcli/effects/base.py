@@ -35,7 +35,7 @@ class Parameter:
     saturates : distance from `null` over which its effect levels off, as 1 - exp(-distance / saturates);
         None: its effect is proportional to the distance
     looked_at : fraction of the way from `null` to `start` at which its influence near null is evaluated
-    needs : channel without which it stays at null, as nothing tells it from the effect's other parameters
+    needs : channels without which it stays at null, as nothing tells it from the effect's other parameters
     """
 
     name: str
@@ -51,7 +51,7 @@ class Parameter:
     looked_at: float = 0.02
     extent: bool = False
     both_sides: bool = False
-    needs: str = ""
+    needs: tuple[str, ...] = ()
 
     @staticmethod
     def of_shape(
@@ -155,7 +155,7 @@ class Effect:
 
     def measured_by(self, channels: Collection[str]) -> Effect:
         """The effect with the parameters that these channels can tell (`Parameter.needs`)."""
-        told = tuple(each for each in self.parameters if not each.needs or each.needs in channels)
+        told = tuple(each for each in self.parameters if set(each.needs) <= set(channels))
         return self if len(told) == len(self.parameters) else replace(self, parameters=told)
 
     @property

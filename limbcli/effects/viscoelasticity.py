@@ -25,8 +25,8 @@ TAU = "relaxation_time_s"
 _SECOND_TIME = {1.0: 10.0, 10.0: 60.0, 60.0: 10.0}
 SHARE = Parameter("relaxing_share", null=0.0, start=0.2, low=0.0, high=3.0, typical=0.3,
                   prior="limb tissue, quasi-linear: 0.03 to 0.3")  # fmt: skip
-SECOND = Parameter("second_relaxing_share", null=0.0, start=0.1, low=0.0, high=3.0, typical=0.1, needs="hold",
-                   prior="as the first share")  # fmt: skip
+SECOND = Parameter("second_relaxing_share", null=0.0, start=0.1, low=0.0, high=3.0, typical=0.1,
+                   prior="as the first share", needs=("hold",))  # fmt: skip
 
 
 def terms(theta: Theta) -> tuple[tuple[float, float], ...]:
@@ -68,6 +68,6 @@ EFFECT = Effect(
     parameters=(SHARE, SECOND),
     apply=apply,
     observe=observe,
-    grid=({TAU: 1.0}, {TAU: 10.0}, {TAU: 60.0}),
+    grid=tuple({TAU: time} for time in _SECOND_TIME),
     tell_tale="decay in every hold; loading and unloading differ",
 )

@@ -59,7 +59,8 @@ class ModelErrors:
     def map_slopes(self) -> Array:
         """Derivative (n_levels used, n_parts) of the model's ln speeds with depth at the levels, in 1/mm."""
         curves = self.simulations.curves(self.likely_m)
-        return at_depths(self._used_depth, curves, _rise(curves)[:, 1:])
+        keep = np.isfinite(self.levels.force) & np.isfinite(self.levels.depth)
+        return at_depths(self.depth[keep], curves, _rise(curves)[:, 1:])
 
     def parts_seen(self) -> NDArray[np.bool_]:
         """Parts of the region (n_parts,) that the models without effects show at every depth.
@@ -72,11 +73,6 @@ class ModelErrors:
             with contextlib.suppress(SolveError):
                 seen &= np.isfinite(self.simulations.curves(m).log_speed[:, 1:]).all(axis=0)
         return seen
-
-    @property
-    def _used_depth(self) -> Array:
-        """Depth (n_levels used,) in mm of the levels that have a force and a depth."""
-        return np.asarray(self.depth[np.isfinite(self.levels.force) & np.isfinite(self.levels.depth)])
 
     def all(self, correction: MeshCorrection, interventions: Sequence[Intervention]) -> list[ModelError]:
         """All model errors to be included in the noise."""
