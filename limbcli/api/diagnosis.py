@@ -16,7 +16,7 @@ from limbcli.results import StageResult
 if TYPE_CHECKING:
     from limbcli.model import LimbModel
 
-_CANDIDATE = ("name", "kind", "sentence", "score", "p", "p_adjusted")
+_CANDIDATE = ("name", "kind", "sentence", "probability", "ln_bayes_factor")
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,8 +28,9 @@ class DiagnosisResult(Result):
     verdict : "adequate", "named", "ambiguous", "unexplained" or "untestable"
     reason : reason of the verdict, as a sentence
     added : effects that were added to the model
-    confidence_set : all explanations compatible with the data, each a tuple of effects
-    gap_closed : whether the added effects close the gap; False if none was added
+    confidence_set : the explanations that together have a probability of 95 %, each a tuple of effects; an empty one
+        is that nothing is missing
+    probability : of the most probable of them
     sentences : the full account, in reading order
     next_measurement : proposed next measurement; None if there is none
     """
@@ -39,7 +40,7 @@ class DiagnosisResult(Result):
     reason: str
     added: tuple[str, ...]
     confidence_set: tuple[tuple[str, ...], ...]
-    gap_closed: bool
+    probability: float
     sentences: tuple[str, ...]
     next_measurement: str | None
 
@@ -48,7 +49,7 @@ class DiagnosisResult(Result):
         data = found.data
         return cls(
             found, data["verdict"], data["reason"], tuple(data["added"]),
-            tuple(tuple(each) for each in data["confidence_set"]), data["gap_closed"],
+            tuple(tuple(each) for each in data["confidence_set"]), data["explanations"][0]["probability"],
             tuple(data["sentences"]), data["next_measurement"]["recommended"],
         )  # fmt: skip
 
@@ -96,7 +97,7 @@ def diagnose(
     sites: str | Iterable[str] | None = None,
     effects: str | Iterable[str] = (),
     effect_file: PathLike | None = None,
-    max_effects: int = 3,
+    max_effects: int = 2,
     seed: int = 7,
     size_mm: float | None = None,
     far_size_mm: float = 14.0,
@@ -117,8 +118,8 @@ def diagnose(
     sites : name or names; None: all
     effects : names of the effects to try; none: all
     effect_file : a Python file that defines your own `EFFECT`; it is tried in addition to those named
-    max_effects : maximum number of effects added in turn, 1 to 3
-    seed : of the bootstrap
+    max_effects : maximum number of effects missing together, 1 or 2
+    seed : of all random draws
     size_mm, far_size_mm : edge lengths of the working mesh under the probe (None: 5, less where the tissue is
         thin) and far from it
     interventions : try cut and contact first (a few more simulations)

@@ -30,7 +30,7 @@ LIMITS: dict[str, dict[str, Bounds]] = {
     "cohort": {**_SEED},
     "run": {"time_limit_s": (0, math.inf)},
     "fit": {"max_iterations": (1, math.inf)},
-    "diagnose": {"max_effects": (1, 3), **_SEED, "size_mm": (1, 20), "far_size_mm": (2, 50)},
+    "diagnose": {"max_effects": (1, 2), **_SEED, "size_mm": (1, 20), "far_size_mm": (2, 50)},
     "synth": {
         **_SEED, **_TISSUE, **_MEASURING, **_SIZES, "contact_penalty": (1, 1000),
         "unloaded_stretch_along": (0.5, 2), "unloaded_stretch_around": (0.5, 2),

@@ -42,9 +42,9 @@ def command(
         typer.Option("--effect-file", metavar="FILE", help="An effect of your own.", show_default=False),
     ] = None,
     max_effects: Annotated[
-        int, typer.Option(min=1, max=3, help="Maximum number of effects added in turn.")
-    ] = 3,
-    seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 7,
+        int, typer.Option(min=1, max=2, help="Maximum number of effects missing together.")
+    ] = 2,
+    seed: Annotated[int, typer.Option(min=0, help="Of all random draws.")] = 7,
     size_mm: Annotated[
         float | None,
         typer.Option(

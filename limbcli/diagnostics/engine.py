@@ -1,44 +1,48 @@
-"""Detect, identify, adapt: the complete diagnosis of one data set with one forward model.
+"""The complete diagnosis of one data set with one forward model: the probability of every explanation.
 
-1. Fit the base model and test its residual: as a whole, in each part of the data, and along the
-   sensitivities of every candidate effect.
-2. If the residual is significant, refit the candidates that could cause it and those with similar
-   sensitivities, and keep every explanation that cannot be excluded. If only first-order tests of candidates
-   were significant and no refit confirms them, the diagnosis reports that nothing was found.
-3. If one explanation remains, or one that all the others contain, it is named and added to the model. If
-   several remain, the verdict is ambiguous. If none remains, pairs and then triples of effects are tried; if
-   these fail as well, the verdict is unexplained.
-4. Report how much of the residual each addition removes, which effects remain undetectable, and which
-   further measurement would distinguish the remaining explanations.
+1. The model is fitted without effects, and with every effect and pair of effects that matters (`search`); each
+   explanation gets its evidence (`evidence`) and, with its prior, its probability.
+2. The model is adequate if "nothing" is as probable as it is in 95 % of the measurements with nothing missing, which
+   draws from the noise show (`evidence.chance`).
+3. Else the effects that every likely explanation has are named if together these have 95 %; if not, the set of
+   explanations with 95 % is reported. If even the most probable one fails the posterior predictive check, the verdict
+   is unexplained.
+4. Sizes, c and m are averaged over explanations; what the data cannot show, and which measurement would say most, follow
+   from the same probabilities.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
 
-from limbcli.diagnostics import thresholds
-from limbcli.diagnostics.conclusions.account import Account
-from limbcli.diagnostics.conclusions.verdict import Diagnosis, Word
+from limbcli.diagnostics import decisions
+from limbcli.diagnostics.check import Check, checked
+from limbcli.diagnostics.conclusions.blind_spots import BlindSpot, blind_spot
+from limbcli.diagnostics.conclusions.estimates import Estimates, estimates, sizes_95
+from limbcli.diagnostics.conclusions.next_measurement import NextStep, ranked
+from limbcli.diagnostics.conclusions.verdict import Diagnosis, Shrink, Word
+from limbcli.diagnostics.evidence.chance import least_by_chance
+from limbcli.diagnostics.evidence.laplace import Posterior
+from limbcli.diagnostics.evidence.linear_evidence import LinearEvidence
+from limbcli.diagnostics.model.common_errors import CommonError, common_errors
 from limbcli.diagnostics.model.forward_model import Explanation, Facts, ForwardModel
-from limbcli.diagnostics.selection.baseline_fit import BaselineFit
-from limbcli.diagnostics.selection.candidates import Candidates, closes_gross, whitened_trials
-from limbcli.diagnostics.selection.confidence_set import Refit
-from limbcli.diagnostics.selection.gap_closure import Closing
-from limbcli.diagnostics.selection.refits import Refits
-from limbcli.diagnostics.statistical_tests.localisation_tests import PREFIX
-from limbcli.diagnostics.statistical_tests.multiple_testing import Family, Tested
-from limbcli.diagnostics.statistical_tests.score import Trial
-from limbcli.interval_limits import noise_scale
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
+from limbcli.diagnostics.search import Explained, PriorOdds, Search, containing, credible, named
+from limbcli.diagnostics.statistics.heldout import held_out_error, over_shared
+from limbcli.diagnostics.statistics.roughness import Roughness, roughness
+from limbcli.errors import LimbError
 from limbcli.progress import SILENT, Progress
+
+_MOST_COMPARED = 6  # explanations compared in choosing the next measurement
 
 
 def diagnose(
-    forward_model: ForwardModel, *, max_effects: int = 3, seed: int = 7, n_draws: int = thresholds.N_DRAWS,
-    propose: bool = True, progress: Progress = SILENT,
+    forward_model: ForwardModel, *, max_effects: int = 2, seed: int = 7, propose: bool = True,
+    progress: Progress = SILENT,
 ) -> Diagnosis:  # fmt: skip
     """Diagnose one forward model. Deterministic for a given seed.
 
@@ -47,366 +51,176 @@ def diagnose(
     LimbError
         If the base model itself cannot be fitted.
     """
-    baseline = BaselineFit(forward_model, forward_model.fit((), {}), seed, n_draws, progress)
-    return _Run(baseline, max_effects, propose).all()
+    return _Run(forward_model, max_effects, seed, propose, progress).all()
 
 
 @dataclass(eq=False)
 class _Run:
-    baseline: BaselineFit
+    forward_model: ForwardModel
     max_effects: int
+    seed: int
     propose: bool
-    not_evaluated: dict[str, str] = field(default_factory=dict)
-    left_out: dict[str, str] = field(default_factory=dict)
-    family: Family = field(default_factory=lambda: Family((), None, thresholds.ALPHA))
-    trials: dict[str, Trial] = field(default_factory=dict)
-    refits: Refits | None = None
+    progress: Progress
+    rough: Roughness | None = None
+    limit: float = 0.0
+    several: list[Explained] = field(default_factory=list)
 
     def all(self) -> Diagnosis:
-        baseline = self.baseline
-        self.facts: dict[str, Facts] = {each.name: each for each in baseline.forward_model.candidates}
-        if baseline.state.nu < 1:
-            return self._finish("untestable", "there are no more data than fitted parameters", None)
-        trials = whitened_trials(
-            baseline.forward_model,
-            baseline.base,
-            self.facts,
-            baseline.whiten,
-            self.not_evaluated,
-            baseline.progress,
-        )
-        self.trials = {trial.name: trial for trial in trials}
-        self.family = self._tested(trials)
-        if self.family.smallest >= thresholds.ALPHA:
-            return self._nothing_found()
-        self.refits = Refits(baseline, self.trials, self.facts, self.not_evaluated, self.left_out)
-        candidates = Candidates(baseline.state, self.trials, self.family)
-        promising = candidates.promising(self.left_out)
-        singles = self.refits.compared(candidates.of_size(1, promising, ()))
-        if self._is_borne_out_by_none(singles):
-            names = ", ".join(each.name for each in self._significant)
-            return self._nothing_found(
-                f"; what was significant to first order ({names}) is not confirmed by a refit"
-            )
-        kept = self._explanations(candidates, promising, self.refits, singles)
-        return self._conclude(kept, promising)
+        model = self.forward_model
+        self.facts: dict[str, Facts] = {each.name: each for each in model.candidates}
+        base = model.fit((), {})
+        whiten = Whitener.of(model.data.noise.covariance)
+        state = LinearFit.of(whiten(model.data.y - base.prediction), whiten(base.jacobian))
+        if state.nu >= 1:
+            self.rough = roughness(state, whiten, series=model.data.all_series(), order=model.data.order)
+        assumed = model.data.noise.is_assumed
+        relative = assumed or (self.rough is not None and self.rough.p < decisions.ROUGH_P)
+        self.search = Search(model, PriorOdds(0), self.facts, relative, self.progress)
+        nothing = self.search.fitted(base)
+        self.search.settled.add(())
+        if state.nu < 1:
+            self.search.linear[()] = LinearEvidence(state.residual, {})
+            self.several = [Explained((), 1.0, nothing.ln_evidence, nothing)]
+            return self._finish("untestable", "there are no more data than fitted parameters", ())
+        self.search.linearise(())
+        linear = self.search.linear[()]
+        self.search.odds = PriorOdds(len(linear.added), most_effects=self.max_effects)
+        self.limit = least_by_chance(linear, self.search.odds.ln_single, self._rng(1))
+        self.several = self.search.all()
+        return self._concluded()
 
-    def _tested(self, trials: list[Trial]) -> Family:
-        baseline = self.baseline
-        parts = baseline.parts(baseline.whiten)
-        return baseline.family(baseline.state, [*parts, *trials], relative=baseline.relative)
+    def _rng(self, stream: int) -> np.random.Generator:
+        return np.random.default_rng([self.seed, stream])
+
+    def _concluded(self) -> Diagnosis:
+        best = self.several[0]
+        relative = self.search.relative
+        if self._left_of(best).p < decisions.CHECKED and not relative:
+            words = " + ".join(best.explanation) or "nothing missing"
+            why = f"even the most probable explanation ({words}) leaves a residual beyond the noise"
+            return self._finish("unexplained", why, ())
+        if self.nothing >= self.limit:
+            if not relative:
+                return self._finish("adequate", "no effect is more probable than chance allows", ())
+            why = (
+                "the noise is assumed: the fit cannot be judged in absolute terms"
+                if self.forward_model.data.noise.is_assumed
+                else "the data scatter more than their stated noise"
+            )
+            return self._finish("untestable", f"{why}, and no effect is more probable than chance allows", ())
+        chosen = named(self.several)
+        if chosen:
+            p = containing(chosen, self.several)
+            alone = f"{' + '.join(chosen)} has a probability of {100 * p:.0f} %"
+            return self._finish("named", alone, chosen)
+        n = len(credible(self.several))
+        why = f"{n} explanations together have a probability of {100 * decisions.CREDIBLE:.0f} %"
+        return self._finish("ambiguous", why, ())
 
     @property
-    def _significant(self) -> list[Tested]:
-        return [each for each in self.family.tests if each.p_adjusted < thresholds.ALPHA]
+    def nothing(self) -> float:
+        """Probability of "nothing" against all single effects."""
+        ln = {
+            each.explanation: each.ln_evidence + self.search.odds.ln(each.explanation)
+            for each in self.several if len(each.explanation) < 2
+        }  # fmt: skip
+        return float(np.exp(ln[()] - np.logaddexp.reduce(list(ln.values()))))
 
-    def _is_borne_out_by_none(self, singles: Sequence[Refit]) -> bool:
-        """Whether the only significant tests are first-order tests of candidates and no refit confirms them.
+    def _posterior(self, explanation: Explanation) -> Posterior:
+        return self.search.known[explanation]
 
-        A refit confirms a candidate if it reduces chi2 by about as much as the first-order test predicts. If
-        none does, the diagnosis reports that nothing was found.
-        """
-        overall = self.family.overall
-        if overall is not None and overall.p_adjusted < thresholds.ALPHA:
-            return False
-        refitted = {each.explanation: each for each in singles}
-        return all(
-            (each.name,) in refitted
-            and self._borne_out(each.p_adjusted, each, refitted[(each.name,)]) >= thresholds.ALPHA
-            for each in self._significant
-        )
+    def _left_of(self, each: Explained) -> Check:
+        """Check of an explanation, or of the larger of its parts that was fitted."""
+        known = [e for e in self.search.known if set(e) <= set(each.explanation)]
+        return self._checked(self._posterior(max(known, key=lambda e: (len(e), self._posterior(e).ln_evidence))))
 
-    def _explanations(
-        self, candidates: Candidates, names: list[str], refits: Refits, singles: list[Refit]
-    ) -> list[Refit]:
-        """The non-empty confidence set with the fewest effects, extended by members with one further effect.
+    def _checked(self, found: Posterior) -> Check:
+        whiten, data = self.search.whitener(found), self.forward_model.data
+        fitted = found.fitted
+        state = LinearFit.of(whiten(data.y - fitted.prediction), whiten(fitted.jacobian), as_it_stands=True)
+        return checked(data, state, whiten, self._rng(2))
 
-        singles : the compared refits of one effect each
-        """
-        for size in range(1, self.max_effects + 1):
-            compared = singles
-            if size > 1:
-                compared = refits.compared(candidates.of_size(size, names, refits.known.values()))
-                compared = self._with_look_alikes(compared, candidates, refits)
-            kept = [each for each in compared if each.in_set and self._each_is_needed(each, refits)]
-            kept += [r for r in compared if r.is_close_to(kept) and self._each_is_needed(r, refits)]
-            if kept:
-                return self._repeated(kept, candidates, refits) if size < self.max_effects else kept
-        return []
+    # ------------------------------------------------------------ what is reported
 
-    def _with_look_alikes(self, compared: list[Refit], candidates: Candidates, refits: Refits) -> list[Refit]:
-        """Add untried variants of the best combinations, with one effect replaced by a similar effect.
-
-        Pairs are ranked by their first-order score at the fit without effects, and this ranking is
-        unreliable for strong effects.
-        """
-        several = [r for r in compared if len(r.explanation) > 1 and not r.fitted.at_bound]
-        usable = sorted(several, key=lambda r: r.state.chi2)
-        new = candidates.exchanged(usable[: thresholds.EXCHANGED])
-        return _with_untried(compared, new, refits, most=thresholds.LOOK_ALIKES)
-
-    def _repeated(self, kept: list[Refit], candidates: Candidates, refits: Refits) -> list[Refit]:
-        """Extend members whose residual hints at a further effect (p below `SECOND`) by one more effect.
-
-        The evidence for the second of two effects is weak once the first has changed c and m. A member
-        therefore stays in the set together with its own extension, and both are reported. If the extension
-        beats it, a second effect is there, but not necessarily that one: all that may fit as well are tried.
-        If no extension gains what its score promises, those that score next are tried.
-        """
-        found = [each for refit in kept for each in candidates.extended(refit, below=thresholds.SECOND)]
-        larger = _each_once(found)
-        if not larger:
-            return kept
-        compared = refits.compared([*(refit.explanation for refit in kept), *larger])
-        compared = self._with_look_alikes(compared, candidates, refits)
-        first = {refit.explanation for refit in kept}
-        compared = self._with_next_extensions(compared, first, candidates, refits)
-        beaten = [each for each in compared if each.explanation in first and each.is_beaten]
-        compared = self._with_rival_extensions(compared, beaten, candidates, refits)
-        return [
-            each for each in compared
-            if each.explanation in first
-            or (each.in_set and self._each_is_needed(each, refits, thresholds.SECOND))
-        ]  # fmt: skip
-
-    def _with_next_extensions(
-        self, compared: list[Refit], first: Collection[Explanation], candidates: Candidates, refits: Refits
-    ) -> list[Refit]:
-        """Add extensions of these members by the effects that score next, where the tried ones are not borne
-        out and none of them beats the member."""
-        hinting = [
-            refit for refit in compared
-            if refit.explanation in first and refit.left_p < thresholds.SECOND and not refit.is_beaten
-        ]  # fmt: skip
-        new = [each for refit in hinting for each in candidates.next_extensions(refit, refits.known)]
-        return _with_untried(compared, new, refits)
-
-    def _with_rival_extensions(
-        self, compared: list[Refit], beaten: Sequence[Refit], candidates: Candidates, refits: Refits
-    ) -> list[Refit]:
-        """Add the untried extensions of beaten refits that may fit as well as those that beat them.
-
-        More rivals allow a larger gap. This does not undo that one of them alone has beaten a refit.
-        """
-        new = [each for refit in beaten for each in candidates.rival_extensions(refit)]
-        found = _with_untried(compared, new, refits)
-        refits.known |= {each.explanation: each for each in beaten}
-        return [refits.known[each.explanation] for each in found]
-
-    def _each_is_needed(self, refit: Refit, refits: Refits, level: float = thresholds.ADEQUATE) -> bool:
-        """Removal test: whether the explanation fails if any one of its effects is removed (by a refit).
-
-        It does not fail if the rest is adequate and fits as well within `NEEDED`, whatever it leaves.
-        A single effect is needed if it has evidence of its own, or if it fits as well as the best
-        explanation, whose evidence then supports it equally.
-        """
-        if len(refit.explanation) == 1:
-            found = self.family.of(refit.explanation[0])
-            if found is not None and found.p_adjusted < thresholds.REFIT_BELOW:
-                return True
-            as_well = refit.gap is not None and refit.gap < thresholds.AS_WELL
-            return as_well or closes_gross(self.baseline.state, refit.state)
-        for name in refit.explanation:
-            smaller = refits.of(tuple(each for each in refit.explanation if each != name))
-            if smaller is None or smaller.fitted.at_bound:
-                continue
-            gain = smaller.state.chi2 - refit.state.chi2
-            if smaller.left_p >= level or (smaller.is_adequate and gain < thresholds.NEEDED):
-                return False
-        return True
-
-    # -------------------------------------------------------------- verdicts
-
-    def _nothing_found(self, but: str = "") -> Diagnosis:
-        """but : text on what was significant to first order and dismissed after a refit"""
-        if not self.baseline.relative:
-            return self._finish("adequate", f"no residual remains beyond the stated noise{but}", None)
-        if self.baseline.data.noise.is_assumed:
-            why = (
-                "the noise is assumed: the fit cannot be judged in absolute terms, and no residual "
-                "pattern is significant"
-            )
-        else:
-            why = (
-                "the data scatter more than their stated noise; no residual pattern is significant "
-                "against the scatter"
-            )
-        return self._finish("untestable", f"{why}{but}", None)
-
-    def _conclude(self, kept: list[Refit], promising: list[str]) -> Diagnosis:
-        if not kept:
-            why = "a residual remains that no candidate, alone or combined, explains"
-            return self._finish("unexplained", why, None)
-        best = min(kept, key=lambda refit: (len(refit.explanation), not refit.is_adequate, refit.state.chi2))
-        objection = self._why_not_named(best, kept, promising)
-        if len(kept) == 1 and objection is not None:
-            word, but = objection
-            why = f"one explanation fits, but {but}"
-            return self._finish(word, why, best if word == "ambiguous" else None, tuple(kept))
-        if len(kept) == 1:
-            return self._finish(
-                "named", "one explanation fits, and no other that was tried does", best, (best,)
-            )
-        if not all(set(best.explanation) <= set(each.explanation) for each in kept):
-            why = f"{len(kept)} explanations fit the data, which cannot distinguish them"
-            return self._finish("ambiguous", why, best, tuple(kept))
-        has = f"every explanation that fits includes {' + '.join(best.explanation)}"
-        if objection is None:
-            why = f"{has}; these data do not show whether a further effect is present"
-            return self._finish("named", why, best, tuple(kept))
-        return self._finish("ambiguous", f"{has}, but {objection[1]}", best, tuple(kept))
-
-    def _why_not_named(
-        self, best: Refit, kept: Sequence[Refit], promising: list[str]
-    ) -> tuple[Word, str] | None:
-        """The verdict to give instead of "named", and the reason ("it fits, but ..."); None if no objection.
-
-        An m on its bound is an objection only if that value is reported: where the fit is flat in m, the weak
-        prior moves the reported value off the bound.
-        """
-        if not self._speaks_for_itself(best):
-            return "unexplained", "it is not significant by itself, and the significant ones do not fit"
-        if not Closing(self.baseline, self._n_candidates).is_closed(best):
-            return "unexplained", (
-                "it fits no better than an arbitrary smooth curve, or does not predict held-out data"
-            )
-        larger = [each for each in kept if set(best.explanation) <= set(each.explanation)]
-        if best.left_p < thresholds.LEFT:
-            if max(each.left_p for each in larger) < thresholds.LEFT:
-                return "ambiguous", "a residual remains; it may not be the full explanation"
-            return "ambiguous", "it leaves a residual that one further effect explains"
-        if best.is_beaten:
-            better = min(larger, key=lambda refit: refit.state.chi2)
-            return "ambiguous", f"{' + '.join(better.explanation)} fits better than chance allows"
-        chance = self._chance_of(best, times=thresholds.NAMED_BY_GAIN, among_effects=True)
-        if chance >= thresholds.NAMED:
-            return "ambiguous", f"its own evidence is too weak to name it (p {chance:.2g})"
-        if best.fitted.notes and not Account(self.baseline).estimates(best.fitted, best.state).is_pulled:
-            return "ambiguous", f"with it {best.fitted.notes[0]}"
-        failed = [name for name in promising if name in self.not_evaluated]
-        if failed:
-            return "ambiguous", f"{', '.join(failed)} could not be evaluated and may also fit"
-        rivals = [
-            label for label, refit in self._at_bounds() if len(refit.explanation) == len(best.explanation)
-        ]
-        if rivals:
-            return "ambiguous", f"{', '.join(rivals)} would also fit, with a size at its bound"
-        return None
-
-    def _at_bounds(self) -> list[tuple[str, Refit]]:
-        """Refits that fit as well as the best, but with a parameter on a bound.
-
-        They are implausible but not excluded. Refits that fit worse and also need an implausible size are
-        excluded.
-        """
-        known = self.refits.known.values() if self.refits else ()
-        return [
-            (" + ".join(r.explanation), r)
-            for r in known
-            if r.fitted.at_bound and r.fits and r.gap is not None and r.gap < thresholds.AS_WELL
-        ]
-
-    def _speaks_for_itself(self, refit: Refit) -> bool:
-        """Whether the explanation itself is significant, which naming it requires.
-
-        The detected residual may be evidence for another candidate that has been dropped since.
-        """
-        return self._chance_of(refit) < thresholds.ALPHA
-
-    def _chance_of(self, refit: Refit, *, times: float = 1.0, among_effects: bool = False) -> float:
-        """p of the evidence for this explanation itself.
-
-        among_effects : adjusted over the effects alone, for the question which of them it is; tests of parts
-            of the data only say whether there is any
-
-        The smaller of two: the first-order p at the fit without effects, weakened where the refit gains less
-        than predicted; and the p of the refit's gain, multiplied by `times`.
-
-        0 for an explanation by several effects, each of which has passed the removal test, and where the fit
-        without effects is grossly wrong and this refit removes most of its chi2, which is sufficient
-        evidence.
-        """
-        if len(refit.explanation) > 1 or closes_gross(self.baseline.state, refit.state):
-            return 0.0
-        found = self.family.of(refit.explanation[0])
-        of_gain = min(times * self._gain_p(refit), 1.0)
-        if found is None:
-            return of_gain
-        p = found.p_among if among_effects else found.p_adjusted
-        return min(self._borne_out(p, found, refit), of_gain)
-
-    def _borne_out(self, p: float, found: Tested, refit: Refit) -> float:
-        """Adjusted p of a first-order score, weakened where the refit gains less than the score predicts.
-
-        The p is moved along the tail of the chi2 distribution for the same number of tests. Where the noise
-        level is unknown, both statistics are scaled by the scatter that remains after the refit.
-        """
-        unit = self._scatter(refit) if self.baseline.relative else 1.0
-        gain = (self.baseline.state.chi2 - refit.state.chi2) / unit + thresholds.SLACK
-        promised, n = found.score.statistic / unit, max(len(found.score.direction.names), 1)
-        if gain >= promised:
-            return p
-        times = np.exp(chi2_distribution.logsf(max(gain, 0.0), n) - chi2_distribution.logsf(promised, n))
-        return float(-np.expm1(times * np.log1p(-min(p, 1.0 - 1e-12))))
-
-    @staticmethod
-    def _scatter(refit: Refit) -> float:
-        """Ratio of the residual variance after the refit to the stated variance; at least 1."""
-        return noise_scale(refit.state.chi2, refit.state.nu)
-
-    def _gain_p(self, refit: Refit) -> float:
-        """Probability that a refit of any candidate gains as much by chance.
-
-        Likelihood-ratio test, scaled by the scatter that remains, adjusted for as many tests as there are
-        grid points.
-        """
-        gain = (self.baseline.state.chi2 - refit.state.chi2) / self._scatter(refit)
-        trials = self.refits.trials.values() if self.refits else ()
-        n_tests = max(sum(len(trial.directions) for trial in trials), 1)
-        p = float(chi2_distribution.sf(max(gain, 0.0), max(len(refit.fitted.effect_names), 1)))
-        return float(-np.expm1(n_tests * np.log1p(-min(p, 1.0 - 1e-12))))
-
-    @property
-    def _n_candidates(self) -> int:
-        return len(self.refits.trials) if self.refits else 0
-
-    def _finish(self, word: Word, reason: str, best: Refit | None, kept: tuple[Refit, ...] = ()) -> Diagnosis:
-        baseline, account = self.baseline, Account(self.baseline)
-        fits_best = self.refits.best() if self.refits and word == "unexplained" else None
-        shown = best or (kept[0] if kept else fits_best)
-        flagged = tuple(
-            t.name.removeprefix(PREFIX)
-            for t in self.family.tests
-            if t.name.startswith(PREFIX) and t.p_adjusted < thresholds.ALPHA
-        )
-        shrink = account.shrink(shown, self.refits, kept if word in ("named", "ambiguous") else ())
-        relative = baseline.relative if best is None else baseline.is_relative(best.state)
-        of_sizes = self.refits or Refits(baseline, self.trials, self.facts, {}, {})
-        refitted = tuple(self.refits.known.values()) if self.refits else ()
+    def _finish(self, word: Word, reason: str, chosen: Explanation) -> Diagnosis:
+        search, best = self.search, self.several[0]
+        members = credible(self.several)
+        testable = word != "untestable" or bool(search.linear[()].added)
+        shown = chosen or (best.explanation if word in ("unexplained", "ambiguous") else ())
+        names = [name for name in self.facts if name in search.linear[()].added]
+        fits = [each for each in self.several if each.posterior is not None]
         return Diagnosis(
-            verdict=word, reason=reason, relative=relative, base=baseline.base, family=self.family,
-            flagged=flagged, refits=refitted,
-            confidence_set=tuple(r.explanation for r in kept), chosen=best.explanation if best else (),
-            closed=word == "named", shrink=shrink,
-            blind_spots=account.blind_spots(self.family, self.facts),
-            next_steps=account.next_steps(kept, self.not_evaluated) if self.propose else (),
-            angles=account.angles(kept), not_evaluated=self.not_evaluated, left_out=self.left_out,
-            roughness=baseline.rough, facts=self.facts, seed=baseline.seed, held_out_z=account.held_out_z(),
-            sizes=account.sizes_95(self.family, self.facts, self.trials),
-            refitted_sizes=account.refitted_sizes(of_sizes, shrink),
-            common_errors=account.common_errors(refitted),
+            word, reason, search.relative, self._posterior(()).fitted, self.nothing if testable else 1.0, self.limit,
+            tuple(self.several), tuple(each.explanation for each in members),
+            {name: containing((name,), self.several) for name in names}, chosen,
+            self._checked(self._posterior(())) if testable else None, self._left_of(best) if testable else None,
+            self._shrink(shown), self._blind_spots(), self._next_steps(members) if self.propose else (),
+            search.not_evaluated, self.rough, self.facts, self.seed, self._sizes(names),
+            {each.explanation: self._common(each.posterior) for each in fits if each.posterior is not None},
         )  # fmt: skip
 
+    def _shrink(self, shown: Explanation) -> tuple[Shrink, ...]:
+        """Stages from the base model to the shown explanation, with its effects added one at a time; the last one's c
+        and m are averaged over all explanations."""
+        known = self.search.known
+        while shown not in known:
+            shown = shown[:-1]
+        stages = [self._stage(shown[:size]) for size in range(len(shown)) if shown[:size] in known]
+        stages.append(self._stage(shown, self._averaged(shown)))
+        held_out = over_shared([each.held_out for each in stages], self.forward_model.data.blocks)
+        return tuple(
+            Shrink(each.explanation, each.chi2, each.nu, each.rms, held, each.estimates)
+            for each, held in zip(stages, held_out, strict=True)
+        )
 
-def _with_untried(
-    compared: list[Refit], new: Sequence[Explanation], refits: Refits, *, most: int | None = None
-) -> list[Refit]:
-    """The compared refits, with those of the untried among these explanations (at most `most`) added and
-    compared with them."""
-    untried = _each_once([each for each in new if not refits.tried(each)])[:most]
-    return refits.compared([*(refit.explanation for refit in compared), *untried]) if untried else compared
+    def _averaged(self, shown: Explanation) -> Estimates:
+        fits = [(each.probability, each.posterior) for each in self.several if each.posterior is not None]
+        mine = self._posterior(shown)
+        others = [(p, one) for p, one in fits if one is not mine and p > 1e-3]
+        own = next(p for p, one in fits if one is mine)
+        return estimates([(max(own, 1e-6), mine), *others], shown)
 
+    def _stage(self, explanation: Explanation, averaged: Estimates | None = None) -> Shrink:
+        data, found = self.forward_model.data, self._posterior(explanation)
+        fitted, whiten = found.fitted, Whitener.of(data.noise.covariance)
+        state = LinearFit.of(whiten(data.y - fitted.prediction), whiten(fitted.jacobian), as_it_stands=True)
+        z = (data.y - fitted.prediction) / data.deviation
+        rms = {name: float(np.sqrt(np.mean(z[mask] ** 2))) for name, mask in data.channels().items()}
+        own = averaged or estimates([(1.0, found)], explanation)
+        return Shrink(explanation, state.chi2, state.nu, rms, held_out_error(data, fitted), own)
 
-def _each_once(several: Sequence[Explanation]) -> list[Explanation]:
-    """These explanations, without those that name the same effects in another order."""
-    return list({frozenset(each): each for each in several}.values())
+    def _sizes(self, names: Sequence[str]) -> dict[str, dict[str, tuple[float, float]]]:
+        nulls = {
+            name: {size: prior.mean for size, prior in self.forward_model.size_priors(name).items()} for name in names
+        }
+        return sizes_95(names, self.search.known, self.search.linear[()], nulls)
+
+    def _common(self, found: Posterior) -> tuple[CommonError, ...]:
+        data, fitted, whiten = self.forward_model.data, found.fitted, self.search.whitener(found)
+        state = LinearFit.of(whiten(data.y - fitted.prediction), whiten(fitted.jacobian))
+        return common_errors(data.noise, whiten, state)
+
+    def _blind_spots(self) -> tuple[BlindSpot, ...]:
+        """Detectability of every candidate at its typical size, the least detectable first."""
+        nothing, linear = self._posterior(()), self.search.linear[()]
+        whiten, found = self.search.whitener(nothing), []
+        odds = (1.0 - self.limit) / max(self.limit, 1e-12)
+        needed = math.log(max(odds, 1e-12)) - self.search.odds.ln_single if linear.added else 0.0
+        for name in linear.added:
+            added, plausible = linear.best(name), self.facts[name].typical
+            typical = np.array([plausible.get(size, 0.0) for size in added.direction.names])
+            if np.any(typical):
+                found.append(blind_spot(name, added, typical, nothing, whiten, ln_factor=needed))
+        return tuple(sorted(found, key=lambda spot: -spot.detectable_times_typical))
+
+    def _next_steps(self, members: Sequence[Explained]) -> tuple[NextStep, ...]:
+        """Measurements that would tell the likely explanations apart."""
+        fits = [each for each in members if each.posterior is not None][:_MOST_COMPARED]
+        if len(fits) < 2:
+            return ()
+        try:
+            proposals = self.forward_model.proposals([each.posterior.fitted for each in fits if each.posterior])
+        except LimbError as error:
+            self.search.not_evaluated["next measurement"] = error.what
+            return ()
+        return ranked(fits, proposals, self._rng(3))

@@ -74,7 +74,7 @@ class DiagnoseOptions:
 
     effects: tuple[str, ...] = ()
     effect_file: Path | None = None
-    max_effects: int = 3
+    max_effects: int = 2
     seed: int = 7
     size: float | None = None
     far_size: float = 14.0

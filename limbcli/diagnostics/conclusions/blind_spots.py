@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import norm
 
-from limbcli.diagnostics import thresholds
-from limbcli.diagnostics.model.forward_model import Direction
-from limbcli.diagnostics.model.linear import LinearFit
-from limbcli.diagnostics.statistical_tests.score import visible_columns
+from limbcli.diagnostics import decisions
+from limbcli.diagnostics.evidence.laplace import Posterior
+from limbcli.diagnostics.evidence.linear_evidence import Added
+from limbcli.diagnostics.model.linear import Whitener
 from limbcli.model import Array
 
-_Z = float(norm.ppf(thresholds.POWER))
+_Z = float(norm.ppf(decisions.POWER))
 
 
 @dataclass(frozen=True)
@@ -42,33 +43,44 @@ class BlindSpot:
     def matters(self) -> bool:
         """Whether an effect of typical size would be undetected and bias a parameter by more than one
         standard deviation."""
-        return self.is_undetectable and any(
-            abs(each) > thresholds.BIAS_MATTERS_SD for each in self.bias_sd.values()
-        )
+        return self.is_undetectable and any(abs(each) > decisions.BIAS_MATTERS_SD for each in self.bias_sd.values())
 
 
 def blind_spot(
-    state: LinearFit, name: str, direction: Direction, typical: Array, *,
-    critical: float, base_names: tuple[str, ...], scale: float = 1.0,
-) -> BlindSpot:  # fmt: skip
+    name: str, added: Added, typical: Array, nothing: Posterior, whiten: Whitener, *, ln_factor: float
+) -> BlindSpot:
     """
     Parameters
     ----------
-    typical : (q,) distance from the null value; critical : statistic that is just significant
-    scale : chi2/nu where the noise level is unknown, else 1
+    added : the effect at one point of its grid; typical : (q,) distance from the null value
+    nothing : the fit without effects; whiten : as that of `added`
+    ln_factor : Bayes factor at which the model is no longer adequate
     """
-    moved = direction.columns @ typical
-    seen = visible_columns(state, direction) @ typical
-    size, visible = float(np.linalg.norm(moved)), float(np.linalg.norm(seen))
-    needed = float(np.sqrt(max(critical, 0.0))) + _Z * float(np.sqrt(scale))
-    shift = state.estimator()[: len(base_names)] @ moved
-    covariance = np.linalg.pinv(state.jacobian.T @ state.jacobian)
-    deviation = np.sqrt(scale * np.maximum(np.diag(covariance)[: len(base_names)], 1e-300))
+    moved, seen = added.columns @ typical, added.seen @ typical
+    size, information = float(np.linalg.norm(moved)), float(moved @ seen)
+    fitted = nothing.fitted
+    shift = nothing.covariance @ (whiten(fitted.jacobian).T @ moved)
+    n = len(fitted.base_names)
+    bias = {key: float(shift[k] / max(nothing.deviation[k], 1e-300)) for k, key in enumerate(fitted.base_names[:n])}
+    percent = {key: float(100 * np.expm1(np.clip(shift[k], -5, 5))) for k, key in enumerate(fitted.base_names[:n])}
+    prior = float(np.min((typical / added.deviation)[typical != 0] ** 2)) if np.any(typical) else 0.0
+    one_sided = any(added.direction.signs)
     return BlindSpot(
-        name,
-        direction.point,
-        visible / size if size > 0 else 0.0,
-        needed / visible if visible > 0 else float("inf"),
-        {key: float(value) for key, value in zip(base_names, shift / deviation, strict=True)},
-        dict(zip(base_names, (float(100 * np.expm1(np.clip(x, -5, 5))) for x in shift), strict=True)),
-    )
+        name, added.direction.point, math.sqrt(max(information, 0.0)) / size if size > 0 else 0.0,
+        _detectable(information, prior, ln_factor - (math.log(2.0) if one_sided else 0.0)), bias, percent,
+    )  # fmt: skip
+
+
+def _detectable(information: float, prior: float, ln_factor: float) -> float:
+    """Size, in units of that with this information (reciprocal variance) and prior precision, whose Bayes factor
+    exceeds exp(ln_factor) with the stated power; infinite where it is invisible.
+
+    >>> round(_detectable(100.0, 0.0001, 0.0), 3)  # 3.72 standard deviations and 0.84 for the power
+    0.456
+    """
+    if information <= 0.0:
+        return math.inf
+    needed = 2.0 * (information + prior) / information**2 * (
+        ln_factor + 0.5 * math.log1p(information / max(prior, 1e-12))
+    )  # fmt: skip
+    return math.sqrt(max(needed, 0.0)) + _Z / math.sqrt(information)

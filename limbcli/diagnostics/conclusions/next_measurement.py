@@ -1,98 +1,81 @@
-"""What to measure next: the proposal with the largest difference between two explanations after refitting.
+"""What to measure next: the proposal that is expected to say most about which explanation is true.
 
-Source: Atkinson & Fedorov 1975, Biometrika 62:57 (T-optimality).
+Source: Lindley 1956, Ann Math Stat 27:986 (expected information of an experiment).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+from scipy.linalg import solve_triangular
 
-from limbcli.diagnostics import thresholds
-from limbcli.diagnostics.model.forward_model import Fitted, Proposal
-from limbcli.diagnostics.model.linear import LinearFit, Whitener
+from limbcli.diagnostics.model.forward_model import Proposal
+from limbcli.diagnostics.search import Explained
 from limbcli.model import Array
 
-_SIGNIFICANT = float(norm.ppf(thresholds.NEXT_SIGNIFICANT))
+_DRAWS = 300  # of measurements, for each explanation
 
 
 @dataclass(frozen=True)
 class NextStep:
-    """A proposal for one pair of explanations.
+    """One proposal.
 
-    distance_before, distance : between the two, in standard deviations, without and with the proposal
-    power : of the proposed measurement alone to distinguish them
+    information_bits : expected fall of the entropy over the compared explanations; entropy_bits : before it
+    expected_probability : of the true explanation afterwards, on average; before : as things stand
     """
 
     name: str
     sentence: str
-    pair: tuple[str, str]
-    distance_before: float
-    distance: float
-    power: float
+    information_bits: float
+    entropy_bits: float
+    expected_probability: float
+    before: float
 
 
-def separation(a: Fitted, b: Fitted, whiten: Whitener, extra: Proposal | None = None) -> float:
-    """Smaller of the two distances |mu_a - (b refitted)|, in standard deviations of the noise."""
-    return min(_distance(a, b, whiten, extra), _distance(b, a, whiten, extra))
+def ranked(
+    several: Sequence[Explained], proposals: Sequence[Proposal], rng: np.random.Generator
+) -> tuple[NextStep, ...]:
+    """The proposals by decreasing information; several : explanations with a posterior."""
+    found = []
+    for each in proposals:
+        members = [one for one in several if one.explanation in each.predictions]
+        if len(members) > 1:
+            found.append(_expected(members, each, rng))
+    return tuple(sorted(found, key=lambda step: -step.information_bits))
 
 
-def _distance(truth: Fitted, rival: Fitted, whiten: Whitener, extra: Proposal | None) -> float:
-    gap = whiten(truth.prediction - rival.prediction)
-    tangent = whiten(rival.jacobian)
-    if extra is not None:
-        plus = Whitener.of(extra.covariance)
-        difference = extra.predictions[truth.explanation] - extra.predictions[rival.explanation]
-        gap = np.concatenate([gap, plus(difference)])
-        tangent = np.vstack([tangent, plus(extra.jacobians[rival.explanation])])
-    left: Array = LinearFit.of(gap, tangent).left
-    return float(np.linalg.norm(left))
+def _expected(several: Sequence[Explained], proposal: Proposal, rng: np.random.Generator) -> NextStep:
+    """The predictive distribution of a member is normal: the measurement's noise, and what the data leave of its
+    parameters."""
+    weights = np.array([each.probability for each in several])
+    weights = weights / weights.sum()
+    means, roots = [], []
+    for each in several:
+        assert each.posterior is not None
+        J = proposal.jacobians[each.explanation]
+        covariance = proposal.covariance + J @ each.posterior.covariance @ J.T
+        means.append(proposal.predictions[each.explanation] + J @ each.posterior.step)
+        roots.append(np.linalg.cholesky(covariance + 1e-12 * np.trace(covariance) / len(covariance) * np.eye(len(covariance))))
+    after, left = 0.0, 0.0
+    for k, weight in enumerate(weights):
+        drawn = means[k] + rng.standard_normal((_DRAWS, len(means[k]))) @ roots[k].T
+        ln = np.array([_ln_density(drawn, mean, root) for mean, root in zip(means, roots, strict=True)])
+        ln += np.log(weights)[:, None]
+        ln -= np.logaddexp.reduce(ln, axis=0)
+        p = np.exp(ln)
+        after += float(weight) * float(-np.sum(p * ln, axis=0).mean())
+        left += float(weight) * float(p[k].mean())
+    before = float(-np.sum(weights * np.log(weights)))
+    to_bits = 1.0 / math.log(2.0)
+    return NextStep(
+        proposal.name, proposal.sentence, max(before - after, 0.0) * to_bits, before * to_bits, left,
+        float(np.sum(weights**2)),
+    )  # fmt: skip
 
 
-def rank_proposals(fits: Sequence[Fitted], proposals: Sequence[Proposal], whiten: Whitener) -> list[NextStep]:
-    """Every proposal for every pair of the set, sorted by decreasing power.
-
-    power : of the one-sided likelihood-ratio test between the two at a level of 5 %: Phi(d - 1.645), where
-    d^2 is the increase of the squared distance by the proposal. The existing data are not counted, as they
-    have failed to distinguish the pair.
-    """
-    steps = []
-    for i, a in enumerate(fits):
-        for b in fits[i + 1 :]:
-            before = separation(a, b, whiten)
-            for proposal in proposals:
-                if a.explanation not in proposal.predictions or b.explanation not in proposal.predictions:
-                    continue
-                distance = separation(a, b, whiten, proposal)
-                pair = (" + ".join(a.explanation), " + ".join(b.explanation))
-                added = np.sqrt(max(distance**2 - before**2, 0.0))
-                power = float(norm.cdf(added - _SIGNIFICANT))
-                steps.append(NextStep(proposal.name, proposal.sentence, pair, before, distance, power))
-    return sorted(steps, key=lambda step: -step.power)
-
-
-def best_step(steps: Sequence[NextStep]) -> tuple[str, float] | None:
-    """The proposal with the highest mean power over all pairs: (name, power for its worst pair).
-
-    The worst pair does not decide, as nothing may distinguish an explanation from one that contains it.
-    """
-    powers: dict[str, list[float]] = {}
-    for step in steps:
-        powers.setdefault(step.name, []).append(step.power)
-    if not powers:
-        return None
-    name = max(powers, key=lambda each: float(np.mean(powers[each])))
-    return name, min(powers[name])
-
-
-def useful_steps(steps: Sequence[NextStep]) -> list[NextStep]:
-    """The best proposal's steps for the pairs that it is likely to distinguish (`NEXT_POWER`), by decreasing
-    power; empty if no proposal is worth recommending."""
-    best = best_step(steps)
-    return [
-        step for step in sorted(steps, key=lambda step: -step.power)
-        if best is not None and step.name == best[0] and step.power >= thresholds.NEXT_POWER
-    ]  # fmt: skip
+def _ln_density(drawn: Array, mean: Array, root: Array) -> Array:
+    off = solve_triangular(root, (drawn - mean).T, lower=True)
+    return np.asarray(-0.5 * np.sum(off**2, axis=0) - np.log(np.diag(root)).sum())

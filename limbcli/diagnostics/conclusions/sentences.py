@@ -2,39 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-from limbcli.diagnostics.conclusions.next_measurement import useful_steps
+from limbcli.diagnostics.conclusions.estimates import Estimates
+from limbcli.diagnostics.conclusions.next_measurement import NextStep
 from limbcli.diagnostics.conclusions.verdict import Diagnosis
-from limbcli.diagnostics.model.estimates import Reported
 from limbcli.diagnostics.model.forward_model import Explanation
-from limbcli.diagnostics.statistical_tests.multiple_testing import Family
 from limbcli.significant_digits import short
 
 _WORDS = {
     "adequate": "ADEQUATE: the model explains the measurement within its noise.",
-    "named": "NAMED: one missing effect explains the misfit, and no other that could be tried does.",
-    "ambiguous": "AMBIGUOUS: several explanations fit, and these data cannot distinguish them.",
-    "unexplained": "UNEXPLAINED: something is missing that no candidate explains.",
+    "named": "NAMED: one missing effect explains the misfit.",
+    "ambiguous": "AMBIGUOUS: several explanations are possible, and these data cannot distinguish them.",
+    "unexplained": "UNEXPLAINED: something is missing that no candidate, alone or with another, explains.",
     "untestable": "UNTESTABLE: no absolute test can be made of these data.",
 }
-_AND_MORE = (
-    "NAMED: one missing effect explains the misfit; a further one may be present, which these data do not "
-    "establish."
-)
-_ALONE = "AMBIGUOUS: one explanation fits, but the cause may be another, or more than this one."
+_MOST_LISTED = 6  # explanations in a sentence
+_LEAST_LISTED = 0.01  # probability of an effect from which a sentence mentions it
+_LEAST_BITS = 0.1  # expected information from which a measurement is recommended
+
+
+def in_words(explanation: Explanation) -> str:
+    """
+    >>> in_words(("tilt", "friction")), in_words(())
+    ('tilt + friction', 'nothing')
+    """
+    return " + ".join(explanation) or "nothing"
+
+
+def percent(probability: float) -> str:
+    """
+    >>> [percent(p) for p in (0.9999, 0.954, 0.003)]
+    ['over 99 %', '95 %', 'under 1 %']
+    """
+    if probability > 0.99:
+        return "over 99 %"
+    return "under 1 %" if probability < 0.01 else f"{100 * probability:.0f} %"
 
 
 def sentences(found: Diagnosis) -> list[str]:
     """Summary lines, at most eight, in the order of a reader's questions.
 
-    Verdict, fit, where and what, explanations, reduction of the residual, undetectable effects, next
-    measurement, candidates not evaluated.
+    Verdict, fit, where and what, explanations, reduction of the residual, undetectable effects, next measurement,
+    candidates not evaluated.
     """
     lines = [
         f"{_verdict(found)} Why: {found.reason}.",
         _fit(found),
-        f"{_where(found)} {_what(found)}".rstrip(),
+        f"{_where(found)} {_what(found)}".strip(),
         _set(found),
         _shrunk(found),
         _blind(found),
@@ -45,94 +58,74 @@ def sentences(found: Diagnosis) -> list[str]:
 
 
 def _verdict(found: Diagnosis) -> str:
-    alone = len(found.confidence_set) == 1
-    if found.verdict == "ambiguous" and alone:
-        return _ALONE
-    text = _AND_MORE if found.verdict == "named" and not alone else _WORDS[found.verdict]
-    several = len(found.chosen) > 1
-    return text.replace("one missing effect explains", "two missing effects explain") if several else text
+    text = _WORDS[found.verdict]
+    return text.replace("one missing effect explains", "two missing effects explain") if len(found.chosen) > 1 else text
 
 
 def _fit(found: Diagnosis) -> str:
-    base = found.shrink[0] if found.shrink else None
-    if base is None:
-        return ""
-    values = base.estimates.values
+    base = found.shrink[0]
+    values = found.base.values
     level = "of unknown level" if found.relative else "as stated"
-    text = (
-        f"Without any effect: c {values['c_kpa']:.2f} kPa, m {values['m']:.2f}; " if "c_kpa" in values else ""
-    )
+    text = f"Without any effect: c {values['c_kpa']:.2f} kPa, m {values['m']:.2f}; " if "c_kpa" in values else ""
     return f"{text}chi2 {base.chi2:.1f} on {base.nu} degrees of freedom, noise {level}."
 
 
 def _where(found: Diagnosis) -> str:
-    if not found.family.tests:
+    if found.check is None:
         return ""
     if not found.flagged:
         return "Where: no part of the data is significant by itself."
-    tests = {t.name.removeprefix("where: "): t.p_adjusted for t in found.family.tests}
+    tests = {each.name: each.p_adjusted for each in found.check.parts}
     listed = [f"{name} (adjusted p {tests[name]:.3g})" for name in found.flagged[:3]]
     return "Where: " + "; ".join(listed) + "."
 
 
 def _what(found: Diagnosis) -> str:
-    ranked = ranking(found.family, set(found.facts))
-    listed = [f"{name} ({p:.3g})" for name, p in ranked[:3]]
-    return "Best candidates (adjusted p): " + ", ".join(listed) + "." if listed else ""
-
-
-def ranking(family: Family, names: set[str]) -> list[tuple[str, float]]:
-    """Candidates sorted by adjusted p, then by decreasing score statistic."""
-    tests = [t for t in family.tests if t.name in names]
-    tests.sort(key=lambda t: (t.p_adjusted, -t.score.statistic))
-    return [(t.name, t.p_adjusted) for t in tests]
+    ranked = sorted(found.effects.items(), key=lambda item: -item[1])
+    listed = [f"{name} {percent(p)}" for name, p in ranked[:3] if p > _LEAST_LISTED]
+    if not listed:
+        return ""
+    return f"Probability that it is missing, alone or with another: {', '.join(listed)}."
 
 
 def _set(found: Diagnosis) -> str:
-    if not found.confidence_set:
+    if found.verdict in ("adequate", "untestable"):
         return ""
-    listed = "; ".join(" + ".join(each) for each in found.confidence_set)
+    shown = {each.explanation: each.probability for each in found.explanations}
+    listed = "; ".join(f"{in_words(each)} {percent(shown[each])}" for each in found.confidence_set[:_MOST_LISTED])
+    more = len(found.confidence_set) - _MOST_LISTED
+    rest = f"; {more} more, each less probable" if more > 0 else ""
     if found.verdict == "named":
-        estimates = found.estimates
-        sizes = ", ".join(f"{name} {short(estimates.values[name])}" for name in found.final.effect_names)
-        others = [" + ".join(each) for each in found.confidence_set if each != found.chosen]
-        over = "; the intervals of c and m cover all of these" if estimates.over > 1 else ""
-        more = f" Also fits: {'; '.join(others)}{over}." if others else ""
-        return f"Added to the model: {' + '.join(found.chosen)} ({sizes}){_tissue(estimates)}.{more}"
+        sizes = ", ".join(f"{name} {short(found.estimates.values[name])}" for name in found.final.effect_names)
+        alone = f" With further effects: {listed}{rest}." if len(found.confidence_set) > 1 else ""
+        return f"Added to the model: {in_words(found.chosen)} ({sizes}){_tissue(found.estimates)}.{alone}"
     if found.verdict == "ambiguous":
-        return f"It may be: {listed}.{_common(found.confidence_set)}{_whichever(found.estimates)}"
-    return f"Fits, but is not accepted: {listed}."
+        return f"It may be: {listed}{rest}.{_common(found)}{_whichever(found.estimates)}"
+    return f"Most probable, but not accepted: {listed}{rest}."
 
 
-def _common(several: Sequence[Explanation]) -> str:
-    """A sentence with the effects that all explanations share; empty if there are none.
+def _common(found: Diagnosis) -> str:
+    """A sentence on the effects that all members share; empty if there are none."""
+    first, *others = found.confidence_set
+    shared = [name for name in first if all(name in each for each in others)]
+    return f" All have {' and '.join(shared)}." if shared and others else ""
 
-    >>> _common([("tilt", "skin-layer"), ("skin-layer", "friction")])
-    ' All have skin-layer.'
-    >>> _common([("tilt",), ("skin-layer",)]) + _common([("tilt",)])
-    ''
+
+def _whichever(estimates: Estimates) -> str:
+    """A sentence with c and m, averaged over the explanations.
+
+    >>> _whichever(Estimates({}, {"c_kpa": (5.5, 8.5), "m": (1.0, 5.0)}, over=2))
+    ' Averaged over these: c 5.50 to 8.50 kPa, m 1.00 to 5.00.'
     """
-    shared = [name for name in several[0] if all(name in each for each in several)]
-    return f" All have {' and '.join(shared)}." if shared and len(several) > 1 else ""
-
-
-def _whichever(estimates: Reported) -> str:
-    """A sentence with the intervals of c and m over all explanations that fit.
-
-    >>> _whichever(Reported({}, {}, {"c_kpa": (5.5, 8.5), "m": (1.0, 5.0)}, over=2))
-    ' Whichever of the 2 it is: c 5.50 to 8.50 kPa, m 1.00 to 5.00.'
-    """
-    ends = estimates.intervals
-    if estimates.over < 2 or "c_kpa" not in ends or "m" not in ends:
+    if "c_kpa" not in estimates.intervals or "m" not in estimates.intervals:
         return ""
-    c, m = _reach(estimates, "c", "c_kpa", " kPa"), _reach(estimates, "m", "m")
-    return f" Whichever of the {estimates.over} it is: c {c}, m {m}."
+    return f" Averaged over these: c {_reach(estimates, 'c', 'c_kpa', ' kPa')}, m {_reach(estimates, 'm', 'm')}."
 
 
-def _tissue(estimates: Reported) -> str:
+def _tissue(estimates: Estimates) -> str:
     """Values and intervals of c and m with the named effect, with sides that the data leave open.
 
-    >>> _tissue(Reported({"c_kpa": 6.0, "m": 3.5}, {}, {"c_kpa": (5.5, 6.5), "m": (1.0, 5.0)}, ("m below",)))
+    >>> _tissue(Estimates({"c_kpa": 6.0, "m": 3.5}, {"c_kpa": (5.5, 6.5), "m": (1.0, 5.0)}, ("m below",)))
     '; then c 6.00 kPa (5.50 to 6.50), m 3.50 (up to 5.00: no lower limit from these data)'
     """
     if "c_kpa" not in estimates.intervals or "m" not in estimates.intervals:
@@ -142,10 +135,10 @@ def _tissue(estimates: Reported) -> str:
     return f"; then c {values['c_kpa']:.2f} kPa ({c}), m {values['m']:.2f} ({m})"
 
 
-def _reach(estimates: Reported, symbol: str, name: str, unit: str = "") -> str:
+def _reach(estimates: Estimates, symbol: str, name: str, unit: str = "") -> str:
     """An interval in words, with the sides that the data leave open.
 
-    >>> _reach(Reported({}, {}, {"c_kpa": (0.4, 9.0)}, ("c below", "c above")), "c", "c_kpa")
+    >>> _reach(Estimates({}, {"c_kpa": (0.4, 9.0)}, ("c below", "c above")), "c", "c_kpa")
     'not determined by the data'
     """
     low, high = estimates.intervals[name]
@@ -167,15 +160,7 @@ def _shrunk(found: Diagnosis) -> str:
     if len(first.held_out.keys() & last.held_out.keys()) > 1:  # at least one common block besides "all"
         before, after = first.held_out["all"], last.held_out["all"]
         held = f"; held-out error {before:.2f} to {after:.2f} deviations"
-    placebo = (
-        ""
-        if last.placebo_percentile is None
-        else f"; better than {last.placebo_percentile:.0f} % of placebos"
-    )
-    return (
-        f"With {' + '.join(last.explanation)}: chi2/nu from {first.chi2_per_nu:.2f} to "
-        f"{last.chi2_per_nu:.2f}{held}{placebo}."
-    )
+    return f"With {in_words(last.explanation)}: chi2/nu from {first.chi2_per_nu:.2f} to {last.chi2_per_nu:.2f}{held}."
 
 
 def _blind(found: Diagnosis) -> str:
@@ -190,27 +175,26 @@ def _blind(found: Diagnosis) -> str:
     listed = []
     for spot in sorted(hidden, key=lambda s: -max(abs(v) for v in s.bias_sd.values()))[:3]:
         name, bias = max(spot.bias_sd.items(), key=lambda item: abs(item[1]))
-        listed.append(
-            f"{spot.name} (would shift {name} by {bias:+.1f} deviations, {spot.bias_percent[name]:+.0f} %)"
-        )
+        listed.append(f"{spot.name} (would shift {name} by {bias:+.1f} deviations, {spot.bias_percent[name]:+.0f} %)")
     return "These data could not detect, at plausible size: " + "; ".join(listed) + "."
 
 
 def _next(found: Diagnosis) -> str:
     if found.verdict != "ambiguous" or not found.next_steps:  # none: nothing was compared
         return ""
-    useful = useful_steps(found.next_steps)
-    if not useful:
+    best = recommended(found)
+    if best is None:
         return "Next measurement: none of the available ones would distinguish the explanations."
-    best_pair, worst = useful[0], useful[-1]
-    text = (
-        f"Next measurement: {best_pair.sentence}; it distinguishes {best_pair.pair[0]} from "
-        f"{best_pair.pair[1]} with "
-        f"{100 * best_pair.power:.0f} % power"
+    return (
+        f"Next measurement: {best.sentence}; the probability of the true explanation is expected to rise from "
+        f"{percent(best.before)} to {percent(best.expected_probability)}."
     )
-    if worst.pair != best_pair.pair:
-        text += f", {worst.pair[0]} from {worst.pair[1]} with {100 * worst.power:.0f} %"
-    return text + "."
+
+
+def recommended(found: Diagnosis) -> NextStep | None:
+    """The next measurement with the largest expected information, if that is worth recommending; else None."""
+    best = found.next_steps[0] if found.next_steps else None
+    return best if best is not None and best.information_bits > _LEAST_BITS else None
 
 
 def _left(found: Diagnosis) -> str:

@@ -6,15 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from limbcli.diagnostics.check import Check
 from limbcli.diagnostics.conclusions.blind_spots import BlindSpot
-from limbcli.diagnostics.conclusions.effect_sizes import RefittedSizes
+from limbcli.diagnostics.conclusions.estimates import Estimates
 from limbcli.diagnostics.conclusions.next_measurement import NextStep
 from limbcli.diagnostics.model.common_errors import CommonError
-from limbcli.diagnostics.model.estimates import Reported
 from limbcli.diagnostics.model.forward_model import Explanation, Facts, Fitted
-from limbcli.diagnostics.selection.confidence_set import Refit
-from limbcli.diagnostics.statistical_tests.multiple_testing import Family
-from limbcli.diagnostics.statistical_tests.roughness import Roughness
+from limbcli.diagnostics.search import Explained
+from limbcli.diagnostics.statistics.roughness import Roughness
 
 Word = Literal["adequate", "named", "ambiguous", "unexplained", "untestable"]
 
@@ -23,9 +22,8 @@ Word = Literal["adequate", "named", "ambiguous", "unexplained", "untestable"]
 class Shrink:
     """Goodness of fit at one stage of the model, from the base to the full explanation.
 
-    rms : by channel, of residual / standard deviation; placebo_percentile : of the chi2 explained by the
-    effects added so far; held_out : by block, and "all" over the blocks that every stage predicts
-    estimates : parameters with their intervals; chi2, rms and held_out are those of the best fit
+    rms : by channel, of residual / standard deviation; held_out : by block, and "all" over the blocks that every
+    stage predicts; estimates : parameters with their intervals; chi2, rms and held_out are those of the best fit
     """
 
     explanation: Explanation
@@ -33,8 +31,7 @@ class Shrink:
     nu: int
     rms: Mapping[str, float]
     held_out: Mapping[str, float]
-    estimates: Reported
-    placebo_percentile: float | None = None
+    estimates: Estimates
 
     @property
     def chi2_per_nu(self) -> float:
@@ -46,15 +43,14 @@ class Diagnosis:
     """The verdict and the results it is based on.
 
     relative : the noise level is unknown (assumed, or contradicted by the scatter)
+    nothing, adequate_from : probability that nothing is missing, against all single effects, and the value that 95 %
+    of the measurements with nothing missing exceed
+    explanations : all, the most probable first; confidence_set : those that together have 95 %
+    effects : probability of each effect, over all explanations
     chosen : the explanation added to the model (empty if none)
-    confidence_set : explanations that these data cannot distinguish
-    closed : the gap is closed (an effect is named): no significant residual remains, the explanation exceeds
-    the placebos, and the held-out error fell
+    check, left : of the fit without effects, and of the most probable explanation
     not_evaluated : candidate -> reason
-    left_out : refit that was dropped -> reason
-    sizes : by effect and parameter, the 95 % interval of its distance from null when it alone is added, to
-    first order; refitted_sizes : by effect that was refitted alone, the intervals of the parameters' values
-    angles : cosines between the changes in the data by each pair of members of the confidence set
+    sizes : by effect and parameter, the 95 % interval of its value when it alone is added
     common_errors : by fitted explanation, what its fit makes of the unknowns that many data have in common
     """
 
@@ -62,36 +58,39 @@ class Diagnosis:
     reason: str
     relative: bool
     base: Fitted
-    family: Family
-    flagged: tuple[str, ...]
-    refits: tuple[Refit, ...]
+    nothing: float
+    adequate_from: float
+    explanations: tuple[Explained, ...]
     confidence_set: tuple[Explanation, ...]
+    effects: Mapping[str, float]
     chosen: Explanation
-    closed: bool
+    check: Check | None
+    left: Check | None
     shrink: tuple[Shrink, ...]
-    blind_spots: tuple[BlindSpot, ...]
-    next_steps: tuple[NextStep, ...]
-    angles: Mapping[str, float] = field(default_factory=dict)
+    blind_spots: tuple[BlindSpot, ...] = ()
+    next_steps: tuple[NextStep, ...] = ()
     not_evaluated: Mapping[str, str] = field(default_factory=dict)
-    left_out: Mapping[str, str] = field(default_factory=dict)
     roughness: Roughness | None = None
     facts: Mapping[str, Facts] = field(default_factory=dict)
     seed: int = 0
-    held_out_z: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     sizes: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
-    refitted_sizes: Mapping[str, RefittedSizes] = field(default_factory=dict)
     common_errors: Mapping[Explanation, tuple[CommonError, ...]] = field(default_factory=dict)
 
     @property
-    def estimates(self) -> Reported:
+    def flagged(self) -> tuple[str, ...]:
+        """Parts of the data that the fit without effects does not describe."""
+        parts = () if self.check is None else self.check.parts[1:]
+        return tuple(each.name for each in parts if each.p_adjusted < 0.05)
+
+    @property
+    def estimates(self) -> Estimates:
         """Parameters of the final model, including the chosen effects if there are any."""
-        return next(
-            (s.estimates for s in self.shrink if s.explanation == self.chosen), self.shrink[0].estimates
-        )
+        return self.shrink[-1].estimates
 
     @property
     def final(self) -> Fitted:
-        for refit in self.refits:
-            if refit.explanation == self.chosen:
-                return refit.fitted
+        """The fit of the chosen explanation."""
+        for each in self.explanations:
+            if each.explanation == self.chosen and each.posterior is not None:
+                return each.posterior.fitted
         return self.base

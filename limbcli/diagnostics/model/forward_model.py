@@ -9,8 +9,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from limbcli.diagnostics.model.estimates import Reported
 from limbcli.diagnostics.model.noise import Noise
+from limbcli.diagnostics.model.priors import Prior, Priors
 from limbcli.model import Array
 
 Mask = NDArray[np.bool_]
@@ -83,6 +83,8 @@ class Fitted:
     values : of all parameters by name; at_bound : messages for parameters that ended on a bound, or outside
     the physically possible range
     without : (n,) prediction for the same tissue without the effects; None if there are no effects
+    priors : of the parameters, in the order of the Jacobian's columns
+    ln_points : ln of the mean likelihood over the effects' grid points, relative to that of the chosen one
     """
 
     explanation: Explanation
@@ -95,6 +97,17 @@ class Fitted:
     notes: tuple[str, ...] = ()
     points: Mapping[str, str] = field(default_factory=dict)
     without: Array | None = None
+    priors: Priors = field(default_factory=lambda: Priors.about(np.zeros(0), ()))
+    ln_points: float = 0.0
+
+
+@dataclass(frozen=True)
+class Scalable:
+    """A part of the noise whose standard deviation is between `least` and `most` of what is assumed."""
+
+    name: str
+    least: float
+    most: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -138,8 +151,8 @@ class ForwardModel(Protocol):
     def candidates(self) -> Sequence[Facts]: ...
 
     @property
-    def interval_widening(self) -> float:
-        """Factor by which intervals are widened, as model errors are set to their likeliest size."""
+    def scalable(self) -> Sequence[Scalable]:
+        """Errors of the model whose size is estimated in every explanation."""
         ...
 
     def fit(self, explanation: Explanation, start: Mapping[str, float]) -> Fitted:
@@ -153,16 +166,12 @@ class ForwardModel(Protocol):
         """The same fit, with its numbers taken from a simulation of the fitted model."""
         ...
 
-    def reported(self, fitted: Fitted, *, scale: float = 1.0, besides: Array | None = None) -> Reported:
-        """Parameter values and intervals to report for a fit.
-
-        scale : divisor of the deviance where the noise level is unknown; besides : covariance (n, n) of
-        further errors, to be added to that of the noise
-        """
-        ...
-
     def directions(self, fitted: Fitted, name: str) -> Sequence[Direction]:
         """Sensitivities (not whitened) of the prediction to one additional effect at its null value."""
+        ...
+
+    def size_priors(self, name: str) -> Mapping[str, Prior]:
+        """Prior of every size parameter of an effect, by its name in fits."""
         ...
 
     def proposals(self, fits: Sequence[Fitted]) -> Sequence[Proposal]:

@@ -41,7 +41,7 @@ def _section(key: str, site: SiteMaterial, result: StageResult) -> Reportlet:
         site.name,
         pictures=_pictures(result, site.name),
         tables=(_candidates(data),),
-        more=(_shrunk(data), _blind(data), *_sizes(data), *_common(data)),
+        more=(_explanations(data), _shrunk(data), _blind(data), *_sizes(data), *_common(data)),
         look_for="residuals of the base model (grey) that leave the band of two standard deviations, "
         "and that the model with the addition (blue) brings back into it",
         bad="one name where the verdict is ambiguous, a misfit that remains, or a candidate right of "
@@ -84,7 +84,7 @@ def in_words(data: Mapping[str, Any]) -> str:
 def _pictures(result: StageResult, name: str) -> tuple[Picture, ...]:
     texts = {
         "gap": "Measured minus predicted in deviations, before and after",
-        "candidates": "Adjusted p and detectable size of every candidate",
+        "candidates": "Probability and detectable size of every candidate",
         "sizes": "Size of each effect, in units of its plausible size (95 %)",
     }
     return tuple(
@@ -98,12 +98,26 @@ def _candidates(data: Mapping[str, Any]) -> PageTable:
     rows = []
     for each in data["candidates"]:
         size = ", ".join(f"{name} {short(value)}" for name, value in each["estimate"].items())
-        texts = (each["name"], each["sentence"], f"{each['p_adjusted']:.3g}", size or DASH)
+        texts = (each["name"], each["sentence"], f"{each['probability']:.3f}", size or DASH)
         rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
     for name, why in data["not_evaluated"].items():
         rows.append((Cell(name, lead=True), Cell(f"not evaluated: {why}"), Cell(DASH), Cell(DASH)))
-    titles = head("candidate", "interpretation", "adjusted p", "first-order estimate")
-    return PageTable("Candidates, the most significant first", (titles,), tuple(rows), numeric=False)
+    titles = head("candidate", "interpretation", "probability", "estimate when it alone is added")
+    return PageTable("Candidates, the most probable first", (titles,), tuple(rows), numeric=False)
+
+
+def _explanations(data: Mapping[str, Any]) -> PageTable:
+    rows = []
+    for each in data["explanations"][: len(data["confidence_set"])]:
+        values = each["values"]
+        texts = (
+            " + ".join(each["explanation"]) or "nothing is missing", f"{each['probability']:.3f}",
+            *(f"{values[name]:.2f}" if name in values else DASH for name in ("c_kpa", "m")),
+            "simulated" if each["simulated"] else "fitted" if each["fitted"] else "estimated",
+        )  # fmt: skip
+        rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
+    titles = head("explanation", "probability", "c (kPa)", "m", "by")
+    return PageTable("Explanations that together have 95 %", (titles,), tuple(rows))
 
 
 def _shrunk(data: Mapping[str, Any]) -> PageTable:
@@ -112,19 +126,16 @@ def _shrunk(data: Mapping[str, Any]) -> PageTable:
         held = stage["held_out"].get("all")
         label = " + ".join(stage["explanation"]) or "base model"
         if stage.get("c_and_m_over", 1) > 1:
-            label += f" (c, m: whichever of the {stage['c_and_m_over']} that fit)"
+            label += f" (c, m: averaged over {stage['c_and_m_over']} explanations)"
         texts = (
             label,
             f"{stage['chi2_per_nu']:.2f}",
             DASH if held is None else f"{held:.2f}",
-            _number(stage["placebo_percentile"]),
             _interval(stage, "c_kpa"),
             _interval(stage, "m"),
         )
         rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
-    titles = head(
-        "model", "chi2/nu", "held-out error (deviations)", "placebo percentile", "c (kPa), 95 %", "m, 95 %"
-    )
+    titles = head("model", "chi2/nu", "held-out error (deviations)", "c (kPa), 95 %", "m, 95 %")
     return PageTable("How the misfit decreased", (titles,), tuple(rows))
 
 
@@ -165,13 +176,12 @@ def _blind(data: Mapping[str, Any]) -> PageTable:
 
 def _sizes(data: Mapping[str, Any]) -> tuple[PageTable, ...]:
     """Possible size of each effect if it alone is added; empty for an older result without them."""
-    rows, refitted = [], data.get("sizes_refitted")
+    rows = []
     for effect, sizes in data.get("sizes_95", {}).items():
-        by = DASH if refitted is None else "refit" if effect in refitted else "first order"
         for name, (low, high) in sizes.items():
-            texts = (effect, name, *("open" if end is None else short(end) for end in (low, high)), by)
+            texts = (effect, name, *("open" if end is None else short(end) for end in (low, high)))
             rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
-    titles = head("effect", "size", "from", "to (95 %)", "by")
+    titles = head("effect", "size", "from", "to (95 %)")
     return (PageTable("Size of each effect when it alone is added", (titles,), tuple(rows)),) if rows else ()
 
 

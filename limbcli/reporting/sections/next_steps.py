@@ -44,10 +44,8 @@ def _proposed(found: object) -> list[str]:
     menu = found.get("menu") or []
     own = [each for each in menu if isinstance(each, Mapping) and each.get("name") == found["recommended"]]
     sentence = str(own[0].get("sentence") or found["recommended"]) if own else str(found["recommended"])
-    ends = [number(found.get(f"power_for_its_{which}_pair")) for which in ("worst", "best")]
-    powers = [f"{100 * each:.0f}" for each in ends if each is not None]
-    cases = " to ".join(dict.fromkeys(powers))
-    chance = f" (it distinguishes the explanations in {cases} of 100 cases)" if powers else ""
+    expected = number(found.get("expected_probability"))
+    chance = "" if expected is None else f" (the true explanation then has a probability of {100 * expected:.0f} % on average)"
     return [f"{sentence[0].upper()}{sentence[1:]}{chance}."]
 
 

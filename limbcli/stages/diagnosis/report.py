@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from limbcli.diagnostics import thresholds
-from limbcli.diagnostics.conclusions.next_measurement import best_step, useful_steps
+from limbcli.diagnostics import decisions
+from limbcli.diagnostics.check import Check
+from limbcli.diagnostics.conclusions.sentences import recommended
 from limbcli.diagnostics.conclusions.verdict import Diagnosis, Shrink
 from limbcli.diagnostics.model.common_errors import CommonError
-from limbcli.diagnostics.model.forward_model import Direction
-from limbcli.diagnostics.statistical_tests.localisation_tests import PREFIX
+from limbcli.diagnostics.search import Explained
 from limbcli.drawing import save_figure
 from limbcli.effects.base import Parameter
 from limbcli.stages.diagnosis.data.joint import slices
@@ -25,29 +25,16 @@ from limbcli.stages.diagnosis.data.site_data import SiteData
 from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.stages.diagnosis.mesh_error.numerical_checks import f_kappa_at
-from limbcli.stages.diagnosis.sizes import reported_sizes, value_ends
+from limbcli.stages.diagnosis.sizes import reported_sizes
+
+_WITHIN = 1.96  # half-width of a 95 % interval, in standard deviations
+# Root-mean-square error of f_kappa as it is estimated beside c and m, in standard deviations of its prior.
+_F_KAPPA_ERROR = 0.7
 
 
 def diagnosis_json(found: Diagnosis, site: SiteData, forward_model: SiteForwardModel) -> dict[str, Any]:
     """All results of the diagnosis for diagnosis.json; units are in the keys."""
-    known = {
-        slot.name: slot.parameter for name in forward_model.effects for slot in forward_model.slots((name,))
-    }
-    family = found.family
-    where = [
-        {"part": t.name.removeprefix(PREFIX), "p": t.p, "p_adjusted": t.p_adjusted,
-         "z_rms_predicted_from_the_rest": _z_rms(found, t.name)}
-        for t in family.tests if t.name.startswith(PREFIX)
-    ]  # fmt: skip
-    candidates = [
-        {"name": t.name, "sentence": found.facts[t.name].sentence, "kind": found.facts[t.name].kind,
-         "score": t.score.statistic, "p": t.p, "p_adjusted": t.p_adjusted,
-         "p_among_effects": t.p_among, "estimate": _estimate(t.score.direction, t.score.eta, known),
-         "at": t.score.direction.point}
-        for t in family.tests if t.name in found.facts
-    ]  # fmt: skip
-    useful = useful_steps(found.next_steps)
-    best = best_step(found.next_steps) if useful else None
+    best = recommended(found)
     return {
         "site": site.name,
         "verdict": found.verdict,
@@ -60,38 +47,60 @@ def diagnosis_json(found: Diagnosis, site: SiteData, forward_model: SiteForwardM
         },
         "channels": list(site.channels),
         "channels_missing": list(site.missing),
-        "overall": vars(family.overall) if family.overall else None,
-        "where": where,
-        "candidates": sorted(candidates, key=lambda c: (c["p_adjusted"], -c["score"])),
+        "probability_of_nothing": found.nothing,
+        "adequate_from_probability": found.adequate_from,
+        "where": _parts(found.check),
+        "left": _parts(found.left),
+        "candidates": _candidates(found),
+        "explanations": [_explained(each, found) for each in found.explanations[:_MOST_EXPLANATIONS]],
+        "confidence_set": [list(each) for each in found.confidence_set],
+        "added": list(found.chosen),
         "common_errors": [vars(each) for each in found.common_errors.get(found.chosen, ())],
         "f_kappa": f_kappa_estimate(found.common_errors.get(found.chosen, ())),
-        "refits": [
-            {**_refit(each), "f_kappa": f_kappa_estimate(found.common_errors.get(each.explanation, ()))}
-            for each in found.refits
-        ],
-        "confidence_set": [list(each) for each in found.confidence_set],
-        "look_alike_cosines": dict(found.angles),
-        "added": list(found.chosen),
-        "gap_closed": found.closed,
         "shrink": [_stage(stage) for stage in found.shrink],
         "blind_spots": [
             {**vars(spot), "undetectable_at_typical_size": spot.is_undetectable, "matters": spot.matters}
             for spot in found.blind_spots
         ],
         "next_measurement": {
-            "recommended": best[0] if best else None,
-            "power_for_its_worst_pair": best[1] if best else None,
-            "power_for_its_best_pair": useful[0].power if best else None,
+            "recommended": best.name if best else None,
+            "expected_probability": best.expected_probability if best else None,
             "menu": [vars(step) for step in found.next_steps],
         },
-        "sizes_95": reported_sizes(
-            sizes_of(forward_model, site), found.sizes, found.estimates.values["c_kpa"], found.refitted_sizes
-        ),
-        "sizes_refitted": sorted(found.refitted_sizes),
+        "sizes_95": reported_sizes(sizes_of(forward_model, site), found.sizes, found.estimates.values["c_kpa"]),
         "not_evaluated": dict(found.not_evaluated),
-        "left_out": dict(found.left_out),
         "seed": found.seed,
     }
+
+
+def _parts(check: Check | None) -> list[dict[str, Any]]:
+    return [] if check is None else [vars(each) for each in check.parts]
+
+
+def _candidates(found: Diagnosis) -> list[dict[str, Any]]:
+    """The effects, the most probable first; evidence and estimate are those of the effect alone."""
+    alone = {each.explanation: each for each in found.explanations if len(each.explanation) < 2}
+    nothing, rows = alone[()].ln_evidence, []
+    for name, probability in sorted(found.effects.items(), key=lambda item: -item[1]):
+        one = alone.get((name,))
+        fitted = one.posterior.fitted if one and one.posterior else None
+        rows.append({
+            "name": name, "sentence": found.facts[name].sentence, "kind": found.facts[name].kind,
+            "probability": probability, "ln_bayes_factor": one.ln_evidence - nothing if one else None,
+            "estimate": {size: fitted.values[size] for size in fitted.effect_names} if fitted else {},
+            "at": fitted.points.get("grid", "") if fitted else "",
+        })  # fmt: skip
+    return rows
+
+
+def _explained(each: Explained, found: Diagnosis) -> dict[str, Any]:
+    fitted = each.posterior.fitted if each.posterior else None
+    return {
+        "explanation": list(each.explanation), "probability": each.probability, "ln_evidence": each.ln_evidence,
+        "fitted": fitted is not None, "simulated": each.simulated,
+        "values": dict(fitted.values) if fitted else {}, "at_bound": list(fitted.at_bound) if fitted else [],
+        "f_kappa": f_kappa_estimate(found.common_errors.get(each.explanation, ())),
+    }  # fmt: skip
 
 
 def f_kappa_estimate(errors: Sequence[CommonError]) -> dict[str, Any] | None:
@@ -100,8 +109,8 @@ def f_kappa_estimate(errors: Sequence[CommonError]) -> dict[str, Any] | None:
     found = next((each for each in errors if each.name == COMPRESSIBILITY), None)
     if found is None:
         return None
-    ends = (-thresholds.SIZE_WITHIN, thresholds.SIZE_WITHIN)
-    deviation = min(float(np.hypot(found.deviation, thresholds.F_KAPPA_ERROR)), 1.0)
+    ends = (-_WITHIN, _WITHIN)
+    deviation = min(float(np.hypot(found.deviation, _F_KAPPA_ERROR)), 1.0)
     return {
         "value": _finite(f_kappa_at(found.value)),
         "interval_95": [_finite(f_kappa_at(found.value + side * deviation)) for side in ends],
@@ -119,36 +128,16 @@ def _stage(stage: Shrink) -> dict[str, Any]:
     return {
         "explanation": list(stage.explanation), "chi2": stage.chi2, "nu": stage.nu,
         "chi2_per_nu": stage.chi2_per_nu, "rms": dict(stage.rms), "held_out": dict(stage.held_out),
-        "placebo_percentile": stage.placebo_percentile, "values": dict(estimates.values),
+        "values": dict(estimates.values),
         "intervals_95": {name: list(ends) for name, ends in estimates.intervals.items()},
-        "c_and_m_over": estimates.over, "not_told_by_the_data": list(estimates.open),
-        "values_without_prior": dict(estimates.best), "prior": estimates.prior,
+        "c_and_m_over": estimates.over, "not_told_by_the_data": list(estimates.open), "prior": estimates.prior,
     }  # fmt: skip
 
 
-def _estimate(direction: Direction, eta: np.ndarray, known: Mapping[str, Parameter]) -> dict[str, float]:
-    """First-order estimates as parameter values; the upper bound if no finite value has as large an
-    effect."""
-    found = {}
-    for name, x in zip(direction.names, eta, strict=True):
-        value = known[name].from_proportional(float(x))
-        found[name] = value if np.isfinite(value) else known[name].high
-    return found
-
-
-def _refit(refit: Any) -> dict[str, Any]:
-    return {
-        "explanation": list(refit.explanation), "chi2": refit.state.chi2, "nu": refit.state.nu,
-        "smallest_adjusted_p_left": refit.family.smallest, "deviance_gap": refit.gap,
-        "deviance_gap_allowed": refit.gap_allowed, "values": dict(refit.fitted.values),
-        "at_bound": list(refit.fitted.at_bound), "in_set": refit.in_set,
-    }  # fmt: skip
-
-
+_MOST_EXPLANATIONS = 40  # in diagnosis.json, the most probable ones
 _GAP_COLUMNS = 3  # panels side by side, so that their text remains legible in print
 _GAP_NAME = 20  # largest number of characters of a site's name above a panel
 _MOST_SIZES = 10.0  # upper limit of the axis of detectable sizes, in plausible sizes
-_MOST_DECADES = 6.0  # largest -log10 of an adjusted p that is drawn
 _WIDEST = 4.0  # limits of the axis of size intervals, in plausible sizes
 _THINNEST = 0.02  # narrowest visible bar, in plausible sizes
 _SHOWN = {"force": "force", "swe": "mean wave speed", "map": "wave-speed map", "travel": "probe travel",
@@ -179,10 +168,10 @@ def gap_picture(found: Diagnosis, sites: Sequence[SiteData], path: Path) -> None
 
 def _gap(ax: Any, found: Diagnosis, site: SiteData, inside: slice, channel: str) -> None:
     stages = [(found.base, "base model", "#7a7a7a", "o")]
-    if found.shrink and len(found.shrink) > 1:
-        last = found.shrink[-1].explanation
-        final = next(r.fitted for r in found.refits if r.explanation == last)
-        stages.append((final, "with " + " + ".join(last), "#0072b2", "s"))
+    last = found.shrink[-1].explanation
+    for each in found.explanations:
+        if last and each.explanation == last and each.posterior is not None:
+            stages.append((each.posterior.fitted, "with " + " + ".join(last), "#0072b2", "s"))
     mask = np.array([row.channel == channel for row in site.rows])
     at = np.arange(int(mask.sum()), dtype=float)
     if channel != "hold":
@@ -196,16 +185,16 @@ def _gap(ax: Any, found: Diagnosis, site: SiteData, inside: slice, channel: str)
 
 
 def candidates_picture(found: Diagnosis, path: Path) -> None:
-    """Adjusted p and detectable size of every candidate."""
-    known = [t for t in found.family.tests if t.name in found.facts]
-    tests = sorted(known, key=lambda t: (-t.p_adjusted, t.score.statistic))
-    figure = Figure(figsize=(8.4, 0.28 * max(len(tests), 4) + 1.2), layout="constrained")
+    """Probability and detectable size of every candidate."""
+    effects = sorted(found.effects.items(), key=lambda item: item[1])
+    figure = Figure(figsize=(8.4, 0.28 * max(len(effects), 4) + 1.2), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
-    names = [t.name for t in tests]
-    color = ["#d55e00" if t.p_adjusted < 0.05 else "#9aa5b1" for t in tests]
-    left.barh(names, [-np.log10(max(t.p_adjusted, 10.0**-_MOST_DECADES)) for t in tests], color=color)
-    left.axvline(-np.log10(0.05), color="#22303c", lw=0.8, ls="--")
-    left.set_xlabel(f"-log10 of adjusted p\n(dashed: 0.05; {_MOST_DECADES:g}: or more)")
+    names = [name for name, _ in effects]
+    color = ["#d55e00" if p >= decisions.CREDIBLE else "#9aa5b1" for _, p in effects]
+    left.barh(names, [p for _, p in effects], color=color)
+    left.axvline(decisions.CREDIBLE, color="#22303c", lw=0.8, ls="--")
+    left.set_xlim(0.0, 1.0)
+    left.set_xlabel(f"probability that it is missing\n(dashed: {decisions.CREDIBLE:g})")
     spots = {spot.name: spot for spot in found.blind_spots}
     sizes = [min(spots[n].detectable_times_typical, _MOST_SIZES) if n in spots else np.nan for n in names]
     right.barh(names, sizes, color="#56b4e9")
@@ -220,13 +209,13 @@ def candidates_picture(found: Diagnosis, path: Path) -> None:
 
 def sizes_of(forward_model: SiteForwardModel, site: SiteData) -> dict[str, list[Slot]]:
     """Size parameters of every effect; those of this site where each measurement has a separate parameter."""
-    here = [each.site.name for each in forward_model.sites].index(site.name)
+    here = [each.site.name for each in forward_model.predictions.sites].index(site.name)
     return {
         name: [
-            slot for slot in forward_model.slots((name,))
+            slot for slot in forward_model.predictions.slots((name,))
             if not slot.parameter.shape and slot.site in (None, here)
         ]
-        for name in forward_model.effects
+        for name in forward_model.predictions.effects
     }  # fmt: skip
 
 
@@ -238,9 +227,7 @@ def sizes_picture(found: Diagnosis, sizes: Mapping[str, Sequence[Slot]], path: P
     """
     rows = [
         (f"{name}: {slot.name}",
-         _in_plausible_sizes(
-             slot.parameter, value_ends(slot, found.sizes[name], found.refitted_sizes.get(name))
-         ))
+         _in_plausible_sizes(slot.parameter, found.sizes[name][slot.name]))
         for name, mine in sizes.items() if name in found.sizes
         for slot in mine if slot.name in found.sizes[name]
     ]  # fmt: skip
@@ -269,8 +256,3 @@ def _in_plausible_sizes(p: Parameter, ends: tuple[float, float]) -> tuple[float,
     low, high = (float(np.clip(x, p.low, p.high) - p.null) for x in ends)
     first, last = sorted((low / (p.typical - p.null), high / (p.typical - p.null)))
     return first, last
-
-
-def _z_rms(found: Diagnosis, test: str) -> float | None:
-    z = found.held_out_z.get(test.removeprefix(PREFIX))
-    return z[0] if z else None

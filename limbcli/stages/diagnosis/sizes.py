@@ -9,14 +9,13 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from limbcli.diagnostics.conclusions.effect_sizes import RefittedSizes
 from limbcli.effects import poroelasticity
 from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
 
 Interval = tuple[float | None, float | None]
 Sizes = dict[str, dict[str, Interval]]
 _Turn = Callable[[float, float], float]
-_NONE: Mapping[str, RefittedSizes] = {}
+_ON_BOUND = 0.01  # distance from a bound, as a fraction of the range, from which an interval is open there
 
 
 def _same(value: float, c_kpa: float) -> float:
@@ -77,52 +76,29 @@ _REPORTED: Mapping[str, tuple[str, _Turn]] = {
 }
 
 
-def value_ends(
-    slot: Slot, found: Mapping[str, tuple[float, float]], refitted: RefittedSizes | None
-) -> tuple[float, float]:
-    """The interval of a parameter's value: the union of the first-order one and that of its effect's refit.
-
-    The first-order interval reaches further from null if the effect saturates (`Parameter.saturates`); it is
-    infinite where the parameter is not in `found`. An infinite end is replaced by that of the refit, if any.
-    """
-    low, high = found.get(slot.name, (-np.inf, np.inf))
-    ends = slot.parameter.from_proportional(low), slot.parameter.from_proportional(high)
-    if refitted is None or slot.name not in refitted.intervals:
-        return ends
-    low, high = refitted.intervals[slot.name]
-    return (
-        min(low, ends[0]) if np.isfinite(ends[0]) else low,
-        max(high, ends[1]) if np.isfinite(ends[1]) else high,
-    )
-
-
 def reported_sizes(
-    slots: Mapping[str, Sequence[Slot]], found: Mapping[str, Mapping[str, tuple[float, float]]], c_kpa: float,
-    refitted: Mapping[str, RefittedSizes] = _NONE,
-) -> Sizes:  # fmt: skip
+    slots: Mapping[str, Sequence[Slot]], found: Mapping[str, Mapping[str, tuple[float, float]]], c_kpa: float
+) -> Sizes:
     """Intervals with the names and units in which they are reported; None: open on that side.
 
-    slots : for every effect, its size parameters
-    found : by effect and parameter, the first-order interval of the distance from the null value; missing
-        effects are open
-    refitted : by effect, its refit with values and intervals; c_kpa : used for effects that were not refitted
+    slots : for every effect, its size parameters; found : by effect and parameter, the interval of its value;
+        missing effects are open
+    c_kpa : of the tissue, for sizes relative to it
     """
     sizes: Sizes = {}
     for name, mine in slots.items():
         row: dict[str, Interval] = {}
-        again = refitted.get(name)
-        c = c_kpa if again is None else again.values["c_kpa"]
         for slot in mine:
             p = slot.parameter
-            ends = value_ends(slot, found.get(name, {}), again)
-            open_ends = ends[0] <= p.low and p.null > p.low, ends[1] >= p.high and p.null < p.high
-            inside = [float(np.clip(each, p.low, p.high)) for each in ends]
+            ends = found.get(name, {}).get(slot.name, (p.low, p.high))
+            near = _ON_BOUND * (p.high - p.low)
+            open_ends = ends[0] <= p.low + near and p.null > p.low, ends[1] >= p.high - near and p.null < p.high
             label, turn = _REPORTED.get(p.name, (p.name, _same))
             values: list[float | None] = [
-                None if is_open or not np.isfinite(turned := turn(each, c)) else turned
-                for each, is_open in zip(inside, open_ends, strict=True)
+                None if is_open or not np.isfinite(turned := turn(each, c_kpa)) else turned
+                for each, is_open in zip(ends, open_ends, strict=True)
             ]
-            if turn(1.0, c) > turn(2.0, c):
+            if turn(1.0, c_kpa) > turn(2.0, c_kpa):
                 values.reverse()
             row[label] = (values[0], values[1])
         sizes[name] = row

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -46,8 +45,8 @@ def write_diagnosed(
             "does not (limbcli mesh without layers)"
         )
         return
-    fitted = replace(found.final, values={**found.final.values, **found.estimates.values})
-    curves, reading = forward_model.curves_of(fitted, number)
+    fitted = found.final
+    curves, reading = forward_model.predictions.curves_of(fitted, number)
     depth = true_depth(curves, mine.curves.site.protocol.depth, reading)
     depths = [float(d) for d in probe_depths(curves, depth, reading) if d > 2 * least_level()]
     meshed = load_model(path)
@@ -56,10 +55,10 @@ def write_diagnosed(
     penalty = contact_penalty(mine.site, out)
     model = indentation_model(meshed, plan, c=c, f_kappa=F_KAPPA, m=fitted.values["m"])
     model = with_penalty(model, penalty)
-    theta = forward_model.theta(fitted.values, fitted.explanation, number)
+    theta = forward_model.predictions.theta(fitted.values, fitted.explanation, number)
     added = []
-    for name, point in zip(fitted.explanation, forward_model.points(fitted), strict=True):
-        each = forward_model.effects[name]
+    for name, point in zip(fitted.explanation, forward_model.predictions.points(fitted), strict=True):
+        each = forward_model.predictions.effects[name]
         added.append((each, {**each.null, **theta, **each.without_onset(point)}))
         if point.get(each.onset, 0.0) > 0.0:
             writer.warnings.append(

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from limbcli.diagnostics import thresholds
+from limbcli.diagnostics import decisions
 from limbcli.effects.curves import Curves, force_at
 from limbcli.effects.reading import Reading, borne_at_zero, true_depth
 from limbcli.measurement.indentation import Levels, Trace
@@ -28,6 +28,7 @@ _DEPTH_SHARE = 0.05  # the same for a depth record, whose steps vary more in siz
 # depth is steady: in very stiff tissue a step is smaller than the depth's reading error. Relaxation is less
 # steep.
 _FORCE_SHARE = 0.4
+_RAMP_SD = 5.0  # slope in standard deviations of its own noise from which it counts as a ramp
 _PAUSE_S, _PAUSE_SAMPLES = 1.0, 5.0  # s, sampling intervals: longer gaps are pauses, with unknown motion
 _MOVED_SHARE = 0.15  # relative error of the force change that movement within a hold explains
 _FIRST_S = 0.5  # s, first period of a hold whose mean force is used
@@ -148,7 +149,7 @@ def held_forces(trace: Trace, levels: Levels) -> tuple[HeldForces | None, str]:
     )
     if not recorded:
         fallen = float(np.sum(found.y) / np.sqrt(np.sum(found.covariance)))
-        if fallen < thresholds.FALLEN_SD:
+        if fallen < decisions.FALLEN_SD:
             return None, "the record has no depth, and its force is steady: it may have been held by hand"
     return found, ""
 
@@ -158,7 +159,7 @@ def is_steady(signal: Array, *, share: float = _RAMP_SHARE) -> NDArray[np.bool_]
     slope = np.abs(np.gradient(signal))
     noise = 1.4826 * float(np.median(slope))
     slope = np.maximum(slope, np.maximum(np.roll(slope, 1), np.roll(slope, -1)))
-    limit = max(share * float(np.quantile(slope, 0.98)), thresholds.RAMP_SD * noise)
+    limit = max(share * float(np.quantile(slope, 0.98)), _RAMP_SD * noise)
     return np.asarray(slope <= limit)
 
 

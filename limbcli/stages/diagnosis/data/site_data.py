@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.case import StatedNoise
-from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.model.forward_model import Data
 from limbcli.diagnostics.model.noise import Noise, common
 from limbcli.effects.curves import Curves, depth_at, force_at
@@ -50,6 +49,7 @@ from limbcli.stages.site_model.layer_readings import LayerReadings
 
 USUAL_THICKNESS = 25.0  # mm, assumed tissue thickness where the beam meets no bone
 _STRAIN_STEP = 0.01  # relative step of the derivative with respect to all strains
+_DEPTH_OUTLIER_SD = 4.0  # largest error of a depth reading that is corrected, in its standard deviations
 _LEAST_N = 0.2  # N, smallest force from which a depth is determined
 
 
@@ -146,7 +146,7 @@ class SiteData:
             each[loading] for each in (self.protocol.force, self.protocol.depth, self.protocol.hold)
         )
         smooth = SmoothDepth.through(Protocol(force, depth, hold)).at(self.protocol.force)
-        most = thresholds.DEPTH_OUTLIER_SD * self.depth_error
+        most = _DEPTH_OUTLIER_SD * self.depth_error
         off = np.clip(smooth - self.protocol.depth, -most, most)
         return np.where(loading & (self.protocol.depth > 0), off, found)
 
@@ -159,7 +159,7 @@ class SiteData:
     def _further(self, curves: Curves, reading: Reading) -> Array:
         """Distance (n_levels,) in mm from the depth read to that at which the model has the measured force.
 
-        Limited to `DEPTH_OUTLIER_SD` standard deviations of the depth.
+        Limited to `_DEPTH_OUTLIER_SD` standard deviations of the depth.
         """
         found = np.zeros(len(self.protocol))
         if not len(self.slope) or self.depth_error <= 0:
@@ -173,7 +173,7 @@ class SiteData:
         if not known.any():
             return found
         there = depth_at(curves, elastic[known] * wanted[known] / borne[known])
-        most = thresholds.DEPTH_OUTLIER_SD * self.depth_error
+        most = _DEPTH_OUTLIER_SD * self.depth_error
         found[known] = np.clip((there - depth[known]) / reading.depth_gain, -most, most)
         return found
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.atomic_files import atomic_file
-from limbcli.diagnostics import thresholds
+from limbcli.diagnostics import decisions
 from limbcli.effects import poroelasticity
 from limbcli.effects.base import Effect
 from limbcli.effects.drainage import Drainage, HeldIndentation
@@ -87,7 +87,7 @@ def drained(
             fallen = held.fallen(simulations.curves(USUAL_M))
         except LimbError as error:
             return Drained(refused=error)
-        if fallen < thresholds.FALLEN_SD:
+        if fallen < decisions.FALLEN_SD:
             return Drained(refused=_nothing_falls(fallen))
     depths = [round(share * deepest, 2) for share in SHARES_OF_DEPTH]
     runs = _Runs(solver.solver, simulations.model, simulations.c, USUAL_M, keep, progress)

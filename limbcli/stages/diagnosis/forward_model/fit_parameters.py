@@ -8,9 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from limbcli.diagnostics import thresholds
+from limbcli.diagnostics.model.priors import Prior
 from limbcli.effects.base import Effect, Parameter
 from limbcli.model import Array
+
+_ON_BOUND = 1e-3  # distance from a bound, as a fraction of the range, within which a parameter is on it
+ROOMY = 1.5  # standard deviation of the prior of a size, in plausible sizes
 
 
 @dataclass(frozen=True)
@@ -21,11 +24,19 @@ class Slot:
     parameter: Parameter
     site: int | None = None
 
+    @property
+    def prior(self) -> Prior:
+        """Normal about null, as wide as `ROOMY` plausible sizes; uniform for a shape."""
+        p = self.parameter
+        if p.shape:
+            return Prior.uniform(p.low, p.high)
+        return Prior(p.null, ROOMY * max(abs(p.typical - p.null), 1e-9), p.low, p.high)
+
 
 def stuck(x: Array, slots: Sequence[Slot]) -> NDArray[np.bool_]:
     """Mask (n,) of effect parameters on a bound, which cannot follow the data."""
     low, high = (np.array([getattr(slot.parameter, side) for slot in slots]) for side in ("low", "high"))
-    near = thresholds.ON_BOUND * (high - low)
+    near = _ON_BOUND * (high - low)
     return np.asarray((x[2:] - low < near) | (high - x[2:] < near), dtype=bool)
 
 
@@ -60,13 +71,13 @@ def bound_hits(x: Array, slots: Sequence[Slot], effects: Collection[Effect]) -> 
             for n, other in enumerate(slots)
         ):
             continue  # another size of the effect is off its bounds, so the effect is present
-        if abs(value - p.null) > thresholds.ON_BOUND * (p.high - p.low):
+        if abs(value - p.null) > _ON_BOUND * (p.high - p.low):
             if p.natural_bounds:
                 continue
             found.append(_beyond(slot, "higher", p.high) if value > p.null else _beyond(slot, "lower", p.low))
         elif all(
             abs(x[2 + n] - other.parameter.null)
-            <= thresholds.ON_BOUND * (other.parameter.high - other.parameter.low)
+            <= _ON_BOUND * (other.parameter.high - other.parameter.low)
             for n, other in enumerate(slots)
             if not other.parameter.shape and _same_effect(slot, other, effects)
         ):

@@ -15,7 +15,7 @@ from limbcli.model import Array
 from limbcli.stages.diagnosis.data.noise import SmoothDepth, maps_model_error, smooth_model_error
 from limbcli.stages.diagnosis.data.rows import ExtraMeasurement
 from limbcli.stages.diagnosis.data.site_data import USUAL_THICKNESS, SiteData
-from limbcli.stages.diagnosis.forward_model.fits import Fits
+from limbcli.stages.diagnosis.forward_model.predictions import Predictions
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 
 See = Callable[[Curves, Reading, Protocol], Array]
@@ -107,16 +107,21 @@ def known(given: Mapping[str, float]) -> list[ExtraMeasurement]:
 _NOTHING = Protocol(np.zeros(1), np.zeros(1), np.zeros(1))
 
 
-def menu(forward_model: Fits, fits: Sequence[Fitted]) -> list[Proposal]:
-    """Proposals of measurements not made yet, with the prediction of each of these fits."""
-    has = {channel for each in forward_model.sites for channel in _there(each.site)}
+def menu(
+    predictions: Predictions, fits: Sequence[Fitted], turned: Callable[[], SiteCurves] | None = None
+) -> list[Proposal]:
+    """Proposals of measurements not made yet, with the prediction of each of these fits.
+
+    turned : gives the curves with the probe turned by 90 degrees
+    """
+    has = {channel for each in predictions.sites for channel in _there(each.site)}
     open_items = [item for item in items() if item.instead_of not in has and item.name not in has]
-    if any(forward_model.site.protocol.unloading):
+    if any(predictions.site.protocol.unloading):
         open_items = [item for item in open_items if item.name != "unload"]
-    found = [_proposal(forward_model, fits, item) for item in open_items]
+    found = [_proposal(predictions, fits, item) for item in open_items]
     # Only for single effects: combinations would each need a simulation of the turned model.
-    if len(forward_model.sites) == 1 and any(fit.explanation == (name,) for fit in fits for name in _TURNS):
-        found += _rotated(forward_model, fits)
+    if len(predictions.sites) == 1 and any(fit.explanation == (name,) for fit in fits for name in _TURNS):
+        found += _rotated(predictions, fits, turned)
     return [each for each in found if all(np.all(np.isfinite(v)) for v in each.predictions.values())]
 
 
@@ -184,26 +189,26 @@ def _unloaded(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
 # ---------------------------------------------------------------- at one site
 
 
-def _proposal(forward_model: Fits, fits: Sequence[Fitted], item: Item) -> Proposal:
+def _proposal(predictions: Predictions, fits: Sequence[Fitted], item: Item) -> Proposal:
     predictions, jacobians = {}, {}
     for fitted in fits:
-        value, jacobian = _seen(forward_model, fitted, forward_model.sites[0], item.see)
+        value, jacobian = _seen(predictions, fitted, predictions.sites[0], item.see)
         predictions[fitted.explanation], jacobians[fitted.explanation] = value, jacobian
     size = len(next(iter(predictions.values())))
-    covariance = np.diag(item.deviation(forward_model.site.protocol, size) ** 2)
+    covariance = np.diag(item.deviation(predictions.site.protocol, size) ** 2)
     if item.model_error is not None:
-        covariance = covariance + item.model_error(forward_model.sites[0])
+        covariance = covariance + item.model_error(predictions.sites[0])
     return Proposal(item.name, item.sentence, predictions, jacobians, covariance)
 
 
-def _seen(forward_model: Fits, fitted: Fitted, where: SiteCurves, see: See) -> tuple[Array, Array]:
+def _seen(predictions: Predictions, fitted: Fitted, where: SiteCurves, see: See) -> tuple[Array, Array]:
     """Prediction of the proposed measurement at a fit, and its Jacobian with the columns of the fit's."""
-    points = forward_model.points(fitted)
+    points = predictions.points(fitted)
     x = [np.log(fitted.values["c_kpa"] / 1e3), np.log(fitted.values["m"])]
     x += [fitted.values[name] for name in fitted.effect_names]
 
     def at(values: Array) -> Array:
-        theta = forward_model.theta(
+        theta = predictions.theta(
             dict(zip(fitted.effect_names, values[2:].tolist(), strict=True)), fitted.explanation, 0
         )
         c, m = float(np.exp(values[0])), float(np.exp(values[1]))
@@ -224,38 +229,40 @@ def _seen(forward_model: Fits, fitted: Fitted, where: SiteCurves, see: See) -> t
 # ---------------------------------------------------------------- another orientation
 
 
-def _rotated(forward_model: Fits, fits: Sequence[Fitted]) -> list[Proposal]:
+def _rotated(
+    predictions: Predictions, fits: Sequence[Fitted], turned: Callable[[], SiteCurves] | None
+) -> list[Proposal]:
     """Proposal to repeat the whole measurement at the same place with the probe turned by 90 degrees."""
-    if forward_model.turned is None:
+    if turned is None:
         return []
     try:
-        turned = forward_model.turned()
+        other = turned()
     except LimbError:
         return []
     predictions, jacobians = {}, {}
-    unknown = np.zeros((len(turned.site.data),) * 2)
+    unknown = np.zeros((len(other.site.data),) * 2)
     for fitted in fits:
-        value, jacobian = _turned(forward_model, fitted, turned)
+        value, jacobian = _turned(predictions, fitted, other)
         first = jacobian.shape[1] - len(fitted.effect_names)
-        for k, slot in enumerate(forward_model.slots(fitted.explanation)):
-            effect = next(e for e in forward_model.effects.values() if slot.parameter in e.parameters)
+        for k, slot in enumerate(predictions.slots(fitted.explanation)):
+            effect = next(e for e in predictions.effects.values() if slot.parameter in e.parameters)
             if effect.each_time:  # its size differs in every measurement and is unknown in the next
                 size = slot.parameter.typical - slot.parameter.null
                 unknown += np.outer(jacobian[:, first + k], jacobian[:, first + k]) * size**2
                 jacobian[:, first + k] = 0.0
         predictions[fitted.explanation], jacobians[fitted.explanation] = value, jacobian
-    covariance = turned.site.data.noise.covariance + unknown
+    covariance = other.site.data.noise.covariance + unknown
     sentence = "measure the same place again with the probe turned by 90 degrees"
     return [Proposal(ROTATE, sentence, predictions, jacobians, covariance)]
 
 
-def _turned(forward_model: Fits, fitted: Fitted, turned: SiteCurves) -> tuple[Array, Array]:
+def _turned(predictions: Predictions, fitted: Fitted, turned: SiteCurves) -> tuple[Array, Array]:
     """Prediction of the turned measurement by a fit, without effects whose size differs in every
     measurement."""
     values = dict(fitted.values)
-    for slot in forward_model.slots(fitted.explanation):
-        effect = next(e for e in forward_model.effects.values() if slot.parameter in e.parameters)
+    for slot in predictions.slots(fitted.explanation):
+        effect = next(e for e in predictions.effects.values() if slot.parameter in e.parameters)
         if effect.each_time:
             values[slot.name] = slot.parameter.null
     absent = replace(fitted, values=values)
-    return _seen(forward_model, absent, turned, lambda c, r, p: turned.site.predict(c, r))
+    return _seen(predictions, absent, turned, lambda c, r, p: turned.site.predict(c, r))

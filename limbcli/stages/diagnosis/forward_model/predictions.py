@@ -10,16 +10,18 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from limbcli.diagnostics.conclusions.estimates import LN_M_DEVIATION, USUAL_M
 from limbcli.diagnostics.model.forward_model import Data, Explanation, Fitted
 from limbcli.diagnostics.model.linear import Whitener
+from limbcli.diagnostics.model.priors import Prior
 from limbcli.effects.base import Effect, Theta
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Reading
-from limbcli.errors import SolveError
+from limbcli.errors import FitError, SolveError
 from limbcli.model import Array
 from limbcli.stages.diagnosis.data.joint import joined
 from limbcli.stages.diagnosis.data.site_data import SiteData
-from limbcli.stages.diagnosis.forward_model.changes import CurveSource
+from limbcli.stages.diagnosis.forward_model.changes import CurveSource, only_febio
 from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 
@@ -37,7 +39,11 @@ def held_points(effect: Effect) -> list[Theta]:
 
 
 class Predictions:
-    """Predictions for sites that share the tissue and the candidate effects."""
+    """Predictions for sites that share the tissue and the candidate effects, their data, and the priors of what is
+    fitted.
+
+    whiten : of the data's noise, as fits weight it
+    """
 
     def __init__(self, sites: Sequence[SiteCurves]):
         self.sites = tuple(sites)
@@ -105,7 +111,7 @@ class Predictions:
             chosen.append(match[0] if match else held[0])
         return chosen
 
-    def _x_of(self, fitted: Fitted) -> Array:
+    def x_of(self, fitted: Fitted) -> Array:
         """Parameter vector of a fit, as for `predict`."""
         values = fitted.values
         sizes = [values[slot.name] for slot in self.slots(fitted.explanation)]
@@ -141,7 +147,7 @@ class Predictions:
             one.reading(c, fitted.explanation, theta, points),
         )
 
-    def _jacobian(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
+    def jacobian(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
         parameters = [slot.parameter for slot in self.slots(explanation)]
         sizes = [1.0, 1.0, *(p.step for p in parameters)]
         columns = []
@@ -172,6 +178,42 @@ class Predictions:
             sides[0.0] = self.predict(x, explanation, points)
         upper, lower = max(sides), min(sides)
         return np.asarray((sides[upper] - sides[lower]) / (upper - lower))
+
+    def priors(self, explanation: Explanation) -> tuple[Prior, ...]:
+        """Priors of ln c, ln m, and the effects' parameters."""
+        low, high = self.bounds(())
+        return (
+            Prior.uniform(float(low[0]), float(high[0])),
+            Prior(float(np.log(USUAL_M)), LN_M_DEVIATION, float(low[1]), float(high[1])),
+            *(slot.prior for slot in self.slots(explanation)),
+        )
+
+    def check_channels(self, explanation: Explanation) -> None:
+        """
+        Raises
+        ------
+        FitError, SolveError
+            If an effect requires data that were not measured, a bone, or FEBio.
+        """
+        has = {channel for each in self.sites for channel in each.site.channels}
+        has |= {"bone"} if all(each.has_bone for each in self.sites) else set()
+        for name in explanation:
+            for each in self.sites:
+                if name in each.refused:
+                    raise each.refused[name]
+            if self.effects[name].febio_only:
+                raise only_febio(self.effects[name])
+            lacking = [each for each in self.effects[name].needs if each not in has]
+            if "bone" in lacking:
+                raise FitError(
+                    "it requires a bone under the probe, where the model has none", where=f"effect {name}",
+                    fix="check the site's position and the bones' surfaces",
+                )  # fmt: skip
+            if lacking:
+                raise FitError(
+                    f"it requires data that were not measured: {', '.join(lacking)}", where=f"effect {name}",
+                    fix="measure it; see the next measurement",
+                )  # fmt: skip
 
     def bounds(self, explanation: Explanation) -> tuple[Array, Array]:
         parameters = [slot.parameter for slot in self.slots(explanation)]

@@ -1,33 +1,38 @@
 """The diagnosis' forward model: fits and sensitivities of one site, or of several measurements of one place.
 
-Fits run on each site's surrogate. After a refit, the model with the fitted effect is simulated, the surrogate
-is corrected to the result and the fit is repeated; the reported numbers come from this fit.
+Fits run on each site's surrogate. A likely explanation is simulated at its fit, the surrogate is corrected to the
+result and the fit is repeated; the reported numbers come from this fit.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from limbcli.diagnostics import thresholds
-from limbcli.diagnostics.model.estimates import Conditional, Reported, reported
-from limbcli.diagnostics.model.forward_model import Direction, Explanation, Facts, Fitted, Proposal
-from limbcli.diagnostics.model.linear import Whitener
-from limbcli.diagnostics.model.noise_scale import likeliest_share
+from limbcli.diagnostics.evidence.laplace import posterior
+from limbcli.diagnostics.model.forward_model import (
+    Data,
+    Direction,
+    Explanation,
+    Facts,
+    Fitted,
+    Proposal,
+    Scalable,
+)
+from limbcli.diagnostics.model.priors import Prior
 from limbcli.effects.base import Effect, Theta, point_name
-from limbcli.errors import FitError, LimbError, SolveError
+from limbcli.errors import LimbError, SolveError
 from limbcli.model import Array
 from limbcli.stages.diagnosis.curves.site_simulations import FIRST_M
 from limbcli.stages.diagnosis.data.noise import BESIDE, IN_MAPS, LEAST_BESIDE, LEAST_IN_MAPS
-from limbcli.stages.diagnosis.forward_model.changes import only_febio
 from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
 from limbcli.stages.diagnosis.forward_model.fits import Fits
 from limbcli.stages.diagnosis.forward_model.measurement_menu import menu
-from limbcli.stages.diagnosis.forward_model.predictions import M_BOUNDS, held_points
-from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
-from limbcli.units import kpa_from_mpa
+from limbcli.stages.diagnosis.forward_model.predictions import Predictions, held_points
+from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves, label
 
 _SETTLED, _BEYOND = 0.1, 0.1  # largest distance in ln m from the nearest, and the largest, solved m
 _MAX_NODES = 5  # largest number of solved values of m
@@ -36,41 +41,43 @@ _STAYS = 0.1  # change of the prediction, in standard deviations, below which a 
 _MOST_POINTS, _TRIED_FULLY = 60, 2  # combinations of grid points that are tried at all, and fitted fully
 
 
-class SiteForwardModel(Fits):
+class SiteForwardModel:
     """Forward model of one site, or of several sites that share the tissue.
 
+    turned : gives the curves with the probe turned by 90 degrees, where these can be simulated
     not_simulated : explanations whose fit was not simulated because the work budget was used up
     shares : by noise part, the estimated fraction of its assumed size (`settle_noise`)
     """
 
-    not_simulated: set[Explanation]
-    shares: dict[str, float]
-
     def __init__(self, sites: Sequence[SiteCurves], *, verify: bool = True):
         """sites : with the same candidate effects; verify : simulate fitted models"""
-        super().__init__(sites)
-        self.verify, self.not_simulated, self.shares = verify, set(), {}
+        self.predictions = Predictions(sites)
+        self.fits = Fits(self.predictions)
+        self.verify = verify
+        self.turned: Callable[[], SiteCurves] | None = None
+        self.not_simulated: set[Explanation] = set()
+        self.shares: dict[str, float] = {}
 
     def settle_noise(self) -> None:
-        """Take the error of all strains along the fit without effects, and estimate the model errors in maps,
-        near parts that are not shown and elsewhere, from that fit.
+        """Take the error of all strains along the fit without effects, and start from the sizes of the model errors in
+        maps that are most probable with that fit.
 
         Raises
         ------
         SolveError, FitError
             If that fit fails.
         """
-        self.strain_along(self.fit((), {}))
-        for name, least in ((BESIDE, LEAST_BESIDE), (IN_MAPS, LEAST_IN_MAPS)):
-            if name not in self.data.noise.names:
-                continue
-            base = self.fit((), {})
-            off = self.data.y - base.prediction
-            share = likeliest_share(off, base.jacobian, self.data.noise, name, least=least)
-            self.shares[name] = share
-            self.allow_for(name, share)
+        self.predictions.strain_along(self.fit((), {}))
+        found = posterior(self.fit((), {}), self.data.y, self.data.noise, self.scalable)
+        self.shares = dict(found.shares)
+        for name, share in self.shares.items():
+            self.predictions.allow_for(name, share)
 
     # ------------------------------------------------------------ the contract
+
+    @property
+    def data(self) -> Data:
+        return self.predictions.data
 
     @property
     def candidates(self) -> Sequence[Facts]:
@@ -78,50 +85,47 @@ class SiteForwardModel(Fits):
             Facts(
                 e.name, e.sentence, e.kind,
                 {
-                    s.name: s.parameter.proportional(s.parameter.typical)
-                    for s in self.slots((e.name,)) if not s.parameter.shape
+                    s.name: s.parameter.typical - s.parameter.null
+                    for s in self.predictions.slots((e.name,)) if not s.parameter.shape
                 },
                 simulated=e.solves,
             )
-            for e in self.effects.values()
+            for e in self.predictions.effects.values()
         ]  # fmt: skip
 
     @property
-    def interval_widening(self) -> float:
-        return thresholds.MAP_INTERVAL_FACTOR if IN_MAPS in self.data.noise.names else 1.0
+    def scalable(self) -> Sequence[Scalable]:
+        """The model errors in maps, whose size a site's data tell; relative to the sizes that fits use."""
+        return [
+            Scalable(name, least / self.shares.get(name, 1.0), 1.0 / self.shares.get(name, 1.0))
+            for name, least in ((BESIDE, LEAST_BESIDE), (IN_MAPS, LEAST_IN_MAPS))
+        ]
+
+    def size_priors(self, name: str) -> Mapping[str, Prior]:
+        return {slot.name: slot.prior for slot in self.predictions.slots((name,)) if not slot.parameter.shape}
 
     def fit(self, explanation: Explanation, start: Mapping[str, float]) -> Fitted:
-        """Least-squares fit of c, m and the effects' parameters; the best over the effects' grid points."""
+        """Fit of c, m and the effects' parameters; the best over the effects' grid points."""
         if not explanation:
             return self._fit_base()
-        self._check_channels(explanation)
-        effects = [self.effects[name] for name in explanation]
+        self.predictions.check_channels(explanation)
+        effects = [self.predictions.effects[name] for name in explanation]
         # With several effects none has a late onset: a free step and another effect can fit almost any
         # residual.
         grids = [held_points(e)[:1] if e.onset and len(effects) > 1 else held_points(e) for e in effects]
         combinations: list[Sequence[Theta]] = list(itertools.islice(itertools.product(*grids), _MOST_POINTS))
+        deviances: dict[str, float] = {}
         if len(combinations) > _TRIED_FULLY:
             quick = self._each(explanation, combinations, start, thorough=False)
+            deviances = {label(points): deviance for deviance, points, _ in quick}
             combinations = [points for _, points, _ in quick[:_TRIED_FULLY]]
-        deviance, points, fitted = self._each(explanation, combinations, start, thorough=True)[0]
+        found = self._each(explanation, combinations, start, thorough=True)
+        deviance, points, fitted = found[0]
         if self._reaches(fitted.values["m"]):
-            deviance, fitted = self.best_fit(explanation, points, start)
-        return self.plausible(fitted, deviance, points)
-
-    def reported(self, fitted: Fitted, *, scale: float = 1.0, besides: Array | None = None) -> Reported:
-        """Values and intervals from the profile over m; those of c and m are widened where maps determine
-        them (`thresholds.MAP_INTERVAL_FACTOR`)."""
-        whiten = self.whiten if besides is None else Whitener.of(self.data.noise.covariance + besides)
-
-        def walk(m: float, start: Mapping[str, float]) -> Conditional:
-            return self.at(fitted, m, start, whiten)
-
-        found = reported(walk, fitted.values, M_BOUNDS, scale=scale)
-        ln_low, ln_high = (float(each[0]) for each in self.bounds(()))
-        limits = {s.name: (s.parameter.low, s.parameter.high) for s in self.slots(fitted.explanation)}
-        limits["c_kpa"] = kpa_from_mpa(np.exp(ln_low)), kpa_from_mpa(np.exp(ln_high))
-        limits["m"] = M_BOUNDS
-        return found.widened(self.interval_widening).within(limits)
+            deviance, fitted = self.fits.best(explanation, points, start)
+        deviances |= {label(each): value for value, each, _ in found}
+        likely = np.mean(np.exp(-0.5 * np.maximum(np.array(list(deviances.values())) - deviance, 0.0)))
+        return replace(fitted, ln_points=float(np.log(likely)))
 
     def verified(self, fitted: Fitted) -> Fitted:
         """Simulate the fitted model, correct the surrogate there and fit again, until the fit converges.
@@ -130,33 +134,30 @@ class SiteForwardModel(Fits):
         budget is used up. If it does not converge, it moves to where the surrogate is wrong; the best
         simulated parameters are then returned.
         """
-        explanation = fitted.explanation
-        solves = any(self.effects[name].solves for name in explanation)
-        if not self.verify or not solves or fitted.at_bound:
+        explanation, predict = fitted.explanation, self.predictions
+        if not self.verify or not any(predict.effects[name].solves for name in explanation):
             return fitted
-        if any(each.simulations.spent for each in self.sites):
+        if any(each.simulations.spent for each in predict.sites):
             self.not_simulated.add(explanation)
             return fitted
-        points, solved = self.points(fitted), []
+        points, solved, ln_points = predict.points(fitted), [], fitted.ln_points
         for _ in range(_MOST_REPAIRS if len(explanation) == 1 else 2):
-            x = self._x_of(fitted)
+            x = predict.x_of(fitted)
             x[1] = np.log(round(fitted.values["m"], 4))
-            for k, each in enumerate(self.sites):
-                theta = self.theta(fitted.values, explanation, k)
-                each.repair(float(np.exp(x[1])), explanation, theta, points)
-            before = self.predict(x, explanation, points)
-            solved.append((float(np.sum(self._off(x, explanation, points) ** 2)), x))
+            for k, each in enumerate(predict.sites):
+                each.repair(float(np.exp(x[1])), explanation, predict.theta(fitted.values, explanation, k), points)
+            before = predict.predict(x, explanation, points)
+            solved.append((float(np.sum(self.fits.off(x, explanation, points) ** 2)), x))
             best = min(solved, key=lambda each: each[0])
-            deviance, fitted = self.best_fit(explanation, points, {}, besides=[best[1]])
-            fitted = self.plausible(fitted, deviance, points)
+            _, fitted = self.fits.best(explanation, points, {}, besides=[best[1]])
             if np.max(np.abs(fitted.prediction - before) / self.data.deviation) < _STAYS:
-                return fitted
-        return self._fitted(best[1], explanation, points)
+                return replace(fitted, ln_points=ln_points)
+        return replace(self.fits.fitted(best[1], explanation, points), ln_points=ln_points)
 
     def directions(self, fitted: Fitted, name: str) -> Sequence[Direction]:
-        effect = self.effects[name]
-        self._check_channels((name,))
-        slots = [slot for slot in self.slots((name,)) if not slot.parameter.shape]
+        effect = self.predictions.effects[name]
+        self.predictions.check_channels((name,))
+        slots = [slot for slot in self.predictions.slots((name,)) if not slot.parameter.shape]
         found, problem = [], None
         for point in effect.grid:
             try:
@@ -174,17 +175,17 @@ class SiteForwardModel(Fits):
         return found
 
     def proposals(self, fits: Sequence[Fitted]) -> Sequence[Proposal]:
-        return menu(self, fits)
+        return menu(self.predictions, fits, self.turned)
 
     # ------------------------------------------------------------
 
     def _column(self, fitted: Fitted, effect: Effect, slot: Slot, point: Theta) -> Array:
         """Sensitivity at the effect's null value by finite differences of the surrogate about the fitted
         model."""
-        p, old = slot.parameter, fitted.explanation
-        points = [*self.points(fitted), effect.held(point)]
+        predict, p, old = self.predictions, slot.parameter, fitted.explanation
+        points = [*predict.points(fitted), effect.held(point)]
         explanation = (*old, effect.name)
-        slots = self.slots(explanation)
+        slots = predict.slots(explanation)
         values = {s.name: s.parameter.null for s in slots} | effect.free(point) | dict(fitted.values)
         x = [np.log(fitted.values["c_kpa"] / 1e3), np.log(fitted.values["m"])]
         x += [values[s.name] for s in slots]
@@ -194,25 +195,26 @@ class SiteForwardModel(Fits):
         up[k] += step
         if not p.sign:
             down[k] -= step
-        for each in self.sites:
+        for each in predict.sites:
             each.inherit(old, points[:-1], explanation, points)
-        moved = self.predict(up, explanation, points) - self.predict(down, explanation, points)
+        moved = predict.predict(up, explanation, points) - predict.predict(down, explanation, points)
         return np.asarray(moved / (up[k] - down[k]))
 
     def _fit_base(self) -> Fitted:
-        for each in self.sites:
+        sites = self.predictions.sites
+        for each in sites:
             each.solve_nodes(FIRST_M)
         for _ in range(_MAX_NODES):
-            fitted = self.best_fit((), (), {})[1]
+            fitted = self.fits.best((), (), {})[1]
             m = fitted.values["m"]
             solved = self._nodes()
             if abs(np.log(self._nearest(m) / m)) < _SETTLED or len(solved) >= _MAX_NODES:
                 break
             if not self._solve_node(float(round(m, 3))):
                 break
-        for each in self.sites:
+        for each in sites:
             each.changes.m = min(each.nodes, key=lambda node: abs(np.log(node / fitted.values["m"])))
-        self.base_end = (fitted.values["c_kpa"] / 1e3, fitted.values["m"])
+        self.fits.tissue = (fitted.values["c_kpa"] / 1e3, fitted.values["m"])
         return fitted
 
     def _reaches(self, m: float) -> bool:
@@ -223,11 +225,11 @@ class SiteForwardModel(Fits):
         return self._solve_node(float(round(m, 3)))
 
     def _solve_node(self, m: float) -> bool:
-        solved = [each.solve_node(m) for each in self.sites]
+        solved = [each.solve_node(m) for each in self.predictions.sites]
         return all(solved)
 
     def _nodes(self) -> set[float]:
-        return set.intersection(*(set(each.nodes) for each in self.sites))
+        return set.intersection(*(set(each.nodes) for each in self.predictions.sites))
 
     def _nearest(self, m: float) -> float:
         return min(self._nodes() or {FIRST_M[0]}, key=lambda node: abs(np.log(node / m)))
@@ -241,7 +243,7 @@ class SiteForwardModel(Fits):
         found, problem = [], None
         for points in combinations:
             try:
-                cost, fitted = self.best_fit(explanation, points, start, thorough=thorough)
+                cost, fitted = self.fits.best(explanation, points, start, thorough=thorough)
             except LimbError as error:
                 problem = error
                 continue
@@ -249,25 +251,3 @@ class SiteForwardModel(Fits):
         if not found and problem is not None:
             raise problem
         return sorted(found, key=lambda each: each[0])
-
-    def _check_channels(self, explanation: Explanation) -> None:
-        has = {channel for each in self.sites for channel in each.site.channels}
-        has |= {"bone"} if all(each.has_bone for each in self.sites) else set()
-        for name in explanation:
-            for each in self.sites:
-                if name in each.refused:
-                    raise each.refused[name]
-            if self.effects[name].febio_only:
-                raise only_febio(self.effects[name])
-            lacking = [each for each in self.effects[name].needs if each not in has]
-            if lacking:
-                if "bone" in lacking:
-                    raise FitError(
-                        "it requires a bone under the probe, where the model has none",
-                        where=f"effect {name}",
-                        fix="check the site's position and the bones' surfaces",
-                    )
-                raise FitError(
-                    f"it requires data that were not measured: {', '.join(lacking)}",
-                    where=f"effect {name}", fix="measure it; see the next measurement",
-                )  # fmt: skip

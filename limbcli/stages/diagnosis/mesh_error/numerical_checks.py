@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.case import Case, Site
-from limbcli.diagnostics import thresholds
+from limbcli.diagnostics import decisions
 from limbcli.effects import Effect, effect
 from limbcli.effects.base import Parameter, Theta
 from limbcli.effects.curves import Curves, depth_at, gaps_filled, log_force_at
@@ -48,6 +48,7 @@ _CUT_LEFT = 0.3
 # The same for holding the far side: a limb hangs freely or is held, one as likely as the other.
 _FAR_SIDE_LEFT = 0.5
 _STIFFNESSES = np.geomspace(0.1, 10.0, 81)  # trial values of c, as multiples of the reference c
+_DOUBTFUL = 0.15  # uncertainty in ln force, as it enters the noise, from which a warning is given
 _STIFFER = 4.0  # factor on f_kappa, towards the incompressible limit
 
 
@@ -212,7 +213,7 @@ class NumericalChecks:
         theirs = Curves(np.r_[0.0, own.depth], np.r_[0.0, own.force], nothing, np.zeros(0))
         linear = replace(working, force=np.r_[0.0, np.exp(log_force_at(theirs, working.depth[1:]))])
         judged = self._judged("locking", linear, working, "tet4 against tet10")
-        if judged.deviations > thresholds.MATTERS_SD:
+        if judged.deviations > decisions.MATTERS_SD:
             self.notes.warnings.append(
                 f"linear elements lock here: the force changes by up to {judged.deviations:.1f} deviations "
                 "with quadratic ones. This is numerical, not the tissue; the diagnosis continues with tet10."
@@ -238,7 +239,7 @@ def large_uncertainty(interventions: Sequence[Intervention]) -> str | None:
     worst = {
         each.name: each.left * float(np.max(np.abs(each.log_force)))
         for each in interventions
-        if each.name != "locking" and each.left * np.max(np.abs(each.log_force)) > thresholds.DOUBTFUL
+        if each.name != "locking" and each.left * np.max(np.abs(each.log_force)) > _DOUBTFUL
     }
     if not worst:
         return None

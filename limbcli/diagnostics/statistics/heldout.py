@@ -7,10 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from limbcli.diagnostics import thresholds
 from limbcli.diagnostics.model.forward_model import Data, Fitted, Mask
 from limbcli.diagnostics.model.linear import Whitener
 from limbcli.model import Array
+
+_TOO_WIDE = 1.0  # ratio of a prediction's standard deviation to that of its reading, above which a block is skipped
 
 
 def held_out_error(data: Data, fitted: Fitted) -> dict[str, float]:
@@ -22,7 +23,7 @@ def held_out_error(data: Data, fitted: Fitted) -> dict[str, float]:
     first order about the full fit, and the block is predicted. The prediction includes the expected value of
     errors that the block shares with the other data: a model cannot predict the gain of a level or a scanner.
     A block is skipped if it contains the data that determine a parameter, so that its prediction from the
-    other data is less precise than its readings (`TOO_WIDE`).
+    other data is less precise than its readings (`_TOO_WIDE`).
     """
     J = fitted.jacobian[:, np.any(fitted.jacobian != 0.0, axis=0)]  # without parameters fixed on a bound
     J = J / np.linalg.norm(J, axis=0)
@@ -36,7 +37,7 @@ def held_out_error(data: Data, fitted: Fitted) -> dict[str, float]:
         of_errors, of_columns, of_residual = np.split(known, [mask.sum(), mask.sum() + J.shape[1]], axis=1)
         normal = J[keep].T @ of_columns
         spread = np.einsum("ij,jk,ik->i", J[mask], np.linalg.pinv(normal, rcond=1e-14), J[mask])
-        if np.sqrt(np.mean(spread / data.deviation[mask] ** 2)) > thresholds.TOO_WIDE:
+        if np.sqrt(np.mean(spread / data.deviation[mask] ** 2)) > _TOO_WIDE:
             continue
         step = np.linalg.lstsq(normal, J[keep].T @ of_residual[:, 0], rcond=1e-14)[0]
         error = residual - J @ step
@@ -48,24 +49,6 @@ def held_out_error(data: Data, fitted: Fitted) -> dict[str, float]:
     if found:
         found["all"] = float(np.sqrt(squares / n_data))
     return found
-
-
-def fell(
-    before: Mapping[str, float], after: Mapping[str, float], blocks: Mapping[str, Mask] | None = None
-) -> bool:
-    """Whether the error fell over the blocks that both models can predict; True if there are none.
-
-    blocks : masks of the blocks, which are weighted by their number of data; None: equal weights
-
-    >>> fell({"a": 2.0, "b": 1.0, "all": 1.6}, {"a": 1.0, "all": 1.0})
-    True
-    """
-    both = [name for name in before if name in after and name != "all"]
-    if not both:
-        return True
-    counts = [1.0 if blocks is None else float(np.sum(blocks[name])) for name in both]
-    gains = [before[name] ** 2 - after[name] ** 2 for name in both]
-    return float(np.dot(counts, gains)) > 0.0
 
 
 def over_shared(errors: Sequence[Mapping[str, float]], blocks: Mapping[str, Mask]) -> list[dict[str, float]]:

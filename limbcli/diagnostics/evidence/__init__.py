@@ -1,0 +1,1 @@
+"""Evidence of explanations: marginal likelihoods, and what they come to by chance."""

@@ -1,0 +1,1 @@
+"""Descriptions of residuals: scatter about smooth curves, prediction of held-out data."""
