@@ -40,39 +40,6 @@ CLEAR_SD: Final = 2.0
 """Monte Carlo standard deviations of an adjusted p within which it counts as near a decision level.
 Convention."""
 
-# ---------------------------------------- before detection: are the segmented bone positions correct?
-# These were tuned on the reference data's sites simulated with FEBio, which therefore cannot validate them.
-
-BONES_SEEN: Final = 12.0
-"""Smallest reduction of deviance (-2 ln likelihood, over readings that both limbs predict) at which a limb
-without a small bone replaces the segmented limb: prior odds of one in 400 against it. Chosen."""
-
-BONES_MISPLACED: Final = 6.0
-"""The same for bones outside the skin, where the segmented limb is known to be wrong: prior odds of one in 20
-against the position found for them. Chosen."""
-
-BONES_REMESHED: Final = 0.065
-"""Deviance per reading added to both of these, as remeshing the same limb can gain as much. Numerical,
-observed once: bones 0.06 mm apart gave deviances that differed by 35 over 549 readings."""
-
-BONES_DECISIVE: Final = 60.0
-"""Reduction of deviance from which a limb with other bones that leaves no significant residual is accepted
-before any effect is tested; a smaller one must exceed that of the best single effect on the limb as
-segmented. Chosen."""
-
-BONES_HOPELESS: Final = 1.5
-"""Ratio of the depth misfit of a limb with other bones to that of the limb as segmented (or to the depth
-noise, if larger) above which it is rejected on its first force curves alone. Chosen, to limit run time."""
-
-BONES_LOOKED_AT: Final = 0.2
-"""p of the fit without effects below which limbs with other bones are tested: four times ALPHA, as chi2 over
-all readings is insensitive to a single cause. Chosen."""
-
-BONES_ABSORBED: Final = 0.7
-"""Estimated model error in maps, as a fraction of the largest allowed, above which limbs with other bones are
-also tested: a wrong limb may have been absorbed into that error. Chosen: with correct bones it was 0.38 to
-0.65 (with other tissue 0.9)."""
-
 # ------------------------------------------------ identification: which candidates are refitted
 
 REFIT_BELOW: Final = 0.2
