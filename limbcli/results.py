@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.atomic_files import atomic_folder, sha256
-from limbcli.errors import CaseError, LimbError, add_site
+from limbcli.errors import CaseError, errors_of_site
 from limbcli.errors.commands import command_line
 from limbcli.version import __version__
 
@@ -110,12 +110,8 @@ def open_stage(out: Path, stage: str, *, subject: str, site: str | None = None) 
     target = stage_folder(out, stage, site)
     with atomic_folder(target) as work:
         writer = StageWriter(stage=stage, subject=subject, site=site, work=work, target=target)
-        try:
+        with errors_of_site(site):
             yield writer
-        except LimbError as error:
-            if site:
-                add_site(error, site)
-            raise
         writer.result = writer.finish()
         _refuse_foreign(target, work, stage)
 

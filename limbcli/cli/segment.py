@@ -40,6 +40,13 @@ LimbOpt = Annotated[
         show_default=False,
     ),
 ]
+AcceptBonesOpt = Annotated[
+    bool,
+    typer.Option(
+        "--accept-bones",
+        help="Of bones outside the skin, keep what is inside; default: they are an error.",
+    ),
+]
 FreshOpt = Annotated[
     bool, typer.Option("--fresh", help="Discard a label map that was edited by hand and start anew.")
 ]
@@ -52,6 +59,7 @@ def command(
     smooth: SmoothOpt = 0.7,
     threshold: ThresholdOpt = None,
     limb: LimbOpt = None,
+    accept_bones: AcceptBonesOpt = False,
     fresh: FreshOpt = False,
     no_wait: NoWaitOpt = False,
     json: JsonOpt = False,
@@ -83,6 +91,7 @@ def command(
             smooth=smooth,
             threshold=threshold,
             limb=limb,  # type: ignore[arg-type]
+            accept_bones=accept_bones,
             fresh=fresh,
             progress=progress,
         )

@@ -14,7 +14,9 @@ no skin under the probe
 
 from __future__ import annotations
 
+import contextlib
 import re
+from collections.abc import Iterator
 from typing import Any
 
 
@@ -26,7 +28,7 @@ class LimbcliError(Exception):
     what : one sentence, including the numbers
     where : file, stage, level, node: as precise as known
     fix : what the user should do next
-    facts : the numbers, machine-readable
+    facts : the numbers, machine-readable; with the site, once `errors_of_site` has stated it
     exit_code : of the command line, by family
     """
 
@@ -43,6 +45,12 @@ class LimbcliError(Exception):
     def message(self) -> str:
         """What happened, without `where` and `fix`."""
         return self.what
+
+    @property
+    def site(self) -> str | None:
+        """The site, or the sites of a place (`p1 + p2`), at which it happened; None if none is known."""
+        found = self.facts.get("site")
+        return None if found is None else str(found)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickling, to pass the error from one process to another."""
@@ -64,18 +72,26 @@ def _arrived(
 LimbError = LimbcliError  # the name within the package
 
 
-def add_site(error: LimbError, name: str) -> None:
-    """Add the site to the error's `where`, unless it is already named there.
+@contextlib.contextmanager
+def errors_of_site(name: str | None) -> Iterator[None]:
+    """Errors raised in the block carry this site, unless they carry one already; None: no site.
 
-    >>> error = MeshError("286 cells are inverted", where="layers", fix="give thinner layers")
-    >>> add_site(error, "p1")
-    >>> add_site(error, "p1")
-    >>> error.where
-    'site p1, layers'
+    >>> try:
+    ...     with errors_of_site("p1 + p2"), errors_of_site("p1"):
+    ...         raise MeshError("286 cells are inverted", where="layers of p10", fix="give thinner layers")
+    ... except MeshError as error:
+    ...     print(error.site, "|", error.where)
+    p1 | site p1, layers of p10
     """
-    if not re.search(rf"(?<!\w){re.escape(name)}(?!\w)", error.where):
-        error.where = f"site {name}, {error.where}"
-        error.args = (_text(error.what, error.where, error.fix),)
+    try:
+        yield
+    except LimbError as error:
+        if name is not None and error.site is None:
+            error.facts["site"] = name
+            if not re.match(rf"(site )?{re.escape(name)}($|[,;:])", error.where):  # not written there yet
+                error.where = f"site {name}, {error.where}"
+                error.args = (_text(error.what, error.where, error.fix),)
+        raise
 
 
 class CaseError(LimbError):

@@ -8,13 +8,13 @@ the unusual a warning.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from limbcli.errors.problems import Problem
 from limbcli.meshing.distance import Heights
 from limbcli.meshing.mending import Plane, enclosed, mend, principal_axis, skin_and_bones
+from limbcli.meshing.places import triple
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 
@@ -31,35 +31,18 @@ _OUT_FAR_MM = 15.0
 # The core of a bone is what lies deeper than this fraction of its greatest depth; with more than this
 # fraction of the core outside the skin, the bone lies in a hole of it.
 _MIDDLE, _HOLLOW = 0.6, 0.5
-# fraction of all bones' volume: without a smaller bone (fibula, patella) the limb can still be modelled
-_MINOR = 0.25
 _TWICE = 0.5  # fraction of a bone's points inside another bone, above which both are the same bone
 # medial offset of the fibula from the tibia that is a clear one: mm, and sine of its angle
 _ASIDE_MM, _ASIDE = 5.0, 0.5
 # length-to-width ratio of an elongated limb; cosine to +z below which it lies across the patient frame
 _ELONGATED, _UPRIGHT = 1.5, 0.5
 _POINTS = 500  # largest number of points sampled per bone
-
-
-@dataclass(frozen=True)
-class LimbCheck:
-    """Result of `limb_check`.
-
-    problems : what is wrong with the skin and bones
-    outside : names of the bones that were supplied in another frame
-    """
-
-    problems: list[Problem]
-    outside: tuple[str, ...]
+IN_ONE_FRAME = "give skin and bones in one frame (mm, patient LPS), of the same limb and the same image"
+_OR_ACCEPT = "; or keep what is inside the skin: `limbcli segment CASE --accept-bones`"
 
 
 def limb_problems(surfaces: Mapping[str, Triangles], *, limb: str, where: str) -> list[Problem]:
-    """The problems that `limb_check` finds."""
-    return limb_check(surfaces, limb=limb, where=where).problems
-
-
-def limb_check(surfaces: Mapping[str, Triangles], *, limb: str, where: str) -> LimbCheck:
-    """Check the skin and bones of one limb, and name the bones that lie outside it.
+    """Check the skin and bones of one limb; a bone that lies outside the skin is an error.
 
     surfaces : "skin" and the bones by name, mm, patient LPS; open or closed
     limb : "left" or "right"; verified by the position of the fibula, if two bones are named tibia and fibula
@@ -77,16 +60,23 @@ def limb_check(surfaces: Mapping[str, Triangles], *, limb: str, where: str) -> L
     found += _second_wall(skin, mended.skin.volume, where)
     above = {name: Heights(bone) for name, bone in bones.items()}
     found += _in_holes(bones, above, above_skin, mended.ends, where)
-    reaches = {name: _reach(bone, above_skin, mended.ends) for name, bone in bones.items()}
-    whole = sum(abs(each.volume) for each in bones.values())
-    for name, bone in bones.items():
-        outside = _outside(name, reaches[name], where)
-        minor = abs(bone.volume) < _MINOR * whole
-        found += [_left_out(each) if minor else each for each in outside]
+    found += _outside(bones, above_skin, mended.ends, where).values()
     across = _across(mended.skin, bones, where)
-    found += _twice(bones, above, where) + (across or _side(bones, limb, where))
-    elsewhere = [name for name, each in reaches.items() if each.share_anywhere > _OUT_SHARE[1]]
-    return LimbCheck(found, tuple(elsewhere))
+    return found + _twice(bones, above, where) + (across or _side(bones, limb, where))
+
+
+def bones_outside(surfaces: Mapping[str, Triangles], *, where: str) -> tuple[Triangles, dict[str, str]]:
+    """The closed skin, and in words how far each bone that `limb_problems` refuses lies outside it.
+
+    Raises
+    ------
+    MeshError
+        If the skin does not enclose a body.
+    """
+    bones = {name: each for name, each in surfaces.items() if name != SKIN}
+    mended = mend(surfaces[SKIN], [], where=where, beside=list(bones.values()))
+    found = _outside(bones, Heights(mended.skin), mended.ends, where)
+    return mended.skin, {name: each.what for name, each in found.items() if each.severity == "error"}
 
 
 def bone_named(bones: Mapping[str, Triangles], name: str) -> Triangles | None:
@@ -150,50 +140,31 @@ def _in_holes(
     return found
 
 
-def _left_out(problem: Problem) -> Problem:
-    """Downgrade a problem of a small bone to a warning, since the limb can be modelled without it."""
-    if problem.severity == "warning":
-        return problem
-    what = f"{problem.what}: the model omits the part outside, and is too soft there"
-    return replace(problem, what=what, severity="warning")
+def _outside(
+    bones: Mapping[str, Triangles], above_skin: Heights, ends: tuple[Plane, ...], where: str
+) -> dict[str, Problem]:
+    """By name, the bones that lie outside the skin.
 
-
-@dataclass(frozen=True)
-class _Reach:
-    """How far a bone protrudes from the skin.
-
-    share : fraction of its points between the limb's cut ends that lie outside
-    furthest : largest distance from the skin between the ends, mm; for a bone beyond an end, that of its
-        nearest point
-    share_anywhere : fraction of all its points that lie outside, including those beyond a cut end
+    Points beyond a cut end of the limb count only if the whole bone lies beyond it.
     """
-
-    share: float
-    furthest: float
-    is_beyond: bool
-    share_anywhere: float
-
-
-def _reach(bone: Triangles, above_skin: Heights, ends: tuple[Plane, ...]) -> _Reach:
-    points = _some(bone.points)
-    height = above_skin.of(points)
-    anywhere = float((height > _OUT_MM).mean())
-    beyond = np.any([np.zeros(len(points), bool), *(each.height(points) > 0 for each in ends)], axis=0)
-    if beyond.all():
-        return _Reach(1.0, float(height.min()), True, anywhere)
-    between = height[~beyond]
-    return _Reach(float((between > _OUT_MM).mean()), float(between.max()), False, anywhere)
-
-
-def _outside(name: str, reach: _Reach, where: str) -> list[Problem]:
-    fix = "give skin and bones in one frame (mm, patient LPS), of the same limb and the same image"
-    if reach.is_beyond:
-        what = f"{name} lies beyond the end of the skin, {reach.furthest:.0f} mm from it at its nearest"
-        return [_problem(what, where, fix, error=True)]
-    if reach.share <= _OUT_SHARE[0]:
-        return []
-    what = f"{reach.share:.0%} of {name} lies outside the skin, by up to {reach.furthest:.0f} mm"
-    return [_problem(what, where, fix, error=reach.share > _OUT_SHARE[1] or reach.furthest > _OUT_FAR_MM)]
+    found = {}
+    for name, bone in bones.items():
+        points = _some(bone.points)
+        beyond = np.any([np.zeros(len(points), bool), *(each.height(points) > 0 for each in ends)], axis=0)
+        points = points if beyond.all() else points[~beyond]
+        height = above_skin.of(points)
+        share, furthest = float((height > _OUT_MM).mean()), float(height.max())
+        if beyond.all():
+            what = f"{name} lies beyond the end of the skin, {height.min():.0f} mm from it at its nearest"
+        elif share > _OUT_SHARE[0]:
+            what = f"{share:.0%} of {name} lies outside the skin"
+        else:
+            continue
+        what += f", by up to {furthest:.0f} mm at {triple(points[height.argmax()])} (LPS, mm)"
+        is_error = bool(beyond.all()) or share > _OUT_SHARE[1] or furthest > _OUT_FAR_MM
+        fix = IN_ONE_FRAME + (_OR_ACCEPT if is_error else "")
+        found[name] = _problem(what, where, fix, error=is_error)
+    return found
 
 
 def _twice(bones: Mapping[str, Triangles], above: Mapping[str, Heights], where: str) -> list[Problem]:

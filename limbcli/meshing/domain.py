@@ -124,6 +124,15 @@ def _clear_of_skin(bone: Field, skin: Field, planes: tuple[Plane, ...], notes: l
     return distance_again(bone.with_values(np.maximum(bone.values, skin.values + CLEARANCE)))
 
 
+def part_inside(bone: Triangles, skin: Triangles, *, spacing: float = 1.0) -> Triangles | None:
+    """The part of a bone that lies within a closed skin; None if it is too small to be meshed."""
+    grid = grid_over(bone.points.min(0) - 2 * spacing, bone.points.max(0) + 2 * spacing, spacing)
+    inside = np.maximum(signed_distance(bone, grid).values, signed_distance(skin, grid).values)
+    if (inside < 0).sum() * spacing**3 < _SMALL:
+        return None
+    return _level_set(Field(grid, inside))
+
+
 def _without_wedges(bone: Field, planes: tuple[Plane, ...]) -> Field:
     """Treat thin tissue between bone and a cut as bone: both are fixed, and its cells would be slivers."""
     if not planes:

@@ -20,7 +20,7 @@ from limbcli.errors import CaseError, LimbError, MeasurementError
 from limbcli.errors.problems import Problem, errors_of
 from limbcli.measurement.levels import FEWEST_LOADING
 from limbcli.progress import SILENT, Progress
-from limbcli.stages.check_geometry import geometry_problems
+from limbcli.stages.check_geometry import geometry_findings
 from limbcli.stages.check_instruments import instrument_problems
 from limbcli.stages.check_layers import layer_lines, stated_layer_noise
 from limbcli.stages.site_model.cycle_words import cycle_lines
@@ -61,6 +61,7 @@ def check(folder: Path, *, progress: Progress = SILENT) -> CaseCheck:
     progress.event("stage", name="check")
     case, problems = read_case(folder)
     looked_at = [CASE_FILE]
+    shown: list[str] = []
     raw = _raw(folder)
     for label, path, reader in _readers(raw, folder):
         looked_at.append(label)
@@ -70,8 +71,9 @@ def check(folder: Path, *, progress: Progress = SILENT) -> CaseCheck:
         reported = {each.what for each in problems}
         problems += [each for each in instrument_problems(case) if each.what not in reported]
         problems += state_problems(case)
-        problems += geometry_problems(case, problems)
-    shown = [*layer_lines(case), *cycle_lines(case)] if case is not None else []
+        found, on_bones = geometry_findings(case, problems)
+        problems += found
+        shown = [*layer_lines(case), *cycle_lines(case), *on_bones]
     return CaseCheck(folder, tuple(looked_at), tuple(problems), tuple(shown))
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,43 +11,76 @@ from limbcli.case import Case
 from limbcli.errors import LimbError
 from limbcli.errors.problems import Problem
 
+if TYPE_CHECKING:
+    from limbcli.meshing.surfaces import Triangles
+
 _ROUGH = 15.0  # mm, largest distance of a place from the rough skin: the height of a marker and a voxel
 _EDGE = 4.0  # mm, edge length of the surfaces made from a label map; coarse, for these checks only
 
 
-def geometry_problems(case: Case, known: Sequence[Problem]) -> list[Problem]:
-    """Problems of the geometry: bones outside the skin, a label map off its series, sites off the skin.
+def geometry_findings(case: Case, known: Sequence[Problem]) -> tuple[list[Problem], list[str]]:
+    """Problems of the geometry (bones outside the skin, a label map off its series, sites off the skin), and
+    lines on the bones at the sites.
 
     known : problems found so far; they are not repeated, and files that they report as unreadable are skipped
     """
+    lines: list[str] = []
     try:
         if case.imaging.assumed:
             found = _assumed(case)
-        elif case.imaging.skin is not None:
-            found = _surfaces(case)
+        elif case.imaging.skin is None and case.imaging.labels is None:
+            found = _images(case)
         else:
-            found = _label_map(case) if case.imaging.labels is not None else _images(case)
+            surfaces, where, found = _surfaces(case) if case.imaging.skin is not None else _label_map(case)
+            found += _of_limb(case, surfaces, where)
+            lines = _bone_lines(case, surfaces)
     except LimbError as error:
         found = [Problem(error.what, error.where, error.fix)]
     reported = {each.what for each in known}
-    return [each for each in found if each.what not in reported]
+    return [each for each in found if each.what not in reported], lines
 
 
-def _surfaces(case: Case) -> list[Problem]:
+def _of_limb(case: Case, surfaces: Mapping[str, Triangles], where: str) -> list[Problem]:
     from limbcli.meshing.anatomy import SKIN, limb_problems
     from limbcli.meshing.places import place_problems
+
+    found = limb_problems(surfaces, limb=case.limb, where=where)
+    return found + place_problems(surfaces[SKIN], _places(case), where=str(case.file))
+
+
+def _bone_lines(case: Case, surfaces: Mapping[str, Triangles]) -> list[str]:
+    """A line for each site whose height has neither two bones, as in a lower leg, nor the femur alone.
+
+    A bone that is missing, or one too many, is not seen later on.
+    """
+    from limbcli.meshing.anatomy import SKIN
+    from limbcli.meshing.mending import long_axis
+
+    bones = {name: each for name, each in surfaces.items() if name != SKIN}
+    axis = long_axis([surfaces[SKIN], *bones.values()])
+    spans = {name: each.points @ axis for name, each in bones.items()}
+    lines = []
+    for site, place in _places(case).items():
+        here = [name for name, along in spans.items() if along.min() <= place @ axis <= along.max()]
+        if len(here) != 2 and here != ["bone_femur"]:
+            count = f"{len(here)} bone{'' if len(here) == 1 else 's'}"
+            names = f" ({', '.join(here)})" if here else ""
+            lines.append(
+                f"site {site}: {count} at its height{names}; if one is missing, or one too many, `diagnose` "
+                "may take it for an effect"
+            )
+    return lines
+
+
+def _surfaces(case: Case) -> tuple[dict[str, Triangles], str, list[Problem]]:
     from limbcli.stages.segmenting.surfaces import read_surfaces, triangles_of
 
-    surfaces = triangles_of(read_surfaces(case)[0])
-    found = limb_problems(surfaces, limb=case.limb, where=str(case.imaging.skin))
-    return found + place_problems(surfaces[SKIN], _places(case), where=str(case.file))
+    return triangles_of(read_surfaces(case)[0]), str(case.imaging.skin), []
 
 
 def _assumed(case: Case) -> list[Problem]:
     """Warn that the geometry was not imaged; problems where its numbers contradict the measurements."""
     from limbcli.errors.problems import errors_of
-    from limbcli.meshing.anatomy import SKIN, limb_problems
-    from limbcli.meshing.places import place_problems
     from limbcli.stages.segmenting.assumed import FIX
     from limbcli.stages.segmenting.assumed_geometry import assumed_limb, assumed_problems
     from limbcli.stages.segmenting.surfaces import triangles_of
@@ -55,9 +89,7 @@ def _assumed(case: Case) -> list[Problem]:
     if errors_of(found):
         return found
     limb = assumed_limb(case)
-    surfaces = triangles_of(limb.surfaces)
-    found += limb_problems(surfaces, limb=case.limb, where=str(case.imaging.skin or case.file))
-    return found + place_problems(surfaces[SKIN], _places(case), where=str(case.file))
+    return found + _of_limb(case, triangles_of(limb.surfaces), str(case.imaging.skin or case.file))
 
 
 def _images(case: Case) -> list[Problem]:
@@ -92,7 +124,7 @@ def _places(case: Case) -> dict[str, np.ndarray]:
     return {each.name: np.array(each.position) for each in case.sites if each.position is not None}
 
 
-def _label_map(case: Case) -> list[Problem]:
+def _label_map(case: Case) -> tuple[dict[str, Triangles], str, list[Problem]]:
     assert case.imaging.labels is not None
     from limbcli.imaging.bones import name_bones
     from limbcli.imaging.image_files import read_image
@@ -100,8 +132,7 @@ def _label_map(case: Case) -> list[Problem]:
     from limbcli.imaging.label_frame import compare_frames
     from limbcli.imaging.labels import segmentation_from
     from limbcli.imaging.surface import surface_of
-    from limbcli.meshing.anatomy import SKIN, limb_problems
-    from limbcli.meshing.places import place_problems
+    from limbcli.meshing.anatomy import SKIN
     from limbcli.stages.segmenting.surfaces import triangles_of
 
     path = str(case.imaging.labels)
@@ -113,5 +144,4 @@ def _label_map(case: Case) -> list[Problem]:
     bones = {f"bone_{name}": each for name, each in zip(name_bones(parts.bones), parts.bones, strict=True)}
     masks = {SKIN: parts.skin, **bones}
     surfaces = triangles_of({name: surface_of(each, edge=_EDGE, where=name) for name, each in masks.items()})
-    found += limb_problems(surfaces, limb=case.limb, where=path)
-    return found + place_problems(surfaces[SKIN], _places(case), where=str(case.file))
+    return surfaces, path, found

@@ -25,23 +25,16 @@ from limbcli.diagnostics.model.forward_model import Explanation
 from limbcli.effects import EFFECTS, Effect, effect
 from limbcli.effects.base import NUMERICAL
 from limbcli.effects.own_file import effect_of_file
-from limbcli.errors import CaseError, LimbError, add_site
+from limbcli.errors import CaseError, LimbError, errors_of_site
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, open_stage, plain, read_result
-from limbcli.stages.diagnosis.bones.bone_comparison import (
-    combined_diagnosis,
-    may_be_elsewhere,
-    weighed,
-    with_bone_warnings,
-)
-from limbcli.stages.diagnosis.bones.evidence import Stand, compared
 from limbcli.stages.diagnosis.drainage.drained import DrainageSolver
 from limbcli.stages.diagnosis.forward_model.measurement_menu import known
+from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.stages.diagnosis.mesh_error.mesh_correction import F_KAPPA
 from limbcli.stages.diagnosis.mesh_error.numerical_checks import Intervention, large_uncertainty
-from limbcli.stages.diagnosis.place import Place, PlaceMaker
-from limbcli.stages.diagnosis.prepare import STAGE, Prepared, WorkingMesh, depth_misfit, prepare, turned_by_90
+from limbcli.stages.diagnosis.prepare import STAGE, Prepared, WorkingMesh, prepare, turned_by_90
 from limbcli.stages.diagnosis.report import (
     candidates_picture,
     diagnosis_json,
@@ -117,14 +110,10 @@ def diagnose(
     results: list[StageResult] = []
     check_earlier(case, out, case.selected(sites))
     for group in places(case, case.selected(sites), out=out, separate=options.separate):
-        progress.event("stage", name=STAGE, site=" + ".join(site.name for site in group))
-        try:
-            with one_blas_thread():
-                results += _Diagnosed(case, group, out, effects, options, draining, progress).all()
-        except LimbError as error:
-            if not any(site.name in error.where for site in group):
-                add_site(error, " + ".join(site.name for site in group))
-            raise
+        together = " + ".join(site.name for site in group)
+        progress.event("stage", name=STAGE, site=together)
+        with errors_of_site(together), one_blas_thread():
+            results += _Diagnosed(case, group, out, effects, options, draining, progress).all()
     return results
 
 
@@ -191,25 +180,19 @@ class _Diagnosed:
         self.effects = {each.name: each for each in effects if each.kind != NUMERICAL}
 
     def all(self) -> list[StageResult]:
-        place = PlaceMaker(
-            self.case, self.sites, self.out, self._prepared, self._misfit, self.progress
-        ).best()
+        prepared = self._prepared()
         try:
-            found = self._found(place)
-            better = place.better_than(_best_gain(found), is_named=found.verdict == "named")
-            if better is not place:
-                place = better
-                found = self._found(place)
-            place, found = self._against_rivals(place, found)
-            return [self._write(found, place, k) for k in range(len(place.prepared))]
+            forward_model = SiteForwardModel([each.curves for each in prepared])
+            forward_model.settle_noise()
+            found = self._found(forward_model, prepared)
+            return [self._write(found, forward_model, prepared, k) for k in range(len(prepared))]
         finally:
-            place.close()
+            for each in prepared:
+                each.close()
 
-    def _found(self, place: Place) -> Diagnosis:
-        """The diagnosis on the limb of this place."""
-        forward_model, prepared = place.forward_model, place.prepared
-        if len(prepared) == 1 and (place.out / "segment" / "segment.json").is_file():
-            forward_model.turned = lambda: self._turned(prepared[0], place.out)
+    def _found(self, forward_model: SiteForwardModel, prepared: Sequence[Prepared]) -> Diagnosis:
+        if len(prepared) == 1 and (self.out / "segment" / "segment.json").is_file():
+            forward_model.turned = lambda: self._turned(prepared[0])
         return diagnose_bench(
             forward_model,
             max_effects=self.options.max_effects,
@@ -217,77 +200,39 @@ class _Diagnosed:
             progress=self.progress,
         )
 
-    def _against_rivals(self, place: Place, found: Diagnosis) -> tuple[Place, Diagnosis]:
-        """Choose between this limb and its best rival, allowing effects on both.
-
-        Rivals are limbs with other bones that fit better without effects; the one with the largest gain is
-        diagnosed as well. If the two cannot be distinguished, their diagnoses are combined.
-        """
-        for evidence, rival in place.rivals[:1]:
-            if not may_be_elsewhere(found):
-                break
-            other = evidence.other
-            self.progress.event("note", text=f"effects on the limb {other.words}")
-            try:
-                theirs = self._found(rival)
-                here, there = place.forward_model, rival.forward_model
-                gain = compared(other, here, found.final, there, theirs.final).gain
-            except LimbError as error:
-                place.problems.append(f"effects on the limb {other.words} were not tried: {error.what}")
-                break
-            evidence = replace(evidence, with_effects=theirs)
-            outcome = weighed(
-                found, theirs, gain=gain, required=evidence.required_gain, is_repair=other.is_repair
-            )
-            if outcome == "other bones":
-                return rival.instead_of(place, evidence), theirs
-            if outcome == "either":
-                found = combined_diagnosis(found, theirs, other.words)
-            stand: Stand = "open" if outcome == "either" else "not taken"
-            place.settled(replace(evidence, stand=stand), rival)
-        for evidence, rival in list(place.rivals):
-            place.settled(evidence, rival)
-        return place, found
-
-    def _prepared(self, folder: Path) -> list[Prepared]:
-        """All sites, prepared on the limb of this folder."""
+    def _prepared(self) -> list[Prepared]:
         prepared: list[Prepared] = []
         extras = known(self.options.measured)
         try:
             for site in self.sites:
                 more = extras if not prepared else []
-                prepared.append(
-                    prepare(self.case, site, self.effects, out=folder, mesh=self.options.mesh,
-                            extras=more, draining=self.draining, progress=self.progress)
-                )  # fmt: skip
+                with errors_of_site(site.name):
+                    prepared.append(
+                        prepare(self.case, site, self.effects, out=self.out, mesh=self.options.mesh,
+                                extras=more, draining=self.draining, progress=self.progress)
+                    )  # fmt: skip
         except BaseException:
             for each in prepared:
                 each.close()
             raise
         return prepared
 
-    def _misfit(self, folder: Path) -> float:
-        """Largest depth misfit in mm over the sites, on the limb of this folder."""
-        return max(
-            depth_misfit(self.case, site, out=folder, mesh=self.options.mesh, progress=self.progress)
-            for site in self.sites
-        )
-
-    def _turned(self, prepared: Prepared, folder: Path) -> SiteCurves:
+    def _turned(self, prepared: Prepared) -> SiteCurves:
         """Curves with the probe turned by 90 degrees; a warning is added if they cannot be simulated."""
         try:
             return turned_by_90(
-                self.case, prepared, out=folder, mesh=self.options.mesh, progress=self.progress
+                self.case, prepared, out=self.out, mesh=self.options.mesh, progress=self.progress
             )
         except LimbError as error:
             text = f"the probe turned by 90 degrees is not among the proposed measurements: {error.what}"
             prepared.notes.warnings.append(text)
             raise
 
-    def _write(self, found: Diagnosis, place: Place, k: int) -> StageResult:
+    def _write(
+        self, found: Diagnosis, forward_model: SiteForwardModel, all_: Sequence[Prepared], k: int
+    ) -> StageResult:
         """Write one site's results: the verdict of its place, and the site's own figures and model."""
-        forward_model, all_, mine = place.forward_model, place.prepared, place.prepared[k]
-        found = with_bone_warnings(found, place.bones)
+        mine = all_[k]
         with open_stage(self.out, STAGE, subject=self.case.subject, site=mine.site.name) as writer:
             writer.data["asked"] = self.options.requested()
             for name, path in mine.notes.inputs.items():
@@ -304,9 +249,7 @@ class _Diagnosed:
                 writer.warnings.append(_not_simulated(forward_model.not_simulated))
             warning = large_uncertainty(mine.interventions)
             writer.warnings.extend([warning] if warning else [])
-            writer.warnings.extend(place.problems)
-            writer.warnings.extend(each.sentence for each in place.bones if each.stand != "not taken")
-            content = self._content(found, place, mine)
+            content = _content(found, forward_model, all_, mine)
             repeated = cycle_facts(mine.site, all_levels_of(mine.site))
             if repeated:
                 content |= {"cycles": repeated, "sentences": [*content["sentences"], *repeated["sentences"]]}
@@ -320,47 +263,38 @@ class _Diagnosed:
             candidates_picture(found, writer.file("candidates", "candidates.png"))
             sizes_picture(found, sizes_of(forward_model, mine.curves.site), writer.file("sizes", "sizes.png"))
             write_diagnosed(
-                found, forward_model, mine, writer, out=place.out, number=k, templates=self.options.templates
+                found, forward_model, mine, writer, out=self.out, number=k, templates=self.options.templates
             )
         assert writer.result is not None
         return writer.result
 
-    def _content(self, found: Diagnosis, place: Place, mine: Prepared) -> dict[str, Any]:
-        forward_model = place.forward_model
-        content = diagnosis_json(found, mine.curves.site, forward_model)
-        content["sites"] = [each.site.name for each in place.prepared]
-        content["bones"] = [each.to_json() for each in place.bones]
-        content["numerical"] = [
-            {"name": i.name, "note": i.note, "largest_change_in_deviations": i.deviations,
-             "matters": i.deviations > thresholds.MATTERS_SD, "log_force_change": i.log_force,
-             "share_uncertain": i.left}
-            for i in mine.interventions
-        ]  # fmt: skip
-        content["f_kappa_held_at"] = F_KAPPA
-        content["not_simulated"] = sorted(forward_model.not_simulated)
-        content["solved_in_part_mm"] = mine.simulations.in_part
-        content["drainage"] = mine.notes.data.get("drainage")
-        lines = sentences(found)
-        moved = [
-            i.name for i in mine.interventions if i.deviations > thresholds.MATTERS_SD and i.name != "locking"
-        ]
-        lines[1:1] = [
-            _locked(i)
-            for i in mine.interventions
-            if i.name == "locking" and i.deviations > thresholds.MATTERS_SD
-        ]
-        if moved:
-            lines.insert(2, f"Numerical uncertainty counted as noise: {', '.join(moved)} (see `numerical`).")
-        lines[1:1] = [*(each.sentence for each in place.bones if each.sentence), *place.given_up]
-        content["sentences"] = lines
-        return content
 
-
-def _best_gain(found: Diagnosis) -> float:
-    """Reduction of chi2 by the best single effect with a valid refit."""
-    before = found.shrink[0].chi2 if found.shrink else 0.0
-    left = [r.state.chi2 for r in found.refits if len(r.explanation) == 1 and not r.fitted.at_bound]
-    return max(0.0, before - min(left)) if left else 0.0
+def _content(
+    found: Diagnosis, forward_model: SiteForwardModel, all_: Sequence[Prepared], mine: Prepared
+) -> dict[str, Any]:
+    content = diagnosis_json(found, mine.curves.site, forward_model)
+    content["sites"] = [each.site.name for each in all_]
+    content["numerical"] = [
+        {"name": i.name, "note": i.note, "largest_change_in_deviations": i.deviations,
+         "matters": i.deviations > thresholds.MATTERS_SD, "log_force_change": i.log_force,
+         "share_uncertain": i.left}
+        for i in mine.interventions
+    ]  # fmt: skip
+    content["f_kappa_held_at"] = F_KAPPA
+    content["not_simulated"] = sorted(forward_model.not_simulated)
+    content["solved_in_part_mm"] = mine.simulations.in_part
+    content["drainage"] = mine.notes.data.get("drainage")
+    lines = sentences(found)
+    moved = [
+        i.name for i in mine.interventions if i.deviations > thresholds.MATTERS_SD and i.name != "locking"
+    ]
+    lines[1:1] = [
+        _locked(i) for i in mine.interventions if i.name == "locking" and i.deviations > thresholds.MATTERS_SD
+    ]
+    if moved:
+        lines.insert(2, f"Numerical uncertainty counted as noise: {', '.join(moved)} (see `numerical`).")
+    content["sentences"] = lines
+    return content
 
 
 def _not_simulated(several: Iterable[Explanation]) -> str:

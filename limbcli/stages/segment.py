@@ -54,9 +54,11 @@ class _Options:
     smooth: float
     threshold: float | None
     limb: Side | None
+    accept_bones: bool
 
     def requested(self) -> dict[str, Any]:
-        return requested_of({**vars(self), "seeds": self.seeds or None}, {"smooth": SMOOTH})
+        usual = {"smooth": SMOOTH, "accept_bones": False}
+        return requested_of({**vars(self), "seeds": self.seeds or None}, usual)
 
     def hints(self, limb: Side) -> SegmentationHints:
         """Hints for the segmentation; limb : side stated by the case, used if no other was requested."""
@@ -76,6 +78,7 @@ def segment(
     smooth: float = SMOOTH,
     threshold: float | None = None,
     limb: Side | None = None,
+    accept_bones: bool = False,
     fresh: bool = False,
     progress: Progress = SILENT,
 ) -> StageResult:
@@ -91,6 +94,7 @@ def segment(
     smooth : standard deviation of the surfaces' smoothing, mm
     threshold : signal that separates air from skin, image units (HU on CT)
     limb : which of two limbs in the image; None: that stated by the case
+    accept_bones : of bones outside the skin, keep what is inside, instead of refusing them
     fresh : ignore an edited label map and start again
 
     Raises
@@ -99,7 +103,7 @@ def segment(
         If the input cannot be used; the message gives the reason and the remedy.
     """
     progress.event("stage", name="segment")
-    options = _Options(_checked(seeds, case), smooth, threshold, limb)
+    options = _Options(_checked(seeds, case), smooth, threshold, limb, accept_bones)
     edited = None if fresh else edited_labels(out)
     if edited is not None:
         _check_edited(case, out, edited)
@@ -109,9 +113,9 @@ def segment(
         if edited is not None:
             _from_edited(case, edited, options, writer, progress)
         elif case.imaging.assumed:
-            from_assumed(case, writer)
+            from_assumed(case, writer, accept_bones=accept_bones)
         elif case.imaging.skin is not None:
-            from_surfaces(case, writer)
+            from_surfaces(case, writer, accept_bones=accept_bones)
         elif case.imaging.labels is not None:
             _from_labels(case, case.imaging.labels, options, writer, progress)
         elif case.imaging.mri is not None:
@@ -273,7 +277,8 @@ def _write(
         surfaces[key] = surface_of(bone, edge=BONE_EDGE, smooth=options.smooth, where=key)
         writer.warnings.extend(_thinned(key, bone, surfaces[key]))
         progress.event("task", name="surfaces", done=number, total=1 + len(names))
-    check_limb(surfaces, case, writer, where=f"{case.subject}, segment ({writer.data['source']})")
+    where = f"{case.subject}, segment ({writer.data['source']})"
+    surfaces = check_limb(surfaces, case, writer, where=where, accept_bones=options.accept_bones)
     write_surfaces(surfaces, writer)
     _report_markers(found, lowered, writer)
     report_places(case, surfaces, writer.data["markers"], writer)

@@ -66,7 +66,7 @@ def prepared_site(site: str, folder: Path) -> Prepared:
     """As `diagnose` prepares it; segmented and meshed into `folder` unless it is."""
     case, out = Case.open(SITES / site), folder / site
     if not (out / "mesh").is_dir():
-        segment(case, out=out)
+        segment(case, out=out, accept_bones=True)
         mesh(case, out=out)
     effects = {each.name: each for each in EFFECTS if each.kind != "numerical"}
     return prepare(case, case.sites[0], effects, out=out, mesh=WorkingMesh(), progress=SILENT)

@@ -115,7 +115,7 @@ SLIPS = (
     Slip("first touch not taken off", "meshing/frame.py",
          "to_model[2, 3] -= first_touch(limb.skin.moved(to_model), probe)", "pass", FRAME),
     Slip("bone outside the skin not counted", "meshing/anatomy.py",
-         "(between > _OUT_MM)", "(between > 1e9)", "tests/meshing/test_anatomy.py"),
+         "(height > _OUT_MM)", "(height > 1e9)", "tests/meshing/test_anatomy.py"),
     Slip("probe's weight added, not taken off", "measurement/holds.py",
          "force = force - probe_mass_kg", "force = force + probe_mass_kg", HOLDS),
     Slip("tare not taken off", "measurement/holds.py",

@@ -470,7 +470,7 @@ def main() -> None:
                 continue
             out = options.out / folder.name
             if not (out / "mesh").is_dir():
-                segment(case, out=out)
+                segment(case, out=out, accept_bones=True)
                 mesh(case, out=out)
             new = list(of_site(case, site, out))
             lines += new

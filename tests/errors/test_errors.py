@@ -6,7 +6,8 @@ import pickle
 
 import pytest
 
-from limbcli.errors import CaseError, SolveError
+from limbcli.errors import CaseError, SolveError, errors_of_site
+from limbcli.errors.commands import pasted
 from limbcli.fem.equilibrium.newton import NotConverged
 from limbcli.stages.batching.cluster import WorkerRefused
 
@@ -19,3 +20,18 @@ def test_an_error_arrives_as_it_was_sent(family):
     assert (str(got), got.what, got.where, got.fix, got.facts, got.exit_code) == (
         str(sent), "it stopped", "level 7", "more steps", {"residual": 3.1e-2}, family.exit_code,
     )  # fmt: skip
+
+
+def test_an_error_keeps_its_site_through_copies_and_later_blocks():
+    with pytest.raises(SolveError) as caught, errors_of_site("p1 + p10"), errors_of_site("p1"):
+        raise SolveError("it stopped", where="site p10, level 7", fix="more steps")
+    assert (caught.value.site, caught.value.where) == ("p1", "site p1, site p10, level 7")
+    copies = [pickle.loads(pickle.dumps(caught.value)), pasted(caught.value, None)]
+    assert [each.site for each in copies] == ["p1", "p1"]
+
+
+@pytest.mark.parametrize("where", ["site p1", "site p1, levels.csv", "p1: model.log"])
+def test_a_site_that_the_place_begins_with_is_not_written_twice(where):
+    with pytest.raises(SolveError) as caught, errors_of_site("p1"):
+        raise SolveError("it stopped", where=where, fix="more steps")
+    assert (caught.value.site, caught.value.where) == ("p1", where)

@@ -13,7 +13,7 @@ import pytest
 from limbcli.case import Case
 from limbcli.effects import effect
 from limbcli.effects.reading import Protocol, Reading, read
-from limbcli.errors import CaseError
+from limbcli.errors import CaseError, FitError, LimbError, MeasurementError
 from limbcli.feb.read import read_feb
 from limbcli.model_io import save_model
 from limbcli.progress import SILENT
@@ -21,6 +21,7 @@ from limbcli.results import StageResult, open_stage
 from limbcli.stages.diagnose import DiagnoseOptions, _Diagnosed, chosen_effects, diagnose, load_effect
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.provenance.commands import CommandStep
+from tests.case.test_case_text import two_sites
 from tests.stages import block_case as block
 
 EFFECTS = ("force-zero", "depth-zero", "contraction", "poroelasticity", "support-motion")
@@ -153,8 +154,7 @@ def written(folder: Path, monkeypatch: pytest.MonkeyPatch, given: list[str], *si
     for name in ("note_fibres", "gap_picture", "candidates_picture", "sizes_picture",
                  "sizes_of", "write_diagnosed", "all_levels_of"):  # fmt: skip
         monkeypatch.setattr(stage + name, lambda *_, **__: None)
-    monkeypatch.setattr(stage + "with_bone_warnings", lambda found, bones: found)
-    monkeypatch.setattr(_Diagnosed, "_content", lambda *_: {"sentences": given, "sites": list(sites)})
+    monkeypatch.setattr(stage + "_content", lambda *_: {"sentences": given, "sites": list(sites)})
     prepared = [
         SimpleNamespace(
             site=SimpleNamespace(name=name), notes=SimpleNamespace(inputs={}, warnings=[], data={}),
@@ -163,16 +163,14 @@ def written(folder: Path, monkeypatch: pytest.MonkeyPatch, given: list[str], *si
         )
         for name in sites
     ]  # fmt: skip
-    place = SimpleNamespace(
-        forward_model=SimpleNamespace(not_simulated=set()), prepared=prepared, bones=[], problems=[], out=None
-    )
+    forward_model = SimpleNamespace(not_simulated=set())
     case = SimpleNamespace(subject="B1")
     run = _Diagnosed(case, [each.site for each in prepared], folder, (), DiagnoseOptions(), None, SILENT)
-    return run._write(None, place, 0)
+    return run._write(None, forward_model, prepared, 0)
 
 
 def test_the_command_prints_every_sentence_once(tmp_path, monkeypatch):
-    """Also those of numerical doubt, of bones and of cycles, of which there may be a dozen together."""
+    """Also those of numerical doubt and of cycles, of which there may be a dozen together."""
     lines, of_cycles = [f"sentence {k}" for k in range(11)], ["All loadings follow one curve within noise."]
     monkeypatch.setattr("limbcli.stages.diagnose.note_earlier", lambda *_: None)
     monkeypatch.setattr("limbcli.stages.diagnose.cycle_facts", lambda *_: {"sentences": of_cycles})
@@ -190,6 +188,33 @@ def test_a_diagnosis_rests_on_all_sites_of_its_place_and_is_made_again_with_them
     assert noted == ["p1", "p2"]
     again = CommandStep.of(result).command(Path("limb"), Path("out"))
     assert again == "limbcli diagnose limb --site p1 --site p2 --out out"
+
+
+def test_an_error_is_that_of_the_site_at_which_it_happened(tmp_path, monkeypatch):
+    """Whatever its text names: here a file of p10 beside p1."""
+    case = Case.open(two_sites(tmp_path / "case"))
+    group = [replace(case.sites[0], name=name) for name in ("p1", "p10")]
+
+    def failing_at(name: str):
+        def prepare(case, site, effects, **_):
+            if site.name == name:
+                raise MeasurementError("no levels", where="p10/levels.csv", fix="give them")
+            return SimpleNamespace(close=lambda: None, curves=None)
+
+        return prepare
+
+    def refuse(curves):
+        raise FitError("no fit", where="p10/levels.csv", fix="none")
+
+    monkeypatch.setattr("limbcli.stages.diagnose.check_earlier", lambda *_: None)
+    monkeypatch.setattr("limbcli.stages.diagnose.places", lambda *_, **__: [group])
+    monkeypatch.setattr("limbcli.stages.diagnose.SiteForwardModel", refuse)
+    for failing, site in (("p1", "p1"), ("p10", "p10"), ("none", "p1 + p10")):
+        monkeypatch.setattr("limbcli.stages.diagnose.prepare", failing_at(failing))
+        with pytest.raises(LimbError) as caught:
+            diagnose(case, out=tmp_path / "out")
+        assert (caught.value.site, caught.value.where) == (site, f"site {site}, p10/levels.csv")
+        assert f"where: site {site}, p10/levels.csv" in str(caught.value)
 
 
 def test_without_segment_it_says_so_and_leaves_nothing(tmp_path):

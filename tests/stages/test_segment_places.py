@@ -18,7 +18,7 @@ from limbcli.imaging.dicom import read_series
 from limbcli.imaging.nearest_skin import RoughSkin
 from limbcli.meshing.places import MOVED_MM, place_fault
 from limbcli.meshing.surfaces import read_surface
-from limbcli.stages.check_geometry import geometry_problems
+from limbcli.stages.check_geometry import geometry_findings
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment
 
@@ -88,7 +88,7 @@ def test_check_of_images_alone_refuses_sites_outside_and_turned_ones():
 
     def problems_at(place: np.ndarray) -> list[tuple[str, str]]:
         site = replace(case.sites[0], marker=None, position=tuple(map(float, place)))
-        found = geometry_problems(replace(case, sites=(site,)), [])
+        found, _ = geometry_findings(replace(case, sites=(site,)), [])
         return [(each.what, each.fix) for each in found]
 
     assert problems_at(on) == []

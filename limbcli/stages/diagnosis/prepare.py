@@ -42,12 +42,7 @@ from limbcli.stages.diagnosis.drainage.drained import DrainageSolver, Drained, d
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.stages.diagnosis.mesh_error.mesh_correction import F_KAPPA, MeshCorrection, own_layers
 from limbcli.stages.diagnosis.mesh_error.model_errors import ModelErrors
-from limbcli.stages.diagnosis.mesh_error.numerical_checks import (
-    USUAL_C,
-    Intervention,
-    NumericalChecks,
-    depth_scatter,
-)
+from limbcli.stages.diagnosis.mesh_error.numerical_checks import USUAL_C, Intervention, NumericalChecks
 from limbcli.stages.mesh import read_limb, site_position
 from limbcli.stages.site_model.fibres import with_fibres
 from limbcli.stages.site_model.layer_readings import LayerReadings, layer_readings
@@ -126,27 +121,6 @@ def prepare(
         If the model without effects cannot be solved.
     """
     return _Preparation(case, site, out, mesh, progress).all(effects, extras, draining)
-
-
-def depth_misfit(case: Case, site: Site, *, out: Path, mesh: WorkingMesh, progress: Progress) -> float:
-    """Root-mean-square distance in mm of the measured depths from the limb's best force curve, for any c.
-
-    Its simulations are cached for `prepare`. NaN if the levels do not determine it.
-
-    Raises
-    ------
-    MeasurementError
-        If the levels cannot be used.
-    MeshError
-        If the site cannot be meshed.
-    """
-    preparation = _Preparation(case, site, out, mesh, progress)
-    simulations = preparation.simulations()
-    try:
-        scatter = depth_scatter(simulations, preparation.levels)
-    finally:
-        simulations.close()
-    return float(np.sqrt(min(scatter.values()))) if scatter else float("nan")
 
 
 def turned_by_90(

@@ -14,7 +14,7 @@ ASSUMED = "assumed"
 FIX = "use an MRI or surfaces of the bones where results depend on it; a fit's intervals allow for it"
 
 
-def from_assumed(case: Case, writer: StageWriter) -> None:
+def from_assumed(case: Case, writer: StageWriter, *, accept_bones: bool = False) -> None:
     """Write skin and bones under the usual names, from numbers or from a scanned skin and ultrasound."""
     limb = assumed_limb(case)
     words = case.imaging.assumed
@@ -24,9 +24,10 @@ def from_assumed(case: Case, writer: StageWriter) -> None:
     writer.summary.append(words)
     writer.warnings.append(words)
     _note_inputs(case, limb, writer)
-    check_limb(dict(limb.surfaces), case, writer, where=str(case.imaging.skin or case.file))
-    write_surfaces(dict(limb.surfaces), writer)
-    report_places(case, limb.surfaces, [], writer)
+    where = str(case.imaging.skin or case.file)
+    surfaces = check_limb(limb.surfaces, case, writer, where=where, accept_bones=accept_bones)
+    write_surfaces(surfaces, writer)
+    report_places(case, surfaces, [], writer)
     for name, each in limb.sites.items():
         made = "no bone" if each.made is None else f"{each.made:.1f} mm"
         writer.summary.append(

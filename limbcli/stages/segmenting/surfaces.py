@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +11,8 @@ from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.errors.problems import raise_errors
 from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
-from limbcli.meshing.anatomy import SKIN, limb_check
-from limbcli.meshing.bone_places import put_back
+from limbcli.meshing.anatomy import IN_ONE_FRAME, SKIN, bones_outside, limb_problems
+from limbcli.meshing.domain import part_inside
 from limbcli.meshing.facets import divided
 from limbcli.meshing.mending import enclosed, open_rims, skin_and_bones, turned_inward, without_cavities
 from limbcli.meshing.places import triple
@@ -27,7 +27,7 @@ _LONGEST_EDGE = 25.0  # mm, longest edge of a divided body
 _DRAWN_SHARE = 0.5  # share of area in triangles with a longer edge above which a body is taken as drawn
 
 
-def from_surfaces(case: Case, writer: StageWriter) -> None:
+def from_surfaces(case: Case, writer: StageWriter, *, accept_bones: bool = False) -> None:
     """Check the case's own surfaces and write them under the usual names."""
     assert case.imaging.skin is not None
     writer.data["source"] = "surfaces"
@@ -44,43 +44,54 @@ def from_surfaces(case: Case, writer: StageWriter) -> None:
         name: _usable(each, name, paths.get(name, case.imaging.skin), writer)
         for name, each in surfaces.items()
     }
-    check_limb(surfaces, case, writer, where=str(case.imaging.skin))
+    surfaces = check_limb(surfaces, case, writer, where=str(case.imaging.skin), accept_bones=accept_bones)
     write_surfaces(surfaces, writer)
     report_places(case, surfaces, [], writer)
 
 
-def check_limb(surfaces: Mapping[str, ClosedSurface], case: Case, writer: StageWriter, *, where: str) -> None:
-    """Check whether skin and bones can be a limb's; unusual findings are warnings.
+def check_limb(
+    surfaces: Mapping[str, ClosedSurface], case: Case, writer: StageWriter, *, where: str,
+    accept_bones: bool = False,
+) -> dict[str, ClosedSurface]:  # fmt: skip
+    """Check whether skin and bones can be a limb's, and return them; unusual findings are warnings.
+
+    accept_bones : of bones outside the skin, return what is inside, with a warning
 
     Raises
     ------
     CaseError
         Listing everything impossible: a bone outside the skin, sizes in another unit.
     """
-    triangles = triangles_of(surfaces)
-    found = limb_check(triangles, limb=case.limb, where=where)
-    raise_errors(found.problems, CaseError)
-    writer.warnings.extend(f"{each.what}; {each.fix}" for each in found.problems)
-    if found.outside:
-        _report_misplaced(triangles, found.outside, case, writer)
+    kept = _inside_skin(surfaces, writer, where) if accept_bones else dict(surfaces)
+    problems = limb_problems(triangles_of(kept), limb=case.limb, where=where)
+    raise_errors(problems, CaseError)
+    writer.warnings.extend(f"{each.what}; {each.fix}" for each in problems)
+    return kept
 
 
-def _report_misplaced(
-    surfaces: Mapping[str, Triangles], wrong: Sequence[str], case: Case, writer: StageWriter
-) -> None:
-    """Report the common translation that would put these bones into the skin; nothing is moved."""
-    right = {name: each for name, each in surfaces.items() if name not in wrong and name != SKIN}
-    found = put_back(surfaces[SKIN], right, {name: surfaces[name] for name in wrong}, limb=case.limb)
-    writer.data["misplaced"] = {"bones": list(wrong)}
-    if found is None:
-        return
-    writer.data["misplaced"] |= {"move_mm": found.move, "deviation_mm": found.deviation_mm}
-    x, y, z = found.move
-    writer.warnings.append(
-        f"moved together by ({x:.0f}, {y:.0f}, {z:.0f}) mm, {' and '.join(wrong)} would lie within the skin, "
-        f"beside the other bones (to some {max(found.deviation_mm, 3.0):.0f} mm): their files may "
-        "have a different origin; nothing was moved"
-    )
+def _inside_skin(
+    surfaces: Mapping[str, ClosedSurface], writer: StageWriter, where: str
+) -> dict[str, ClosedSurface]:
+    """Skin and bones, without what the bones that would be refused have outside the skin."""
+    triangles, kept = triangles_of(surfaces), dict(surfaces)
+    skin, outside = bones_outside(triangles, where=where)
+    for name, what in outside.items():
+        part = part_inside(triangles[name], skin)
+        if part is None:
+            del kept[name]
+        else:
+            kept[name] = ClosedSurface(part.points, part.faces)
+        done = "it is left out" if part is None else "only the part inside is kept"
+        writer.warnings.append(
+            f"{what}: {done} (--accept-bones), and the model is too soft where it is missing"
+        )
+    if len(kept) == 1:
+        raise CaseError(
+            "no bone lies inside the skin",
+            where=where,
+            fix=IN_ONE_FRAME,
+        )
+    return kept
 
 
 def triangles_of(surfaces: Mapping[str, ClosedSurface]) -> dict[str, Triangles]:

@@ -28,7 +28,6 @@ _VOXEL_SHARE, _IMAGE_GAIN = 0.5, 0.05
 # The same for given surfaces: FEBio's records without noise at thirteen sites have zeros of depth 0.17 mm off
 # (root mean square), to which other errors of the model contribute (`tests/benchmarks/exact_fits.py`).
 _SURFACE_GEOMETRY = (0.2, 0.04)
-_MOVED_BONE = 2.3  # mm, standard deviation of the position of a bone that was put back within the skin
 _STRAIN = 0.02  # relative standard deviation of all strains: posture, the scanner's scale of depths
 _MAP_STRAIN = 0.05  # the same for a map's pattern alone, whose growth with depth differs between meshes
 
@@ -134,8 +133,7 @@ class ModelErrors:
         if warning and warning not in self.notes.warnings:
             self.notes.warnings.append(warning)
         gain = float(np.hypot(gain, assumed))
-        moved = _MOVED_BONE if _bones_moved(self.out) else 0.0
-        strain = float(np.hypot(np.hypot(touch, moved) / self.thickness, _STRAIN))
+        strain = float(np.hypot(touch / self.thickness, _STRAIN))
         n = len(self.levels)
         none = np.zeros((n, len(self.simulations.windows.depths)))
         return [
@@ -154,14 +152,6 @@ def _rise(curves: Curves) -> Array:
         here = shown[:, k]
         rise[here, k] = np.gradient(curves.log_speed[here, k], curves.depth[here])
     return gaps_filled(rise)
-
-
-def _bones_moved(out: Path) -> bool:
-    """Whether the limb is one whose bones were moved from where they were segmented."""
-    try:
-        return bool(read_result(out, "segment").data.get("bones_moved"))
-    except LimbError:
-        return False
 
 
 def read_spacing(out: Path) -> list[float] | None:
