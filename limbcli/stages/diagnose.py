@@ -17,7 +17,7 @@ import numpy as np
 
 from limbcli.case import Case, Site
 from limbcli.config import one_blas_thread
-from limbcli.diagnostics import thresholds
+from limbcli.diagnostics import decisions
 from limbcli.diagnostics.conclusions.sentences import sentences
 from limbcli.diagnostics.conclusions.verdict import Diagnosis
 from limbcli.diagnostics.engine import diagnose as diagnose_bench
@@ -276,7 +276,7 @@ def _content(
     content["sites"] = [each.site.name for each in all_]
     content["numerical"] = [
         {"name": i.name, "note": i.note, "largest_change_in_deviations": i.deviations,
-         "matters": i.deviations > thresholds.MATTERS_SD, "log_force_change": i.log_force,
+         "matters": i.deviations > decisions.MATTERS_SD, "log_force_change": i.log_force,
          "share_uncertain": i.left}
         for i in mine.interventions
     ]  # fmt: skip
@@ -286,10 +286,10 @@ def _content(
     content["drainage"] = mine.notes.data.get("drainage")
     lines = sentences(found)
     moved = [
-        i.name for i in mine.interventions if i.deviations > thresholds.MATTERS_SD and i.name != "locking"
+        i.name for i in mine.interventions if i.deviations > decisions.MATTERS_SD and i.name != "locking"
     ]
     lines[1:1] = [
-        _locked(i) for i in mine.interventions if i.name == "locking" and i.deviations > thresholds.MATTERS_SD
+        _locked(i) for i in mine.interventions if i.name == "locking" and i.deviations > decisions.MATTERS_SD
     ]
     if moved:
         lines.insert(2, f"Numerical uncertainty counted as noise: {', '.join(moved)} (see `numerical`).")

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from limbcli.diagnostics.evidence.truncated import ln_probability
 from limbcli.diagnostics.model.forward_model import Fitted, Scalable
@@ -24,9 +23,8 @@ from limbcli.diagnostics.model.linear import Whitener
 from limbcli.diagnostics.model.noise import Noise
 from limbcli.model import Array
 
-_EXACT = 0.03  # tolerance of ln of a share
+_STEP, _MOST_STEPS = 0.3, 12  # of ln of a share or level, in the search for the most probable one
 _KINK = 1.0  # gain in ln likelihood by a further linear step, from which the fit is taken as it stands
-_SWEEPS = 2  # over the scalable errors
 _MOST_LEVEL = 10.0  # largest factor on stated noise of unknown level, and reciprocal of the least
 
 
@@ -75,31 +73,43 @@ def posterior(
         return _at(fitted, y, family.at(shares), shares, relative=relative)
 
     best = at(dict.fromkeys(known, 1.0))
-    for _ in range(_SWEEPS if len(known) > 1 else 1):
-        for name, each in known.items():
-            others = dict(best.shares)
+    for name, each in known.items():
+        others = dict(best.shares)
 
-            def along(ln_share: float, name: str = name, others: dict[str, float] = others) -> Posterior:
-                return at({**others, name: math.exp(ln_share)})
+        def along(ln_share: float, name: str = name, others: dict[str, float] = others) -> Posterior:
+            return at({**others, name: math.exp(ln_share)})
 
-            best = max([best, _largest(along, math.log(each.least), math.log(each.most))], key=_ln_evidence)
+        best = _largest(along, best, 0.0, math.log(each.least), math.log(each.most))
     return best
 
 
-def _ln_evidence(found: Posterior) -> float:
-    return found.ln_evidence
+def _largest(
+    along: Callable[[float], Posterior], first: Posterior, start: float, low: float, high: float
+) -> Posterior:
+    """The posterior with the largest evidence between two values of one unknown, from the known one at `start`.
 
+    Steps up or down while the evidence rises, then the summit of the parabola through the best three.
+    """
+    found = {start: first}
 
-def _largest(along: Callable[[float], Posterior], low: float, high: float) -> Posterior:
-    """The posterior with the largest evidence between two values of one unknown."""
-    found: list[Posterior] = [along(low), along(high)]
+    def value(x: float) -> float:
+        if x not in found:
+            found[x] = along(x)
+        return found[x].ln_evidence
 
-    def cost(x: float) -> float:
-        found.append(along(x))
-        return -found[-1].ln_evidence
-
-    minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": _EXACT})
-    return max(found, key=_ln_evidence)
+    at, step = start, _STEP
+    for _ in range(_MOST_STEPS):
+        sides = [min(max(x, low), high) for x in (at - step, at + step)]
+        best = max((at, *sides), key=value)
+        if best == at:
+            break
+        at = best
+    left, right = (min(max(x, low), high) for x in (at - step, at + step))
+    if left < at < right:
+        rise, fall = (value(at) - value(left)) / (at - left), (value(at) - value(right)) / (right - at)
+        if rise + fall > 0:
+            value(min(max(at + 0.5 * step * (rise - fall) / (rise + fall), low), high))
+    return max(found.values(), key=lambda each: each.ln_evidence)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +144,7 @@ def _at(fitted: Fitted, y: Array, whiten: Whitener, shares: Mapping[str, float],
         level = math.exp(ln_level)
         return gaussian(fitted, r / level, J / level, ln_root + len(r) * ln_level, shares, level)
 
-    return _largest(along, -math.log(_MOST_LEVEL), math.log(_MOST_LEVEL))
+    return _largest(along, along(0.0), 0.0, -math.log(_MOST_LEVEL), math.log(_MOST_LEVEL))
 
 
 def gaussian(
