@@ -17,13 +17,13 @@ from limbcli.fem.equilibrium.solve_times import step_times
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.diagnosis.curves import keys
 from limbcli.stages.diagnosis.curves.curve_plan import Reach, Solving
-from limbcli.stages.diagnosis.curves.model_simplification import fewer_steps
 from limbcli.stages.diagnosis.curves.penetration import Penetration
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.curves.work_budget import Work
 from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.stages.diagnosis.forward_model.changes import Changes
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
+from limbcli.stages.site_model.model_simplification import fewer_steps
 from tests.stages import block_case
 
 ALONE = Solving(threads=1)

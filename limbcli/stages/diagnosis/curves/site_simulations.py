@@ -28,7 +28,6 @@ from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.diagnosis.curves.curve_plan import LevelsAt, Reach, Solving
 from limbcli.stages.diagnosis.curves.exponents import bend
 from limbcli.stages.diagnosis.curves.keys import READING_OF_FIELDS, changed_to, fingerprint
-from limbcli.stages.diagnosis.curves.model_simplification import fewer_steps, softer_jumps
 from limbcli.stages.diagnosis.curves.node_table import FILE, NodeTable
 from limbcli.stages.diagnosis.curves.simulated_effects import (
     Ingredients,
@@ -41,12 +40,13 @@ from limbcli.stages.diagnosis.curves.store import CurveStore
 from limbcli.stages.diagnosis.curves.work_budget import Work
 from limbcli.stages.diagnosis.data.layers import BorderLines
 from limbcli.stages.diagnosis.data.windows import Windows
-from limbcli.stages.fitting.force_curves import with_tissue
 from limbcli.stages.site_model.indentation_model import (
     indentation_model,
     starting_depth,
     with_penalty,
+    with_tissue,
 )
+from limbcli.stages.site_model.model_simplification import fewer_steps, softer_jumps
 
 if TYPE_CHECKING:
     from limbcli.solvers.restart import Solved

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.atomic_files import atomic_file
+from limbcli.config import available_cores, shares
 from limbcli.diagnostics import thresholds
 from limbcli.effects import poroelasticity
 from limbcli.effects.base import Effect
@@ -27,7 +28,6 @@ from limbcli.stages.diagnosis.curves.keys import changed_to
 from limbcli.stages.diagnosis.curves.site_simulations import USUAL_M, SiteSimulations
 from limbcli.stages.diagnosis.data.held_forces import HeldForces
 from limbcli.stages.diagnosis.drainage.held_model import RAMP_STEPS, held_model, hold_of
-from limbcli.stages.fitting.force_curves import available_cores, shares
 from limbcli.temporary_folders import scratch_folder
 
 NAME = poroelasticity.EFFECT.name
