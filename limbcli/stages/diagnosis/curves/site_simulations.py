@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.effects.curves import Curves, continued
-from limbcli.effects.first_order import FirstOrder
-from limbcli.effects.frozen_deformation import SolvedDeformation
+from limbcli.effects.frozen_deformation import SolvedDeformation, frozen_force, frozen_speed
 from limbcli.effects.ingredients import Ingredients, is_numerical, laws, names_of, stiffness_fields
 from limbcli.errors import SolveError
 from limbcli.feb.settings import schedule
@@ -37,6 +36,7 @@ from limbcli.stages.site_model.indentation_model import indentation_model, start
 # becomes, the deeper the probe penetrates it. At m 5 and a depth of 14 of 38 mm the usual penalty lowers the
 # force by 22 %, four times this penalty by 10 %.
 _CONTACT_STIFFER = 4.0
+_MOST_CHANGE = 10.0  # largest factor on the force at fixed deformation: stretched cells, exponential laws
 
 
 class SiteSimulations:
@@ -53,6 +53,7 @@ class SiteSimulations:
     Attributes
     ----------
     model : without effects; depths, needed : mm, of the levels, and to be reached; work : of the solves
+    n_solves : of this run, including failed ones
     in_part : label of a model -> mm reached by the solver, where less than needed
     """
 
@@ -78,8 +79,10 @@ class SiteSimulations:
         self.solver = SiteSolver(
             self.models, times, reach=reach, solving=solving, keep=keep, progress=progress
         )
-        self.work, self.in_part = self.solver.work, dict[str, float]()
-        self._first_order = FirstOrder(self.models.of, density_kg_per_m3)
+        self.work, self.n_solves = self.solver.work, 0
+        self.in_part: dict[str, float] = {}
+        # by m: the model without effects, its force (n,) and ln speed (n, n_parts) at its own deformation
+        self._unchanged: dict[float, tuple[LimbModel, Array, Array]] = {}
         self._known: dict[str, Curves | SolveError] = {}
         self._kinematics: dict[str, SolvedDeformation] = {}
 
@@ -95,11 +98,6 @@ class SiteSimulations:
             reach=Reach(enough=enough, enough_force=solver.reach.enough_force),
             solving=replace(solver.solving, penalty=penalty, beside=self),
         )  # fmt: skip
-
-    @property
-    def n_solves(self) -> int:
-        """Number of solves of this run, including failed ones."""
-        return self.solver.n_solves
 
     @property
     def spent(self) -> bool:
@@ -141,15 +139,37 @@ class SiteSimulations:
         return self._kinematics[key]
 
     def shift(self, m: float, ingredients: Ingredients) -> tuple[Array, Array]:
-        """First-order change of ln force (n,) and ln speed (n, n_parts) by effects of the law, which needs no
-        simulation.
+        """First-order change of ln force (n,) and ln speed (n, n_parts) by effects of the law.
+
+        Evaluated at the deformation solved without them, so that no simulation is needed. The change of force
+        at depth 0 is set to that of the first level.
 
         Raises
         ------
         SolveError
-            If the force changes too much for a first order.
+            If the force at fixed deformation changes by more than `_MOST_CHANGE` times.
         """
-        return self._first_order.shift(m, ingredients, self.kinematics(m))
+        kinematics, of_law, density = self.kinematics(m), laws(ingredients), self.table.density_kg_per_m3
+        if m not in self._unchanged:
+            plain = self.models.of(m)
+            log_speed = frozen_speed(plain, kinematics, density_kg_per_m3=density)
+            self._unchanged[m] = plain, frozen_force(plain, kinematics), log_speed
+        plain, force, log_speed = self._unchanged[m]
+        changed, in_window = (
+            self.models.of(m, of_law, waves=waves) if of_law else plain for waves in (False, True)
+        )
+        ratio = frozen_force(changed, kinematics, stiffness_fields(ingredients))[1:] / force[1:]
+        if not np.all((ratio > 1 / _MOST_CHANGE) & (ratio < _MOST_CHANGE)):
+            raise SolveError(
+                f"it changes the force more than {_MOST_CHANGE:g} times at fixed deformation",
+                where="diagnose", fix="smaller steps",
+            )  # fmt: skip
+        fields = stiffness_fields(ingredients, waves=True)
+        moved = frozen_speed(in_window, kinematics, fields, density_kg_per_m3=density)
+        if of_law:
+            kinematics.forget(changed, in_window)
+        added = np.log(ratio)
+        return np.concatenate([added[:1], added]), moved - log_speed
 
     def levels(self, m: float) -> tuple[LimbModel, Mapping[float, Array]]:
         """The model without effects, and its displacements (n_points, 3) in mm by depth, where solved."""
@@ -171,6 +191,7 @@ class SiteSimulations:
         return self._noted(found, m, ingredients)
 
     def _solved(self, key: str, m: float, ingredients: Ingredients) -> Curves:
+        self.n_solves += 1
         solve = self.solver.solve(m, ingredients)
         values, seen = self.table.values(solve), stiffness_fields(ingredients, waves=True)
         kinematics = self.table.kinematics(solve.model, solve.depth, values)
@@ -196,8 +217,8 @@ class SiteSimulations:
         return curves
 
     def _noted(self, found: SolvedCurves, m: float, ingredients: Ingredients) -> Curves:
-        """The curves, after counting their work as usual if they are those without effects, and reporting
-        that the solver reached less than needed, except with effects that only test the model."""
+        """The curves, once their work is counted as usual (without effects), and what was not reached is
+        reported (except with numerical effects)."""
         if not ingredients:
             self.work.usual.append(found.work)
         if found.n_reached < self.solver.n_full and not is_numerical(ingredients):

@@ -62,7 +62,7 @@ class SiteSolver:
     effects are initial guesses for all; those of the last solve with the same effects, for a fit's repeated
     solves.
 
-    times : s, of the load steps, by depth in mm; n_solves : of this run, including failed ones
+    times : s, of the load steps, by depth in mm
     n_full, n_required : number of depths solved with full effort, and that must be reached
     """
 
@@ -75,7 +75,7 @@ class SiteSolver:
             reach.down_to(list(times), share=each) for each in (1.0, reach.enough)
         )
         self.memo, self.progress = SolveMemo(keep), progress
-        self.work, self.n_solves = SiteWork(n_cells=len(models.usual.mesh.solid_blocks[0].cells)), 0
+        self.work = SiteWork(n_cells=len(models.usual.mesh.solid_blocks[0].cells))
         self._session: ReferenceSession | None = None
         self._leads: list[Solved] = []  # initial guesses from an earlier run
         self._last_with: dict[tuple[str, ...], str] = {}  # names of effects -> key of the last solve
@@ -88,18 +88,19 @@ class SiteSolver:
         SolveError
             If not enough depths are reached; `BudgetSpent` if that is because of the work.
         """
-        self.n_solves += 1
         model = self.models.to_solve(m, ingredients, n_depths=len(self.times))
         # numerical effects (mesh, cut, contact) enter every verdict; only the work of candidates is limited
         numerical = is_numerical(ingredients)
         candidate = bool(ingredients) and not numerical
-        fitted = candidate and has_fitted_size(ingredients)
-        n_full = self.n_required if numerical else self.n_full
-        budget = Budget(allowed=self.work.at_most)
-        if candidate:
-            needed = self.n_required / len(self.times)
+        n_full, budget, start = self.n_full, Budget(allowed=self.work.at_most), None
+        if numerical:
+            n_full = self.n_required
+        elif candidate:
+            fitted, needed = has_fitted_size(ingredients), self.n_required / len(self.times)
             budget = self.work.of_candidate(has_friction=model.has_friction, fitted=fitted, needed=needed)
-        start = self._levels_with(ingredients) if fitted and not model.has_friction else None
+            # at sizes of the first-order estimate, then of earlier fits: a repeated fit is close to them
+            key = self._last_with.get(names_of(ingredients)) if fitted and not model.has_friction else None
+            start = None if key is None else self.memo.levels(key)
         try:
             with self._session_for(model, m, ingredients) as session:
                 result = session.solve(
@@ -167,12 +168,3 @@ class SiteSolver:
             model, progress=self.progress, tolerance=tolerance, stalled=_STALLED * tolerance,
             threads=self.solving.threads,
         )  # fmt: skip
-
-    def _levels_with(self, ingredients: Ingredients) -> Solved | None:
-        """Levels of the last solve with these effects at any sizes.
-
-        At first these are the sizes of the first-order estimate, then those of earlier fits. A repeated fit
-        needs sizes close to the last ones.
-        """
-        key = self._last_with.get(names_of(ingredients))
-        return None if key is None else self.memo.levels(key)
