@@ -13,7 +13,7 @@ from limbcli.effects.curves import Curves, gaps_filled
 from limbcli.errors import LimbError, SolveError
 from limbcli.model import Array
 from limbcli.results import read_result
-from limbcli.stages.diagnosis.curves.site_simulations import FIRST_M
+from limbcli.stages.diagnosis.curves.exponents import FIRST_M
 from limbcli.stages.diagnosis.data.noise import IN_MEAN, STRAIN, ModelError
 from limbcli.stages.diagnosis.data.site_data import USUAL_THICKNESS
 from limbcli.stages.diagnosis.mesh_error.geometry_gain import assumed_gain
