@@ -76,8 +76,7 @@ def bound_hits(x: Array, slots: Sequence[Slot], effects: Collection[Effect]) -> 
                 continue
             found.append(_beyond(slot, "higher", p.high) if value > p.null else _beyond(slot, "lower", p.low))
         elif all(
-            abs(x[2 + n] - other.parameter.null)
-            <= _ON_BOUND * (other.parameter.high - other.parameter.low)
+            abs(x[2 + n] - other.parameter.null) <= _ON_BOUND * (other.parameter.high - other.parameter.low)
             for n, other in enumerate(slots)
             if not other.parameter.shape and _same_effect(slot, other, effects)
         ):

@@ -72,8 +72,8 @@ class Fits:
     ) -> tuple[float, Fitted]:  # fmt: skip
         """The fit from several initial guesses; returns (deviance, fit).
 
-        start : initial sizes as distances from null, and grid values; besides : further initial guesses, as x of
-        `predict`
+        start : initial sizes as distances from null, and grid values; besides : further initial guesses, as x
+        of `predict`
 
         Raises
         ------
@@ -97,7 +97,11 @@ class Fits:
                 max_nfev=n_most,
             )  # fmt: skip
 
-        guesses = [*besides, *self._ends_of_parts(explanation, points), *self._starts(explanation, points, start)]
+        guesses = [
+            *besides,
+            *self._ends_of_parts(explanation, points),
+            *self._starts(explanation, points, start),
+        ]
         seeds = [x for x in guesses if off.has_answer(np.clip(x, low + 1e-6, high - 1e-6))]
         if not seeds:
             raise off.problems[0]
@@ -132,7 +136,9 @@ class Fits:
             priors=Priors.about(x, predict.priors(explanation)),
         )  # fmt: skip
 
-    def _starts(self, explanation: Explanation, points: Sequence[Theta], start: Mapping[str, float]) -> list[Array]:
+    def _starts(
+        self, explanation: Explanation, points: Sequence[Theta], start: Mapping[str, float]
+    ) -> list[Array]:
         """Usual initial guesses; none if these were tried before."""
         if (explanation, label(points)) in self._ends and not start:
             return []
