@@ -16,7 +16,7 @@ from limbcli.diagnostics.model.priors import Priors
 from limbcli.effects.base import Theta
 from limbcli.errors import FitError, SolveError
 from limbcli.model import Array
-from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot, bound_hits
+from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
 from limbcli.stages.diagnosis.forward_model.predictions import Predictions
 from limbcli.stages.diagnosis.forward_model.surrogate import label
 from limbcli.units import kpa_from_mpa
@@ -131,7 +131,7 @@ class Fits:
         return Fitted(
             explanation, predict.predict(x, explanation, points), predict.jacobian(x, explanation, points),
             ("c", "m"), values, tuple(s.name for s in slots),
-            at_bound=tuple(hit.message for hit in bound_hits(x, slots, predict.effects.values())),
+            at_bound=tuple(m for s, v in zip(slots, x[2:].tolist(), strict=True) if (m := s.on_bound(v))),
             points={"grid": label(points)}, without=predict.predict(x[:2], (), ()) if explanation else None,
             priors=Priors.about(x, predict.priors(explanation)),
         )  # fmt: skip
