@@ -28,7 +28,8 @@ class Slot:
         return Prior(p.null, _ROOMY * max(abs(p.typical - p.null), 1e-9), p.low, p.high)
 
     def on_bound(self, value: float) -> str:
-        """Message where the value ended on a bound; empty elsewhere, and where it is null or a natural bound."""
+        """Message where the value ended on a bound; empty elsewhere, and where it is null or a natural
+        bound."""
         p = self.parameter
         near = _ON_BOUND * (p.high - p.low)
         if p.natural_bounds or (not p.shape and abs(value - p.null) <= near):
