@@ -25,9 +25,9 @@ _ALIKE = 0.8  # correlation of the mesh error between neighbouring levels
 # Imaged surfaces: standard deviation of the depth at first touch, in voxel edges, and of ln force. For
 # comparison, a probe 53 mm long that is tilted by 1 degree touches 0.5 mm earlier.
 _VOXEL_SHARE, _IMAGE_GAIN = 0.5, 0.05
-# The same for given surfaces: FEBio's records without noise at thirteen sites have zeros of depth 0.17 mm off
-# (root mean square), to which other errors of the model contribute (`tests/benchmarks/exact_fits.py`).
-_SURFACE_GEOMETRY = (0.2, 0.04)
+# The same for given surfaces. At the true c and m our force at the depths of FEBio's records without noise is
+# 2 to 15 % higher than theirs (`tests/benchmarks/map_errors.py`), on the same limbs: 7 % root mean square.
+_SURFACE_GEOMETRY = (0.2, 0.07)
 _STRAIN = 0.02  # relative standard deviation of all strains: posture, the scanner's scale of depths
 
 
