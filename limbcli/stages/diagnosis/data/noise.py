@@ -29,10 +29,10 @@ STRAIN = "model: strain by the thickness"
 COMMON_GAIN = 0.03
 # Model error in a map: standard deviation of ln speed at the top of the map, per unit of strain (depth over
 # thickness) to the power _GROWS; it decays with the depth below the face over _FADES_MM. It is correlated
-# exponentially over _NEAR_MM, a share _WIDE_SHARE of its variance over _WIDE_MM, and by _ALIKE between neighbouring
-# levels. The likeliest of tied models against noise-free FEBio models (`tests/benchmarks/map_errors.py`), with a size
-# as at the worst of these sites: they differ by a factor of ten, and the fraction that applies is estimated with every
-# explanation.
+# exponentially over _NEAR_MM, a share _WIDE_SHARE of its variance over _WIDE_MM, and by _ALIKE between
+# neighbouring levels. The likeliest of tied models against noise-free FEBio models
+# (`tests/benchmarks/map_errors.py`), with a size as at the worst of these sites: they differ by a factor of
+# ten, and the fraction that applies is estimated with every explanation.
 _BELOW_FACE, _GROWS, _FADES_MM, _NEAR_MM, _ALIKE = 1.3, 1.5, 14.0, 5.0, 0.93
 _WIDE_SHARE, _WIDE_MM = 0.2, 10.0
 _RESOLVED = 0.001  # standard deviation of a part's ln speed, independent of strain
