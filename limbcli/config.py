@@ -87,6 +87,24 @@ def at_most(threads: int) -> int:
     return max(1, min(threads, allowed))
 
 
+def available_cores() -> int:
+    """Number of cores that this process may use, within the limit set by a batch."""
+    try:
+        return at_most(len(os.sched_getaffinity(0)))
+    except AttributeError:  # not on this system
+        return at_most(os.cpu_count() or 1)
+
+
+def shares(n_runs: int, cores: int) -> tuple[int, int]:
+    """(parallel processes, threads of each) for `n_runs` runs, in total never more than `cores`.
+
+    >>> shares(3, 2), shares(1, 4), shares(3, 8), shares(0, 2)
+    ((2, 1), (1, 4), (3, 2), (1, 2))
+    """
+    processes = max(min(n_runs, cores), 1)
+    return processes, max(cores // processes, 1)
+
+
 @contextlib.contextmanager
 def one_blas_thread() -> Iterator[None]:
     """Restrict BLAS to one thread inside the block.

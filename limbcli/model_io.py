@@ -6,6 +6,7 @@ Arrays are stored as arrays; everything else is one JSON text that refers to the
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 import struct
 import zipfile
@@ -22,6 +23,7 @@ from limbcli import model as nouns
 from limbcli.atomic_files import atomic_file
 from limbcli.errors import CaseError
 from limbcli.model import LimbModel
+from limbcli.results import plain
 
 FORMAT = 1
 _TYPES = {
@@ -36,6 +38,28 @@ _DAMAGED = (
     ValueError, LookupError, TypeError, AttributeError, OSError, EOFError, ArithmeticError, AssertionError,
     NotImplementedError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error, struct.error,
 )  # fmt: skip
+
+
+def model_hash(*models: LimbModel) -> str:
+    """Hash of everything in these models, from which results are told to be of the same models."""
+    digest = hashlib.sha256()
+
+    def feed(value: Any) -> None:
+        if isinstance(value, np.ndarray):
+            digest.update(np.ascontiguousarray(value).tobytes())
+        elif dataclasses.is_dataclass(value):
+            feed([getattr(value, each.name) for each in dataclasses.fields(value)])
+        elif isinstance(value, Mapping):
+            feed([[str(key), value[key]] for key in sorted(value, key=str)])
+        elif isinstance(value, tuple | list):
+            for each in value:
+                feed(each)
+        else:
+            digest.update(f"{plain(value)!r};".encode())
+
+    for model in models:
+        feed(model)
+    return digest.hexdigest()
 
 
 def save_model(model: LimbModel, path: Path) -> None:

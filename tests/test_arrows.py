@@ -87,6 +87,12 @@ def test_no_two_rooms_import_each_other_in_a_circle():
     assert len(list(TopologicalSorter(below).static_order())) >= len(below)  # a circle raises CycleError
 
 
+@pytest.mark.parametrize(("one", "other"), [("fitting", "diagnosis"), ("diagnosis", "fitting")])
+def test_what_fits_and_diagnosis_share_is_in_rooms_below_both(one: str, other: str):
+    for path in sorted((PACKAGE / "stages" / one).rglob("*.py")):
+        assert not [name for _, name in imports_of(path) if name.startswith(f"stages.{other}")], path
+
+
 def test_ground_floor_imports_nothing_above():
     for path in SOURCES:
         if room_of(path) in GROUND:

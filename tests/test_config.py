@@ -9,9 +9,8 @@ import pytest
 
 from limbcli.api.call import folder_of
 from limbcli.cli.app import main
-from limbcli.config import THREADS, at_most, default_out
+from limbcli.config import THREADS, at_most, available_cores, default_out
 from limbcli.errors import CaseError
-from limbcli.stages.fitting.force_curves import available_cores
 
 
 def test_threads_are_at_most_those_that_the_environment_allows(monkeypatch: pytest.MonkeyPatch):

@@ -18,6 +18,7 @@ from limbcli.errors import SolveError
 from limbcli.fem.equilibrium.history import Histories
 from limbcli.fem.equilibrium.load_stepping import LoadStepping, is_timed
 from limbcli.fem.equilibrium.newton import Counts, LoadStep, Newton, Settings
+from limbcli.fem.equilibrium.settings import WorkLimit
 from limbcli.fem.equilibrium.solve_times import step_times
 from limbcli.fem.motion import load_curves
 from limbcli.fem.motion.state import Forces, State
@@ -69,7 +70,7 @@ class Analysis:
     def run(
         self, visit: Visitor | None = None, *, guesses: Guesses | None = None, required: int | None = None,
         full_effort: int | None = None, last: int | None = None, patient: bool = True,
-        ends: Callable[[], bool] | None = None,
+        ends: Callable[[], bool] | None = None, limit: WorkLimit | None = None,
     ) -> list[Snapshot]:  # fmt: skip
         """Run all steps from rest to the end; `visit` is called at every converged time.
 
@@ -81,6 +82,7 @@ class Analysis:
         last : number of must-points attempted at all; None: all
         patient : where Newton's method fails, fall back on pseudo-time relaxation, which is slow
         ends : called after `visit` at every must-point; True ends the run
+        limit : of the work of this run
         """
         self._stepping.patient = patient
         snapshots: list[Snapshot] = []
@@ -93,6 +95,7 @@ class Analysis:
         number = 0
         for step, targets in zip(self.model.steps, times, strict=True):
             newton = self._prepare(step, state)
+            newton.charge_to(limit)
             state = newton.system.start
             musts = {begin + t for t in step_times(step)}
             if histories is not None:

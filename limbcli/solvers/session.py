@@ -18,6 +18,7 @@ from limbcli.errors import CaseError, SolveError
 from limbcli.model import Array, LimbModel, LogRecord
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.base import Simulation, Table
+from limbcli.solvers.budget import Budget
 from limbcli.solvers.reference import NAME, prepare
 from limbcli.solvers.session_models import check_same_set_up
 from limbcli.solvers.session_parameters import (
@@ -136,6 +137,7 @@ class ReferenceSession:
         enough_force: float | None = None,
         independent: bool = False,
         start_levels: Solved | None = None,
+        budget: Budget | None = None,
     ) -> SessionResult:
         """Solve the model, or `model2` with the same mesh, contact and supports.
 
@@ -159,6 +161,8 @@ class ReferenceSession:
         independent : use nothing from earlier solves except the levels kept by `keep_levels`, so that the
             result does not depend on any other solves
         start_levels : start from these levels instead of those of the nearest solve with `keep_levels`
+        budget : charged for the work of this solve; if it is spent, the levels reached so far are the result
+            if they are enough
 
         Raises
         ------
@@ -166,6 +170,7 @@ class ReferenceSession:
             If `model2` differs in anything else.
         SolveError
             If a level is not reached, or `model2` uses an unsupported feature; the session remains usable.
+            `BudgetSpent` if the budget is spent before `required` levels are reached.
         """
         from limbcli.fem.supported import check_supported, refuse_limp
         from limbcli.fem.warm_start import Solved, WarmStart
@@ -180,7 +185,7 @@ class ReferenceSession:
             return self._differenced(
                 model, wrt, weights or {}, field_gradients, records=records, required=required, last=last,
                 keep_levels=keep_levels, enough_force=enough_force, start_levels=start_levels,
-                full_effort=full_effort, patient=patient, independent=independent,
+                full_effort=full_effort, patient=patient, independent=independent, budget=budget,
             )  # fmt: skip
         moved = dict(weights or {})
         self._analysis.model = model
@@ -197,7 +202,7 @@ class ReferenceSession:
         snapshots = self._analysis.run(
             watch, guesses=partial(self._guess, start), required=required, full_effort=full_effort, last=last,
             patient=patient,
-            ends=None if enough_force is None else lambda: watch.force() >= enough_force,
+            ends=None if enough_force is None else lambda: watch.force() >= enough_force, limit=budget,
         )  # fmt: skip
         self.model = model
         levels = Solved(

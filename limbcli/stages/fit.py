@@ -42,7 +42,7 @@ from limbcli.stages.fitting.boundary_check import (
 from limbcli.stages.fitting.contact_check import forces_with_penalty, write_contact_check
 from limbcli.stages.fitting.cycles import through_cycle, write_cycle
 from limbcli.stages.fitting.exports import write_mat_file
-from limbcli.stages.fitting.force_curves import FileCurve, ReferenceCurve, with_tissue
+from limbcli.stages.fitting.force_curves import FileCurve, ReferenceCurve
 from limbcli.stages.fitting.geometry import site_geometry_uncertainty
 from limbcli.stages.fitting.geometry_result import write_geometry
 from limbcli.stages.fitting.layers import write_layers
@@ -55,6 +55,7 @@ from limbcli.stages.fitting.stiffness_map import tissue_map, write_tissue_map
 from limbcli.stages.fitting.table import NAMES
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.provenance.chain_inputs import note_case, note_templates
+from limbcli.stages.site_model.indentation_model import with_tissue
 from limbcli.stages.site_model.site_layers import held_layers
 from limbcli.stages.site_model.site_levels import layer_noise, levels_of
 from limbcli.stages.site_model.site_states import one_state

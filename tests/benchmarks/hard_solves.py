@@ -40,7 +40,6 @@ from limbcli.model import LimbModel, Material
 from limbcli.model_io import load_model, save_model
 from limbcli.progress import SILENT
 from limbcli.solvers.reference import prepare
-from limbcli.stages.diagnosis.curves.model_simplification import fewer_steps, softer_jumps
 from limbcli.stages.diagnosis.prepare import size_for
 from limbcli.stages.site_model.indentation_model import (
     TISSUE,
@@ -48,6 +47,7 @@ from limbcli.stages.site_model.indentation_model import (
     starting_depth,
     with_penalty,
 )
+from limbcli.stages.site_model.model_simplification import fewer_steps, softer_jumps
 
 SHARED = Path(os.environ.get("LIMBCLI_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 SITES = SHARED / "febio-hidden"

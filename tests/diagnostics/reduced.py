@@ -17,6 +17,7 @@ from limbcli.case import StatedNoise
 from limbcli.effects.base import applied
 from limbcli.effects.curves import Curves
 from limbcli.effects.frozen_deformation import SolvedDeformation, frozen_force, frozen_speed
+from limbcli.effects.ingredients import stiffness_fields
 from limbcli.effects.reading import Protocol as ReadProtocol
 from limbcli.effects.reading import Reading, read
 from limbcli.errors import SolveError
@@ -24,7 +25,6 @@ from limbcli.materials.ogden import ogden_type
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Block, Domain, LimbModel, Mesh, Surface
 from limbcli.solvers.integration_points import IntegrationPoints
-from limbcli.stages.diagnosis.curves.simulated_effects import fields
 from limbcli.stages.diagnosis.data.windows import Windows
 
 HEIGHT = 25.0
@@ -103,9 +103,11 @@ class ReducedBook:
             model, in_window = self._with(m, laws), self._with(m, laws, waves=True)
         deformed = self._deformation(model)
         known = tuple(each for each in ingredients if each not in laws)
-        force = frozen_force(model, deformed, fields(known))
+        force = frozen_force(model, deformed, stiffness_fields(known))
         force = np.maximum(force - force[0], 0.0)
-        speed = frozen_speed(in_window, deformed, fields(known, waves=True), density_kg_per_m3=1000.0)
+        speed = frozen_speed(
+            in_window, deformed, stiffness_fields(known, waves=True), density_kg_per_m3=1000.0
+        )
         if laws:
             deformed.forget(model, in_window)
         height = float(-model.mesh.points[:, 2].min())

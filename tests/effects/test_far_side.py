@@ -54,7 +54,7 @@ def test_held_tissue_does_not_move_and_bears_more(monkeypatch):
     assert FAR_SIDE.apply(model, FAR_SIDE.null) is model
     assert held.supports[-1].dofs == ("x", "y", "z")
     assert np.array_equal(held.mesh.node_sets[held.supports[-1].node_set], far_side(model))
-    simulations = SiteSimulations(model, [1.0, 3.0], c=0.006, solving=Solving(1e-5, threads=1))
+    simulations = SiteSimulations(model, [1.0, 3.0], c=0.006, solving=Solving(tolerance=1e-5, threads=1))
     free, stiff = simulations.curves(4.0), simulations.curves(4.0, ((FAR_SIDE, FAR_SIDE.start),))
     simulations.close()
     assert np.all(stiff.force[1:] > 1.05 * free.force[1:])

@@ -91,12 +91,12 @@ def test_an_effect_that_was_written_anew_is_solved_anew():
     simulations = SiteSimulations(block.block_model(counts=(4, 2, 2)), [1.0, 2.0], c=0.006)
     known, theta = effect("thickness"), {"thickness_change": 0.1}
     mended = replace(known, apply=lambda model, theta: known.apply(model, {"thickness_change": 0.2}))
-    key = simulations._key(3.0, ((known, theta),))
-    assert simulations._key(3.0, ((replace(known), dict(theta)),)) == key
-    simulations._changed.clear()
-    assert simulations._key(3.0, ((known, theta),)) == key
-    simulations._changed.clear()
-    assert simulations._key(3.0, ((mended, theta),)) != key
+    key = simulations.models.key(3.0, ((known, theta),))
+    assert simulations.models.key(3.0, ((replace(known), dict(theta)),)) == key
+    simulations.models._contents.clear()
+    assert simulations.models.key(3.0, ((known, theta),)) == key
+    simulations.models._contents.clear()
+    assert simulations.models.key(3.0, ((mended, theta),)) != key
 
 
 @pytest.mark.slow

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,15 +14,17 @@ from limbcli.errors import SolveError
 from limbcli.feb.settings import robust_step, schedule
 from limbcli.fem.equilibrium.solve_times import step_times
 from limbcli.progress import SILENT, Progress
-from limbcli.stages.diagnosis.curves import keys
+from limbcli.solvers.budget import Budget, BudgetSpent
+from limbcli.stages.diagnosis.curves import site_models
 from limbcli.stages.diagnosis.curves.curve_plan import Reach, Solving
-from limbcli.stages.diagnosis.curves.model_simplification import fewer_steps
-from limbcli.stages.diagnosis.curves.penetration import Penetration
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
-from limbcli.stages.diagnosis.curves.work_budget import Work
+from limbcli.stages.diagnosis.curves.site_solver import SiteSolver
+from limbcli.stages.diagnosis.curves.work_budget import SiteWork
 from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.stages.diagnosis.forward_model.changes import Changes
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
+from limbcli.stages.diagnosis.mesh_error.penetration import Penetration
+from limbcli.stages.site_model.model_simplification import fewer_steps
 from tests.stages import block_case
 
 ALONE = Solving(threads=1)
@@ -54,7 +55,7 @@ class Stops:
 
 
 def whole(block, m, ingredients=()):
-    simulations = SiteSimulations(block, DEPTHS, c=0.006, solving=Solving(1e-6, threads=1))
+    simulations = SiteSimulations(block, DEPTHS, c=0.006, solving=Solving(tolerance=1e-6, threads=1))
     curves = simulations.curves(m, ingredients)
     simulations.close()
     assert simulations.in_part == {}
@@ -68,7 +69,12 @@ def whole(block, m, ingredients=()):
 def test_curves_that_stop_short_go_on_beside_others(block, tmp_path, m, ingredients, words, within):
     stops = Stops(9)
     simulations = SiteSimulations(
-        block, DEPTHS, c=0.006, solving=Solving(1e-6, threads=1), progress=Progress(stops), keep=tmp_path
+        block,
+        DEPTHS,
+        c=0.006,
+        solving=Solving(tolerance=1e-6, threads=1),
+        progress=Progress(stops),
+        keep=tmp_path,
     )
     simulations.curves(8.0)
     stops.after = 3
@@ -86,14 +92,14 @@ def test_curves_that_stop_short_go_on_beside_others(block, tmp_path, m, ingredie
 
 def test_what_curves_go_on_beside_is_no_work_of_theirs(block, tmp_path, monkeypatch):
     """Nor when it is taken up again, where they are kept and it is not asked for."""
-    solve, stops = SiteSimulations._solve, Stops(9)
+    solve, stops = SiteSolver.solve, Stops(9)
 
-    def stopped(self, key, m, ingredients):
+    def stopped(self, m, ingredients):
         stops.after = 3 if ingredients else 9
-        return solve(self, key, m, ingredients)
+        return solve(self, m, ingredients)
 
-    monkeypatch.setattr(SiteSimulations, "_solve", stopped)
-    solving = Solving(1e-6, threads=1)
+    monkeypatch.setattr(SiteSolver, "solve", stopped)
+    solving = Solving(tolerance=1e-6, threads=1)
     simulations = SiteSimulations(
         block, DEPTHS, c=0.006, solving=solving, progress=Progress(stops), keep=tmp_path
     )
@@ -113,7 +119,7 @@ def test_what_stops_far_short_has_no_curves(block):
         simulations.curves(5.0)
     simulations.close()
     fits = SiteSimulations(
-        block, DEPTHS, c=0.006, solving=ALONE, progress=Progress(Stops(2)), reach=Reach(2.0)
+        block, DEPTHS, c=0.006, solving=ALONE, progress=Progress(Stops(2)), reach=Reach(needed=2.0)
     )
     assert len(fits.curves(5.0).depth) == len(DEPTHS) + 1  # the deeper levels are tried, not needed
     assert fits.in_part == {}
@@ -125,9 +131,9 @@ def test_levels_on_another_mesh_lead_with_less_work_to_the_same(block, tmp_path)
     simulations, again = (
         SiteSimulations(block, DEPTHS, c=0.006, keep=tmp_path, solving=ALONE) for _ in range(2)
     )
-    alone = SiteSimulations(fine, few, c=0.006, solving=Solving(1e-6, threads=1))
+    alone = SiteSimulations(fine, few, c=0.006, solving=Solving(tolerance=1e-6, threads=1))
     led, resumed = (
-        SiteSimulations(fine, few, c=0.006, solving=Solving(1e-6, threads=1), reach=Reach(begin=each.levels))
+        SiteSimulations(fine, few, c=0.006, solving=Solving(tolerance=1e-6, threads=1, beside=each))
         for each in (simulations, again)
     )
     expected, found, taken_up = (each.curves(4.0).force for each in (alone, led, resumed))
@@ -184,12 +190,14 @@ def test_an_explanation_that_is_solved_again_is_led_by_its_levels_before(block, 
     order."""
 
     def work_and_force(*several):
-        simulations = SiteSimulations(block, DEPTHS, c=0.006, solving=Solving(1e-6, threads=1))
+        simulations = SiteSimulations(block, DEPTHS, c=0.006, solving=Solving(tolerance=1e-6, threads=1))
         for m in (8.0, 4.0):
             simulations.curves(m)
-        force = [simulations.curves(5.0, ingredients).force for ingredients in several][-1]
+        for ingredients in several:
+            before = simulations.work.total
+            force = simulations.curves(5.0, ingredients).force
         simulations.close()
-        return simulations.work.done, force
+        return simulations.work.total - before, force
 
     alone, expected = work_and_force(again)
     led, force = work_and_force(before, again)
@@ -211,7 +219,9 @@ def test_a_kept_deformation_whose_file_is_gone_is_solved_again(block, tmp_path, 
     again.close()
 
 
-@pytest.mark.parametrize(("name", "other"), [("_READING", keys._READING + 1), ("__version__", "0.0.0")])
+@pytest.mark.parametrize(
+    ("name", "other"), [("_READING", site_models._READING + 1), ("__version__", "0.0.0")]
+)
 def test_curves_that_were_read_or_solved_otherwise_are_solved_again(
     block, tmp_path, monkeypatch, name, other
 ):
@@ -220,7 +230,7 @@ def test_curves_that_were_read_or_solved_otherwise_are_solved_again(
         return len(list(tmp_path.glob("*-levels.npz")))
 
     assert [n_kept(), n_kept()] == [1, 1]
-    monkeypatch.setattr(keys, name, other)
+    monkeypatch.setattr(site_models, name, other)
     assert n_kept() == 2
 
 
@@ -245,7 +255,7 @@ def test_a_turned_probes_curves_go_on_at_the_depths_that_were_asked_for(block):
     """The turned face is lifted, so that depth counts from its first touch; that is in them already."""
     stops = Stops(9)
     simulations = SiteSimulations(
-        block, DEPTHS, c=0.006, solving=Solving(1e-6, threads=1), progress=Progress(stops)
+        block, DEPTHS, c=0.006, solving=Solving(tolerance=1e-6, threads=1), progress=Progress(stops)
     )
     simulations.curves(8.0)
     stops.after = 3
@@ -263,7 +273,7 @@ def test_an_effect_of_any_name_may_change_contact(block, name, theta):
     """It is what an effect makes of a model that tells how it is solved, not what it is called."""
     known = effect(name)
     mine = replace(known, name="my-" + name, kind="tissue")
-    simulations = SiteSimulations(block, [1.0, 2.0], c=0.006, solving=Solving(1e-5, threads=1))
+    simulations = SiteSimulations(block, [1.0, 2.0], c=0.006, solving=Solving(tolerance=1e-5, threads=1))
     plain, expected, found = (
         simulations.curves(4.0, each) for each in ((), ((known, theta),), ((mine, theta),))
     )
@@ -272,9 +282,9 @@ def test_an_effect_of_any_name_may_change_contact(block, name, theta):
     assert abs(np.log(found.force[-1] / plain.force[-1])) > 0.05
 
 
-def iterate(work: Work, n: int, *, factors: int = 0) -> None:
-    for k in range(1, n + 1):
-        work("newton", {"krylov": 20 * k, "factorisations": factors * k})
+def iterate(budget: Budget, n: int) -> None:
+    for _ in range(n):
+        budget.charge(step=1, n_steps=8, krylov=20, factorisations=0)
 
 
 def test_with_friction_a_model_is_solved_in_two_steps_alike_from_level_to_level(block):
@@ -289,43 +299,19 @@ def test_with_friction_a_model_is_solved_in_two_steps_alike_from_level_to_level(
     ("options", "iterations"), [({}, 200), ({"fitted": True}, 300), ({"has_friction": True}, 600)]
 )
 def test_a_candidate_is_stopped_after_several_times_the_usual_work(options, iterations):
-    work = Work(usual=[2000, 4000])
-    work.begin(candidate=True, **options)
-    with pytest.raises(SolveError, match="several times the work"):
-        iterate(work, 10_000)
-    assert work.done == 30 * (iterations + 1)
-    work.end()
-    work.begin(candidate=False)
-    iterate(work, 2000, factors=1)  # a session's counts begin anew
-    assert work.done == 2000 * 50
-
-
-@pytest.mark.parametrize(
-    ("candidate", "work_at_end"),
-    [(True, 2 * 30 * 40 + 30), (False, 30 * 340)],
-    ids=["candidate", "no effect"],
-)
-def test_levels_beyond_those_needed_take_as_much_work_again(candidate, work_at_end):
-    """Six of eight are needed; the seventh goes on for ever."""
-    work = Work(usual=[20_000])
-    work.begin(candidate=candidate, needed=6 / 8)
-    for k in range(1, 41):
-        work("newton", {"krylov": 20 * k, "step": 1 + k // 8, "n_steps": 8})
-    assert work.done == 30 * 40
-    with contextlib.suppress(SolveError):
-        for k in range(41, 341):
-            work("newton", {"krylov": 20 * k, "step": 7, "n_steps": 8})
-    assert work.done == work_at_end
+    budget = SiteWork(usual=[2000, 4000]).of_candidate(**options)
+    with pytest.raises(BudgetSpent):
+        iterate(budget, 10_000)
+    assert budget.spent == 30 * (iterations + 1)
 
 
 @pytest.mark.parametrize(("n_cells", "iterations"), [(1000, 200), (10_000, 83), (100_000, 50)])
 def test_a_candidate_of_a_large_model_is_stopped_sooner(n_cells, iterations):
     """After 25 million products times cells, but never before 1500 products."""
-    work = Work(n_cells=n_cells, usual=[2000, 4000])
-    work.begin(candidate=True)
-    with pytest.raises(SolveError, match="several times the work"):
-        iterate(work, 10_000)
-    assert work.done == 30 * (iterations + 1)
+    budget = SiteWork(n_cells=n_cells, usual=[2000, 4000]).of_candidate()
+    with pytest.raises(BudgetSpent):
+        iterate(budget, 10_000)
+    assert budget.spent == 30 * (iterations + 1)
 
 
 @pytest.mark.parametrize(
@@ -342,26 +328,22 @@ def test_a_size_that_was_fitted_is_told_from_a_sensitivitys(block, monkeypatch, 
     """By how much work the solve may take."""
     simulations, seen = SiteSimulations(block, DEPTHS, c=0.006, solving=ALONE), {}
 
-    def begin(**facts):
+    def of_candidate(**facts):
         seen.update(facts)
         raise SolveError("not in this test", where="here", fix="none")
 
-    monkeypatch.setattr(simulations.work, "begin", begin)
+    monkeypatch.setattr(simulations.work, "of_candidate", of_candidate)
     with pytest.raises(SolveError):
         simulations.curves(5.0, ((effect(name), {**effect(name).null, **theta}),))
     assert seen["fitted"] is fitted
 
 
 def test_all_the_work_of_a_diagnosis_has_a_limit():
-    work = Work(usual=[2000, 4000])
-    for _ in range(31):
-        assert not work.spent
-        work.begin(candidate=True)
-        iterate(work, 100)
-        work.end()
-    assert work.total == 31 * 3000
+    work = SiteWork(usual=[2000, 4000], total=30 * 3000)
+    assert not work.spent
+    work.total += 1
     assert work.spent
-    large = Work(n_cells=10_000, usual=[2000, 4000], total=9_999)
+    large = SiteWork(n_cells=10_000, usual=[2000, 4000], total=9_999)
     assert not large.spent
     large.total += 2
     assert large.spent

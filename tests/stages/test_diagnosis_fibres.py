@@ -82,7 +82,7 @@ def solved():
     for name, values in axes.items():
         model = replace(block, fibres=ElementMap("fibres", "tissue", values))
         simulations = SiteSimulations(
-            model, (0.5, 1.0, 2.0), c=0.006, windows=WINDOWS, solving=Solving(1e-5, threads=1)
+            model, (0.5, 1.0, 2.0), c=0.006, windows=WINDOWS, solving=Solving(tolerance=1e-5, threads=1)
         )
         for each, theta in FIBRES:
             found[each, name] = simulations.curves(4.0, ((effect(each), theta),))

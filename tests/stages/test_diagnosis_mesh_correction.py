@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from limbcli.effects.curves import Curves
-from limbcli.errors import CaseError, SolveError
+from limbcli.errors import CaseError
 from limbcli.model_io import save_model
 from limbcli.progress import SILENT
 from limbcli.results import open_stage
+from limbcli.solvers.budget import BudgetSpent
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.build_feb import TissueOptions, build_feb
 from limbcli.stages.diagnosis import written_model as written
@@ -42,7 +43,9 @@ def ran(tmp_path_factory):
 
 def _simulations(folder: Path, **counts) -> SiteSimulations:
     model = block.block_model("tet4", **counts)
-    return SiteSimulations(model, [0.45, *DEPTHS], c=C, keep=folder, solving=Solving(1e-6, threads=1))
+    return SiteSimulations(
+        model, [0.45, *DEPTHS], c=C, keep=folder, solving=Solving(tolerance=1e-6, threads=1)
+    )
 
 
 def test_run_is_scaled_to_the_reference_stiffness(ran):
@@ -96,7 +99,7 @@ def test_a_penalty_in_proportion_to_the_edges_gives_meshes_the_same_contact(tmp_
 def test_a_solve_on_the_own_mesh_that_takes_too_much_is_stopped(tmp_path, monkeypatch):
     monkeypatch.setattr("limbcli.stages.diagnosis.mesh_error.mesh_correction._LEAST_WORK", 1.0)
     simulations = _simulations(tmp_path)
-    with pytest.raises(SolveError, match="several times the work"):
+    with pytest.raises(BudgetSpent):
         own_curves(block.block_model("tet4"), simulations, [5.0], size_ratio=1.0)[5.0]
     simulations.close()
 

@@ -8,8 +8,8 @@ import pytest
 from limbcli.effects import effect
 from limbcli.effects.curves import Curves, log_force_at
 from limbcli.stages.diagnosis.curves.curve_plan import Solving
-from limbcli.stages.diagnosis.curves.penetration import Penetration, penetration
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
+from limbcli.stages.diagnosis.mesh_error.penetration import Penetration, penetration
 from tests.stages import block_case
 
 DEPTHS = (0.5, 1.0, 2.0, 3.0, 4.0)
@@ -20,7 +20,7 @@ HARDER = ((effect("contact"), {"penalty_factor": 16.0}),)
 @pytest.fixture(scope="module")
 def simulations():
     block = block_case.block_model(counts=(4, 2, 2))
-    made = SiteSimulations(block, DEPTHS, c=0.006, f_kappa=2.0, solving=Solving(1e-6, threads=1))
+    made = SiteSimulations(block, DEPTHS, c=0.006, f_kappa=2.0, solving=Solving(tolerance=1e-6, threads=1))
     yield made
     made.close()
 

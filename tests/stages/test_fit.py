@@ -12,6 +12,7 @@ from lxml import etree
 from scipy.io import loadmat
 
 from limbcli.case import Case
+from limbcli.config import shares
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.feb.read import read_feb
 from limbcli.inference.prediction import SolvedPoints
@@ -21,7 +22,7 @@ from limbcli.solvers.febio import FebioSolver
 from limbcli.solvers.reference import ReferenceSolver
 from limbcli.stages.fit import START, FitOptions, fit, initial_stiffness
 from limbcli.stages.fit_joint import fit_joint
-from limbcli.stages.fitting.force_curves import FileCurve, ReferenceCurve, shares
+from limbcli.stages.fitting.force_curves import FileCurve, ReferenceCurve
 from limbcli.stages.fitting.numerical_error import gain_deviation
 from tests.stages import block_case as block
 

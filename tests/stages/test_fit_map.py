@@ -15,9 +15,9 @@ from limbcli.measurement.elastography import SweMap, write_map
 from limbcli.model import ElementMap
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.fit import START, FitOptions, check_choice, fit
-from limbcli.stages.fitting.force_curves import ReferenceCurve, with_tissue
+from limbcli.stages.fitting.force_curves import ReferenceCurve
 from limbcli.stages.fitting.stiffness_map import TissueMap, tissue_map
-from limbcli.stages.site_model.indentation_model import indentation_model
+from limbcli.stages.site_model.indentation_model import indentation_model, with_tissue
 from tests.stages import block_case as block
 
 pytestmark = pytest.mark.slow

@@ -15,9 +15,8 @@ from limbcli.model import ElementMap
 from limbcli.results import open_stage, read_result
 from limbcli.shear_waves.speed import element_speeds
 from limbcli.solvers.session import ReferenceSession
-from limbcli.stages.fitting.force_curves import with_tissue
 from limbcli.stages.fitting.predicted_speeds import write_speeds
-from limbcli.stages.site_model.indentation_model import indentation_model
+from limbcli.stages.site_model.indentation_model import indentation_model, with_tissue
 from tests.stages import block_case as block
 
 pytestmark = pytest.mark.slow

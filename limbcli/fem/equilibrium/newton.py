@@ -8,7 +8,7 @@ import numpy as np
 
 from limbcli.errors import SolveError
 from limbcli.fem.equilibrium.linearised import Linearised
-from limbcli.fem.equilibrium.settings import Counts, LoadStep, Settings
+from limbcli.fem.equilibrium.settings import Counts, LoadStep, Settings, WorkLimit
 from limbcli.fem.equilibrium.stagnation import Stagnation
 from limbcli.fem.motion.state import Forces, State, norm
 from limbcli.fem.system import System
@@ -43,6 +43,12 @@ class Newton:
         self.linearised = Linearised(system, settings, self.counts)
         self.mixed = settings.mixed
         self.nearest: tuple[float, State | None] = (np.inf, None)
+        self._limit: WorkLimit | None = None
+        self._charged = 0, 0  # Krylov products and factorisations of which the limit has been told
+
+    def charge_to(self, limit: WorkLimit | None) -> None:
+        """Charge all further work to this limit."""
+        self._limit, self._charged = limit, (self.counts.krylov, self.counts.factorisations)
 
     @property
     def linear_name(self) -> str:
@@ -224,6 +230,7 @@ class Newton:
         return best[1], best[2], best[3]
 
     def report(self, load_step: LoadStep, iteration: int, forces: Forces) -> None:
+        """Report the state of an iteration, and charge the work since the last one."""
         self.progress.event(
             "newton",
             step=load_step.number,
@@ -235,6 +242,13 @@ class Newton:
             krylov=self.counts.krylov,
             factorisations=self.counts.factorisations,
         )
+        if self._limit is not None:
+            known, now = self._charged, (self.counts.krylov, self.counts.factorisations)
+            self._charged = now
+            self._limit.charge(
+                step=load_step.number, n_steps=load_step.n_steps, krylov=now[0] - known[0],
+                factorisations=now[1] - known[1],
+            )  # fmt: skip
 
     def failure(
         self, state: State, forces: Forces, load_step: LoadStep, iteration: int, why: str

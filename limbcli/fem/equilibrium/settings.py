@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Protocol
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,12 @@ class Counts:
     factorisations: int = 0
     retries: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
+
+
+class WorkLimit(Protocol):
+    """Is told of the work of every Newton iteration, and stops the solve by raising a `SolveError`."""
+
+    def charge(self, *, step: int, n_steps: int, krylov: int, factorisations: int) -> None: ...
 
 
 @dataclass(frozen=True)

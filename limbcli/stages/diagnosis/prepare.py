@@ -30,7 +30,8 @@ from limbcli.model_io import load_model, save_model
 from limbcli.progress import Progress
 from limbcli.results import plain, read_result
 from limbcli.stages.diagnosis.curves.curve_plan import Reach
-from limbcli.stages.diagnosis.curves.site_simulations import FIRST_M, SiteSimulations
+from limbcli.stages.diagnosis.curves.exponents import FIRST_M
+from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.data.held_forces import HeldForces, held_forces
 from limbcli.stages.diagnosis.data.layers import BorderLines
 from limbcli.stages.diagnosis.data.noise import deepest, readings
@@ -242,7 +243,8 @@ class _Preparation:
         return SiteSimulations(
             meshed, [*depths.tolist(), needed + further], c=USUAL_C, f_kappa=F_KAPPA,
             windows=self.windows, keep=self.work, density_kg_per_m3=self.site.density_kg_per_m3,
-            progress=self.progress, borders=self.borders, reach=Reach(needed, self._enough_force()),
+            progress=self.progress, borders=self.borders,
+            reach=Reach(needed=needed, enough_force=self._enough_force()),
         )  # fmt: skip
 
     def _enough_force(self) -> float | None:

@@ -6,7 +6,6 @@ other solver is run on files, with finite differences whose runs share the avail
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -15,11 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.config import at_most
+from limbcli.config import available_cores, shares
 from limbcli.errors import SolveError
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS
 from limbcli.inference.prediction import Differences, Prediction
-from limbcli.materials.ogden import ogden_type
 from limbcli.model import Array, ElementMap, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.shear_waves.from_simulation import mean_speeds
@@ -28,29 +26,16 @@ from limbcli.solvers.febio import FebioSolver
 from limbcli.solvers.material_lines import FILE as LINES
 from limbcli.solvers.material_lines import MaterialLines
 from limbcli.solvers.session import ReferenceSession, SessionResult
-from limbcli.stages.diagnosis.curves.model_simplification import softer_jumps
 from limbcli.stages.fitting.boundary_check import ChangedBoundary
 from limbcli.stages.fitting.contact_check import forces_with_penalty
 from limbcli.stages.fitting.laws import FitLaw
 from limbcli.stages.fitting.solve_again import forces_again
-from limbcli.stages.site_model.indentation_model import TISSUE
+from limbcli.stages.site_model.indentation_model import TISSUE, with_tissue
+from limbcli.stages.site_model.model_simplification import softer_jumps
 from limbcli.temporary_folders import scratch_folder
 
 _SAME_TIME = 1e-6
 _C_STEP = 1.1  # factor on c in finite differences, for solvers without derivatives; their forces err by 1e-3
-
-
-def with_tissue(model: LimbModel, *, c: float | ElementMap, f_kappa: float, m: float) -> LimbModel:
-    """The model with the Ogden-type law of these parameters for its tissue.
-
-    c : MPa; if a map over the tissue's elements, c1, c2 and kappa become maps
-    """
-    if not isinstance(c, ElementMap):
-        return model.with_material(TISSUE, ogden_type(c=c, f_kappa=f_kappa, m=m))
-    law = ogden_type(c=float(c.values.min()), f_kappa=f_kappa, m=m)
-    shares = {"c1": 0.5, "c2": 0.5, "kappa": f_kappa}
-    maps = {name: ElementMap(f"{TISSUE}_{name}", c.block, share * c.values) for name, share in shares.items()}
-    return model.with_material(TISSUE, law.with_parameters(**maps))
 
 
 def _times(c: float | ElementMap, factor: float) -> float | ElementMap:
@@ -314,21 +299,3 @@ class FileCurve:
             self._solver = replace(self._solver, threads=threads)
         with ThreadPoolExecutor(processes) as pool:
             return list(pool.map(evaluate, todo))
-
-
-def available_cores() -> int:
-    """Number of cores that this process may use, within the limit set by a batch."""
-    try:
-        return at_most(len(os.sched_getaffinity(0)))
-    except AttributeError:  # not on this system
-        return at_most(os.cpu_count() or 1)
-
-
-def shares(n_runs: int, cores: int) -> tuple[int, int]:
-    """(parallel processes, threads of each) for `n_runs` runs, in total never more than `cores`.
-
-    >>> shares(3, 2), shares(1, 4), shares(3, 8), shares(0, 2)
-    ((2, 1), (1, 4), (3, 2), (1, 2))
-    """
-    processes = max(min(n_runs, cores), 1)
-    return processes, max(cores // processes, 1)

@@ -19,9 +19,9 @@ from limbcli.shear_waves.from_simulation import mean_speeds
 from limbcli.shear_waves.speed import material_speeds
 from limbcli.solvers.session import ReferenceSession
 from limbcli.solvers.session_parameters import Parameter
-from limbcli.stages.diagnosis.curves.model_simplification import softer_jumps
 from limbcli.stages.fitting.laws import FitLaw
 from limbcli.stages.site_model.indentation_model import TISSUE
+from limbcli.stages.site_model.model_simplification import softer_jumps
 from limbcli.stages.site_model.prestretch import (
     WAYS,
     StretchAxes,

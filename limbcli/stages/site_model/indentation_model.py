@@ -11,7 +11,7 @@ from limbcli.bodies import Drive
 from limbcli.errors import CaseError
 from limbcli.feb.settings import LEAST_START, START_DEPTHS, Schedule, robust_contact, robust_step
 from limbcli.materials.ogden import ogden_type
-from limbcli.model import Array, IntArray, LimbModel, LogRecord
+from limbcli.model import Array, ElementMap, IntArray, LimbModel, LogRecord
 
 PROBE, TISSUE, TRAVEL = "probe", "tissue", "probe_travel"
 C_KPA = (0.1, 500.0)  # kPa, range of c given by hand; values outside are probably in another unit (8000 Pa)
@@ -55,6 +55,19 @@ def indentation_model(model: LimbModel, plan: Schedule, *, c: float, f_kappa: fl
             LogRecord("element", ELEMENT_FIELDS, "elements.csv", window_cells(model, plan.depths[-1])),
         ),
     )
+
+
+def with_tissue(model: LimbModel, *, c: float | ElementMap, f_kappa: float, m: float) -> LimbModel:
+    """The model with the Ogden-type law of these parameters for its tissue.
+
+    c : MPa; if a map over the tissue's elements, c1, c2 and kappa become maps
+    """
+    if not isinstance(c, ElementMap):
+        return model.with_material(TISSUE, ogden_type(c=c, f_kappa=f_kappa, m=m))
+    law = ogden_type(c=float(c.values.min()), f_kappa=f_kappa, m=m)
+    shares = {"c1": 0.5, "c2": 0.5, "kappa": f_kappa}
+    maps = {name: ElementMap(f"{TISSUE}_{name}", c.block, share * c.values) for name, share in shares.items()}
+    return model.with_material(TISSUE, law.with_parameters(**maps))
 
 
 def with_penalty(model: LimbModel, penalty: float) -> LimbModel:

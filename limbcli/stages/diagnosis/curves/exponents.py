@@ -1,4 +1,4 @@
-"""Dependence of force and speed on the law's exponent."""
+"""Exponents of the law that are simulated, and the dependence of force and speed on them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ from typing import Any
 
 import numpy as np
 
+# Exponents m that are simulated first at every site; values between are interpolated, others are simulated
+# when needed. The stiffer law stays stable to larger depths, and its solutions are initial guesses for the
+# softer ones.
+FIRST_M, USUAL_M = (8.0, 4.0), 4.0
 _BEND = 8.0  # m around which the dependence changes from quadratic to exponential
 
 

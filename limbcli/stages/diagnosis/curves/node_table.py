@@ -1,4 +1,4 @@
-"""Evaluation of solved displacements: deformation, and curves of force and speed.
+"""Evaluation of solved displacements: deformation, and curves of force, speed and layer borders.
 
 Evaluated at the integration points of each cell, not from cell means: speeds grow faster than linearly with
 strain, so that mean strains give too low a speed, the more so the larger the cells.
@@ -18,27 +18,41 @@ from limbcli.effects.places import Stiffness
 from limbcli.effects.tissue import thickness
 from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.solvers.integration_points import IntegrationPoints
+from limbcli.stages.diagnosis.curves.site_solver import Solve
+from limbcli.stages.diagnosis.data.layers import BorderLines
 from limbcli.stages.diagnosis.data.windows import Windows
 
-FILE = "displacements.csv"
+_FILE = "displacements.csv"
 
 
 @dataclass(frozen=True, eq=False)
 class NodeTable:
-    """Evaluates displacements of the tissue's nodes. nodes : indices of these"""
+    """Evaluates displacements of the tissue's nodes.
+
+    nodes : indices of these; borders : layer borders to track
+    """
 
     nodes: IntArray
     windows: Windows
     density_kg_per_m3: float
+    borders: BorderLines | None = None
 
     @staticmethod
-    def of(model: LimbModel, windows: Windows, density_kg_per_m3: float) -> NodeTable:
-        return NodeTable(np.unique(model.mesh.solid_blocks[0].cells), windows, density_kg_per_m3)
+    def of(
+        model: LimbModel, windows: Windows, density_kg_per_m3: float, borders: BorderLines | None = None
+    ) -> NodeTable:
+        nodes = np.unique(model.mesh.solid_blocks[0].cells)
+        return NodeTable(nodes, windows, density_kg_per_m3, borders)
 
-    @property
-    def record(self) -> LogRecord:
+    def records(self, model: LimbModel) -> tuple[LogRecord, ...]:
         """Required output of a simulation."""
-        return LogRecord("node", ("ux", "uy", "uz"), FILE, self.nodes)
+        displacements = LogRecord("node", ("ux", "uy", "uz"), _FILE, self.nodes)
+        return (displacements,) if self.borders is None else (displacements, self.borders.record(model))
+
+    def values(self, solve: Solve) -> Array:
+        """Displacements at the levels reached, in the precision of the memo, so that a resumed diagnosis
+        continues with the same numbers."""
+        return solve.result.simulation.nodes[_FILE].values[solve.rows].astype(np.float32).astype(float)
 
     def kinematics(self, model: LimbModel, depth: Array, values: Array) -> SolvedDeformation:
         """The tissue's deformation at these depths (mm, n), the first of which is 0."""
@@ -56,10 +70,10 @@ class NodeTable:
         return SolvedDeformation(depth, F, points.rest, points.volume, tuple(seen))
 
     def curves(
-        self, model: LimbModel, in_window: LimbModel, kinematics: SolvedDeformation, forces: Array,
+        self, solve: Solve, kinematics: SolvedDeformation, *, in_window: LimbModel,
         stiffness: Sequence[Stiffness] = (), without: Sequence[tuple[float, SolvedDeformation]] = (),
     ) -> Curves:  # fmt: skip
-        """Curves of forces (N, n) and speeds over depth.
+        """Curves down to the level reached.
 
         in_window : the model used for the wave speeds, without `stiffness`; stiffness : fields that multiply
         its stiffnesses; without : see `strain_concentrations`
@@ -71,6 +85,10 @@ class NodeTable:
         speeds = frozen_speed(
             in_window, kinematics, stiffness, density_kg_per_m3=density, concentrations=concentrations
         )
+        lines = None
+        if self.borders is not None:
+            lines = self.borders.log_depths(solve.model, solve.result.simulation, solve.rows)
         return Curves(
-            kinematics.depth, np.concatenate([[0.0], forces]), speeds, self.windows.depths, thickness(model)
-        )
+            kinematics.depth, np.concatenate([[0.0], solve.result.must_points.forces]), speeds,
+            self.windows.depths, thickness(solve.model), lines,
+        )  # fmt: skip

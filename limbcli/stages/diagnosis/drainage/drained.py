@@ -13,21 +13,22 @@ from typing import Any
 import numpy as np
 
 from limbcli.atomic_files import atomic_file
+from limbcli.config import available_cores, shares
 from limbcli.diagnostics import decisions
 from limbcli.effects import poroelasticity
 from limbcli.effects.base import Effect
 from limbcli.effects.drainage import Drainage, HeldIndentation
 from limbcli.errors import FitError, LimbError, SolveError
 from limbcli.model import LimbModel
+from limbcli.model_io import model_hash
 from limbcli.progress import Progress
 from limbcli.solvers import choose
 from limbcli.solvers.base import Solver
 from limbcli.solvers.febio import FebioSolver
-from limbcli.stages.diagnosis.curves.keys import changed_to
-from limbcli.stages.diagnosis.curves.site_simulations import USUAL_M, SiteSimulations
+from limbcli.stages.diagnosis.curves.exponents import USUAL_M
+from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.data.held_forces import HeldForces
 from limbcli.stages.diagnosis.drainage.held_model import RAMP_STEPS, held_model, hold_of
-from limbcli.stages.fitting.force_curves import available_cores, shares
 from limbcli.temporary_folders import scratch_folder
 
 NAME = poroelasticity.EFFECT.name
@@ -180,7 +181,7 @@ class _Runs:
             return None
 
     def _path(self, depth: float) -> Path:
-        return self.keep / f"drainage-{changed_to(self._held(depth))[:16]}-{self.version}.json"
+        return self.keep / f"drainage-{model_hash(self._held(depth))[:16]}-{self.version}.json"
 
 
 def _enough(found: Sequence[_Run]) -> list[HeldIndentation]:

@@ -16,11 +16,11 @@ from scipy.interpolate import CubicSpline
 
 from limbcli.effects.base import Effect, Parameter, Theta, point_name
 from limbcli.effects.curves import Curves, gaps_filled
+from limbcli.effects.ingredients import Ingredients, touches_loads
 from limbcli.errors import SolveError
 from limbcli.model import Array, LimbModel
 from limbcli.progress import Progress
-from limbcli.stages.diagnosis.curves.simulated_effects import Ingredients, touches_loads
-from limbcli.stages.diagnosis.curves.site_simulations import FIRST_M
+from limbcli.stages.diagnosis.curves.exponents import FIRST_M
 from limbcli.stages.diagnosis.data.layers import line_shift
 from limbcli.stages.diagnosis.data.windows import Windows
 

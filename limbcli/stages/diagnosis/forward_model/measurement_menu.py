@@ -12,7 +12,7 @@ from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Protocol, Reading, read, true_depth
 from limbcli.errors import CaseError, LimbError
 from limbcli.model import Array
-from limbcli.stages.diagnosis.data.noise import SmoothDepth, maps_model_error, smooth_model_error
+from limbcli.stages.diagnosis.data.noise import SmoothDepth, maps_model_error
 from limbcli.stages.diagnosis.data.rows import ExtraMeasurement
 from limbcli.stages.diagnosis.data.site_data import USUAL_THICKNESS, SiteData
 from limbcli.stages.diagnosis.forward_model.predictions import Predictions
@@ -152,7 +152,6 @@ def _error_of_contrast(site: SiteCurves) -> Array:
     strain = np.abs(SmoothDepth.through(protocol).at(protocol.force)) / thickness
     level, part = (each.ravel() for each in np.indices((len(protocol), len(middles))))
     of_parts = maps_model_error(middles, part, strain[level], level)
-    of_parts += smooth_model_error(middles, part, strain[level], level)
     less_mean = np.kron(np.eye(len(protocol)), np.eye(len(middles)) - 1.0 / len(middles))
     return np.asarray(less_mean @ of_parts @ less_mean.T)
 

@@ -26,7 +26,7 @@ from limbcli.diagnostics.model.priors import Prior
 from limbcli.effects.base import Effect, Theta, point_name
 from limbcli.errors import LimbError, SolveError
 from limbcli.model import Array
-from limbcli.stages.diagnosis.curves.site_simulations import FIRST_M
+from limbcli.stages.diagnosis.curves.exponents import FIRST_M
 from limbcli.stages.diagnosis.data.noise import BESIDE, IN_MAPS, LEAST_BESIDE, LEAST_IN_MAPS
 from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
 from limbcli.stages.diagnosis.forward_model.fits import Fits

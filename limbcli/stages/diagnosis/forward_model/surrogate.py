@@ -22,10 +22,10 @@ from limbcli.errors import LimbError, SolveError
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.diagnosis.curves.exponents import bend
-from limbcli.stages.diagnosis.curves.penetration import Penetration
 from limbcli.stages.diagnosis.data.site_data import SiteData
 from limbcli.stages.diagnosis.forward_model.changes import Changes, CurveSource, logs, without_spikes
 from limbcli.stages.diagnosis.mesh_error.mesh_correction import MeshCorrection
+from limbcli.stages.diagnosis.mesh_error.penetration import Penetration
 
 _OF_LEVELS = ("force", "swe", "map", "travel", "layer")
 _NONE: Mapping[str, LimbError] = {}

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,6 @@ from limbcli.errors import CaseError, LimbError, SolveError
 from limbcli.feb.settings import USUAL_PENALTY
 from limbcli.model import Array, LimbModel
 from limbcli.results import read_result
-from limbcli.stages.diagnosis.curves.curve_plan import Reach
 from limbcli.stages.diagnosis.curves.exponents import bend
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.units import mpa_from_kpa
@@ -112,15 +111,8 @@ def own_curves(
     depths = sorted(
         {simulations.depths[int(np.abs(deep - share * simulations.needed).argmin())] for share in _SHARES}
     )
-    own = SiteSimulations(
-        meshed, depths, c=simulations.c, f_kappa=simulations.f_kappa, density_kg_per_m3=simulations.density,
-        windows=simulations.windows, keep=simulations.kept.folder, progress=simulations.progress,
-        reach=Reach(
-            enough_force=simulations.enough_force, beside=simulations.curves, begin=simulations.levels,
-            enough=_ENOUGH,
-        ),
-        solving=replace(simulations.solving, penalty=size_ratio * simulations.model.contacts[0].penalty),
-    )  # fmt: skip
+    penalty = size_ratio * simulations.model.contacts[0].penalty
+    own = simulations.on_mesh(meshed, depths, enough=_ENOUGH, penalty=penalty)
     own.work.at_most = _TIMES_USUAL * max(simulations.work.mean, _LEAST_WORK)
     try:
         found = {several[0]: own.curves(several[0])}

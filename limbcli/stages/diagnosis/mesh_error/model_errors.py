@@ -13,7 +13,7 @@ from limbcli.effects.curves import Curves, gaps_filled
 from limbcli.errors import LimbError, SolveError
 from limbcli.model import Array
 from limbcli.results import read_result
-from limbcli.stages.diagnosis.curves.site_simulations import FIRST_M
+from limbcli.stages.diagnosis.curves.exponents import FIRST_M
 from limbcli.stages.diagnosis.data.noise import IN_MEAN, STRAIN, ModelError
 from limbcli.stages.diagnosis.data.site_data import USUAL_THICKNESS
 from limbcli.stages.diagnosis.mesh_error.geometry_gain import assumed_gain
@@ -29,7 +29,6 @@ _VOXEL_SHARE, _IMAGE_GAIN = 0.5, 0.05
 # (root mean square), to which other errors of the model contribute (`tests/benchmarks/exact_fits.py`).
 _SURFACE_GEOMETRY = (0.2, 0.04)
 _STRAIN = 0.02  # relative standard deviation of all strains: posture, the scanner's scale of depths
-_MAP_STRAIN = 0.05  # the same for a map's pattern alone, whose growth with depth differs between meshes
 
 
 class ModelErrors:
@@ -41,19 +40,6 @@ class ModelErrors:
         )  # fmt: skip
         self.out, self.notes, self.depth = numerics.out, numerics.notes, numerics.depth
         self.likely_m = numerics.likely_m
-
-    def _growth(self) -> list[ModelError]:
-        """Error of the growth of a map's pattern with depth."""
-        if self.site.swe_maps is None:
-            return []
-        curves = self.simulations.curves(self.likely_m)
-        rise = _rise(curves)
-        moved = (
-            _MAP_STRAIN
-            * np.nan_to_num(self.depth)[:, None]
-            * at_depths(np.nan_to_num(self.depth), curves, rise)
-        )
-        return [ModelError("model: growth of the maps' pattern", np.zeros(len(self.levels)), moved)]
 
     def map_slopes(self) -> Array:
         """Derivative (n_levels used, n_parts) of the model's ln speeds with depth at the levels, in 1/mm."""
@@ -123,8 +109,8 @@ class ModelErrors:
         return self.simulations.curves(self.likely_m).thickness > 0
 
     def _geometry(self) -> list[ModelError]:
-        """Errors from the surfaces: of the depth at first touch, of the thickness and thus all strains, of
-        the growth of the maps' pattern, and of a common factor on the force."""
+        """Errors from the surfaces: of the depth at first touch, of the thickness and thus all strains, and of a
+        common factor on the force."""
         spacing = read_spacing(self.out)
         touch, gain = _SURFACE_GEOMETRY
         if spacing is not None:
@@ -139,7 +125,6 @@ class ModelErrors:
         return [
             ModelError("model: depth at first touch", np.zeros(n), none, depth=touch),
             ModelError(STRAIN, np.zeros(n), none, strain=strain),
-            *self._growth(),
             ModelError("model: gain of the force by the geometry", np.full(n, gain), none),
         ]
 

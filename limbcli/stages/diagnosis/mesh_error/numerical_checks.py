@@ -26,8 +26,8 @@ from limbcli.errors import LimbError, SolveError
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, LimbModel
 from limbcli.progress import Progress
-from limbcli.stages.diagnosis.curves.penetration import LEFT_ERROR, Penetration, penetration
-from limbcli.stages.diagnosis.curves.site_simulations import FIRST_M, SiteSimulations
+from limbcli.stages.diagnosis.curves.exponents import FIRST_M
+from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.data.noise import COMPRESSIBILITY, FEWEST_SMOOTH, SmoothDepth, readings
 from limbcli.stages.diagnosis.mesh_error.mesh_comparison import MeshComparison, ResultNotes, at_depths
 from limbcli.stages.diagnosis.mesh_error.mesh_correction import (
@@ -37,6 +37,7 @@ from limbcli.stages.diagnosis.mesh_error.mesh_correction import (
     SiteMeshRun,
     own_run,
 )
+from limbcli.stages.diagnosis.mesh_error.penetration import LEFT_ERROR, Penetration, penetration
 
 USUAL_C = 0.006  # MPa, reference c; arbitrary, as force and modulus are proportional to it
 # Remaining uncertainty as a fraction of the change by 5 % more tissue: surfaces and posture leave 4 %.

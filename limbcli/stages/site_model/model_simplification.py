@@ -1,4 +1,4 @@
-"""Simplifications of a model that are acceptable in a diagnosis, but not in a final run."""
+"""Simplifications of a model that make it converge faster, at a small change of its forces."""
 
 from __future__ import annotations
 

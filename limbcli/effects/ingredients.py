@@ -1,4 +1,4 @@
-"""Classification of the simulated effects of a model: changes of mesh, loads, law or stiffness."""
+"""Effects with sizes that a simulated model contains: what they change, and how they are simulated."""
 
 from __future__ import annotations
 
@@ -12,12 +12,30 @@ Ingredients = tuple[tuple[Effect, Theta], ...]
 _SET_UP = ("mesh", "domains", "bodies", "supports", "drives", "springs", "contacts", "curves")
 
 
+def names_of(ingredients: Ingredients) -> tuple[str, ...]:
+    return tuple(effect.name for effect, _ in ingredients)
+
+
 def is_numerical(ingredients: Ingredients) -> bool:
     """Whether there are effects and all of them are numerical (mesh, cut, contact)."""
     return bool(ingredients) and all(effect.kind == "numerical" for effect, _ in ingredients)
 
 
-def fields(ingredients: Ingredients, *, waves: bool = False) -> tuple[Stiffness, ...]:
+def has_fitted_size(ingredients: Ingredients) -> bool:
+    """Whether a parameter is neither at its null value nor at the start value used for sensitivities."""
+    return any(
+        theta.get(p.name, p.null) not in (p.null, p.start)
+        for effect, theta in ingredients
+        for p in effect.parameters
+    )
+
+
+def laws(ingredients: Ingredients) -> Ingredients:
+    """The effects that change more than a factor on all stiffnesses."""
+    return tuple(each for each in ingredients if each[0].stiffness is None)
+
+
+def stiffness_fields(ingredients: Ingredients, *, waves: bool = False) -> tuple[Stiffness, ...]:
     """Stiffness fields of the effects that are a factor on all stiffnesses; `waves`: for the wave speeds,
     without effects that have a separate law there."""
     return tuple(
@@ -29,15 +47,6 @@ def fields(ingredients: Ingredients, *, waves: bool = False) -> tuple[Stiffness,
 def _stiffness_of(effect: Effect, theta: Theta, places: Places) -> Array:
     assert effect.stiffness is not None
     return effect.stiffness(places, theta)
-
-
-def has_fitted_size(ingredients: Ingredients) -> bool:
-    """Whether a parameter is neither at its null value nor at the start value used for sensitivities."""
-    return any(
-        theta.get(p.name, p.null) not in (p.null, p.start)
-        for effect, theta in ingredients
-        for p in effect.parameters
-    )
 
 
 def is_of_law_alone(model: LimbModel, changed: LimbModel) -> bool:
