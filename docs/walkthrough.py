@@ -97,8 +97,8 @@ left.plot(curves["depth_mm"], curves["ogden_n"], color="#0072b2", label="fitted"
 left.set(xlabel="depth [mm]", ylabel="force [N]")
 left.legend()
 candidates = found.table()
-right.barh(candidates["name"], -np.log10(np.maximum(candidates["p_adjusted"], 1e-6)), color="#d55e00")
-right.set(xlabel="$-\\log_{10}$ of adjusted p", title=f"verdict: {found.verdict}")
+right.barh(candidates["name"], candidates["probability"], color="#d55e00")
+right.set(xlabel="probability that it is missing", title=f"verdict: {found.verdict}")
 figure.savefig(folder / "walkthrough.png", dpi=120)
 print(f"picture: {folder / 'walkthrough.png'}")
 

@@ -28,7 +28,8 @@ class DiagnosisResult(Result):
     verdict : "adequate", "named", "ambiguous", "unexplained" or "untestable"
     reason : reason of the verdict, as a sentence
     added : effects that were added to the model
-    confidence_set : the explanations that together have a probability of 95 %, each a tuple of effects; an empty one
+    confidence_set : the explanations that together have a probability of 95 %, each a tuple of effects; an
+    empty one
         is that nothing is missing
     probability : of the most probable of them
     sentences : the full account, in reading order

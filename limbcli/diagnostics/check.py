@@ -1,10 +1,11 @@
-"""Posterior predictive check: is the residual of an explanation one that its noise gives, as a whole and in parts?
+"""Posterior predictive check: is the residual of an explanation one that its noise gives, as a whole and in
+parts?
 
-The tests of the whole residual (chi2) and of every part of the data (a channel, a third of the levels, a region of
-the maps) form one family; their p are adjusted by the smallest p in draws from the noise.
+The tests of the whole residual (chi2) and of every part of the data (a channel, a third of the levels, a
+region of the maps) form one family; their p are adjusted by the smallest p in draws from the noise.
 
-Source: Westfall & Young 1993, Resampling-Based Multiple Testing, section 2.3 (smallest p); Gelman, Meng & Stern
-1996, Stat Sinica 6:733 (posterior predictive checks).
+Source: Westfall & Young 1993, Resampling-Based Multiple Testing, section 2.3 (smallest p); Gelman, Meng &
+Stern 1996, Stat Sinica 6:733 (posterior predictive checks).
 """
 
 from __future__ import annotations
@@ -56,7 +57,11 @@ class Check:
 
 def checked(data: Data, state: LinearFit, whiten: Whitener, rng: np.random.Generator) -> Check:
     """Check of a fit; state : its residual and sensitivities, whitened by `whiten`."""
-    bases = {name: _base(data, mask, state, whiten) for name, mask in data.groups.items() if 0 < mask.sum() < len(mask)}
+    bases = {
+        name: _base(data, mask, state, whiten)
+        for name, mask in data.groups.items()
+        if 0 < mask.sum() < len(mask)
+    }
     names, left = [WHOLE, *bases], state.left
     values = np.array([left @ left, *(np.sum((left @ base) ** 2) for base in bases.values())])
     nu = [state.nu, *(base.shape[1] for base in bases.values())]
@@ -85,7 +90,8 @@ def _statistics(state: LinearFit, bases: Mapping[str, Array], rng: np.random.Gen
 
 
 def _base(data: Data, mask: Mask, state: LinearFit, whiten: Whitener) -> Array:
-    """Orthonormal basis (n, rank) of the shifts of a part's data that the fitted parameters cannot reproduce."""
+    """Orthonormal basis (n, rank) of the shifts of a part's data that the fitted parameters cannot
+    reproduce."""
     shifts = np.eye(len(mask))[:, mask] if mask.sum() <= _FEW_DATA else _even(data, mask)
     seen = state.project(whiten(shifts))
     return np.asarray(orth(seen, rcond=_RCOND)) if np.any(seen) else np.zeros((len(mask), 0))

@@ -1,13 +1,17 @@
 """The complete diagnosis of one data set with one forward model: the probability of every explanation.
 
-1. The model is fitted without effects, and with every effect and pair of effects that matters (`search`); each
+1. The model is fitted without effects, and with every effect and pair of effects that matters (`search`);
+each
    explanation gets its evidence (`evidence`) and, with its prior, its probability.
-2. The model is adequate if "nothing" is as probable as it is in 95 % of the measurements with nothing missing, which
+2. The model is adequate if "nothing" is as probable as it is in 95 % of the measurements with nothing
+missing, which
    draws from the noise show (`evidence.chance`).
-3. Else the effects that every likely explanation has are named if together these have 95 %; if not, the set of
-   explanations with 95 % is reported. If even the most probable one fails the posterior predictive check, the verdict
-   is unexplained.
-4. Sizes, c and m are averaged over explanations; what the data cannot show, and which measurement would say most, follow
+3. Else the effects that every likely explanation has are named if together these have 95 %; if not, the set
+of
+   explanations with 95 % is reported. If even the most probable one fails the posterior predictive check, the
+   verdict is unexplained.
+4. Sizes, c and m are averaged over explanations; what the data cannot show, and which measurement would say
+most, follow
    from the same probabilities.
 """
 
@@ -134,7 +138,9 @@ class _Run:
     def _left_of(self, each: Explained) -> Check:
         """Check of an explanation, or of the larger of its parts that was fitted."""
         known = [e for e in self.search.known if set(e) <= set(each.explanation)]
-        return self._checked(self._posterior(max(known, key=lambda e: (len(e), self._posterior(e).ln_evidence))))
+        return self._checked(
+            self._posterior(max(known, key=lambda e: (len(e), self._posterior(e).ln_evidence)))
+        )
 
     def _checked(self, found: Posterior) -> Check:
         whiten, data = self.search.whitener(found), self.forward_model.data
@@ -152,18 +158,23 @@ class _Run:
         names = [name for name in self.facts if name in search.linear[()].added]
         fits = [each for each in self.several if each.posterior is not None]
         return Diagnosis(
-            word, reason, search.relative, self._posterior(()).fitted, self.nothing if testable else 1.0, self.limit,
-            tuple(self.several), tuple(each.explanation for each in members),
-            {name: containing((name,), self.several) for name in names}, chosen,
-            self._checked(self._posterior(())) if testable else None, self._left_of(best) if testable else None,
-            self._shrink(shown), self._blind_spots(), self._next_steps(members) if self.propose else (),
-            search.not_evaluated, self.rough, self.facts, self.seed, self._sizes(names),
-            {each.explanation: self._common(each.posterior) for each in fits if each.posterior is not None},
+            verdict=word, reason=reason, relative=search.relative, base=self._posterior(()).fitted,
+            nothing=self.nothing if testable else 1.0, adequate_from=self.limit,
+            explanations=tuple(self.several), confidence_set=tuple(each.explanation for each in members),
+            effects={name: containing((name,), self.several) for name in names}, chosen=chosen,
+            check=self._checked(self._posterior(())) if testable else None,
+            left=self._left_of(best) if testable else None, shrink=self._shrink(shown),
+            blind_spots=self._blind_spots(), next_steps=self._next_steps(members) if self.propose else (),
+            not_evaluated=search.not_evaluated, roughness=self.rough, facts=self.facts, seed=self.seed,
+            sizes=self._sizes(names),
+            common_errors={
+                each.explanation: self._common(each.posterior) for each in fits if each.posterior is not None
+            },
         )  # fmt: skip
 
     def _shrink(self, shown: Explanation) -> tuple[Shrink, ...]:
-        """Stages from the base model to the shown explanation, with its effects added one at a time; the last one's c
-        and m are averaged over all explanations."""
+        """Stages from the base model to the shown explanation, with its effects added one at a time; the last
+        one's c and m are averaged over all explanations."""
         known = self.search.known
         while shown not in known:
             shown = shown[:-1]
@@ -193,7 +204,8 @@ class _Run:
 
     def _sizes(self, names: Sequence[str]) -> dict[str, dict[str, tuple[float, float]]]:
         nulls = {
-            name: {size: prior.mean for size, prior in self.forward_model.size_priors(name).items()} for name in names
+            name: {size: prior.mean for size, prior in self.forward_model.size_priors(name).items()}
+            for name in names
         }
         return sizes_95(names, self.search.known, self.search.linear[()], nulls)
 
@@ -221,7 +233,9 @@ class _Run:
         if len(fits) < 2:
             return ()
         try:
-            proposals = self.forward_model.proposals([each.posterior.fitted for each in fits if each.posterior])
+            proposals = self.forward_model.proposals(
+                [each.posterior.fitted for each in fits if each.posterior]
+            )
         except LimbError as error:
             self.search.not_evaluated["next measurement"] = error.what
             return ()

@@ -1,8 +1,9 @@
 """The explanations of a measurement and their probabilities: nothing, every effect, every pair of effects.
 
-All effects are fitted on the surrogate. Pairs are ranked by their linear evidence, about the fit without effects and
-about the fit of each effect that is likely; a pair that is likely is fitted as well. What is fitted and likely is
-simulated, until no explanation with a probability above `UNSETTLED` rests on an estimate.
+All effects are fitted on the surrogate. Pairs are ranked by their linear evidence, about the fit without
+effects and about the fit of each effect that is likely; a pair that is likely is fitted as well. What is
+fitted and likely is simulated, until no explanation with a probability above `UNSETTLED` rests on an
+estimate.
 """
 
 from __future__ import annotations
@@ -120,7 +121,12 @@ class Search:
     def fitted(self, fitted: Fitted) -> Posterior:
         """Add a fit."""
         found = posterior(
-            fitted, self.data.y, self.data.noise, self.scalable, form=form_error(self.data, fitted), relative=self.relative
+            fitted,
+            self.data.y,
+            self.data.noise,
+            self.scalable,
+            form=form_error(self.data, fitted),
+            relative=self.relative,
         )
         self.known[fitted.explanation] = found
         return found
@@ -154,7 +160,9 @@ class Search:
 
     def explained(self) -> list[Explained]:
         """The explanations with what is known of them now."""
-        ln_evidence: dict[Explanation, float] = {each: found.ln_evidence for each, found in self.known.items()}
+        ln_evidence: dict[Explanation, float] = {
+            each: found.ln_evidence for each, found in self.known.items()
+        }
         names = list(self.linear[()].added)
         for name in names:  # whose fit failed
             if (name,) not in ln_evidence:
@@ -171,8 +179,8 @@ class Search:
         return sorted(found, key=lambda one: (-one.probability, len(one.explanation)))
 
     def _of_pairs(self, names: Sequence[str]) -> dict[Explanation, float]:
-        """Linear estimates: about the more probable of the fits of its two effects, where that was linearised; else
-        about the fit without effects."""
+        """Linear estimates: about the more probable of the fits of its two effects, where that was
+        linearised; else about the fit without effects."""
         nothing = self.known[()].ln_evidence
         if not hasattr(self, "_first"):
             self._first = self.linear[()].ln_factors_of_pairs()
@@ -239,8 +247,8 @@ def credible(several: Sequence[Explained]) -> list[Explained]:
 
 
 def named(several: Sequence[Explained]) -> Explanation:
-    """The most probable explanation, if it, or the effects that it has with others, has the probability `CREDIBLE`;
-    else none."""
+    """The most probable explanation, if it, or the effects that it has with others, has the probability
+    `CREDIBLE`; else none."""
     best = several[0].explanation
     return best if best and containing(best, several) >= decisions.CREDIBLE else ()
 

@@ -17,7 +17,7 @@ from limbcli.effects.places import Places, stiffened
 from limbcli.model import Array, LimbModel
 
 THICKNESS = "fat_thickness_mm"
-THICK = Parameter.of_shape(THICKNESS, 6.0, 1.5, 20.0, "2 to 15 mm at the calf", extent=True)
+THICK = Parameter.of_shape(THICKNESS, 6.0, 1.5, 20.0, "2 to 15 mm at the calf")
 SOFTNESS = Parameter("log_fat_softness", null=0.0, start=0.7, low=0.0, high=3.0, typical=1.0,
                      prior="fat 0.2 to 2 kPa under muscle of 2 to 6 kPa: 1 to 3")  # fmt: skip
 

@@ -31,7 +31,6 @@ class Parameter:
         there
     both_sides : its effects on the two sides of null are not opposite, so a simulated effect is solved on
         both
-    extent : a shape that sets how far the effect reaches; at its largest it makes the effect a different one
     saturates : distance from `null` over which its effect levels off, as 1 - exp(-distance / saturates);
         None: its effect is proportional to the distance
     looked_at : fraction of the way from `null` to `start` at which its influence near null is evaluated
@@ -49,15 +48,12 @@ class Parameter:
     natural_bounds: bool = False
     saturates: float | None = None
     looked_at: float = 0.02
-    extent: bool = False
     both_sides: bool = False
     needs: tuple[str, ...] = ()
 
     @staticmethod
-    def of_shape(
-        name: str, start: float, low: float, high: float, prior: str = "", *, extent: bool = False
-    ) -> Parameter:
-        return Parameter(name, start, start, low, high, start, prior, True, extent=extent)
+    def of_shape(name: str, start: float, low: float, high: float, prior: str = "") -> Parameter:
+        return Parameter(name, start, start, low, high, start, prior, True)
 
     @property
     def step(self) -> float:

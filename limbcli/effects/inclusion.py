@@ -30,7 +30,7 @@ CONTRAST = Parameter("log_inclusion_ratio", null=0.0, start=0.7, low=-2.5, high=
 SHAPE = (
     Parameter.of_shape(X, 0.0, -26.0, 26.0, "under the probe"),
     Parameter.of_shape(DEPTH, 12.0, 2.0, 40.0, "below the skin under the probe's centre"),
-    Parameter.of_shape(RADIUS, 7.0, 3.0, 16.0, "scars and their beds: 5 to 15 mm", extent=True),
+    Parameter.of_shape(RADIUS, 7.0, 3.0, 16.0, "scars and their beds: 5 to 15 mm"),
     Parameter.of_shape(EDGE, 3.0, 1.0, 8.0, "from 10 to 90 % of the change; scars fade out"),
 )
 _PLACES = tuple(

@@ -43,7 +43,9 @@ class BlindSpot:
     def matters(self) -> bool:
         """Whether an effect of typical size would be undetected and bias a parameter by more than one
         standard deviation."""
-        return self.is_undetectable and any(abs(each) > decisions.BIAS_MATTERS_SD for each in self.bias_sd.values())
+        return self.is_undetectable and any(
+            abs(each) > decisions.BIAS_MATTERS_SD for each in self.bias_sd.values()
+        )
 
 
 def blind_spot(
@@ -61,8 +63,13 @@ def blind_spot(
     fitted = nothing.fitted
     shift = nothing.covariance @ (whiten(fitted.jacobian).T @ moved)
     n = len(fitted.base_names)
-    bias = {key: float(shift[k] / max(nothing.deviation[k], 1e-300)) for k, key in enumerate(fitted.base_names[:n])}
-    percent = {key: float(100 * np.expm1(np.clip(shift[k], -5, 5))) for k, key in enumerate(fitted.base_names[:n])}
+    bias = {
+        key: float(shift[k] / max(nothing.deviation[k], 1e-300))
+        for k, key in enumerate(fitted.base_names[:n])
+    }
+    percent = {
+        key: float(100 * np.expm1(np.clip(shift[k], -5, 5))) for k, key in enumerate(fitted.base_names[:n])
+    }
     prior = float(np.min((typical / added.deviation)[typical != 0] ** 2)) if np.any(typical) else 0.0
     one_sided = any(added.direction.signs)
     return BlindSpot(
@@ -72,8 +79,8 @@ def blind_spot(
 
 
 def _detectable(information: float, prior: float, ln_factor: float) -> float:
-    """Size, in units of that with this information (reciprocal variance) and prior precision, whose Bayes factor
-    exceeds exp(ln_factor) with the stated power; infinite where it is invisible.
+    """Size, in units of that with this information (reciprocal variance) and prior precision, whose Bayes
+    factor exceeds exp(ln_factor) with the stated power; infinite where it is invisible.
 
     >>> round(_detectable(100.0, 0.0001, 0.0), 3)  # 3.72 standard deviations and 0.84 for the power
     0.456

@@ -1,11 +1,11 @@
 """Tissue parameters and sizes of effects, averaged over explanations by their probability.
 
-The posterior of every explanation is normal in ln c, ln m and the sizes, about its fit; the mixture of these gives the
-reported values (medians) and 95 % intervals. The prior of ln m is normal, m from 1 to 15 in 95 %: the range of exponents
-reported for muscle and limbs. Where the data determine m, it has no influence.
+The posterior of every explanation is normal in ln c, ln m and the sizes, about its fit; the mixture of these
+gives the reported values (medians) and 95 % intervals. The prior of ln m is normal, m from 1 to 15 in 95 %:
+the range of exponents reported for muscle and limbs. Where the data determine m, it has no influence.
 
-Source: Sengeh et al. 2016, J Mech Behav Biomed Mater 59:379 (m 4.7 in a residual limb); Oddes & Solav 2023 (m is hard
-to identify from indentation); Hoeting et al. 1999, Stat Sci 14:382 (model averaging).
+Source: Sengeh et al. 2016, J Mech Behav Biomed Mater 59:379 (m 4.7 in a residual limb); Oddes & Solav 2023 (m
+is hard to identify from indentation); Hoeting et al. 1999, Stat Sci 14:382 (model averaging).
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ class Estimates:
 
 
 def estimates(several: Sequence[tuple[float, Posterior]], chosen: Explanation = ()) -> Estimates:
-    """Estimates over explanations, each with its weight; sizes of the effects in `chosen`, over those that have them.
+    """Estimates over explanations, each with its weight; sizes of the effects in `chosen`, over those that
+    have them.
 
     The first explanation must be `chosen`, whose values are reported of what has no posterior of its own.
     """
@@ -59,7 +60,11 @@ def estimates(several: Sequence[tuple[float, Posterior]], chosen: Explanation = 
         free = [Truncated(w, at + p.step[k], float(p.deviation[k])) for w, p, at in members]
         low, middle, high = quantiles(free, (_ENDS[0], 0.5, _ENDS[1]))
         bounds = [members[0][2] + float(end[k]) for end in (fitted.priors.low, fitted.priors.high)]
-        open_ends += [f"{letter} {side}" for side, out in (("below", low <= bounds[0]), ("above", high >= bounds[1])) if out]
+        open_ends += [
+            f"{letter} {side}"
+            for side, out in (("below", low <= bounds[0]), ("above", high >= bounds[1]))
+            if out
+        ]
         low, middle, high = (math.exp(min(max(x, bounds[0]), bounds[1])) for x in (low, middle, high))
         values[name], intervals[name] = middle, (low, high)
     for name in fitted.effect_names:
@@ -73,10 +78,8 @@ def _size(weight: float, found: Posterior, name: str) -> Truncated:
     """Distribution of an effect's parameter."""
     fitted = found.fitted
     k, at = len(fitted.base_names) + fitted.effect_names.index(name), fitted.values[name]
-    return Truncated(
-        weight, at + float(found.step[k]), max(float(found.deviation[k]), 1e-12), at + float(fitted.priors.low[k]),
-        at + float(fitted.priors.high[k]),
-    )  # fmt: skip
+    low, high = (at + float(end[k]) for end in (fitted.priors.low, fitted.priors.high))
+    return Truncated(weight, at + float(found.step[k]), max(float(found.deviation[k]), 1e-12), low, high)
 
 
 def sizes_95(
@@ -85,8 +88,8 @@ def sizes_95(
 ) -> dict[str, dict[str, tuple[float, float]]]:  # fmt: skip
     """95 % interval of every size of an effect when it alone is added to the model.
 
-    From its fit, and to first order at the other points of its grid, weighted by their evidence: where an effect is
-    absent, the most probable point is a matter of chance.
+    From its fit, and to first order at the other points of its grid, weighted by their evidence: where an
+    effect is absent, the most probable point is a matter of chance.
 
     nulls : by effect, the null values of its sizes
     """

@@ -48,8 +48,8 @@ def ranked(
 
 
 def _expected(several: Sequence[Explained], proposal: Proposal, rng: np.random.Generator) -> NextStep:
-    """The predictive distribution of a member is normal: the measurement's noise, and what the data leave of its
-    parameters."""
+    """The predictive distribution of a member is normal: the measurement's noise, and what the data leave of
+    its parameters."""
     weights = np.array([each.probability for each in several])
     weights = weights / weights.sum()
     means, roots = [], []
@@ -58,7 +58,11 @@ def _expected(several: Sequence[Explained], proposal: Proposal, rng: np.random.G
         J = proposal.jacobians[each.explanation]
         covariance = proposal.covariance + J @ each.posterior.covariance @ J.T
         means.append(proposal.predictions[each.explanation] + J @ each.posterior.step)
-        roots.append(np.linalg.cholesky(covariance + 1e-12 * np.trace(covariance) / len(covariance) * np.eye(len(covariance))))
+        roots.append(
+            np.linalg.cholesky(
+                covariance + 1e-12 * np.trace(covariance) / len(covariance) * np.eye(len(covariance))
+            )
+        )
     after, left = 0.0, 0.0
     for k, weight in enumerate(weights):
         drawn = means[k] + rng.standard_normal((_DRAWS, len(means[k]))) @ roots[k].T

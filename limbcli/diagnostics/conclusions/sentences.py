@@ -41,8 +41,8 @@ def percent(probability: float) -> str:
 def sentences(found: Diagnosis) -> list[str]:
     """Summary lines, at most eight, in the order of a reader's questions.
 
-    Verdict, fit, where and what, explanations, reduction of the residual, undetectable effects, next measurement,
-    candidates not evaluated.
+    Verdict, fit, where and what, explanations, reduction of the residual, undetectable effects, next
+    measurement, candidates not evaluated.
     """
     lines = [
         f"{_verdict(found)} Why: {found.reason}.",
@@ -59,14 +59,20 @@ def sentences(found: Diagnosis) -> list[str]:
 
 def _verdict(found: Diagnosis) -> str:
     text = _WORDS[found.verdict]
-    return text.replace("one missing effect explains", "two missing effects explain") if len(found.chosen) > 1 else text
+    return (
+        text.replace("one missing effect explains", "two missing effects explain")
+        if len(found.chosen) > 1
+        else text
+    )
 
 
 def _fit(found: Diagnosis) -> str:
     base = found.shrink[0]
     values = found.base.values
     level = "of unknown level" if found.relative else "as stated"
-    text = f"Without any effect: c {values['c_kpa']:.2f} kPa, m {values['m']:.2f}; " if "c_kpa" in values else ""
+    text = (
+        f"Without any effect: c {values['c_kpa']:.2f} kPa, m {values['m']:.2f}; " if "c_kpa" in values else ""
+    )
     return f"{text}chi2 {base.chi2:.1f} on {base.nu} degrees of freedom, noise {level}."
 
 
@@ -92,11 +98,15 @@ def _set(found: Diagnosis) -> str:
     if found.verdict in ("adequate", "untestable"):
         return ""
     shown = {each.explanation: each.probability for each in found.explanations}
-    listed = "; ".join(f"{in_words(each)} {percent(shown[each])}" for each in found.confidence_set[:_MOST_LISTED])
+    listed = "; ".join(
+        f"{in_words(each)} {percent(shown[each])}" for each in found.confidence_set[:_MOST_LISTED]
+    )
     more = len(found.confidence_set) - _MOST_LISTED
     rest = f"; {more} more, each less probable" if more > 0 else ""
     if found.verdict == "named":
-        sizes = ", ".join(f"{name} {short(found.estimates.values[name])}" for name in found.final.effect_names)
+        sizes = ", ".join(
+            f"{name} {short(found.estimates.values[name])}" for name in found.final.effect_names
+        )
         alone = f" With further effects: {listed}{rest}." if len(found.confidence_set) > 1 else ""
         return f"Added to the model: {in_words(found.chosen)} ({sizes}){_tissue(found.estimates)}.{alone}"
     if found.verdict == "ambiguous":
@@ -119,7 +129,9 @@ def _whichever(estimates: Estimates) -> str:
     """
     if "c_kpa" not in estimates.intervals or "m" not in estimates.intervals:
         return ""
-    return f" Averaged over these: c {_reach(estimates, 'c', 'c_kpa', ' kPa')}, m {_reach(estimates, 'm', 'm')}."
+    return (
+        f" Averaged over these: c {_reach(estimates, 'c', 'c_kpa', ' kPa')}, m {_reach(estimates, 'm', 'm')}."
+    )
 
 
 def _tissue(estimates: Estimates) -> str:
@@ -160,7 +172,8 @@ def _shrunk(found: Diagnosis) -> str:
     if len(first.held_out.keys() & last.held_out.keys()) > 1:  # at least one common block besides "all"
         before, after = first.held_out["all"], last.held_out["all"]
         held = f"; held-out error {before:.2f} to {after:.2f} deviations"
-    return f"With {in_words(last.explanation)}: chi2/nu from {first.chi2_per_nu:.2f} to {last.chi2_per_nu:.2f}{held}."
+    words = in_words(last.explanation)
+    return f"With {words}: chi2/nu from {first.chi2_per_nu:.2f} to {last.chi2_per_nu:.2f}{held}."
 
 
 def _blind(found: Diagnosis) -> str:
@@ -175,7 +188,9 @@ def _blind(found: Diagnosis) -> str:
     listed = []
     for spot in sorted(hidden, key=lambda s: -max(abs(v) for v in s.bias_sd.values()))[:3]:
         name, bias = max(spot.bias_sd.items(), key=lambda item: abs(item[1]))
-        listed.append(f"{spot.name} (would shift {name} by {bias:+.1f} deviations, {spot.bias_percent[name]:+.0f} %)")
+        listed.append(
+            f"{spot.name} (would shift {name} by {bias:+.1f} deviations, {spot.bias_percent[name]:+.0f} %)"
+        )
     return "These data could not detect, at plausible size: " + "; ".join(listed) + "."
 
 
@@ -186,13 +201,14 @@ def _next(found: Diagnosis) -> str:
     if best is None:
         return "Next measurement: none of the available ones would distinguish the explanations."
     return (
-        f"Next measurement: {best.sentence}; the probability of the true explanation is expected to rise from "
-        f"{percent(best.before)} to {percent(best.expected_probability)}."
+        f"Next measurement: {best.sentence}; the probability of the true explanation is expected to rise "
+        f"from {percent(best.before)} to {percent(best.expected_probability)}."
     )
 
 
 def recommended(found: Diagnosis) -> NextStep | None:
-    """The next measurement with the largest expected information, if that is worth recommending; else None."""
+    """The next measurement with the largest expected information, if that is worth recommending; else
+    None."""
     best = found.next_steps[0] if found.next_steps else None
     return best if best is not None and best.information_bits > _LEAST_BITS else None
 

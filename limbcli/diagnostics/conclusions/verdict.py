@@ -22,8 +22,9 @@ Word = Literal["adequate", "named", "ambiguous", "unexplained", "untestable"]
 class Shrink:
     """Goodness of fit at one stage of the model, from the base to the full explanation.
 
-    rms : by channel, of residual / standard deviation; held_out : by block, and "all" over the blocks that every
-    stage predicts; estimates : parameters with their intervals; chi2, rms and held_out are those of the best fit
+    rms : by channel, of residual / standard deviation; held_out : by block, and "all" over the blocks that
+    every stage predicts; estimates : parameters with their intervals; chi2, rms and held_out are those of the
+    best fit
     """
 
     explanation: Explanation
@@ -43,8 +44,8 @@ class Diagnosis:
     """The verdict and the results it is based on.
 
     relative : the noise level is unknown (assumed, or contradicted by the scatter)
-    nothing, adequate_from : probability that nothing is missing, against all single effects, and the value that 95 %
-    of the measurements with nothing missing exceed
+    nothing, adequate_from : probability that nothing is missing, against all single effects, and the value
+    that 95 % of the measurements with nothing missing exceed
     explanations : all, the most probable first; confidence_set : those that together have 95 %
     effects : probability of each effect, over all explanations
     chosen : the explanation added to the model (empty if none)

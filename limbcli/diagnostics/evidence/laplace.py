@@ -1,9 +1,9 @@
 """Evidence of an explanation: its likelihood, integrated over its parameters about the fit.
 
 Laplace's approximation with the sensitivities that the fit has: the integrand is normal in the parameters,
-truncated at their limits, so that a size that ends at its null value, or on a bound, is integrated on one side
-only. Errors of the model of unknown size (`Scalable`) are set to the size that makes the evidence largest, in
-every explanation anew.
+truncated at their limits, so that a size that ends at its null value, or on a bound, is integrated on one
+side only. Errors of the model of unknown size (`Scalable`) are set to the size that makes the evidence
+largest, in every explanation anew.
 
 Source: MacKay 2003, Information Theory, Inference, and Learning Algorithms, chapters 27 and 28.
 """
@@ -64,7 +64,8 @@ def posterior(
 ) -> Posterior:  # fmt: skip
     """The posterior of a fit to the data y (n,).
 
-    form (n, n) : covariance of the error of the effects' own form; relative : the level of the noise is unknown
+    form (n, n) : covariance of the error of the effects' own form; relative : the level of the noise is
+    unknown
     """
     known = {each.name: each for each in scalable if each.name in noise.names}
     family = _Covariances(noise, tuple(known), form)
@@ -86,7 +87,8 @@ def posterior(
 def _largest(
     along: Callable[[float], Posterior], first: Posterior, start: float, low: float, high: float
 ) -> Posterior:
-    """The posterior with the largest evidence between two values of one unknown, from the known one at `start`.
+    """The posterior with the largest evidence between two values of one unknown, from the known one at
+    `start`.
 
     Steps up or down while the evidence rises, then the summit of the parabola through the best three.
     """
@@ -120,7 +122,9 @@ class _Covariances:
 
     @cached_property
     def _fixed(self) -> Array:
-        total = np.asarray(sum(each.covariance for each in self.noise.parts if each.name not in self.scalable))
+        total = np.asarray(
+            sum(each.covariance for each in self.noise.parts if each.name not in self.scalable)
+        )
         return total if self.form is None else total + self.form
 
     @cached_property
@@ -134,7 +138,9 @@ class _Covariances:
         return Whitener.of(total)
 
 
-def _at(fitted: Fitted, y: Array, whiten: Whitener, shares: Mapping[str, float], *, relative: bool) -> Posterior:
+def _at(
+    fitted: Fitted, y: Array, whiten: Whitener, shares: Mapping[str, float], *, relative: bool
+) -> Posterior:
     r, J = whiten(y - fitted.prediction), whiten(fitted.jacobian)
     ln_root = float(np.log(np.diag(whiten.factor)).sum())
     if not relative:
@@ -150,7 +156,8 @@ def _at(fitted: Fitted, y: Array, whiten: Whitener, shares: Mapping[str, float],
 def gaussian(
     fitted: Fitted, r: Array, J: Array, ln_root: float, shares: Mapping[str, float], level: float = 1.0
 ) -> Posterior:
-    """The posterior from the whitened residual r (n,) and sensitivities J (n, p); ln_root : half ln det Sigma."""
+    """The posterior from the whitened residual r (n,) and sensitivities J (n, p); ln_root : half ln det
+    Sigma."""
     priors = fitted.priors
     A = J.T @ J + np.diag(priors.precision)
     pull = J.T @ r + priors.precision * priors.shift
@@ -173,13 +180,17 @@ def gaussian(
 
 
 def ln_prior_inside(fitted: Fitted) -> float:
-    """ln of the prior probability of the box, which the normal priors are divided by; uniform ones have it 1."""
+    """ln of the prior probability of the box, which the normal priors are divided by; uniform ones have it
+    1."""
     priors, total = fitted.priors, 0.0
     for k, precision in enumerate(priors.precision):
         if priors.is_normal[k]:
             total += float(
                 ln_probability(
-                    priors.shift[k : k + 1][None], np.full((1, 1), 1 / precision), priors.low[k : k + 1], priors.high[k : k + 1]
+                    priors.shift[k : k + 1][None],
+                    np.full((1, 1), 1 / precision),
+                    priors.low[k : k + 1],
+                    priors.high[k : k + 1],
                 )[0]
             )
     return total

@@ -18,7 +18,8 @@ from limbcli.model import Array
 
 @dataclass(frozen=True, eq=False)
 class Added:
-    """Sensitivities of an added effect (or several) at one point of its grid, whitened, and its sizes' priors.
+    """Sensitivities of an added effect (or several) at one point of its grid, whitened, and its sizes'
+    priors.
 
     columns : (n, q) whitened; seen : (n, q) the same, as far as the fitted parameters cannot reproduce them
     """
@@ -57,8 +58,8 @@ class Added:
         """Both effects together."""
         a, b = self.direction, other.direction
         both = Direction(
-            np.hstack([a.columns, b.columns]), (*a.signs, *b.signs), ", ".join(filter(None, (a.point, b.point))),
-            (*a.names, *b.names), {**a.at, **b.at},
+            np.hstack([a.columns, b.columns]), (*a.signs, *b.signs),
+            ", ".join(filter(None, (a.point, b.point))), (*a.names, *b.names), {**a.at, **b.at},
         )  # fmt: skip
         return Added(
             both, np.hstack([self.columns, other.columns]), np.hstack([self.seen, other.seen]),
@@ -101,8 +102,8 @@ class LinearEvidence:
         return LinearEvidence(whiten(y - fitted.prediction) - J @ fitted.priors.shift, added)
 
     def ln_factor(self, name: str, residual: Array | None = None) -> Array:
-        """ln Bayes factor (n_draws,), averaged over the effect's grid; residual (n_draws, n): draws in place of
-        the data."""
+        """ln Bayes factor (n_draws,), averaged over the effect's grid; residual (n_draws, n): draws in place
+        of the data."""
         drawn = self.residual[None] if residual is None else residual
         table = np.array([each.ln_factor(drawn) for each in self.added[name]])
         return np.asarray(np.logaddexp.reduce(table, axis=0) - np.log(len(table)))
@@ -112,7 +113,8 @@ class LinearEvidence:
         return max(self.added[name], key=lambda each: float(each.ln_factor(self.residual[None])[0]))
 
     def start(self, names: Sequence[str]) -> dict[str, float]:
-        """Sizes to start a fit with these effects from, as distances from null, and the fitted grid values."""
+        """Sizes to start a fit with these effects from, as distances from null, and the fitted grid
+        values."""
         several = [self.best(name) for name in names]
         both = several[0] if len(several) == 1 else several[0].beside(several[1])
         mean = np.clip(both.sizes(self.residual[None])[0], both.low, both.high)

@@ -29,20 +29,26 @@ def ln_probability(mean: Array, covariance: Array, low: Array, high: Array) -> A
     total = np.zeros(len(mean))
     for k in range(mean.shape[1]):
         deviation = np.sqrt(max(covariance[k, k], 1e-300))
-        if np.all(low[k] - mean[:, k] < -_FAR * deviation) and np.all(high[k] - mean[:, k] > _FAR * deviation):
+        if np.all(low[k] - mean[:, k] < -_FAR * deviation) and np.all(
+            high[k] - mean[:, k] > _FAR * deviation
+        ):
             continue
         a, b = (low[k] - mean[:, k]) / deviation, (high[k] - mean[:, k]) / deviation
         ln_p = _ln_between(a, b)
         total += ln_p
         with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-            at_a, at_b = (np.where(np.isfinite(x), np.exp(-0.5 * x**2 - ln_p) / np.sqrt(2 * np.pi), 0.0) for x in (a, b))
+            at_a, at_b = (
+                np.where(np.isfinite(x), np.exp(-0.5 * x**2 - ln_p) / np.sqrt(2 * np.pi), 0.0) for x in (a, b)
+            )
             first = at_a - at_b
             lost = first**2 - np.nan_to_num(a * at_a) + np.nan_to_num(b * at_b)
         onto = covariance[:, k] / deviation
         later = slice(k + 1, None)
         mean[:, later] += first[:, None] * onto[later]
         # one covariance for all: that of the mean loss, exact for a single mean
-        covariance[later, later] -= float(np.clip(np.mean(lost), 0.0, 1.0)) * np.outer(onto[later], onto[later])
+        covariance[later, later] -= float(np.clip(np.mean(lost), 0.0, 1.0)) * np.outer(
+            onto[later], onto[later]
+        )
     return total
 
 

@@ -1,7 +1,7 @@
 """Error of an effect's own form: no model of fat, fibres or a scar matches the limb exactly.
 
-Its standard deviation is a fraction of the change by the effect, correlated between neighbouring levels and, in
-images, over some millimetres: edges are displaced. All sizes are assumed.
+Its standard deviation is a fraction of the change by the effect, correlated between neighbouring levels and,
+in images, over some millimetres: edges are displaced. All sizes are assumed.
 """
 
 from __future__ import annotations
@@ -21,14 +21,18 @@ def form_error(data: Data, fitted: Fitted) -> Array | None:
     if fitted.without is None:
         return None
     change = np.abs(fitted.prediction - fitted.without)
-    imaged = np.zeros(len(data), dtype=bool) if data.place is None else np.isfinite(data.place).all(axis=1)
+    imaged = np.zeros(len(data), dtype=bool)
+    if data.place is not None:
+        imaged = np.asarray(np.isfinite(data.place).all(axis=1))
     total = np.zeros((len(data), len(data)))
     for mask in data.channels().values():
         own = np.where(mask, change, 0.0)
         if np.all(imaged[mask]):
             total += _in_image(data, _IN_IMAGE * own)
         else:
-            total += correlated("form", _SHARE * own, data.order, correlation=_ALIKE, source="assumed").covariance
+            total += correlated(
+                "form", _SHARE * own, data.order, correlation=_ALIKE, source="assumed"
+            ).covariance
     return total
 
 

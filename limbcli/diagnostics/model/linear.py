@@ -48,10 +48,6 @@ class Whitener:
         found, _ = dtrtrs(self.factor, np.asarray_chkfinite(x), lower=1)
         return np.asarray(found)
 
-    def undo(self, whitened: Array) -> Array:
-        """Undo the whitening: L x."""
-        return np.asarray(self.factor @ whitened)
-
 
 def _span(jacobian: Array) -> Array:
     """Orthonormal basis (n, rank) of the column space."""
@@ -72,13 +68,11 @@ class LinearFit:
     """Whitened residual r (n,), sensitivities J (n, p) of the fitted parameters, and the projector P off J.
 
     basis : (n, rank) orthonormal, spans the columns of J; P = I - basis basis'
-    is_held : True if one direction of that span was removed because the fit stopped short along it
     """
 
     residual: Array
     jacobian: Array
     basis: Array
-    is_held: bool = False
 
     @staticmethod
     def of(residual: Array, jacobian: Array, *, as_it_stands: bool = False) -> LinearFit:
@@ -90,9 +84,9 @@ class LinearFit:
         """
         basis = _span(jacobian)
         pull = basis.T @ residual
-        if not as_it_stands or float(pull @ pull) <= 1.0:
-            return LinearFit(residual, jacobian, basis)
-        return LinearFit(residual, jacobian, basis @ null_space(pull[None, :]), is_held=True)
+        if as_it_stands and float(pull @ pull) > 1.0:
+            basis = basis @ null_space(pull[None, :])
+        return LinearFit(residual, jacobian, basis)
 
     @property
     def nu(self) -> int:
@@ -117,7 +111,3 @@ class LinearFit:
     def chi2(self) -> float:
         left = self.left
         return float(left @ left)
-
-    def estimator(self) -> Array:
-        """Pseudoinverse J^+ (p, n): change of the fitted parameters with the data."""
-        return np.asarray(np.linalg.pinv(self.jacobian))

@@ -12,17 +12,15 @@ Jeffreys 1961, Theory of Probability, section 5.7 (5 to 9 of them in long series
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from limbcli.model import Array
 
 ASSUMED = "assumed"
 TAILS = 7.0
-_KEPT_BYTES = 256 * 2**20  # largest memory of cached draws
 EXCESS = 6.0 / (TAILS - 4.0)  # excess kurtosis over the normal distribution
 
 
@@ -34,29 +32,6 @@ def unit_errors(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
     (1.0, 0.9)
     """
     return rng.standard_t(TAILS, shape) * np.sqrt((TAILS - 2.0) / TAILS)
-
-
-@dataclass(frozen=True, eq=False)
-class ErrorDraws:
-    """Reproducible batches of independent errors (`unit_errors`).
-
-    seed : determines all batches; n_data : errors per draw; size : draws per batch
-    """
-
-    seed: tuple[int, ...]
-    n_data: int
-    size: int
-    _kept: dict[int, NDArray[np.float32]] = field(default_factory=dict)
-
-    def batch(self, k: int) -> NDArray[np.float32]:
-        """(size, n_data), in single precision, which is more than enough for a Monte Carlo test."""
-        if k not in self._kept:
-            rng = np.random.default_rng([*self.seed, k])
-            drawn = unit_errors(rng, (self.size, self.n_data)).astype(np.float32)
-            if (len(self._kept) + 1) * drawn.nbytes > _KEPT_BYTES:
-                return drawn
-            self._kept[k] = drawn
-        return self._kept[k]
 
 
 @dataclass(frozen=True, eq=False)

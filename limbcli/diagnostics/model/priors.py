@@ -31,7 +31,8 @@ class Priors:
 
     Parameters
     ----------
-    precision : (p,) reciprocal variance. Of a uniform prior, that of the normal distribution with the same height
+    precision : (p,) reciprocal variance. Of a uniform prior, that of the normal distribution with the same
+    height
         in its middle: a parameter that the data do not determine then neither gains nor loses probability.
     shift : (p,) mean less fitted value; 0 where the prior is uniform
     low, high : (p,) limits less fitted value
@@ -58,4 +59,6 @@ class Priors:
             else:
                 precision[k] = 2 * math.pi / (each.high - each.low) ** 2
         low, high = (np.array([getattr(each, end) for each in priors]) - values for end in ("low", "high"))
-        return Priors(precision, shift, low, high, np.array([math.isfinite(each.deviation) for each in priors]))
+        return Priors(
+            precision, shift, low, high, np.array([math.isfinite(each.deviation) for each in priors])
+        )

@@ -11,7 +11,9 @@ from limbcli.diagnostics.model.forward_model import Data, Fitted, Mask
 from limbcli.diagnostics.model.linear import Whitener
 from limbcli.model import Array
 
-_TOO_WIDE = 1.0  # ratio of a prediction's standard deviation to that of its reading, above which a block is skipped
+_TOO_WIDE = (
+    1.0  # ratio of a prediction's standard deviation to that of its reading, above which a block is skipped
+)
 
 
 def held_out_error(data: Data, fitted: Fitted) -> dict[str, float]:

@@ -45,7 +45,11 @@ def _proposed(found: object) -> list[str]:
     own = [each for each in menu if isinstance(each, Mapping) and each.get("name") == found["recommended"]]
     sentence = str(own[0].get("sentence") or found["recommended"]) if own else str(found["recommended"])
     expected = number(found.get("expected_probability"))
-    chance = "" if expected is None else f" (the true explanation then has a probability of {100 * expected:.0f} % on average)"
+    chance = (
+        ""
+        if expected is None
+        else f" (the true explanation then has a probability of {100 * expected:.0f} % on average)"
+    )
     return [f"{sentence[0].upper()}{sentence[1:]}{chance}."]
 
 

@@ -67,7 +67,9 @@ def diagnosis_json(found: Diagnosis, site: SiteData, forward_model: SiteForwardM
             "expected_probability": best.expected_probability if best else None,
             "menu": [vars(step) for step in found.next_steps],
         },
-        "sizes_95": reported_sizes(sizes_of(forward_model, site), found.sizes, found.estimates.values["c_kpa"]),
+        "sizes_95": reported_sizes(
+            sizes_of(forward_model, site), found.sizes, found.estimates.values["c_kpa"]
+        ),
         "not_evaluated": dict(found.not_evaluated),
         "seed": found.seed,
     }
@@ -96,7 +98,8 @@ def _candidates(found: Diagnosis) -> list[dict[str, Any]]:
 def _explained(each: Explained, found: Diagnosis) -> dict[str, Any]:
     fitted = each.posterior.fitted if each.posterior else None
     return {
-        "explanation": list(each.explanation), "probability": each.probability, "ln_evidence": each.ln_evidence,
+        "explanation": list(each.explanation), "probability": each.probability,
+        "ln_evidence": each.ln_evidence,
         "fitted": fitted is not None, "simulated": each.simulated,
         "values": dict(fitted.values) if fitted else {}, "at_bound": list(fitted.at_bound) if fitted else [],
         "f_kappa": f_kappa_estimate(found.common_errors.get(each.explanation, ())),
@@ -130,7 +133,8 @@ def _stage(stage: Shrink) -> dict[str, Any]:
         "chi2_per_nu": stage.chi2_per_nu, "rms": dict(stage.rms), "held_out": dict(stage.held_out),
         "values": dict(estimates.values),
         "intervals_95": {name: list(ends) for name, ends in estimates.intervals.items()},
-        "c_and_m_over": estimates.over, "not_told_by_the_data": list(estimates.open), "prior": estimates.prior,
+        "c_and_m_over": estimates.over, "not_told_by_the_data": list(estimates.open),
+        "prior": estimates.prior,
     }  # fmt: skip
 
 

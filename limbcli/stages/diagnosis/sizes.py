@@ -92,7 +92,10 @@ def reported_sizes(
             p = slot.parameter
             ends = found.get(name, {}).get(slot.name, (p.low, p.high))
             near = _ON_BOUND * (p.high - p.low)
-            open_ends = ends[0] <= p.low + near and p.null > p.low, ends[1] >= p.high - near and p.null < p.high
+            open_ends = (
+                ends[0] <= p.low + near and p.null > p.low,
+                ends[1] >= p.high - near and p.null < p.high,
+            )
             label, turn = _REPORTED.get(p.name, (p.name, _same))
             values: list[float | None] = [
                 None if is_open or not np.isfinite(turned := turn(each, c_kpa)) else turned

@@ -28,10 +28,10 @@ STRAIN = "model: strain by the thickness"
 # with the far side allowed for; a gain of 4 % had hidden three of fifteen effects there.
 COMMON_GAIN = 0.03
 # Model error in a map: standard deviation of ln speed at the top of the map, per unit of strain (depth over
-# thickness) to the power _GROWS; it decays with the depth below the face over _FADES_MM, is correlated exponentially
-# over _NEAR_MM and by _ALIKE between neighbouring levels. The likeliest of tied models against noise-free FEBio models
-# (`tests/benchmarks/map_errors.py`), with a size as at the worst of these sites: they differ by a factor of eight, and
-# the fraction that applies is estimated with every explanation.
+# thickness) to the power _GROWS; it decays with the depth below the face over _FADES_MM, is correlated
+# exponentially over _NEAR_MM and by _ALIKE between neighbouring levels. The likeliest of tied models against
+# noise-free FEBio models (`tests/benchmarks/map_errors.py`), with a size as at the worst of these sites: they
+# differ by a factor of eight, and the fraction that applies is estimated with every explanation.
 _BELOW_FACE, _GROWS, _FADES_MM, _NEAR_MM, _ALIKE = 1.0, 1.5, 14.0, 5.0, 0.89
 _RESOLVED = 0.001  # standard deviation of a part's ln speed, independent of strain
 IN_MAPS, LEAST_IN_MAPS = "model: maps", 0.1  # name, and smallest fraction of the assumed error

@@ -16,7 +16,7 @@ from limbcli.diagnostics.model.priors import Priors
 from limbcli.effects.base import Theta
 from limbcli.errors import FitError, SolveError
 from limbcli.model import Array
-from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot, bound_hits
+from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
 from limbcli.stages.diagnosis.forward_model.predictions import Predictions
 from limbcli.stages.diagnosis.forward_model.surrogate import label
 from limbcli.units import kpa_from_mpa
@@ -72,8 +72,8 @@ class Fits:
     ) -> tuple[float, Fitted]:  # fmt: skip
         """The fit from several initial guesses; returns (deviance, fit).
 
-        start : initial sizes as distances from null, and grid values; besides : further initial guesses, as x of
-        `predict`
+        start : initial sizes as distances from null, and grid values; besides : further initial guesses, as x
+        of `predict`
 
         Raises
         ------
@@ -97,7 +97,11 @@ class Fits:
                 max_nfev=n_most,
             )  # fmt: skip
 
-        guesses = [*besides, *self._ends_of_parts(explanation, points), *self._starts(explanation, points, start)]
+        guesses = [
+            *besides,
+            *self._ends_of_parts(explanation, points),
+            *self._starts(explanation, points, start),
+        ]
         seeds = [x for x in guesses if off.has_answer(np.clip(x, low + 1e-6, high - 1e-6))]
         if not seeds:
             raise off.problems[0]
@@ -127,12 +131,14 @@ class Fits:
         return Fitted(
             explanation, predict.predict(x, explanation, points), predict.jacobian(x, explanation, points),
             ("c", "m"), values, tuple(s.name for s in slots),
-            at_bound=tuple(hit.message for hit in bound_hits(x, slots, predict.effects.values())),
+            at_bound=tuple(m for s, v in zip(slots, x[2:].tolist(), strict=True) if (m := s.on_bound(v))),
             points={"grid": label(points)}, without=predict.predict(x[:2], (), ()) if explanation else None,
             priors=Priors.about(x, predict.priors(explanation)),
         )  # fmt: skip
 
-    def _starts(self, explanation: Explanation, points: Sequence[Theta], start: Mapping[str, float]) -> list[Array]:
+    def _starts(
+        self, explanation: Explanation, points: Sequence[Theta], start: Mapping[str, float]
+    ) -> list[Array]:
         """Usual initial guesses; none if these were tried before."""
         if (explanation, label(points)) in self._ends and not start:
             return []

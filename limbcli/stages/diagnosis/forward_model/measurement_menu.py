@@ -189,15 +189,15 @@ def _unloaded(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
 
 
 def _proposal(predictions: Predictions, fits: Sequence[Fitted], item: Item) -> Proposal:
-    seen, jacobians = {}, {}
+    predicted, jacobians = {}, {}
     for fitted in fits:
         value, jacobian = _seen(predictions, fitted, predictions.sites[0], item.see)
-        seen[fitted.explanation], jacobians[fitted.explanation] = value, jacobian
-    size = len(next(iter(seen.values())))
+        predicted[fitted.explanation], jacobians[fitted.explanation] = value, jacobian
+    size = len(next(iter(predicted.values())))
     covariance = np.diag(item.deviation(predictions.site.protocol, size) ** 2)
     if item.model_error is not None:
         covariance = covariance + item.model_error(predictions.sites[0])
-    return Proposal(item.name, item.sentence, seen, jacobians, covariance)
+    return Proposal(item.name, item.sentence, predicted, jacobians, covariance)
 
 
 def _seen(predictions: Predictions, fitted: Fitted, where: SiteCurves, see: See) -> tuple[Array, Array]:
@@ -238,7 +238,7 @@ def _rotated(
         other = turned()
     except LimbError:
         return []
-    seen, jacobians = {}, {}
+    predicted, jacobians = {}, {}
     unknown = np.zeros((len(other.site.data),) * 2)
     for fitted in fits:
         value, jacobian = _turned(predictions, fitted, other)
@@ -249,10 +249,10 @@ def _rotated(
                 size = slot.parameter.typical - slot.parameter.null
                 unknown += np.outer(jacobian[:, first + k], jacobian[:, first + k]) * size**2
                 jacobian[:, first + k] = 0.0
-        seen[fitted.explanation], jacobians[fitted.explanation] = value, jacobian
+        predicted[fitted.explanation], jacobians[fitted.explanation] = value, jacobian
     covariance = other.site.data.noise.covariance + unknown
     sentence = "measure the same place again with the probe turned by 90 degrees"
-    return [Proposal(ROTATE, sentence, seen, jacobians, covariance)]
+    return [Proposal(ROTATE, sentence, predicted, jacobians, covariance)]
 
 
 def _turned(predictions: Predictions, fitted: Fitted, turned: SiteCurves) -> tuple[Array, Array]:

@@ -39,8 +39,8 @@ def held_points(effect: Effect) -> list[Theta]:
 
 
 class Predictions:
-    """Predictions for sites that share the tissue and the candidate effects, their data, and the priors of what is
-    fitted.
+    """Predictions for sites that share the tissue and the candidate effects, their data, and the priors of
+    what is fitted.
 
     whiten : of the data's noise, as fits weight it
     """

@@ -1,7 +1,7 @@
 """The diagnosis' forward model: fits and sensitivities of one site, or of several measurements of one place.
 
-Fits run on each site's surrogate. A likely explanation is simulated at its fit, the surrogate is corrected to the
-result and the fit is repeated; the reported numbers come from this fit.
+Fits run on each site's surrogate. A likely explanation is simulated at its fit, the surrogate is corrected to
+the result and the fit is repeated; the reported numbers come from this fit.
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ class SiteForwardModel:
         self.shares: dict[str, float] = {}
 
     def settle_noise(self) -> None:
-        """Take the error of all strains along the fit without effects, and start from the sizes of the model errors in
-        maps that are most probable with that fit.
+        """Take the error of all strains along the fit without effects, and start from the sizes of the model
+        errors in maps that are most probable with that fit.
 
         Raises
         ------
@@ -145,7 +145,9 @@ class SiteForwardModel:
             x = predict.x_of(fitted)
             x[1] = np.log(round(fitted.values["m"], 4))
             for k, each in enumerate(predict.sites):
-                each.repair(float(np.exp(x[1])), explanation, predict.theta(fitted.values, explanation, k), points)
+                each.repair(
+                    float(np.exp(x[1])), explanation, predict.theta(fitted.values, explanation, k), points
+                )
             before = predict.predict(x, explanation, points)
             solved.append((float(np.sum(self.fits.off(x, explanation, points) ** 2)), x))
             best = min(solved, key=lambda each: each[0])

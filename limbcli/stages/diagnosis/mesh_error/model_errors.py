@@ -109,8 +109,8 @@ class ModelErrors:
         return self.simulations.curves(self.likely_m).thickness > 0
 
     def _geometry(self) -> list[ModelError]:
-        """Errors from the surfaces: of the depth at first touch, of the thickness and thus all strains, and of a
-        common factor on the force."""
+        """Errors from the surfaces: of the depth at first touch, of the thickness and thus all strains, and
+        of a common factor on the force."""
         spacing = read_spacing(self.out)
         touch, gain = _SURFACE_GEOMETRY
         if spacing is not None:
