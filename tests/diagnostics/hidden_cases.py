@@ -14,6 +14,7 @@ import numpy as np
 
 from limbcli.diagnostics.conclusions.sentences import recommended
 from limbcli.diagnostics.engine import diagnose
+from limbcli.diagnostics.search import containing
 from limbcli.effects import EFFECTS, effect
 from limbcli.effects.places import layer_share
 from limbcli.effects.reading import Reading
@@ -211,6 +212,7 @@ def account(case: Case, found, *, follow: bool = True) -> dict:
         "chi2_per_nu": [first.chi2_per_nu, last.chi2_per_nu],
         "probability": {
             "nothing": found.nothing, "adequate_from": found.adequate_from,
+            "named": containing(found.chosen, found.explanations) if found.chosen else 0.0,
             "truth": next((e.probability for e in found.explanations if set(e.explanation) == set(case.truth)), 0.0),
         },
         "held_out": [each.held_out.get("all") for each in (first, last)],
