@@ -377,8 +377,14 @@ def _line(
 ) -> dict[str, Any]:
     explanation, theta = (effect.name,), plausible(effect, point)
     forward_model.predictions.check_channels(explanation)
-    x = [np.log(raw.c), np.log(raw.m), *(theta[slot.name] for slot in forward_model.predictions.slots(explanation))]
-    change = forward_model.predictions.predict(np.array(x), explanation, [effect.held(point)]) - fitted.prediction
+    x = [
+        np.log(raw.c),
+        np.log(raw.m),
+        *(theta[slot.name] for slot in forward_model.predictions.slots(explanation)),
+    ]
+    change = (
+        forward_model.predictions.predict(np.array(x), explanation, [effect.held(point)]) - fitted.prediction
+    )
     blocks = raw.blocks(change, effect, point)
     return {
         "point": point_name(point),

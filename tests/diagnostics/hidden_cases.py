@@ -211,9 +211,12 @@ def account(case: Case, found, *, follow: bool = True) -> dict:
         "set": [sorted(each) for each in found.confidence_set],
         "chi2_per_nu": [first.chi2_per_nu, last.chi2_per_nu],
         "probability": {
-            "nothing": found.nothing, "adequate_from": found.adequate_from,
+            "nothing": found.nothing,
+            "adequate_from": found.adequate_from,
             "named": containing(found.chosen, found.explanations) if found.chosen else 0.0,
-            "truth": next((e.probability for e in found.explanations if set(e.explanation) == set(case.truth)), 0.0),
+            "truth": next(
+                (e.probability for e in found.explanations if set(e.explanation) == set(case.truth)), 0.0
+            ),
         },
         "held_out": [each.held_out.get("all") for each in (first, last)],
         "error": [case.error(each.values) for each in (first.estimates, found.estimates)],

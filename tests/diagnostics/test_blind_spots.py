@@ -23,10 +23,14 @@ def linear(typical: float, sign: int = 0) -> tuple[Added, Fitted, Noise, Whitene
     """A parameter (a logarithm) that moves the first datum by 2; an effect that moves them by 0.6 and 0.8."""
     noise = Noise((independent("own", np.ones(2), source="spec"),))
     whiten, prior = Whitener.of(noise.covariance), Prior(0.0, WIDE)
-    fitted = Fitted((), np.zeros(2), np.array([[2.0], [0.0]]), ("c",), {}, priors=Priors.about(np.zeros(1), (prior,)))
+    fitted = Fitted(
+        (), np.zeros(2), np.array([[2.0], [0.0]]), ("c",), {}, priors=Priors.about(np.zeros(1), (prior,))
+    )
     direction = Direction(np.array([[0.6], [0.8]]), (sign,), "at 3", ("size",))
     prior_of_size = Prior(0.0, 1.5 * typical, 0.0 if sign else -np.inf)
-    found = LinearEvidence.about(fitted, np.zeros(2), whiten, {"x": [direction]}, {"x": {"size": prior_of_size}})
+    found = LinearEvidence.about(
+        fitted, np.zeros(2), whiten, {"x": [direction]}, {"x": {"size": prior_of_size}}
+    )
     return found.best("x"), fitted, noise, whiten
 
 
@@ -46,8 +50,8 @@ def test_the_fitted_parameters_take_over_their_part_of_the_effect():
 
 @pytest.mark.parametrize("sign", [0, 1])
 def test_the_size_that_can_be_detected_has_its_bayes_factor_four_times_of_five(sign, rng):
-    """Data with the effect at this size; 40,000 draws know 80 % to 0.2 %. A size on one side only has half the
-    prior to search, but for its limit at null, which takes 1 % here."""
+    """Data with the effect at this size; 40,000 draws know 80 % to 0.2 %. A size on one side only has half
+    the prior to search, but for its limit at null, which takes 1 % here."""
     added = linear(4.0, sign)[0]
     size = 4.0 * spot(4.0, sign).detectable_times_typical
     residual = size * added.columns[:, 0] + rng.standard_normal((40_000, 2))

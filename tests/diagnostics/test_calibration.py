@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.stats import binom
@@ -38,8 +40,8 @@ def is_share(k: int, n: int, share: float, chance: float = 1e-3) -> bool:
 
 
 def test_the_adequate_level_is_missed_by_five_per_cent_of_the_data_with_nothing_missing(rng):
-    """Fresh data, of the heavy-tailed noise that the level allows for. A share of 9 % in place of 5 passes with
-    4 %, of 10 % with 1 %; the level itself is known to 0.7 %."""
+    """Fresh data, of the heavy-tailed noise that the level allows for. A share of 9 % in place of 5 passes
+    with 4 %, of 10 % with 1 %; the level itself is known to 0.7 %."""
     root = np.linalg.cholesky(toy.make(rng).data.noise.covariance)
     limit = least_by_chance(linear_of(toy.make(rng)), ODDS.ln_single, rng)
     below = 0
@@ -56,9 +58,9 @@ def test_without_effects_nothing_is_below_chance(rng):
 
 @pytest.mark.slow
 def test_single_effects_are_as_often_true_as_their_probability_says(rng):
-    """All explanations by nothing or one effect of 700 data sets, whose truth is drawn from the same prior, in
-    bins of the stated probability: the true ones of each bin are as many as it says, within what chance allows
-    in 999 of 1000."""
+    """All explanations by nothing or one effect of 700 data sets, whose truth is drawn from the same prior,
+    in bins of the stated probability: the true ones of each bin are as many as it says, within what chance
+    allows in 999 of 1000."""
     names, n_sets = list(toy.SIGNATURES), 700
     stated, true = [], []
     for _ in range(n_sets):
@@ -70,7 +72,8 @@ def test_single_effects_are_as_often_true_as_their_probability_says(rng):
         stated += np.exp(ln - np.logaddexp.reduce(ln)).tolist()
         true += [each == truth for each in explanations]
     stated, true = np.array(stated), np.array(true)
-    for low, high in ((0.0, 0.01), (0.01, 0.05), (0.05, 0.2), (0.2, 0.5), (0.5, 0.8), (0.8, 0.95), (0.95, 1.01)):
+    ends = (0.0, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95, 1.01)
+    for low, high in pairwise(ends):
         here = (stated >= low) & (stated < high)
         assert is_share(int(true[here].sum()), int(here.sum()), float(stated[here].mean())), (low, high)
     assert (stated >= 0.95).sum() > 50
@@ -80,8 +83,9 @@ def test_single_effects_are_as_often_true_as_their_probability_says(rng):
 
 @pytest.mark.slow
 def test_whole_diagnoses_hold_the_truth_as_often_as_they_say(rng):
-    """Of 120 with nothing, one or two effects, drawn by their prior: the set has the truth in 95 % or more, what
-    is named is right in 95 %, and the interval of a size holds it in 95 % where the effect alone is hidden."""
+    """Of 120 with nothing, one or two effects, drawn by their prior: the set has the truth in 95 % or more,
+    what is named is right in 95 %, and the interval of a size holds it in 95 % where the effect alone is
+    hidden."""
     names, in_set, named, right, inside, sized = list(toy.SIGNATURES), 0, 0, 0, 0, 0
     n_sets, shares = 120, np.exp([ODDS.ln(()), ODDS.ln(("a",)), ODDS.ln(("a", "b"))]) * [1, 12, 66]
     assert shares.sum() == pytest.approx(1.0)

@@ -24,8 +24,8 @@ def of(data: Data, y: np.ndarray, seed: int = 1) -> Check:
 
 
 def test_under_the_model_a_hundredth_of_the_data_fails(rng, monkeypatch):
-    """Adjusted over six tests that share their data: the smallest p is below 1 % in 1 %, as below 10 % in 10 %.
-    Of 1500, with 2000 draws, which know 1 % to 0.2 %: 2.5 % in place of 1 would pass with 1 %."""
+    """Adjusted over six tests that share their data: the smallest p is below 1 % in 1 %, as below 10 % in
+    10 %. Of 1500, with 2000 draws, which know 1 % to 0.2 %: 2.5 % in place of 1 would pass with 1 %."""
     monkeypatch.setattr(decisions, "N_DRAWS_OF_PARTS", 2000)
     data = toy.make(rng).data
     root, n = np.linalg.cholesky(data.noise.covariance), 1500
@@ -62,15 +62,27 @@ def test_the_whole_comes_first_with_its_own_chi2(rng):
 
 
 def test_a_part_counts_what_the_fitted_parameters_cannot_reproduce():
-    """The two data that a parameter moves alone are not free to be off: one of their shifts is that parameter."""
+    """The two data that a parameter moves alone are not free to be off: one of their shifts is that
+    parameter."""
     noise = Noise((independent("own", np.ones(6), source="spec"),))
-    groups = {"two": np.arange(6) < 2, "rest": np.arange(6) >= 2, "all": np.ones(6, bool), "none": np.zeros(6, bool)}
+    groups = {
+        "two": np.arange(6) < 2,
+        "rest": np.arange(6) >= 2,
+        "all": np.ones(6, bool),
+        "none": np.zeros(6, bool),
+    }
     data = Data(np.zeros(6), ("force",) * 6, np.arange(6.0), noise, groups)
     whiten = Whitener.of(noise.covariance)
     J = np.array([[1.0, 1.0, 0, 0, 0, 0]]).T
-    found = checked(data, LinearFit.of(np.array([1.0, -1.0, 0, 0, 2.0, 0]), J), whiten, np.random.default_rng(1))
+    found = checked(
+        data, LinearFit.of(np.array([1.0, -1.0, 0, 0, 2.0, 0]), J), whiten, np.random.default_rng(1)
+    )
     parts = {each.name: (each.nu, each.chi2) for each in found.parts}
-    assert parts == {"whole": (5, pytest.approx(6.0)), "two": (1, pytest.approx(2.0)), "rest": (4, pytest.approx(4.0))}
+    assert parts == {
+        "whole": (5, pytest.approx(6.0)),
+        "two": (1, pytest.approx(2.0)),
+        "rest": (4, pytest.approx(4.0)),
+    }
 
 
 def images(rng: np.random.Generator, n: int = 160) -> tuple[Data, np.ndarray]:
@@ -100,4 +112,6 @@ def test_a_large_part_is_shifted_as_evenly_as_levels_and_places_go_on(shift, exp
     assert found == pytest.approx(1.0) if explained == 1.0 else found < explained
     assert half.nu == 9
     beside = LinearFit.of(np.where(group, 0.0, shift(data.order, *data.place.T)), none)
-    assert checked(data, beside, whiten, np.random.default_rng(1)).parts[1].chi2 == pytest.approx(0.0, abs=1e-12)
+    assert checked(data, beside, whiten, np.random.default_rng(1)).parts[1].chi2 == pytest.approx(
+        0.0, abs=1e-12
+    )

@@ -8,8 +8,8 @@ import pytest
 from limbcli.diagnostics.model.common_errors import CommonError, common_errors
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
 from limbcli.diagnostics.model.noise import Noise, common, correlated, independent
-from limbcli.stages.diagnosis.data.noise import COMPRESSIBILITY
 from limbcli.stages.diagnosis import report
+from limbcli.stages.diagnosis.data.noise import COMPRESSIBILITY
 
 N = 40
 

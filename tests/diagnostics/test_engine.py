@@ -20,8 +20,8 @@ def run(case, seed: int = 7, **more):
 
 @pytest.mark.slow
 def test_nothing_missing_is_adequate_at_its_rate_and_never_named(rng):
-    """Of 80: 95 % less what chance allows in 999 of 1000 (noise is normal here, and the level allows for heavy
-    tails: some more). Alarms in 20 % of all data sets would pass with 3 %."""
+    """Of 80: 95 % less what chance allows in 999 of 1000 (noise is normal here, and the level allows for
+    heavy tails: some more). Alarms in 20 % of all data sets would pass with 3 %."""
     verdicts = Counter(run(toy.make(rng), seed=k).verdict for k in range(80))
     assert verdicts["adequate"] >= binom.ppf(1e-3, 80, 1 - decisions.FALSE_ALARMS)
     assert verdicts["named"] == 0
@@ -49,9 +49,10 @@ def test_a_clear_effect_is_named_and_sized(rng, name, size):
 
 @pytest.mark.slow
 def test_rates_over_many_data_sets(rng):
-    """At about twice the visible size, of 70 data sets 60 are named and right, two at the most are named wrong, and
-    the set has the truth in all but three. They stood at 66, 0 and 70 when this was written. A share of right names
-    of 75 % would pass with 3 %; 10 % of wrong names with 3 %; 10 % of truths that are missing with 7 %."""
+    """At about twice the visible size, of 70 data sets 60 are named and right, two at the most are named
+    wrong, and the set has the truth in all but three. They stood at 66, 0 and 70 when this was written. A
+    share of right names of 75 % would pass with 3 %; 10 % of wrong names with 3 %; 10 % of truths that are
+    missing with 7 %."""
     sizes = {"offset": 3.4, "wave": 4.2, "place": 7.2, "guided": 23.0, "bias": 18.0, "step": 7.0, "jump": 7.2}
     right = wrong = inside = 0
     for k in range(70):
@@ -129,8 +130,8 @@ def test_a_masked_effect_is_a_blind_spot(rng):
 
 @pytest.mark.slow
 def test_the_detectable_size_is_found_four_times_of_five(rng):
-    """At the size that blind spots state, 80 % of 60 are not adequate, within what chance allows in 999 of 1000
-    and 10 % for tails of the noise and for other effects that explain the same."""
+    """At the size that blind spots state, 80 % of 60 are not adequate, within what chance allows in 999 of
+    1000 and 10 % for tails of the noise and for other effects that explain the same."""
     found = run(toy.make(rng))
     spots = {each.name: each.detectable_times_typical * toy.TYPICAL for each in found.blind_spots}
     hits = Counter()
@@ -140,15 +141,15 @@ def test_the_detectable_size_is_found_four_times_of_five(rng):
 
 
 def test_what_is_left_of_a_channel_is_its_root_mean_square(rng):
-    """One datum that is ten deviations off among 13 makes 10/sqrt(13) of them, less what the fit takes of it."""
+    """One datum that is ten deviations off among 13 makes 10/sqrt(13) of them, less what the fit takes of
+    it."""
     case = toy.make(rng)
     base = case.fit((), {})
     case.y = base.prediction + 10.0 * (np.arange(len(case.y)) == 4)
     found = run(case, max_effects=1)
     left = (case.y - found.base.prediction) / case.data.deviation
-    expected = {
-        "force": np.sqrt(np.mean(left[: toy.N_FORCE] ** 2)), "speed": np.sqrt(np.mean(left[toy.N_FORCE :] ** 2))
-    }  # fmt: skip
+    parts = {"force": left[: toy.N_FORCE], "speed": left[toy.N_FORCE :]}
+    expected = {name: float(np.sqrt(np.mean(part**2))) for name, part in parts.items()}
     assert found.shrink[0].rms == pytest.approx(expected)
     assert expected["force"] == pytest.approx(10.0 / np.sqrt(toy.N_FORCE), rel=0.2)
 

@@ -36,7 +36,10 @@ def found(c: float, m: float, deviations, sizes=(), step=0.0, size_prior: Prior 
 
 def test_of_one_explanation_they_are_those_of_its_posterior():
     told = estimates([(1.0, found(8.0, 4.0, [0.1, 0.2]))])
-    assert (told.values["c_kpa"], told.values["m"]) == (pytest.approx(8.0, rel=1e-3), pytest.approx(4.0, rel=1e-3))
+    assert (told.values["c_kpa"], told.values["m"]) == (
+        pytest.approx(8.0, rel=1e-3),
+        pytest.approx(4.0, rel=1e-3),
+    )
     assert told.intervals["c_kpa"] == pytest.approx(8.0 * np.exp(0.1 * np.array([-Z, Z])), rel=1e-3)
     assert told.intervals["m"] == pytest.approx(4.0 * np.exp(0.2 * np.array([-Z, Z])), rel=1e-3)
     assert (told.open, told.over) == ((), 1)
@@ -46,10 +49,14 @@ def test_of_one_explanation_they_are_those_of_its_posterior():
 
 def test_over_several_they_are_quantiles_of_the_mixture():
     """Nine in ten at 8 kPa: the tenth at 16 is in the interval, and hardly moves the value."""
-    told = estimates([(0.9, found(8.0, 4.0, [0.02, 0.1, 0.5], [2.0])), (0.1, found(16.0, 4.0, [0.02, 0.1]))], ("a",))
+    told = estimates(
+        [(0.9, found(8.0, 4.0, [0.02, 0.1, 0.5], [2.0])), (0.1, found(16.0, 4.0, [0.02, 0.1]))], ("a",)
+    )
     assert told.values["c_kpa"] == pytest.approx(8.0, rel=0.02)
     low, high = told.intervals["c_kpa"]
-    assert high == pytest.approx(16.0 * np.exp(0.02 * stats.norm.ppf(0.75)), rel=2e-3)  # a quarter of the tenth above
+    assert high == pytest.approx(
+        16.0 * np.exp(0.02 * stats.norm.ppf(0.75)), rel=2e-3
+    )  # a quarter of the tenth above
     assert low == pytest.approx(8.0 * np.exp(0.02 * stats.norm.ppf(0.025 / 0.9)), rel=2e-3)
     assert told.over == 2
 
@@ -64,8 +71,10 @@ def test_a_size_is_averaged_over_the_explanations_that_have_it():
     assert (low, high) == pytest.approx(stats.halfnorm.ppf([0.025, 0.975]), abs=0.01)
 
 
-@pytest.mark.parametrize(("m", "deviation", "is_open"), [(1.2, 0.3, ("m below",)), (16.0, 0.4, ("m above",)),
-                                                         (4.0, 0.3, ()), (4.0, 3.0, ("m below", "m above"))])  # fmt: skip
+@pytest.mark.parametrize(
+    ("m", "deviation", "is_open"),
+    [(1.2, 0.3, ("m below",)), (16.0, 0.4, ("m above",)), (4.0, 0.3, ()), (4.0, 3.0, ("m below", "m above"))],
+)
 def test_an_interval_is_open_where_it_reaches_the_limit_of_the_search(m, deviation, is_open):
     told = estimates([(1.0, found(8.0, m, [0.1, deviation]))])
     assert told.open == is_open
@@ -75,7 +84,8 @@ def test_an_interval_is_open_where_it_reaches_the_limit_of_the_search(m, deviati
 
 
 def test_of_m_a_poor_reading_is_weighed_with_its_prior():
-    """Two independent readings of ln m, the prior one of them: the mean is weighted by reciprocal variances."""
+    """Two independent readings of ln m, the prior one of them: the mean is weighted by reciprocal
+    variances."""
     at, deviation = np.log(2.0), 0.5
     noise = Noise((independent("own", np.array([deviation]), source="spec"),))
     weights = np.array([deviation**-2, LN_M_DEVIATION**-2])
@@ -94,9 +104,13 @@ def test_the_interval_of_a_size_alone_is_over_its_grid(rng):
     n, columns = 30, 2.0 * np.linalg.qr(rng.standard_normal((30, 3)))[0]
     y = 0.8 * columns[:, 1] + 0.8 * columns[:, 2] + 0.3 * rng.standard_normal(n)
     noise, prior = Noise((independent("own", np.ones(n), source="spec"),)), Prior(1.0, 4.0)
-    directions = {"a": [Direction(each[:, None], (0,), f"at {k}", ("size",)) for k, each in enumerate(columns.T)]}
+    directions = {
+        "a": [Direction(each[:, None], (0,), f"at {k}", ("size",)) for k, each in enumerate(columns.T)]
+    }
     fitted = Fitted((), np.zeros(n), np.zeros((n, 0)), (), {})
-    linear = LinearEvidence.about(fitted, y, Whitener.of(noise.covariance), directions, {"a": {"size": prior}})
+    linear = LinearEvidence.about(
+        fitted, y, Whitener.of(noise.covariance), directions, {"a": {"size": prior}}
+    )
     told = sizes_95(["a", "missing"], {}, linear, {"a": {"size": 1.0}})
     assert set(told) == {"a"}
     precision = 4.0 + 1 / 16

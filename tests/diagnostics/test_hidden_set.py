@@ -2,10 +2,9 @@
 
 Forces and mean speeds alone do not tell a layer of fat (it goes into c and m): it is not among them.
 
-One measurement each, of a fixed seed, and none is forgiven. A diagnosis that misses the truth in a share p of
-all measurements passes the seven effects with (1 - p)^7: 70 % at p = 0.05, 21 % at 0.2, 5 % at 0.35. That what
-misses often fails is all that they are for; rates of many measurements are for `make hidden`.
-"""
+One measurement each, of a fixed seed, and none is forgiven. A diagnosis that misses the truth in a share p
+of all measurements passes the seven effects with (1 - p)^7: 70 % at p = 0.05, 21 % at 0.2, 5 % at 0.35.
+That what misses often fails is all that they are for; rates of many measurements are for `make hidden`."""
 
 from __future__ import annotations
 
@@ -52,7 +51,9 @@ def missed(name: str, seed: int) -> str:
     fitted = next(each.posterior for each in result.explanations if each.explanation == (name,))
     closed = fitted is not None and fitted.chi2 < 0.6 * result.shrink[0].chi2
     return (
-        "" if closed and result.verdict in ("named", "ambiguous") else f"seed {seed}: {result.verdict}, not closed"
+        ""
+        if closed and result.verdict in ("named", "ambiguous")
+        else f"seed {seed}: {result.verdict}, not closed"
     )
 
 

@@ -71,8 +71,8 @@ def test_the_posterior_is_that_of_bayes(rng):
 
 @pytest.mark.parametrize("pull", [-6.0, -0.5, 3.0])
 def test_a_one_sided_prior_is_integrated_on_its_side_only(rng, pull):
-    """Whether the best size lies on its side, at null or far beyond it. Also a uniform prior, of the same height
-    as one between these limits has in its middle: 1 over its width. Against quadrature."""
+    """Whether the best size lies on its side, at null or far beyond it. Also a uniform prior, of the same
+    height as one between these limits has in its middle: 1 over its width. Against quadrature."""
     noise, J = noise_of(rng), rng.standard_normal((N, 1))
     y, whiten = J[:, 0] * pull + rng.standard_normal(N), np.linalg.inv(np.linalg.cholesky(noise.covariance))
 
@@ -89,7 +89,9 @@ def test_a_one_sided_prior_is_integrated_on_its_side_only(rng, pull):
     of_uniform = integrate.quad(lambda x: likelihood(x) / 20, 0, 20, points=inside["points"], limit=200)[0]
     start = np.array([best])
     assert ln_evidence(fitted_at(J, start, (half,)), y, noise) == pytest.approx(np.log(of_half), abs=1e-4)
-    assert ln_evidence(fitted_at(J, start, (uniform,)), y, noise) == pytest.approx(np.log(of_uniform), abs=0.02)
+    assert ln_evidence(fitted_at(J, start, (uniform,)), y, noise) == pytest.approx(
+        np.log(of_uniform), abs=0.02
+    )
 
 
 def test_a_parameter_that_the_data_do_not_determine_neither_gains_nor_loses(rng):
@@ -100,7 +102,9 @@ def test_a_parameter_that_the_data_do_not_determine_neither_gains_nor_loses(rng)
         beside = fitted_at(idle, np.zeros(3), (Prior(0.0, 3.0), further, further))
         expected = ln_evidence(alone, y, noise)
         # a uniform prior is judged as the normal one of the same height, which has 79 % within its limits
-        lost = 2 * np.log(stats.norm.cdf(0.5 * np.sqrt(2 * np.pi)) * 2 - 1) if further.deviation == INF else 0.0
+        lost = (
+            2 * np.log(stats.norm.cdf(0.5 * np.sqrt(2 * np.pi)) * 2 - 1) if further.deviation == INF else 0.0
+        )
         assert ln_evidence(beside, y, noise) == pytest.approx(expected + lost, abs=1e-9)
 
 

@@ -98,7 +98,9 @@ def test_an_error_of_depth_moves_the_layers_as_the_noise_has_it(rng):
     x = np.log([0.0065, 4.0])
     fat = np.array([row.channel == "layer" and row.part == 1 for row in the_bench.predictions.site.rows])
     exact = the_bench.predictions.predict(x, (), ())[fat]
-    expected = np.array([row.level for row, is_fat in zip(the_bench.predictions.site.rows, fat, strict=True) if is_fat])
+    expected = np.array(
+        [row.level for row, is_fat in zip(the_bench.predictions.site.rows, fat, strict=True) if is_fat]
+    )
     thinning = 6.5 - exact
     assert np.all(np.diff(thinning) > -0.1)
     slope = -the_bench.predictions.site.slope[fat]
@@ -181,7 +183,12 @@ def test_fat_in_a_finer_mesh_is_recovered_by_its_layers(layered_block, rng):
     points, true = the_bench.predictions.points(found), {"log_fat_softness": 1.1, "fat_thickness_mm": 6.0}
     ended = the_bench.fits.off(the_bench.predictions.x_of(found), found.explanation, points)
     the_bench.predictions.sites[0].repair(4.0, found.explanation, true, points)
-    x = np.array([*np.log([0.0065, 4.0]), *(true[slot.name] for slot in the_bench.predictions.slots(found.explanation))])
+    x = np.array(
+        [
+            *np.log([0.0065, 4.0]),
+            *(true[slot.name] for slot in the_bench.predictions.slots(found.explanation)),
+        ]
+    )
     at_truth = the_bench.fits.off(x, found.explanation, points)
     simulations.close()
     assert ended @ ended < at_truth @ at_truth

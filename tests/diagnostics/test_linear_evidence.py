@@ -19,10 +19,14 @@ SIZES = {"one": {"a": Prior(0.0, 2.0)}, "two": {"b": Prior(1.0, 1.5), "d": Prior
 
 
 class Linear:
-    """y = B x + effects, with the columns of each effect at one or more points, and its null values in B x."""
+    """y = B x + effects, with the columns of each effect at one or more points, and its null values in B
+    x."""
 
     def __init__(self, rng: np.random.Generator):
-        noise = (independent("own", rng.uniform(0.5, 1.5, N), source="spec"), common("gain", np.ones(N), source="spec"))
+        noise = (
+            independent("own", rng.uniform(0.5, 1.5, N), source="spec"),
+            common("gain", np.ones(N), source="spec"),
+        )
         self.covariance, self.base = Noise(noise).covariance, rng.standard_normal((N, 2))
         self.columns = {
             name: [rng.standard_normal((N, len(sizes))) for _ in range(3 if name == "one" else 1)]
@@ -37,7 +41,10 @@ class Linear:
         priors = Priors.about(theta, (OF_TISSUE,) * 2)
         fitted = Fitted((), self.base @ theta, self.base, ("c", "m"), {}, priors=priors)
         directions = {
-            name: [Direction(each, (0,) * each.shape[1], f"at {k}", tuple(SIZES[name])) for k, each in enumerate(several)]
+            name: [
+                Direction(each, (0,) * each.shape[1], f"at {k}", tuple(SIZES[name]))
+                for k, each in enumerate(several)
+            ]
             for name, several in self.columns.items()
         }  # fmt: skip
         return LinearEvidence.about(fitted, self.y, Whitener.of(self.covariance), directions, SIZES)
@@ -70,7 +77,8 @@ def test_over_a_grid_it_is_the_mean_and_the_best_point_is_the_likeliest(linear):
 
 
 def test_of_a_pair_it_is_that_of_both_at_their_best_points_of_the_grid(linear):
-    """Two points of three are lost where the third is far better: the factor of the pair is a third of its own."""
+    """Two points of three are lost where the third is far better: the factor of the pair is a third of its
+    own."""
     pairs = linear.evidence().ln_factors_of_pairs()
     assert set(pairs) == {("one", "two"), ("one", "up"), ("two", "up")}
     best = int(np.argmax([linear.ln_likelihood(("one", k)) for k in range(3)]))
@@ -90,11 +98,13 @@ def test_a_size_that_may_only_grow_gains_up_to_a_factor_of_two_and_may_lose_all(
 
 
 def test_draws_of_the_residual_are_judged_as_data(linear, rng):
-    """`chance` replaces the data by draws of the noise: the fit's own parameters are projected out of them."""
+    """`chance` replaces the data by draws of the noise: the fit's own parameters are projected out of
+    them."""
     found, root = linear.evidence(), np.linalg.cholesky(linear.covariance)
     drawn = rng.standard_normal((5, N))
     expected = [
-        linear.ln_likelihood(("two", 0), y=root @ each) - linear.ln_likelihood(y=root @ each) for each in drawn
+        linear.ln_likelihood(("two", 0), y=root @ each) - linear.ln_likelihood(y=root @ each)
+        for each in drawn
     ]
     assert found.ln_factor("two", drawn) == pytest.approx(expected, rel=1e-9)
 
@@ -105,7 +115,11 @@ def test_fits_start_from_the_sizes_that_are_expected_within_their_limits(linear)
     assert start == {"e": 0.0}
     both = linear.evidence().start(("one", "two"))
     assert set(both) == {"a", "b", "d"}
-    columns = np.hstack([linear.evidence().best("one").direction.columns, linear.columns["two"][0], linear.base])
+    columns = np.hstack(
+        [linear.evidence().best("one").direction.columns, linear.columns["two"][0], linear.base]
+    )
     inverse, deviations = np.linalg.inv(linear.covariance), np.array([2.0, 1.5, 3.0, 5.0, 5.0])
-    expected = np.linalg.solve(columns.T @ inverse @ columns + np.diag(deviations**-2), columns.T @ inverse @ linear.y)
+    expected = np.linalg.solve(
+        columns.T @ inverse @ columns + np.diag(deviations**-2), columns.T @ inverse @ linear.y
+    )
     assert list(both.values()) == pytest.approx(expected[:3], rel=1e-9)

@@ -31,7 +31,9 @@ def test_what_separates_two_explanations_is_worth_their_entropy_and_what_sees_no
     several = [member("a", 0.6), member("b", 0.3)]
     p = np.array([2.0, 1.0]) / 3.0
     entropy = float(-p @ np.log2(p))
-    apart, idle = ranked(several, [proposal("idle", {"a": 1.0, "b": 1.0}), proposal("apart", {"a": 0.0, "b": 9.0})], rng)
+    apart, idle = ranked(
+        several, [proposal("idle", {"a": 1.0, "b": 1.0}), proposal("apart", {"a": 0.0, "b": 9.0})], rng
+    )
     assert (apart.name, idle.name) == ("apart", "idle")
     assert apart.information_bits == pytest.approx(entropy, abs=1e-3)
     assert apart.expected_probability == pytest.approx(1.0, abs=1e-3)
@@ -51,7 +53,9 @@ def test_its_information_is_that_of_the_integral(apart, rng):
 
     expected = 1.0 - integrate.quad(entropy_after, -10, 10 + apart, limit=200)[0]
     several = [member("a", 0.5), member("b", 0.5)]
-    found = [ranked(several, [proposal("x", {"a": 0.0, "b": apart})], rng)[0].information_bits for _ in range(4)]
+    found = [
+        ranked(several, [proposal("x", {"a": 0.0, "b": apart})], rng)[0].information_bits for _ in range(4)
+    ]
     assert np.mean(found) == pytest.approx(expected, abs=0.03)
 
 

@@ -152,7 +152,9 @@ def test_what_sets_in_late_changes_only_the_levels_from_there_on(rng):
         the_bench.predictions.sites[0].solve_node(m)
     onset = "tensed_after_share_of_levels"
     plain = the_bench.predictions.predict(x[:2], (), ())
-    whole, late = (the_bench.predictions.predict(x, ("contraction",), ({onset: share},)) for share in (0.0, 0.5))
+    whole, late = (
+        the_bench.predictions.predict(x, ("contraction",), ({onset: share},)) for share in (0.0, 0.5)
+    )
     level = np.array([row.level for row in the_bench.predictions.site.rows])
     early = level < 0.5 * len(the_bench.predictions.site.protocol)
     assert late[early] == pytest.approx(plain[early], rel=1e-12)
@@ -302,7 +304,9 @@ def test_json_and_pictures(rng, tmp_path):
     assert content["candidates"][0]["probability"] >= decisions.CREDIBLE
     assert content["candidates"][0]["ln_bayes_factor"] > 3.0
     assert content["probability_of_nothing"] < content["adequate_from_probability"]
-    assert content["explanations"][0]["probability"] == max(each["probability"] for each in content["explanations"])
+    assert content["explanations"][0]["probability"] == max(
+        each["probability"] for each in content["explanations"]
+    )
     assert [] in [each["explanation"] for each in content["explanations"]]
     assert content["where"][0]["name"] == content["left"][0]["name"] == "whole"
     assert content["where"][0]["p_adjusted"] < content["left"][0]["p_adjusted"]
@@ -332,7 +336,9 @@ def test_jacobian_is_that_of_the_prediction(rng):
     for k in range(2):
         up, down = x.copy(), x.copy()
         up[k], down[k] = x[k] + step, x[k] - step
-        slope = (the_bench.predictions.predict(up, (), ()) - the_bench.predictions.predict(down, (), ())) / (2 * step)
+        slope = (the_bench.predictions.predict(up, (), ()) - the_bench.predictions.predict(down, (), ())) / (
+            2 * step
+        )
         assert fitted.jacobian[:, k] == pytest.approx(slope, abs=2e-3 * np.abs(slope).max())
 
 
@@ -405,7 +411,9 @@ def test_the_error_of_all_strains_lies_along_the_fitted_model(rng):
     before = strain_error(the_bench)
     the_bench.predictions.strain_along(fitted)
     after = strain_error(the_bench)
-    more, less = (the_bench.predictions.site.predict(curves, replace(reading, depth_gain=g)) for g in (1.01, 0.99))
+    more, less = (
+        the_bench.predictions.site.predict(curves, replace(reading, depth_gain=g)) for g in (1.01, 0.99)
+    )
     changes = np.array([row.channel in ("force", "swe") for row in the_bench.predictions.site.rows])
     direction = np.where(changes, (more - less) / 0.02, 0.0)
     assert after == pytest.approx(0.05**2 * np.outer(direction, direction), rel=1e-6, abs=1e-9)
@@ -442,7 +450,9 @@ def test_an_effect_that_changes_much_leaves_the_tissue_less_certain(rng):
     base = the_bench.fit((), {})
     fitted, data = the_bench.fit(("anisotropy",), {}), the_bench.data
     form = form_error(data, fitted)
-    alone, with_form = (posterior(fitted, data.y, data.noise, form=each).deviation[1] for each in (None, form))
+    alone, with_form = (
+        posterior(fitted, data.y, data.noise, form=each).deviation[1] for each in (None, form)
+    )
     assert with_form > 1.02 * alone
     assert form_error(data, base) is None
 

@@ -36,7 +36,9 @@ def test_section_shows_verdict_candidates_and_blind_spots(tmp_path):
     bench = reduced.bench(reduced.levels(np.random.default_rng(7)))
     found = diagnose(bench)
     with open_stage(tmp_path, "diagnose", subject="S1", site="p1") as writer:
-        writer.data.update({**diagnosis_json(found, bench.predictions.site, bench), "sentences": sentences(found)})
+        writer.data.update(
+            {**diagnosis_json(found, bench.predictions.site, bench), "sentences": sentences(found)}
+        )
         gap_picture(found, [bench.predictions.site], writer.file("gap", "gap.png"))
         candidates_picture(found, writer.file("candidates", "candidates.png"))
         sizes_picture(found, sizes_of(bench, bench.predictions.site), writer.file("sizes", "sizes.png"))
@@ -46,7 +48,7 @@ def test_section_shows_verdict_candidates_and_blind_spots(tmp_path):
     names = {row[0].text for row in shown.tables[0].rows}
     assert {"force-zero", "poroelasticity"} <= names
     explanations, shrunk, blind, sizes_table, common_table = shown.more
-    assert [row[0].text for row in explanations.rows][0] == "nothing is missing"
+    assert explanations.rows[0][0].text == "nothing is missing"
     assert len(explanations.rows) == len(found.confidence_set)
     assert len(shrunk.rows) == len(found.shrink)
     assert {row[0].text for row in blind.rows} == {each.name for each in found.blind_spots}

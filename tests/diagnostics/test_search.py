@@ -1,4 +1,5 @@
-"""The explanations of the toy's data: all of them, with the probabilities of their evidence, however they are found."""
+"""The explanations of the toy's data: all of them, with the probabilities of their evidence, however they
+are found."""
 
 from __future__ import annotations
 
@@ -19,7 +20,9 @@ PAIRS = list(itertools.combinations(NAMES, 2))
 
 
 def search(case: toy.Toy, most: int = 2) -> Search:
-    made = Search(case, PriorOdds(len(NAMES), most_effects=most), {each.name: each for each in case.candidates}, False)
+    made = Search(
+        case, PriorOdds(len(NAMES), most_effects=most), {each.name: each for each in case.candidates}, False
+    )
     made.fitted(case.fit((), {}))
     made.settled.add(())
     made.linearise(())
@@ -63,17 +66,18 @@ def test_values_are_averaged_by_probability():
 def exact(case: toy.Toy) -> dict[Explanation, float]:
     """By a fit of each explanation, none left out."""
     odds, explanations = PriorOdds(len(NAMES)), [(), *((name,) for name in NAMES), *PAIRS]
-    ln = np.array([
-        posterior(case.fit(each, {}), case.y, case.data.noise).ln_evidence + odds.ln(each) for each in explanations
-    ])  # fmt: skip
+    fits = [posterior(case.fit(each, {}), case.y, case.data.noise) for each in explanations]
+    ln = np.array([found.ln_evidence + odds.ln(each) for found, each in zip(fits, explanations, strict=True)])
     return dict(zip(explanations, np.exp(ln - np.logaddexp.reduce(ln)), strict=True))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("hidden", [{}, {"offset": 5.0}, {"offset": 6.0, "wave": 6.0}, {"toe": 9.0, "place": 9.0}])
+@pytest.mark.parametrize(
+    "hidden", [{}, {"offset": 5.0}, {"offset": 6.0, "wave": 6.0}, {"toe": 9.0, "place": 9.0}]
+)
 def test_probabilities_are_those_of_fitting_everything(rng, hidden):
-    """In a linear model estimates are exact but for the limits of sizes and the grid of the other effect: of 79
-    explanations, all that are likely are within 0.03 of what fits of all of them say."""
+    """In a linear model estimates are exact but for the limits of sizes and the grid of the other effect:
+    of 79 explanations, all that are likely are within 0.03 of what fits of all of them say."""
     case = toy.make(rng, hidden)
     found, expected = {each.explanation: each.probability for each in search(case).all()}, exact(case)
     assert found.keys() == expected.keys()
@@ -109,7 +113,8 @@ def told(failing: Sequence[Explained], name: str) -> dict[Explanation, float]:
 
 
 def test_a_fit_that_fails_keeps_its_linear_estimate_and_is_reported(rng):
-    """Left out, the others would share its probability: the most likely of them would be named in its place."""
+    """Left out, the others would share its probability: the most likely of them would be named in its
+    place."""
     case = toy.make(rng, {"offset": 6.0})
     whole = told(search(case).all(), "offset")
     case.failing = "offset"

@@ -17,7 +17,14 @@ def ln_of(mean, covariance, low, high) -> float:
 
 @pytest.mark.parametrize(
     ("mean", "low", "high"),
-    [(0.0, -1.0, 2.0), (3.0, 0.0, INF), (-30.0, 0.0, INF), (30.0, -INF, 0.0), (-12.0, 0.0, 0.5), (40.0, -1.0, 1.0)],
+    [
+        (0.0, -1.0, 2.0),
+        (3.0, 0.0, INF),
+        (-30.0, 0.0, INF),
+        (30.0, -INF, 0.0),
+        (-12.0, 0.0, 0.5),
+        (40.0, -1.0, 1.0),
+    ],
 )
 def test_in_one_dimension_it_is_exact_however_far_off_the_limits_are(mean, low, high):
     deviation = 1.7
@@ -29,17 +36,19 @@ def test_in_one_dimension_it_is_exact_however_far_off_the_limits_are(mean, low, 
 
 @pytest.mark.parametrize("correlation", [-0.8, -0.3, 0.0, 0.5, 0.9])
 def test_the_quadrant_of_two_is_that_of_sheppard(correlation):
-    """1/4 + asin(rho) / (2 pi). One limit after the other is approximate: 3 % at a correlation of 0.9, which is
-    0.03 of a ln evidence; of -0.8, where a fifteenth of the probability is left, 0.2."""
+    """1/4 + asin(rho) / (2 pi). One limit after the other is approximate: 3 % at a correlation of 0.9,
+    which is 0.03 of a ln evidence; of -0.8, where a fifteenth of the probability is left, 0.2."""
     covariance = [[1.0, 2.0 * correlation], [2.0 * correlation, 4.0]]
     expected = np.log(0.25 + np.arcsin(correlation) / (2 * np.pi))
     found = ln_of([0.0, 0.0], covariance, [0.0, 0.0], [INF, INF])
-    assert found == pytest.approx(expected, abs=1e-12 if correlation == 0 else 0.2 if correlation < -0.5 else 0.04)
+    assert found == pytest.approx(
+        expected, abs=1e-12 if correlation == 0 else 0.2 if correlation < -0.5 else 0.04
+    )
 
 
 def test_random_boxes_of_up_to_four_dimensions(rng):
-    """Within 0.15, a factor of 1.2 on probabilities that differ by factors of ten between explanations; scipy's
-    own are good to 1e-5 of the whole, so that boxes with less than 0.001 are left out."""
+    """Within 0.15, a factor of 1.2 on probabilities that differ by factors of ten between explanations;
+    scipy's own are good to 1e-5 of the whole, so that boxes with less than 0.001 are left out."""
     compared = 0
     while compared < 40:
         p = int(rng.integers(2, 5))

@@ -360,7 +360,9 @@ def test_summary_says_what_to_measure_next(tmp_path):
             "recommended": "larger", "expected_probability": 0.83, "menu": menu
         }  # fmt: skip
     (steps,) = [each.next_steps for each in overview(gather(case, out=out)).sites]
-    assert steps[0].startswith("Press with a larger probe (the true explanation then has a probability of 83 %")
+    assert steps[0].startswith(
+        "Press with a larger probe (the true explanation then has a probability of 83 %"
+    )
     assert not any("limbcli diagnose" in each for each in steps)
     assert not any("Measure the shear-wave speed" in each for each in steps)
 

@@ -71,8 +71,8 @@ class Added:
 class LinearEvidence:
     """Bayes factors of one effect more about a fit.
 
-    residual : (n,) whitened, with the fitted parameters extrapolated to their prior means: at the fit, what their
-        priors hold back would count as the effect's
+    residual : (n,) whitened, with the fitted parameters extrapolated to their prior means: at the fit, what
+        their priors hold back would count as the effect's
     added : by effect, one `Added` for each point of its grid
     """
 
