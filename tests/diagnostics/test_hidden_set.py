@@ -76,7 +76,7 @@ def test_a_pair_is_found_and_never_named_as_something_else():
 
 @pytest.mark.slow
 def test_what_the_library_does_not_know_is_named_nothing():
-    result = found("outside", {})
+    result = found("outside", {}, max_effects=1)
     assert result.verdict in ("unexplained", "ambiguous")
     assert result.left is not None
     assert result.verdict == "ambiguous" or result.left.p < decisions.CHECKED

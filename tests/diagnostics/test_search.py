@@ -141,3 +141,18 @@ def test_probability_of_an_effect_is_that_of_all_that_contain_it():
     given = several((("a",), 0.5), (("a", "b"), 0.3), (("b",), 0.15), ((), 0.05))
     assert containing(("a",), given) == pytest.approx(0.8)
     assert containing((), given) == pytest.approx(1.0)
+
+
+def test_a_pair_is_estimated_about_the_fit_of_its_likely_effect(rng):
+    """Exact there for one without a grid; the grid of another is averaged, as a fit does."""
+    case = toy.make(rng, {"offset": 6.0})
+    made = search(case)
+    found = {each.explanation: each for each in made.all()}
+    of_first, about = made.known[("offset",)].ln_evidence, made.linear[("offset",)]
+    for other in ("wave", "hump", "place"):
+        pair = ("offset", other)
+        assert found[pair].posterior is None, "it is not likely"
+        assert found[pair].ln_evidence == pytest.approx(of_first + float(about.ln_factor(other)[0]))
+        if other != "place":
+            exact = posterior(case.fit(pair, {}), case.y, case.data.noise).ln_evidence
+            assert found[pair].ln_evidence == pytest.approx(exact, abs=1e-6)
