@@ -210,7 +210,7 @@ def test_pixels_of_a_level_err_together():
     covariance = data.data.noise.covariance
     index = {(row.channel, row.level, row.part): k for k, row in enumerate(data.rows)}
     within = covariance[index["map", 2, 1], index["map", 2, 5]]
-    across = covariance[index["map", 2, 1], index["map", 3, 1]]
+    across = covariance[index["map", 2, 1], index["map", 3, 5]]
     assert within > across > 0  # the gain of the scanner is common to all levels
 
 
