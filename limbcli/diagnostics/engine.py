@@ -99,7 +99,7 @@ class _Run:
     def _concluded(self) -> Diagnosis:
         best = self.several[0]
         relative = self.search.relative
-        if self._left_of(best).p < decisions.CHECKED and not relative:
+        if best.posterior is not None and self._left_of(best).p < decisions.CHECKED and not relative:
             words = " + ".join(best.explanation) or "nothing missing"
             why = f"even the most probable explanation ({words}) leaves a residual beyond the noise"
             return self._finish("unexplained", why, ())
@@ -116,6 +116,8 @@ class _Run:
         if chosen:
             p = containing(chosen, self.several)
             alone = f"{' + '.join(chosen)} has a probability of {100 * p:.0f} %"
+            if chosen not in self.search.known:
+                return self._finish("ambiguous", f"{alone} to first order, but its fit failed", ())
             return self._finish("named", alone, chosen)
         n = len(credible(self.several))
         why = f"{n} explanations together have a probability of {100 * decisions.CREDIBLE:.0f} %"

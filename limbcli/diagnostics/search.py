@@ -164,6 +164,9 @@ class Search:
             each: found.ln_evidence for each, found in self.known.items()
         }
         names = list(self.linear[()].added)
+        for name in names:  # whose fit failed
+            if (name,) not in ln_evidence:
+                ln_evidence[name,] = ln_evidence[()] + float(self.linear[()].ln_factor(name)[0])
         if self.odds.most_effects > 1:
             for pair, value in self._of_pairs(names).items():
                 ln_evidence.setdefault(pair, value)

@@ -7,7 +7,7 @@ that are the files': its records without the hidden effect in place of the readi
 read, but no deeper than the last map, fitted without effects with all that a diagnosis allows for. A line a
 site: ln of c and m found over the true ones, the deviance that is left, the zero of depth (mm) and of force
 (N) and the gain of depth that the model's own error is taken for, each alone and to first order, and the
-effects that it resembles, with how much of that deviance each would explain to first order (from 2 on).
+effects that it resembles, with the ln Bayes factor of each over no effect, to first order (from 1 on).
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from pathlib import Path
 
 import numpy as np
 
+from limbcli.diagnostics.evidence.linear_evidence import LinearEvidence
 from limbcli.diagnostics.model.forward_model import Fitted
-from limbcli.diagnostics.model.linear import LinearFit, Whitener
-from limbcli.diagnostics.statistical_tests.score import Score, Trial, score
+from limbcli.diagnostics.model.linear import Whitener
 from limbcli.effects.curves import Curves, force_at
 from limbcli.effects.reading import Reading
 from limbcli.errors import LimbError
@@ -31,7 +31,7 @@ from limbcli.stages.diagnosis.data.site_data import SiteData
 from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
 
-RESEMBLES = 2.0  # least score that is printed
+RESEMBLES = 1.0  # least ln Bayes factor that is printed
 ZEROS = ("depth-zero", "force-zero", "depth-gain")
 
 
@@ -51,21 +51,21 @@ def without_noise(site: SiteData, windows: Windows, truth: dict) -> SiteData:
     return replace(found, data=replace(site.data, y=found.predict(record, Reading())))
 
 
-def resembled(model: SiteForwardModel, found: Fitted) -> dict[str, Score]:
-    """Score of every effect at a fit without effects."""
-    whiten = Whitener.of(model.data.noise.covariance)
-    off, jacobian = whiten(model.data.y - found.prediction), whiten(found.jacobian)
-    state, scores = LinearFit.of(off, jacobian, as_it_stands=True), {}
+def resembled(model: SiteForwardModel, found: Fitted) -> LinearEvidence:
+    """Evidence of every effect at a fit without effects."""
+    directions = {}
     for facts in model.candidates:
         with contextlib.suppress(LimbError):  # a channel is missing, or only FEBio can simulate it
-            raw = model.directions(found, facts.name)
-            whitened = tuple(replace(each, columns=whiten(each.columns)) for each in raw)
-            scores[facts.name] = score(state, Trial(facts.name, whitened))
-    return scores
+            several = [each for each in model.directions(found, facts.name) if np.any(each.columns)]
+            directions |= {facts.name: several} if several else {}
+    priors = {name: model.size_priors(name) for name in directions}
+    return LinearEvidence.about(
+        found, model.data.y, Whitener.of(model.data.noise.covariance), directions, priors
+    )
 
 
-def fitted(truth: dict, folder: Path) -> tuple[float, float, float, int, dict[str, Score]]:
-    """ln of c and of m over the true ones, chi2, number of data, scores of the effects."""
+def fitted(truth: dict, folder: Path) -> tuple[float, float, float, int, LinearEvidence]:
+    """ln of c and of m over the true ones, chi2, number of data, evidence of the effects."""
     from map_errors import prepared_site  # the file beside this one
 
     prepared = prepared_site(truth["id"], folder)
@@ -74,12 +74,12 @@ def fitted(truth: dict, folder: Path) -> tuple[float, float, float, int, dict[st
         model = SiteForwardModel([prepared.curves])
         model.settle_noise()
         found = model.fit((), {})
-        off = model.whiten(model.data.y - found.prediction)
-        scores = resembled(model, found)
+        off = model.predictions.whiten(model.data.y - found.prediction)
+        evidence = resembled(model, found)
     finally:
         prepared.close()
     ln_c, ln_m = (float(np.log(found.values[name] / truth[name])) for name in ("c_kpa", "m"))
-    return ln_c, ln_m, float(off @ off), len(off), scores
+    return ln_c, ln_m, float(off @ off), len(off), evidence
 
 
 def main() -> None:
@@ -94,11 +94,11 @@ def main() -> None:
     rows, zeros = [], []
     for truth in (each for each in truths if each["id"] in options.only):
         rows.append(fitted(truth, options.out))
-        ln_c, ln_m, chi2, n, scores = rows[-1]
-        zeros.append([float(scores[name].eta[0]) for name in ZEROS])
-        most = sorted(
-            ((s.statistic, name) for name, s in scores.items() if s.statistic > RESEMBLES), reverse=True
-        )
+        ln_c, ln_m, chi2, n, evidence = rows[-1]
+        drawn = evidence.residual[None]
+        zeros.append([float(evidence.best(name).sizes(drawn)[0, 0]) for name in ZEROS])
+        factors = {name: float(evidence.ln_factor(name)[0]) for name in evidence.added}
+        most = sorted(((ln, name) for name, ln in factors.items() if ln > RESEMBLES), reverse=True)
         alike = ", ".join(f"{name} {value:.1f}" for value, name in most)
         of_zeros = " | ".join(f"{each:.2f}" for each in zeros[-1])
         print(

@@ -39,7 +39,7 @@ _SLENDER, _EDGE = 4.0, 2.0  # length over width of the face; mm
 _FORCE_NOISE = 0.02  # of the largest force
 _ROOM = 1.1  # of the least circumference that holds layers and bone
 FAT = "adipose-layer"
-_ALPHA = 0.05
+_LIKELY = 0.5  # probability of fat from which it is counted as likely
 
 CASE = """format = 1
 [subject]
@@ -137,7 +137,7 @@ def one(table: CohortTable, k: int, noise: CohortNoise, layers: bool, work: Path
         found = diagnose(case, out=out, options=DiagnoseOptions())[0].data
     except LimbError as error:
         return row | {"failed": str(error).splitlines()[0]}
-    p = {each["name"]: each["p_adjusted"] for each in found["candidates"]}
+    p = {each["name"]: each["probability"] for each in found["candidates"]}
     sets = [sorted(each) for each in found["confidence_set"]]
     return row | {
         "verdict": found["verdict"], "set": sets, "p_fat": p.get(FAT), "added": found["shrink"][-1]["values"],
@@ -151,7 +151,7 @@ def show(rows: list[dict[str, Any]]) -> None:
     """By fat thickness: what was said with and without layers."""
     print(
         "\n| fat | rows | layers | untestable | adequate | something missing | of it fat in the set "
-        "| fat named | fat's adjusted p below 0.05 | failed |\n|-|-|-|-|-|-|-|-|-|-|"
+        "| fat named | fat's probability above 0.5 | failed |\n|-|-|-|-|-|-|-|-|-|-|"
     )
     for low, high in BANDS:
         for layers in (False, True):
@@ -163,7 +163,7 @@ def show(rows: list[dict[str, Any]]) -> None:
                 verdicts.count("untestable"), verdicts.count("adequate"),
                 sum(each in ("named", "ambiguous", "unexplained") for each in verdicts), len(with_fat),
                 sum(r["verdict"] == "named" for r in with_fat),
-                sum(r["p_fat"] is not None and r["p_fat"] < _ALPHA for r in tested), len(mine) - len(tested),
+                sum((r["p_fat"] or 0.0) > _LIKELY for r in tested), len(mine) - len(tested),
             )  # fmt: skip
             if mine:
                 band = f"{low:g} to {high:g} mm" if np.isfinite(high) else f"{low:g} mm and more"

@@ -76,14 +76,18 @@ def one(
     shutil.copyfile(out / "diagnose" / options.site[0] / "diagnosis.json", kept)
     names = sorted(each.name for each in how.hidden)
     first, last = found["shrink"][0], found["shrink"][-1]
-    ranked = sorted(found["candidates"], key=lambda c: c["p_adjusted"])
     return {
         "arm": arm,
         "seed": seed,
         "truth": names,
         "verdict": found["verdict"],
         "set": [sorted(each) for each in found["confidence_set"]],
-        "best": [(c["name"], round(c["p_adjusted"], 4)) for c in ranked[:4]],
+        "best": [(c["name"], round(c["probability"], 4)) for c in found["candidates"][:4]],
+        "nothing": found["probability_of_nothing"],
+        "adequate_from": found["adequate_from_probability"],
+        "probability": next(
+            (e["probability"] for e in found["explanations"] if sorted(e["explanation"]) == names), 0.0
+        ),
         "chi2_per_nu": [first["chi2_per_nu"], last["chi2_per_nu"]],
         "error": [_error(each["values"]) for each in (first, last)],
         "not_evaluated": found["not_evaluated"],
@@ -91,7 +95,6 @@ def one(
         "processor_seconds": round(time.process_time() - processor, 1),
         "values": [each["values"] for each in (first, last)],
         "intervals": [each["intervals_95"] for each in (first, last)],
-        "left_out": found["left_out"],
     }
 
 

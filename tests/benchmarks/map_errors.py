@@ -6,7 +6,7 @@ For every site of the FEBio study in the reference data (`febio-hidden`) with ma
 its hidden effect: segmented and meshed into FOLDER, its working mesh tied to its own as `diagnose` does, and
 ln speed of its parts at the true c and m less FEBio's, at eight forces (f_kappa as held, not the true one). A
 line a site; with --fit the constants of `stages.diagnosis.data.noise` by maximum likelihood, beside those
-that stand there, whose sizes are meant to be twice as large (not that of the smooth part). What the limb's
+that stand there, whose size is meant to be that of the worst site. What the limb's
 far side rests on is allowed for as in a diagnosis. Sites whose bones in the files are not those of
 FEBio's model are left out (see figures/diagnosis-febio.md).
 """
@@ -33,7 +33,6 @@ from limbcli.progress import SILENT
 from limbcli.stages.diagnosis.curves.exponents import FIRST_M
 from limbcli.stages.diagnosis.data import noise
 from limbcli.stages.diagnosis.data.windows import Windows
-from limbcli.stages.diagnosis.mesh_error import model_errors
 from limbcli.stages.diagnosis.mesh_error.numerical_checks import _FAR_SIDE_LEFT
 from limbcli.stages.diagnosis.prepare import Prepared, WorkingMesh, prepare
 from limbcli.stages.mesh import mesh
@@ -42,8 +41,7 @@ from limbcli.stages.segment import segment
 SHARED = Path(os.environ.get("LIMBCLI_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 SITES = SHARED / "febio-hidden"
 SAME_BONES = ["h03", "h05", "h06", "h08", "h09", "h10", "h11", "h13", "h14", "h20", "h23", "h24", "h25"]
-NAMES = ("in parts", "below the face", "fades mm", "near mm", "alike", "in a level", "growth",
-         "smooth", "smooth, lateral mm", "smooth, in depth mm")  # fmt: skip
+NAMES = ("below the face", "grows", "fades mm", "near mm", "alike")
 _WITHIN, _TRIALS = 5.0, 600  # of the search for the likeliest sizes
 
 
@@ -51,14 +49,13 @@ _WITHIN, _TRIALS = 5.0, 600  # of the search for the likeliest sizes
 class Off:
     """Ln speed of the model less FEBio's (n,), where and when.
 
-    rise (n,) : of ln speed over ln depth; far_side (n,) : change by holding the limb's far side
+    far_side (n,) : change by holding the limb's far side
     """
 
     off: Array
     level: IntArray
     place: Array
     strain: Array
-    rise: Array
     far_side: Array
 
 
@@ -98,8 +95,7 @@ def measured(site: str, truth: dict, folder: Path) -> tuple[str, Off]:
         prepared.close()
     windows = prepared.simulations.windows
     depth, force, theirs = record_of(site, windows)
-    rise = np.gradient(np.nan_to_num(curves.log_speed), curves.depth, axis=0) * curves.depth[:, None]
-    ours, growth = (at_force(curves, table, force) for table in (curves.log_speed, rise))
+    ours = at_force(curves, curves.log_speed, force)
     per_c = force * prepared.simulations.c / (truth["c_kpa"] / 1e3)
     far = np.nan_to_num(at_force(held, held.log_speed, per_c) - at_force(free, free.log_speed, per_c))
     off = ours - theirs[:, 1:]
@@ -110,7 +106,7 @@ def measured(site: str, truth: dict, folder: Path) -> tuple[str, Off]:
     line = f"| {site} | {truth['m']:.1f} | {ratio[1]:.2f} to {ratio[-1]:.2f} | {means} | {spread} |"
     strain = depth[level] / truth["thickness_mm"]
     place = windows.middles[part]
-    return line, Off(off[level, part], level, place, strain, growth[level, part], far[level, part])
+    return line, Off(off[level, part], level, place, strain, far[level, part])
 
 
 def at_force(curves: Curves, table: Array, force: Array) -> Array:
@@ -120,18 +116,14 @@ def at_force(curves: Curves, table: Array, force: Array) -> Array:
 
 def cost(sizes: Array, sites: list[Off]) -> float:
     """Minus ln likelihood, but for a constant; sizes : by `NAMES`."""
-    in_parts, below, fades, near, alike, in_level, growth, smooth, lateral, in_depth = sizes
+    below, grows, fades, near, alike = sizes
     total = 0.0
     for each in sites:
         x, z = each.place.T
-        deviation = (in_parts + below * np.exp(-(z - z.min()) / fades)) * each.strain
+        deviation = below * np.exp(-(z - z.min()) / fades) * each.strain**grows
         apart = np.hypot(np.subtract.outer(x, x), np.subtract.outer(z, z))
         found = np.exp(-apart / near) * np.outer(deviation, deviation)
-        wide = (np.subtract.outer(x, x) / lateral) ** 2 + (np.subtract.outer(z, z) / in_depth) ** 2
-        found += smooth**2 * np.exp(-0.5 * wide) * np.outer(each.strain, each.strain)
-        found += in_level**2 * np.outer(each.strain**2, each.strain**2)
         found *= alike ** np.abs(np.subtract.outer(each.level, each.level))
-        found += growth**2 * np.outer(each.rise, each.rise)
         found += (
             _FAR_SIDE_LEFT**2 * np.outer(each.far_side, each.far_side) + np.eye(len(x)) * noise._RESOLVED**2
         )
@@ -169,10 +161,7 @@ def main() -> None:
             line, off = measured(truth["id"], truth, options.out)
             found.append(off)
             print(line, flush=True)
-    stands = np.array([
-        noise._IN_PARTS, noise._BELOW_FACE, noise._FADES_MM, noise._NEAR_MM, noise._ALIKE, noise._IN_LEVEL,
-        model_errors._MAP_STRAIN, noise._SMOOTH, *noise._SMOOTH_MM,
-    ])  # fmt: skip
+    stands = np.array([noise._BELOW_FACE, noise._GROWS, noise._FADES_MM, noise._NEAR_MM, noise._ALIKE])
     print(f"ln likelihood of what stands: {-cost(stands, found):.0f}")
     if options.fit:
         most, likeliest = fitted(stands, found)

@@ -141,7 +141,9 @@ def one(job: tuple[Path, Path]) -> dict[str, Any]:
 def table(rows: Sequence[dict[str, Any]], truths: dict[str, dict[str, Any]]) -> list[str]:
     """Rates of every rule."""
     lines = ["| | " + " | ".join(RULES) + " |", "|-|" + "-|" * len(RULES)]
-    hidden = [r for r in rows if truths[r["id"]]["effects"] != ["none"] and truths[r["id"]]["answer"] != "outside"]
+    hidden = [
+        r for r in rows if truths[r["id"]]["effects"] != ["none"] and truths[r["id"]]["answer"] != "outside"
+    ]
     nothing = [r for r in rows if truths[r["id"]]["effects"] == ["none"]]
 
     def true(row: dict[str, Any]) -> set[str]:
@@ -150,12 +152,24 @@ def table(rows: Sequence[dict[str, Any]], truths: dict[str, dict[str, Any]]) -> 
     tests = (
         ("nothing hidden: adequate", nothing, lambda r, rule: r["verdicts"][rule] == "adequate"),
         ("nothing hidden: named", nothing, lambda r, rule: r["verdicts"][rule] == "named"),
-        ("hidden: named rightly", hidden, lambda r, rule: r["chosen"][rule] and set(r["chosen"][rule]) == true(r)),
-        ("hidden: named wrongly", hidden, lambda r, rule: r["chosen"][rule] and set(r["chosen"][rule]) != true(r)),
+        (
+            "hidden: named rightly",
+            hidden,
+            lambda r, rule: r["chosen"][rule] and set(r["chosen"][rule]) == true(r),
+        ),
+        (
+            "hidden: named wrongly",
+            hidden,
+            lambda r, rule: r["chosen"][rule] and set(r["chosen"][rule]) != true(r),
+        ),
         ("hidden: in the set", hidden, lambda r, rule: true(r) in [set(each) for each in r["sets"][rule]]),
     )
     for name, among, test in tests:
-        lines.append(f"| {name} | " + " | ".join(f"{sum(bool(test(r, rule)) for r in among)} of {len(among)}" for rule in RULES) + " |")
+        lines.append(
+            f"| {name} | "
+            + " | ".join(f"{sum(bool(test(r, rule)) for r in among)} of {len(among)}" for rule in RULES)
+            + " |"
+        )
     return lines
 
 

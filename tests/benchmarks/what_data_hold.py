@@ -296,7 +296,7 @@ def reduced(
     parts = [part.covariance for part in data.noise.parts if judged or part.name.startswith("measurement")]
     covariance = np.asarray(sum(parts))
     if not judged:  # what is assumed of other causes in a hold is not noise of its readings
-        held = forward_model.sites[0].site.held
+        held = forward_model.predictions.sites[0].site.held
         at = np.flatnonzero([channel == "hold" for channel in data.channel])
         if held is not None:
             covariance[at, at] -= held_forces.floors(held.windows)
@@ -358,7 +358,7 @@ def of_site(case: Case, site: Site, out: Path) -> Iterator[dict[str, Any]]:
         pixels = in_pixels(case, prepared, fitted, out)
         raw = RawReadings(prepared, fitted, pixels)
         for facts in forward_model.candidates:
-            effect = forward_model.effects[facts.name]
+            effect = forward_model.predictions.effects[facts.name]
             found = []
             for point in effect.grid:
                 with contextlib.suppress(LimbError):  # no channel shows it, or the law has no solution
@@ -376,9 +376,15 @@ def _line(
     forward_model: SiteForwardModel, fitted: Fitted, raw: RawReadings, effect: Effect, point: Theta
 ) -> dict[str, Any]:
     explanation, theta = (effect.name,), plausible(effect, point)
-    forward_model._check_channels(explanation)
-    x = [np.log(raw.c), np.log(raw.m), *(theta[slot.name] for slot in forward_model.slots(explanation))]
-    change = forward_model.predict(np.array(x), explanation, [effect.held(point)]) - fitted.prediction
+    forward_model.predictions.check_channels(explanation)
+    x = [
+        np.log(raw.c),
+        np.log(raw.m),
+        *(theta[slot.name] for slot in forward_model.predictions.slots(explanation)),
+    ]
+    change = (
+        forward_model.predictions.predict(np.array(x), explanation, [effect.held(point)]) - fitted.prediction
+    )
     blocks = raw.blocks(change, effect, point)
     return {
         "point": point_name(point),

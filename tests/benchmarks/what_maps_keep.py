@@ -95,7 +95,7 @@ def kept(site: str, effect: str, thickness: float) -> Kept | None:
     mean = block_diag(*levels)  # of a level: not known at all
     found = [
         float(np.array(apart) @ np.linalg.solve(covariance + mean, np.array(apart)))
-        for covariance in (pixels, pixels + noise.of_model(rows, SHARE) + noise.smooth(rows))
+        for covariance in (pixels, pixels + noise.of_model(rows, SHARE))
     ]
     return Kept(site, effect, raw, *found)
 

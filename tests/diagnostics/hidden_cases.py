@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limbcli.diagnostics.conclusions.next_measurement import best_step
+from limbcli.diagnostics.conclusions.sentences import recommended
 from limbcli.diagnostics.engine import diagnose
-from limbcli.diagnostics.statistical_tests.heldout import fell
+from limbcli.diagnostics.search import containing
 from limbcli.effects import EFFECTS, effect
 from limbcli.effects.places import layer_share
 from limbcli.effects.reading import Reading
@@ -94,7 +94,6 @@ class Case:
     truth: Truth
     seed: int
     grid: Grid = FINE
-    n_draws: int = 4000
     own_tissue: bool = False
 
     def __post_init__(self) -> None:
@@ -147,11 +146,11 @@ class Case:
         )
         return SiteCurves(site, fitted, {e.name: e for e in EFFECTS if e.kind != "numerical"})
 
-    def diagnose(self, *curves: SiteCurves, propose: bool = True, max_effects: int = 3):
+    def diagnose(self, *curves: SiteCurves, propose: bool = True, max_effects: int = 2):
         bench = SiteForwardModel(curves or [self.curves(self.levels)])
-        if len(bench.sites) == 1:
+        if len(bench.predictions.sites) == 1:
             bench.turned = self._turned
-        return diagnose(bench, seed=self.seed, n_draws=self.n_draws, propose=propose, max_effects=max_effects)
+        return diagnose(bench, seed=self.seed, propose=propose, max_effects=max_effects)
 
     def _turned(self) -> SiteCurves:
         turned = self.curves(self.levels, ALONG)
@@ -161,10 +160,10 @@ class Case:
 
     def with_recommended(self, found) -> tuple[str, object] | None:
         """The recommended measurement made on the truth, and the diagnosis with it."""
-        best = best_step(found.next_steps)
+        best = recommended(found)
         if best is None:
             return None
-        name = best[0]
+        name = best.name
         if name == ROTATE:
             again = [self.curves(self.levels), self.curves(self._measured(ALONG), ALONG, "p1-turned")]
             return name, self.diagnose(*again, propose=False)
@@ -211,11 +210,16 @@ def account(case: Case, found, *, follow: bool = True) -> dict:
         "chosen": sorted(found.chosen),
         "set": [sorted(each) for each in found.confidence_set],
         "chi2_per_nu": [first.chi2_per_nu, last.chi2_per_nu],
-        "held_out_fell": fell(first.held_out, last.held_out),
-        "error": [case.error(each.values) for each in (found.shrink[0].estimates, found.estimates)],
-        "error_without_prior": [
-            case.error(each.best) for each in (found.shrink[0].estimates, found.estimates)
-        ],
+        "probability": {
+            "nothing": found.nothing,
+            "adequate_from": found.adequate_from,
+            "named": containing(found.chosen, found.explanations) if found.chosen else 0.0,
+            "truth": next(
+                (e.probability for e in found.explanations if set(e.explanation) == set(case.truth)), 0.0
+            ),
+        },
+        "held_out": [each.held_out.get("all") for each in (first, last)],
+        "error": [case.error(each.values) for each in (first.estimates, found.estimates)],
         "values": [dict(each.values) for each in (found.shrink[0].estimates, found.estimates)],
         "intervals": [dict(each.intervals) for each in (found.shrink[0].estimates, found.estimates)],
         "true": {"c_kpa": case.c_kpa, "m": case.m},
@@ -228,5 +232,5 @@ def account(case: Case, found, *, follow: bool = True) -> dict:
         if more is not None:
             row["recommended"], after = more[0], more[1]
             row["set_after"] = [sorted(each) for each in after.confidence_set]
-            row["power"] = best_step(found.next_steps)[1]
+            row["expected_probability"] = recommended(found).expected_probability
     return row

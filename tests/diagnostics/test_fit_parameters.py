@@ -1,39 +1,42 @@
-"""What of a fit's parameters ended on a bound, and what that says."""
+"""What a parameter of a fit is: its prior, and what is reported where it ended on a bound."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from limbcli.effects import effect
-from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot, bound_hits, stuck
+from limbcli.effects import EFFECTS, effect
+from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
 
 CASES = [
-    ("nonlinearity", {"weight_q": 0.0, "second_pair_share": 0.0}, ""),  # a law with one of its two terms
-    ("nonlinearity", {"weight_q": 0.5, "second_pair_share": 0.0}, ""),  # q is free, and may be anything
-    ("nonlinearity", {"weight_q": 0.7, "second_pair_share": 0.6}, ""),  # q is free and says it is there
-    ("contraction", {"active_stress_per_c": 4.0}, "higher bound 4"),
-    ("contraction", {"active_stress_per_c": 0.0}, "ended at 0, where the effect is absent"),
-    ("inclusion", {"log_inclusion_ratio": 1.0, "inclusion_x_mm": 26.0}, ""),  # a place is no size
-    ("inclusion", {"log_inclusion_ratio": 3.0}, "higher bound 3"),
-    ("inclusion", {"inclusion_radius_mm": 16.0}, "higher bound 16"),  # as wide as the window: no spot
-    ("adipose-layer", {"fat_thickness_mm": 20.0}, "higher bound 20"),
-    ("adipose-layer", {"fat_thickness_mm": 1.5}, ""),  # thin: less of it
+    ("nonlinearity", "weight_q", 0.0, ""),  # a law with one of its two terms
+    ("contraction", "active_stress_per_c", 4.0, "higher bound 4"),
+    ("contraction", "active_stress_per_c", 0.0, ""),  # no contraction: its prior reaches that far
+    ("inclusion", "inclusion_x_mm", 3.0, ""),
+    ("inclusion", "log_inclusion_ratio", 3.0, "higher bound 3"),
+    ("adipose-layer", "fat_thickness_mm", 20.0, "higher bound 20"),
+    ("adipose-layer", "fat_thickness_mm", 8.0, ""),
 ]
 
 
-@pytest.mark.parametrize(("name", "values", "message"), CASES)
-def test_a_size_on_the_bound_of_the_search_is_told_and_one_at_a_laws_own_limit_is_not(name, values, message):
-    known = effect(name)
-    slots = [Slot(each.name, each) for each in known.parameters]
-    x = np.array([0.0, 0.0, *(values.get(each.name, each.start) for each in known.parameters)])
-    found = bound_hits(x, slots, [known])
+@pytest.mark.parametrize(("name", "parameter", "value", "message"), CASES)
+def test_a_value_on_a_bound_of_the_search_is_told_and_one_at_null_or_a_laws_own_limit_is_not(
+    name, parameter, value, message
+):
+    (slot,) = [Slot(each.name, each) for each in effect(name).parameters if each.name == parameter]
+    found = slot.on_bound(value)
     assert bool(found) == bool(message)
-    assert all(message in each.message for each in found)
-    assert all(each.is_absent == ("absent" in message) for each in found)
+    assert message in found
 
 
-def test_what_a_bound_holds_does_not_move_with_the_data():
-    known = effect("nonlinearity")
-    slots = [Slot(each.name, each) for each in known.parameters]
-    assert stuck(np.array([0.0, 0.0, 0.0, 0.3]), slots).tolist() == [True, False]
+def test_the_prior_of_a_size_is_centred_on_no_effect_and_one_and_a_half_plausible_sizes_wide():
+    """Whatever the sign of a plausible size; a shape may be anywhere between its bounds."""
+    for p in (p for each in EFFECTS for p in each.parameters):
+        prior = Slot(p.name, p).prior
+        assert (prior.low, prior.high) == (p.low, p.high)
+        if p.shape:
+            assert np.isinf(prior.deviation)
+        else:
+            assert prior.mean == p.null
+            assert prior.deviation == pytest.approx(1.5 * abs(p.typical - p.null))
+            assert prior.low <= prior.mean <= prior.high

@@ -2,16 +2,16 @@
 
 Forces and mean speeds alone do not tell a layer of fat (it goes into c and m): it is not among them.
 
-One measurement each, of a fixed seed, and none is forgiven. A diagnosis that misses the truth in a share p of
-all measurements passes the nine effects with (1 - p)^9: 63 % at p = 0.05, 13 % at 0.2, 2 % at 0.35. That what
-misses often fails is all that they are for; rates of many measurements are for `make hidden`.
-"""
+One measurement each, of a fixed seed, and none is forgiven. A diagnosis that misses the truth in a share p
+of all measurements passes the seven effects with (1 - p)^7: 70 % at p = 0.05, 21 % at 0.2, 5 % at 0.35.
+That what misses often fails is all that they are for; rates of many measurements are for `make hidden`."""
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
-from limbcli.diagnostics import thresholds
+from limbcli.diagnostics import decisions
 from tests.diagnostics import hidden_cases as cases
 
 ONCE = {
@@ -20,22 +20,20 @@ ONCE = {
     "preload": {"preload_n": 1.8},
     "anisotropy": {"fibre_shear_per_c": 0.3, "fibre_tension_per_c": 0.15},
     "skin-layer": {"log_skin_ratio": 3.5, "skin_thickness_mm": 1.5},
-    "contraction": {"active_stress_per_c": 0.9},
     "viscoelasticity": {"relaxing_share": 0.9, "relaxation_time_s": 10.0},
-    "swe-time-scale": {"swe_modulus_scale": 0.5},
     "swe-guided-wave": {"guided_1e4_per_hz2": 1.6},
 }
 SEED = 9
 
 
 def found(arm: str, truth, seed: int = 7, **more):
-    return cases.Case(arm, truth, seed, cases.COARSE, 1500).diagnose(propose=False, **more)
+    return cases.Case(arm, truth, seed, cases.COARSE).diagnose(propose=False, **more)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [7, 8, 9])
+@pytest.mark.parametrize("seed", [7, 8])
 def test_nothing_missing_names_nothing(seed):
-    """Of false alarms in a share p of all measurements three in a row are without with (1 - p)^3; see also
+    """Of false alarms in a share p of all measurements two in a row are without with (1 - p)^2; see also
     `test_engine` and `test_reduced_site`, which count them."""
     result = found("nothing", {}, seed)
     assert result.verdict == "adequate"
@@ -50,10 +48,12 @@ def missed(name: str, seed: int) -> str:
     result = found(name, {name: ONCE[name]}, seed, max_effects=1)
     if (name,) not in result.confidence_set:
         return f"seed {seed}: {result.verdict}, {result.confidence_set}"
-    fitted = next(r for r in result.refits if r.explanation == (name,))
-    closed = fitted.is_adequate and fitted.state.chi2 < 0.6 * result.shrink[0].chi2
+    fitted = next(each.posterior for each in result.explanations if each.explanation == (name,))
+    closed = fitted is not None and fitted.chi2 < 0.6 * result.shrink[0].chi2
     return (
-        "" if closed and result.verdict in ("named", "ambiguous") else f"seed {seed}: the gap is not closed"
+        ""
+        if closed and result.verdict in ("named", "ambiguous")
+        else f"seed {seed}: {result.verdict}, not closed"
     )
 
 
@@ -76,10 +76,11 @@ def test_a_pair_is_found_and_never_named_as_something_else():
 
 @pytest.mark.slow
 def test_what_the_library_does_not_know_is_named_nothing():
-    result = found("outside", {})
+    result = found("outside", {}, max_effects=1)
     assert result.verdict in ("unexplained", "ambiguous")
-    members = [each for each in result.refits if each.explanation in result.confidence_set]
-    assert all(each.left_p < thresholds.LEFT for each in members)
+    assert result.left is not None
+    assert result.verdict == "ambiguous" or result.left.p < decisions.CHECKED
+    assert result.chosen == ()
 
 
 @pytest.mark.slow
@@ -90,13 +91,14 @@ def test_noise_stated_too_small_is_noticed():
 @pytest.mark.slow
 def test_two_effects_fit_no_worse_than_one_of_them():
     """Fits go on from those of their parts: from their usual starts these two ended five worse."""
-    case = cases.Case("preload", {"preload": ONCE["preload"]}, 10, cases.COARSE, 1500)
+    case = cases.Case("preload", {"preload": ONCE["preload"]}, 10, cases.COARSE)
     bench = cases.SiteForwardModel([case.curves(case.levels)], verify=False)
     bench.fit((), {})
 
     def deviance(explanation):
-        left = bench.whiten(bench.data.y - bench.fit(explanation, {}).prediction)
-        return float(left @ left)
+        fitted = bench.fit(explanation, {})
+        points, x = bench.predictions.points(fitted), bench.predictions.x_of(fitted)
+        return float(np.sum(bench.fits.off(x, explanation, points) ** 2))
 
     one = {name: deviance((name,)) for name in ("anisotropy", "preload", "contraction")}
     for other in ("preload", "contraction"):

@@ -77,24 +77,24 @@ def test_what_changes_each_time_has_a_size_for_each_measurement(rng):
     both = SiteForwardModel(
         [curves("a", measurement(rng, ACROSS), ACROSS), curves("b", measurement(rng, ALONG), ALONG)]
     )
-    assert [s.name for s in both.slots(("force-zero", "force-gain"))] == [
+    assert [s.name for s in both.predictions.slots(("force-zero", "force-gain"))] == [
         "force_zero_n@a", "force_zero_n@b", "force_gain",
     ]  # fmt: skip
     found = {"force-zero": {"force_zero_n@a": (0.8, 1.2), "force_zero_n@b": (-0.2, 0.2)}}
-    for each, ends in zip(both.sites, ((0.8, 1.2), (-0.2, 0.2)), strict=True):
+    for each, ends in zip(both.predictions.sites, ((0.8, 1.2), (-0.2, 0.2)), strict=True):
         reported = reported_sizes(sizes_of(both, each.site), found, 6.0)
         assert reported["force-zero"] == {"f0_n": pytest.approx(ends)}
     values = {"force_zero_n@a": 1.0, "force_zero_n@b": 2.0}
-    assert both.theta(values, ("force-zero",), 1) == {"force_zero_n": 2.0}
+    assert both.predictions.theta(values, ("force-zero",), 1) == {"force_zero_n": 2.0}
 
 
 @pytest.mark.slow
 def test_an_offset_in_one_measurement_is_found_there(rng):
     offset = measurement(rng, ALONG, reading=Reading(force_zero=1.2))
     both = SiteForwardModel([curves("a", measurement(rng, ACROSS), ACROSS), curves("b", offset, ALONG)])
-    found = diagnose(both, n_draws=1500, propose=False)
+    found = diagnose(both, propose=False)
     assert ("force-zero",) in found.confidence_set
-    fitted = next(r.fitted for r in found.refits if r.explanation == ("force-zero",))
+    fitted = next(r.posterior.fitted for r in found.explanations if r.explanation == ("force-zero",))
     assert fitted.values["force_zero_n@b"] == pytest.approx(1.2, abs=0.3)
     assert abs(fitted.values["force_zero_n@a"]) < 0.3
 
@@ -104,9 +104,9 @@ def test_turning_the_probe_tells_fibres_from_another_time_scale_of_the_waves(rng
     """Across the fibres alone both make the force too high for the speeds; along them they part."""
     fibres = ((effect("anisotropy"), {"fibre_shear_per_c": 1.2, "fibre_tension_per_c": 0.4}),)
     first = measurement(rng, ACROSS, fibres)
-    alone = diagnose(SiteForwardModel([curves("a", first, ACROSS)]), n_draws=1500, propose=False)
+    alone = diagnose(SiteForwardModel([curves("a", first, ACROSS)]), propose=False)
     both = SiteForwardModel([curves("a", first, ACROSS), curves("b", measurement(rng, ALONG, fibres), ALONG)])
-    together = diagnose(both, n_draws=1500, propose=False)
+    together = diagnose(both, propose=False)
     assert ("anisotropy",) in together.confidence_set
     assert ("swe-time-scale",) not in together.confidence_set
     assert len(together.confidence_set) <= max(len(alone.confidence_set), 1)

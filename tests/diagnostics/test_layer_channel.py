@@ -74,8 +74,8 @@ def bench(levels, layers, names=CANDIDATES) -> SiteForwardModel:
 
 def test_layers_stand_in_the_data_with_their_noise(rng):
     levels, layers = measured(rng)
-    with_layers = bench(levels, layers).site
-    without = bench(levels, None).site
+    with_layers = bench(levels, layers).predictions.site
+    without = bench(levels, None).predictions.site
     mine = np.array([row.channel == "layer" for row in with_layers.rows])
     assert mine.sum() == 2 * (len(levels) - 1)
     assert len(with_layers.rows) == len(without.rows) + mine.sum()
@@ -94,19 +94,21 @@ def test_layers_stand_in_the_data_with_their_noise(rng):
 def test_an_error_of_depth_moves_the_layers_as_the_noise_has_it(rng):
     levels, layers = measured(rng)
     the_bench = bench(levels, layers)
-    the_bench.sites[0].solve_nodes((4.0, 8.0))
+    the_bench.predictions.sites[0].solve_nodes((4.0, 8.0))
     x = np.log([0.0065, 4.0])
-    fat = np.array([row.channel == "layer" and row.part == 1 for row in the_bench.site.rows])
-    exact = the_bench.predict(x, (), ())[fat]
-    expected = np.array([row.level for row, is_fat in zip(the_bench.site.rows, fat, strict=True) if is_fat])
+    fat = np.array([row.channel == "layer" and row.part == 1 for row in the_bench.predictions.site.rows])
+    exact = the_bench.predictions.predict(x, (), ())[fat]
+    expected = np.array(
+        [row.level for row, is_fat in zip(the_bench.predictions.site.rows, fat, strict=True) if is_fat]
+    )
     thinning = 6.5 - exact
     assert np.all(np.diff(thinning) > -0.1)
-    slope = -the_bench.site.slope[fat]
+    slope = -the_bench.predictions.site.slope[fat]
     np.testing.assert_allclose(slope.mean(), thinning[-1] / levels.depth[expected[-1]], rtol=0.2)
 
 
 def test_a_homogeneous_tissue_is_adequate_with_layers_too(rng):
-    found = diagnose(bench(*measured(rng)), n_draws=1500)
+    found = diagnose(bench(*measured(rng)))
     assert found.verdict == "adequate"
     assert found.base.values["c_kpa"] == pytest.approx(6.5, rel=0.1)
 
@@ -116,13 +118,13 @@ def test_soft_fat_is_named_by_its_layers(rng, tmp_path):
     fat = ((effect("adipose-layer"), {"fat_thickness_mm": 8.0, "log_fat_softness": 0.9}),)
     levels, layers = measured(rng, fat)
     the_bench = bench(levels, layers)
-    found = diagnose(the_bench, n_draws=1500)
-    assert found.family.of("adipose-layer").p_adjusted < 0.01
+    found = diagnose(the_bench)
+    assert found.effects["adipose-layer"] > 0.9
     assert ("adipose-layer",) in found.confidence_set
-    fitted = next(r.fitted for r in found.refits if r.explanation == ("adipose-layer",))
+    fitted = next(r.posterior.fitted for r in found.explanations if r.explanation == ("adipose-layer",))
     assert fitted.values["log_fat_softness"] == pytest.approx(0.9, abs=0.4)
-    gap_picture(found, [the_bench.site], tmp_path / "gap.png")
-    assert diagnosis_json(found, the_bench.site, the_bench)["channels"].count("layer") == 1
+    gap_picture(found, [the_bench.predictions.site], tmp_path / "gap.png")
+    assert diagnosis_json(found, the_bench.predictions.site, the_bench)["channels"].count("layer") == 1
 
 
 def test_without_layers_the_same_fat_is_not_seen(rng):
@@ -134,7 +136,7 @@ def test_without_layers_the_same_fat_is_not_seen(rng):
         the_bench = bench(levels, seen, names=("adipose-layer", "force-zero"))
         base = the_bench.fit((), {})
         fitted = the_bench.fit(("adipose-layer",), {})
-        left = [the_bench.whiten(the_bench.data.y - each.prediction) for each in (base, fitted)]
+        left = [the_bench.predictions.whiten(the_bench.data.y - each.prediction) for each in (base, fitted)]
         p[name] = float(left[0] @ left[0] - left[1] @ left[1])
     assert p["with"] > p["without"] + 9.0
 
@@ -178,14 +180,19 @@ def test_fat_in_a_finer_mesh_is_recovered_by_its_layers(layered_block, rng):
     the_bench = SiteForwardModel([SiteCurves(site, simulations, {"adipose-layer": effect("adipose-layer")})])
     base = the_bench.fit((), {})
     found = the_bench.verified(the_bench.fit(("adipose-layer",), {}))
-    points, true = the_bench.points(found), {"log_fat_softness": 1.1, "fat_thickness_mm": 6.0}
-    ended = the_bench._off(the_bench._x_of(found), found.explanation, points)
-    the_bench.sites[0].repair(4.0, found.explanation, true, points)
-    x = np.array([*np.log([0.0065, 4.0]), *(true[slot.name] for slot in the_bench.slots(found.explanation))])
-    at_truth = the_bench._off(x, found.explanation, points)
+    points, true = the_bench.predictions.points(found), {"log_fat_softness": 1.1, "fat_thickness_mm": 6.0}
+    ended = the_bench.fits.off(the_bench.predictions.x_of(found), found.explanation, points)
+    the_bench.predictions.sites[0].repair(4.0, found.explanation, true, points)
+    x = np.array(
+        [
+            *np.log([0.0065, 4.0]),
+            *(true[slot.name] for slot in the_bench.predictions.slots(found.explanation)),
+        ]
+    )
+    at_truth = the_bench.fits.off(x, found.explanation, points)
     simulations.close()
     assert ended @ ended < at_truth @ at_truth
-    left = [the_bench.whiten(the_bench.data.y - each.prediction) for each in (base, found)]
+    left = [the_bench.predictions.whiten(the_bench.data.y - each.prediction) for each in (base, found)]
     assert left[0] @ left[0] > left[1] @ left[1] + 15.0
     assert left[1] @ left[1] < 2.0 * len(levels.force) * 3
     # c is free and no wave speed tells it: with 5 % of mesh error the standard error is 0.86.

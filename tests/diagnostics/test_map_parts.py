@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from limbcli.diagnostics import thresholds
-from limbcli.diagnostics.model.forward_model import Data, Direction, Fitted
-from limbcli.diagnostics.model.linear import Whitener
+from limbcli.diagnostics.model import form_error
+from limbcli.diagnostics.model.forward_model import Data, Fitted
 from limbcli.diagnostics.model.noise import Noise, independent
-from limbcli.diagnostics.selection.baseline_fit import BaselineFit
-from limbcli.diagnostics.selection.confidence_set import Refit
-from limbcli.diagnostics.selection.form_error import form_allowances
-from limbcli.diagnostics.statistical_tests import multiple_testing as calibrate
-from limbcli.diagnostics.statistical_tests.score import Score
 from limbcli.effects import effect
 from limbcli.effects.places import Places
 from limbcli.measurement.map_noise import PixelNoise
@@ -116,17 +110,18 @@ def test_a_models_error_grows_with_strain_and_is_nearly_none_at_rest():
     assert np.linalg.eigvalsh(model.of_model(rows, 1.0)).min() > 0
 
 
-def test_the_smooth_error_of_the_model_grows_with_strain_and_is_shared_by_neighbours():
+def test_a_models_error_is_shared_by_neighbours_and_levels():
+    """Beside one another by their distance, at the next level by less than all."""
     model = MapNoise(SMALL.middles, (4.0, 4.0), (1.0, 1.0), PixelNoise(0.1), np.array([0.0, 0.2, 0.3]))
-    rows = [Row("map", level, part + 1) for level in range(3) for part in range(len(SMALL.middles))]
-    found = model.smooth(rows)
     n = len(SMALL.middles)
-    deviation = np.sqrt(np.diag(found)).reshape(3, n)
-    assert deviation == pytest.approx(np.outer([0.0, 0.012, 0.018], np.ones(n)))
-    apart = SMALL.middles[1] - SMALL.middles[0]
-    alike = np.exp(-0.5 * ((apart / [17.0, 7.0]) ** 2).sum())
-    assert found[n, n + 1] == pytest.approx(0.012**2 * alike)
-    assert found[n, 2 * n] == pytest.approx(0.87 * 0.012 * 0.018)
+    found = model.of_model([Row("map", level, part + 1) for level in range(3) for part in range(n)], 0.5)
+    deviation = np.sqrt(np.diag(found))
+    alike = found[n:, n:] / np.outer(deviation[n:], deviation[n:])
+    near, far = alike[0, 1], alike[0, 3]
+    assert 0.9 > near > 1.5 * far > 0
+    assert 0.8 < alike[0, n] < 0.95
+    whole = model.of_model([Row("map", 1, 1)], 1.0)[0, 0]
+    assert found[n, n] == pytest.approx(0.25 * whole, rel=1e-3)
 
 
 def test_parts_at_an_edge_of_what_is_shown_are_known_less_well():
@@ -143,22 +138,6 @@ def test_parts_at_an_edge_of_what_is_shown_are_known_less_well():
     assert {row.part for row, each in zip(hole, deviation, strict=True) if each > 0} == {2, 5, 6}
 
 
-@pytest.mark.parametrize(("eta", "allowed"), [((2.0,), 0.9 * 1000.0), ((0.0,), 0.9 * 1000.0), (None, 100.0)])
-def test_a_test_of_several_channels_allows_for_each_by_its_part(eta, allowed):
-    """Of a direction three deviations in the maps and one in the force, nine tenths look at the maps: at 2 %
-    of what an effect changes there, if there is an estimate or not; and at no more than it explains."""
-    noise = Noise((independent("own", np.full(2, 2.0), source="repeats"),))
-    data = Data(np.zeros(2), ("map", "force"), np.arange(2.0), noise)
-    spot = Fitted(
-        ("inclusion",), np.array([2 * 1000**0.5, 0.0]), np.zeros((2, 0)), (), {}, without=np.zeros(2)
-    )
-    along = Direction(np.array([[3.0], [1.0]]), (0,))
-    tested = calibrate.Tested("tilt", Score(1.0, along, np.array(eta or (2.0,))), 0.5, 0.5, 9.0)
-    family, whiten = calibrate.Family((tested,), None, 0.05), Whitener.of(noise.covariance)
-    found = form_allowances(data, spot, family, whiten, 2000.0 if eta else 100.0)
-    assert found == pytest.approx({"tilt": thresholds.OF_FORM * allowed})
-
-
 def test_an_effects_form_errs_by_its_share_alike_at_neighbouring_levels_and_places():
     """Two parts of an image, 4 mm apart, at two levels; and a force: 15 % and 5 % of what changes."""
     n, level = 6, np.array([0.0, 0.0, 1.0, 1.0, 0.0, 1.0])
@@ -167,30 +146,13 @@ def test_an_effects_form_errs_by_its_share_alike_at_neighbouring_levels_and_plac
     data = Data(np.zeros(n), ("map",) * 4 + ("force",) * 2, level, noise, place=place)
     without, change = np.full(n, 3.0), np.array([1.0, -2.0, 1.0, -2.0, 10.0, 20.0])
     fitted = Fitted(("tilt",), without + change, np.zeros((n, 0)), (), {}, without=without)
-    baseline = BaselineFit(SimpleNamespace(data=data), fitted, seed=7, n_draws=10)
-    found = baseline.form_error(fitted)
+    found = form_error.form_error(data, fitted)
+    assert found is not None
     assert np.sqrt(np.diag(found)) == pytest.approx([0.15, 0.3, 0.15, 0.3, 0.5, 1.0])
     alike = found / np.sqrt(np.outer(np.diag(found), np.diag(found)))
     assert not alike[:4, 4:].any()
-    assert alike[4, 5] == pytest.approx(thresholds.FORM_ALIKE)
-    assert alike[0, 2] == pytest.approx(thresholds.IMAGE_ALIKE)
+    assert alike[4, 5] == pytest.approx(form_error._ALIKE)
+    assert alike[0, 2] == pytest.approx(form_error._ALIKE_IN_IMAGE)
     assert alike[0, 1] == pytest.approx(np.exp(-0.5))  # as far apart as the error is wide
     assert alike[0, 3] == pytest.approx(alike[0, 1] * alike[0, 2])
-
-
-@pytest.mark.parametrize(
-    ("statistic", "channel", "adequate"), [(15.0, 0, True), (40.0, 0, False), (15.0, 1, False)]
-)
-def test_what_the_form_of_a_large_effect_leaves_is_no_second_effect(statistic, channel, adequate):
-    """A spot that takes 1000 from the maps may leave 20 there, and nothing in the force."""
-    noise = Noise((independent("own", np.full(4, 2.0), source="repeats"),))
-    data = Data(np.zeros(4), ("map", "map", "force", "force"), np.arange(4.0), noise)
-    change = np.array([2 * 1000**0.5, 0.0, 0.0, 0.0])
-    spot = Fitted(("inclusion",), change, np.zeros((4, 0)), (), {}, without=np.zeros(4))
-    whiten = Whitener.of(noise.covariance)
-    along = Direction(whiten(np.eye(4)[:, 2 * channel : 2 * channel + 1]), (0,))
-    left = calibrate.Tested("tilt", Score(statistic, along, np.ones(1)), 1e-4, 0.002, 9.0)
-    family = calibrate.Family((left,), None, 0.05)
-    for explained, is_adequate in ((2000.0, adequate), (20.0, False)):
-        allowances = form_allowances(data, spot, family, whiten, explained)
-        assert Refit(spot, None, family, form_allowances=allowances).is_adequate is is_adequate
+    assert form_error.form_error(data, replace(fitted, without=None)) is None  # no effect, no form

@@ -88,8 +88,10 @@ def test_maps_that_are_proposed_are_known_no_better_than_a_model_shows_them():
     of_level = np.sqrt(np.diag(error)).reshape(-1, n_parts)
     assert len(of_level) == len(site.site.protocol)
     assert of_level[0] == pytest.approx(0.001, rel=0.1)
-    assert np.corrcoef(of_level.mean(axis=1), site.site.protocol.depth)[0, 1] > 0.99
-    assert 0.03 < of_level[-1].mean() < 0.1  # beside 0.035 of noise
+    assert (
+        np.corrcoef(of_level.mean(axis=1), site.site.protocol.depth)[0, 1] > 0.97
+    )  # a part of it grows with its square
+    assert 0.06 < of_level[-1].mean() < 0.25  # beside 0.035 of noise: as at the worst of sites
     over_level = np.kron(np.eye(len(of_level)), np.ones(n_parts))
     assert over_level @ error @ over_level.T == pytest.approx(0.0, abs=1e-12)
 

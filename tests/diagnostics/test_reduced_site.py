@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from limbcli.diagnostics import thresholds
+from limbcli.diagnostics import decisions
 from limbcli.diagnostics.conclusions.sentences import sentences
 from limbcli.diagnostics.engine import diagnose
-from limbcli.diagnostics.selection.baseline_fit import BaselineFit
+from limbcli.diagnostics.evidence.laplace import posterior
+from limbcli.diagnostics.model.form_error import form_error
 from limbcli.effects import EFFECTS, effect
 from limbcli.effects.depth_zero import TOUCHES
 from limbcli.effects.reading import Reading, read
@@ -42,7 +44,7 @@ def levels(rng, ingredients=(), reading=None, **more):
 
 
 def run(measured, **more):
-    return diagnose(bench(measured, **more), n_draws=1500)
+    return diagnose(bench(measured, **more))
 
 
 def test_nothing_missing_is_adequate_and_recovers_the_tissue(rng):
@@ -62,16 +64,17 @@ def test_force_offset_is_named_and_the_tissue_comes_right(rng):
     assert abs(after - truth) < abs(before - truth)
 
 
-def test_sizes_of_effects_that_need_no_simulation_are_those_of_a_refit_though_nothing_was_found(rng):
+def test_sizes_of_effects_are_those_of_their_fits_though_nothing_was_found(rng):
     """To first order a preload that has moved c far, and leaves nothing, would be excluded."""
     model = bench(levels(rng), names=("preload", "force-zero", "anisotropy"))
-    found = diagnose(model, n_draws=1500)
-    assert (found.verdict, found.refits, found.not_evaluated) == ("adequate", (), {})
-    assert "force-zero" in found.refitted_sizes
-    assert "anisotropy" not in found.refitted_sizes, "the fit with fibres is simulated"
-    low, high = found.refitted_sizes["force-zero"].intervals["force_zero_n"]
+    found = diagnose(model)
+    assert (found.verdict, found.chosen, found.not_evaluated) == ("adequate", (), {})
+    assert all(each.posterior is not None for each in found.explanations if len(each.explanation) == 1)
+    low, high = found.sizes["force-zero"]["force_zero_n"]
     value = model.fit(("force-zero",), {}).values["force_zero_n"]
-    assert 0.5 * (low + high) == pytest.approx(value, abs=0.02)
+    assert low < value < high
+    assert 0.5 * (low + high) == pytest.approx(value, abs=0.25 * (high - low))
+    assert set(found.sizes) == {"preload", "force-zero", "anisotropy"}
 
 
 @pytest.mark.parametrize("n_speeds", [1, 3])
@@ -79,7 +82,7 @@ def test_speeds_at_a_few_levels_count_and_more_of_them_are_proposed(rng, n_speed
     few = levels(rng)
     speeds = np.where(np.arange(14) < n_speeds, few.swe_mean_m_per_s, np.nan)
     model = bench(replace(few, swe_mean_m_per_s=speeds), names=("force-gain", "swe-time-scale"))
-    assert sum(row.channel == "swe" for row in model.site.rows) == n_speeds
+    assert sum(row.channel == "swe" for row in model.predictions.site.rows) == n_speeds
     fits = [model.fit((), {}), model.fit(("swe-time-scale",), {})]
     assert "wave speeds" in {each.name for each in model.proposals(fits)}
     model = bench(few, names=("force-gain", "swe-time-scale"))
@@ -87,7 +90,7 @@ def test_speeds_at_a_few_levels_count_and_more_of_them_are_proposed(rng, n_speed
 
 
 def test_three_levels_with_speeds_can_be_tested(rng):
-    found = diagnose(bench(levels(rng, n_levels=3), names=("force-zero", "swe-time-scale")), n_draws=300)
+    found = diagnose(bench(levels(rng, n_levels=3), names=("force-zero", "swe-time-scale")))
     assert found.shrink[0].nu == 3
     assert found.verdict != "untestable"
     assert not found.not_evaluated
@@ -96,11 +99,11 @@ def test_three_levels_with_speeds_can_be_tested(rng):
 def test_nothing_is_said_to_be_seen_where_nothing_was_tested(rng):
     """Three forces and no speed, for c and m: no part and no effect was looked at."""
     few = replace(levels(rng, n_levels=3), swe_mean_m_per_s=np.full(3, np.nan))
-    found = diagnose(bench(few, names=("force-zero",)), n_draws=300)
+    found = diagnose(bench(few, names=("force-zero",)))
     assert found.verdict == "untestable"
     lines = " ".join(sentences(found))
     assert "Where" not in lines
-    assert "unseen" not in lines
+    assert "could not detect" not in lines
 
 
 @pytest.mark.parametrize("touches", [0.0, 1.0])
@@ -139,26 +142,28 @@ def test_one_factor_on_all_speeds_stays_ambiguous_and_a_hold_would_tell(rng):
     assert found.verdict == "ambiguous"
     assert {("swe-time-scale",), ("viscoelasticity",)} <= set(found.confidence_set)
     assert found.next_steps[0].name == "hold"
-    assert found.next_steps[0].power > 0.8
+    assert found.next_steps[0].expected_probability > found.next_steps[0].before + 0.15
 
 
 def test_what_sets_in_late_changes_only_the_levels_from_there_on(rng):
     the_bench = bench(levels(rng), names=("contraction",))
     x = np.array([*np.log([0.0065, 4.0]), 0.5])
     for m in (2.0, 5.0):
-        the_bench.sites[0].solve_node(m)
+        the_bench.predictions.sites[0].solve_node(m)
     onset = "tensed_after_share_of_levels"
-    plain = the_bench.predict(x[:2], (), ())
-    whole, late = (the_bench.predict(x, ("contraction",), ({onset: share},)) for share in (0.0, 0.5))
-    level = np.array([row.level for row in the_bench.site.rows])
-    early = level < 0.5 * len(the_bench.site.protocol)
+    plain = the_bench.predictions.predict(x[:2], (), ())
+    whole, late = (
+        the_bench.predictions.predict(x, ("contraction",), ({onset: share},)) for share in (0.0, 0.5)
+    )
+    level = np.array([row.level for row in the_bench.predictions.site.rows])
+    early = level < 0.5 * len(the_bench.predictions.site.protocol)
     assert late[early] == pytest.approx(plain[early], rel=1e-12)
     assert late[~early] == pytest.approx(whole[~early], rel=1e-12)
     assert np.abs(whole[early] / plain[early] - 1).max() > 0.01
 
 
 def test_a_pair_starts_from_what_was_solved_of_its_parts(rng):
-    one = bench(levels(rng), names=("skin-layer", "contraction")).sites[0]
+    one = bench(levels(rng), names=("skin-layer", "contraction")).predictions.sites[0]
     for m in (2.0, 5.0):
         one.solve_node(m)
     pair, points = ("contraction", "skin-layer"), ({"tensed_after_share_of_levels": 0.0},
@@ -176,7 +181,7 @@ def test_a_pair_starts_from_what_was_solved_of_its_parts(rng):
 
 def test_what_a_simulation_mends_goes_with_the_effects_size(rng):
     """Where a large size was simulated, the model without the effect is still the model without it."""
-    one = bench(levels(rng), names=("skin-layer",)).sites[0]
+    one = bench(levels(rng), names=("skin-layer",)).predictions.sites[0]
     for m in (2.0, 5.0):
         one.solve_node(m)
     skin, point = ("skin-layer",), ({"skin_thickness_mm": 1.5},)
@@ -197,7 +202,7 @@ def test_what_a_simulation_mends_goes_with_the_effects_size(rng):
 
 def test_every_model_that_was_simulated_is_kept_as_it_is(rng):
     """Whatever is simulated after it, further off, and with another m."""
-    one = bench(levels(rng), names=("skin-layer",)).sites[0]
+    one = bench(levels(rng), names=("skin-layer",)).predictions.sites[0]
     for m in (2.0, 5.0):
         one.solve_node(m)
     skin, point = ("skin-layer",), ({"skin_thickness_mm": 1.5},)
@@ -217,21 +222,20 @@ def test_a_fit_that_does_not_stay_ends_at_the_best_that_was_simulated(rng, monke
     the_bench = bench(levels(rng), names=("skin-layer",))
     the_bench.fit((), {})
     drafted = the_bench.fit(("skin-layer",), {})
-    points, x, visited = the_bench.points(drafted), the_bench._x_of(drafted), []
+    points, x, visited = the_bench.predictions.points(drafted), the_bench.predictions.x_of(drafted), []
     wandering = iter([1.1, 4.0, 0.2, 3.0])
 
     def best_fit(explanation, points, start, *, besides=(), **how):
-        return 0.0, the_bench._fitted(np.array([*x[:2], next(wandering)]), explanation, points)
+        return 0.0, the_bench.fits.fitted(np.array([*x[:2], next(wandering)]), explanation, points)
 
     def off(at, explanation, points):
         visited.append(at[2])
         return np.array([at[2] - 1.0])
 
-    monkeypatch.setattr(the_bench.sites[0], "repair", lambda *model: None)
-    monkeypatch.setattr(the_bench, "best_fit", best_fit)
-    monkeypatch.setattr(the_bench, "plausible", lambda fitted, deviance, points: fitted)
-    monkeypatch.setattr(the_bench, "_off", off)
-    found = the_bench.verified(the_bench._fitted(np.array([*x[:2], 5.0]), ("skin-layer",), points))
+    monkeypatch.setattr(the_bench.predictions.sites[0], "repair", lambda *model: None)
+    monkeypatch.setattr(the_bench.fits, "best", best_fit)
+    monkeypatch.setattr(the_bench.fits, "off", off)
+    found = the_bench.verified(the_bench.fits.fitted(np.array([*x[:2], 5.0]), ("skin-layer",), points))
     assert visited == [5.0, 1.1, 4.0, 0.2]
     assert found.values["log_skin_ratio"] == pytest.approx(1.1)
 
@@ -239,39 +243,39 @@ def test_a_fit_that_does_not_stay_ends_at_the_best_that_was_simulated(rng, monke
 def test_a_fit_keeps_away_from_what_has_no_answer(rng, monkeypatch):
     the_bench = bench(levels(rng), names=("skin-layer",))
     the_bench.fit((), {})
-    predict, beyond = the_bench.predict, 0.5
+    predict, beyond = the_bench.predictions.predict, 0.5
 
     def refused(x, explanation, points):
         if len(x) > 2 and x[2] > beyond:
             raise SolveError("no answer", where="here", fix="none")
         return predict(x, explanation, points)
 
-    monkeypatch.setattr(the_bench, "predict", refused)
-    deviance, fitted = the_bench.best_fit(("skin-layer",), ({"skin_thickness_mm": 1.5},), {})
+    monkeypatch.setattr(the_bench.predictions, "predict", refused)
+    deviance, fitted = the_bench.fits.best(("skin-layer",), ({"skin_thickness_mm": 1.5},), {})
     assert fitted.values["log_skin_ratio"] < beyond
     assert deviance < 1e4
     beyond = -10.0
     with pytest.raises(SolveError, match="no answer"):
-        the_bench.best_fit(("skin-layer",), ({"skin_thickness_mm": 1.5},), {})
+        the_bench.fits.best(("skin-layer",), ({"skin_thickness_mm": 1.5},), {})
 
 
 def test_a_fit_with_one_effect_is_no_worse_than_without_it(rng, monkeypatch):
     """Also where it begins at a large size, whose simulation was a surprise."""
     the_bench = bench(levels(rng), names=("skin-layer",))
     without = the_bench.fit((), {})
-    one, skin, point = the_bench.sites[0], ("skin-layer",), ({"skin_thickness_mm": 1.5},)
+    one, skin, point = the_bench.predictions.sites[0], ("skin-layer",), ({"skin_thickness_mm": 1.5},)
     solved = one.simulations.curves
 
     def stiffer(m, ingredients=()):
         found = solved(m, ingredients)
         return replace(found, force=20.0 * found.force) if ingredients else found
 
-    (begun,) = the_bench._ends_of_parts(skin, point)
+    (begun,) = the_bench.fits._ends_of_parts(skin, point)
     assert np.exp(begun[:2]) == pytest.approx([without.values["c_kpa"] / 1e3, without.values["m"]])
     monkeypatch.setattr(one.simulations, "curves", stiffer)
     one.repair(4.0, skin, {"log_skin_ratio": 4.9}, point)
-    deviance, fitted = the_bench.best_fit(skin, point, {"log_skin_ratio": 4.9})
-    off = the_bench.whiten(the_bench.data.y - without.prediction)
+    deviance, fitted = the_bench.fits.best(skin, point, {"log_skin_ratio": 4.9})
+    off = the_bench.fits.off(the_bench.predictions.x_of(without), (), ())
     assert deviance <= float(off @ off) + 0.1, fitted.values
 
 
@@ -293,19 +297,29 @@ def test_what_cannot_be_run_is_said(rng):
 @pytest.mark.slow
 def test_json_and_pictures(rng, tmp_path):
     the_bench = bench(levels(rng, reading=Reading(force_zero=1.5)))
-    found = diagnose(the_bench, n_draws=1500)
-    content = diagnosis_json(found, the_bench.site, the_bench)
+    found = diagnose(the_bench)
+    content = diagnosis_json(found, the_bench.predictions.site, the_bench)
     assert content["verdict"] == "named"
-    assert content["candidates"][0]["p_adjusted"] < 0.05
+    assert content["candidates"][0]["name"] == "force-zero"
+    assert content["candidates"][0]["probability"] >= decisions.CREDIBLE
+    assert content["candidates"][0]["ln_bayes_factor"] > 3.0
+    assert content["probability_of_nothing"] < content["adequate_from_probability"]
+    assert content["explanations"][0]["probability"] == max(
+        each["probability"] for each in content["explanations"]
+    )
+    assert [] in [each["explanation"] for each in content["explanations"]]
+    assert content["where"][0]["name"] == content["left"][0]["name"] == "whole"
+    assert content["where"][0]["p_adjusted"] < content["left"][0]["p_adjusted"]
+    json.dumps(content, allow_nan=False)
     assert content["shrink"][-1]["chi2_per_nu"] < content["shrink"][0]["chi2_per_nu"]
-    gap_picture(found, [the_bench.site], tmp_path / "gap.png")
+    gap_picture(found, [the_bench.predictions.site], tmp_path / "gap.png")
     candidates_picture(found, tmp_path / "candidates.png")
     assert (tmp_path / "gap.png").stat().st_size > 5000
     assert (tmp_path / "candidates.png").stat().st_size > 5000
 
 
 def test_depth_error_moves_all_channels_of_a_level_together(rng):
-    site = bench(levels(rng)).site
+    site = bench(levels(rng)).predictions.site
     covariance = site.data.noise.covariance
     rows = {(row.channel, row.level): k for k, row in enumerate(site.rows)}
     force, speed = rows["force", 9], rows["swe", 9]
@@ -322,23 +336,25 @@ def test_jacobian_is_that_of_the_prediction(rng):
     for k in range(2):
         up, down = x.copy(), x.copy()
         up[k], down[k] = x[k] + step, x[k] - step
-        slope = (the_bench.predict(up, (), ()) - the_bench.predict(down, (), ())) / (2 * step)
+        slope = (the_bench.predictions.predict(up, (), ()) - the_bench.predictions.predict(down, (), ())) / (
+            2 * step
+        )
         assert fitted.jacobian[:, k] == pytest.approx(slope, abs=2e-3 * np.abs(slope).max())
 
 
 @pytest.mark.slow
 def test_false_alarms_on_the_reduced_model(rng):
-    """One of 10 at the most. Alarms at 5 % of all sites pass with 91 %, at 20 % with 38 %, at 40 % with 5 %;
+    """None of 4. Alarms at 5 % of all sites pass with 81 %, at 20 % with 41 %, at 50 % with 6 %;
     `test_engine` counts more of them, on the toy."""
     names = [
         each.name for each in EFFECTS if each.name not in ("tilt", "friction", "inclusion", "nonlinearity")
     ]
     alarms = 0
-    for _ in range(10):
+    for _ in range(4):
         measured = levels(rng)
         verdict = run(measured, names=names, errors=[of_the_block(measured)]).verdict
-        alarms += verdict in ("named", "ambiguous")
-    assert alarms <= 1
+        alarms += verdict != "adequate"
+    assert alarms == 0
 
 
 def of_the_block(measured) -> ModelError:
@@ -376,6 +392,9 @@ def test_how_far_maps_and_model_differ_is_found_from_the_data(rng):
         before = variance_in_maps(the_bench)
         the_bench.settle_noise()
         shares.append(np.sqrt(variance_in_maps(the_bench) / before))
+        (in_maps,) = [each for each in the_bench.scalable if each.name == IN_MAPS]
+        assert in_maps.least * shares[-1] == pytest.approx(LEAST_IN_MAPS)  # of the assumed size, as before
+        assert in_maps.most * shares[-1] == pytest.approx(1.0)
     assert shares[0] == pytest.approx(LEAST_IN_MAPS, rel=0.05)
     assert shares[1] > 0.8
 
@@ -388,15 +407,17 @@ def test_the_error_of_all_strains_lies_along_the_fitted_model(rng):
     error = ModelError(STRAIN, np.zeros(14), nothing, strain=0.05)
     the_bench = bench(levels(rng), errors=[error])
     fitted = the_bench.fit((), {})
-    curves, reading = the_bench.curves_of(fitted)
+    curves, reading = the_bench.predictions.curves_of(fitted)
     before = strain_error(the_bench)
-    the_bench.strain_along(fitted)
+    the_bench.predictions.strain_along(fitted)
     after = strain_error(the_bench)
-    more, less = (the_bench.site.predict(curves, replace(reading, depth_gain=g)) for g in (1.01, 0.99))
-    changes = np.array([row.channel in ("force", "swe") for row in the_bench.site.rows])
+    more, less = (
+        the_bench.predictions.site.predict(curves, replace(reading, depth_gain=g)) for g in (1.01, 0.99)
+    )
+    changes = np.array([row.channel in ("force", "swe") for row in the_bench.predictions.site.rows])
     direction = np.where(changes, (more - less) / 0.02, 0.0)
     assert after == pytest.approx(0.05**2 * np.outer(direction, direction), rel=1e-6, abs=1e-9)
-    the_bench.strain_along(fitted)
+    the_bench.predictions.strain_along(fitted)
     assert strain_error(the_bench) == pytest.approx(after, rel=1e-9, abs=1e-12), "its size stays"
     assert np.trace(before) == pytest.approx(np.trace(after), rel=0.3)
 
@@ -411,37 +432,15 @@ def variance_in_maps(the_bench: SiteForwardModel) -> float:
     return float(np.trace(part.covariance))
 
 
-def test_intervals_of_the_tissue_are_wider_where_maps_tell_it(rng):
-    """By the same factor on either side of the value; what is told besides is as it was."""
-    measured = levels(rng)
-    n, n_parts = (
-        len(measured.depth),
-        reduced.ReducedBook(reduced.block_model(6, 5, 5), [0.0, 3.0]).windows.n_parts,
-    )
-    tiny = ModelError(IN_MAPS, np.zeros(n), np.full((n, 1 + n_parts), 1e-6), correlation=0.0)
-    plain, mapped = (bench(measured, errors=errors) for errors in ([], [tiny]))
-    reported = plain.reported(plain.fit((), {}))
-    wider = mapped.reported(mapped.fit((), {}))
-    for name in ("c_kpa", "m"):
-        ends = np.log(np.array(reported.intervals[name]) / reported.values[name])
-        assert np.log(np.array(wider.intervals[name]) / wider.values[name]) == pytest.approx(
-            thresholds.MAP_INTERVAL_FACTOR * ends, rel=1e-2
-        )
-
-
 @pytest.mark.slow
-def test_a_size_that_the_data_do_not_tell_is_a_plausible_one(rng, monkeypatch):
-    """Fat goes into c and m: least squares run to the bound by chance, and a plausible layer fits as well."""
-    the_bench, fat, points = bench(levels(rng), names=("adipose-layer",)), "log_fat_softness", [{}]
-    monkeypatch.setattr("limbcli.diagnostics.thresholds.WITHIN", 12.0)
+def test_a_size_that_the_data_do_not_tell_is_a_plausible_one(rng):
+    """Fat goes into c and m, which least squares alone would follow to a bound: its prior keeps it inside."""
+    the_bench = bench(levels(rng), names=("adipose-layer",))
     the_bench.fit((), {})
-    ran = the_bench.best_fit(("adipose-layer",), points, {}, held={fat: 2.9995})[1]
-    usual = the_bench.best_fit(("adipose-layer",), points, {}, held={fat: 1.0})[0]
-    assert ran.at_bound
-    settled = the_bench.plausible(ran, usual - 11.0, points)
-    assert not settled.at_bound
-    assert settled.values[fat] == pytest.approx(1.0, abs=1e-3)
-    assert the_bench.plausible(ran, usual - 13.0, points) is ran
+    fitted = the_bench.fit(("adipose-layer",), {"log_fat_softness": 2.9})
+    softness = the_bench.size_priors("adipose-layer")["log_fat_softness"]
+    assert not any("higher bound" in each for each in fitted.at_bound)
+    assert abs(fitted.values["log_fat_softness"] - softness.mean) < softness.deviation
 
 
 @pytest.mark.slow
@@ -449,20 +448,19 @@ def test_an_effect_that_changes_much_leaves_the_tissue_less_certain(rng):
     fibres = ((effect("anisotropy"), {"fibre_shear_per_c": 1.0, "fibre_tension_per_c": 0.5}),)
     the_bench = bench(levels(rng, fibres), names=("anisotropy", "force-zero"))
     base = the_bench.fit((), {})
-    baseline = BaselineFit(the_bench, base, 7, 500)
-    fitted = the_bench.fit(("anisotropy",), {})
-    widths = []
-    for besides in (None, baseline.form_error(fitted)):
-        low, high = the_bench.reported(fitted, besides=besides).intervals["m"]
-        widths.append(np.log(high / low))
-    assert widths[1] > 1.05 * widths[0]
-    assert not baseline.form_error(base).any()
+    fitted, data = the_bench.fit(("anisotropy",), {}), the_bench.data
+    form = form_error(data, fitted)
+    alone, with_form = (
+        posterior(fitted, data.y, data.noise, form=each).deviation[1] for each in (None, form)
+    )
+    assert with_form > 1.02 * alone
+    assert form_error(data, base) is None
 
 
 def test_curves_between_solved_exponents_are_those_of_a_simulation(rng):
     """m 2, 5 and 10 are solved; from 1 to 9 the rest follows."""
     the_bench = bench(levels(rng), names=("force-zero",))
-    one = the_bench.sites[0]
+    one = the_bench.predictions.sites[0]
     for m in (2.0, 5.0, 10.0):
         one.solve_node(m)
     for m in (1.0, 1.5, 3.0, 4.0, 7.0, 9.0):
@@ -477,7 +475,7 @@ def test_a_fit_beyond_the_solved_exponents_has_one_of_its_own(rng):
     the_bench = bench(levels(rng, m=14.0), names=("force-zero",))
     fitted = the_bench.fit((), {})
     assert fitted.values["m"] == pytest.approx(14.0, rel=0.1)
-    assert min(abs(np.log(node / fitted.values["m"])) for node in the_bench.sites[0].nodes) < 0.1
+    assert min(abs(np.log(node / fitted.values["m"])) for node in the_bench.predictions.sites[0].nodes) < 0.1
 
 
 def test_an_effect_that_spreads_the_load_is_solved_once_at_its_start(rng, monkeypatch):
@@ -488,7 +486,7 @@ def test_an_effect_that_spreads_the_load_is_solved_once_at_its_start(rng, monkey
         "shift",
         lambda self, m, ingredients: tuple(0.5 * x for x in whole(self, m, ingredients)),
     )
-    one, skin = bench(levels(rng), names=("skin-layer",)).sites[0], effect("skin-layer")
+    one, skin = bench(levels(rng), names=("skin-layer",)).predictions.sites[0], effect("skin-layer")
     one.solve_node(2.0)
     theta = {"log_skin_ratio": 1.5}
     true = logs(one.simulations.curves(2.0, ((skin, {**skin.grid[0], **theta}),))) - logs(
@@ -501,7 +499,7 @@ def test_an_effect_that_spreads_the_load_is_solved_once_at_its_start(rng, monkey
 
 
 def test_what_an_effect_spreads_is_told_where_it_was_not_simulated(rng, monkeypatch):
-    one, skin = bench(levels(rng), names=("skin-layer",)).sites[0], effect("skin-layer")
+    one, skin = bench(levels(rng), names=("skin-layer",)).predictions.sites[0], effect("skin-layer")
     one.solve_node(2.0)
     whole = one.simulations.curves
 
@@ -522,10 +520,10 @@ def test_where_the_work_is_spent_a_fit_is_told_to_be_by_sensitivities_only(rng):
     made = bench(measured, ("contraction", "force-zero"))
     made.fit((), {})
     fitted = made.fit(("contraction",), {})
-    made.simulations.spent = True
+    made.predictions.simulations.spent = True
     assert made.verified(fitted) is fitted
     assert made.not_simulated == {("contraction",)}
-    made.simulations.spent = False
+    made.predictions.simulations.spent = False
     assert made.verified(fitted) is not fitted
     without = made.fit(("force-zero",), {})
     assert made.verified(without) is without
@@ -544,7 +542,7 @@ def test_where_no_bone_is_under_the_probe_what_needs_one_is_not_evaluated():
     site = site_data("p1", levels(np.random.default_rng(1)), reduced.NOISE, windows=simulations.windows)
     names = ("force-zero", "swe-guided-wave")
     bench = SiteForwardModel([SiteCurves(site, simulations, {name: effect(name) for name in names})])
-    found = diagnose(bench, n_draws=500)
+    found = diagnose(bench)
     assert found.verdict == "adequate"
     assert "bone" in found.not_evaluated["swe-guided-wave"]
 
@@ -555,4 +553,4 @@ def test_a_prediction_that_is_not_a_number_is_no_answer():
     data = replace(levels(np.random.default_rng(1)), skin_bone=skin_bone)
     site = site_data("p1", data, reduced.NOISE, windows=simulations.windows)
     with pytest.raises(SolveError, match="not a number"):
-        diagnose(SiteForwardModel([SiteCurves(site, simulations, {})]), n_draws=500)
+        diagnose(SiteForwardModel([SiteCurves(site, simulations, {})]))

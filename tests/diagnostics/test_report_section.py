@@ -34,27 +34,30 @@ def page_of(out):
 @pytest.mark.slow
 def test_section_shows_verdict_candidates_and_blind_spots(tmp_path):
     bench = reduced.bench(reduced.levels(np.random.default_rng(7)))
-    found = diagnose(bench, n_draws=1000)
+    found = diagnose(bench)
     with open_stage(tmp_path, "diagnose", subject="S1", site="p1") as writer:
-        writer.data.update({**diagnosis_json(found, bench.site, bench), "sentences": sentences(found)})
-        gap_picture(found, [bench.site], writer.file("gap", "gap.png"))
+        writer.data.update(
+            {**diagnosis_json(found, bench.predictions.site, bench), "sentences": sentences(found)}
+        )
+        gap_picture(found, [bench.predictions.site], writer.file("gap", "gap.png"))
         candidates_picture(found, writer.file("candidates", "candidates.png"))
-        sizes_picture(found, sizes_of(bench, bench.site), writer.file("sizes", "sizes.png"))
+        sizes_picture(found, sizes_of(bench, bench.predictions.site), writer.file("sizes", "sizes.png"))
     shown = diagnosis(page_of(tmp_path), SimpleNamespace(name="p1"))
     assert shown.mood == "fine"
     assert shown.answer.startswith("ADEQUATE")
     names = {row[0].text for row in shown.tables[0].rows}
     assert {"force-zero", "poroelasticity"} <= names
-    assert shown.more[1].rows
-    sizes = {(row[0].text, row[1].text): row[2].text for row in shown.more[2].rows}
+    explanations, shrunk, blind, sizes_table, common_table = shown.more
+    assert explanations.rows[0][0].text == "nothing is missing"
+    assert len(explanations.rows) == len(found.confidence_set)
+    assert len(shrunk.rows) == len(found.shrink)
+    assert {row[0].text for row in blind.rows} == {each.name for each in found.blind_spots}
+    probabilities = {row[0].text: row[2].text for row in shown.tables[0].rows}
+    assert probabilities["force-zero"] == f"{found.effects['force-zero']:.3f}"
+    sizes = {(row[0].text, row[1].text): row[2].text for row in sizes_table.rows}
     assert float(sizes["force-zero", "f0_n"]) < 0.0
     assert "open" in sizes.values()
-    by = {row[0].text: row[4].text for row in shown.more[2].rows}
-    known = diagnosis_json(found, bench.site, bench)["sizes_refitted"]
-    assert "force-zero" in known
-    assert "thickness" not in known
-    assert by == {name: "refit" if name in known else "first order" for name in by}
-    common = {row[0].text: (float(row[1].text), float(row[2].text)) for row in shown.more[3].rows}
+    common = {row[0].text: (float(row[1].text), float(row[2].text)) for row in common_table.rows}
     assert 0.0 < common["gain of all speeds"][1] < 1.0
     assert len(shown.pictures) == 3
 
@@ -69,21 +72,17 @@ def test_sizes_are_drawn_within_what_is_looked_for(effect_name, parameter, ends,
     assert _in_plausible_sizes(p, ends) == pytest.approx(shown), (p.null, p.typical, p.low, p.high)
 
 
-def test_bars_of_candidates_that_are_cut_are_told_by_their_axis(tmp_path):
-    tests = [
-        SimpleNamespace(name=name, p_adjusted=p, score=SimpleNamespace(statistic=1.0))
-        for name, p in (("tilt", 1e-9), ("force-zero", 0.2))
-    ]
+def test_a_bar_of_a_detectable_size_that_is_cut_is_told_by_its_axis(tmp_path):
     spot = SimpleNamespace(name="tilt", detectable_times_typical=40.0)
-    facts = {"tilt": None, "force-zero": None}
-    found = SimpleNamespace(family=SimpleNamespace(tests=tests), facts=facts, blind_spots=[spot])
+    found = SimpleNamespace(effects={"tilt": 0.97, "force-zero": 0.02}, blind_spots=[spot])
     candidates_picture(found, tmp_path / "candidates.png")
     with (tmp_path / "candidates-data.csv").open() as stream:
         axis = {row["x_axis"]: float(row["x"]) for row in csv.DictReader(stream)
                 if row["series"] == "tilt"}  # fmt: skip
-    assert sorted(axis.values()) == [6.0, 10.0]
-    for name, largest in axis.items():
-        assert f"{largest:g}: or more" in name
+    (probability,) = [value for name, value in axis.items() if "probability" in name]
+    ((cut, size),) = [each for each in axis.items() if "plausible sizes" in each[0]]
+    assert (probability, size) == (0.97, 10.0)
+    assert "10: or more" in cut
 
 
 def test_nothing_is_shown_where_nothing_was_diagnosed(tmp_path):
@@ -105,7 +104,8 @@ def test_words_of_a_gap_of_many_channels_and_sites_can_be_read_in_print(tmp_path
                         protocol=SimpleNamespace(depth=np.arange(3.0)))
         for k in range(2)
     ]  # fmt: skip
-    found = SimpleNamespace(base=SimpleNamespace(prediction=np.zeros(2 * n)), shrink=(), refits=())
+    last = SimpleNamespace(explanation=())
+    found = SimpleNamespace(base=SimpleNamespace(prediction=np.zeros(2 * n)), shrink=(last,), explanations=())
     gap_picture(found, sites, tmp_path / "gap.png")
     (figure,) = kept
     FigureCanvasAgg(figure).draw()

@@ -10,7 +10,7 @@ import pytest
 
 from limbcli.case import StatedNoise
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
-from limbcli.diagnostics.statistical_tests.roughness import roughness
+from limbcli.diagnostics.statistics.roughness import roughness
 from limbcli.effects import effect
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Protocol, Reading, read
@@ -210,7 +210,7 @@ def test_pixels_of_a_level_err_together():
     covariance = data.data.noise.covariance
     index = {(row.channel, row.level, row.part): k for k, row in enumerate(data.rows)}
     within = covariance[index["map", 2, 1], index["map", 2, 5]]
-    across = covariance[index["map", 2, 1], index["map", 3, 1]]
+    across = covariance[index["map", 2, 1], index["map", 3, 5]]
     assert within > across > 0  # the gain of the scanner is common to all levels
 
 

@@ -1,24 +1,35 @@
 """A linear toy of realistic shape: 13 force and 11 speed levels, three fitted parameters, twelve candidates.
 
-Signatures are smooth curves of the kind the tissue gives (offsets, toes, scales,
-curvatures), many of them alike; one effect outside the library; one grid; one pair
-that is the same in these data.
+Signatures are smooth curves of the kind the tissue gives (offsets, toes, scales, curvatures), many of them
+alike; one effect outside the library; one grid; one pair that is the same in these data.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
-from limbcli.diagnostics.model.estimates import Reported
-from limbcli.diagnostics.model.forward_model import Data, Direction, Explanation, Facts, Fitted, Proposal
+from limbcli.diagnostics.model.forward_model import (
+    Data,
+    Direction,
+    Explanation,
+    Facts,
+    Fitted,
+    Proposal,
+    Scalable,
+)
 from limbcli.diagnostics.model.noise import Noise, common, independent
+from limbcli.diagnostics.model.priors import Prior, Priors
 from limbcli.errors import SolveError
 
 N_FORCE, N_SPEED = 13, 11
 X, Z = np.linspace(0, 1, N_FORCE), np.linspace(0, 1, N_SPEED)
+TYPICAL, SIZE_SD = 4.0, 6.0  # plausible size of every effect, and the deviation of its prior
+TISSUE = np.array([1.0, 0.5, 0.3])
 
 
 def stack(force, speed) -> np.ndarray:
@@ -45,28 +56,36 @@ SIGNATURES: dict[str, tuple[tuple[str, np.ndarray], ...]] = {
 }
 ONE_SIDED = {"toe", "twin-of-toe", "late", "guided", "place"}
 OUTSIDE = stack(1.2 * np.cos(9 * X), 0.9 * np.cos(7 * Z + 1))
+_WIDE = Prior.uniform(-1e3, 1e3)  # of the tissue's parameters
+
+
+def prior_of(name: str) -> Prior:
+    return Prior(0.0, SIZE_SD, 0.0 if name in ONE_SIDED else -np.inf)
 
 
 @dataclass
 class Toy:
-    """y = 3 curves + effects + noise of deviation 1 (and a common gain on the speeds)."""
+    """y = 3 curves + effects + noise of deviation 1 (and a common gain on the speeds).
+
+    failing : effect whose fits do not converge; unsimulated : effect whose fits cannot be simulated
+    readings : effects that need no simulation
+    """
 
     y: np.ndarray
     source: str = "repeats"
     stated: float = 1.0
     failing: str = ""
-    roomy: float | None = None  # deviation of a prior that keeps every effect's size near 0
-    readings: frozenset[str] = frozenset()  # effects that need no simulation
-    interval_widening: float = 1.0
+    unsimulated: str = ""
+    readings: frozenset[str] = frozenset()
+    scalable: Sequence[Scalable] = ()
 
     @property
     def data(self) -> Data:
         n = N_FORCE + N_SPEED
-        speeds = stack(0, 1)
         noise = Noise(
             (
                 independent("measurement", np.full(n, self.stated), source=self.source),
-                common("gain", 0.5 * speeds, source="spec"),
+                common("gain", 0.5 * stack(0, 1), source="spec"),
             )
         )
         order = np.concatenate([np.arange(N_FORCE), np.arange(N_SPEED)]).astype(float)
@@ -80,41 +99,41 @@ class Toy:
     @property
     def candidates(self) -> Sequence[Facts]:
         return [
-            Facts(name, f"{name} is there", "tissue", {name: 4.0}, simulated=name not in self.readings)
+            Facts(name, f"{name} is there", "tissue", {name: TYPICAL}, simulated=name not in self.readings)
             for name in SIGNATURES
         ]
 
-    def _columns(self, name: str, point: str) -> np.ndarray:
-        return dict(SIGNATURES[name])[point][:, None]
+    def size_priors(self, name: str) -> Mapping[str, Prior]:
+        return {name: prior_of(name)}
 
     def fit(self, explanation: Explanation, start: Mapping[str, float]) -> Fitted:
+        """The largest posterior within the sizes' limits, at the best point of the effects' grids."""
         if self.failing and self.failing in explanation:
             raise SolveError("the toy does not converge", where="toy", fix="none")
-        inverse = np.linalg.inv(self.data.noise.covariance)
-        best = None
-        grids = [SIGNATURES[name] for name in explanation]
-        for k in range(max((len(g) for g in grids), default=1)):
-            points = [g[min(k, len(g) - 1)][0] for g in grids]
-            J = np.hstack([BASE, *(self._columns(n, p) for n, p in zip(explanation, points, strict=True))])
-            held = np.zeros(J.shape[1])
-            held[BASE.shape[1] :] = 0.0 if self.roomy is None else self.roomy**-2
-            theta = np.linalg.solve(J.T @ inverse @ J + np.diag(held), J.T @ inverse @ self.y)
-            left = self.y - J @ theta
-            cost = left @ inverse @ left + theta**2 @ held
-            if best is None or cost < best[0]:
-                best = (cost, J, theta, points)
-        _, J, theta, points = best
-        names = ("c", "m", "k")
-        values = dict(zip([*names, *explanation], theta.tolist(), strict=True))
-        bound = tuple(f"{n} on its bound" for n in explanation if n in ONE_SIDED and values[n] <= 0)
-        without = BASE @ theta[:3] if explanation else None
-        return Fitted(explanation, J @ theta, J, names, values, explanation, bound, without=without)
+        root = np.linalg.inv(np.linalg.cholesky(self.data.noise.covariance))
+        priors = (*[_WIDE] * BASE.shape[1], *(prior_of(name) for name in explanation))
+        rows = np.eye(len(priors))[BASE.shape[1] :] / SIZE_SD
+        fits = []
+        for points in itertools.product(*(SIGNATURES[name] for name in explanation)):
+            J = np.column_stack([BASE, *(column for _, column in points)])
+            A, b = np.vstack([root @ J, rows]), np.concatenate([root @ self.y, np.zeros(len(rows))])
+            bounds = ([each.low for each in priors], [each.high for each in priors])
+            theta = lsq_linear(A, b, bounds, method="bvls").x if ONE_SIDED & set(explanation) else None
+            theta = np.linalg.lstsq(A, b, rcond=None)[0] if theta is None else theta
+            fits.append((float(np.sum((A @ theta - b) ** 2)), J, theta, points))
+        cost, J, theta, points = min(fits, key=lambda each: each[0])
+        names = ("stiffness", "bend", "toe-in")
+        return Fitted(
+            explanation, J @ theta, J, names, dict(zip([*names, *explanation], theta.tolist(), strict=True)),
+            explanation, points={"grid": ", ".join(point for point, _ in points if point)},
+            priors=Priors.about(theta, priors),
+            ln_points=float(np.log(np.mean([np.exp(-0.5 * (each[0] - cost)) for each in fits]))),
+        )  # fmt: skip
 
     def verified(self, fitted: Fitted) -> Fitted:
+        if self.unsimulated and self.unsimulated in fitted.explanation:
+            raise SolveError("the toy cannot be simulated", where="toy", fix="none")
         return fitted
-
-    def reported(self, fitted: Fitted, *, scale: float = 1.0, besides=None) -> Reported:
-        return Reported(fitted.values, fitted.values)
 
     def directions(self, fitted: Fitted, name: str) -> Sequence[Direction]:
         sign = (1,) if name in ONE_SIDED else (0,)
@@ -137,9 +156,20 @@ class Toy:
 
 def make(rng: np.random.Generator, effects: Mapping[str, float] | None = None, *, outside: float = 0.0,
          sd: float = 1.0, **more) -> Toy:  # fmt: skip
-    y = BASE @ np.array([1.0, 0.5, 0.3]) + sd * rng.standard_normal(N_FORCE + N_SPEED)
+    """Data with these effects, one with a grid in its middle."""
+    y = BASE @ TISSUE + sd * rng.standard_normal(N_FORCE + N_SPEED)
     y += 0.5 * rng.standard_normal() * stack(0, 1) + outside * OUTSIDE
     for name, size in (effects or {}).items():
-        _, column = SIGNATURES[name][min(1, len(SIGNATURES[name]) - 1)]
-        y = y + size * column
+        y = y + size * SIGNATURES[name][len(SIGNATURES[name]) // 2][1]
     return Toy(y, **more)
+
+
+def drawn(rng: np.random.Generator, explanation: Explanation) -> tuple[Toy, dict[str, float]]:
+    """Data with these effects, at sizes and points of their grids drawn from their priors; and the sizes."""
+    y, sizes = make(rng).y, {}
+    for name in explanation:
+        size = SIZE_SD * rng.standard_normal()
+        sizes[name] = abs(size) if name in ONE_SIDED else size
+        points = SIGNATURES[name]
+        y = y + sizes[name] * points[rng.integers(len(points))][1]
+    return Toy(y), sizes

@@ -139,11 +139,14 @@ def test_a_force_offset_on_the_block(tmp_path, rng):
     assert replace(again, provenance={}, files=found.files).summary == found.summary
     sizes = content["sizes_95"]["force-zero"]["f0_n"]
     assert sizes[0] < 1.2 < sizes[1]
-    assert "force-zero" in content["sizes_refitted"]
+    alone = next(each for each in content["explanations"] if each["explanation"] == ["force-zero"])
+    assert alone["fitted"]
+    assert alone["values"]["force_zero_n"] == pytest.approx(1.2, abs=0.4)
+    assert sum(each["probability"] for each in content["explanations"]) == pytest.approx(1.0, abs=0.01)
     low, high = content["f_kappa"]["interval_95"]
     assert content["f_kappa"]["prior_95"][0] <= low < 100.0
     assert high is None or high > 100.0
-    assert all(each["f_kappa"]["interval_95"][0] > 0 for each in content["refits"])
+    assert all(each["f_kappa"]["interval_95"][0] > 0 for each in content["explanations"] if each["fitted"])
     assert "model: f-kappa" in {each["name"] for each in content["common_errors"]}
     assert found.path("sizes").is_file()
 

@@ -171,7 +171,7 @@ def test_drainage_that_febio_made_is_found_with_its_permeability(tmp_path, rng):
     assert content["verdict"] in ("named", "ambiguous")
     assert ["poroelasticity"] in content["confidence_set"]
     assert not content["not_evaluated"]
-    alone = next(each for each in content["refits"] if each["explanation"] == ["poroelasticity"])
+    alone = next(each for each in content["explanations"] if each["explanation"] == ["poroelasticity"])
     k = poroelasticity.permeability(alone["values"])
     assert stairs.k / 3 < k < 3 * stairs.k
     if content["added"] == ["poroelasticity"]:

@@ -70,7 +70,9 @@ def test_fat_is_named_by_its_layers_from_end_to_end(soft_fat, tmp_path):
     found = diagnose(soft_fat, out=tmp_path, options=options)[0].data
     assert "layer" in found["channels"]
     assert found["verdict"] == "named"
-    assert found["confidence_set"] == [["adipose-layer"]]
+    assert found["added"] == ["adipose-layer"]
+    assert found["confidence_set"][0] == ["adipose-layer"]
+    assert all("adipose-layer" in each for each in found["confidence_set"])
     first, last = (each["values"]["c_kpa"] for each in (found["shrink"][0], found["shrink"][-1]))
     assert abs(last - 8.0) < 0.5 * abs(first - 8.0)  # muscle's own, no longer that of both
 

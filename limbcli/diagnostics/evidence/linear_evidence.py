@@ -71,7 +71,9 @@ class Added:
 class LinearEvidence:
     """Bayes factors of one effect more about a fit.
 
-    residual : (n,) whitened; added : by effect, one `Added` for each point of its grid
+    residual : (n,) whitened, with the fitted parameters extrapolated to their prior means: at the fit, what
+        their priors hold back would count as the effect's
+    added : by effect, one `Added` for each point of its grid
     """
 
     residual: Array
@@ -97,7 +99,7 @@ class LinearEvidence:
                 )  # fmt: skip
             if found:
                 added[name] = found
-        return LinearEvidence(whiten(y - fitted.prediction), added)
+        return LinearEvidence(whiten(y - fitted.prediction) - J @ fitted.priors.shift, added)
 
     def ln_factor(self, name: str, residual: Array | None = None) -> Array:
         """ln Bayes factor (n_draws,), averaged over the effect's grid; residual (n_draws, n): draws in place
