@@ -9,10 +9,8 @@ from __future__ import annotations
 from typing import Final
 
 SOMETHING_MISSING: Final = 0.5
-"""Prior probability that one effect is missing, divided evenly among the effects that can be evaluated; that
-of two is its square, divided evenly among the pairs in the same way, and what is left is that of nothing. By
-the principle of indifference; the answers with 0.2 and 0.8 are in
-`tests/benchmarks/figures/diagnosis-febio.md`."""
+"""Prior probability that one effect is missing rather than nothing, divided evenly among the effects that can
+be evaluated; a pair has the product of its effects' shares. By the principle of indifference."""
 
 CREDIBLE: Final = 0.95
 """Probability of the reported set of explanations, of an effect that is named, and of all intervals.

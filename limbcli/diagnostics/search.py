@@ -53,13 +53,13 @@ class PriorOdds:
     def ln(self, explanation: Explanation) -> float:
         """
         >>> odds = PriorOdds(10)
-        >>> [round(math.exp(odds.ln(each)), 5) for each in ((), ("a",), ("a", "b"))]
-        [0.375, 0.05, 0.00278]
+        >>> [round(math.exp(odds.ln(each)), 4) for each in ((), ("a",), ("a", "b"))]
+        [0.4494, 0.0449, 0.0022]
         """
-        n, one = self.n_effects, self.something
-        pairs = one**2 / 2 if self.most_effects > 1 and n > 1 else 0.0
-        shares = (1.0 - one - pairs, one / max(n, 1), pairs / max(n * (n - 1) / 2, 1))
-        return math.log(shares[len(explanation)])
+        n, one = max(self.n_effects, 1), self.something
+        weights = (1.0 - one, one / n, (one / n) ** 2 if self.most_effects > 1 else 0.0)
+        total = sum(w * k for w, k in zip(weights, (1, self.n_effects, n * (n - 1) / 2), strict=True))
+        return math.log(weights[len(explanation)] / total)
 
     @property
     def ln_single(self) -> float:

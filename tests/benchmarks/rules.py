@@ -2,18 +2,20 @@
 
     python tests/benchmarks/rules.py --cases SHARED/febio-hidden --out OUT [--only h05 h13] [--workers 2]
 
-Every site is segmented, meshed and diagnosed into OUT (what is there is used). On the same fits, the same noise and
-the same sensitivities then decide:
+Every site is segmented, meshed and diagnosed into OUT (what is there is used). On the same fits, the same
+noise and the same sensitivities then decide:
 
     posterior   the diagnosis as it is
-    bic         weights exp(-BIC / 2) of the same explanations, without prior sizes: BIC is the deviance plus ln n for
+    bic         weights exp(-BIC / 2) of the same explanations, without prior sizes: BIC is the deviance plus
+    ln n for
                 each parameter; named with a weight of 0.95, the set has 0.95
-    halves      score tests of every effect on the even levels with false-discovery control (Benjamini and Hochberg
-                1995, 5 %), confirmed on the odd levels (5 %): the set; named if it is one effect. That is how missing
-                physics is sought in models of buildings (LISDD, arXiv 2606.23215)
+    halves      score tests of every effect on the even levels with false-discovery control (Benjamini and
+    Hochberg
+                1995, 5 %), confirmed on the odd levels (5 %): the set; named if it is one effect. That is how
+                missing physics is sought in models of buildings (LISDD, arXiv 2606.23215)
 
-A line a site is kept in OUT/rules.jsonl; the table has the rates of each rule. `score.py table` of the study gives
-those of any earlier version of the program.
+A line a site is kept in OUT/rules.jsonl; the table has the rates of each rule. `score.py table` of the study
+gives those of any earlier version of the program.
 """
 
 from __future__ import annotations

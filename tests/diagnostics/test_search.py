@@ -41,8 +41,11 @@ def test_prior_probabilities_of_all_explanations_are_one_together(n, most, somet
     pairs = list(itertools.combinations(names, 2)) if most > 1 else []
     given = [odds.ln(each) for each in [(), *((name,) for name in names), *pairs]]
     assert np.exp(given).sum() == pytest.approx(1.0)
-    singles = np.exp(odds.ln_single + odds.ln(())) * n
-    assert singles == pytest.approx(something)
+    assert np.exp(odds.ln_single) * n == pytest.approx(something / (1.0 - something))
+    if pairs:
+        of_one = odds.ln((names[0],)) - odds.ln(())
+        of_two = odds.ln(pairs[0]) - odds.ln(())
+        assert of_two == pytest.approx(2 * of_one + np.log(1.0 - something))
 
 
 def test_what_every_likely_explanation_has_is_named():

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from limbcli.diagnostics import decisions
 from limbcli.diagnostics.check import Check
 from limbcli.diagnostics.conclusions.blind_spots import BlindSpot
 from limbcli.diagnostics.conclusions.estimates import Estimates
@@ -81,7 +82,7 @@ class Diagnosis:
     def flagged(self) -> tuple[str, ...]:
         """Parts of the data that the fit without effects does not describe."""
         parts = () if self.check is None else self.check.parts[1:]
-        return tuple(each.name for each in parts if each.p_adjusted < 0.05)
+        return tuple(each.name for each in parts if each.p_adjusted < decisions.FALSE_ALARMS)
 
     @property
     def estimates(self) -> Estimates:

@@ -74,8 +74,8 @@ class Truncated:
 def quantiles(several: Sequence[Truncated], shares: Sequence[float]) -> list[float]:
     """Quantiles of a mixture.
 
-    >>> [round(x, 2) for x in quantiles([Truncated(1.0, 0.0, 1.0)], (0.025, 0.5))]
-    [-1.96, 0.0]
+    >>> [round(x, 2) for x in quantiles([Truncated(1.0, 1.0, 1.0)], (0.025, 0.5))]
+    [-0.96, 1.0]
     """
     ends = [
         (max(each.low, min(each.mean, each.high) - _FAR * each.deviation),

@@ -22,12 +22,13 @@ from limbcli.stages.diagnosis.mesh_error.mesh_correction import MeshCorrection
 from limbcli.stages.diagnosis.mesh_error.numerical_checks import Intervention, NumericalChecks
 
 _ALIKE = 0.8  # correlation of the mesh error between neighbouring levels
-# Imaged surfaces: standard deviation of the depth at first touch, in voxel edges, and of ln force. For
-# comparison, a probe 53 mm long that is tilted by 1 degree touches 0.5 mm earlier.
-_VOXEL_SHARE, _IMAGE_GAIN = 0.5, 0.05
-# The same for given surfaces. At the true c and m our force at the depths of FEBio's records without noise is
-# 2 to 15 % higher than theirs (`tests/benchmarks/map_errors.py`), on the same limbs: 7 % root mean square.
-_SURFACE_GEOMETRY = (0.2, 0.07)
+# Standard deviation of the depth at first touch: in voxel edges of imaged surfaces, and in mm of given ones.
+# For comparison, a probe 53 mm long that is tilted by 1 degree touches 0.5 mm earlier.
+_TOUCH_VOXELS, _TOUCH_MM = 0.5, 0.2
+# Standard deviation of ln force, common to all levels. At the true c and m our force at the depths of FEBio's
+# records without noise is 2 to 15 % higher than theirs, on the same limbs (`tests/benchmarks/map_errors.py`):
+# 7 % root mean square.
+_GAIN = 0.07
 _STRAIN = 0.02  # relative standard deviation of all strains: posture, the scanner's scale of depths
 
 
@@ -112,13 +113,11 @@ class ModelErrors:
         """Errors from the surfaces: of the depth at first touch, of the thickness and thus all strains, and
         of a common factor on the force."""
         spacing = read_spacing(self.out)
-        touch, gain = _SURFACE_GEOMETRY
-        if spacing is not None:
-            touch, gain = _VOXEL_SHARE * float(np.prod(spacing)) ** (1 / 3), _IMAGE_GAIN
+        touch = _TOUCH_MM if spacing is None else _TOUCH_VOXELS * float(np.prod(spacing)) ** (1 / 3)
         assumed, warning = assumed_gain(self.case, self.site, self.out)
         if warning and warning not in self.notes.warnings:
             self.notes.warnings.append(warning)
-        gain = float(np.hypot(gain, assumed))
+        gain = float(np.hypot(_GAIN, assumed))
         strain = float(np.hypot(touch / self.thickness, _STRAIN))
         n = len(self.levels)
         none = np.zeros((n, len(self.simulations.windows.depths)))
