@@ -19,7 +19,7 @@ import numpy as np
 from limbcli.diagnostics import decisions
 from limbcli.diagnostics.evidence.laplace import Posterior
 from limbcli.diagnostics.evidence.linear_evidence import LinearEvidence
-from limbcli.diagnostics.evidence.truncated import Truncated, quantiles
+from limbcli.diagnostics.evidence.truncated import Truncated, quantiles, shortest
 from limbcli.diagnostics.model.forward_model import Explanation
 
 USUAL_M, LN_M_DEVIATION = 3.9, 0.69
@@ -69,8 +69,7 @@ def estimates(several: Sequence[tuple[float, Posterior]], chosen: Explanation = 
         values[name], intervals[name] = middle, (low, high)
     for name in fitted.effect_names:
         found = [one for w, p in several if name in p.fitted.effect_names for one in [_size(w, p, name)]]
-        low, middle, high = quantiles(found, (_ENDS[0], 0.5, _ENDS[1]))
-        values[name], intervals[name] = middle, (low, high)
+        (values[name],), intervals[name] = quantiles(found, (0.5,)), shortest(found, decisions.CREDIBLE)
     return Estimates(values, intervals, tuple(open_ends), len(several))
 
 
@@ -112,6 +111,5 @@ def sizes_95(
                     several.append(
                         Truncated(weight, null + mean, deviation, null + each.low[q], null + each.high[q])
                     )
-            low, high = quantiles(several, _ENDS)
-            found[name][size] = low, high
+            found[name][size] = shortest(several, decisions.CREDIBLE)
     return found
