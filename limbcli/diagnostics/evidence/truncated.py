@@ -92,7 +92,7 @@ def shortest(several: Sequence[Truncated], share: float) -> tuple[float, float]:
     below = np.linspace(0.0, 1.0 - share, _GRID)
     low, high = np.interp(below, total, x), np.interp(below + share, total, x)
     low[0], high[-1] = (
-        x[max(np.searchsorted(total, 0.0, side="right") - 1, 0)],
+        x[max(int(np.searchsorted(total, 0.0, side="right")) - 1, 0)],
         x[np.searchsorted(total, 1.0)],
     )
     best = int(np.argmin(high - low))

@@ -17,7 +17,7 @@ _IN_IMAGE, _WIDE_MM, _ALIKE_IN_IMAGE = 0.15, 4.0, 0.97  # the same in an image, 
 
 
 def form_error(data: Data, fitted: Fitted) -> Array | None:
-    """Covariance (n, n); None without effects."""
+    """Covariance (n, n); None without such effects."""
     if fitted.without is None:
         return None
     change = np.abs(fitted.prediction - fitted.without)

@@ -82,7 +82,7 @@ class Fitted:
     first (in logs), then the effects' in the order of the explanation
     values : of all parameters by name; at_bound : messages for parameters that ended on a bound, or outside
     the physically possible range
-    without : (n,) prediction for the same tissue without the effects; None if there are no effects
+    without : (n,) prediction without the effects whose form is only approximate; None if there are none
     priors : of the parameters, in the order of the Jacobian's columns
     ln_points : ln of the mean likelihood over the effects' grid points, relative to that of the chosen one
     """

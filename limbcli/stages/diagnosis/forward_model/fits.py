@@ -132,9 +132,23 @@ class Fits:
             explanation, predict.predict(x, explanation, points), predict.jacobian(x, explanation, points),
             ("c", "m"), values, tuple(s.name for s in slots),
             at_bound=tuple(m for s, v in zip(slots, x[2:].tolist(), strict=True) if (m := s.on_bound(v))),
-            points={"grid": label(points)}, without=predict.predict(x[:2], (), ()) if explanation else None,
+            points={"grid": label(points)}, without=self._without_tissue_effects(x, explanation, points),
             priors=Priors.about(x, predict.priors(explanation)),
         )  # fmt: skip
+
+    def _without_tissue_effects(
+        self, x: Array, explanation: Explanation, points: Sequence[Theta]
+    ) -> Array | None:
+        """Prediction without the effects of the tissue, whose form is never exactly that of a limb; None
+        without such effects. An instrument's zero or scale has no other form."""
+        predict = self.predictions
+        kept = [k for k, name in enumerate(explanation) if predict.effects[name].kind != "tissue"]
+        if len(kept) == len(explanation):
+            return None
+        names = tuple(explanation[k] for k in kept)
+        known = dict(zip([s.name for s in predict.slots(explanation)], x[2:].tolist(), strict=True))
+        sizes = [known[s.name] for s in predict.slots(names)]
+        return predict.predict(np.array([*x[:2], *sizes]), names, [points[k] for k in kept])
 
     def _starts(
         self, explanation: Explanation, points: Sequence[Theta], start: Mapping[str, float]
