@@ -15,9 +15,9 @@ noise and the same sensitivities then decide:
                 1995, 5 %), confirmed on the odd levels (5 %): the set; named if it is one effect. That is how
                 missing physics is sought in models of buildings (LISDD, arXiv 2606.23215)
 
-With --picture, the probabilities that were said are drawn against how often they were right, over all explanations
-of all sites. A line a site is kept in OUT/rules.jsonl; the table has the rates of each rule. `score.py table` of the study
-gives those of any earlier version of the program.
+With --picture, the probabilities that were said are drawn against how often they were right, over all
+explanations of all sites. A line a site is kept in OUT/rules.jsonl; the table has the rates of each rule.
+`score.py table` of the study gives those of any earlier version of the program.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ import os
 import tomllib
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -171,16 +172,14 @@ def table(rows: Sequence[dict[str, Any]], truths: dict[str, dict[str, Any]]) -> 
         ("hidden: in the set", hidden, lambda r, rule: true(r) in [set(each) for each in r["sets"][rule]]),
     )
     for name, among, test in tests:
-        lines.append(
-            f"| {name} | "
-            + " | ".join(f"{sum(bool(test(r, rule)) for r in among)} of {len(among)}" for rule in RULES)
-            + " |"
-        )
+        counts = [f"{sum(bool(test(r, rule)) for r in among)} of {len(among)}" for rule in RULES]
+        lines.append(f"| {name} | " + " | ".join(counts) + " |")
     return lines
 
 
 def calibration(rows: Sequence[dict[str, Any]], truths: dict[str, dict[str, Any]], path: Path) -> None:
-    """Probability said against frequency right, with Wilson's 95 % intervals; explanations by their probability."""
+    """Probability said against frequency right, with Wilson's 95 % intervals; explanations by their
+    probability."""
     said, right = [], []
     for row in rows:
         if truths[row["id"]]["answer"] == "outside":
@@ -197,7 +196,7 @@ def calibration(rows: Sequence[dict[str, Any]], truths: dict[str, dict[str, Any]
     figure = Figure(figsize=(4.2, 4.0), layout="constrained")
     axes = figure.subplots()
     axes.plot([0, 1], [0, 1], color="#22303c", lw=0.8, ls="--")
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges.tolist()):
         inside = (p >= low) & (p < high)
         if not inside.any():
             continue
