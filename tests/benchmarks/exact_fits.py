@@ -2,8 +2,7 @@
 
     python tests/benchmarks/exact_fits.py [--out FOLDER] [--only h05 h13]
 
-For every site of the FEBio study in the reference data (`febio-hidden`) with maps free of noise and bones
-that are the files': its records without the hidden effect in place of the readings, at the depths that were
+For every site of the FEBio study in the reference data (`febio-hidden`) with maps free of noise: its records without the hidden effect in place of the readings, at the depths that were
 read, but no deeper than the last map, fitted without effects with all that a diagnosis allows for. A line a
 site: ln of c and m found over the true ones, the deviance that is left, the zero of depth (mm) and of force
 (N) and the gain of depth that the model's own error is taken for, each alone and to first order, and the
@@ -83,11 +82,11 @@ def fitted(truth: dict, folder: Path) -> tuple[float, float, float, int, LinearE
 
 
 def main() -> None:
-    from map_errors import SAME_BONES, SITES  # the file beside this one
+    from map_errors import RECORDED, SITES  # the file beside this one
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path(tempfile.gettempdir()) / "map-errors")
-    parser.add_argument("--only", nargs="*", default=SAME_BONES)
+    parser.add_argument("--only", nargs="*", default=RECORDED)
     options = parser.parse_args()
     truths = tomllib.loads((SITES / "truth.toml").read_text(encoding="utf-8"))["case"]
     print(f"| site | ln c | ln m | chi2 | data | {' | '.join(ZEROS)} | resembles |\n|{'-|' * 9}")

@@ -7,8 +7,7 @@ its hidden effect: segmented and meshed into FOLDER, its working mesh tied to it
 ln speed of its parts at the true c and m less FEBio's, at eight forces (f_kappa as held, not the true one). A
 line a site; with --fit the constants of `stages.diagnosis.data.noise` by maximum likelihood, beside those
 that stand there, whose size is meant to be that of the worst site. What the limb's
-far side rests on is allowed for as in a diagnosis. Sites whose bones in the files are not those of
-FEBio's model are left out (see figures/diagnosis-febio.md).
+far side rests on is allowed for as in a diagnosis.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
+from scipy.optimize import minimize, minimize_scalar
 
 from limbcli.case import Case
 from limbcli.effects import EFFECTS
@@ -40,8 +39,8 @@ from limbcli.stages.segment import segment
 
 SHARED = Path(os.environ.get("LIMBCLI_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 SITES = SHARED / "febio-hidden"
-SAME_BONES = ["h03", "h05", "h06", "h08", "h09", "h10", "h11", "h13", "h14", "h20", "h23", "h24", "h25"]
-NAMES = ("below the face", "grows", "fades mm", "near mm", "alike")
+RECORDED = ["h02", "h03", "h05", "h06", "h07", "h08", "h09", "h11", "h13", "h15", "h19", "h20", "h23"]
+NAMES = ("grows", "fades mm", "near mm", "alike", "wide share", "wide mm")
 _WITHIN, _TRIALS = 5.0, 600  # of the search for the likeliest sizes
 
 
@@ -114,25 +113,30 @@ def at_force(curves: Curves, table: Array, force: Array) -> Array:
     return np.array([np.interp(force, curves.force, column) for column in table[:, 1:].T]).T
 
 
-def cost(sizes: Array, sites: list[Off]) -> float:
-    """Minus ln likelihood, but for a constant; sizes : by `NAMES`."""
-    below, grows, fades, near, alike = sizes
-    total = 0.0
-    for each in sites:
-        x, z = each.place.T
-        deviation = below * np.exp(-(z - z.min()) / fades) * each.strain**grows
-        apart = np.hypot(np.subtract.outer(x, x), np.subtract.outer(z, z))
-        found = np.exp(-apart / near) * np.outer(deviation, deviation)
-        found *= alike ** np.abs(np.subtract.outer(each.level, each.level))
-        found += (
-            _FAR_SIDE_LEFT**2 * np.outer(each.far_side, each.far_side) + np.eye(len(x)) * noise._RESOLVED**2
-        )
+def cost_of_site(sizes: Array, each: Off) -> tuple[float, float]:
+    """Minus ln likelihood of a site, but for a constant, at its own size of the error; and that size."""
+    grows, fades, near, alike, share, wide = sizes
+    x, z = each.place.T
+    deviation = np.exp(-(z - z.min()) / fades) * each.strain**grows
+    apart = np.hypot(np.subtract.outer(x, x), np.subtract.outer(z, z))
+    kernel = (1 - share) * np.exp(-apart / near) + share * np.exp(-0.5 * (apart / wide) ** 2)
+    kernel *= alike ** np.abs(np.subtract.outer(each.level, each.level)) * np.outer(deviation, deviation)
+    besides = _FAR_SIDE_LEFT**2 * np.outer(each.far_side, each.far_side) + np.eye(len(x)) * noise._RESOLVED**2
+
+    def cost(ln_size: float) -> float:
         try:
-            factor = cho_factor(found, lower=True)
+            factor = cho_factor(np.exp(2 * ln_size) * kernel + besides, lower=True)
         except np.linalg.LinAlgError:  # errors that are all but one another's copies
             return np.inf
-        total += 0.5 * each.off @ cho_solve(factor, each.off) + np.log(np.diag(factor[0])).sum()
-    return float(total)
+        return float(0.5 * each.off @ cho_solve(factor, each.off) + np.log(np.diag(factor[0])).sum())
+
+    found = minimize_scalar(cost, bounds=np.log([0.02, 5.0]), method="bounded", options={"xatol": 0.05})
+    return float(found.fun), float(np.exp(found.x))
+
+
+def cost(sizes: Array, sites: list[Off]) -> float:
+    """Minus ln likelihood of all sites, each with its own size of the error; sizes : by `NAMES`."""
+    return sum(cost_of_site(sizes, each)[0] for each in sites)
 
 
 def fitted(stands: Array, sites: list[Off]) -> tuple[float, Array]:
@@ -150,7 +154,7 @@ def fitted(stands: Array, sites: list[Off]) -> tuple[float, Array]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path(tempfile.gettempdir()) / "map-errors")
-    parser.add_argument("--only", nargs="*", default=SAME_BONES)
+    parser.add_argument("--only", nargs="*", default=RECORDED)
     parser.add_argument("--fit", action="store_true")
     options = parser.parse_args()
     truths = tomllib.loads((SITES / "truth.toml").read_text(encoding="utf-8"))["case"]
@@ -161,7 +165,11 @@ def main() -> None:
             line, off = measured(truth["id"], truth, options.out)
             found.append(off)
             print(line, flush=True)
-    stands = np.array([noise._BELOW_FACE, noise._GROWS, noise._FADES_MM, noise._NEAR_MM, noise._ALIKE])
+    stands = np.array(
+        [noise._GROWS, noise._FADES_MM, noise._NEAR_MM, noise._ALIKE, noise._WIDE_SHARE, noise._WIDE_MM]
+    )
+    for name, each in zip(options.only, found, strict=False):
+        print(f"{name}: size {cost_of_site(stands, each)[1]:.2f}, {noise._BELOW_FACE:.2f} stands")
     print(f"ln likelihood of what stands: {-cost(stands, found):.0f}")
     if options.fit:
         most, likeliest = fitted(stands, found)
