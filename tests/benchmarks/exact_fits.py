@@ -2,7 +2,8 @@
 
     python tests/benchmarks/exact_fits.py [--out FOLDER] [--only h05 h13]
 
-For every site of the FEBio study in the reference data (`febio-hidden`) with maps free of noise: its records without the hidden effect in place of the readings, at the depths that were
+For every site of the FEBio study in the reference data (`febio-hidden`) with maps free of noise: its records
+without the hidden effect in place of the readings, at the depths that were
 read, but no deeper than the last map, fitted without effects with all that a diagnosis allows for. A line a
 site: ln of c and m found over the true ones, the deviance that is left, the zero of depth (mm) and of force
 (N) and the gain of depth that the model's own error is taken for, each alone and to first order, and the
