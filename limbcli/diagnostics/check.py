@@ -69,8 +69,7 @@ def checked(data: Data, state: LinearFit, whiten: Whitener, rng: np.random.Gener
         if 0 < mask.sum() < len(mask)
     }
     names, left = [WHOLE, *bases], state.left
-    at = np.zeros(len(data), dtype=bool) if data.place is None else np.isfinite(data.place).all(axis=1)
-    imaged = [bool(np.all(at[data.groups[name]])) for name in bases]
+    imaged = [bool(np.all(data.imaged[data.groups[name]])) for name in bases]
     values = np.array([left @ left, *(np.sum((left @ base) ** 2) for base in bases.values())])
     nu = [state.nu, *(base.shape[1] for base in bases.values())]
     drawn = np.concatenate(

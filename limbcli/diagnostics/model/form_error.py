@@ -21,13 +21,10 @@ def form_error(data: Data, fitted: Fitted) -> Array | None:
     if fitted.without is None:
         return None
     change = np.abs(fitted.prediction - fitted.without)
-    imaged = np.zeros(len(data), dtype=bool)
-    if data.place is not None:
-        imaged = np.asarray(np.isfinite(data.place).all(axis=1))
     total = np.zeros((len(data), len(data)))
     for mask in data.channels().values():
         own = np.where(mask, change, 0.0)
-        if np.all(imaged[mask]):
+        if np.all(data.imaged[mask]):
             total += _in_image(data, _IN_IMAGE * own)
         else:
             total += correlated(

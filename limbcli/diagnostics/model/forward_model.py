@@ -61,6 +61,13 @@ class Data:
     def deviation(self) -> Array:
         return np.asarray(np.sqrt(np.diag(self.noise.covariance)))
 
+    @property
+    def imaged(self) -> Mask:
+        """Mask (n,) of the data that have a position in an image."""
+        if self.place is None:
+            return np.zeros(len(self), dtype=bool)
+        return np.asarray(np.isfinite(self.place).all(axis=1))
+
     def channels(self) -> dict[str, Mask]:
         """Mask (n,) of each channel."""
         return _masks(self.channel)
