@@ -40,7 +40,7 @@ from limbcli.stages.segment import segment
 SHARED = Path(os.environ.get("LIMBCLI_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 SITES = SHARED / "febio-hidden"
 RECORDED = ["h02", "h03", "h05", "h06", "h07", "h08", "h09", "h11", "h13", "h15", "h19", "h20", "h23"]
-NAMES = ("grows", "fades mm", "near mm", "alike", "wide share", "wide mm")
+NAMES = ("everywhere", "grows", "fades mm", "near mm", "alike", "wide share", "wide mm")
 _WITHIN, _TRIALS = 5.0, 600  # of the search for the likeliest sizes
 
 
@@ -115,9 +115,9 @@ def at_force(curves: Curves, table: Array, force: Array) -> Array:
 
 def cost_of_site(sizes: Array, each: Off) -> tuple[float, float]:
     """Minus ln likelihood of a site, but for a constant, at its own size of the error; and that size."""
-    grows, fades, near, alike, share, wide = sizes
+    everywhere, grows, fades, near, alike, share, wide = sizes
     x, z = each.place.T
-    deviation = np.exp(-(z - z.min()) / fades) * each.strain**grows
+    deviation = (everywhere + np.exp(-(z - z.min()) / fades)) * each.strain**grows
     apart = np.hypot(np.subtract.outer(x, x), np.subtract.outer(z, z))
     kernel = (1 - share) * np.exp(-apart / near) + share * np.exp(-0.5 * (apart / wide) ** 2)
     kernel *= alike ** np.abs(np.subtract.outer(each.level, each.level)) * np.outer(deviation, deviation)
@@ -165,9 +165,10 @@ def main() -> None:
             line, off = measured(truth["id"], truth, options.out)
             found.append(off)
             print(line, flush=True)
-    stands = np.array(
-        [noise._GROWS, noise._FADES_MM, noise._NEAR_MM, noise._ALIKE, noise._WIDE_SHARE, noise._WIDE_MM]
-    )
+    stands = np.array([
+        noise._EVERYWHERE, noise._GROWS, noise._FADES_MM, noise._NEAR_MM, noise._ALIKE, noise._WIDE_SHARE,
+        noise._WIDE_MM,
+    ])  # fmt: skip
     for name, each in zip(options.only, found, strict=False):
         print(f"{name}: size {cost_of_site(stands, each)[1]:.2f}, {noise._BELOW_FACE:.2f} stands")
     print(f"ln likelihood of what stands: {-cost(stands, found):.0f}")

@@ -132,17 +132,18 @@ class Fits:
             explanation, predict.predict(x, explanation, points), predict.jacobian(x, explanation, points),
             ("c", "m"), values, tuple(s.name for s in slots),
             at_bound=tuple(m for s, v in zip(slots, x[2:].tolist(), strict=True) if (m := s.on_bound(v))),
-            points={"grid": label(points)}, without=self._without_tissue_effects(x, explanation, points),
+            points={"grid": label(points)}, without=self._without_approximate(x, explanation, points),
             priors=Priors.about(x, predict.priors(explanation)),
         )  # fmt: skip
 
-    def _without_tissue_effects(
+    def _without_approximate(
         self, x: Array, explanation: Explanation, points: Sequence[Theta]
     ) -> Array | None:
         """Prediction without the effects of the tissue, whose form is never exactly that of a limb; None
         without such effects. An instrument's zero or scale has no other form."""
         predict = self.predictions
-        kept = [k for k, name in enumerate(explanation) if predict.effects[name].kind != "tissue"]
+        effects = [predict.effects[name] for name in explanation]
+        kept = [k for k, each in enumerate(effects) if each.kind != "tissue" and not each.solves]
         if len(kept) == len(explanation):
             return None
         names = tuple(explanation[k] for k in kept)
