@@ -22,7 +22,6 @@ from limbcli.diagnostics.model.form_error import form_error
 from limbcli.diagnostics.model.forward_model import Data, Direction, Explanation, Facts, Fitted, ForwardModel
 from limbcli.diagnostics.model.linear import Whitener
 from limbcli.errors import LimbError
-from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
 _MOST_STEPS = 60  # fits and simulations of one search: far more than any needs
@@ -247,13 +246,13 @@ def credible(several: Sequence[Explained]) -> list[Explained]:
 
 
 def named(several: Sequence[Explained]) -> Explanation:
-    """The most probable explanation, if it, or the effects that it has with others, has the probability
-    `CREDIBLE`; else none."""
-    best = several[0].explanation
-    return best if best and containing(best, several) >= decisions.CREDIBLE else ()
+    """The most probable explanation that has, with those that contain it, the probability `CREDIBLE`; none if
+    there is no such one. It must be likely itself: of two effects that both show, neither is named alone.
 
-
-def averaged(several: Sequence[Explained], values: Sequence[Array]) -> Array:
-    """Mean of values by probability."""
-    weights = np.array([each.probability for each in several])
-    return np.asarray(np.tensordot(weights / weights.sum(), np.array(values), axes=1))
+    several : the most probable first
+    """
+    for each in several:
+        likely = each.probability > decisions.UNSETTLED
+        if each.explanation and likely and containing(each.explanation, several) >= decisions.CREDIBLE:
+            return each.explanation
+    return ()

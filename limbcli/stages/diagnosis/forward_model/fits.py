@@ -139,8 +139,8 @@ class Fits:
     def _without_approximate(
         self, x: Array, explanation: Explanation, points: Sequence[Theta]
     ) -> Array | None:
-        """Prediction without the effects of the tissue, whose form is never exactly that of a limb; None
-        without such effects. An instrument's zero or scale has no other form."""
+        """Prediction without the effects of the tissue and those that are simulated, whose form is never
+        exactly that of a limb; None without such effects. An instrument's zero or scale has no other form."""
         predict = self.predictions
         effects = [predict.effects[name] for name in explanation]
         kept = [k for k, each in enumerate(effects) if each.kind != "tissue" and not each.solves]
