@@ -35,8 +35,9 @@ COMMON_GAIN = 0.03
 # factor of nine, and the fraction that applies is estimated with every explanation.
 _BELOW_FACE, _EVERYWHERE, _GROWS, _FADES_MM, _NEAR_MM, _ALIKE = 1.1, 0.2, 1.5, 14.0, 5.0, 0.91
 _WIDE_SHARE, _WIDE_MM = 0.2, 10.0
-# Besides, standard deviation of a level's mean ln speed, by the square of the strain: at the deepest maps of these
-# sites the means are 0.6 to 5.5 % too slow, 2.9 % root mean square at a strain of 0.36, whatever the size above.
+# Besides, standard deviation of a level's mean ln speed, by the square of the strain: at the deepest maps of
+# these sites the means are 0.6 to 5.5 % too slow, 2.9 % root mean square at a strain of 0.36, whatever the
+# size above.
 _IN_LEVEL = 0.22
 _RESOLVED = 0.001  # standard deviation of a part's ln speed, independent of strain
 IN_MAPS, LEAST_IN_MAPS = "model: maps", 0.08  # name, and smallest fraction of the assumed error
