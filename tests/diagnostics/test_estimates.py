@@ -40,8 +40,9 @@ def test_of_one_explanation_they_are_those_of_its_posterior():
         pytest.approx(8.0, rel=1e-3),
         pytest.approx(4.0, rel=1e-3),
     )
-    assert told.intervals["c_kpa"] == pytest.approx(8.0 * np.exp(0.1 * np.array([-Z, Z])), rel=1e-3)
-    assert told.intervals["m"] == pytest.approx(4.0 * np.exp(0.2 * np.array([-Z, Z])), rel=1e-3)
+    of_c, of_m = np.hypot(0.1, 0.05), np.hypot(0.2, 0.12)  # and the models' own error
+    assert told.intervals["c_kpa"] == pytest.approx(8.0 * np.exp(of_c * np.array([-Z, Z])), rel=1e-3)
+    assert told.intervals["m"] == pytest.approx(4.0 * np.exp(of_m * np.array([-Z, Z])), rel=1e-3)
     assert (told.open, told.over) == ((), 1)
     moved = estimates([(1.0, found(8.0, 4.0, [0.1, 0.2], step=0.05))])
     assert moved.values["c_kpa"] == pytest.approx(8.0 * np.exp(0.05), rel=1e-3)
@@ -54,10 +55,9 @@ def test_over_several_they_are_quantiles_of_the_mixture():
     )
     assert told.values["c_kpa"] == pytest.approx(8.0, rel=0.02)
     low, high = told.intervals["c_kpa"]
-    assert high == pytest.approx(
-        16.0 * np.exp(0.02 * stats.norm.ppf(0.75)), rel=2e-3
-    )  # a quarter of the tenth above
-    assert low == pytest.approx(8.0 * np.exp(0.02 * stats.norm.ppf(0.025 / 0.9)), rel=2e-3)
+    of_c = np.hypot(0.02, 0.05)  # and the models' own error
+    assert high == pytest.approx(16.0 * np.exp(of_c * stats.norm.ppf(0.75)), rel=2e-3)  # a quarter above
+    assert low == pytest.approx(8.0 * np.exp(of_c * stats.norm.ppf(0.025 / 0.9)), rel=2e-3)
     assert told.over == 2
 
 

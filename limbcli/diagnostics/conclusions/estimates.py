@@ -25,6 +25,10 @@ from limbcli.diagnostics.model.forward_model import Explanation
 USUAL_M, LN_M_DEVIATION = 3.9, 0.69
 PRIOR = f"ln m = ln {USUAL_M} with deviation {LN_M_DEVIATION} (m from 1 to 15, 95 %)"
 TISSUE = {"c": "c_kpa", "m": "m"}
+# Standard deviation of ln c and ln m beside what the data leave: the models' own error that no part of the
+# noise describes, as seen where FEBio's sites are explained rightly
+# (`tests/benchmarks/figures/diagnosis-febio.md`).
+_MODEL_ERROR = {"c": 0.05, "m": 0.12}
 Intervals = Mapping[str, tuple[float, float]]
 _ENDS = (0.5 * (1.0 - decisions.CREDIBLE), 0.5 * (1.0 + decisions.CREDIBLE))
 
@@ -57,7 +61,8 @@ def estimates(several: Sequence[tuple[float, Posterior]], chosen: Explanation = 
         if name is None:
             continue
         members = [(w, p, math.log(p.fitted.values[name])) for w, p in several]
-        free = [Truncated(w, at + p.step[k], float(p.deviation[k])) for w, p, at in members]
+        beside = _MODEL_ERROR.get(letter, 0.0)
+        free = [Truncated(w, at + p.step[k], float(np.hypot(p.deviation[k], beside))) for w, p, at in members]
         low, middle, high = quantiles(free, (_ENDS[0], 0.5, _ENDS[1]))
         bounds = [members[0][2] + float(end[k]) for end in (fitted.priors.low, fitted.priors.high)]
         open_ends += [

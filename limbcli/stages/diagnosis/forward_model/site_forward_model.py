@@ -34,7 +34,7 @@ from limbcli.stages.diagnosis.forward_model.measurement_menu import menu
 from limbcli.stages.diagnosis.forward_model.predictions import Predictions, held_points
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves, label
 
-_SETTLED, _BEYOND = 0.1, 0.1  # largest distance in ln m from the nearest, and the largest, solved m
+_SETTLED, _BEYOND = 0.1, 0.1  # largest distance in ln m from the nearest solved m, and beyond all of them
 _MAX_NODES = 5  # largest number of solved values of m
 _MOST_REPAIRS = 4  # largest number of corrections of the surrogate, for one effect
 _STAYS = 0.1  # change of the prediction, in standard deviations, below which a fit has converged
@@ -220,9 +220,10 @@ class SiteForwardModel:
         return fitted
 
     def _reaches(self, m: float) -> bool:
-        """Solve at m if it exceeds all solved values; returns whether this was needed and succeeded."""
+        """Solve at m if it is beyond all solved values; returns whether this was needed and succeeded."""
         nodes = self._nodes()
-        if np.log(m / max(nodes)) < _BEYOND or len(nodes) >= _MAX_NODES:
+        beyond = max(np.log(m / max(nodes)), np.log(min(nodes) / m))
+        if beyond < _BEYOND or len(nodes) >= _MAX_NODES:
             return False
         return self._solve_node(float(round(m, 3)))
 
