@@ -102,12 +102,12 @@ def test_what_tells_of_a_set_is_replaced_last(tmp_path: Path, monkeypatch: pytes
 
 @pytest.mark.parametrize(
     ("where", "given"),
-    [("layers", "site p1, layers"), ("out/mesh/p1", "out/mesh/p1"), ("p11", "site p1, p11")],
+    [("layers", "site p1, layers"), ("out/mesh/p1", "site p1, out/mesh/p1"), ("p1, layers", "p1, layers")],
 )
 def test_what_goes_wrong_at_a_site_names_it(tmp_path: Path, where: str, given: str):
     with pytest.raises(MeshError) as caught, open_stage(tmp_path, "mesh", subject="S1", site="p1"):
         raise MeshError("286 cells are inverted", where=where, fix="give thinner layers")
-    assert caught.value.where == given
+    assert (caught.value.site, caught.value.where) == ("p1", given)
     assert f"where: {given}\n" in str(caught.value)
 
 
