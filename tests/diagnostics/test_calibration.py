@@ -100,6 +100,6 @@ def test_whole_diagnoses_hold_the_truth_as_often_as_they_say(rng):
             low, high = found.sizes[truth[0]][truth[0]]
             sized, inside = sized + 1, inside + (low <= sizes[truth[0]] <= high)
     assert in_set >= binom.ppf(1e-3, n_sets, 0.95)
-    assert named > 15
+    assert named > 10  # or the next line says little
     assert right >= binom.ppf(1e-3, named, 0.95)
     assert is_share(inside, sized, 0.95, 2e-3)
