@@ -88,7 +88,7 @@ def errors_of_site(name: str | None) -> Iterator[None]:
     except LimbError as error:
         if name is not None and error.site is None:
             error.facts["site"] = name
-            if not re.match(rf"(site )?{re.escape(name)}($|[,;:])", error.where):  # not written there yet
+            if not re.search(rf"(^|\s){re.escape(name)}($|[\s,;:])", error.where):  # not stated there yet
                 error.where = f"site {name}, {error.where}"
                 error.args = (_text(error.what, error.where, error.fix),)
         raise

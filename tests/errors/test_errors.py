@@ -24,14 +24,14 @@ def test_an_error_arrives_as_it_was_sent(family):
 
 def test_an_error_keeps_its_site_through_copies_and_later_blocks():
     with pytest.raises(SolveError) as caught, errors_of_site("p1 + p10"), errors_of_site("p1"):
-        raise SolveError("it stopped", where="site p10, level 7", fix="more steps")
-    assert (caught.value.site, caught.value.where) == ("p1", "site p1, site p10, level 7")
+        raise SolveError("it stopped", where="layers of p10", fix="more steps")
+    assert (caught.value.site, caught.value.where) == ("p1", "site p1, layers of p10")
     copies = [pickle.loads(pickle.dumps(caught.value)), pasted(caught.value, None)]
     assert [each.site for each in copies] == ["p1", "p1"]
 
 
-@pytest.mark.parametrize("where", ["site p1", "site p1, levels.csv", "p1: model.log"])
-def test_a_site_that_the_place_begins_with_is_not_written_twice(where):
+@pytest.mark.parametrize("where", ["site p1", "site p1, levels.csv", "p1: model.log", "mesh p1"])
+def test_a_site_that_the_place_states_is_not_written_twice(where):
     with pytest.raises(SolveError) as caught, errors_of_site("p1"):
         raise SolveError("it stopped", where=where, fix="more steps")
     assert (caught.value.site, caught.value.where) == ("p1", where)
