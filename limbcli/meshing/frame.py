@@ -51,7 +51,7 @@ class SiteFrame:
 
 
 def proximal_direction(limb: Limb) -> Array:
-    """Unit vector along the limb towards the head: the most elongated body's axis, oriented to +z of LPS."""
+    """Unit vector along the limb (`long_axis`) towards the head: oriented to +z of LPS."""
     return toward_head(long_axis([limb.skin, *limb.bones]))
 
 

@@ -106,7 +106,7 @@ class BoneHit:
 def limb_axis(limb: Limb, points: Array, proximal: Array) -> Array:
     """Unit vector along the limb near skin points (n, 3), fitted to the centres of its sections there.
 
-    proximal : (3,) unit, roughly along it; if the limb is too short, the axis of its most elongated body is
+    proximal : (3,) unit, roughly along it; if the limb is too short, its `long_axis` is
         used
     """
     along = limb.skin.points @ proximal

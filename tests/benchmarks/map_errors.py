@@ -4,8 +4,8 @@
 
 For every site of the FEBio study in the reference data (`febio-hidden`) with maps free of noise and without
 its hidden effect: segmented and meshed into FOLDER, its working mesh tied to its own as `diagnose` does, and
-ln speed of its parts at the true c and m less FEBio's, at eight forces (f_kappa as held, not the true one). A
-line a site; with --fit the constants of `stages.diagnosis.data.noise` by maximum likelihood, beside those
+ln speed of its parts at the true c, m and f_kappa (to first order) less FEBio's, at eight forces. A line a
+site; with --fit the constants of `stages.diagnosis.data.noise` by maximum likelihood, beside those
 that stand there, whose size is meant to be that of the worst site. What the limb's
 far side rests on is allowed for as in a diagnosis.
 """
@@ -32,7 +32,11 @@ from limbcli.progress import SILENT
 from limbcli.stages.diagnosis.curves.exponents import FIRST_M
 from limbcli.stages.diagnosis.data import noise
 from limbcli.stages.diagnosis.data.windows import Windows
-from limbcli.stages.diagnosis.mesh_error.numerical_checks import _FAR_SIDE_LEFT
+from limbcli.stages.diagnosis.mesh_error.numerical_checks import (
+    _FAR_SIDE_LEFT,
+    INCOMPRESSIBILITY,
+    deviations_of,
+)
 from limbcli.stages.diagnosis.prepare import Prepared, WorkingMesh, prepare
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment
@@ -87,8 +91,9 @@ def measured(site: str, truth: dict, folder: Path) -> tuple[str, Off]:
         prepared.curves.solve_nodes(FIRST_M)
         curves = prepared.curves.curves(truth["c_kpa"] / 1e3, truth["m"], (), {}, [])
         near = min(FIRST_M, key=lambda m: abs(np.log(m / truth["m"])))
-        free, held = (
-            prepared.simulations.curves(near, changes) for changes in ((), ((FAR_SIDE, FAR_SIDE.start),))
+        free, held, stiffer = (
+            prepared.simulations.curves(near, changes)
+            for changes in ((), ((FAR_SIDE, FAR_SIDE.start),), ((INCOMPRESSIBILITY, INCOMPRESSIBILITY.start),))
         )
     finally:
         prepared.close()
@@ -96,12 +101,15 @@ def measured(site: str, truth: dict, folder: Path) -> tuple[str, Off]:
     depth, force, theirs = record_of(site, windows)
     ours = at_force(curves, curves.log_speed, force)
     per_c = force * prepared.simulations.c / (truth["c_kpa"] / 1e3)
-    far = np.nan_to_num(at_force(held, held.log_speed, per_c) - at_force(free, free.log_speed, per_c))
-    off = ours - theirs[:, 1:]
+    plain = at_force(free, free.log_speed, per_c)
+    far = np.nan_to_num(at_force(held, held.log_speed, per_c) - plain)
+    softer = deviations_of(truth["fk"])
+    off = ours + softer * (at_force(stiffer, stiffer.log_speed, per_c) - plain) - theirs[:, 1:]
     level, part = np.nonzero(np.isfinite(off))
     spread = " ".join(f"{100 * each:.1f}" for each in np.nanstd(off, axis=1))
     means = " ".join(f"{100 * each:.1f}" for each in np.nanmean(off, axis=1))
-    ratio = np.interp(depth, curves.depth, curves.force) / force
+    by_fk = np.interp(depth, free.depth[1:], np.log(stiffer.force[1:] / free.force[1:]))
+    ratio = np.interp(depth, curves.depth, curves.force) / force * np.exp(softer * by_fk)
     line = f"| {site} | {truth['m']:.1f} | {ratio[1]:.2f} to {ratio[-1]:.2f} | {means} | {spread} |"
     strain = depth[level] / truth["thickness_mm"]
     place = windows.middles[part]

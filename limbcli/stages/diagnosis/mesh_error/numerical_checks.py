@@ -85,6 +85,15 @@ def f_kappa_at(deviations: float) -> float:
     return F_KAPPA / per if per > 0 else float("inf")
 
 
+def deviations_of(f_kappa: float) -> float:
+    """The inverse of `f_kappa_at`.
+
+    >>> deviations_of(400.0)
+    1.0
+    """
+    return (1.0 - F_KAPPA / f_kappa) / (1.0 - 1.0 / _STIFFER)
+
+
 @dataclass(frozen=True, eq=False)
 class Intervention:
     """Result of one numerical check: change of ln force and ln speed at the levels.
