@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from limbcli.errors import CaseError
 from limbcli.meshing.frame import SiteFrame, probe_axis, proximal_direction, site_frame, skin_point_at
-from limbcli.meshing.mending import Limb
+from limbcli.meshing.mending import Limb, long_axis
 from limbcli.meshing.probe import ProbeShape
 
 PROBE = ProbeShape(50.0, 14.0, 3.0)
@@ -88,6 +90,19 @@ def test_site_far_from_skin_is_refused(leg):
 def test_long_axis_points_to_the_head_whatever_the_surface_order(leg):
     turned = leg.moved(np.diag([1.0, -1, -1, 1]))
     assert proximal_direction(turned)[2] > 0.99
+
+
+def test_a_thin_bone_that_lies_across_the_limb_does_not_turn_it(leg, make_tube):
+    fibula = make_tube((-22, 2, -40), (-5, 2, 40), (2, 2))  # by 12 degrees, and the most elongated body
+    axis = proximal_direction(replace(leg, bones=(*leg.bones, fibula)))
+    assert axis == pytest.approx(proximal_direction(leg), abs=1e-12)
+
+
+def test_where_the_skin_is_as_wide_as_long_the_largest_bone_tells_the_direction(make_tube):
+    skin, thick = make_tube((0, 0, -45), (0, 0, 45), (50, 50)), make_tube((0, 0, -40), (7, 0, 40), (12, 12))
+    thin = make_tube((20, 0, -40), (3, 0, 40), (4, 4))
+    axis = long_axis([skin, thin, thick])
+    assert abs(axis @ [7, 0, 80]) / np.hypot(7, 80) == pytest.approx(1.0, abs=1e-4)
 
 
 @pytest.mark.parametrize(("angle", "direction"), [(0, (0, -1)), (90, (1, 0)), (180, (0, 1)), (270, (-1, 0))])
