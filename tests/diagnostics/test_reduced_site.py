@@ -66,7 +66,10 @@ def test_force_offset_is_named_and_the_tissue_comes_right(rng):
 
 def test_sizes_of_effects_are_those_of_their_fits_though_nothing_was_found(rng):
     """To first order a preload that has moved c far, and leaves nothing, would be excluded."""
-    model = bench(levels(rng), names=("preload", "force-zero", "anisotropy"))
+    measured = levels(rng)
+    model = bench(
+        measured, names=("preload", "force-zero", "anisotropy"), errors=[of_the_block(measured)]
+    )
     found = diagnose(model)
     assert (found.verdict, found.chosen, found.not_evaluated) == ("adequate", (), {})
     assert all(each.posterior is not None for each in found.explanations if len(each.explanation) == 1)
@@ -344,7 +347,7 @@ def test_jacobian_is_that_of_the_prediction(rng):
 
 @pytest.mark.slow
 def test_false_alarms_on_the_reduced_model(rng):
-    """None of 4. Alarms at 5 % of all sites pass with 81 %, at 20 % with 41 %, at 50 % with 6 %;
+    """At most one of 4. Alarms at 5 % of all sites pass with 99 %, at 20 % with 82 %, at 50 % with 31 %;
     `test_engine` counts more of them, on the toy."""
     names = [
         each.name for each in EFFECTS if each.name not in ("tilt", "friction", "inclusion", "nonlinearity")
@@ -354,7 +357,7 @@ def test_false_alarms_on_the_reduced_model(rng):
         measured = levels(rng)
         verdict = run(measured, names=names, errors=[of_the_block(measured)]).verdict
         alarms += verdict != "adequate"
-    assert alarms == 0
+    assert alarms <= 1
 
 
 def of_the_block(measured) -> ModelError:
