@@ -93,7 +93,11 @@ def measured(site: str, truth: dict, folder: Path) -> tuple[str, Off]:
         near = min(FIRST_M, key=lambda m: abs(np.log(m / truth["m"])))
         free, held, stiffer = (
             prepared.simulations.curves(near, changes)
-            for changes in ((), ((FAR_SIDE, FAR_SIDE.start),), ((INCOMPRESSIBILITY, INCOMPRESSIBILITY.start),))
+            for changes in (
+                (),
+                ((FAR_SIDE, FAR_SIDE.start),),
+                ((INCOMPRESSIBILITY, INCOMPRESSIBILITY.start),),
+            )
         )
     finally:
         prepared.close()

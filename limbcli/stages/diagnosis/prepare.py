@@ -59,8 +59,8 @@ _N_DEPTHS = 6  # number of equal depth steps down to the depth needed
 _BEYOND, _FURTHER, _FURTHER_SHARE = 1.05, 2.5, 0.075
 _ROUND = 0.5  # mm, to which the depth needed is rounded up
 _TIMES_FORCE = 4.0  # simulated force over the largest reading: tissue may be softer than the speed implies
-# mm, smallest edge lengths at curved surfaces, and at thin bones and clefts. With twice these a bone near the end
-# of the face is not met: 28 % less force a quarter of the tissue deep, for a fifth fewer nodes.
+# mm, smallest edge lengths at curved surfaces, and at thin bones and clefts. With twice these a bone near
+# the end of the face is not met: 28 % less force a quarter of the tissue deep, for a fifth fewer nodes.
 _BENDS, _THIN = 4.0, 3.0
 _LAYERS, _FINEST, _COARSEST = 3.0, 2.5, 5.0  # elements between skin and bone; mm, limits of their edge length
 

@@ -25,9 +25,10 @@ _ALIKE = 0.8  # correlation of the mesh error between neighbouring levels
 # Standard deviation of the depth at first touch: in voxel edges of imaged surfaces, and in mm of given ones.
 # For comparison, a probe 53 mm long that is tilted by 1 degree touches 0.5 mm earlier.
 _TOUCH_VOXELS, _TOUCH_MM = 0.5, 0.2
-# Standard deviation of ln force, common to all levels, besides compressibility, cut, far side and thickness.
-# At the true c, m and f_kappa our force in the first 60 % of the depth of FEBio's records without noise is 10 %
-# lower to 8 % higher than theirs, 4 % root mean square (`tests/benchmarks/map_errors.py`).
+# Standard deviation of ln force, common to all levels, besides compressibility, cut, far side and
+# thickness. At the true c, m and f_kappa our force in the first 60 % of the depth of FEBio's records
+# without noise is 10 % lower to 8 % higher than theirs, 4 % root mean square
+# (`tests/benchmarks/map_errors.py`).
 _GAIN = 0.04
 _STRAIN = 0.02  # relative standard deviation of all strains: posture, the scanner's scale of depths
 
