@@ -14,7 +14,7 @@ import numpy as np
 
 from limbcli.errors import CaseError
 from limbcli.feb.read_mesh import Numbering
-from limbcli.feb.read_output import check_form, logged_body
+from limbcli.feb.read_output import check_form, listed_cells, listed_nodes, logged_body
 from limbcli.feb.xml import LARGEST_ID, Tag, open_model
 from limbcli.model import IntArray, LogRecord
 
@@ -32,7 +32,7 @@ class Outline:
 
     end_time : of the last step (s), or None if the file does not give it
     records : tables with a file of their own; `items` is the body's name, else None
-    nodes, cells : table[id] = number from 0
+    nodes, cells : table[id] = number from 0; records give nodes by number from 1, cells by id, as FEBio does
     must_points : global times listed under `<dtmax>`
     materials : numeric parameters by material id and name
     output_levels : of the steps, as FEBio numbers them
@@ -49,9 +49,8 @@ class Outline:
     bodies: Mapping[str, str] = field(default_factory=dict)
 
     @property
-    def node_ids(self) -> IntArray:
-        """Ids (n_nodes,) of the nodes in the file, by number."""
-        return _ids(self.nodes)
+    def n_nodes(self) -> int:
+        return int(np.count_nonzero(self.nodes >= 0))
 
     @property
     def cell_ids(self) -> IntArray:
@@ -70,11 +69,12 @@ def read_outline(path: Path) -> Outline:
     root = open_model(path)
     controls = [Tag(each, path) for each in root.element.iter("Control")]
     bodies = _bodies(root)
+    nodes, cells = _table(root, "Mesh/Nodes/node"), _table(root, "Mesh/Elements/elem")
     return Outline(
         end_time=_end_time(controls),
-        records=_records(root, bodies),
-        nodes=_table(root, "Mesh/Nodes/node"),
-        cells=_table(root, "Mesh/Elements/elem"),
+        records=_records(root, bodies, nodes, cells),
+        nodes=nodes,
+        cells=cells,
         must_points=_must_points(root, controls),
         materials=_materials(root),
         output_levels=tuple(_output_level(each.child("output_level")) for each in controls),
@@ -182,13 +182,19 @@ def _bodies(root: Tag) -> dict[str, str]:
     }
 
 
-def _records(root: Tag, bodies: Mapping[str, str]) -> tuple[LogRecord, ...]:
+def _records(
+    root: Tag, bodies: Mapping[str, str], nodes: IntArray, cells: IntArray
+) -> tuple[LogRecord, ...]:
     records = []
     for element in root.element.iterfind("Output/logfile/*"):
         tag = Tag(element, root.file)
         if tag.name not in _KINDS or tag.optional("file") is None:
             continue
         check_form(tag)
+        if tag.name == "node_data" and tag.optional("node_set") is None:
+            listed_nodes(tag, nodes)
+        if tag.name == "element_data" and tag.optional("elem_set") is None:
+            listed_cells(tag, cells)
         fields = tuple(name.strip() for name in tag.attribute("data").split(";"))
         body = logged_body(tag, bodies) if tag.name == "rigid_body_data" else None
         records.append(LogRecord(_KINDS[tag.name], fields, tag.attribute("file"), body))  # type: ignore[arg-type]

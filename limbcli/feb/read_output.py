@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from limbcli.bodies import RigidBody
 from limbcli.feb.read_mesh import MeshSection, Numbering
 from limbcli.feb.xml import Tag
@@ -56,17 +58,39 @@ def _nodes(tag: Tag, mesh: MeshSection) -> IntArray | None:
     name = tag.optional("node_set")
     if name is not None:
         return mesh.mesh.node_sets[mesh.node_set(tag, name)]
-    return _items(tag, mesh.numbering.nodes, "node")
+    return listed_nodes(tag, mesh.numbering.nodes)
 
 
 def _elements(tag: Tag, mesh: MeshSection) -> IntArray | None:
     """Cells of the named set or whole part if there is one, else those listed; None: all."""
     name = tag.optional("elem_set")
-    return _items(tag, mesh.numbering.cells, "element") if name is None else mesh.element_set(tag, name)
+    return listed_cells(tag, mesh.numbering.cells) if name is None else mesh.element_set(tag, name)
 
 
-def _items(tag: Tag, table: IntArray, kind: str) -> IntArray | None:
-    return Numbering.look_up(table, tag.ids(), tag, kind) if tag.text else None
+def listed_nodes(tag: Tag, table: IntArray) -> IntArray | None:
+    """Nodes (from 0) that a record lists by number; None: it lists none, hence all.
+
+    FEBio takes these numbers as places in the file, from 1, and not as ids (NodeDataRecord::Evaluate); beyond
+    the last node it prints zeros. A number that is the id of another node is therefore refused.
+    """
+    if not tag.text:
+        return None
+    ids = tag.ids()
+    inside = (ids >= 0) & (ids < len(table))
+    places = np.where(inside, table[np.where(inside, ids, 0)], -1) + 1
+    if (places != ids).any():
+        at = int(np.argmax(places != ids))
+        is_it = f"node {ids[at]} is the {places[at]}. in the file" if places[at] else f"no node is {ids[at]}"
+        raise tag.problem(
+            f"FEBio counts the nodes of this list by their place in the file and not by their id, and {is_it}",
+            fix="list them in a <NodeSet> and name it, node_set=..., or number the nodes 1, 2, 3, ...",
+        )
+    return ids - 1
+
+
+def listed_cells(tag: Tag, table: IntArray) -> IntArray | None:
+    """Cells (from 0) that a record lists by their ids (ElementDataRecord::Evaluate); None: all."""
+    return Numbering.look_up(table, tag.ids(), tag, "element") if tag.text else None
 
 
 def check_form(tag: Tag) -> None:

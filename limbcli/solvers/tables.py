@@ -97,7 +97,8 @@ def _table(record: LogRecord, records: Records, outline: Outline, path: Path) ->
             raise _broken(path, f"it holds {len(records.ids)} rigid bodies where one was requested")
         items = np.zeros(1, dtype=np.int64)
     else:
-        numbers = outline.nodes if record.kind == "node" else outline.cells
+        by_place = np.arange(-1, outline.n_nodes)
+        numbers = by_place if record.kind == "node" else outline.cells
         if records.ids.max() >= len(numbers) or (numbers[records.ids] < 0).any():
             raise _broken(path, f"it contains {record.kind}s that the model does not have")
         items = numbers[records.ids]
