@@ -13,8 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.errors import CaseError
+from limbcli.feb.info import read_info
 from limbcli.feb.read_mesh import Numbering
 from limbcli.feb.read_output import check_form, listed_cells, listed_nodes, logged_body
+from limbcli.feb.rigid_primary import contacts_without_force
 from limbcli.feb.xml import LARGEST_ID, Tag, open_model
 from limbcli.model import IntArray, LogRecord
 
@@ -37,6 +39,8 @@ class Outline:
     materials : numeric parameters by material id and name
     output_levels : of the steps, as FEBio numbers them
     bodies : names of the rigid bodies by material id, which their records contain
+    without_force : contacts to which FEBio gives no force at all (`rigid_primary`)
+    has_touch_frame : limbcli's own model of a site: z = 0 is the height of the probe face at first touch
     """
 
     end_time: float | None
@@ -47,6 +51,8 @@ class Outline:
     materials: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
     output_levels: tuple[int, ...] = ()
     bodies: Mapping[str, str] = field(default_factory=dict)
+    without_force: tuple[str, ...] = ()
+    has_touch_frame: bool = False
 
     @property
     def n_nodes(self) -> int:
@@ -79,17 +85,25 @@ def read_outline(path: Path) -> Outline:
         materials=_materials(root),
         output_levels=tuple(_output_level(each.child("output_level")) for each in controls),
         bodies=bodies,
+        without_force=contacts_without_force(root),
+        has_touch_frame="patient_from_model" in read_info(root),
     )
 
 
 def check_output(outline: Outline, path: Path) -> None:
-    """Check that FEBio writes the model's records at converged times.
+    """Check that FEBio writes the model's records at converged times, and gives its contacts a force.
 
     Raises
     ------
     CaseError
-        If it would write every iteration, or nothing at all.
+        If it would write every iteration, or nothing at all, or find no contact force.
     """
+    if outline.without_force:
+        raise CaseError(
+            "; ".join(outline.without_force),
+            where=str(path),
+            fix="make the soft surface the primary one, or give <auto_penalty>0</auto_penalty> and a penalty",
+        )
     levels = outline.output_levels
     if not outline.records or not levels or (_MINOR not in levels and set(levels) != {_NEVER}):
         return
@@ -182,9 +196,7 @@ def _bodies(root: Tag) -> dict[str, str]:
     }
 
 
-def _records(
-    root: Tag, bodies: Mapping[str, str], nodes: IntArray, cells: IntArray
-) -> tuple[LogRecord, ...]:
+def _records(root: Tag, bodies: Mapping[str, str], nodes: IntArray, cells: IntArray) -> tuple[LogRecord, ...]:
     records = []
     for element in root.element.iterfind("Output/logfile/*"):
         tag = Tag(element, root.file)

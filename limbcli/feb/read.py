@@ -7,17 +7,16 @@ physical constants of `<Globals>` (not used for solids), and comments.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from lxml import etree
 
 from limbcli.bodies import RigidBody
 from limbcli.feb import read_loads
+from limbcli.feb.info import read_info
 from limbcli.feb.read_contact import read_contacts
 from limbcli.feb.read_control import read_steps
 from limbcli.feb.read_material import MaterialSection, read_materials
@@ -26,7 +25,6 @@ from limbcli.feb.read_output import read_output
 from limbcli.feb.xml import Tag, open_model
 from limbcli.model import FIBRES, Curved, Domain, ElementMap, LimbModel, Material, Mesh, Step, Surface
 
-INFO_MARK = "limbcli-info "
 EMPTY_NODE_SETS, EMPTY_SURFACES = "empty_node_sets", "empty_surfaces"  # keys stored with `info`
 _SECTIONS = (
     "Module", "Globals", "Control", "Material", "Mesh", "MeshDomains", "MeshData", "Boundary", "Rigid",
@@ -73,7 +71,7 @@ def read_feb(path: Path | str) -> LimbModel:
     used = materials.used_maps | scene.used_maps | {FIBRES}
     read_loads.refuse_unused({**element_maps, **node_maps}, used, data)
     records, plot_variables = read_output(root.child("Output"), mesh, bodies, materials.by_id)
-    info = _info(root)
+    info = read_info(root)
     if plot_variables:
         info["plot_variables"] = list(plot_variables)
     model = LimbModel(
@@ -206,18 +204,3 @@ def _with_empty_sets(mesh: Mesh, info: dict[str, Any]) -> Mesh:
     nodes = {str(name): np.zeros(0, dtype=np.int64) for name in info.pop(EMPTY_NODE_SETS, ())}
     surfaces = {str(name): Surface(str(name), {}) for name in info.pop(EMPTY_SURFACES, ())}
     return replace(mesh, node_sets={**mesh.node_sets, **nodes}, surfaces={**mesh.surfaces, **surfaces})
-
-
-def _info(root: Tag) -> dict[str, Any]:
-    """Information that limbcli's writer stored in a comment at the top of the file."""
-    for comment in root.element.iterchildren(etree.Comment):
-        text = (comment.text or "").strip()
-        if text.startswith(INFO_MARK):
-            try:
-                found: Mapping[str, Any] = json.loads(text.removeprefix(INFO_MARK))
-                return dict(found)
-            except ValueError as error:
-                raise Tag(root.element, root.file).problem(
-                    f"the comment '{INFO_MARK.strip()}' cannot be read ({error})", fix="remove that comment"
-                ) from error
-    return {}

@@ -82,7 +82,7 @@ def listed_nodes(tag: Tag, table: IntArray) -> IntArray | None:
         at = int(np.argmax(places != ids))
         is_it = f"node {ids[at]} is the {places[at]}. in the file" if places[at] else f"no node is {ids[at]}"
         raise tag.problem(
-            f"FEBio counts the nodes of this list by their place in the file and not by their id, and {is_it}",
+            f"FEBio takes these numbers as places of nodes in the file, not as their ids, and {is_it}",
             fix="list them in a <NodeSet> and name it, node_set=..., or number the nodes 1, 2, 3, ...",
         )
     return ids - 1

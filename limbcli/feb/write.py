@@ -15,7 +15,8 @@ from limbcli.atomic_files import atomic_file
 from limbcli.config import templates_folder
 from limbcli.errors import CaseError
 from limbcli.feb.ids import Ids, element_maps, give_ids, node_maps, number, vector
-from limbcli.feb.read import EMPTY_NODE_SETS, EMPTY_SURFACES, INFO_MARK
+from limbcli.feb.info import INFO_MARK
+from limbcli.feb.read import EMPTY_NODE_SETS, EMPTY_SURFACES
 from limbcli.feb.views import (
     block_rows,
     drive_groups,

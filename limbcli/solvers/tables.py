@@ -49,6 +49,7 @@ def read_finished(solver: str, feb: Path) -> Simulation:
         n_factorisations=log.n_reformations,
         seconds=log.seconds,
         linear_solver=log.linear_solver,
+        warnings=log.warnings,
     )
 
 

@@ -1,4 +1,4 @@
-"""Records list nodes by place in the file and cells by id, as FEBio reads them, also where ids are not 1..n."""
+"""Records list nodes by place in the file and cells by id, as FEBio reads them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from limbcli.solvers.reference import ReferenceSolver
 from limbcli.solvers.tables import read_tables
 
 FIRST_NODE, FIRST_CELL = 101, 41
-CORNERS = "0,0,0 1,0,0 1,1,0 0,1,0 0,0,1 1,0,1 1,1,1 0,1,1".split()
+CORNERS = ["0,0,0", "1,0,0", "1,1,0", "0,1,0", "0,0,1", "1,0,1", "1,1,1", "0,1,1"]
 
 
 def cube(folder: Path, record: str, *, first_node: int = FIRST_NODE) -> Path:
