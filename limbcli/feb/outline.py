@@ -15,9 +15,9 @@ import numpy as np
 from limbcli.errors import CaseError
 from limbcli.feb.info import read_info
 from limbcli.feb.read_mesh import Numbering
-from limbcli.feb.read_output import check_form, listed_cells, listed_nodes, logged_body
+from limbcli.feb.read_output import check_form, is_read, listed_cells, listed_nodes, logged_body
 from limbcli.feb.rigid_primary import contacts_without_force
-from limbcli.feb.xml import LARGEST_ID, Tag, open_model
+from limbcli.feb.xml import LARGEST_ID, UNITS, VERSION, Tag, is_native, open_model, units_of
 from limbcli.model import IntArray, LogRecord
 
 # FEBio's numbering of output levels (FEAnalysis, FE_Output_Level).
@@ -40,6 +40,7 @@ class Outline:
     output_levels : of the steps, as FEBio numbers them
     bodies : names of the rigid bodies by material id, which their records contain
     without_force : contacts to which FEBio gives no force at all (`rigid_primary`)
+    led_elsewhere : the file names its log or its plot file, which FEBio prefers to the run's own names
     has_touch_frame : limbcli's own model of a site: z = 0 is the height of the probe face at first touch
     """
 
@@ -52,6 +53,7 @@ class Outline:
     output_levels: tuple[int, ...] = ()
     bodies: Mapping[str, str] = field(default_factory=dict)
     without_force: tuple[str, ...] = ()
+    led_elsewhere: bool = False
     has_touch_frame: bool = False
 
     @property
@@ -70,9 +72,14 @@ def read_outline(path: Path) -> Outline:
     Raises
     ------
     CaseError
-        If the file is absent, is not XML, or is not a FEBio 4.0 model.
+        If the file is absent, is not XML, or is not a FEBio 4.0 model in mm-N-s.
     """
     root = open_model(path)
+    if not is_native(root):
+        raise root.problem(
+            f"it is of format {root.optional('version')} in {units_of(root)}, not of {VERSION} in {UNITS}",
+            fix="write it anew, which converts it: write_feb(read_feb(path), other); `limbcli run` does so",
+        )
     controls = [Tag(each, path) for each in root.element.iter("Control")]
     bodies = _bodies(root)
     nodes, cells = _table(root, "Mesh/Nodes/node"), _table(root, "Mesh/Elements/elem")
@@ -85,6 +92,7 @@ def read_outline(path: Path) -> Outline:
         materials=_materials(root),
         output_levels=tuple(_output_level(each.child("output_level")) for each in controls),
         bodies=bodies,
+        led_elsewhere=root.element.find("Output/*[@file]") is not None,
         without_force=contacts_without_force(root),
         has_touch_frame="patient_from_model" in read_info(root),
     )
@@ -96,8 +104,14 @@ def check_output(outline: Outline, path: Path) -> None:
     Raises
     ------
     CaseError
-        If it would write every iteration, or nothing at all, or find no contact force.
+        If it would write every iteration, or nothing at all, or elsewhere, or find no contact force.
     """
+    if outline.led_elsewhere:
+        raise CaseError(
+            "<Output>: FEBio would write its log or plot file under the name that the file gives",
+            where=str(path),
+            fix='take file="..." out of <logfile> and <plotfile>; `limbcli run FILE` does so',
+        )
     if outline.without_force:
         raise CaseError(
             "; ".join(outline.without_force),
@@ -200,7 +214,7 @@ def _records(root: Tag, bodies: Mapping[str, str], nodes: IntArray, cells: IntAr
     records = []
     for element in root.element.iterfind("Output/logfile/*"):
         tag = Tag(element, root.file)
-        if tag.name not in _KINDS or tag.optional("file") is None:
+        if not is_read(tag):
             continue
         check_form(tag)
         if tag.name == "node_data" and tag.optional("node_set") is None:

@@ -12,6 +12,10 @@ from limbcli.feb.xml import Tag
 from limbcli.model import IntArray, LogRecord
 
 _SET_OF = {"node_data": ("node_set",), "element_data": ("elem_set",)}
+_RECORDS = ("rigid_body_data", "node_data", "element_data")
+_OTHER_RECORDS = (
+    "face_data", "surface_data", "domain_data", "model_data", "rigid_connector_data",
+)  # fmt: skip
 _DELIMITERS = (None, ",", " ", "\t")
 
 
@@ -25,19 +29,34 @@ def read_output(
     variables: tuple[str, ...] = ()
     plotfile = tag.child("plotfile")
     if plotfile is not None:
-        plotfile.allow(attributes=("type",), many=("var",))
-        for each in plotfile:
-            each.allow(attributes=("type",))
-        variables = tuple(each.attribute("type") for each in plotfile)
+        plotfile.allow(attributes=("type", "file"), children=("compression",), many=("var",))
+        variables = tuple(each.attribute("type") for each in plotfile.all("var"))
+        if plotfile.optional("file") or plotfile.child("compression") is not None:
+            tag.ignore("the form of <plotfile>, which a run does not keep")
     logfile = tag.child("logfile")
     records: list[LogRecord] = []
     if logfile is not None:
-        logfile.allow(many=("rigid_body_data", "node_data", "element_data"))
+        logfile.allow(attributes=("file",), many=(*_RECORDS, *_OTHER_RECORDS))
+        if logfile.attributes:
+            tag.ignore("the name of <logfile>, as that of a run is model.log")
         for each in logfile:
-            each.allow(attributes=("data", "delim", "file", "name", *_SET_OF.get(each.name, ())))
-            check_form(each)
-            records.append(_record(each, mesh, bodies, materials_by_id))
+            with each.goes_on():
+                if not is_read(each):
+                    tag.ignore(f"<{each.name}> {each.optional('data')!r}, which limbcli does not read")
+                    continue
+                each.allow(attributes=("data", "delim", "file", "name", *_SET_OF.get(each.name, ())))
+                check_form(each)
+                records.append(_record(each, mesh, bodies, materials_by_id))
     return tuple(records), variables
+
+
+def is_read(tag: Tag) -> bool:
+    """Whether limbcli reads this output: a table of nodes, elements or a body, in a file of its own.
+
+    FEBio writes the other tables too, or into its log; an expression (data="=...") has no name.
+    """
+    named = not any(name.strip().startswith("=") for name in (tag.optional("data") or "").split(";"))
+    return tag.name in _RECORDS and tag.optional("file") is not None and named
 
 
 def _record(

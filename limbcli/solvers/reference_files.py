@@ -75,6 +75,11 @@ class RunFiles:
         self._records(analysis, snapshot.step, time, snapshot)
         self._log.flush()
 
+    def note(self, text: str) -> None:
+        """Write one line to the log."""
+        if text:
+            self._write_log(f" {text}\n")
+
     def finish(self, analysis: Analysis, seconds: float) -> None:
         """Write the totals and the line that marks a finished run."""
         counts = analysis.totals()

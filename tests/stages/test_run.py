@@ -259,7 +259,7 @@ def test_a_rigid_primary_surface_is_told_before_febio_runs(febio: Path, tmp_path
 
 
 def test_febio_runs_what_the_reader_would_refuse(febio: Path, tmp_path: Path) -> None:
-    text = (DATA / "punch.feb").read_text().replace("<Boundary>", "<Constraints/><Boundary>")
+    text = (DATA / "punch.feb").read_text().replace("<Boundary>", "<Constraints><c/></Constraints><Boundary>")
     (tmp_path / "odd.feb").write_text(text)
     assert run_file(tmp_path / "odd.feb", out=tmp_path / "out", febio=febio).data["max_force_n"] == 0.8
     with pytest.raises(CaseError, match="Constraints"):
