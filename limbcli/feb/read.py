@@ -98,6 +98,7 @@ def _read(root: Tag) -> tuple[LimbModel, frozenset[str]]:
     element_maps, node_maps, thicknesses = read_mesh_data(data, mesh)
     materials = read_materials(root.need("Material"), curve_names, element_maps)
     domains, bodies = _domains(root.need("MeshDomains"), mesh, materials)
+    _refuse_joined(root.need("MeshDomains"), bodies, mesh)
     thicknesses = {**_thicknesses(root.need("MeshDomains"), mesh), **thicknesses}
     bodies = with_centres(bodies, materials.without_centre, mesh.mesh, thicknesses)
     scene = read_loads.Scene(mesh, node_maps, bodies, curve_names, materials.by_id)
@@ -166,6 +167,19 @@ def _domains(
                 f"the <Elements> section {block.name!r} has no domain", fix="add a domain for it"
             )
     return tuple(domains), bodies
+
+
+def _refuse_joined(tag: Tag, bodies: Mapping[str, RigidBody], mesh: MeshSection) -> None:
+    """Refuse rigid bodies that share nodes: FEBio makes one body of them (FERigidSystem::CreateObjects)."""
+    owner: dict[int, str] = {}
+    for body in bodies.values():
+        cells = [block.cells.ravel() for block in mesh.mesh.blocks if block.name in body.blocks]
+        for node in np.unique(np.concatenate(cells)).tolist() if cells else []:
+            if (other := owner.setdefault(node, body.name)) != body.name:
+                raise tag.problem(
+                    f"the rigid bodies {other!r} and {body.name!r} share nodes, so that FEBio joins them",
+                    fix="give their parts one rigid material, or each its own nodes",
+                )
 
 
 def _thicknesses(tag: Tag, mesh: MeshSection) -> dict[str, Array]:

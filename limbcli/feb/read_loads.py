@@ -248,12 +248,20 @@ def _driven(tag: Tag, scene: Scene, kind: str) -> Drive:
     )
     return Drive(
         body=scene.body(tag.need("rb")),
-        dof=dofs[tag.need("dof").choice(tuple(dofs))],  # type: ignore[arg-type]
+        dof=_dof(tag.need("dof"), dofs, by_number=kind in ("force", "moment")),  # type: ignore[arg-type]
         kind=cast(Literal["displacement", "rotation", "force", "moment"], kind),
         value=value.number(attributes=("lc",)),
         curve=scene.curve(value),
         relative=flag(tag, "relative"),
     )
+
+
+def _dof(tag: Tag, dofs: Mapping[str, str], *, by_number: bool) -> str:
+    """A degree of freedom by its name; FEBio takes those of forces and moments also by number, from 0."""
+    names = tuple(dofs)
+    if by_number and tag.text in ("0", "1", "2"):
+        return dofs[names[int(tag.text)]]
+    return dofs[tag.choice(names)]
 
 
 def _spring(tag: Tag, scene: Scene) -> Spring:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 from lxml import etree
 
+from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import encoded, render
 from limbcli.feb.xml import UNITS, VERSION, is_native, model_text, open_model, units_of
+from limbcli.model import LimbModel
 
 
 @dataclass(frozen=True)
@@ -34,7 +37,7 @@ def runnable(source: Path) -> Runnable:
         version, units = root.optional("version"), units_of(root)
         said = [f"model converted from FEBio's format {version} to {VERSION}"] if version != VERSION else []
         said += [f"model scaled from {units} to {UNITS}: results are in mm, N, MPa"] if units != UNITS else []
-        return Runnable(encoded(render(read_feb(source)), source), tuple(said))
+        return Runnable(encoded(render(_readable(source)), source), tuple(said))
     text = model_text(source)
     led = root.element.findall("Output/*[@file]")
     if not led:
@@ -43,8 +46,15 @@ def runnable(source: Path) -> Runnable:
     for each in tree.findall("Output/*[@file]"):
         del each.attrib["file"]
     names = " and ".join(f"<{each.tag}>" for each in led)
-    bare: bytes = etree.tostring(tree.getroottree(), xml_declaration=True, encoding="ISO-8859-1")
     return Runnable(
-        bare,
+        cast(bytes, etree.tostring(tree.getroottree(), xml_declaration=True, encoding="ISO-8859-1")),
         (f"file name of {names} left out: a run's log is model.log, and its plot file is not kept",),
     )
+
+
+def _readable(source: Path) -> LimbModel:
+    try:
+        return read_feb(source)
+    except CaseError as error:
+        other = f"; limbcli runs files that it cannot read only in format {VERSION} and {UNITS}, with FEBio"
+        raise CaseError(error.what, where=error.where, fix=error.fix + other, **error.facts) from error

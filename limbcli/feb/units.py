@@ -29,7 +29,7 @@ _FREE = frozenset(
     {"alpha", "beta", "lam0", "phi0", "fiber", "ramp", "F0"}
     | {f"{letter}{k}" for k in range(7) for letter in "gtm"}
 )  # without units, or in s
-_UNSCALED_CONTROL = ("min_residual", "max_residual")
+_RESIDUALS = ("min_residual", "max_residual")
 _ASSUMED_DENSITY = Material("").density
 
 
@@ -147,10 +147,12 @@ class _Factors:
         )
 
     def step(self, step: Step) -> Step:
-        if found := [name for name in _UNSCALED_CONTROL if step.control.get(name)]:
-            raise _unknown(f"<{found[0]}>")
+        limits = {  # FEBio compares them with squares of forces (FESolidSolver2::Quasin)
+            name: step.control[name] * self.force**2 for name in _RESIDUALS if step.control.get(name)
+        }
         return replace(
             step,
+            control={**step.control, **limits},
             supports=tuple(self.support(each) for each in step.supports),
             drives=tuple(self.drive(each) for each in step.drives),
         )

@@ -163,6 +163,16 @@ def test_a_rigid_solid_has_the_centre_of_its_volume(changed) -> None:
     assert model.bodies[0].center_of_mass == pytest.approx(((low + high) / 2).tolist(), abs=1e-9)
 
 
+def test_rigid_bodies_that_share_nodes_are_refused(changed) -> None:
+    """FEBio makes one body of them."""
+    other = f'<material id="3" name="other" type="rigid body">{CENTRE}</material></Material>'
+    part = '<Elements type="tri3" name="other"><elem id="900">76,77,80</elem></Elements>\n<NodeSet'
+    domain = '<ShellDomain name="other" mat="other"/></MeshDomains>'
+    pairs = (("</Material>", other), ("<NodeSet", part), ("</MeshDomains>", domain))
+    with pytest.raises(CaseError, match="'probe' and 'other' share nodes"):
+        read_feb(changed(*pairs))
+
+
 def test_a_rigid_body_may_be_named_by_its_material_s_id(changed, punch: Path) -> None:
     assert_same(read_feb(changed(("<rb>probe", "<rb>2"), ("<rb>probe", "<rb>2"))), read_feb(punch))
     with pytest.raises(CaseError, match="no rigid body '1'"):
