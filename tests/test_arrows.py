@@ -18,7 +18,7 @@ SIBLINGS = {"imaging", "measurement", "meshing", "inference", "diagnostics"}
 ALLOWED: dict[str, set[str]] = {
     **{room: set() for room in SIBLINGS},
     "materials": set(),
-    "feb": {"materials"},
+    "feb": {"materials", "fem"},
     "fem": {"materials"},
     "solvers": {"feb", "fem", "materials"},
     "shear_waves": {"materials", "measurement", "solvers"},

@@ -18,7 +18,9 @@ _LAST_LINES = 12
 _STATISTICS = "N O N L I N E A R"
 _LARGEST = 1e15  # largest accepted total
 _TIME_TOLERANCE = 1e-6
-_VERSION = re.compile(r"^\s*version\s+(\d+(?:\.\d+)+)\s*$")
+# FEBio's banner (febio::Hello) and `-info` (FEBioApp): three numbers in a release, and a fourth part, the
+# commit, in a build from git (febio::getVersionString).
+_VERSION = re.compile(r"^\s*(?:FEBio )?version\s+(?:= )?(\d+(?:\.\d+)+[\w.+-]*)(?: \(DEBUG\))?\s*$")
 _CONVERGED = re.compile(r"^-+ converged at time : (\S+)")
 _BEGIN = re.compile(r"^=+ beginning time step (\d+) : (\S+) =+")
 _TOTAL = re.compile(r"^\s*(Number of|Total number of|Nr of|Total elapsed) ([a-z ]+?) \.* ?: (.+)$")

@@ -107,7 +107,7 @@ def check_belongs(log: Path, feb: Path, outline: Outline, *, by_mark: bool = Fal
 
 
 def _compare(echo: Echo, outline: Outline, log: Path) -> None:
-    n_nodes = int(np.count_nonzero(outline.nodes >= 0))
+    n_nodes = outline.n_nodes
     if echo.n_nodes != n_nodes:
         _refuse(log, f"the log reports {echo.n_nodes} nodes, the model file has {n_nodes}")
     for number, parameters in outline.materials.items():

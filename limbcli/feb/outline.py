@@ -13,9 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.errors import CaseError
+from limbcli.feb.info import read_info
 from limbcli.feb.read_mesh import Numbering
-from limbcli.feb.read_output import check_form, logged_body
-from limbcli.feb.xml import LARGEST_ID, Tag, open_model
+from limbcli.feb.read_output import check_form, is_read, listed_cells, listed_nodes, logged_body
+from limbcli.feb.rigid_primary import contacts_without_force
+from limbcli.feb.xml import LARGEST_ID, UNITS, VERSION, Tag, is_native, open_model, units_of
 from limbcli.model import IntArray, LogRecord
 
 # FEBio's numbering of output levels (FEAnalysis, FE_Output_Level).
@@ -32,11 +34,14 @@ class Outline:
 
     end_time : of the last step (s), or None if the file does not give it
     records : tables with a file of their own; `items` is the body's name, else None
-    nodes, cells : table[id] = number from 0
+    nodes, cells : table[id] = number from 0; records give nodes by number from 1, cells by id, as FEBio does
     must_points : global times listed under `<dtmax>`
     materials : numeric parameters by material id and name
     output_levels : of the steps, as FEBio numbers them
     bodies : names of the rigid bodies by material id, which their records contain
+    without_force : contacts to which FEBio gives no force at all (`rigid_primary`)
+    led_elsewhere : the file names its log or its plot file, which FEBio prefers to the run's own names
+    has_touch_frame : limbcli's own model of a site: z = 0 is the height of the probe face at first touch
     """
 
     end_time: float | None
@@ -47,11 +52,13 @@ class Outline:
     materials: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
     output_levels: tuple[int, ...] = ()
     bodies: Mapping[str, str] = field(default_factory=dict)
+    without_force: tuple[str, ...] = ()
+    led_elsewhere: bool = False
+    has_touch_frame: bool = False
 
     @property
-    def node_ids(self) -> IntArray:
-        """Ids (n_nodes,) of the nodes in the file, by number."""
-        return _ids(self.nodes)
+    def n_nodes(self) -> int:
+        return int(np.count_nonzero(self.nodes >= 0))
 
     @property
     def cell_ids(self) -> IntArray:
@@ -65,31 +72,52 @@ def read_outline(path: Path) -> Outline:
     Raises
     ------
     CaseError
-        If the file is absent, is not XML, or is not a FEBio 4.0 model.
+        If the file is absent, is not XML, or is not a FEBio 4.0 model in mm-N-s.
     """
     root = open_model(path)
+    if not is_native(root):
+        raise root.problem(
+            f"it is of format {root.optional('version')} in {units_of(root)}, not of {VERSION} in {UNITS}",
+            fix="write it anew, which converts it: write_feb(read_feb(path), other); `limbcli run` does so",
+        )
     controls = [Tag(each, path) for each in root.element.iter("Control")]
     bodies = _bodies(root)
+    nodes, cells = _table(root, "Mesh/Nodes/node"), _table(root, "Mesh/Elements/elem")
     return Outline(
         end_time=_end_time(controls),
-        records=_records(root, bodies),
-        nodes=_table(root, "Mesh/Nodes/node"),
-        cells=_table(root, "Mesh/Elements/elem"),
+        records=_records(root, bodies, nodes, cells),
+        nodes=nodes,
+        cells=cells,
         must_points=_must_points(root, controls),
         materials=_materials(root),
         output_levels=tuple(_output_level(each.child("output_level")) for each in controls),
         bodies=bodies,
+        led_elsewhere=root.element.find("Output/*[@file]") is not None,
+        without_force=contacts_without_force(root),
+        has_touch_frame="patient_from_model" in read_info(root),
     )
 
 
 def check_output(outline: Outline, path: Path) -> None:
-    """Check that FEBio writes the model's records at converged times.
+    """Check that FEBio writes the model's records at converged times, and gives its contacts a force.
 
     Raises
     ------
     CaseError
-        If it would write every iteration, or nothing at all.
+        If it would write every iteration, or nothing at all, or elsewhere, or find no contact force.
     """
+    if outline.led_elsewhere:
+        raise CaseError(
+            "<Output>: FEBio would write its log or plot file under the name that the file gives",
+            where=str(path),
+            fix='take file="..." out of <logfile> and <plotfile>; `limbcli run FILE` does so',
+        )
+    if outline.without_force:
+        raise CaseError(
+            "; ".join(outline.without_force),
+            where=str(path),
+            fix="make the soft surface the primary one, or give <auto_penalty>0</auto_penalty> and a penalty",
+        )
     levels = outline.output_levels
     if not outline.records or not levels or (_MINOR not in levels and set(levels) != {_NEVER}):
         return
@@ -182,13 +210,17 @@ def _bodies(root: Tag) -> dict[str, str]:
     }
 
 
-def _records(root: Tag, bodies: Mapping[str, str]) -> tuple[LogRecord, ...]:
+def _records(root: Tag, bodies: Mapping[str, str], nodes: IntArray, cells: IntArray) -> tuple[LogRecord, ...]:
     records = []
     for element in root.element.iterfind("Output/logfile/*"):
         tag = Tag(element, root.file)
-        if tag.name not in _KINDS or tag.optional("file") is None:
+        if not is_read(tag):
             continue
         check_form(tag)
+        if tag.name == "node_data" and tag.optional("node_set") is None:
+            listed_nodes(tag, nodes)
+        if tag.name == "element_data" and tag.optional("elem_set") is None:
+            listed_cells(tag, cells)
         fields = tuple(name.strip() for name in tag.attribute("data").split(";"))
         body = logged_body(tag, bodies) if tag.name == "rigid_body_data" else None
         records.append(LogRecord(_KINDS[tag.name], fields, tag.attribute("file"), body))  # type: ignore[arg-type]

@@ -1,32 +1,43 @@
 """Read a FEBio 4.0 model file as a `LimbModel`.
 
 Everything in the file is either represented by the model or rejected with an error that names tag, line and
-file. Only content that cannot change a result is ignored: names of boundary conditions and surface pairs, the
-physical constants of `<Globals>` (not used for solids), and comments.
+file; one error tells all that is rejected. Only content that cannot change a result is ignored: names of
+boundary conditions and surface pairs, the physical constants of `<Globals>` (not used for solids), comments,
+empty sections, output that limbcli does not read, and maps that nothing uses (listed in `info`).
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from lxml import etree
 
 from limbcli.bodies import RigidBody
 from limbcli.feb import read_loads
+from limbcli.feb.dialects import convert
+from limbcli.feb.info import read_info
+from limbcli.feb.notes import Notes
 from limbcli.feb.read_contact import read_contacts
 from limbcli.feb.read_control import read_steps
 from limbcli.feb.read_material import MaterialSection, read_materials
-from limbcli.feb.read_mesh import MeshSection, read_mesh, read_mesh_data, refuse_repeated
+from limbcli.feb.read_mesh import (
+    DEFAULT_RULES,
+    MeshSection,
+    read_mesh,
+    read_mesh_data,
+    refuse_repeated,
+)
 from limbcli.feb.read_output import read_output
-from limbcli.feb.xml import Tag, open_model
-from limbcli.model import FIBRES, Curved, Domain, ElementMap, LimbModel, Material, Mesh, Step, Surface
+from limbcli.feb.rigid_centres import with_centres
+from limbcli.feb.units import scaled, units_scale
+from limbcli.feb.xml import UNITS, Tag, drop_empty, open_model, units_of
+from limbcli.model import FIBRES, Array, Curved, Domain, ElementMap, LimbModel, Material, Mesh, Step, Surface
 
-INFO_MARK = "limbcli-info "
+IGNORED = "ignored"  # key in `info` of what was left out, since it cannot change a result; not written
+_OF_SHELLS = ("shell_thickness", "shell_normal_nodal")
 EMPTY_NODE_SETS, EMPTY_SURFACES = "empty_node_sets", "empty_surfaces"  # keys stored with `info`
 _SECTIONS = (
     "Module", "Globals", "Control", "Material", "Mesh", "MeshDomains", "MeshData", "Boundary", "Rigid",
@@ -39,7 +50,8 @@ def read_feb(path: Path | str) -> LimbModel:
 
     Parameters
     ----------
-    path : a `.feb` or `.feb.gz` file, format 4.0, units mm-N-s
+    path : a `.feb` or `.feb.gz` file, format 4.0, or 2.5 or 3.0, which are converted; in any of FEBio's unit
+        systems, which are scaled to mm-N-s
 
     Returns
     -------
@@ -55,25 +67,49 @@ def read_feb(path: Path | str) -> LimbModel:
 
     Source: FEBio user manual 4, chapter 3 (free format input).
     """
-    root = open_model(Path(path))
+    notes = Notes()
+    root = open_model(Path(path), notes)
+    units = units_of(root)
+    scale = units_scale(root)
+    convert(root)
+    model, must_curves = None, frozenset[str]()
+    with root.goes_on():
+        model, must_curves = _read(root)
+    notes.raise_refused(root.file)
+    assert model is not None
+    if units != UNITS:
+        model = scaled(model, *scale)
+    if notes.ignored:
+        model = replace(model, info={**model.info, IGNORED: list(notes.ignored)})
+    return _without_idle_curves(model, must_curves)
+
+
+def _read(root: Tag) -> tuple[LimbModel, frozenset[str]]:
+    """The model of a file of format 4.0, in the file's units, and the curves that only define must-points."""
+    drop_empty(root, _SECTIONS)
     root.allow(attributes=("version",), children=_SECTIONS)
-    _check_module(root.child("Module"))
-    _check_globals(root.child("Globals"))
+    with root.goes_on():
+        _check_module(root.child("Module"))
+    with root.goes_on():
+        _check_globals(root.child("Globals"))
     curves, curve_names = read_loads.read_curves(root.child("LoadData"))
     mesh = read_mesh(root.need("Mesh"))
     data = root.child("MeshData")
-    element_maps, node_maps = read_mesh_data(data, mesh)
+    element_maps, node_maps, thicknesses = read_mesh_data(data, mesh)
     materials = read_materials(root.need("Material"), curve_names, element_maps)
     domains, bodies = _domains(root.need("MeshDomains"), mesh, materials)
-    scene = read_loads.Scene(mesh, node_maps, bodies, curve_names)
+    _refuse_joined(root.need("MeshDomains"), bodies, mesh)
+    thicknesses = {**_thicknesses(root.need("MeshDomains"), mesh), **thicknesses}
+    bodies = with_centres(bodies, materials.without_centre, mesh.mesh, thicknesses)
+    scene = read_loads.Scene(mesh, node_maps, bodies, curve_names, materials.by_id)
     supports, ties = read_loads.read_boundary(root.child("Boundary"), scene)
     drives, springs = read_loads.read_rigid(root.child("Rigid"), scene)
     contacts = read_contacts(root.child("Contact"), scene)
     steps, must_curves = read_steps(root, scene, curves)
-    used = materials.used_maps | scene.used_maps | {FIBRES}
-    read_loads.refuse_unused({**element_maps, **node_maps}, used, data)
+    for name in {*element_maps, *node_maps} - (materials.used_maps | scene.used_maps | {FIBRES}):
+        root.ignore(f"map {name!r}, which nothing uses")
     records, plot_variables = read_output(root.child("Output"), mesh, bodies, materials.by_id)
-    info = _info(root)
+    info = read_info(root)
     if plot_variables:
         info["plot_variables"] = list(plot_variables)
     model = LimbModel(
@@ -91,7 +127,7 @@ def read_feb(path: Path | str) -> LimbModel:
         info=info,
         fibres=_fibres(element_maps),
     )
-    return _without_idle_curves(model, must_curves)
+    return model, must_curves
 
 
 def _fibres(maps: Mapping[str, ElementMap]) -> ElementMap | None:
@@ -105,16 +141,13 @@ def _check_module(tag: Tag | None) -> None:
         return
     tag.allow(attributes=("type",), children=("units",))
     if tag.attribute("type") not in ("solid", "biphasic"):
-        raise tag.problem(f"module {tag.attribute('type')!r} is not supported", fix='use type="solid"')
+        raise tag.problem(f"the module {tag.attribute('type')!r} is not supported", fix='use type="solid"')
 
 
 def _check_globals(tag: Tag | None) -> None:
     if tag is None:
         return
     tag.allow(children=("Constants",))
-    constants = tag.child("Constants")
-    if constants is not None:
-        constants.allow(children=("T", "P", "R", "Fc"))
 
 
 def _domains(
@@ -123,29 +156,66 @@ def _domains(
     tag.allow(many=("SolidDomain", "ShellDomain"))
     domains: list[Domain] = []
     bodies = dict(materials.bodies)
-    blocks = {block.name: block for block in mesh.mesh.blocks}
     refuse_repeated(tag)
     for each in tag:
-        name, material = each.attribute("name"), each.attribute("mat")
-        if name not in blocks:
-            raise each.problem(f"there is no <Elements> section {name!r}", fix="add it, or correct the name")
-        if each.name == "SolidDomain" and not blocks[name].is_solid:
-            raise each.problem(f"{name!r} holds {blocks[name].kind} shells", fix="use <ShellDomain>")
-        if material in bodies:
-            each.allow(attributes=("name", "mat"))
-            bodies[material] = replace(bodies[material], blocks=(*bodies[material].blocks, name))
-        elif material not in materials.materials:
-            raise each.problem(f"there is no material {material!r}", fix="add it, or correct the name")
-        elif each.name == "ShellDomain":
-            raise each.problem("shells of deformable material are not supported", fix="use solid elements")
-        else:
-            _refuse_other_maps(each, name, materials.materials[material])
-            domains.append(_solid_domain(each, name, material))
-    given = {domain.block for domain in domains} | {name for body in bodies.values() for name in body.blocks}
-    for name in blocks:
-        if name not in given:
-            raise tag.problem(f"the <Elements> section {name!r} has no domain", fix="add a domain for it")
+        with each.goes_on():
+            domains += _domain(each, mesh, materials, bodies)
+    given = {each.optional("name") for each in tag}
+    for block in mesh.mesh.blocks:
+        if block.name not in given:
+            raise tag.problem(
+                f"the <Elements> section {block.name!r} has no domain", fix="add a domain for it"
+            )
     return tuple(domains), bodies
+
+
+def _refuse_joined(tag: Tag, bodies: Mapping[str, RigidBody], mesh: MeshSection) -> None:
+    """Refuse rigid bodies that share nodes: FEBio makes one body of them (FERigidSystem::CreateObjects)."""
+    owner: dict[int, str] = {}
+    for body in bodies.values():
+        cells = [block.cells.ravel() for block in mesh.mesh.blocks if block.name in body.blocks]
+        for node in np.unique(np.concatenate(cells)).tolist() if cells else []:
+            if (other := owner.setdefault(node, body.name)) != body.name:
+                raise tag.problem(
+                    f"the rigid bodies {other!r} and {body.name!r} share nodes, so that FEBio joins them",
+                    fix="give their parts one rigid material, or each its own nodes",
+                )
+
+
+def _thicknesses(tag: Tag, mesh: MeshSection) -> dict[str, Array]:
+    """<shell_thickness> of whole parts, for each of their cells."""
+    given = {each.optional("name"): each.child("shell_thickness") for each in tag.all("ShellDomain")}
+    return {
+        block.name: np.full(len(block.cells), found.number())
+        for block in mesh.mesh.blocks
+        if (found := given.get(block.name)) is not None
+    }
+
+
+def _domain(
+    tag: Tag, mesh: MeshSection, materials: MaterialSection, bodies: dict[str, RigidBody]
+) -> list[Domain]:
+    """The domain of a deformable part; a rigid one is added to its body in `bodies`."""
+    name, material = tag.attribute("name"), tag.attribute("mat")
+    block = next((each for each in mesh.mesh.blocks if each.name == name), None)
+    if block is None:
+        raise tag.problem(
+            f"there is no <Elements> section {name!r}", fix="add it, or correct the name", follows=True
+        )
+    if tag.name == "SolidDomain" and not block.is_solid:
+        raise tag.problem(f"{name!r} holds {block.kind} shells", fix="use <ShellDomain>")
+    if material in bodies:  # rigid: neither formulation nor integration matters
+        tag.allow(attributes=("name", "mat", "type", "elem_type"), children=_OF_SHELLS)
+        bodies[material] = replace(bodies[material], blocks=(*bodies[material].blocks, name))
+        return []
+    if material not in materials.materials:
+        raise tag.problem(
+            f"there is no material {material!r}", fix="add it, or correct the name", follows=True
+        )
+    if tag.name == "ShellDomain":
+        raise tag.problem("shells of deformable material are not supported", fix="use solid elements")
+    _refuse_other_maps(tag, name, materials.materials[material])
+    return [_solid_domain(tag, name, material, mesh.rules.get(name))]
 
 
 def _refuse_other_maps(tag: Tag, block: str, material: Material) -> None:
@@ -160,8 +230,11 @@ def _refuse_other_maps(tag: Tag, block: str, material: Material) -> None:
         _refuse_other_maps(tag, block, part)
 
 
-def _solid_domain(tag: Tag, name: str, material: str) -> Domain:
-    """A domain, with FEBio's element formulation if `type` or `elem_type` names one."""
+def _solid_domain(tag: Tag, name: str, material: str, of_elements: str | None) -> Domain:
+    """A domain, with FEBio's element formulation if `type` or `elem_type` names one.
+
+    of_elements : the integration rule that the type of its <Elements> section names
+    """
     rule = tag.optional("type")
     if rule == "ut4-solid":
         tag.allow(attributes=("name", "mat", "type"), children=("alpha", "iso_stab"))
@@ -170,7 +243,8 @@ def _solid_domain(tag: Tag, name: str, material: str) -> Domain:
     if rule not in (None, "elastic-solid"):
         raise tag.problem(f"the domain type {rule!r} is not supported", fix="leave it out, or use ut4-solid")
     element = tag.optional("elem_type")
-    return Domain(name, material, None if element == "default" else element)
+    element = of_elements if element in (None, "default") else element
+    return Domain(name, material, None if element in DEFAULT_RULES else element)
 
 
 def _without_idle_curves(model: LimbModel, must_curves: frozenset[str]) -> LimbModel:
@@ -206,18 +280,3 @@ def _with_empty_sets(mesh: Mesh, info: dict[str, Any]) -> Mesh:
     nodes = {str(name): np.zeros(0, dtype=np.int64) for name in info.pop(EMPTY_NODE_SETS, ())}
     surfaces = {str(name): Surface(str(name), {}) for name in info.pop(EMPTY_SURFACES, ())}
     return replace(mesh, node_sets={**mesh.node_sets, **nodes}, surfaces={**mesh.surfaces, **surfaces})
-
-
-def _info(root: Tag) -> dict[str, Any]:
-    """Information that limbcli's writer stored in a comment at the top of the file."""
-    for comment in root.element.iterchildren(etree.Comment):
-        text = (comment.text or "").strip()
-        if text.startswith(INFO_MARK):
-            try:
-                found: Mapping[str, Any] = json.loads(text.removeprefix(INFO_MARK))
-                return dict(found)
-            except ValueError as error:
-                raise Tag(root.element, root.file).problem(
-                    f"the comment '{INFO_MARK.strip()}' cannot be read ({error})", fix="remove that comment"
-                ) from error
-    return {}

@@ -31,7 +31,11 @@ def read_contacts(tag: Tag | None, scene: Scene) -> tuple[Contact, ...]:
         return ()
     tag.allow(many=("contact",))
     refuse_repeated(tag)
-    return tuple(_contact(each, scene) for each in tag)
+    found = []
+    for each in tag:
+        with each.goes_on():
+            found.append(_contact(each, scene))
+    return tuple(found)
 
 
 def _contact(tag: Tag, scene: Scene) -> Contact:
@@ -44,7 +48,9 @@ def _contact(tag: Tag, scene: Scene) -> Contact:
     )
     pair = tag.attribute("surface_pair")
     if pair not in scene.mesh.pairs:
-        raise tag.problem(f"there is no surface pair {pair!r}", fix="add it to <Mesh>, or correct the name")
+        raise tag.problem(
+            f"there is no surface pair {pair!r}", fix="add it to <Mesh>, or correct the name", follows=True
+        )
     primary, secondary = scene.mesh.pairs[pair]
     numbers = dict(CONTACT_DEFAULTS)
     for name in CONTACT_DEFAULTS:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, cast
 
 from limbcli.feb.read_loads import Scene, read_boundary, read_rigid
-from limbcli.feb.xml import Tag
+from limbcli.feb.xml import Tag, drop_empty
 from limbcli.model import Curve, Step
 
 # FEBio's defaults for missing tags in <time_stepper> (FETimeStepController).
@@ -30,6 +30,7 @@ OUTPUT_CONTROL = {
     "plot_level": _TEXT, "plot_range": _TEXT, "plot_zero_state": _WHOLE, "plot_stride": _WHOLE,
     "output_level": _TEXT, "output_stride": _WHOLE, "adaptor_re_solve": _WHOLE,
 }  # fmt: skip
+_OF_STEP = ("Control", "Boundary", "Rigid")
 _TIME_DIGITS = 12
 
 
@@ -52,7 +53,7 @@ def read_steps(
     """
     control, several = root.child("Control"), root.child("Step")
     context = _Context(scene, curves, 0.0, set())
-    if several is None:
+    if several is None or several.is_empty:
         if control is None:
             raise root.problem("there is neither <Control> nor <Step>", fix="add <Control>")
         return (_step(control, None, context),), frozenset(context.must_curves)
@@ -63,7 +64,8 @@ def read_steps(
     several.allow(many=("step",))
     steps: list[Step] = []
     for each in several:
-        each.allow(attributes=("id", "name", "type"), children=("Control", "Boundary", "Rigid"))
+        drop_empty(each, _OF_STEP)
+        each.allow(attributes=("id", "name", "type"), children=_OF_STEP)
         steps.append(_step(each.need("Control"), each, context))
         end = context.start + steps[-1].n_steps * steps[-1].step_size
         context = replace(context, start=round(end, _TIME_DIGITS))
@@ -82,7 +84,8 @@ def _step(tag: Tag, owner: Tag | None, context: _Context) -> Step:
         fields, more = _stepper(stepper, context)
         control |= more
     loads = _loads(owner, context.scene) if owner else {}
-    kind = analysis.choice(("STATIC", "TRANSIENT")).lower() if analysis else "static"
+    given = analysis.choice(("STATIC", "TRANSIENT", "DYNAMIC")) if analysis else "STATIC"
+    kind = "static" if given == "STATIC" else "transient"  # FEBio's DYNAMIC is another name of TRANSIENT
     return Step(
         n_steps=_positive(tag.need("time_steps")).integer(),
         step_size=_positive(tag.need("step_size")).number(),

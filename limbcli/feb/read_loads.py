@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, cast
 
 from limbcli.bodies import Drive, RigidBody, Spring
-from limbcli.errors import CaseError
 from limbcli.feb.read_mesh import MeshSection
 from limbcli.feb.xml import Tag
 from limbcli.model import Curve, NodeMap, Support
@@ -15,17 +14,25 @@ from limbcli.model import Curve, NodeMap, Support
 _INTERPOLATIONS = ("linear", "step", "smooth")
 _EXTENSIONS = ("constant", "extrapolate", "repeat", "repeat offset")
 _DISPLACEMENTS = ("x", "y", "z")
+_CONDITIONS = {
+    "zero displacement": tuple(f"{dof}_dof" for dof in _DISPLACEMENTS),
+    "prescribed displacement": ("dof", "value", "relative"),
+    "zero fluid pressure": (),
+    "rigid": ("rb", "clamp_shells"),
+}
+_OF_SHELLS = ("zero rotation", "zero shell displacement")
 _RIGID_DOFS = {"Rx": "x", "Ry": "y", "Rz": "z", "Ru": "u", "Rv": "v", "Rw": "w"}
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What loads refer to: the mesh, the node maps, the bodies, and the curves by id."""
+    """What loads refer to: the mesh, the node maps, the bodies, and curves and materials by id."""
 
     mesh: MeshSection
     node_maps: Mapping[str, NodeMap]
     bodies: Mapping[str, RigidBody]
     curves: Mapping[str, str]
+    materials: Mapping[str, str] = field(default_factory=dict)
     used_maps: set[str] = field(default_factory=set)
 
     def curve(self, tag: Tag) -> str | None:
@@ -33,15 +40,19 @@ class Scene:
         if name is None:
             return None
         if name not in self.curves:
-            raise tag.problem(f"there is no load controller {name}", fix="add it to <LoadData>")
+            raise tag.problem(f"there is no load controller {name}", fix="add it to <LoadData>", follows=True)
         return self.curves[name]
 
     def body(self, tag: Tag) -> str:
-        if tag.text not in self.bodies:
+        """The rigid body, named or given by its material's id (FEBio, FEFileSection::parseEnumParam)."""
+        name = self.materials.get(tag.text, tag.text) if tag.text.isdigit() else tag.text
+        if name not in self.bodies:
             raise tag.problem(
-                f"there is no rigid body {tag.text!r}", fix=f"name one of {sorted(self.bodies)}, or add it"
+                f"there is no rigid body {tag.text!r}",
+                fix=f"name one of {sorted(self.bodies)}, or add it",
+                follows=True,
             )
-        return tag.text
+        return name
 
 
 # ---------------------------------------------------------------- LoadData
@@ -55,20 +66,25 @@ def read_curves(tag: Tag | None) -> tuple[dict[str, Curve], dict[str, str]]:
         return curves, by_id
     tag.allow(many=("load_controller",))
     for number, each in enumerate(tag, start=1):
-        each.allow(attributes=("id", "name", "type"), children=("interpolate", "extend", "points"))
-        if each.attribute("id") != str(number):
-            raise each.problem(
-                f"id {each.attribute('id')} where {number} was expected",
-                fix="number load controllers from 1 without gaps",
-            )
-        if each.attribute("type") != "loadcurve":
-            raise each.problem(f"type {each.attribute('type')!r} is not supported", fix="use a loadcurve")
-        name = each.optional("name") or f"curve_{number}"
-        if name in curves:
-            raise each.problem(f"two load controllers are named {name!r}", fix="name them differently")
-        curves[name] = _curve(each)
-        by_id[str(number)] = name
+        with each.goes_on():
+            name, curve = _controller(each, number)
+            if name in curves:
+                raise each.problem(f"two load controllers are named {name!r}", fix="name them differently")
+            curves[name] = curve
+            by_id[str(number)] = name
     return curves, by_id
+
+
+def _controller(tag: Tag, number: int) -> tuple[str, Curve]:
+    if tag.attribute("id") != str(number):
+        raise tag.problem(
+            f"id {tag.attribute('id')} where {number} was expected",
+            fix="number load controllers from 1 without gaps",
+        )
+    if tag.attribute("type") != "loadcurve":
+        raise tag.problem(f"type {tag.attribute('type')!r} is not supported", fix="use a loadcurve")
+    tag.allow(attributes=("id", "name", "type"), children=("interpolate", "extend", "points"))
+    return tag.optional("name") or f"curve_{number}", _curve(tag)
 
 
 def _curve(tag: Tag) -> Curve:
@@ -110,27 +126,31 @@ def read_boundary(tag: Tag | None, scene: Scene) -> tuple[tuple[Support, ...], l
         return (), ties
     tag.allow(many=("bc",))
     for each in tag:
-        kind = each.attribute("type")
-        attributes = ("name", "type", "node_set")
-        node_set = scene.mesh.node_set(each, each.attribute("node_set"))
-        if kind == "zero displacement":
-            each.allow(attributes=attributes, children=[f"{dof}_dof" for dof in _DISPLACEMENTS])
-            supports.append(Support(node_set, _switched_on(each, "{}_dof", _DISPLACEMENTS)))
-        elif kind == "prescribed displacement":
-            each.allow(attributes=attributes, children=("dof", "value", "relative"))
-            supports.append(_prescribed(each, node_set, scene))
-        elif kind == "zero fluid pressure":
-            each.allow(attributes=attributes)
-            supports.append(Support(node_set, ("p",)))
-        elif kind == "rigid":
-            each.allow(attributes=attributes, children=("rb",))
-            ties.append((scene.body(each.need("rb")), node_set))
-        else:
-            raise each.problem(
-                f"a boundary condition of type {kind!r} is not supported",
-                fix="use zero displacement, prescribed displacement or rigid",
-            )
+        with each.goes_on():
+            _boundary_condition(each, scene, supports, ties)
     return tuple(supports), ties
+
+
+def _boundary_condition(tag: Tag, scene: Scene, supports: list[Support], ties: list[tuple[str, str]]) -> None:
+    kind = tag.attribute("type")
+    if kind in _OF_SHELLS:
+        tag.ignore(f"boundary conditions of type {kind!r}, as there are no deformable shells")
+        return
+    if kind not in _CONDITIONS:
+        raise tag.problem(
+            f"a boundary condition of type {kind!r} is not supported",
+            fix="use zero displacement, prescribed displacement or rigid",
+        )
+    tag.allow(attributes=("name", "type", "node_set"), children=_CONDITIONS[kind])
+    node_set = scene.mesh.node_set(tag, tag.attribute("node_set"))
+    if kind == "zero displacement":
+        supports.append(Support(node_set, _switched_on(tag, "{}_dof", _DISPLACEMENTS)))
+    elif kind == "prescribed displacement":
+        supports.append(_prescribed(tag, node_set, scene))
+    elif kind == "zero fluid pressure":
+        supports.append(Support(node_set, ("p",)))
+    else:
+        ties.append((scene.body(tag.need("rb")), node_set))
 
 
 def _switched_on(tag: Tag, pattern: str, names: tuple[str, ...]) -> tuple[str, ...]:
@@ -185,18 +205,19 @@ def read_rigid(tag: Tag | None, scene: Scene) -> tuple[tuple[Drive, ...], tuple[
         return (), ()
     tag.allow(many=("rigid_bc", "rigid_load", "rigid_connector"))
     for each in tag:
-        kind = each.attribute("type")
-        if kind == "rigid_fixed":
-            drives += _fixed(each, scene)
-        elif kind in ("rigid_displacement", "rigid_rotation") or kind in ("rigid_force", "rigid_moment"):
-            drives.append(_driven(each, scene, kind.removeprefix("rigid_")))
-        elif kind == "rigid spring":
-            springs.append(_spring(each, scene))
-        else:
-            raise each.problem(
-                f"type {kind!r} is not supported",
-                fix="use rigid_fixed, rigid_ displacement, rotation, force or moment, or a rigid spring",
-            )
+        with each.goes_on():
+            kind = each.attribute("type")
+            if kind == "rigid_fixed":
+                drives += _fixed(each, scene)
+            elif kind in ("rigid_displacement", "rigid_rotation", "rigid_force", "rigid_moment"):
+                drives.append(_driven(each, scene, kind.removeprefix("rigid_")))
+            elif kind == "rigid spring":
+                springs.append(_spring(each, scene))
+            else:
+                raise each.problem(
+                    f"type {kind!r} is not supported",
+                    fix="use rigid_fixed, rigid_ displacement, rotation, force or moment, or a rigid spring",
+                )
     return tuple(drives), tuple(springs)
 
 
@@ -227,12 +248,20 @@ def _driven(tag: Tag, scene: Scene, kind: str) -> Drive:
     )
     return Drive(
         body=scene.body(tag.need("rb")),
-        dof=dofs[tag.need("dof").choice(tuple(dofs))],  # type: ignore[arg-type]
+        dof=_dof(tag.need("dof"), dofs, by_number=kind in ("force", "moment")),  # type: ignore[arg-type]
         kind=cast(Literal["displacement", "rotation", "force", "moment"], kind),
         value=value.number(attributes=("lc",)),
         curve=scene.curve(value),
         relative=flag(tag, "relative"),
     )
+
+
+def _dof(tag: Tag, dofs: Mapping[str, str], *, by_number: bool) -> str:
+    """A degree of freedom by its name; FEBio takes those of forces and moments also by number, from 0."""
+    names = tuple(dofs)
+    if by_number and tag.text in ("0", "1", "2"):
+        return dofs[names[int(tag.text)]]
+    return dofs[tag.choice(names)]
 
 
 def _spring(tag: Tag, scene: Scene) -> Spring:
@@ -258,16 +287,3 @@ def tie(bodies: Mapping[str, RigidBody], ties: list[tuple[str, str]]) -> dict[st
     for body, node_set in ties:
         tied[body] = replace(tied[body], node_sets=(*tied[body].node_sets, node_set))
     return tied
-
-
-def refuse_unused(maps: Mapping[str, object], used: set[str] | frozenset[str], tag: Tag | None) -> None:
-    """Reject a map that nothing uses, as it would be lost silently."""
-    for name in maps:
-        if name not in used and tag is not None:
-            raise CaseError(
-                f"the map {name!r} in <MeshData> is not used",
-                where=f"{tag.file}, line {tag.line}",
-                fix="remove it, or refer to it",
-                tag="MeshData",
-                line=tag.line,
-            )

@@ -13,16 +13,20 @@ from limbcli.feb.law_tags import LawTag, lame, law_tags, tag_of_febio
 from limbcli.feb.xml import Tag
 from limbcli.model import Curved, ElementMap, Material, Value
 
+_DEFAULTS = {"pressure_model": ("0", "default")}  # FEBio's own value of what laws do not have
 _DEFAULT_DENSITY = 1e-9
 _UNIT_TOLERANCE = 1e-12  # deviation of a length from 1 that counts as round-off; the vector is left unchanged
 
 
 @dataclass(frozen=True, eq=False)
 class MaterialSection:
+    """without_centre : the bodies whose centre of mass FEBio computes from the mesh"""
+
     materials: Mapping[str, Material]
     bodies: Mapping[str, RigidBody]
     by_id: Mapping[str, str]
     used_maps: frozenset[str]
+    without_centre: frozenset[str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,28 +42,44 @@ def read_materials(tag: Tag, curves: Mapping[str, str], maps: Mapping[str, Eleme
     materials: dict[str, Material] = {}
     bodies: dict[str, RigidBody] = {}
     by_id: dict[str, str] = {}
+    without_centre: set[str] = set()
     for number, each in enumerate(tag, start=1):
-        if each.attribute("id") != str(number):
-            raise each.problem(
-                f"id {each.attribute('id')} where {number} was expected",
-                fix="number materials from 1 without gaps",
-            )
-        name = each.optional("name") or f"material_{number}"
-        if name in materials or name in bodies:
-            raise each.problem(f"two materials are named {name!r}", fix="name every material differently")
-        by_id[str(number)] = name
-        if each.attribute("type") == "rigid body":
-            bodies[name] = _rigid_body(each, name)
-        else:
-            materials[name] = _material(each, names, attributes=("id", "name", "type"))
-    return MaterialSection(materials, bodies, by_id, frozenset(names.used_maps))
+        with each.goes_on():
+            if each.attribute("id") != str(number):
+                raise each.problem(
+                    f"id {each.attribute('id')} where {number} was expected",
+                    fix="number materials from 1 without gaps",
+                )
+            name = each.optional("name") or f"material_{number}"
+            if name in by_id.values():
+                raise each.problem(f"two materials are named {name!r}", fix="name every material differently")
+            by_id[str(number)] = name
+            if each.attribute("type") == "rigid body":
+                bodies[name], has_centre = _rigid_body(each, name)
+                without_centre |= set() if has_centre else {name}
+            else:
+                materials[name] = _material(each, names, attributes=("id", "name", "type"))
+    return MaterialSection(materials, bodies, by_id, frozenset(names.used_maps), frozenset(without_centre))
 
 
-def _rigid_body(tag: Tag, name: str) -> RigidBody:
-    # FEBio uses E and v of a rigid body only for auto_penalty of a rigid primary surface, not supported here.
-    tag.allow(attributes=("id", "name", "type"), children=("density", "center_of_mass", "E", "v"))
-    center = tag.need("center_of_mass").numbers(3)
-    return RigidBody(name=name, center_of_mass=(center[0], center[1], center[2]), density=_density(tag))
+def _rigid_body(tag: Tag, name: str) -> tuple[RigidBody, bool]:
+    """(body, whether the file gives its centre of mass).
+
+    Of <override_com> and <center_of_mass> the later one decides: the latter switches the former on (FEBio,
+    FERigidMaterial). E and v of a rigid body matter only for auto_penalty of a rigid primary surface, which
+    is not supported here.
+    """
+    tag.allow(
+        attributes=("id", "name", "type"), children=("density", "center_of_mass", "override_com", "E", "v")
+    )
+    center, given = (0.0, 0.0, 0.0), False
+    for each in tag:
+        if each.name == "center_of_mass":
+            x, y, z = each.numbers(3)
+            center, given = (x, y, z), True
+        elif each.name == "override_com":
+            given = each.flag()
+    return RigidBody(name=name, center_of_mass=center, density=_density(tag)), given
 
 
 def _density(tag: Tag) -> float:
@@ -78,6 +98,7 @@ def _material(tag: Tag, names: _Names, *, attributes: tuple[str, ...] = ("type",
     children += ["E", "v"] if law.elastic_constants else []
     children += ["fiber"] if law.fiber else []
     children += ["density"] if law.has_density else []
+    children += [each.name for each in tag if each.text in _DEFAULTS.get(each.name, ())]
     children += {"prestrain": ["prestrain"], "biphasic": ["permeability"]}.get(law.law, [])
     tag.allow(attributes=attributes, children=children, many=(law.part,) if law.part else ())
     return Material(
@@ -91,13 +112,18 @@ def _material(tag: Tag, names: _Names, *, attributes: tuple[str, ...] = ("type",
 def _parts(tag: Tag, law: LawTag, names: _Names) -> tuple[Material, ...]:
     if law.part is None:
         return ()
-    parts = tuple(_material(each, names) for each in tag.all(law.part))
+    parts = []
+    for each in tag.all(law.part):
+        with each.goes_on():
+            parts.append(_material(each, names))
+    if tag.all(law.part) and len(parts) < len(tag.all(law.part)):
+        return ()  # what is wrong with them has been noted
     if not parts or (law.n_parts is not None and len(parts) != law.n_parts):
         raise tag.problem(
             f"it has {len(parts)} <{law.part}>, not {law.n_parts or 'one or more'}",
             fix=f"correct its <{law.part}>",
         )
-    return parts
+    return tuple(parts)
 
 
 def _parameters(tag: Tag, law: LawTag, names: _Names) -> dict[str, Value]:
@@ -130,13 +156,13 @@ def _value(tag: Tag, names: _Names) -> Value:
     if curve is None:
         return value
     if curve not in names.curves:
-        raise tag.problem(f"there is no load controller {curve}", fix="add it to <LoadData>")
+        raise tag.problem(f"there is no load controller {curve}", fix="add it to <LoadData>", follows=True)
     return Curved(value, names.curves[curve])
 
 
 def _map(tag: Tag, name: str, names: _Names, *, vectors: bool = False) -> ElementMap:
     if name not in names.maps:
-        raise tag.problem(f"there is no element map {name!r}", fix="add it to <MeshData>")
+        raise tag.problem(f"there is no element map {name!r}", fix="add it to <MeshData>", follows=True)
     if (names.maps[name].values.ndim == 2) != vectors:
         kind = "vec3" if vectors else "scalar"
         raise tag.problem(f"the map {name!r} is not one of {kind}s", fix=f'name a map of data_type="{kind}"')

@@ -4,13 +4,24 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from limbcli.feb.xml import LARGEST_ID, Tag
 from limbcli.model import NODES_PER_CELL, Array, Block, ElementMap, IntArray, Mesh, NodeMap, Surface
 
+# Element types that name their integration rule too, as FEBio takes them (FEModelBuilder::ElementSpec); the
+# rules of the second group are those of the plain types.
+TYPES_WITH_RULE = {
+    "TET10G4": "tet10",
+    "TET10G8": "tet10", "TET10G8_S7": "tet10", "HEX8G8": "hex8",
+    "QUAD4G8": "quad4", "TRI3G6": "tri3", "tri3s": "tri3", "q4s": "quad4", "q4ans": "quad4", "q4eas": "quad4",
+}  # fmt: skip
+DEFAULT_RULES = (None, "TET10G8", "TET10G8_S7", "HEX8G8")
+_SECTIONS = (
+    "Nodes", "Elements", "NodeSet", "Surface", "SurfacePair", "ElementSet", "Edge", "PartList", "DiscreteSet",
+)  # fmt: skip
 _FACETS = ("tri3", "tri6", "quad4")
 _NAMES = (
     ("Nodes", "NodeSet"),
@@ -43,24 +54,73 @@ class Numbering:
             missing = int(ids.ravel()[at])
             tag = _row(tag, at // ids.shape[1]) if ids.ndim == 2 and len(list(tag)) == len(ids) else tag
             raise tag.problem(
-                f"there is no {kind} {missing}", fix=f"name only {kind}s that the <Mesh> defines"
+                f"there is no {kind} {missing}",
+                fix=f"name only {kind}s that the <Mesh> defines",
+                follows=True,
             )
         return numbers
 
 
 @dataclass(frozen=True, eq=False)
 class MeshSection:
-    """The mesh and its named parts, to which other sections refer."""
+    """The mesh and its named parts, to which other sections refer.
+
+    element_sets : cells by name; of part lists, "@part_list:NAME"
+    edges : nodes of <Edge> sections; unlisted : nodes of the named <Nodes> sections
+    rules : integration rule by block, of sections whose type names one
+    """
 
     mesh: Mesh
     numbering: Numbering
     pairs: Mapping[str, tuple[str, str]]
     element_sets: Mapping[str, IntArray] = field(default_factory=dict)
+    edges: Mapping[str, IntArray] = field(default_factory=dict)
+    unlisted: Mapping[str, IntArray] = field(default_factory=dict)
+    rules: Mapping[str, str] = field(default_factory=dict)
 
     def node_set(self, tag: Tag, name: str) -> str:
-        if name not in self.mesh.node_sets:
-            raise tag.problem(f"there is no node set {name!r}", fix="add it to <Mesh>, or correct the name")
-        return name
+        """The node set of this name; one that FEBio makes of something else is added to the mesh."""
+        sets = self.mesh.node_sets
+        if name in sets:
+            return name
+        kind, _, source = name.rpartition(":") if name.startswith("@") else ("", "", name)
+        nodes = self._nodes_of(tag, kind, source)
+        if nodes is None:
+            raise tag.problem(
+                f"there is no node set {name!r}", fix="add it to <Mesh>, or correct the name", follows=True
+            )
+        if kind != "@part_list" and source in sets:
+            return source
+        made = source if kind != "@part_list" else f"nodes of {source}"
+        while made in sets and not np.array_equal(sets[made], nodes):
+            made = f"{made} again"
+        assert isinstance(sets, dict)
+        sets.setdefault(made, nodes)
+        return made
+
+    def _nodes_of(self, tag: Tag, kind: str, name: str) -> IntArray | None:
+        """Nodes of what a reference with @ names, in the order of first appearance; of a <Nodes> section.
+
+        Source: FEBio 4.11, FEModelBuilder::FindNodeSet. A node set of the same name goes first there.
+        """
+        if kind == "@surface" and name in self.mesh.surfaces:
+            return _each_once(self.mesh.surfaces[name].facets.values())
+        if kind == "@edge" and name in self.edges:
+            return _each_once([self.edges[name]])
+        if kind == "@elem_set":
+            return self._nodes_of_cells(self.element_set(tag, name))
+        if kind == "@part_list":
+            return self._nodes_of_cells(self.element_set(tag, f"{kind}:{name}"))
+        return self.unlisted.get(name) if not kind else None
+
+    def _nodes_of_cells(self, cells: IntArray) -> IntArray:
+        rows: list[IntArray] = []
+        ends = np.cumsum([len(block.cells) for block in self.mesh.blocks])
+        for cell in cells.tolist():
+            k = int(np.searchsorted(ends, cell, side="right"))
+            block = self.mesh.blocks[k]
+            rows.append(block.cells[cell - int(ends[k]) + len(block.cells)])
+        return _each_once(rows)
 
     def element_set(self, tag: Tag, name: str) -> IntArray:
         """Cells of an element set or a whole part, numbered over all blocks."""
@@ -71,7 +131,9 @@ class MeshSection:
             if block.name == name:
                 return start + np.arange(len(block.cells))
             start += len(block.cells)
-        raise tag.problem(f"there is no element set {name!r}", fix="add it to <Mesh>, or correct the name")
+        raise tag.problem(
+            f"there is no element set {name!r}", fix="add it to <Mesh>, or correct the name", follows=True
+        )
 
     def block_of(self, tag: Tag, elem_set: str) -> str:
         """The block whose cells the element set lists completely and in order."""
@@ -85,24 +147,52 @@ class MeshSection:
         raise tag.problem(
             f"the element set {elem_set!r} is not a whole <Elements> section",
             fix="define the map over a whole part",
+            follows=True,
         )
 
 
+def _each_once(rows: Iterable[IntArray]) -> IntArray:
+    nodes = np.concatenate([np.asarray(each).ravel() for each in rows] or [np.zeros(0, dtype=np.int64)])
+    _, first = np.unique(nodes, return_index=True)
+    return np.asarray(nodes[np.sort(first)])
+
+
 def read_mesh(tag: Tag) -> MeshSection:
-    tag.allow(many=("Nodes", "Elements", "NodeSet", "Surface", "SurfacePair", "ElementSet"))
+    tag.allow(many=_SECTIONS)
     for kinds in _NAMES:
         refuse_repeated([each for each in tag if each.name in kinds])
-    node_ids, points = _nodes(tag)
+    node_ids, points, unlisted = _nodes(tag)
     node_table = Numbering.of(node_ids)
-    blocks, cell_ids = _blocks(tag, node_table)
+    blocks, cell_ids, rules = _blocks(tag, node_table)
     numbering = Numbering(node_table, Numbering.of(cell_ids))
     surfaces = _surfaces(tag, node_table)
     mesh = Mesh(points=points, blocks=blocks, node_sets=_node_sets(tag, node_table), surfaces=surfaces)
-    sets = {}
+    section = MeshSection(
+        mesh, numbering, _pairs(tag, surfaces), {}, _edges(tag, node_table), unlisted, rules
+    )
+    sets: dict[str, IntArray] = {}
     for each in tag.all("ElementSet"):
         each.allow(attributes=("name",))
-        sets[each.attribute("name")] = Numbering.look_up(numbering.cells, each.ids(), each, "element")
-    return MeshSection(mesh, numbering, _pairs(tag, surfaces), sets)
+        with each.goes_on():
+            sets[each.attribute("name")] = Numbering.look_up(numbering.cells, each.ids(), each, "element")
+    for each in tag.all("PartList"):
+        each.allow(attributes=("name",))
+        with each.goes_on():
+            parts = [section.element_set(each, name.strip()) for name in each.text.split(",")]
+            sets[f"@part_list:{each.attribute('name')}"] = np.concatenate(parts)
+    if tag.child("DiscreteSet") is not None:
+        tag.ignore("<DiscreteSet>, which only <Discrete> uses")
+    return replace(section, element_sets=sets)
+
+
+def _edges(tag: Tag, node_table: IntArray) -> dict[str, IntArray]:
+    found = {}
+    for each in tag.all("Edge"):
+        each.allow(attributes=("name",), many=("line2", "line3"))
+        with each.goes_on():
+            rows = [Numbering.look_up(node_table, line.ids(), line, "node") for line in each]
+            found[each.attribute("name")] = np.concatenate(rows or [np.zeros(0, dtype=np.int64)])
+    return found
 
 
 def refuse_repeated(tags: Iterable[Tag]) -> None:
@@ -118,34 +208,49 @@ def refuse_repeated(tags: Iterable[Tag]) -> None:
             )
 
 
-def _nodes(tag: Tag) -> tuple[IntArray, Array]:
-    tables = []
+def _nodes(tag: Tag) -> tuple[IntArray, Array, dict[str, IntArray]]:
+    """Ids, points, and the nodes (from 0) of each named section."""
+    tables, named, start = [], {}, 0
     for each in tag.all("Nodes"):
         each.allow(attributes=("name",), many=("node",))
         tables.append(each.table(("node",), 3, "id"))
         _check_ids(tables[-1][0], each)
+        named[each.optional("name") or ""] = start + np.arange(len(tables[-1][0]))
+        start += len(tables[-1][0])
     if not tables:
         raise tag.problem("<Nodes> is missing inside it", fix="add <Nodes>")
     ids = np.concatenate([table[0] for table in tables])
     if len(np.unique(ids)) != len(ids) or ids.min(initial=1) < 1:
         raise tag.problem("node ids are repeated or below 1", fix="number the nodes from 1")
-    return ids, np.concatenate([table[1] for table in tables])
+    named.pop("", None)
+    return ids, np.concatenate([table[1] for table in tables]), named
 
 
-def _blocks(tag: Tag, node_table: IntArray) -> tuple[tuple[Block, ...], IntArray]:
-    blocks, ids = [], []
+def _blocks(tag: Tag, node_table: IntArray) -> tuple[tuple[Block, ...], IntArray, dict[str, str]]:
+    """Blocks, ids of their cells, and the integration rules that types name, by block.
+
+    Such a type also sets the rule of all later sections of this shape (FEBio, FEModelBuilder::ElementSpec).
+    """
+    blocks, ids, rules = [], [], {}
+    rule_of_kind: dict[str, str] = {}
     for each in tag.all("Elements"):
-        each.allow(attributes=("type", "name"), many=("elem",))
-        kind = each.attribute("type")
-        if kind not in NODES_PER_CELL:
-            raise each.problem(
-                f"element type {kind!r} is not supported", fix=f"use one of {list(NODES_PER_CELL)}"
-            )
-        cell_ids, cells = each.table(("elem",), NODES_PER_CELL[kind], "id")
-        _check_ids(cell_ids, each)
-        numbers = Numbering.look_up(node_table, _whole(cells, each), each, "node")
-        blocks.append(Block(each.attribute("name"), kind, numbers))  # type: ignore[arg-type]
-        ids.append(cell_ids)
+        with each.goes_on():
+            each.allow(attributes=("type", "name"), many=("elem",))
+            named = each.attribute("type")
+            kind = TYPES_WITH_RULE.get(named, named)
+            if kind not in NODES_PER_CELL:
+                raise each.problem(
+                    f"element type {named!r} is not supported", fix=f"use one of {list(NODES_PER_CELL)}"
+                )
+            if kind != named:
+                rule_of_kind[kind] = named
+            cell_ids, cells = each.table(("elem",), NODES_PER_CELL[kind], "id")
+            _check_ids(cell_ids, each)
+            numbers = Numbering.look_up(node_table, _whole(cells, each), each, "node")
+            blocks.append(Block(each.attribute("name"), kind, numbers))  # type: ignore[arg-type]
+            ids.append(cell_ids)
+            if kind in rule_of_kind:
+                rules[each.attribute("name")] = rule_of_kind[kind]
     names = [block.name for block in blocks]
     if len(set(names)) != len(names):
         raise tag.problem(
@@ -154,7 +259,7 @@ def _blocks(tag: Tag, node_table: IntArray) -> tuple[tuple[Block, ...], IntArray
     all_ids = np.concatenate(ids) if ids else np.zeros(0, dtype=np.int64)
     if len(np.unique(all_ids)) != len(all_ids):
         raise tag.problem("element ids are repeated", fix="number the elements through all sections")
-    return tuple(blocks), all_ids
+    return tuple(blocks), all_ids, rules
 
 
 def _check_ids(ids: IntArray, tag: Tag) -> None:
@@ -192,7 +297,7 @@ def _surfaces(tag: Tag, node_table: IntArray) -> dict[str, Surface]:
         each.allow(attributes=("name",), many=_FACETS)
         rows: dict[str, list[str]] = {}
         for facet in each.element:
-            if isinstance(facet.tag, str):
+            if facet.tag in _FACETS:  # others have been refused
                 if list(facet.attrib) != ["id"]:
                     Tag(facet, each.file).allow(attributes=("id",))
                 rows.setdefault(facet.tag, []).append(facet.text or "")
@@ -216,50 +321,100 @@ def _pairs(tag: Tag, surfaces: Mapping[str, Surface]) -> dict[str, tuple[str, st
     for each in tag.all("SurfacePair"):
         each.allow(attributes=("name",), children=("primary", "secondary"))
         names = each.need("primary").text, each.need("secondary").text
-        for name in names:
-            if name not in surfaces:
-                raise each.problem(
-                    f"there is no surface {name!r}", fix="add it to <Mesh>, or correct the name"
-                )
-        pairs[each.attribute("name")] = names
+        with each.goes_on():
+            for name in names:
+                if name not in surfaces:
+                    raise each.problem(
+                        f"there is no surface {name!r}", fix="add it to <Mesh>, or correct the name"
+                    )
+            pairs[each.attribute("name")] = names
     return pairs
 
 
 # ---------------------------------------------------------------- MeshData
 
 
-def read_mesh_data(tag: Tag | None, section: MeshSection) -> tuple[dict[str, ElementMap], dict[str, NodeMap]]:
-    """The maps by name; `lid` counts from 1 within the set."""
+def read_mesh_data(
+    tag: Tag | None, section: MeshSection
+) -> tuple[dict[str, ElementMap], dict[str, NodeMap], dict[str, Array]]:
+    """The maps of elements and of nodes by name, and mean shell thicknesses by block; `lid` counts from 1."""
     elements: dict[str, ElementMap] = {}
     nodes: dict[str, NodeMap] = {}
+    thicknesses: dict[str, Array] = {}
     if tag is None:
-        return elements, nodes
-    tag.allow(many=("ElementData", "NodeData"))
+        return elements, nodes, thicknesses
+    tag.allow(many=("ElementData", "NodeData", "SurfaceData"))
     refuse_repeated(tag)
-    for each in tag.all("ElementData"):
-        each.allow(attributes=("name", "elem_set", "data_type", "datatype"), many=("e",))
-        width = _width(each)
-        block = section.block_of(each, each.attribute("elem_set"))
-        values = _by_lid(each, "e", width, len(section.mesh.block(block).cells))
-        name = each.attribute("name")
-        elements[name] = ElementMap(name, block, values if width > 1 else values[:, 0])
-    for each in tag.all("NodeData"):
-        each.allow(attributes=("name", "node_set", "data_type", "datatype"), many=("node",))
-        if _width(each) != 1:
-            raise each.problem("only scalar node maps are supported", fix="give one scalar map per component")
-        node_set = section.node_set(each, each.attribute("node_set"))
-        values = _by_lid(each, "node", 1, len(section.mesh.node_sets[node_set]))
-        nodes[each.attribute("name")] = NodeMap(each.attribute("name"), node_set, values[:, 0])
-    return elements, nodes
+    for each in tag:
+        with each.goes_on():
+            if each.name == "ElementData" and each.optional("type") == "shell thickness":
+                block, thickness = _thickness(each, section)
+                thicknesses[block] = thickness
+            elif each.name == "ElementData":
+                found = _element_map(each, section)
+                elements[found.name] = found
+            elif each.name == "NodeData":
+                node_map = _node_map(each, section)
+                nodes[node_map.name] = node_map
+            elif each.name == "SurfaceData":
+                tag.ignore(f"surface map {each.optional('name')!r}, which only <Loads> use")
+    return elements, nodes, thicknesses
+
+
+def _element_map(tag: Tag, section: MeshSection) -> ElementMap:
+    kind = tag.optional("type")
+    if kind not in (None, "const"):
+        raise tag.problem(
+            f"a map of type {kind!r} is not supported", fix="give one value for each element, without type"
+        )
+    attributes = ("name", "elem_set", "data_type", "type")
+    tag.allow(attributes=(*attributes, "format"), many=("e",) if kind is None else ("value",))
+    if (tag.optional("format") or "ITEM") != "ITEM":
+        raise tag.problem(f"format={tag.optional('format')!r} is not supported", fix="give one value each")
+    width = _width(tag)
+    block = section.block_of(tag, tag.attribute("elem_set"))
+    count = len(section.mesh.block(block).cells)
+    if kind == "const":
+        values = np.tile(tag.need("value").numbers(width), (count, 1))
+    else:
+        values = _by_lid(tag, "e", width, count)
+    return ElementMap(tag.attribute("name"), block, values if width > 1 else values[:, 0])
+
+
+def _node_map(tag: Tag, section: MeshSection) -> NodeMap:
+    if tag.optional("type") is not None:
+        raise tag.problem(
+            f"a map of type {tag.optional('type')!r} is not supported",
+            fix="give one value for each node, without type",
+        )
+    tag.allow(attributes=("name", "node_set", "data_type"), many=("node",))
+    if _width(tag) != 1:
+        raise tag.problem("only scalar node maps are supported", fix="give one scalar map per component")
+    node_set = section.node_set(tag, tag.attribute("node_set"))
+    values = _by_lid(tag, "node", 1, len(section.mesh.node_sets[node_set]))
+    return NodeMap(tag.attribute("name"), node_set, values[:, 0])
+
+
+def _thickness(tag: Tag, section: MeshSection) -> tuple[str, Array]:
+    """Mean thickness (n_cells,) of the shells of a block; a row gives one value, or one for each node."""
+    tag.allow(attributes=("name", "elem_set", "type"), many=("e",))
+    block = section.block_of(tag, tag.attribute("elem_set"))
+    found = np.zeros(len(section.mesh.block(block).cells))
+    for row in tag:
+        lid = row.id_of("lid")
+        if lid > len(found):
+            raise row.problem(f"lid {lid} is beyond the {len(found)} elements", fix="correct it")
+        found[lid - 1] = np.mean(row.numbers(row.text.count(",") + 1))
+    return block, found
 
 
 def _width(tag: Tag) -> int:
-    """Number of values per row; FEBio 4 uses `data_type`, files of version 3 have `datatype`."""
+    """Number of values per row."""
     widths = {"scalar": 1, "vec3": 3}
-    datatype = tag.optional("data_type") or tag.optional("datatype") or "scalar"
-    if datatype not in widths:
-        raise tag.problem(f"datatype {datatype!r} is not supported", fix="use scalar or vec3")
-    return widths[datatype]
+    data_type = tag.optional("data_type") or "scalar"
+    if data_type not in widths:
+        raise tag.problem(f"data_type {data_type!r} is not supported", fix="use scalar or vec3")
+    return widths[data_type]
 
 
 def _by_lid(tag: Tag, row: str, width: int, count: int) -> Array:

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from limbcli.bodies import RigidBody
 from limbcli.feb.read_mesh import MeshSection, Numbering
 from limbcli.feb.xml import Tag
 from limbcli.model import IntArray, LogRecord
 
 _SET_OF = {"node_data": ("node_set",), "element_data": ("elem_set",)}
+_RECORDS = ("rigid_body_data", "node_data", "element_data")
+_OTHER_RECORDS = (
+    "face_data", "surface_data", "domain_data", "model_data", "rigid_connector_data",
+)  # fmt: skip
 _DELIMITERS = (None, ",", " ", "\t")
 
 
@@ -23,19 +29,34 @@ def read_output(
     variables: tuple[str, ...] = ()
     plotfile = tag.child("plotfile")
     if plotfile is not None:
-        plotfile.allow(attributes=("type",), many=("var",))
-        for each in plotfile:
-            each.allow(attributes=("type",))
-        variables = tuple(each.attribute("type") for each in plotfile)
+        plotfile.allow(attributes=("type", "file"), children=("compression",), many=("var",))
+        variables = tuple(each.attribute("type") for each in plotfile.all("var"))
+        if plotfile.optional("file") or plotfile.child("compression") is not None:
+            tag.ignore("the form of <plotfile>, which a run does not keep")
     logfile = tag.child("logfile")
     records: list[LogRecord] = []
     if logfile is not None:
-        logfile.allow(many=("rigid_body_data", "node_data", "element_data"))
+        logfile.allow(attributes=("file",), many=(*_RECORDS, *_OTHER_RECORDS))
+        if logfile.attributes:
+            tag.ignore("the name of <logfile>, as that of a run is model.log")
         for each in logfile:
-            each.allow(attributes=("data", "delim", "file", "name", *_SET_OF.get(each.name, ())))
-            check_form(each)
-            records.append(_record(each, mesh, bodies, materials_by_id))
+            with each.goes_on():
+                if not is_read(each):
+                    tag.ignore(f"<{each.name}> {each.optional('data')!r}, which limbcli does not read")
+                    continue
+                each.allow(attributes=("data", "delim", "file", "name", *_SET_OF.get(each.name, ())))
+                check_form(each)
+                records.append(_record(each, mesh, bodies, materials_by_id))
     return tuple(records), variables
+
+
+def is_read(tag: Tag) -> bool:
+    """Whether limbcli reads this output: a table of nodes, elements or a body, in a file of its own.
+
+    FEBio writes the other tables too, or into its log; an expression (data="=...") has no name.
+    """
+    named = not any(name.strip().startswith("=") for name in (tag.optional("data") or "").split(";"))
+    return tag.name in _RECORDS and tag.optional("file") is not None and named
 
 
 def _record(
@@ -56,17 +77,39 @@ def _nodes(tag: Tag, mesh: MeshSection) -> IntArray | None:
     name = tag.optional("node_set")
     if name is not None:
         return mesh.mesh.node_sets[mesh.node_set(tag, name)]
-    return _items(tag, mesh.numbering.nodes, "node")
+    return listed_nodes(tag, mesh.numbering.nodes)
 
 
 def _elements(tag: Tag, mesh: MeshSection) -> IntArray | None:
     """Cells of the named set or whole part if there is one, else those listed; None: all."""
     name = tag.optional("elem_set")
-    return _items(tag, mesh.numbering.cells, "element") if name is None else mesh.element_set(tag, name)
+    return listed_cells(tag, mesh.numbering.cells) if name is None else mesh.element_set(tag, name)
 
 
-def _items(tag: Tag, table: IntArray, kind: str) -> IntArray | None:
-    return Numbering.look_up(table, tag.ids(), tag, kind) if tag.text else None
+def listed_nodes(tag: Tag, table: IntArray) -> IntArray | None:
+    """Nodes (from 0) that a record lists by number; None: it lists none, hence all.
+
+    FEBio takes these numbers as places in the file, from 1, and not as ids (NodeDataRecord::Evaluate); beyond
+    the last node it prints zeros. A number that is the id of another node is therefore refused.
+    """
+    if not tag.text:
+        return None
+    ids = tag.ids()
+    inside = (ids >= 0) & (ids < len(table))
+    places = np.where(inside, table[np.where(inside, ids, 0)], -1) + 1
+    if (places != ids).any():
+        at = int(np.argmax(places != ids))
+        is_it = f"node {ids[at]} is the {places[at]}. in the file" if places[at] else f"no node is {ids[at]}"
+        raise tag.problem(
+            f"FEBio takes these numbers as places of nodes in the file, not as their ids, and {is_it}",
+            fix="list them in a <NodeSet> and name it, node_set=..., or number the nodes 1, 2, 3, ...",
+        )
+    return ids - 1
+
+
+def listed_cells(tag: Tag, table: IntArray) -> IntArray | None:
+    """Cells (from 0) that a record lists by their ids (ElementDataRecord::Evaluate); None: all."""
+    return Numbering.look_up(table, tag.ids(), tag, "element") if tag.text else None
 
 
 def check_form(tag: Tag) -> None:

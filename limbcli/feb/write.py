@@ -15,7 +15,8 @@ from limbcli.atomic_files import atomic_file
 from limbcli.config import templates_folder
 from limbcli.errors import CaseError
 from limbcli.feb.ids import Ids, element_maps, give_ids, node_maps, number, vector
-from limbcli.feb.read import EMPTY_NODE_SETS, EMPTY_SURFACES, INFO_MARK
+from limbcli.feb.info import INFO_MARK
+from limbcli.feb.read import EMPTY_NODE_SETS, EMPTY_SURFACES, IGNORED
 from limbcli.feb.views import (
     block_rows,
     drive_groups,
@@ -37,7 +38,7 @@ MAIN_TEMPLATE = f"{_FOLDER}/model.feb.j2"
 # expands them in comments.
 _ENTITIES = {"&#39;": "&apos;", "&#34;": "&quot;"}
 _IN_COMMENTS = {"--": "-\\u002d", "&": "\\u0026", "<": "\\u003c", ">": "\\u003e"}
-FILE_ID_KEYS = ("file_node_ids", "file_cell_ids")
+_NOT_WRITTEN = ("plot_variables", IGNORED)  # keys of `info` that do not belong into the comment
 
 
 def write_feb(model: LimbModel, path: Path, templates: Path | None = None) -> Path:
@@ -59,18 +60,22 @@ def write_feb(model: LimbModel, path: Path, templates: Path | None = None) -> Pa
     ToolError
         If the templates are missing.
     """
-    text = render(model, templates=templates)
+    content = encoded(render(model, templates=templates), path)
+    with atomic_file(path) as partial:
+        partial.write_bytes(gzip.compress(content, mtime=0) if path.suffix == ".gz" else content)
+    return path
+
+
+def encoded(text: str, path: Path) -> bytes:
+    """A file's text in its encoding; CaseError, naming the file, if FEBio cannot read a character."""
     try:
-        content = text.encode("iso-8859-1")
+        return text.encode("iso-8859-1")
     except UnicodeEncodeError as error:
         raise CaseError(
             f"FEBio cannot read the character {text[error.start]!r} in a name",
             where=str(path),
             fix="use plain letters in the names of parts, sets and materials",
         ) from error
-    with atomic_file(path) as partial:
-        partial.write_bytes(gzip.compress(content, mtime=0) if path.suffix == ".gz" else content)
-    return path
 
 
 def render(model: LimbModel, *, templates: Path | None = None) -> str:
@@ -147,7 +152,7 @@ def _mesh_context(model: LimbModel, ids: Ids) -> dict[str, Any]:
 
 def _info(model: LimbModel) -> Markup | None:
     """`info` as JSON that is valid in a comment, including the names of the sets that are not written."""
-    kept = {key: value for key, value in model.info.items() if key not in ("plot_variables", *FILE_ID_KEYS)}
+    kept = {key: value for key, value in model.info.items() if key not in _NOT_WRITTEN}
     empty_sets = [name for name, each in model.mesh.node_sets.items() if len(each) == 0]
     empty_surfaces = [name for name, each in model.mesh.surfaces.items() if each.n_facets == 0]
     if empty_sets:

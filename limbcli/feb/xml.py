@@ -6,6 +6,7 @@ import difflib
 import re
 import zlib
 from collections.abc import Collection, Iterator
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -15,25 +16,58 @@ from lxml import etree
 
 from limbcli.atomic_files import gunzip
 from limbcli.errors import CaseError
+from limbcli.feb.notes import Notes
 from limbcli.model import Array, IntArray
 
 UNITS = "mm-N-s"
+VERSION, OLDER_VERSIONS = "4.0", ("3.0", "2.5")  # format of model files, and those converted to it
 LARGEST_ID = 50_000_000  # largest accepted id of a node or an element
+# The sections of a model file (FEBio 4.11, FEBioImport::BuildFileSectionMap)
+SECTIONS = frozenset(
+    [
+        "Module",
+        "Globals",
+        "Output",
+        "Control",
+        "Material",
+        "Mesh",
+        "MeshDomains",
+        "Include",
+        "Initial",
+        "Boundary",
+        "Loads",
+        "Contact",
+        "Discrete",
+        "Constraints",
+        "Code",
+        "MeshData",
+        "LoadData",
+        "Rigid",
+        "Step",
+        "MeshAdaptor",
+        "Geometry",
+    ]
+)
 _GZIP_MAGIC = b"\x1f\x8b"
 _LARGEST = 500_000_000  # largest accepted size of a model's text (bytes)
 _PLAIN_NAME = re.compile(r"\w[\w .+()-]{0,119}", re.ASCII)
 _TAKEN = {"model.log", "force-depth.csv"}
 _TAKEN_ENDINGS = (".feb", ".gz", ".json", ".jsonl", ".png", ".npz", ".xplt", ".dmp", ".vtu", ".pvd")
+_LED = "self::logfile or self::plotfile"  # their file names are taken out before a run (`runnable`)
 _MOST_IDS = 100_000_000  # largest accepted number of ids in one list
 _CHANGE_A_VALUE = ("lc", "type")  # attributes that make a value differ from the text of its tag
 
 
 @dataclass(frozen=True, eq=False)
 class Tag:
-    """One element of a model file. All reading methods raise CaseError with tag, line and file."""
+    """One element of a model file. All reading methods raise CaseError with tag, line and file.
+
+    notes : where refusals are collected, if the caller wants to judge the whole file; else they are raised
+    """
 
     element: etree._Element
     file: Path
+    notes: Notes | None = None
 
     @property
     def name(self) -> str:
@@ -51,8 +85,9 @@ class Tag:
     def text(self) -> str:
         return (self.element.text or "").strip()
 
-    def problem(self, what: str, *, fix: str) -> CaseError:
-        """The error to raise for this tag."""
+    def problem(self, what: str, *, fix: str, follows: bool = False) -> CaseError:
+        """The error to raise for this tag; follows : what it misses may itself have been refused."""
+        more = {"follows": True} if follows else {}
         return CaseError(
             f"<{self.name}>: {what}",
             where=f"{self.file}, line {self.line}",
@@ -60,7 +95,21 @@ class Tag:
             tag=self.name,
             line=self.line,
             file=str(self.file),
+            **more,
         )
+
+    def goes_on(self) -> AbstractContextManager[None]:
+        """Collects what is refused within, or lets it through if nothing is collected."""
+        return self.notes.goes_on() if self.notes is not None else nullcontext()
+
+    def ignore(self, what: str) -> None:
+        """Note that a part of the file, which cannot change a result, is left out."""
+        if self.notes is not None:
+            self.notes.ignore(what)
+
+    @property
+    def is_empty(self) -> bool:
+        return not self.text and not len(self.element)
 
     # ------------------------------------------------------------ what may be there
 
@@ -69,28 +118,35 @@ class Tag:
     ) -> None:
         """Reject attributes and children that are not listed; only those in `many` may be repeated."""
         for key in self.attributes:
-            if key not in attributes:
-                raise self.problem(
-                    f"limbcli does not know the attribute {key}={self.element.get(key)!r} here",
-                    fix=_suggestion(key, attributes, "attribute"),
-                )
+            with self.goes_on():
+                if key not in attributes:
+                    raise self.problem(
+                        f"limbcli does not know the attribute {key}={self.element.get(key)!r} here",
+                        fix=_suggestion(key, attributes, "attribute"),
+                    )
         seen = set()
         for child in self:
-            if child.name not in children and child.name not in many:
-                raise child.problem(
-                    f"limbcli does not know this tag inside <{self.name}>",
-                    fix=_suggestion(child.name, [*children, *many], "tag"),
-                )
-            if child.name in seen and child.name not in many:
-                raise child.problem(f"it is given twice inside <{self.name}>", fix="keep one of them")
+            with self.goes_on():
+                if child.name not in children and child.name not in many:
+                    known = [] if child.name in SECTIONS else [*children, *many]
+                    raise child.problem(
+                        f"limbcli does not know this tag inside <{self.name}>",
+                        fix=_suggestion(child.name, known, "tag"),
+                    )
+                if child.name in seen and child.name not in many:
+                    raise child.problem(f"it is given twice inside <{self.name}>", fix="keep one of them")
             seen.add(child.name)
 
     def __iter__(self) -> Iterator[Tag]:
-        return (Tag(each, self.file) for each in self.element if isinstance(each.tag, str))
+        return (self.of(each) for each in self.element if isinstance(each.tag, str))
 
     def child(self, name: str) -> Tag | None:
         found = self.element.find(name)
-        return None if found is None else Tag(found, self.file)
+        return None if found is None else self.of(found)
+
+    def of(self, element: etree._Element) -> Tag:
+        """Another element of the same file."""
+        return Tag(element, self.file, self.notes)
 
     def need(self, name: str) -> Tag:
         found = self.child(name)
@@ -99,7 +155,7 @@ class Tag:
         return found
 
     def all(self, name: str) -> list[Tag]:
-        return [Tag(each, self.file) for each in self.element.iterfind(name)]
+        return [self.of(each) for each in self.element.iterfind(name)]
 
     # ------------------------------------------------------------ values
 
@@ -227,13 +283,13 @@ def _suggestion(name: str, known: Collection[str], kind: str) -> str:
     return f"{listed}remove this {kind}, or run the file with FEBio (--solver febio)"
 
 
-def open_model(path: Path) -> Tag:
-    """The root tag of a `.feb` or `.feb.gz` file.
+def open_model(path: Path, notes: Notes | None = None) -> Tag:
+    """The root tag of a `.feb` or `.feb.gz` file, of format 4.0, or of an older one that can be converted.
 
     Raises
     ------
     CaseError
-        If the file is absent, is not XML, or is not a FEBio 4.0 model.
+        If the file is absent, is not XML, or is not a FEBio model of format 2.5, 3.0 or 4.0.
     """
     if not path.is_file():
         raise CaseError(f"the model file {path} does not exist", where=str(path), fix="check the path")
@@ -246,31 +302,39 @@ def open_model(path: Path) -> Tag:
         ) from error
     if root is None or root.tag != "febio_spec":
         raise CaseError("this is not a FEBio model file", where=str(path), fix="give a .feb file")
-    tag = Tag(root, path)
+    tag = Tag(root, path, notes)
     if next(root.iter(etree.Entity), None) is not None:
         raise tag.problem(
             "limbcli and FEBio do not support entities defined in a file", fix="write out their content"
         )
     _take_out_comments(root)
-    if tag.optional("version") != "4.0":
+    version = tag.optional("version") or ""
+    if version not in (VERSION, *OLDER_VERSIONS):
         raise tag.problem(
-            f"format version {tag.optional('version')!r} is not supported",
-            fix="save the model in FEBio's format 4.0",
+            f"format version {version!r} is not supported",
+            fix="save the model in FEBio's format 4.0 (FEBio Studio: export)",
         )
-    _check_units(tag)
     _refuse_other_files(tag)
     _check_file_names(tag)
     return tag
 
 
-def _check_units(root: Tag) -> None:
-    """Check the units: model and records are read in these; a file without units is assumed to use them."""
-    module = root.child("Module")
-    units = module.child("units") if module is not None else None
-    if units is not None and units.text != UNITS:
-        raise units.problem(
-            f"the unit system {units.text!r} is not supported", fix=f"convert the model to {UNITS}"
-        )
+def units_of(root: Tag) -> str:
+    """The unit system that a file states; `UNITS` if it states none."""
+    return (root.element.findtext("Module/units") or "").strip() or UNITS
+
+
+def is_native(root: Tag) -> bool:
+    """Whether FEBio's records of the file itself are in our units and numbers: format 4.0 in mm-N-s."""
+    return root.optional("version") == VERSION and units_of(root) == UNITS
+
+
+def drop_empty(owner: Tag, known: Collection[str]) -> None:
+    """Take out empty sections that are not known, which FEBio skips."""
+    for child in list(owner):
+        if child.is_empty and child.name not in known and child.name in SECTIONS:
+            owner.ignore(f"empty <{child.name}>")
+            owner.element.remove(child.element)
 
 
 def _refuse_other_files(root: Tag) -> None:
@@ -319,7 +383,7 @@ def _check_file_names(root: Tag) -> None:
         If a name contains a folder, is one that the run itself needs, or occurs twice.
     """
     seen: set[str] = set()
-    for element in cast(list[etree._Element], root.element.xpath(".//*[@file]")):
+    for element in cast(list[etree._Element], root.element.xpath(f".//*[@file][not({_LED})]")):
         tag = Tag(element, root.file)
         name = tag.attribute("file")
         fix = 'give a plain file name of its own, such as file="nodes.csv"'

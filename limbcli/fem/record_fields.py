@@ -32,7 +32,12 @@ TANGENT_FIELDS = (
     "cxxxx", "cxxyy", "cyyyy", "cxxzz", "cyyzz", "czzzz", "cxxxy", "cyyxy", "czzxy", "cxyxy", "cxxyz",
     "cyyyz", "czzyz", "cxyyz", "cyzyz", "cxxxz", "cyyxz", "czzxz", "cxyxz", "cyzxz", "cxzxz",
 )  # fmt: skip
-CELL_FIELDS = ("J", "sed", "s1", "s2", "s3", *_CENTER, *_STRESS, *_STRAIN, *_F, *TANGENT_FIELDS)
+_STRETCH = {f"U{name}": k for name, k in _TENSOR.items()}
+_PRINCIPAL = tuple(f"{letter}{k}" for letter in "sEU" for k in (1, 2, 3))
+CELL_FIELDS = (
+    "J", "sed", *_PRINCIPAL, *_CENTER, *_STRESS, *_STRAIN, *_STRETCH, *_F, *TANGENT_FIELDS
+)  # fmt: skip
+_ONES_AT_REST = ("J", "Ux", "Uy", "Uz", "U1", "U2", "U3")
 NODE_FIELDS = ("x", "y", "z", "ux", "uy", "uz", "Rx", "Ry", "Rz")
 BODY_FIELDS = ("x", "y", "z", "thx", "thy", "thz", "Fx", "Fy", "Fz", "Mx", "My", "Mz")
 _KNOWN = {"element": CELL_FIELDS, "node": NODE_FIELDS, "rigid_body": BODY_FIELDS}
@@ -84,7 +89,7 @@ def _cell_rows(system: System, state: State, record: LogRecord) -> tuple[IntArra
     n_cells = sum(len(block.cells) for block in system.model.mesh.blocks)
     values = np.zeros((n_cells, len(record.fields)))
     for k, name in enumerate(record.fields):
-        if name == "J" or (name in _F and _F[name][0] == _F[name][1]):
+        if name in _ONES_AT_REST or (name in _F and _F[name][0] == _F[name][1]):
             values[:, k] = 1.0
         if name in _CENTER:
             values[:, k] = mean_places(system, system.X)[:, _CENTER.index(name)]
@@ -128,8 +133,14 @@ def cell_fields(system: System, state: State, number: int, fields: tuple[str, ..
         "J": lambda: np.linalg.det(F).mean(axis=1),
         "sed": lambda: energy_density(system.operands[number], F).mean(axis=1),
     }
-    principal = np.linalg.eigvalsh(stress).mean(axis=1) if {"s1", "s2", "s3"} & set(fields) else None
-    strain = 0.5 * (np.swapaxes(F, -1, -2) @ F - np.eye(3))
+    C = np.swapaxes(F, -1, -2) @ F
+    tensors = {"s": stress, "E": 0.5 * (C - np.eye(3))}
+    if any(name.startswith("U") for name in fields):
+        tensors["U"] = right_stretch(C)
+    principal = {
+        letter: np.linalg.eigvalsh(tensors[letter]).mean(axis=1)
+        for letter in {name[0] for name in _PRINCIPAL if name in fields}
+    }
     columns = []
     spatial = (
         spatial_tangent(system, state, number).mean(axis=1) if set(TANGENT_FIELDS) & set(fields) else None
@@ -146,13 +157,24 @@ def cell_fields(system: System, state: State, number: int, fields: tuple[str, ..
         elif name in _STRESS:
             columns.append(_component(stress, _STRESS[name]))
         elif name in _STRAIN:
-            columns.append(_component(strain, _STRAIN[name]))
+            columns.append(_component(tensors["E"], _STRAIN[name]))
+        elif name in _STRETCH:
+            columns.append(_component(tensors["U"], _STRETCH[name]))
         elif name in _CENTER:
             columns.append(x[:, _CENTER.index(name)])
         else:
-            assert principal is not None
-            columns.append(principal[:, 3 - int(name[1])])
+            columns.append(principal[name[0]][:, 3 - int(name[1])])
     return np.stack(columns, axis=1)
+
+
+def right_stretch(C: Array) -> Array:
+    """U (..., 3, 3), the square root of C = F'F.
+
+    >>> right_stretch(np.diag([4.0, 1.0, 9.0])).round(12).tolist()
+    [[2.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 3.0]]
+    """
+    squares, axes = np.linalg.eigh(C)
+    return np.asarray(np.einsum("...ia,...a,...ja->...ij", axes, np.sqrt(squares), axes))
 
 
 def spatial_tangent(system: System, state: State, number: int) -> Array:

@@ -37,6 +37,7 @@ class Simulation:
     """A finished simulation: the times of all converged steps, and the tables requested by the model.
 
     rigid : by body name; nodes, elements : by file name of the record
+    warnings : what the solver's log warns of
     """
 
     solver: str
@@ -49,6 +50,7 @@ class Simulation:
     n_factorisations: int = 0
     seconds: float = 0.0
     linear_solver: str = ""
+    warnings: tuple[str, ...] = ()
 
     def probe_force(self, body: str = "probe") -> Array:
         """Probe force (n_times,), N, compression positive: minus the rigid body's Fz."""

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from limbcli.feb.log import Iteration, LogReader
 from limbcli.feb.outline import Outline
 from limbcli.progress import Progress
@@ -19,11 +17,12 @@ _LEAST_LIMIT_S, _LIMIT_S_PER_NODE_AND_LEVEL = 1800.0, 0.2
 def default_limit_s(outline: Outline) -> float:
     """Default time limit of a simulation (s), from its numbers of nodes and levels.
 
+    >>> import numpy as np
     >>> small = Outline(1.0, (), np.arange(-1, 100), np.zeros(1, int), (0.5, 1.0))
     >>> default_limit_s(small)
     1800.0
     """
-    n_nodes = int(np.count_nonzero(outline.nodes >= 0))
+    n_nodes = outline.n_nodes
     n_levels = max(len(outline.must_points), 10)
     return max(_LEAST_LIMIT_S, _LIMIT_S_PER_NODE_AND_LEVEL * n_nodes * n_levels)
 

@@ -14,7 +14,7 @@ from limbcli.config import at_most
 from limbcli.errors import SolveError
 from limbcli.feb.log_identity import marked
 from limbcli.feb.outline import read_outline
-from limbcli.feb.read import read_feb
+from limbcli.feb.read import IGNORED, read_feb
 from limbcli.feb.write import write_feb
 from limbcli.model import IntArray, LimbModel
 from limbcli.progress import SILENT, Progress
@@ -76,8 +76,12 @@ class ReferenceSolver:
             reached, or if the time limit is exceeded before the end is reached.
         """
         model = read_feb(feb)
+        left_out = "; ".join(model.info.get(IGNORED, ()))
+        if left_out:
+            progress.event("note", text=f"left out of {feb.name}: {left_out}")
         outline, mark = read_outline(feb), marked(feb, ".feb")
         with RunFiles(model, feb.parent, outline=outline, version=self.version(), mark=mark) as files:
+            files.note(f"left out: {left_out}" if left_out else "")
             self._compute(model, files, Restart(feb, self._settings), progress, time_limit_s)
 
     @property

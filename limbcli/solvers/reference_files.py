@@ -29,12 +29,12 @@ def _unloaded(forces: Forces) -> Forces:
 class RunFiles:
     """Open files of one run; a context manager that logs an error termination on an exception.
 
-    outline : outline of the model file, whose ids of nodes, cells and rigid materials the records use
+    outline : outline of the model file, whose ids of cells and rigid materials the records use
     """
 
     def __init__(self, model: LimbModel, folder: Path, *, outline: Outline, version: str, mark: str):
         self.model, self.folder = model, folder
-        self._ids = {"node": outline.node_ids, "element": outline.cell_ids}
+        self._ids = {"node": np.arange(1, outline.n_nodes + 1), "element": outline.cell_ids}
         self._body_ids = {name: int(number) for number, name in outline.bodies.items()}
         self._stack = contextlib.ExitStack()
         for name in (LOG_FILE, *(record.file for record in model.records)):
@@ -74,6 +74,11 @@ class RunFiles:
         self._write_log(f"------- converged at time : {time:.12g}\n")
         self._records(analysis, snapshot.step, time, snapshot)
         self._log.flush()
+
+    def note(self, text: str) -> None:
+        """Write one line to the log."""
+        if text:
+            self._write_log(f" {text}\n")
 
     def finish(self, analysis: Analysis, seconds: float) -> None:
         """Write the totals and the line that marks a finished run."""

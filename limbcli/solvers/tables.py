@@ -49,6 +49,7 @@ def read_finished(solver: str, feb: Path) -> Simulation:
         n_factorisations=log.n_reformations,
         seconds=log.seconds,
         linear_solver=log.linear_solver,
+        warnings=log.warnings,
     )
 
 
@@ -97,7 +98,8 @@ def _table(record: LogRecord, records: Records, outline: Outline, path: Path) ->
             raise _broken(path, f"it holds {len(records.ids)} rigid bodies where one was requested")
         items = np.zeros(1, dtype=np.int64)
     else:
-        numbers = outline.nodes if record.kind == "node" else outline.cells
+        by_place = np.arange(-1, outline.n_nodes)
+        numbers = by_place if record.kind == "node" else outline.cells
         if records.ids.max() >= len(numbers) or (numbers[records.ids] < 0).any():
             raise _broken(path, f"it contains {record.kind}s that the model does not have")
         items = numbers[records.ids]

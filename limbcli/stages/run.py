@@ -13,7 +13,7 @@ from limbcli.case.schema import FAILED
 from limbcli.errors import CaseError, LimbError, SolveError
 from limbcli.feb.outline import Outline, read_outline
 from limbcli.feb.read import read_feb
-from limbcli.feb.xml import model_text
+from limbcli.feb.runnable import Runnable, runnable
 from limbcli.measurement.indentation import Levels
 from limbcli.progress import PROGRESS_FILE, SILENT, Progress, recorded
 from limbcli.results import StageResult, StageWriter, open_stage, plain, stage_folder
@@ -92,10 +92,10 @@ def run_file(
     """
     _refuse_results_of_a_case(out, feb)
     engine = choose(solver, febio)
-    outline = read_outline(feb)
+    model = runnable(feb)
     progress.event("stage", name=f"{STAGE} {feb.name}", site=None)
     with open_stage(out, STAGE, subject=model_name(feb)) as writer:
-        _simulate(feb, outline, writer, engine, options, progress)
+        _simulate(feb, model, writer, engine, options, progress)
     shutil.rmtree(out / f"{STAGE}{FAILED}", ignore_errors=True)
     assert writer.result is not None
     return writer.result
@@ -139,7 +139,7 @@ def _run_site(
         writer.used_result(built, files=["feb"])
         writer.used("levels", site.levels, role=f"site/{site.name}/levels")
         writer.data["asked"] = requested_by_options(options)
-        _simulate(feb, read_outline(feb), writer, engine, options, progress, levels=levels, site=site)
+        _simulate(feb, runnable(feb), writer, engine, options, progress, levels=levels, site=site)
     shutil.rmtree(stage_folder(out, STAGE, site.name + FAILED), ignore_errors=True)
     assert writer.result is not None
     return writer.result
@@ -147,7 +147,7 @@ def _run_site(
 
 def _simulate(
     source: Path,
-    outline: Outline,
+    model: Runnable,
     writer: StageWriter,
     engine: Solver,
     options: RunOptions,
@@ -157,8 +157,12 @@ def _simulate(
     site: Site | None = None,
 ) -> None:
     feb = writer.file("feb", MODEL_FILE)
-    feb.write_bytes(model_text(source))
+    feb.write_bytes(model.text)
     writer.used("model", source)
+    outline = _outline(feb, source)
+    for sentence in model.said:
+        progress.event("note", text=sentence)
+    writer.summary.extend(model.said)
     if options.vtu:
         _check_readable(feb, source)
     progress.event("note", text=f"solver: {engine.name} {_version(engine)}")
@@ -185,6 +189,13 @@ def _simulate(
     if options.vtu:
         write_series(feb, simulation, writer)
     writer.data["model_sha256"] = sha256(feb)
+
+
+def _outline(feb: Path, source: Path) -> Outline:
+    try:
+        return read_outline(feb)
+    except CaseError as error:
+        raise _of_source(error, feb, source) from error
 
 
 def _check_readable(feb: Path, source: Path) -> None:

@@ -23,6 +23,26 @@ def test_a_complete_log_tells_version_cost_and_end(data: Path) -> None:
     check_complete(log, path, end_time=1.0)
 
 
+@pytest.mark.parametrize(
+    ("line", "version"),
+    [
+        ("  version 4.11.0", "4.11.0"),
+        ("  version 4.11.0.65622b536", "4.11.0.65622b536"),
+        ("  version 4.9.0.0a1b2c3d4", "4.9.0.0a1b2c3d4"),
+        ("FEBio version  = 4.11.0.65622b536 (DEBUG)", "4.11.0.65622b536"),
+        ("FEBio version  = 4.8.0", "4.8.0"),
+    ],
+)
+def test_a_release_and_a_build_from_git_tell_their_version(
+    data: Path, tmp_path: Path, line: str, version: str
+) -> None:
+    """febio::getVersionString (FEBioLib/version.cpp) appends the commit outside the master branch."""
+    path = tmp_path / "model.log"
+    path.write_text((data / "log-normal.txt").read_text().replace("  version 4.9.1", line, 1))
+    assert read_log(path).version == version
+    check_complete(read_log(path), path, end_time=1.0)
+
+
 def test_a_normal_end_before_the_load_is_done_is_an_error(data: Path) -> None:
     path = data / "log-normal.txt"
     with pytest.raises(SolveError, match="and not at 2"):

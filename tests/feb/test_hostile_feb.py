@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from limbcli.errors import CaseError
-from limbcli.feb.outline import read_outline
+from limbcli.feb.outline import check_output, read_outline
 from limbcli.feb.read import read_feb
+from limbcli.feb.runnable import runnable
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "feb"
 TEXT = (DATA / "punch.feb").read_text()
@@ -43,15 +44,26 @@ def test_records_do_not_take_the_run_s_own_names(tmp_path: Path, name: str) -> N
 
 
 def test_the_log_and_plot_file_may_not_be_led_elsewhere(tmp_path: Path) -> None:
-    error = refused(tmp_path, "<logfile>", '<logfile file="../../x.csv">', read_outline)
-    assert "anywhere" in error.what
+    """FEBio prefers their names to those of its command line; a run leaves them out (`runnable`)."""
+
+    def read(path: Path) -> None:
+        check_output(read_outline(path), path)
+
+    error = refused(tmp_path, "<logfile>", '<logfile file="../../x.csv">', read)
+    assert "would write its log" in error.what
+    run = runnable(tmp_path / "model.feb")
+    assert b"x.csv" not in run.text
+    assert "<logfile>" in run.said[0]
+    (tmp_path / "model.feb").write_bytes(run.text)
+    read(tmp_path / "model.feb")
+    assert read_feb(tmp_path / "model.feb").info == read_feb(DATA / "punch.feb").info
 
 
 @pytest.mark.parametrize("read", [read_feb, read_outline])
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("mm-N-s", "SI", "unit system 'SI'"),
+        ("mm-N-s", "ft-lb-s", "ft-lb-s"),
         ("<Material>", "<Include>sub.feb</Include><Material>", "another file (sub.feb)"),
         ("<Material>", '<Material from="laws.feb">', "another file (laws.feb)"),
         ("</Output>", '</Output><Step><step id="1"><Boundary from="b.feb"/></step></Step>', "(b.feb)"),

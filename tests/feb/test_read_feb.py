@@ -119,8 +119,8 @@ def test_packed_files_read_the_same(punch: Path, tmp_path: Path) -> None:
         ("<maxaug>", '<maxaug lc="1">', "maxaug", "attribute lc='1'"),
         ("</Rigid>", SPRING.replace("<k>", '<k lc="1">'), "k", "attribute lc='1'"),
         ("</Rigid>", SPRING.replace("<free_length>", '<free_length lc="1">'), "free_length", "attribute lc"),
-        ("mm-N-s", "SI", "units", "SI"),
-        ('version="4.0"', 'version="3.0"', "febio_spec", "3.0"),
+        ("mm-N-s", "ft-lb-s", "units", "ft-lb-s"),
+        ('version="4.0"', 'version="1.2"', "febio_spec", "1.2"),
         ('node_set="fixed"', 'node_set="fixd"', "bc", "fixd"),
         ("<rb>probe</rb>", "<rb>prob</rb>", "rb", "prob"),
         ("<dof>z</dof>", "<dof>Rz</dof>", "dof", "Rz"),
@@ -132,8 +132,8 @@ def test_packed_files_read_the_same(punch: Path, tmp_path: Path) -> None:
         ('type="tet4"', 'type="tet5"', "Elements", "tet5"),
         ('<node id="2">-6.0', '<node id="2">x', "node", "not 3 number"),
         ('<elem id="1">', '<elem id="1">999,', "elem", "not 4 number"),
-        ("<analysis>STATIC", "<analysis>DYNAMIC", "analysis", "DYNAMIC"),
-        ("<Boundary>", "<Loads/><Boundary>", "Loads", "know this tag"),
+        ("<analysis>STATIC", "<analysis>STEADY-STATE", "analysis", "STEADY-STATE"),
+        ("<Boundary>", "<Loads><load/></Loads><Boundary>", "Loads", "know this tag"),
         (">2</rigid_body_data>", ">1</rigid_body_data>", "rigid_body_data", "not the material id"),
         ("<cp>0.05</cp>", "<cp>1_0</cp>", "cp", "not 1 number"),
         ("<time_steps>10", "<time_steps>0", "time_steps", "not positive"),
@@ -226,7 +226,7 @@ def test_a_must_point_that_stands_twice_is_one(punch: Path, tmp_path: Path) -> N
 
 def test_the_line_is_right_beyond_65535(punch: Path, tmp_path: Path) -> None:
     path = edited(punch, tmp_path / "long.feb", "<Mesh>", "\n" * 70_000 + "<Mesh>")
-    edited(path, path, "<Boundary>", "<Constraints/>\n<Boundary>")
+    edited(path, path, "<Boundary>", "<Constraints><c>1</c></Constraints>\n<Boundary>")
     with pytest.raises(CaseError) as caught:
         read_feb(path)
     assert int(str(caught.value.facts["line"])) > 70_000

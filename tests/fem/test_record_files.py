@@ -57,14 +57,13 @@ def test_a_rigid_cell_is_logged_where_it_began(tmp_path: Path) -> None:
     assert (cells[-1, :-1, 2] < cells[0, :-1, 2]).all()  # the tissue goes down
 
 
-def test_records_carry_the_files_ids(tmp_path: Path) -> None:
-    """Nodes listed from the last id to the first, and cells with ids from 101."""
+def test_records_carry_places_of_nodes_and_ids_of_cells(tmp_path: Path) -> None:
+    """As FEBio's do: here of nodes listed from the last id to the first, and of cells with ids from 101."""
     records = (
         LogRecord("node", ("x", "y", "z", "ux", "uy", "uz"), "nodes.csv"),
         LogRecord("element", ("J",), "cells.csv", np.array([3, 5])),
     )
     feb = write_feb(replace(punch(n=(1, 1, 1), depth=0.5), records=records), tmp_path / "model.feb")
-    places = read_feb(feb).mesh.points
     text = feb.read_text()
     nodes = re.findall(r"<node id=.*</node>", text)
     text = text.replace("\n".join(nodes), "\n".join(reversed(nodes)))
@@ -73,12 +72,30 @@ def test_records_carry_the_files_ids(tmp_path: Path) -> None:
     found = run(feb)
     written = read_records(tmp_path / "nodes.csv")
     rest = written.values[-1, :, :3] - written.values[-1, :, 3:]
-    np.testing.assert_allclose(rest, places[written.ids - 1], atol=1e-9)
+    np.testing.assert_allclose(rest, read_feb(feb).mesh.points[written.ids - 1], atol=1e-9)
+    assert written.ids.tolist() == list(range(1, len(nodes) + 1))
     nodes_read = found.nodes["nodes.csv"]
     rest = nodes_read.values[-1, :, :3] - nodes_read.values[-1, :, 3:]
     np.testing.assert_allclose(rest, read_feb(feb).mesh.points[nodes_read.items], atol=1e-9)
     assert read_records(tmp_path / "cells.csv").ids.tolist() == [104, 106]
     assert found.elements["cells.csv"].items.tolist() == [3, 5]
+
+
+def test_stretches_and_principal_strains_follow_from_the_deformation_gradient(tmp_path: Path) -> None:
+    """Tetrahedra have one integration point, so that their means are functions of the mean of F."""
+    stretches = ("Ux", "Uy", "Uz", "Uxy", "Uyz", "Uxz", "U1", "U2", "U3")
+    gradient = tuple(f"F{a}{b}" for a in "xyz" for b in "xyz")
+    record = LogRecord("element", (*stretches, "E1", "E2", "E3", *gradient), "cells.csv")
+    model = replace(punch(n=(1, 1, 1), depth=0.5), records=(record,))
+    values = run(write_feb(model, tmp_path / "model.feb")).elements["cells.csv"].values[-1, :-1]
+    F = values[:, 12:].reshape(-1, 3, 3)
+    _, squares, right = np.linalg.svd(F)
+    U = np.einsum("cai,ca,caj->cij", right, squares, right)
+    entries = np.stack([U[:, i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))], axis=1)
+    assert abs(squares - 1).max() > 1e-3
+    np.testing.assert_allclose(values[:, :6], entries, atol=1e-9)
+    np.testing.assert_allclose(values[:, 6:9], squares, atol=1e-9)
+    np.testing.assert_allclose(values[:, 9:12], (squares**2 - 1) / 2, atol=1e-9)
 
 
 def test_a_bodys_record_carries_its_materials_id(tmp_path: Path) -> None:

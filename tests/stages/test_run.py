@@ -161,8 +161,7 @@ def test_steps_of_a_model_without_records_are_counted_by_the_log(febio: Path, tm
     assert "3 steps" in result.summary[0]
 
 
-def test_a_curve_of_an_uncertain_body_or_depth_is_told() -> None:
-    """Of a file of one's own the probe may have another name, and its centre lie above its face."""
+def test_a_curve_of_an_uncertain_body_is_told() -> None:
 
     def simulated(**heights: float) -> Simulation:
         times = np.array([0.0, 1.0])
@@ -172,13 +171,11 @@ def test_a_curve_of_an_uncertain_body_or_depth_is_told() -> None:
         }
         return Simulation("febio", "4.11.0", times, tables)
 
-    assert curve_warnings(simulated(probe=-0.05), "probe") == []
+    assert curve_warnings(simulated(probe=20.0), "probe") == []
     assert curve_warnings(simulated(bone=0.0, probe=-0.2), "probe") == []
     assert curve_warnings(simulated(head=0.0), "head") == []
     (other,) = curve_warnings(simulated(bone=0.0, head=0.0), "bone")
     assert "the curve is that of bone" in other
-    (far,) = curve_warnings(simulated(probe=20.0), "probe")
-    assert "-20.00 mm at the start; it moves 2.00 mm" in far
 
 
 def test_the_greatest_depth_is_not_the_last_where_the_probe_is_lifted(tmp_path: Path) -> None:
@@ -186,14 +183,83 @@ def test_the_greatest_depth_is_not_the_last_where_the_probe_is_lifted(tmp_path: 
     values = np.array([(0.0, 0.0), (-1.0, -1.0), (-2.0, -3.0), (-1.0, 0.0), (-0.5, 0.0)])[:, None]
     table = Table(("z", "Fz"), times, np.zeros(1, dtype=int), values)
     simulation = Simulation("reference", "1", times, {"probe": table})
-    outline = Outline(1.0, (), np.zeros(1, dtype=int), np.zeros(1, dtype=int), (0.5, 1.0))
+    outline = Outline(
+        1.0, (), np.zeros(1, dtype=int), np.zeros(1, dtype=int), (0.5, 1.0), has_touch_frame=True
+    )
     with open_stage(tmp_path, "run", subject="lifted") as writer:
         write_simulation(simulation, outline, writer)
     assert (writer.data["max_depth_mm"], writer.data["max_force_n"]) == (2.0, 3.0)
 
 
+def foreign(tmp_path: Path, fields: str, rows: list[tuple[float, ...]], warnings: tuple[str, ...] = ()):
+    """The result of a run of a model file that is not limbcli's, from the rows of its only body."""
+    times = np.linspace(0, 1, len(rows))
+    table = Table(tuple(fields.split(";")), times, np.zeros(1, dtype=int), np.array(rows)[:, None])
+    simulation = Simulation("febio", "4.11.0", times, {"plate": table}, warnings=warnings)
+    with open_stage(tmp_path, "run", subject="foreign") as writer:
+        write_simulation(simulation, Outline(1.0, (), np.zeros(1, int), np.zeros(1, int), ()), writer)
+    return writer
+
+
+def test_depth_in_a_foreign_model_is_the_travel_since_first_contact(tmp_path: Path) -> None:
+    """The plate's centre begins 1.5 mm above z = 0 and touches at 1.0; the force is linear from there."""
+    heights = (1.5, 1.2, 0.9, 0.6)
+    writer = foreign(tmp_path, "z;Fz", [(z, -2.0 * max(0.0, 1.0 - z)) for z in heights])
+    assert writer.data["max_depth_mm"] == pytest.approx(0.4)
+    assert writer.data["max_force_n"] == pytest.approx(0.8)
+    assert any("0.5 mm from its start" in each for each in writer.summary)
+
+
+def test_a_foreign_body_may_press_along_any_axis(tmp_path: Path) -> None:
+    rows = [(x, 0.3, 0.1 * x, 0.0) for x in (0.0, 0.5, 1.0)]
+    writer = foreign(tmp_path, "x;z;Fx;Fz", rows)
+    assert writer.data["max_depth_mm"] == pytest.approx(1.0)
+    assert writer.data["max_force_n"] == pytest.approx(0.1)
+
+
+def test_a_plate_that_nothing_touches_is_told_with_febios_warning(tmp_path: Path) -> None:
+    rows = [(1.0, 0.0), (0.95, 0.0), (0.9, -1e-20)]
+    writer = foreign(tmp_path, "z;Fz", rows, warnings=("No force acting on the system.",) * 2)
+    assert writer.data["max_depth_mm"] == pytest.approx(0.1)
+    assert "febio warns (2 times): No force acting on the system." in writer.warnings
+    assert any("no force acts on plate in any step" in each for each in writer.warnings)
+
+
+def test_warnings_of_febios_log_are_those_of_the_run(febio: Path, tmp_path: Path) -> None:
+    """Not those that the settings of limbcli's own models cause."""
+    text = (DATA / "punch.feb").read_text()
+    (tmp_path / "own.feb").write_text(text)
+    (tmp_path / "other.feb").write_text(text.replace("limbcli-info", "info"))
+    own = run_file(tmp_path / "own.feb", out=tmp_path / "own", febio=febio)
+    other = run_file(tmp_path / "other.feb", out=tmp_path / "other", febio=febio)
+    words = 'febio warns: Zero mass for rigid body "probe."'
+    assert words in other.warnings
+    assert words not in own.warnings
+
+
+def test_a_rigid_primary_surface_is_told_before_febio_runs(febio: Path, tmp_path: Path) -> None:
+    text = (DATA / "punch.feb").read_text()
+    pair = "<primary>skin</primary><secondary>probe_face</secondary>"
+    turned = text.replace(pair, "<primary>probe_face</primary><secondary>skin</secondary>")
+    assert turned != text
+    (tmp_path / "turned.feb").write_text(turned)
+    with pytest.raises(CaseError, match="'probe_face' is on rigid shells without volume") as caught:
+        run_file(tmp_path / "turned.feb", out=tmp_path / "out", febio=febio)
+    assert "soft surface" in caught.value.fix
+    for allowed in (
+        turned.replace("<auto_penalty>1", "<auto_penalty>0"),
+        turned.replace("<two_pass>0", "<two_pass>1"),
+        turned.replace('<ShellDomain name="probe" mat="probe"/>',
+                       '<ShellDomain name="probe" mat="probe"><shell_thickness>0.1</shell_thickness>'
+                       "</ShellDomain>"),
+    ):  # fmt: skip
+        assert allowed != turned
+        (tmp_path / "allowed.feb").write_text(allowed)
+        run_file(tmp_path / "allowed.feb", out=tmp_path / "out", febio=febio)
+
+
 def test_febio_runs_what_the_reader_would_refuse(febio: Path, tmp_path: Path) -> None:
-    text = (DATA / "punch.feb").read_text().replace("<Boundary>", "<Constraints/><Boundary>")
+    text = (DATA / "punch.feb").read_text().replace("<Boundary>", "<Constraints><c/></Constraints><Boundary>")
     (tmp_path / "odd.feb").write_text(text)
     assert run_file(tmp_path / "odd.feb", out=tmp_path / "out", febio=febio).data["max_force_n"] == 0.8
     with pytest.raises(CaseError, match="Constraints"):

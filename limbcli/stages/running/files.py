@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,19 @@ from limbcli.measurement.indentation import Levels
 from limbcli.model import Array
 from limbcli.results import StageWriter
 from limbcli.solvers.base import Simulation
+from limbcli.stages.running.travel import travel
 
 COLUMNS = ("time_s", "depth_mm", "force_n")
 _NEEDED = {"z", "Fz"}
 _PROBE = "probe"
-_FAR_START_MM = 1.0  # mm, initial depth of the face that is reported as unusual; limbcli's is at most 0.2
+# FEBio's warnings of what limbcli's models want: a probe without mass, a symmetric matrix, must-points, and
+# quasi-Newton steps that reform the matrix (see `feb.settings`).
+_KNOWN = (
+    "Zero mass for rigid body",
+    "The sliding-elastic contact algorithm runs better",
+    "dtmax is ignored when specifying must points",
+    "Max nr of iterations reached",
+)
 _DIGITS = 12
 _TIME_DIGITS = 1e-8  # relative tolerance of times: FEBio writes nine digits
 
@@ -46,12 +55,19 @@ def write_simulation(
         f" {simulation.n_iterations} iterations, {simulation.n_factorisations} factorisations,"
         f" {simulation.seconds:.1f} s"
     )
+    own = outline.has_touch_frame or site is not None
+    writer.warnings.extend(log_warnings(simulation, own=own))
     body = probe_body(simulation)
     if body is None:
         writer.warnings.append("no rigid body logs z and Fz, so there is no force-depth curve")
         return
     writer.warnings.extend(curve_warnings(simulation, body))
-    curve = force_depth_rows(simulation, body)
+    if own:
+        curve = force_depth_rows(simulation, body)
+    else:
+        found = travel(body, simulation.rigid[body])
+        (writer.summary if found.touches else writer.warnings).append(found.note)
+        curve = np.stack([simulation.times, found.depth, found.force], axis=1)[simulation.times > 0]
     write_curve(writer.file("force_depth", "force-depth.csv"), curve)
     writer.data.update(
         probe=body,
@@ -66,21 +82,27 @@ def write_simulation(
 
 
 def curve_warnings(simulation: Simulation, body: str) -> list[str]:
-    """Warnings if the curve may be another body's, or if its depth is not relative to first touch."""
+    """A warning if the curve may be another body's."""
     found = []
     names = _with_curve(simulation)
     if len(names) > 1 and body != _PROBE:
         found.append(
             f"{' and '.join(names)} log z and Fz and none is called {_PROBE}: the curve is that of {body}"
         )
-    depth = simulation.probe_depth(body)
-    if abs(depth[0]) > _FAR_START_MM:
-        found.append(
-            f"depth_mm is the depth of the centre of mass of {body} "
-            f"below z = 0, which is {depth[0]:.2f} mm at the start; it moves {depth[-1] - depth[0]:.2f} mm "
-            f"from there"
-        )
     return found
+
+
+def log_warnings(simulation: Simulation, *, own: bool) -> list[str]:
+    """What the solver's log warns of, each once.
+
+    own : a model of limbcli's, whose settings cause some of FEBio's warnings knowingly
+    """
+    counts = Counter(simulation.warnings)
+    return [
+        f"{simulation.solver} warns{f' ({count} times)' if count > 1 else ''}: {text}"
+        for text, count in counts.items()
+        if not (own and text.startswith(_KNOWN))
+    ]
 
 
 def probe_body(simulation: Simulation) -> str | None:
