@@ -84,9 +84,18 @@ def stated_word(title: str, name: str, label: str, given: Mapping[str, str | Non
 
     Our own name, as in `trace.csv`, states nothing: its numbers may be in the unit that case.toml gives.
     """
-    units, key, _ = _OF[quantity(name)]
+    return None if given.get(_OF[quantity(name)][1]) else _stated(title, name, label)[1]
+
+
+def _stated(title: str, name: str, label: str) -> tuple[str, str | None]:
+    """The unit of a column as the file writes it, and as we know it (None if we do not).
+
+    A label "g" apart from the title is not taken for a force: in LabVIEW's files it is an acceleration.
+    """
     word = label or ("" if title == name else stated_unit(title, name)[1])
-    return None if given.get(key) else unit_named(word, units)
+    if quantity(name) == "force" and label.strip() == "g":
+        return word, None
+    return word, unit_named(word, _OF[quantity(name)][0])
 
 
 def factor(title: str, name: str, label: str, given: Mapping[str, str | None], path: Path) -> float:
@@ -102,8 +111,7 @@ def factor(title: str, name: str, label: str, given: Mapping[str, str | None], p
         case.toml states none.
     """
     units, key, ours = _OF[quantity(name)]
-    word = label or ("" if title == name else stated_unit(title, name)[1])
-    stated, asked = unit_named(word, units) if word else None, given.get(key)
+    (word, stated), asked = _stated(title, name, label), given.get(key)
     if word and stated is None and asked is None and key:
         raise MeasurementError(
             f"the record states the unit {word[:20]!r} for {title[:40]!r}, which is none of "

@@ -82,8 +82,8 @@ def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
     values = _values(sheet, positions, form, path)
     _check_time(values["time_s"], path)
     k = positions["time_s"]
-    is_stated = form.time_unit or stated_word(sheet.header[k], "time_s", sheet.unit(k), {})
-    _check_rate(values["time_s"], path, longest=np.inf if is_stated else LONGEST_S)
+    unit = form.time_unit or stated_word(sheet.header[k], "time_s", sheet.unit(k), {})
+    _check_rate(values["time_s"], path, unit)
     axes = [values.get(f"accel_{axis}_g") for axis in "xyz"]
     return Trace(
         time=values["time_s"],
@@ -241,8 +241,9 @@ def _check_time(time: Array, path: Path) -> None:
         )
 
 
-def _check_rate(time: Array, path: Path, *, longest: float) -> None:
-    question = rate_question(time, longest=longest)
+def _check_rate(time: Array, path: Path, unit: str | None) -> None:
+    """unit : of the file's times, if it is stated"""
+    question = rate_question(time, unit=unit or "s", longest=np.inf if unit else LONGEST_S)
     if question:
         raise MeasurementError(
             question,

@@ -46,10 +46,10 @@ class Trace:
         )
 
 
-def rate_question(time: Array, *, longest: float = LONGEST_S) -> str:
-    """A question about the unit of a record's times (n,), which are to be in s; empty if they can be.
+def rate_question(time: Array, *, unit: str = "s", longest: float = LONGEST_S) -> str:
+    """A question about the unit of a record's times (n,), s; empty if they are plausible.
 
-    longest : s, of a plausible record
+    unit : that the file's times were taken in; longest : s, of a plausible record
 
     >>> rate_question(np.arange(0.0, 60.0, 0.01))
     ''
@@ -59,22 +59,18 @@ def rate_question(time: Array, *, longest: float = LONGEST_S) -> str:
     if len(time) < 2:
         return ""
     rate, lasts = 1.0 / float(np.median(np.diff(time))), float(time[-1] - time[0])
-    if not RATES_HZ[0] / _SLACK <= rate <= RATES_HZ[1] * _SLACK:
-        found = f"the record has {rate:.3g} samples per second"
-    elif lasts > longest:
-        found = f"the record lasts {lasts / 3600:.3g} hours"
-    else:
+    if _is_rate(rate) and lasts <= longest:
         return ""
-    units = [
-        name
-        for name, size in TIME_UNITS_IN_S.items()
-        if size != 1.0 and _is_plausible(rate / size, lasts * size)
+    found = f"lasts {lasts / 3600:.3g} hours" if _is_rate(rate) else f"has {rate:.3g} samples per second"
+    scales = {name: size / TIME_UNITS_IN_S[unit] for name, size in TIME_UNITS_IN_S.items() if name != unit}
+    fitting = [
+        name for name, scale in scales.items() if _is_rate(rate / scale) and lasts * scale <= LONGEST_S
     ]
-    return f"{found}: are its times in {' or '.join(units) or 'another unit'}, not in s?"
+    return f"the record {found}: are its times in {' or '.join(fitting) or 'another unit'}, not in {unit}?"
 
 
-def _is_plausible(rate: float, lasts: float) -> bool:
-    return RATES_HZ[0] / _SLACK <= rate <= RATES_HZ[1] * _SLACK and lasts <= LONGEST_S
+def _is_rate(rate_hz: float) -> bool:
+    return RATES_HZ[0] / _SLACK <= rate_hz <= RATES_HZ[1] * _SLACK
 
 
 def read_trace(path: Path) -> Trace:

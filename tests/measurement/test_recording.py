@@ -239,6 +239,7 @@ def test_volts_are_taken_in_the_unit_that_the_case_states(tmp_path):
         (1e-4, 600, None, ""),
         (5e-5, 600, None, "samples per second: are its times in min, not in s"),
         (1e5, 600, "s", "samples per second: are its times in us, not in s"),
+        (0.01, 600, "ms", "1e.05 samples per second: are its times in s or min, not in ms"),
     ],
 )
 def test_a_rate_that_no_record_has_is_asked_for_its_unit(tmp_path, step, n, unit, question):
@@ -367,3 +368,12 @@ def test_commas_between_columns_and_as_decimal_marks_are_refused(tmp_path):
     path.write_text(COMMAS.replace("Decimal_Separator,.", "Decimal_Separator,,"))
     with pytest.raises(MeasurementError, match="commas both between its columns and as decimal marks"):
         read_recording(path, RecordingFormat(columns={"force_n": "Force"}))
+
+
+def test_a_label_g_of_labview_is_no_force(tmp_path):
+    path = tmp_path / "a.lvm"
+    path.write_text(COMMAS.replace("kgf,Volts", "g,Volts"))
+    with pytest.raises(MeasurementError, match="unit 'g' for 'Force'"):
+        read_recording(path, RecordingFormat(columns={"force_n": "Force"}))
+    form = RecordingFormat(columns={"force_n": "Force"}, force_unit="gf")
+    np.testing.assert_allclose(read_recording(path, form).force, [0.1 * 9.80665e-3, 1.5 * 9.80665e-3])
