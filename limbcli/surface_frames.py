@@ -203,6 +203,12 @@ def _of_3mf(path: Path) -> list[str]:
     except OSError as error:
         fix = "export it again as 3MF, or as STL, PLY or OBJ"
         raise CaseError(f"the surface cannot be read ({error})", where=str(path), fix=fix) from error
+    if unit_named(unit, LENGTH_UNITS_IN_MM) is None:
+        raise CaseError(
+            f"the surface's unit of length is {unit!r}, which is not known",
+            where=str(path),
+            fix="export it again in millimeters",
+        )
     return [f"unit={unit}"]
 
 

@@ -7,7 +7,9 @@ Extension (objects in other parts of the package, as PrusaSlicer and Bambu Studi
 from __future__ import annotations
 
 import posixpath
+import struct
 import zipfile
+import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -21,7 +23,10 @@ _MODEL = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
 _LARGEST = 1_000_000_000  # bytes, largest part of the package
 _DEEPEST = 20  # objects made of objects
 _DEFAULT_UNIT = "millimeter"
-_DAMAGED = (zipfile.BadZipFile, KeyError, etree.XMLSyntaxError, NotImplementedError, RuntimeError, EOFError)
+_DAMAGED = (
+    zipfile.BadZipFile, zlib.error, struct.error, etree.XMLSyntaxError, KeyError, ValueError, EOFError,
+    NotImplementedError, RuntimeError,
+)  # fmt: skip
 
 
 def read_3mf(path: Path) -> tuple[Array, list[IntArray]]:

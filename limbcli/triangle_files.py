@@ -52,6 +52,8 @@ def read_triangles(path: Path) -> tuple[_Points, _Faces]:
         raise OSError(str(error) or type(error).__name__) from error
     if points.ndim != 2 or points.shape[1] < 3:
         raise OSError("its points do not have three coordinates")
+    if any(each.ndim != 2 for each in polygons):
+        raise OSError("its faces are not lists of corners")
     faces = np.concatenate([np.zeros((0, 3), np.int64), *(_fans(each) for each in polygons if each.size)])
     if len(faces) and not 0 <= faces.min() <= faces.max() < len(points):
         raise OSError(f"a triangle refers to a point that does not exist (of {len(points)})")

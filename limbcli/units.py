@@ -71,7 +71,7 @@ FORCE_UNITS_IN_N = {
     "gf": GRAVITY_M_PER_S2 / 1e3,
     "lbf": 4.4482216152605,
 }
-LENGTH_UNITS_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3, "inch": 25.4, "ft": 304.8}
+LENGTH_UNITS_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3, "inch": 25.4, "ft": 304.8, "yd": 914.4}
 TIME_UNITS_IN_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
 ACCELERATION_UNITS_IN_G = {"g": 1.0, "mg": 1e-3, "m/s2": 1.0 / GRAVITY_M_PER_S2}
 # Other names that files give to these units; a force in kg is the weight of that mass.
@@ -80,7 +80,7 @@ _ALSO = {
     "gf": "g gr gram grams", "lbf": "lb lbs pound pounds",
     "mm": "millimeter millimeters millimetre millimetres",
     "cm": "centimeter centimeters centimetre centimetres",
-    "m": "meter meters metre metres", "inch": "in inches", "ft": "foot feet",
+    "m": "meter meters metre metres", "inch": "in inches", "ft": "foot feet", "yd": "yard yards",
     "um": "\u00b5m \u03bcm micron microns micrometer micrometers micrometre micrometres",
     "s": "sec secs second seconds", "ms": "msec msecs millisecond milliseconds",
     "us": "\u00b5s \u03bcs usec microsecond microseconds", "min": "minute minutes",

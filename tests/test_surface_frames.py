@@ -202,6 +202,9 @@ def test_a_3mf_is_what_is_built_in_the_unit_that_it_states(tmp_path, unit, scale
 
 
 def test_a_damaged_3mf_is_refused(tmp_path):
+    three_mf(tmp_path / "a.3mf", ' unit="parsec"')
+    with pytest.raises(CaseError, match="'parsec', which is not known"):
+        read_triangles(tmp_path / "a.3mf")
     three_mf(tmp_path / "a.3mf", "", number=5)
     with pytest.raises(OSError, match="object 5"):
         read_triangles(tmp_path / "a.3mf")

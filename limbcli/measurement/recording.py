@@ -230,6 +230,14 @@ def _column(rows: list[list[str]], position: int, decimal: str, name: str, path:
 
 
 def _check_time(time: Array, path: Path) -> None:
+    missing = np.flatnonzero(~np.isfinite(time))
+    if len(missing):
+        raise MeasurementError(
+            f"{len(missing)} row(s) have no time, the first is row {missing[0] + 1} below the header",
+            where=str(path),
+            fix="remove these rows, or give the right time column",
+            n_rows=len(missing),
+        )
     wrong = np.flatnonzero(~(np.diff(time) > 0))
     if len(wrong):
         k = int(wrong[0])

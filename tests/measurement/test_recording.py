@@ -138,6 +138,8 @@ def test_a_labview_file_repeats_the_time_before_every_channel(tmp_path):
         ("time_s,load\n0,1\n1,2\n", RecordingFormat(columns={"force_n": "Load"}), "did you mean 'load'"),
         ("time_s,force_n\n0,1\n0,2\n", RecordingFormat(), "does not increase"),
         ("time_s,force_n\n0,1\n1,x\n", RecordingFormat(), "not a number"),
+        ("time_s,force_n\nNaN,1\n", RecordingFormat(), "1 row(s) have no time, the first is row 1"),
+        ("time_s,force_n\n0,1\n,2\n1,3\n", RecordingFormat(), "the first is row 2"),
         ("time_s,force_n,force_n\n0,1,9\n1,2,9\n", RecordingFormat(), "2 columns of the record are called"),
         ("time_s,force_n\n", RecordingFormat(), "no rows"),
         ("time_s;force_n\n0,0;900\n1,0;1.234\n", RecordingFormat(), "marks between thousands"),
