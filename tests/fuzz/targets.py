@@ -142,9 +142,10 @@ def make_3mf(folder: Path) -> None:
     kind = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
     with zipfile.ZipFile(folder / "a.3mf", "w") as package:
         package.writestr("_rels/.rels", f'<R><Relationship Target="/a.model" Type="{kind}"/></R>')
-        package.writestr("a.model", f'<model unit="inch" xmlns="{core}"><resources><object id="1"><mesh><vertices>{points}'
-                                    f"</vertices><triangles>{faces}</triangles></mesh></object></resources><build>"
-                                    '<item objectid="1" transform="1 0 0 0 1 0 0 0 1 5 6 7"/></build></model>')  # fmt: skip
+        mesh = f"<mesh><vertices>{points}</vertices><triangles>{faces}</triangles></mesh>"
+        item = '<item objectid="1" transform="1 0 0 0 1 0 0 0 1 5 6 7"/>'
+        objects = f'<resources><object id="1">{mesh}</object></resources><build>{item}</build>'
+        package.writestr("a.model", f'<model unit="inch" xmlns="{core}">{objects}</model>')
 
 
 def _labels() -> np.ndarray:
