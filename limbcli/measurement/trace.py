@@ -58,7 +58,8 @@ def rate_question(time: Array, *, unit: str = "s", longest: float = LONGEST_S) -
     """
     if len(time) < 2:
         return ""
-    rate, lasts = 1.0 / float(np.median(np.diff(time))), float(time[-1] - time[0])
+    step = float(np.median(np.diff(time)))
+    rate, lasts = 1.0 / step, len(time) * step  # without pauses between the segments of a record
     if _is_rate(rate) and lasts <= longest:
         return ""
     found = f"lasts {lasts / 3600:.3g} hours" if _is_rate(rate) else f"has {rate:.3g} samples per second"

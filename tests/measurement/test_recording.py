@@ -255,6 +255,13 @@ def test_a_rate_that_no_record_has_is_asked_for_its_unit(tmp_path, step, n, unit
     assert "time_unit" in caught.value.fix
 
 
+def test_a_pause_of_hours_is_no_question(tmp_path):
+    path = tmp_path / "a.csv"
+    text = "\n".join(f"{start + k / 10},1" for start in (0, 20_000) for k in range(100))
+    path.write_text("time_s,force_n\n" + text)
+    assert len(read_recording(path).time) == 200
+
+
 def test_a_trace_in_milliseconds_is_refused(tmp_path):
     path = tmp_path / "trace.csv"
     path.write_text("time_s,force_n\n" + "\n".join(f"{10 * k},1" for k in range(100)))
