@@ -1,4 +1,4 @@
-"""Read triangle surfaces as written by scanners and CAD programs: PLY, OBJ, STL and others.
+"""Read triangle surfaces as written by scanners and CAD programs: PLY, OBJ, STL, 3MF and others.
 
 PLY: paulbourke.net/dataformats/ply; OBJ: paulbourke.net/dataformats/obj. Colours, normals and texture
 coordinates in such files are ignored. PLY and OBJ are read here because meshio rejects many files of
@@ -12,6 +12,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from limbcli.surface_frames import stated_frame
+from limbcli.three_mf import read_3mf
 
 _Points = NDArray[np.float64]
 _Faces = NDArray[np.int64]
@@ -29,7 +32,7 @@ _DAMAGED = (Exception, SystemExit)
 
 
 def read_triangles(path: Path) -> tuple[_Points, _Faces]:
-    """Points (n, 3) and triangles (m, 3) of a surface file, unscaled.
+    """Points (n, 3) in patient LPS, mm, as the file states its frame and unit, and triangles (m, 3).
 
     Other polygons are split into triangles. m is 0 if the file contains only other cells; coordinates may be
     NaN, which the caller must check.
@@ -38,8 +41,10 @@ def read_triangles(path: Path) -> tuple[_Points, _Faces]:
     ------
     OSError
         If the file cannot be read, however it is corrupt, or refers to points that do not exist.
+    CaseError
+        If the frame or the unit that it states is not known, or contradicts another in it.
     """
-    read = {".ply": _ply, ".obj": _obj}.get(path.suffix.lower(), _by_meshio)
+    read = {".ply": _ply, ".obj": _obj, ".3mf": read_3mf}.get(path.suffix.lower(), _by_meshio)
     try:
         with np.errstate(all="ignore"):  # meshio computes sizes that may overflow
             points, polygons = read(path)
@@ -47,10 +52,12 @@ def read_triangles(path: Path) -> tuple[_Points, _Faces]:
         raise OSError(str(error) or type(error).__name__) from error
     if points.ndim != 2 or points.shape[1] < 3:
         raise OSError("its points do not have three coordinates")
+    if any(each.ndim != 2 for each in polygons):
+        raise OSError("its faces are not lists of corners")
     faces = np.concatenate([np.zeros((0, 3), np.int64), *(_fans(each) for each in polygons if each.size)])
     if len(faces) and not 0 <= faces.min() <= faces.max() < len(points):
         raise OSError(f"a triangle refers to a point that does not exist (of {len(points)})")
-    return points[:, :3], faces
+    return stated_frame(path).to_lps(points[:, :3], faces)
 
 
 def _fans(polygons: _Faces) -> _Faces:

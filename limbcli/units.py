@@ -6,6 +6,7 @@ package carry their unit in their name and are converted here.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TypeVar, cast
 
 import numpy as np
@@ -74,8 +75,37 @@ def m_per_s_from_mm_per_s(value: Number) -> Number:
 FORCE_UNITS_IN_N = {
     "N": 1.0,
     "mN": 1e-3,
+    "cN": 1e-2,
+    "kN": 1e3,
     "kgf": GRAVITY_M_PER_S2,
     "gf": GRAVITY_M_PER_S2 / 1e3,
     "lbf": 4.4482216152605,
 }
-LENGTH_UNITS_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3, "inch": 25.4}
+LENGTH_UNITS_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3, "inch": 25.4, "ft": 304.8, "yd": 914.4}
+TIME_UNITS_IN_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
+ACCELERATION_UNITS_IN_G = {"g": 1.0, "mg": 1e-3, "m/s2": 1.0 / GRAVITY_M_PER_S2}
+# Other names that files give to these units; a force in kg is the weight of that mass.
+_ALSO = {
+    "N": "newton newtons", "mN": "millinewton millinewtons", "kgf": "kg kp kilogram kilograms",
+    "gf": "g gr gram grams", "lbf": "lb lbs pound pounds",
+    "mm": "millimeter millimeters millimetre millimetres",
+    "cm": "centimeter centimeters centimetre centimetres",
+    "m": "meter meters metre metres", "inch": "in inches", "ft": "foot feet", "yd": "yard yards",
+    "um": "\u00b5m \u03bcm micron microns micrometer micrometers micrometre micrometres",
+    "s": "sec secs second seconds", "ms": "msec msecs millisecond milliseconds",
+    "us": "\u00b5s \u03bcs usec microsecond microseconds", "min": "minute minutes",
+    "m/s2": "m/s^2 m/s\u00b2 m/s/s m.s-2",
+}  # fmt: skip
+
+
+def unit_named(word: str, units: Mapping[str, float]) -> str | None:
+    """The unit of a table (a key of `units`) that a word in a file stands for; None if it is none of them.
+
+    >>> unit_named("Millimetres", LENGTH_UNITS_IN_MM), unit_named("kg", FORCE_UNITS_IN_N)
+    ('mm', 'kgf')
+    >>> unit_named("V", FORCE_UNITS_IN_N)
+    """
+    if word in units:
+        return word
+    low = word.lower().rstrip(".")
+    return next((key for key in units if low == key.lower() or low in _ALSO.get(key, "").split()), None)

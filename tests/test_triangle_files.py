@@ -72,6 +72,14 @@ def test_a_ply_that_ends_early_is_refused(tmp_path, form):
         read_triangles(path)
 
 
+def test_a_ply_whose_faces_are_no_lists_is_refused(tmp_path):
+    head = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
+    head += "element face 1\nproperty int vertex_indices\nend_header\n"
+    (tmp_path / "a.ply").write_text(head + "0 0 0\n0\n")
+    with pytest.raises(OSError, match="not lists of corners"):
+        read_triangles(tmp_path / "a.ply")
+
+
 def test_an_obj_without_points_holds_no_triangles(tmp_path):
     (tmp_path / "a.obj").write_text("# nothing\n")
     points, faces = read_triangles(tmp_path / "a.obj")

@@ -12,7 +12,7 @@ from typing import Any
 
 from limbcli.errors.problems import Problem, suggestion
 from limbcli.mesh_bounds import MARGIN_MM
-from limbcli.units import FORCE_UNITS_IN_N, LENGTH_UNITS_IN_MM
+from limbcli.units import FORCE_UNITS_IN_N, LENGTH_UNITS_IN_MM, TIME_UNITS_IN_S
 
 FILL_IN = "FILL IN"  # placeholder that `limbcli new` writes for a value the user must give
 # Longest name of a site, bytes: file systems allow 255, and names of results contain more than the site's.
@@ -248,8 +248,9 @@ SITE = {
 LOAD_CELL = {
     "file": Key("file", text, required=True),
     "columns": Key("table of texts", table_of_texts, default={}),
-    "force_unit": Key("unit", one_of(*FORCE_UNITS_IN_N), default="N"),
-    "length_unit": Key("unit", one_of(*LENGTH_UNITS_IN_MM), default="mm"),
+    "time_unit": Key("unit", one_of(*TIME_UNITS_IN_S)),  # none: as the file states it, else s
+    "force_unit": Key("unit", one_of(*FORCE_UNITS_IN_N)),  # none: ... N
+    "length_unit": Key("unit", one_of(*LENGTH_UNITS_IN_MM)),  # none: ... mm
     "separator": Key("one mark", one_mark),
     "decimal": Key(". | ,", one_of(".", ",")),
     "hold_s": Key("s", number(0.5, 600.0, "s"), default=5.0),

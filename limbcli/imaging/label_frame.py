@@ -14,13 +14,13 @@ from scipy import ndimage
 
 from limbcli.errors.problems import Problem
 from limbcli.imaging.limbs import upright
+from limbcli.imaging.nifti import SAME_PLACE
 from limbcli.imaging.segmentation import BONE, FAT, SOFT_TISSUE
 from limbcli.imaging.signed_distance import filled_by_slice
 from limbcli.imaging.skin_segmentation import background_threshold
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 
-_SAME = 0.5  # fraction of a voxel: grids whose corners are this close are the same
 # Dice overlap of the limb and the bright part of the image: warning below the first, error below the second
 _AGREE = (0.9, 0.75)
 _BEYOND = 0.05  # largest fraction of the limb's voxels outside the image
@@ -103,7 +103,9 @@ def _same_grid(labels: Volume, image: Volume) -> bool:
         return False
     apart = np.linalg.norm(_corners(labels)[:, None] - _corners(image)[None], axis=2)
     nearest = apart.argmin(axis=1)
-    return bool(apart.min(axis=1).max() < _SAME * image.spacing.min() and len(set(nearest)) == len(nearest))
+    return bool(
+        apart.min(axis=1).max() < SAME_PLACE * image.spacing.min() and len(set(nearest)) == len(nearest)
+    )
 
 
 def _share_beyond(labels: Volume, limb: NDArray[np.bool_], image: Volume) -> float:

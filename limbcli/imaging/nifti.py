@@ -17,7 +17,13 @@ from nibabel.spatialimages import HeaderDataError
 from limbcli.errors import CaseError
 from limbcli.imaging.volume import DAMAGED, MOST_VOXELS, RAS_FROM_LPS, Volume
 
-_ZOOM = 0.02  # largest relative difference of voxel sizes within one header; a larger one is a contradiction
+# Fraction of the smallest side of a voxel: grids whose corners are this close are the same.
+SAME_PLACE = 0.5
+_FRAMES = {
+    1: "the scanner's", 2: "aligned to another image", 3: "the Talairach atlas's",
+    4: "the MNI 152 template's", 5: "another template's",
+}  # fmt: skip
+_ZOOM = 0.02  # largest relative difference of voxel sizes within one header
 _SAVE = "save it again from 3D Slicer as NIfTI (.nii.gz)"
 
 
@@ -111,6 +117,10 @@ def require_placement(image: object, path: Path, *, noun: str, fix: str) -> None
 def one_geometry(image: object, path: Path, *, noun: str) -> None:
     """Check that the voxel sizes and positions that a NIfTI header states twice or more agree, and are in mm.
 
+    With both qform and sform, nibabel uses the sform; ITK (5.4, itkNiftiImageIO) does so only where its code
+    is 1, and shows the qform otherwise. Both must therefore give the same position, whatever their codes; one
+    whose code is 0 is not there, for either.
+
     noun : what the file is, for the messages ("image", "label map")
 
     Raises
@@ -139,10 +149,21 @@ def one_geometry(image: object, path: Path, *, noun: str) -> None:
     except (ValueError, HeaderDataError) as error:
         what = f"the {noun}'s position (qform) cannot be read ({error})"
         raise CaseError(what, where=str(path), fix=fix) from error
-    if qform is not None and sform is not None:
-        ends = np.array([[i, j, k, 1] for i in (0, 1) for j in (0, 1) for k in (0, 1)], dtype=np.float64)
-        ends[:, :3] *= np.array(header.get_data_shape()[:3]) - 1
-        off = float(np.linalg.norm(ends @ (qform - sform).T, axis=1).max())
-        if off > sides.max():
-            what = f"the {noun} gives two positions (qform and sform), {off:.1f} mm apart"
-            raise CaseError(what, where=str(path), fix=fix)
+    if qform is None or sform is None:
+        return
+    ends = np.array([[i, j, k, 1] for i in (0, 1) for j in (0, 1) for k in (0, 1)], dtype=np.float64)
+    ends[:, :3] *= np.array(header.get_data_shape()[:3]) - 1
+    off = float(np.linalg.norm(ends @ (qform - sform).T, axis=1).max())
+    if off > SAME_PLACE * sides.min():
+        what = (
+            f"the {noun} gives two positions, up to {off:.2f} mm apart: "
+            f"qform ({_frame(header, 'qform')}) and sform ({_frame(header, 'sform')})"
+        )
+        fix = f"{fix}; or, if you know which is right, write it to both (nibabel: set_qform, set_sform)"
+        raise CaseError(what, where=str(path), fix=fix, off_mm=off)
+
+
+def _frame(header: nib.Nifti1Header, which: str) -> str:
+    """The code of qform or sform, and what it stands for."""
+    code = int(header[f"{which}_code"])
+    return f"code {code}, {_FRAMES.get(code, 'not one that the format knows')}"

@@ -175,7 +175,7 @@ def write_surface(path: Path, surface: ClosedSurface) -> None:
     faces = np.zeros(len(surface.triangles), [("n", "u1"), ("corners", "<i4", 3)])
     faces["n"], faces["corners"] = 3, surface.triangles
     head = (
-        "ply\nformat binary_little_endian 1.0\ncomment limbcli: mm, patient LPS\n"
+        "ply\nformat binary_little_endian 1.0\ncomment limbcli: units mm, patient LPS\ncomment SPACE=LPS\n"
         f"element vertex {len(surface.points)}\nproperty float x\nproperty float y\nproperty float z\n"
         f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
     )
@@ -185,7 +185,7 @@ def write_surface(path: Path, surface: ClosedSurface) -> None:
 
 
 def read_surface(path: Path) -> ClosedSurface:
-    """Read triangles from an STL, PLY or OBJ file, and merge coincident points.
+    """Read triangles from an STL, PLY, OBJ or 3MF file, in patient LPS and mm, and merge coincident points.
 
     Raises
     ------

@@ -17,6 +17,8 @@ from limbcli.model import Array
 _SHOWN_PER_FILE = 8
 # Unit suffixes of column names; a longer suffix comes before one that it ends in.
 _UNITS = {"_mpa_per_mm": "MPa/mm", "_m_per_s": "m/s", "_mm": "mm", "_n": "N", "_s": "s"}
+SEPARATOR_LINE = re.compile(r"^\ufeff?sep=(.)\r?$", re.IGNORECASE)  # for spreadsheets, above a header
+_LONGEST_CELL = 40  # characters of a cell that are shown
 # the line is kept, empty, so that line numbers stay correct
 _COMMENT = re.compile(r"^[ \t]*#[^\r\n]*", re.MULTILINE)
 
@@ -47,7 +49,10 @@ def read_table(
     content, problems = _read_text(path)
     if content is None:
         return None, problems
-    rows, problems = csv_rows(_COMMENT.sub("", content), path)
+    first, _, rest = content.partition("\n")
+    named = SEPARATOR_LINE.match(first)
+    content = "\n" + rest if named else content
+    rows, problems = csv_rows(_COMMENT.sub("", content), path, separator=named[1] if named else ",")
     if rows is None:
         return None, problems
     numbered = [(k, row) for k, row in enumerate(rows, 1) if any(cell.strip() for cell in row)]
@@ -122,6 +127,15 @@ def number_of(cell: str) -> float:
     return float(cell)
 
 
+def shown(cell: str) -> str:
+    """A cell in quotes, as a message shows it; only the beginning of a long one.
+
+    >>> shown("1_0")
+    "'1_0'"
+    """
+    return repr(cell if len(cell) <= _LONGEST_CELL else f"{cell[:_LONGEST_CELL]}...")
+
+
 def _read_text(path: Path) -> tuple[str | None, list[Problem]]:
     try:
         content = path.read_text(encoding="utf-8-sig")
@@ -148,7 +162,7 @@ def _check_header(
     problems = []
     for name in header:
         if name not in known:
-            what = f"unknown column {name!r}" if name else "a column without a name"
+            what = f"unknown column {shown(name)}" if name else "a column without a name"
             problems.append(problem(what, path, suggestion(name, known), line=1))
     for name in sorted({each for each in header if header.count(each) > 1}):
         problems.append(problem(f"column {name!r} appears twice", path, "keep one of them", line=1))
@@ -186,7 +200,7 @@ def _numbers(
         try:
             values[k] = number_of(cell)
         except ValueError:
-            what = f"{name} is {cell!r}, not a number" if cell else f"{name} is empty"
+            what = f"{name} is {shown(cell)}, not a number" if cell else f"{name} is empty"
             fix = "write a number with a decimal point, without its unit"
             problems.append(problem(what, path, fix, line=line))
             continue

@@ -8,18 +8,25 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.errors import MeasurementError
-from limbcli.errors.problems import Problem, checked
+from limbcli.errors.problems import Problem, checked, errors_of
 from limbcli.measurement.level_checks import MAX_FORCE
 from limbcli.measurement.tables import problem, read_table
 from limbcli.model import Array
+from limbcli.units import TIME_UNITS_IN_S
 
+RATES_HZ = (1.0, 10_000.0)  # of plausible records
+_SLACK = 1.01  # rates are of clocks, and of times that were rounded
+LONGEST_S = 7200.0  # of a plausible record
 TRACE_REQUIRED = ("time_s", "force_n")
 TRACE_OPTIONAL = ("depth_mm", "probe_travel_mm", "accel_x_g", "accel_y_g", "accel_z_g")
 
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """The load-cell record: time s, force N and, if recorded, depth and travel mm, acceleration g."""
+    """The load-cell record: time s, force N and, if recorded, depth and travel mm, acceleration g.
+
+    converted : a sentence on units that the file states, or ""
+    """
 
     time: Array
     force: Array
@@ -27,13 +34,44 @@ class Trace:
     probe_travel: Array | None
     acceleration_g: Array | None
     path: Path
+    converted: str = ""
 
     def since(self, time_s: float) -> Trace:
         """The part of the record after a time."""
         late = self.time > time_s
         parts = (self.depth, self.probe_travel, self.acceleration_g)
         depth, travel, acceleration = (None if each is None else each[late] for each in parts)
-        return Trace(self.time[late], self.force[late], depth, travel, acceleration, self.path)
+        return Trace(
+            self.time[late], self.force[late], depth, travel, acceleration, self.path, self.converted
+        )
+
+
+def rate_question(time: Array, *, unit: str = "s", longest: float = LONGEST_S) -> str:
+    """A question about the unit of a record's times (n,), s; empty if they are plausible.
+
+    unit : that the file's times were taken in; longest : s, of a plausible record
+
+    >>> rate_question(np.arange(0.0, 60.0, 0.01))
+    ''
+    >>> rate_question(np.arange(0.0, 60_000.0, 10.0))
+    'the record has 0.1 samples per second: are its times in ms, not in s?'
+    """
+    if len(time) < 2:
+        return ""
+    step = float(np.median(np.diff(time)))
+    rate, lasts = 1.0 / step, len(time) * step  # without pauses between the segments of a record
+    if _is_rate(rate) and lasts <= longest:
+        return ""
+    found = f"lasts {lasts / 3600:.3g} hours" if _is_rate(rate) else f"has {rate:.3g} samples per second"
+    scales = {name: size / TIME_UNITS_IN_S[unit] for name, size in TIME_UNITS_IN_S.items() if name != unit}
+    fitting = [
+        name for name, scale in scales.items() if _is_rate(rate / scale) and lasts * scale <= LONGEST_S
+    ]
+    return f"the record {found}: are its times in {' or '.join(fitting) or 'another unit'}, not in {unit}?"
+
+
+def _is_rate(rate_hz: float) -> bool:
+    return RATES_HZ[0] / _SLACK <= rate_hz <= RATES_HZ[1] * _SLACK
 
 
 def read_trace(path: Path) -> Trace:
@@ -56,6 +94,11 @@ def check_trace(path: Path) -> tuple[Trace | None, list[Problem]]:
     for k in np.flatnonzero(np.diff(time) <= 0)[:3]:
         what = f"time_s does not increase ({time[k]:g} then {time[k + 1]:g} s)"
         problems.append(problem(what, path, "sort by time; remove repeated samples", line=table.lines[k + 1]))
+    question = "" if errors_of(problems) else rate_question(time, longest=np.inf)
+    if question:
+        problems.append(problem(question, path, "the column is in s: convert it"))
+    elif not errors_of(problems) and (question := rate_question(time)):
+        problems.append(problem(question, path, "the column is in s: convert it, if it is not", warning=True))
     if np.abs(table.numbers["force_n"]).max() > MAX_FORCE:
         what = f"force_n reaches {np.abs(table.numbers['force_n']).max():g} N"
         problems.append(problem(what, path, "the column is in N (is it in grams?)"))

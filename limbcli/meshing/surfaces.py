@@ -15,7 +15,7 @@ from limbcli.errors import MeshError
 from limbcli.model import Array, IntArray
 from limbcli.triangle_files import read_triangles
 
-SUFFIXES = (".ply", ".stl", ".obj", ".off", ".vtk", ".vtu")
+SUFFIXES = (".ply", ".stl", ".obj", ".3mf", ".off", ".vtk", ".vtu")
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,7 @@ def join(surfaces: list[Triangles]) -> Triangles:
 
 
 def read_surface(path: Path) -> Triangles:
-    """Read a triangle surface (PLY, STL, OBJ, ...); coordinates are taken as they are (mm).
+    """Read a triangle surface (PLY, STL, OBJ, ...); in patient LPS and mm, as it states them.
 
     Raises
     ------

@@ -20,7 +20,7 @@ _EDGE = 4.0  # mm, edge length of the surfaces made from a label map; coarse, fo
 
 def geometry_findings(case: Case, known: Sequence[Problem]) -> tuple[list[Problem], list[str]]:
     """Problems of the geometry (bones outside the skin, a label map off its series, sites off the skin), and
-    lines on the bones at the sites.
+    lines on surfaces that were converted to patient LPS and mm, and on the bones at the sites.
 
     known : problems found so far; they are not repeated, and files that they report as unreadable are skipped
     """
@@ -28,16 +28,26 @@ def geometry_findings(case: Case, known: Sequence[Problem]) -> tuple[list[Proble
     try:
         if case.imaging.assumed:
             found = _assumed(case)
+            lines, _ = _frames(case)
         elif case.imaging.skin is None and case.imaging.labels is None:
             found = _images(case)
         else:
             surfaces, where, found = _surfaces(case) if case.imaging.skin is not None else _label_map(case)
-            found += _of_limb(case, surfaces, where)
-            lines = _bone_lines(case, surfaces)
+            lines, mixed = _frames(case)
+            found += mixed + _of_limb(case, surfaces, where)
+            lines += _bone_lines(case, surfaces)
     except LimbError as error:
         found = [Problem(error.what, error.where, error.fix)]
     reported = {each.what for each in known}
     return [each for each in found if each.what not in reported], lines
+
+
+def _frames(case: Case) -> tuple[list[str], list[Problem]]:
+    if case.imaging.skin is None:
+        return [], []
+    from limbcli.stages.segmenting.surfaces import frames_of
+
+    return frames_of(case)
 
 
 def _of_limb(case: Case, surfaces: Mapping[str, Triangles], where: str) -> list[Problem]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -131,6 +132,22 @@ def make_surface(name: str, **options: Any) -> Callable[[Path], None]:
     return make
 
 
+def make_3mf(folder: Path) -> None:
+    """A tetrahedron in inches, not packed, so that mutations reach its XML."""
+    corners = ((0, 0, 0), (1, 0, 0), (0, 2, 0), (0, 0, 3))
+    sides = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))
+    points = "".join(f'<vertex x="{x}" y="{y}" z="{z}"/>' for x, y, z in corners)
+    faces = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in sides)
+    core = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
+    kind = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
+    with zipfile.ZipFile(folder / "a.3mf", "w") as package:
+        package.writestr("_rels/.rels", f'<R><Relationship Target="/a.model" Type="{kind}"/></R>')
+        mesh = f"<mesh><vertices>{points}</vertices><triangles>{faces}</triangles></mesh>"
+        item = '<item objectid="1" transform="1 0 0 0 1 0 0 0 1 5 6 7"/>'
+        objects = f'<resources><object id="1">{mesh}</object></resources><build>{item}</build>'
+        package.writestr("a.model", f'<model unit="inch" xmlns="{core}">{objects}</model>')
+
+
 def _labels() -> np.ndarray:
     x, y = np.meshgrid(np.arange(24), np.arange(20), indexing="ij")
     radius = np.hypot(x - 12, y - 10)
@@ -256,6 +273,8 @@ TARGETS = (
             ("a.ply", False, {"binary": True}), ("ascii.ply", True, {"binary": False}), ("a.obj", True, {}),
         )
     ),
+    Target("3MF", "a.3mf", False, make_3mf, read_surface,
+           lambda found: sound_faces(found.points, found.triangles)),
     Target("meshed surface", "b.ply", False, make_surface("b.ply", binary=True), surfaces.read_surface,
            lambda found: sound_faces(found.points, found.faces)),
     Target("NIfTI", "labels.nii", False, make_nifti("labels.nii"), read_label_file, sound_labels),

@@ -111,7 +111,7 @@ def _two_places(made):
     ("change", "message"),
     [
         (_no_place, "does not define its orientation"),
-        (_two_places, "two positions .qform and sform., 52.0 mm apart"),
+        (_two_places, "two positions, up to 51.96 mm apart: qform .code 1, the scanner's. and"),
         (lambda made: made.header.set_xyzt_units("meter"), "unit of length is meter"),
         (lambda made: made.set_sform(made.affine * 1000, code=1), "two voxel sizes|two positions"),
     ],
@@ -121,6 +121,43 @@ def test_a_place_that_is_not_sure_is_refused(image, tmp_path, change, message):
     with pytest.raises(CaseError, match=message) as caught:
         read_image(nifti(image, tmp_path / "a.nii", change=change))
     assert caught.value.fix
+
+
+@pytest.mark.parametrize(
+    ("codes", "used"), [((1, 0), "qform"), ((0, 2), "sform"), ((4, 0), "qform"), ((0, 4), "sform")]
+)
+def test_a_position_whose_code_is_0_does_not_count(image, tmp_path, codes, used):
+    """As nibabel 5.4 and SimpleITK 2.5 read them."""
+    moved = RAS_FROM_LPS @ image.affine
+    moved[:3, 3] += 30.0
+
+    def change(made):
+        made.set_qform(made.affine if used == "qform" else moved, code=codes[0])
+        made.set_sform(made.affine if used == "sform" else moved, code=codes[1])
+        made.header["qform_code"], made.header["sform_code"] = codes
+
+    same(read_image(nifti(image, tmp_path / "a.nii", change=change)).volume, image)
+
+
+@pytest.mark.parametrize("codes", [(1, 1), (1, 2), (2, 1), (2, 4), (4, 2)])
+@pytest.mark.parametrize("off", [0.3, 0.4])
+def test_two_positions_may_differ_by_half_the_smallest_side_of_a_voxel(image, tmp_path, codes, off):
+    """0.35 mm here, where the slices are 3 mm apart; of other codes than 1, ITK shows the qform."""
+
+    def change(made):
+        moved = made.affine.copy()
+        moved[0, 3] += off
+        made.set_sform(made.affine, code=codes[1])
+        made.set_qform(moved, code=codes[0])
+
+    path = nifti(image, tmp_path / "a.nii", change=change)
+    if off < 0.35:
+        same(read_image(path).volume, image)
+    else:
+        with pytest.raises(
+            CaseError, match=f"0.40 mm apart: qform .code {codes[0]}, .* sform .code {codes[1]}, "
+        ):
+            read_image(path)
 
 
 def test_several_volumes_colours_and_complex_numbers_are_refused_each_in_words(image, tmp_path):

@@ -105,6 +105,7 @@ def saved(path: Path, **header) -> Path:
         ({"unit": "meter"}, "not mm"),
         ({"pixdim": [1.0, 1.0, 4.0]}, "two voxel sizes"),
         ({"qform": np.array([[-2, 0, 0, 40], [0, -2, 0, 0], [0, 0, 4, 0], [0, 0, 0, 1.0]])}, "two positions"),
+        ({"qform": RAS_FROM_LPS @ limb().affine + 1.1 * np.eye(4, k=3)}, "1.10 mm apart"),
     ],
 )
 def test_a_header_that_contradicts_itself_is_refused(tmp_path, header, text):

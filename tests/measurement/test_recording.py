@@ -7,6 +7,7 @@ import pytest
 
 from limbcli.errors import MeasurementError
 from limbcli.measurement.recording import RecordingFormat, read_recording
+from limbcli.measurement.trace import check_trace
 
 LVM = """LabVIEW Measurement
 Writer_Version\t2
@@ -137,6 +138,8 @@ def test_a_labview_file_repeats_the_time_before_every_channel(tmp_path):
         ("time_s,load\n0,1\n1,2\n", RecordingFormat(columns={"force_n": "Load"}), "did you mean 'load'"),
         ("time_s,force_n\n0,1\n0,2\n", RecordingFormat(), "does not increase"),
         ("time_s,force_n\n0,1\n1,x\n", RecordingFormat(), "not a number"),
+        ("time_s,force_n\nNaN,1\n", RecordingFormat(), "1 row(s) have no time, the first is row 1"),
+        ("time_s,force_n\n0,1\n,2\n1,3\n", RecordingFormat(), "the first is row 2"),
         ("time_s,force_n,force_n\n0,1,9\n1,2,9\n", RecordingFormat(), "2 columns of the record are called"),
         ("time_s,force_n\n", RecordingFormat(), "no rows"),
         ("time_s;force_n\n0,0;900\n1,0;1.234\n", RecordingFormat(), "marks between thousands"),
@@ -158,3 +161,228 @@ def test_a_time_of_day_is_refused_with_what_to_write_instead(tmp_path):
     with pytest.raises(MeasurementError) as found:
         read_recording(path)
     assert found.value.fix == "write seconds: a time of day or a date is not read as time"
+
+
+SECONDS = np.arange(5) / 10.0
+
+
+def rows(separator: str = ",", *, scale: float = 1.0, comma: bool = False) -> str:
+    text = "\n".join(f"{scale * t:.6g}{separator}{k + 0.5}" for k, t in enumerate(SECONDS)) + "\n"
+    return text.replace(".", ",") if comma else text
+
+
+@pytest.mark.parametrize(
+    ("header", "columns", "scale", "force"),
+    [
+        ("Time (ms),Force [kgf]", {}, 1000.0, 9.80665),
+        ("Time (ms),Force [kgf]", {"time_s": "Time", "force_n": "Force"}, 1000.0, 9.80665),
+        ("Time (ms),Force [kgf]", {"time_s": "Time (ms)", "force_n": "Force [kgf]"}, 1000.0, 9.80665),
+        ("time_ms,force_kn", {}, 1000.0, 1000.0),
+        ("TIME / min,Load in lbs", {"force_n": "Load"}, 1 / 60, 4.4482216152605),
+        ("Time,Force\n(ms),(N)", {"time_s": "Time", "force_n": "Force"}, 1000.0, 1.0),
+        ("# Time (µs),Force (N) of cell 1", {"force_n": "Force of cell 1"}, 1e6, 1.0),
+    ],
+)
+def test_units_in_the_header_are_read(tmp_path, header, columns, scale, force):
+    path = tmp_path / "a.csv"
+    path.write_text(f"{header}\n{rows(scale=scale)}")
+    trace = read_recording(path, RecordingFormat(columns=columns))
+    np.testing.assert_allclose(trace.time, SECONDS, atol=1e-6)
+    np.testing.assert_allclose(trace.force, force * (np.arange(5) + 0.5))
+    assert "units as the record states them: time in" in trace.converted
+
+
+def test_depth_in_cm_and_acceleration_in_m_per_s2_are_converted(tmp_path):
+    path = tmp_path / "a.csv"
+    axes = ",".join(f"accel_{axis}_g (m/s²)" for axis in "xyz")
+    path.write_text(f"time_s,force_n,Depth (cm),{axes}\n0,1,0.5,0,0,9.80665\n0.1,2,0.7,0,0,9.80665\n")
+    trace = read_recording(
+        path, RecordingFormat(columns={f"accel_{a}_g": f"accel_{a}_g (m/s²)" for a in "xyz"})
+    )
+    np.testing.assert_allclose(trace.depth, [5.0, 7.0])
+    np.testing.assert_allclose(trace.acceleration_g, [[0, 0, 1.0]] * 2)
+
+
+@pytest.mark.parametrize(
+    ("text", "form", "what"),
+    [
+        (
+            "Time (ms),Force (N)\n",
+            {"force_unit": "kgf"},
+            "unit 'N' for 'Force .N.', but .*force_unit = 'kgf'",
+        ),
+        ("Time (ms),Force (V)\n", {}, "unit 'V' for 'Force .V.', which is none of N, mN"),
+        ("time_ms,force_n\n", {"time_unit": "s"}, "unit 'ms' for 'time_ms', but .*time_unit = 's'"),
+    ],
+)
+def test_a_unit_that_contradicts_or_is_none_of_force_is_refused(tmp_path, text, form, what):
+    path = tmp_path / "a.csv"
+    path.write_text(text + rows(scale=1000.0))
+    with pytest.raises(MeasurementError, match=what) as caught:
+        read_recording(path, RecordingFormat(**form, columns={"force_n": "Force"} if "V" in text else {}))
+    assert "unit" in caught.value.fix
+
+
+def test_volts_are_taken_in_the_unit_that_the_case_states(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("time_s,Force (V)\n" + rows())
+    form = RecordingFormat(columns={"force_n": "Force"}, force_unit="N")
+    np.testing.assert_allclose(read_recording(path, form).force, np.arange(5) + 0.5)
+
+
+@pytest.mark.parametrize(
+    ("step", "n", "unit", "question"),
+    [
+        (1000.0 / 60.0, 600, None, "0.06 samples per second: are its times in ms, not in s"),
+        (1.005, 50_000, None, "14 hours: are its times in ms, not in s"),  # 995 Hz in ms
+        (1.005, 50_000, "ms", ""),
+        (1.0, 3600, None, ""),
+        (1.0, 20_000, "s", ""),  # as the case states it
+        (1e-4, 600, None, ""),
+        (5e-5, 600, None, "samples per second: are its times in min, not in s"),
+        (1e5, 600, "s", "samples per second: are its times in us, not in s"),
+        (0.01, 600, "ms", "1e.05 samples per second: are its times in s or min, not in ms"),
+    ],
+)
+def test_a_rate_that_no_record_has_is_asked_for_its_unit(tmp_path, step, n, unit, question):
+    path = tmp_path / "a.csv"
+    path.write_text("time_s,force_n\n" + "\n".join(f"{step * k:.8g},1" for k in range(n)))
+    if not question:
+        assert len(read_recording(path, RecordingFormat(time_unit=unit)).time) == n
+        return
+    with pytest.raises(MeasurementError, match=question) as caught:
+        read_recording(path, RecordingFormat(time_unit=unit))
+    assert "time_unit" in caught.value.fix
+
+
+def test_a_pause_of_hours_is_no_question(tmp_path):
+    path = tmp_path / "a.csv"
+    text = "\n".join(f"{start + k / 10},1" for start in (0, 20_000) for k in range(100))
+    path.write_text("time_s,force_n\n" + text)
+    assert len(read_recording(path).time) == 200
+
+
+def test_a_trace_in_milliseconds_is_refused(tmp_path):
+    path = tmp_path / "trace.csv"
+    path.write_text("time_s,force_n\n" + "\n".join(f"{10 * k},1" for k in range(100)))
+    (found,) = check_trace(path)[1]
+    assert "are its times in ms" in found.what
+    assert found.severity == "error"
+    path.write_text("sep=;\ntime_s;force_n\n" + rows(";"))
+    trace, problems = check_trace(path)
+    np.testing.assert_allclose(trace.time, SECONDS)
+    assert problems == []
+
+
+ABOVE = "Logger 7, serial 12\nOperator;A. B.\nDate,2024-02-28\n\nRate: 10 Hz\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        ABOVE + "time_s,force_n\n" + rows(),
+        ABOVE + "time_s;force_n\n" + rows(";", comma=True),
+        "sep=;\r\ntime_s;force_n\r\n" + rows(";", comma=True),
+        "sep=|\ntime_s|force_n\n" + rows("|"),
+        'time_s,force_n\n"0,0","0,5"\n"0,1","1,5"\n"0,2","2,5"\n"0,3","3,5"\n"0,4","4,5"\n',
+        ABOVE + "# a comment\ntime_s\tnote\tforce_n\n" + rows("\ta, b; c\t"),
+    ],
+    ids=["lines above", "semicolons", "sep=;", "sep=|", "quoted", "tabs"],
+)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "utf-16-le", "utf-8-sig"])
+def test_what_stands_above_the_header_and_separators_are_found_out(tmp_path, text, encoding):
+    path = tmp_path / "a.csv"
+    path.write_bytes(text.encode(encoding))
+    trace = read_recording(path)
+    np.testing.assert_allclose(trace.time, SECONDS)
+    np.testing.assert_allclose(trace.force, np.arange(5) + 0.5)
+
+
+@pytest.mark.parametrize(
+    ("content", "kind"),
+    [
+        (b"PK\x03\x04" + bytes(range(256)) * 20, "Excel"),
+        (b"TDSm" + bytes(range(256)) * 20, "TDMS"),
+        (np.random.default_rng(7).bytes(5000), "no text"),
+        (bytes(range(1, 256)) * 20, "no text"),
+        (b"time_s,force_n\n0,\x001\n", "no text"),
+    ],
+)
+def test_a_binary_file_is_never_shown(tmp_path, content, kind):
+    path = tmp_path / "a.csv"
+    path.write_bytes(content)
+    with pytest.raises(MeasurementError, match=f"binary file .*{kind}") as caught:
+        read_recording(path)
+    assert str(caught.value).isprintable() or "\n" in str(caught.value)
+    assert len(str(caught.value)) < 400
+
+
+def test_a_long_cell_is_shown_in_part(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text(f"time_s,force_n\n0,1\n1,{'x' * 5000}\n")
+    with pytest.raises(MeasurementError) as caught:
+        read_recording(path)
+    assert len(str(caught.value)) < 400
+
+
+COMMAS = """LabVIEW Measurement,
+Writer_Version,2
+Separator,Comma
+Decimal_Separator,.
+Multi_Headings,Yes
+X_Columns,One
+***End_of_Header***,
+
+Channels,2,,,
+Test_Name,limb, 3,
+Samples,2,2,,
+Date,2024/02/28,2024/02/28,,
+Time,10:59:59.5,10:59:59.5,,
+X_Unit_Label,ms,ms,,
+Y_Unit_Label,kgf,Volts,,
+X_Dimension,Time,Time,,
+X0,0.0E+0,0.0E+0,,
+Delta_X,100,100,,
+***End_of_Header***,,,,
+X_Value,Force,Tilt,Comment
+0.0,0.1,5,a, b
+100.0,1.5,5,
+"""
+SPECIAL = b"***Start_Special***,\nBinary_Data,\n\x00\x01\xff 12,13\n***End_Special***,\n"
+
+
+def test_a_labview_file_with_commas_special_blocks_and_several_headers(tmp_path):
+    path = tmp_path / "a.lvm"
+    segment = COMMAS[COMMAS.index("Channels") :]
+    later = segment.replace("10:59:59.5", "11:00:00.5").encode()
+    first = COMMAS.replace("Channels", "%Channels").encode().replace(b"%", SPECIAL)
+    path.write_bytes(first + SPECIAL + later + COMMAS.replace("10:59:59.5", "11:00:01.5").encode() + SPECIAL)
+    trace = read_recording(path, RecordingFormat(columns={"force_n": "Force"}))
+    np.testing.assert_allclose(trace.time, [0.0, 0.1, 1.0, 1.1, 2.0, 2.1])
+    np.testing.assert_allclose(trace.force, 9.80665 * np.array([0.1, 1.5] * 3))
+    assert trace.converted == "units as the record states them: time in ms, force in kgf"
+    with pytest.raises(MeasurementError, match="unit 'Volts' for 'Tilt'"):
+        read_recording(path, RecordingFormat(columns={"force_n": "Tilt"}))
+
+
+def test_a_damaged_row_of_a_labview_file_is_not_taken_for_a_header(tmp_path):
+    path = tmp_path / "a.lvm"
+    path.write_text(COMMAS.replace("0.0,0.1,5,a, b", "x,0.1,5") + COMMAS[COMMAS.index("Channels") :])
+    with pytest.raises(MeasurementError, match="time_s is 'x', not a number"):
+        read_recording(path, RecordingFormat(columns={"force_n": "Force"}))
+
+
+def test_commas_between_columns_and_as_decimal_marks_are_refused(tmp_path):
+    path = tmp_path / "a.lvm"
+    path.write_text(COMMAS.replace("Decimal_Separator,.", "Decimal_Separator,,"))
+    with pytest.raises(MeasurementError, match="commas both between its columns and as decimal marks"):
+        read_recording(path, RecordingFormat(columns={"force_n": "Force"}))
+
+
+def test_a_label_g_of_labview_is_no_force(tmp_path):
+    path = tmp_path / "a.lvm"
+    path.write_text(COMMAS.replace("kgf,Volts", "g,Volts"))
+    with pytest.raises(MeasurementError, match="unit 'g' for 'Force'"):
+        read_recording(path, RecordingFormat(columns={"force_n": "Force"}))
+    form = RecordingFormat(columns={"force_n": "Force"}, force_unit="gf")
+    np.testing.assert_allclose(read_recording(path, form).force, [0.1 * 9.80665e-3, 1.5 * 9.80665e-3])

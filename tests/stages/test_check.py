@@ -128,7 +128,7 @@ def test_as_many_images_as_holds_are_asked_for(folder: Path):
     ("seconds", "newtons", "given"),
     [
         (1, -2, "force_n is -4; possible values are -3 to 150 (level 2)"),
-        (1000, 2, "hold_s is"),
+        (1000, 2, "are its times in ms"),
         (1, 0, "one level"),
     ],
 )

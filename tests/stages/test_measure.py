@@ -148,7 +148,7 @@ ONLY_CELL = '[site.load_cell]\nfile = "cell.csv"\ncolumns = { time_s = "t", forc
     [
         (lambda time, force: (time, 102.0 * force), "spans .* to 6.. N"),
         (lambda time, force: (time, -force), "the sign reversed"),
-        (lambda time, force: (1000.0 * time, force), "milliseconds"),
+        (lambda time, force: (1000.0 * time, force), "are its times in ms"),
         (lambda time, force: (time, 0.0 * force), "only one level"),
         (lambda time, force: (time, np.full(len(force), np.nan)), "0 of .* samples"),
     ],
@@ -205,7 +205,8 @@ def test_a_tare_at_the_record_s_end_leaves_no_holds_and_is_told_so(tmp_path: Pat
         path, np.column_stack([trace.time, trace.force]), delimiter=",", header="time_s,force_n", comments=""
     )
     table = {
-        "path": path, "columns": {}, "force_unit": "N", "length_unit": "mm", "separator": None,
+        "path": path, "columns": {}, "time_unit": None, "force_unit": None, "length_unit": None,
+        "separator": None,
         "decimal": None, "tare_s": [20.0, 24.0], "probe_mass_kg": 0.0, "axis": "z",
         "hold_s": 5.0, "hold_tolerance_n": 0.1,
     }  # fmt: skip

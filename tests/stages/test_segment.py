@@ -172,6 +172,27 @@ def test_surfaces_of_the_case_reach_the_same_files(segmented, tmp_path):
     )
 
 
+def test_a_bone_in_another_frame_and_unit_lies_where_it_was_and_it_is_said(segmented, tmp_path):
+    """A tibia as 3D Slicer writes it in RAS, and one in metres as 3-matic writes it, beside a skin in LPS."""
+    _, first, _ = segmented
+    tibia = read_surface(first.path("bone_tibia"))
+    rows = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in tibia.points * [-1e-3, -1e-3, 1e-3]]
+    rows += [f"f {a} {b} {c}" for a, b, c in tibia.triangles + 1]
+    head = "# 3D Slicer output. SPACE=RAS\n# where 1 unit = 1000.000000 mm\n"
+    (tmp_path / "tibia.obj").write_text(head + "\n".join(rows))
+    case = case_with(tmp_path, skin=first.path("skin"), bones=(tmp_path / "tibia.obj",))
+    result = segment(case, out=tmp_path)
+    found = read_surface(result.path("bone_tibia"))
+    np.testing.assert_allclose(found.points.mean(axis=0), tibia.points.mean(axis=0), atol=0.01)
+    assert found.volume == pytest.approx(tibia.volume, rel=1e-3)
+    assert any("tibia.obj states the frame RAS: it was turned" in line for line in result.summary)
+    assert not any("states no" in line for line in result.warnings)  # our own PLY says where it lies
+    skin = first.path("skin").read_bytes().replace(b"SPACE=LPS", b"in a room").replace(b"units mm", b"a limb")
+    (tmp_path / "skin.ply").write_bytes(skin)
+    result = segment(case_with(tmp_path, skin=tmp_path / "skin.ply", bones=case.imaging.bones), out=tmp_path)
+    assert any("skin.ply states no frame" in line for line in result.warnings)
+
+
 def test_one_file_with_all_bodies_is_taken_apart(segmented, tmp_path):
     _, first, _ = segmented
     parts = [read_surface(first.path(name)) for name in ("bone_tibia", "skin", "bone_fibula")]

@@ -95,6 +95,7 @@ def holds_of(table: Mapping[str, Any]) -> tuple[Trace, list[Hold]]:
         path,
         RecordingFormat(
             columns=table["columns"],
+            time_unit=table["time_unit"],
             force_unit=table["force_unit"],
             length_unit=table["length_unit"],
             separator=table["separator"],
@@ -122,6 +123,7 @@ def _report_holds(
     holds: Sequence[Hold], phase: Sequence[str], trace: Trace, step: float, writer: StageWriter
 ) -> None:
     writer.data["holds"] = [vars(each) for each in holds]
+    writer.summary.extend([trace.converted] if trace.converted else [])
     noise = float(np.median([each.force_sd for each in holds]))
     error = float(np.max([each.force_se for each in holds]))
     writer.summary.append(

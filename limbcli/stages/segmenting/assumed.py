@@ -8,7 +8,7 @@ from limbcli.stages.provenance.chain_inputs import note_case
 from limbcli.stages.segmenting.assumed_geometry import AssumedLimb, assumed_limb
 from limbcli.stages.segmenting.assumed_picture import draw_assumed
 from limbcli.stages.segmenting.places import report_places
-from limbcli.stages.segmenting.surfaces import check_limb, write_surfaces
+from limbcli.stages.segmenting.surfaces import check_limb, frames_of, write_surfaces
 
 ASSUMED = "assumed"
 FIX = "use an MRI or surfaces of the bones where results depend on it; a fit's intervals allow for it"
@@ -23,6 +23,7 @@ def from_assumed(case: Case, writer: StageWriter, *, accept_bones: bool = False)
     writer.data["geometry"] = limb.to_json(words)
     writer.summary.append(words)
     writer.warnings.append(words)
+    writer.summary.extend(frames_of(case)[0])
     _note_inputs(case, limb, writer)
     where = str(case.imaging.skin or case.file)
     surfaces = check_limb(limb.surfaces, case, writer, where=where, accept_bones=accept_bones)

@@ -9,7 +9,7 @@ import numpy as np
 
 from limbcli.case import Case
 from limbcli.errors import CaseError
-from limbcli.errors.problems import raise_errors
+from limbcli.errors.problems import Problem, raise_errors
 from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
 from limbcli.meshing.anatomy import IN_ONE_FRAME, SKIN, bones_outside, limb_problems
 from limbcli.meshing.domain import part_inside
@@ -20,6 +20,7 @@ from limbcli.meshing.surfaces import Triangles, join
 from limbcli.results import StageWriter
 from limbcli.stages.segmenting.bone_names import names_of_bodies, names_of_files, numbered
 from limbcli.stages.segmenting.places import report_places
+from limbcli.surface_frames import mixed_frames, stated_frame
 
 # Later steps use points and triangles. Triangles of drawn (CAD) bodies can span the whole limb and are
 # divided; those of a scan do so only at its flat ends, and are kept as given.
@@ -33,6 +34,9 @@ def from_surfaces(case: Case, writer: StageWriter, *, accept_bones: bool = False
     writer.data["source"] = "surfaces"
     writer.data["markers"] = []
     surfaces, paths = read_surfaces(case)
+    converted, mixed = frames_of(case)
+    writer.summary.extend(converted)
+    writer.warnings.extend(each.what for each in mixed)
     for number, (name, path) in enumerate(paths.items()):
         writer.used(name, path, role=f"imaging/bones/{number - 1}" if number else "imaging/skin")
     if not case.imaging.bones:
@@ -98,6 +102,15 @@ def triangles_of(surfaces: Mapping[str, ClosedSurface]) -> dict[str, Triangles]:
     return {name: Triangles(each.points, each.triangles) for name, each in surfaces.items()}
 
 
+def frames_of(case: Case) -> tuple[list[str], list[Problem]]:
+    """Lines on the case's surfaces that were converted to patient LPS and mm; a warning if not all were."""
+    paths = [path for path in (case.imaging.skin, *case.imaging.bones) if path is not None]
+    stated = [stated_frame(path) for path in paths]
+    mixed = mixed_frames(stated)
+    found = [Problem(mixed, str(paths[0]), IN_ONE_FRAME, severity="warning")] if mixed else []
+    return [each.converted for each in stated if each.converted], found
+
+
 def read_surfaces(case: Case) -> tuple[dict[str, ClosedSurface], dict[str, Path]]:
     """Skin and bones by name as given, and the files named by the case.
 
@@ -148,8 +161,9 @@ def _in_mm(surface: ClosedSurface, name: str, path: Path) -> ClosedSurface:
     """Check a surface's size, and return it with the triangles of a drawn body divided."""
     size = np.ptp(surface.points, axis=0).max()
     if not 5.0 < size < 2000.0:
+        converted = stated_frame(path).converted
         raise CaseError(
-            f"the surface `{name}` is {size:.3g} mm across",
+            f"the surface `{name}` is {size:.3g} mm across" + (f" ({converted})" if converted else ""),
             where=str(path),
             fix="save it in mm (patient LPS frame)",
             size_mm=float(size),

@@ -1,0 +1,156 @@
+"""The text of an instrument's file and its cells: encoding, binary files, lines above the header."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+from limbcli.errors import MeasurementError
+from limbcli.errors.problems import checked
+from limbcli.measurement.tables import SEPARATOR_LINE, csv_rows, number_of
+
+_BINARY = {
+    b"PK\x03\x04": "an Excel workbook, or another archive", b"\xd0\xcf\x11\xe0": "an old Excel workbook",
+    b"TDSm": "a LabVIEW TDMS file", b"\x89HDF": "an HDF5 file", b"MATLAB": "a MATLAB file",
+    b"\x1f\x8b": "compressed", b"\x89PNG": "a picture", b"%PDF": "a PDF",
+}  # fmt: skip
+_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x19\x1b-\x1f]")
+_MOST_CONTROL = 0.01  # share of control characters above which a file is not text
+_SPECIAL = re.compile(rb"\*\*\*Start_Special\*\*\*.*?(?:\*\*\*End_Special\*\*\*[^\r\n]*|\Z)", re.DOTALL)
+_MARKS = ("\t", ";", ",")
+_MOST_ABOVE = 500  # lines above a header that are searched
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """The cells below a header; units : of the columns as another line than the header states them, or ""."""
+
+    header: Sequence[str]
+    rows: list[list[str]]
+    separator: str
+    units: Sequence[str] = ()
+
+    def cell(self, row: int, column: int) -> str:
+        return cell(self.rows[row], column)
+
+    def unit(self, column: int) -> str:
+        return cell(list(self.units), column)
+
+
+def cell(row: list[str], position: int) -> str:
+    return row[position].strip() if position < len(row) else ""
+
+
+def is_number(text: str) -> bool:
+    """
+    >>> is_number("1,5"), is_number("-2e3"), is_number("X0")
+    (True, True, False)
+    """
+    try:
+        number_of(text.strip().replace(",", "."))
+    except ValueError:
+        return False
+    return True
+
+
+def text_of(path: Path) -> str:
+    """The text of a file in UTF-8, UTF-16 or Latin-1, without LabVIEW's special blocks (which may be binary).
+
+    Raises
+    ------
+    MeasurementError
+        If it is a binary file; its content is not shown.
+    """
+    content = path.read_bytes()
+    kind = next((words for magic, words in _BINARY.items() if content.startswith(magic)), None)
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        encodings = ["utf-16"]
+    elif kind is None and content[1::2].count(0) > 0.4 * len(content):  # UTF-16 without its mark
+        encodings = ["utf-16-le"]
+    else:
+        encodings = ["utf-8-sig", "latin-1"]
+        content = _SPECIAL.sub(b"", content)
+        n_control = len(_CONTROL.findall(content))
+        if kind is None and (b"\0" in content or n_control > _MOST_CONTROL * len(content)):
+            kind = "no text"
+    if kind is not None:
+        raise MeasurementError(
+            f"the record is a binary file ({kind})",
+            where=str(path),
+            fix="export it as text from the program that wrote it: CSV, or LabVIEW's .lvm",
+        )
+    for encoding in encodings:
+        try:
+            return content.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+    raise MeasurementError(
+        "the record is not text in UTF-8 or UTF-16", where=str(path), fix="save it again as CSV in UTF-8"
+    )
+
+
+def csv_sheet(
+    text: str, path: Path, is_header: Callable[[Sequence[str]], bool], *, separator: str | None
+) -> Sheet:
+    """The table of a CSV text: lines that begin with # and lines above its header are left out.
+
+    is_header : whether these titles contain the columns that are wanted
+    separator : None: as a first line `sep=` states it, else detected
+
+    Raises
+    ------
+    MeasurementError
+        If it has no rows, or a row cannot be read.
+    """
+    lines = text.splitlines()
+    named = SEPARATOR_LINE.match(lines[0]) if lines else None
+    marks = (separator,) if separator else (named[1],) if named else _MARKS
+    if named:
+        lines[0] = ""
+    at, mark = _header_line(lines, marks, is_header)
+    kept = ["" if k < at or (k > at and line.startswith("#")) else line for k, line in enumerate(lines)]
+    cells = checked(*csv_rows("\n".join(kept), path, separator=mark), MeasurementError)
+    rows = [row for row in cells if any(each.strip() for each in row)]
+    if len(rows) < 2:
+        fix = "give the file that the load cell's program wrote"
+        raise MeasurementError("the record has no rows", where=str(path), fix=fix)
+    return Sheet([each.strip() for each in rows[0]], rows[1:], mark)
+
+
+def _header_line(
+    lines: list[str], marks: Sequence[str], is_header: Callable[[Sequence[str]], bool]
+) -> tuple[int, str]:
+    """Number (from 0) and separator of the header: the first line with the wanted columns.
+
+    If there is none, the first line above a row of numbers with as many cells, so that a message can name its
+    columns.
+    """
+    filled = [k for k, line in enumerate(lines) if line.strip()][:_MOST_ABOVE]
+    for k in filled:
+        for mark in marks:
+            if is_header(_titles(lines[k], mark)):
+                return k, mark
+    plain = [k for k in filled if not lines[k].startswith("#")]
+    for k, following in pairwise(plain):
+        for mark in marks:
+            titles, below = _titles(lines[k], mark), _titles(lines[following], mark)
+            if (
+                len(titles) == len(below) > 1
+                and all(map(is_number, below))
+                and not any(map(is_number, titles))
+            ):
+                return k, mark
+    first = plain[0] if plain else 0
+    return first, max(marks, key=lambda mark: lines[first].count(mark) if lines else 0)
+
+
+def _titles(line: str, mark: str) -> list[str]:
+    try:
+        return [each.strip() for each in next(csv.reader([line], delimiter=mark), [])]
+    except csv.Error:
+        return []
