@@ -9,7 +9,7 @@ from typing import Any
 
 from limbcli.case import schema as schema
 from limbcli.case.files import CaseFiles
-from limbcli.case.parts import SKIN_SCALE, Imaging, Shape
+from limbcli.case.parts import SKIN_SCALE, Imaging, LabelSource, Shape
 from limbcli.case.schema import BONE_RADIUS_MM, Key, number
 from limbcli.errors.problems import Problem
 
@@ -35,9 +35,11 @@ def read_imaging(
         fix = 'add `mri = "folder or file"`, `labels = "file"`, `skin` and `bones`, or `shape`'
         problems.append(Problem("[imaging] specifies no geometry", file, fix))
     paths: dict[str, Path | None] = {}
-    for key, is_folder in (("mri", None), ("labels", False), ("skin", False), ("fibres", False)):
+    for key, is_folder in (("mri", None), ("skin", False), ("fibres", False)):
         paths[key], found = files.existing(table.get(key), f"imaging.{key}", is_folder=is_folder)
         problems += found
+    labels, found = read_label_sources(table.get("labels"), files)
+    problems += found
     mri = paths["mri"]
     if mri and mri.is_file() and not mri.name.lower().endswith(schema.VOLUME_ENDINGS):
         what = f"imaging.mri: {mri.name!r} is neither a folder nor a volume in a supported format"
@@ -59,11 +61,26 @@ def read_imaging(
     if fibres is not None and not fibres.name.lower().endswith((".nii", ".nii.gz")):
         what = f"imaging.fibres: {fibres.name!r} is not a NIfTI file"
         problems.append(Problem(what, file, "save the principal directions as .nii or .nii.gz"))
-    sources = (paths["mri"], paths["labels"], paths["skin"], tuple(bones), radius, shape)
+    sources = (paths["mri"], labels, paths["skin"], tuple(bones), radius, shape)
     stated = table.get("skin_scale_fraction")
     scale = SKIN_SCALE if stated is None else float(stated)
     imaging = Imaging(*sources, fibres, frame, scale)
     return imaging, problems + found
+
+
+def read_label_sources(raw: object, files: CaseFiles) -> tuple[tuple[LabelSource, ...], list[Problem]]:
+    """The label maps of a case: one or several, each a name or a table with `file`, `preset` and numbers."""
+    sources, problems = [], []
+    listed = [] if raw is None else raw if isinstance(raw, list) else [raw]
+    for k, each in enumerate(listed):
+        table = each if isinstance(each, dict) else {"file": each}
+        label = "imaging.labels" if len(listed) == 1 else f"imaging.labels[{k}]"
+        path, found = files.existing(table.get("file"), label, is_folder=None)
+        problems += found
+        names = {key: word for key, word in table.items() if key not in ("file", "preset")}
+        if path is not None and all(isinstance(word, str) for word in names.values()):
+            sources.append(LabelSource(path, table.get("preset"), names))
+    return tuple(sources), problems
 
 
 def _contradictions(table: Mapping[str, Any], file: str) -> list[Problem]:

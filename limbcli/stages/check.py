@@ -16,6 +16,8 @@ from typing import Any
 
 from limbcli.case import CASE_FILE, Site, read_case
 from limbcli.case.files import CaseFiles
+from limbcli.case.imaging import read_label_sources
+from limbcli.case.parts import LabelSource
 from limbcli.errors import CaseError, LimbError, MeasurementError
 from limbcli.errors.problems import Problem, errors_of
 from limbcli.measurement.levels import FEWEST_LOADING
@@ -93,7 +95,11 @@ def _readers(raw: Mapping[str, Any], folder: Path) -> list[tuple[str, Path, Read
     files = CaseFiles.of(raw, folder)
     imaging = raw.get("imaging")
     if isinstance(imaging, dict):
-        listed += [(imaging.get("mri"), _read_mri), (imaging.get("labels"), _read_labels)]
+        listed += [(imaging.get("mri"), _read_mri)]
+        sources, _ = read_label_sources(imaging.get("labels"), files)
+        listed += [
+            (each.path.relative_to(folder).as_posix(), partial(_read_labels, source=each)) for each in sources
+        ]
         listed += [(imaging.get("fibres"), _read_fibres)]
         bones = imaging.get("bones")
         surfaces = [imaging.get("skin"), *(bones if isinstance(bones, list) else [])]
@@ -139,10 +145,10 @@ def _read_mri(path: Path) -> list[Problem]:
     return _caught(lambda: read_image(path))
 
 
-def _read_labels(path: Path) -> list[Problem]:
-    from limbcli.imaging.label_files import read_label_file
+def _read_labels(path: Path, *, source: LabelSource) -> list[Problem]:
+    from limbcli.imaging.label_files import read_segments
 
-    return _caught(lambda: read_label_file(path))
+    return _caught(lambda: read_segments(source))
 
 
 def _read_fibres(path: Path) -> list[Problem]:
