@@ -77,9 +77,10 @@ def read_label_sources(raw: object, files: CaseFiles) -> tuple[tuple[LabelSource
         label = "imaging.labels" if len(listed) == 1 else f"imaging.labels[{k}]"
         path, found = files.existing(table.get("file"), label, is_folder=None)
         problems += found
+        preset = table.get("preset")
         names = {key: word for key, word in table.items() if key not in ("file", "preset")}
         if path is not None and all(isinstance(word, str) for word in names.values()):
-            sources.append(LabelSource(path, table.get("preset"), names))
+            sources.append(LabelSource(path, preset if isinstance(preset, str) else None, names))
     return tuple(sources), problems
 
 

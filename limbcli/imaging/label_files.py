@@ -1,8 +1,8 @@
 """Read label maps in the formats of segmentation programs and convert them to our labels.
 
-Whatever the format, a file is a list of segments, each with a number, a name or both. In this order, a segment
-is what [imaging.labels] says of its number or name, what its name says, what the preset says of its number;
-a file without names, preset and table contains our numbers (1 soft tissue, 2 bone, 3 marker, 4 fat).
+Whatever the format, a file is a list of segments, each with a number, a name or both. A segment is, in this
+order, what [imaging.labels] says of its number or name, what its name says, what the preset says of its number.
+A file without names, preset and table contains our numbers (1 soft tissue, 2 bone, 3 marker, 4 fat).
 """
 
 from __future__ import annotations
@@ -19,7 +19,16 @@ from limbcli.case.schema import VOLUME_ENDINGS
 from limbcli.errors import CaseError
 from limbcli.imaging.dicom_seg import read_dicom_seg
 from limbcli.imaging.label_frame import in_order_of, same_grid
-from limbcli.imaging.label_names import OURS, PRESETS, WORDS, Meaning, meaning_of, preset_of, presets_with
+from limbcli.imaging.label_names import (
+    OURS,
+    OUTSIDE,
+    PRESETS,
+    WORDS,
+    Meaning,
+    meaning_of,
+    preset_of,
+    presets_with,
+)
 from limbcli.imaging.labels import checked_labels, read_nifti_labels, require_three_dimensions
 from limbcli.imaging.metaimage import read_metaimage
 from limbcli.imaging.nrrd import Nrrd, read_nrrd
@@ -195,9 +204,11 @@ def _preset(source: LabelSource, numbers: Sequence[int]) -> dict[int, tuple[str,
 
 
 def _agree(
-    found: Sequence[tuple[Segment, Meaning]], preset: dict[int, tuple[str, Meaning]], stated: dict[str, Meaning],
+    found: Sequence[tuple[Segment, Meaning]],
+    preset: dict[int, tuple[str, Meaning]],
+    stated: dict[str, Meaning],
     source: LabelSource,
-) -> None:  # fmt: skip
+) -> None:
     """Check that the file's own names do not contradict the preset, unless the table decides."""
     for segment, meaning in found:
         if segment.number not in preset or not segment.name:
@@ -210,7 +221,7 @@ def _agree(
                 f"the file calls {segment.number} {segment.name!r}, but the preset {source.preset} calls it "
                 f"{name!r}",
                 where=str(source.path),
-                fix=f"remove the preset (the file's own names are used), or give {segment.number} in {_TABLE}",
+                fix=f"remove the preset (the file's own names count), or give {segment.number} in {_TABLE}",
             )
 
 
@@ -223,18 +234,32 @@ def _not_understood(unknown: Sequence[Segment], numbers: Sequence[int], source: 
         what = f"the segment name(s) {listed} are not recognised, or refer to several kinds of tissue"
     else:
         what = f"the label map contains the value(s) {', '.join(each.title for each in shown)}{more}"
-    keys = [f'"{each.name}"' if each.name else each.title for each in shown]
-    fix = f"in {_TABLE}, say what they are, number or name = {WORDS}; if they are not needed, "
-    fix += ", ".join(f'{key} = "ignore"' for key in keys)
+    lines = ", ".join(f'{_key(each)} = "ignore"' for each in shown)
+    table = "" if source.preset or source.names else f' with file = "{source.path.name}"'
+    fix = f"in {_TABLE}{table}, say what each is, or that it is not needed: {lines} (or {WORDS})"
     presets = [] if names or source.preset else presets_with(numbers)
     if presets:
-        fix = (
-            f"if a program of this name wrote it, add preset = {' or '.join(map(repr, presets[:4]))}; else "
-            + fix
-        )
-    if not names and source.preset is None and not source.names:
+        fix += f"; if one of these programs wrote it: preset = {' or '.join(map(repr, presets[:4]))}"
+    if table and not names:
         fix = f"use 0 outside, 1 soft tissue, 2 bone, 3 marker, 4 fat; or {fix}"
     return CaseError(what, where=str(source.path), fix=fix, unknown=[each.title for each in unknown])
+
+
+def _key(segment: Segment) -> str:
+    """A segment as a key of TOML: its number where it has one."""
+    return str(segment.number) if segment.number is not None else f'"{segment.name}"'
+
+
+def label_lines(source: LabelSource) -> list[str]:
+    """A line for each kind of tissue in a source: which numbers and names are taken for it.
+
+    Raises
+    ------
+    CaseError
+        As `read_segments`.
+    """
+    found = [(source, *each) for each in read_segments(source)]
+    return _lines(source, [each for each in found if each[2].label == OUTSIDE or each[1].mask().values.any()])
 
 
 def _lines(source: LabelSource, present: Sequence[tuple[LabelSource, Segment, Meaning]]) -> list[str]:
@@ -243,7 +268,7 @@ def _lines(source: LabelSource, present: Sequence[tuple[LabelSource, Segment, Me
     for other, segment, meaning in present:
         if other is source:
             kinds.setdefault(meaning.words, []).append(segment.title)
-    return [f"{source.path.name}: {kind} is {', '.join(titles)}" for kind, titles in kinds.items()]
+    return [f"{source.path.name}: taken for {kind}: {', '.join(titles)}" for kind, titles in kinds.items()]
 
 
 def _on_grid(mask: Volume, grid: Volume, path: Path, first: Path) -> NDArray[np.bool_]:
@@ -321,10 +346,10 @@ def _of_dicom(path: Path) -> list[Segment]:
 def _of_seg_nrrd(nrrd: Nrrd, path: Path) -> list[Segment]:
     """The segments that a `.seg.nrrd` describes; none if it describes none.
 
-    3D Slicer before 4.11 wrote a layer for each segment, with neither its layer nor its value; later ones share
-    layers. Missing entries mean what 3D Slicer takes them for: the layer of the segment's own number, value 1.
+    Older versions of 3D Slicer wrote a layer for each segment, with neither its layer nor its value. Missing
+    entries mean what 3D Slicer takes them for: the layer of the segment's own number, value 1.
     """
-    described = []
+    described: list[str] = []
     while f"Segment{len(described)}_Name" in nrrd.pairs or f"Segment{len(described)}_ID" in nrrd.pairs:
         described.append(f"Segment{len(described)}_")
     layers = nrrd.values if nrrd.values.ndim == 4 else nrrd.values[None]

@@ -18,15 +18,16 @@ OUTSIDE = 0
 # are whole words: "tibialis" is not "tibia".
 _MARKER = ("marker*", "capsule*", "fiducial*", "pinpoint*")
 _IN_FLESH = (  # takes precedence over bones, after which many muscles are named
-    "musc*", "muskel*", "tibialis", "fibularis", "peroneus", "peroneal", "gastrocnemi*", "soleus", "plantaris",
-    "popliteus", "flexor*", "extensor*", "femoris", "vastus", "quadriceps", "biceps", "triceps", "hamstring*",
-    "sartorius", "gracilis", "adductor*", "abductor*", "tendon*", "ligament*", "nerve*", "arter*", "vein*",
-    "vena*", "vessel*", "compartment*", "glut*", "semimembranosus", "semitendinosus", "semispinalis", "tensor",
-    "fascia", "fasciae", "iliotibial", "pectineus", "piriformis", "obturator*", "gemell*", "quadratus", "psoas",
-    "iliopsoas", "iliacus", "achilles", "cartilage*", "menisc*", "multifidus", "erector", "autochthon",
-    "latissimus", "trapezius", "deltoid*", "rhomboid*", "supraspinatus", "infraspinatus", "subscapularis",
-    "teres", "pectoralis", "serratus", "levator", "longus", "brevis", "brachialis", "brachioradialis",
-    "coracobrachial*", "anconeus", "supinator", "pronator*", "interosse*", "lumbrical*",
+    "musc*", "muskel*", "tibialis", "fibularis", "peroneus", "peroneal", "achilles", "gastrocnemi*",
+    "soleus", "plantaris", "popliteus", "flexor*", "extensor*", "femoris", "vastus", "quadriceps",
+    "biceps", "triceps", "hamstring*", "sartorius", "gracilis", "adductor*", "abductor*", "tendon*",
+    "ligament*", "nerve*", "arter*", "vein*", "vena*", "vessel*", "compartment*", "glut*",
+    "semimembranosus", "semitendinosus", "semispinalis", "tensor", "fascia", "fasciae", "iliotibial",
+    "pectineus", "piriformis", "obturator*", "gemell*", "quadratus", "psoas", "iliopsoas", "iliacus",
+    "cartilage*", "menisc*", "multifidus", "erector", "autochthon", "latissimus", "trapezius", "deltoid*",
+    "rhomboid*", "supraspinatus", "infraspinatus", "subscapularis", "teres", "pectoralis", "serratus",
+    "levator", "longus", "brevis", "brachialis", "brachioradialis", "coracobrachial*", "anconeus",
+    "supinator", "pronator*", "interosse*", "lumbrical*",
 )  # fmt: skip
 # bones that keep their own names, by the words for them
 _NAMED_BONE = {
@@ -36,9 +37,10 @@ _NAMED_BONE = {
     "humerus": "humerus", "radius": "radius", "ulna": "ulna",
 }  # fmt: skip
 _BONE = (
-    *_NAMED_BONE, "bone*", "knochen*", "cortex", "cortical", "marrow", "tarsal*", "metatarsal*", "carpal*",
-    "metacarpal*", "phalan*", "navicular*", "cuboid", "cuneiform*", "sesamoid*", "hip", "hips", "pelvis", "ilium",
-    "sacrum", "scapula", "clavicula", "clavicle", "rib", "ribs", "sternum", "skull", "vertebra", "vertebrae",
+    *_NAMED_BONE, "bone*", "knochen*", "cortex", "cortical", "marrow", "tarsal*", "metatarsal*",
+    "carpal*", "metacarpal*", "phalan*", "navicular*", "cuboid", "cuneiform*", "sesamoid*", "hip", "hips",
+    "pelvis", "ilium", "sacrum", "scapula", "clavicula", "clavicle", "rib", "ribs", "sternum", "skull",
+    "vertebra", "vertebrae",
 )  # fmt: skip
 _FAT = ("fat", "fatty", "adipose", "subcut*", "sat", "imat")
 _SOFT = ("soft*", "skin*", "flesh*")
@@ -124,8 +126,8 @@ def preset_of(name: str, numbers: Iterable[int]) -> dict[int, tuple[str, Meaning
     """Name and meaning of every number of a preset; None if there is no such preset.
 
     name : as in `PRESETS`, or the program's own name of the task
-    numbers : those of the file; of several versions of a program, they select the one that fits. If more than
-        one does, the result is empty.
+    numbers : those of the file; of several versions of a program, they select the one that knows them. If more
+        than one does, and they mean different things, the result is empty.
 
     >>> preset_of("appendicular_bones_mr", [2])[2]
     ('tibia', Meaning(label=2, bone='tibia', up_to_skin=False))
@@ -133,10 +135,9 @@ def preset_of(name: str, numbers: Iterable[int]) -> dict[int, tuple[str, Meaning
     ({}, 'Left Tibia')
     """
     wanted = "-".join(re.findall(r"[a-z0-9]+", name.lower()))
-    spellings = (wanted, f"totalsegmentator-{wanted}", wanted.removeprefix("bartbols-"))
-    spellings += tuple(each.removesuffix("-mr") for each in spellings)
-    if wanted == "totalsegmentator":
-        spellings = ("totalsegmentator-total",)
+    own = "totalsegmentator-total" if wanted == "totalsegmentator" else wanted
+    spellings = [own, f"totalsegmentator-{own}", own.removeprefix("bartbols-")]
+    spellings += [each.removesuffix("-mr") for each in spellings]
     presets = _presets()
     exact = next((presets[each] for each in spellings if each in presets), None)
     if exact is not None:
@@ -146,8 +147,8 @@ def preset_of(name: str, numbers: Iterable[int]) -> dict[int, tuple[str, Meaning
     ]
     if not versions:
         return None
-    present = set(numbers) - {0}
-    fitting = [each for each in versions if present <= set(each)] or versions[-1:]
+    present = set(numbers) & set().union(*versions)
+    fitting = [each for each in versions if present <= set(each)]
     first = fitting[0]
     same = all(each[n][1] == first[n][1] for each in fitting[1:] for n in present)
     return fitting[-1] if same else {}

@@ -22,8 +22,8 @@ from limbcli.imaging.signed_distance import filled_by_slice
 from limbcli.imaging.volume import Volume
 from limbcli.progress import SILENT, Progress
 
-# Fraction of the limb in the image that may lie outside a map of muscles, fat and bones, for the map still to be
-# taken as reaching to the skin: 0.7 mm all round a limb of 50 mm radius. Skin alone is 1 to 2 mm thick.
+# Fraction of the limb in the image that may lie outside a map of muscles, fat and bones for the map to count as
+# one that reaches to the skin: 0.7 mm all round a limb of 50 mm radius. Skin alone is 1 to 2 mm thick.
 _WITHOUT_SKIN = 0.03
 _ASTRAY = 0.05  # largest fraction of the labelled voxels outside the limb in the image
 _FIX = "add the image, [imaging] mri: what is missing up to the skin is then taken from it"
@@ -62,8 +62,8 @@ def labelled_limb(case: Case, *, side: Side, progress: Progress = SILENT) -> Lab
     labels, lines, problems = read.volume, list(read.lines), []
     if series is None and not read.up_to_skin:
         what = (
-            "the label map has neither skin nor soft tissue: the outermost muscle, fat or bone is taken for the "
-            "skin, which then lies too deep"
+            "the label map has neither skin nor soft tissue: the outermost muscle, fat or bone is taken for "
+            "the skin, which then lies too deep"
         )
         problems.append(Problem(what, where, _FIX, severity="warning"))
     own_grid = False
@@ -107,7 +107,7 @@ def _up_to_skin(
     if missing <= _WITHOUT_SKIN:
         return labels, [], []
     rest = np.where(around == BONE, SOFT_TISSUE, around)
-    line = f"{missing:.0%} of the limb is in no segment of the label map: soft tissue, fat and skin are the image's"
+    line = f"{missing:.0%} of the limb is in no segment of the label map: taken from the image"
     values = np.where(ours, labels.values, rest).astype(np.uint8)
     return labels.with_values(values), [line], []
 
@@ -117,7 +117,7 @@ def _wider(limb: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _sampled(source: Volume, grid: Volume) -> Iterator[NDArray]:
-    """The source's value at the voxel nearest to each one of the grid (0 outside), plane by plane of its k axis."""
+    """The source at the voxel nearest to each one of the grid (0 outside), plane by plane along k."""
     i, j = np.meshgrid(*(np.arange(n) for n in grid.shape[:2]), indexing="ij")
     for k in range(grid.shape[2]):
         index = np.stack([i.ravel(), j.ravel(), np.full(i.size, k)], axis=1)
