@@ -8,7 +8,7 @@ A file without names, preset and table contains our numbers (1 soft tissue, 2 bo
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -162,7 +162,7 @@ def read_segments(source: LabelSource) -> list[tuple[Segment, Meaning]]:
         raise _not_understood(unknown, numbers, source)
     found = [(segment, each) for segment, each in zip(segments, meanings, strict=True) if each is not None]
     _agree(found, preset, stated, source)
-    return found
+    return [(_called(segment, preset), each) for segment, each in found]
 
 
 def _meaning(
@@ -173,6 +173,13 @@ def _meaning(
             return stated[key]
     by_name = meaning_of(segment.name)
     return by_name or (preset[segment.number][1] if segment.number in preset else None)
+
+
+def _called(segment: Segment, preset: dict[int, tuple[str, Meaning]]) -> Segment:
+    """The segment with the preset's name if the file gives it none."""
+    if segment.name or segment.number not in preset:
+        return segment
+    return replace(segment, name=preset[segment.number][0])
 
 
 def _stated(source: LabelSource) -> dict[str, Meaning]:
