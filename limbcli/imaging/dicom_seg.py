@@ -7,15 +7,14 @@ frames have no segment of their own.
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pydicom
 from numpy.typing import NDArray
 from pydicom.dataset import Dataset
 
+from limbcli.dicom_files import read_dicom
 from limbcli.errors import CaseError
 from limbcli.imaging.frames import DICOM_DAMAGED
 from limbcli.imaging.volume import MOST_VOXELS
@@ -50,9 +49,7 @@ def read_dicom_seg(path: Path) -> NamedMasks:
         If the file is not a segmentation or lacks its geometry.
     """
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            dataset = pydicom.dcmread(path)
+        dataset = read_dicom(path)
     except DICOM_DAMAGED as error:
         raise CaseError("the label map is not a DICOM file", where=str(path), fix=_FIX) from error
     if str(dataset.get("Modality", "")) != "SEG":

@@ -1,8 +1,8 @@
 """Read label maps in the formats of segmentation programs and convert them to our labels.
 
 Whatever the format, a file is a list of segments, each with a number, a name or both. A segment is, in this
-order, what [imaging.labels] says of its number or name, what its name says, what the preset says of its number.
-A file without names, preset and table contains our numbers (1 soft tissue, 2 bone, 3 marker, 4 fat).
+order, what [imaging.labels] says of its number or name, what its name says, what the preset says of its
+number. A file without names, preset and table contains our numbers (1 soft tissue, 2 bone, 3 marker, 4 fat).
 """
 
 from __future__ import annotations

@@ -58,7 +58,7 @@ class Meaning:
 
     label : OUTSIDE, SOFT_TISSUE, BONE, MARKER or FAT
     bone : name of a bone that keeps it ("tibia"), else empty
-    up_to_skin : whether the segment extends to the skin, as "skin" and "soft tissue" do, and "muscle" does not
+    up_to_skin : whether the segment extends to the skin, as "skin" and "soft tissue" do; "muscle" does not
     """
 
     label: int
@@ -126,8 +126,8 @@ def preset_of(name: str, numbers: Iterable[int]) -> dict[int, tuple[str, Meaning
     """Name and meaning of every number of a preset; None if there is no such preset.
 
     name : as in `PRESETS`, or the program's own name of the task
-    numbers : those of the file; of several versions of a program, they select the one that knows them. If more
-        than one does, and they mean different things, the result is empty.
+    numbers : those of the file; of several versions of a program, they select the one that knows them. If
+        more than one does, and they mean different things, the result is empty.
 
     >>> preset_of("appendicular_bones_mr", [2])[2]
     ('tibia', Meaning(label=2, bone='tibia', up_to_skin=False))

@@ -118,8 +118,8 @@ def checked_labels(labels: Volume, path: Path, *, is_whole: bool = True) -> Volu
         raise CaseError(
             f"the label map has no voxel of {' and '.join(missing)}",
             where=str(path),
-            fix="use 0 outside, 1 soft tissue, 2 bone, 3 marker, 4 fat; what another file contains: add it as "
-            "another [[imaging.labels]]; soft tissue: add the image (mri)",
+            fix="use 0 outside, 1 soft tissue, 2 bone, 3 marker, 4 fat; add the file that has it as another "
+            "[[imaging.labels]]; soft tissue is also taken from the image, [imaging] mri",
         )
     return labels.with_values(labels.values.astype(np.uint8))
 
@@ -146,8 +146,8 @@ def segmentation_from(
     """Skin, bones and markers of a label map (k need not run along the limb).
 
     side : the limb to use, the patient's left or right, if the map contains two side by side
-    bone_of : n where a voxel is of the bone `bone_names[n - 1]`, else 0, on the grid of the labels: bones that
-        touch are kept apart; None: bones are what is connected
+    bone_of : n where a voxel is of the bone `bone_names[n - 1]`, else 0, on the grid of the labels: bones
+        that touch are kept apart; None: bones are what is connected
     """
     turned, _, _ = labels.along_limb()
     turned, notes = _of_one_limb(turned, side)

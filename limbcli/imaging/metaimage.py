@@ -1,4 +1,4 @@
-"""Read MetaImage volumes (`.mha`, or `.mhd` with its data beside it), as ITK, elastix and 3D Slicer write them.
+"""Read MetaImage volumes (`.mha`, or `.mhd` with its data beside it), as ITK and 3D Slicer write them.
 
 Format: itk.org/Wiki/ITK/MetaIO/Documentation. Positions are in patient LPS, as ITK reads them; every row of
 TransformMatrix is the direction of one axis.

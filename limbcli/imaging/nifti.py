@@ -155,9 +155,9 @@ def one_geometry(image: object, path: Path, *, noun: str) -> None:
 def label_names_of(image: object, path: Path) -> dict[int, str]:
     """Names that a NIfTI label map gives its numbers: in a label table in its header, or in a file beside it.
 
-    The header's extension is XML with elements `<Label Key="1">name</Label>`, as TotalSegmentator 2 and Connectome
-    Workbench write it. With intent code 1002 (NIFTI_INTENT_LABEL), `aux_file` may name a text file with lines of
-    a number and a name.
+    The header's extension is XML with elements `<Label Key="1">name</Label>`, as TotalSegmentator 2 and
+    Connectome Workbench write it. With intent code 1002 (NIFTI_INTENT_LABEL), `aux_file` may name a text file
+    with lines of a number and a name.
     """
     header = getattr(image, "header", None)
     if not isinstance(header, nib.Nifti1Header):

@@ -22,8 +22,8 @@ from limbcli.imaging.signed_distance import filled_by_slice
 from limbcli.imaging.volume import Volume
 from limbcli.progress import SILENT, Progress
 
-# Fraction of the limb in the image that may lie outside a map of muscles, fat and bones for the map to count as
-# one that reaches to the skin: 0.7 mm all round a limb of 50 mm radius. Skin alone is 1 to 2 mm thick.
+# Fraction of the limb in the image that may lie outside a map of muscles, fat and bones for the map to count
+# as one that reaches to the skin: 0.7 mm all round a limb of 50 mm radius. Skin alone is 1 to 2 mm thick.
 _WITHOUT_SKIN = 0.03
 _ASTRAY = 0.05  # largest fraction of the labelled voxels outside the limb in the image
 _FIX = "add the image, [imaging] mri: what is missing up to the skin is then taken from it"
