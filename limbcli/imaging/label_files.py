@@ -38,6 +38,7 @@ from limbcli.imaging.volume import Volume
 _ORDER = (SOFT_TISSUE, FAT, BONE, MARKER)  # drawing order: a later kind overwrites an earlier one
 _DICOM, _NRRD, _META = (".dcm", ".ima"), (".nrrd", ".nhdr"), (".mha", ".mhd")
 _MOST_NUMBERS = 500  # with more different values, a file is an image, not a label map
+_ROUNDING = 1e-3  # numbers stored as scaled integers or floats are whole within this
 _SHOWN = 40  # numbers or names listed in one message
 _TABLE = "[imaging.labels]"
 
@@ -95,7 +96,8 @@ def read_label_file(path: Path) -> Volume:
 def read_label_map(sources: Sequence[LabelSource], *, is_whole: bool = True) -> LabelMap:
     """Combine the segments of one or several label maps into one in our numbers, in patient LPS.
 
-    Bone overwrites soft tissue, markers overwrite everything. Several sources must have one grid.
+    Bone overwrites soft tissue, markers overwrite everything, and of two bones the later source counts. Several
+    sources must have one grid.
 
     is_whole : whether soft tissue is required; without, an image can supply it
 
@@ -159,7 +161,7 @@ def read_segments(source: LabelSource) -> list[tuple[Segment, Meaning]]:
         if meaning is None and segment.mask().values.any()
     ]
     if unknown:
-        raise _not_understood(unknown, numbers, source)
+        raise _not_understood(unknown, segments, source)
     found = [(segment, each) for segment, each in zip(segments, meanings, strict=True) if each is not None]
     _agree(found, preset, stated, source)
     return [(_called(segment, preset), each) for segment, each in found]
@@ -232,7 +234,9 @@ def _agree(
             )
 
 
-def _not_understood(unknown: Sequence[Segment], numbers: Sequence[int], source: LabelSource) -> CaseError:
+def _not_understood(
+    unknown: Sequence[Segment], segments: Sequence[Segment], source: LabelSource
+) -> CaseError:
     names = [each.name for each in unknown if each.name]
     shown = unknown[:_SHOWN]
     more = f" and {len(unknown) - _SHOWN} more" if len(unknown) > _SHOWN else ""
@@ -244,10 +248,11 @@ def _not_understood(unknown: Sequence[Segment], numbers: Sequence[int], source: 
     lines = ", ".join(f'{_key(each)} = "ignore"' for each in shown)
     table = "" if source.preset or source.names else f' with file = "{source.path.name}"'
     fix = f"in {_TABLE}{table}, say what each is, or that it is not needed: {lines} (or {WORDS})"
-    presets = [] if names or source.preset else presets_with(numbers)
+    numbers = [each.number for each in segments if each.number is not None and not each.name]
+    presets = [] if len(numbers) < len(segments) or source.preset else presets_with(numbers)
     if presets:
         fix += f"; if one of these programs wrote it: preset = {' or '.join(map(repr, presets[:4]))}"
-    if table and not names:
+    if table and len(numbers) == len(segments):
         fix = f"use 0 outside, 1 soft tissue, 2 bone, 3 marker, 4 fat; or {fix}"
     return CaseError(what, where=str(source.path), fix=fix, unknown=[each.title for each in unknown])
 
@@ -327,13 +332,15 @@ def _by_number(volume: Volume, names: dict[int, str], path: Path) -> list[Segmen
             where=str(path),
             fix="[imaging] labels takes a label map; an image belongs in [imaging] mri",
         )
-    broken = [each for each in found if each != np.round(each)]
+    broken = [each for each in found if abs(each - np.round(each)) > _ROUNDING]
     if broken:
         raise CaseError(
-            f"the label map contains the value(s) {', '.join(f'{each:g}' for each in broken[:6])}",
+            f"the label map contains the value(s) {', '.join(f'{each:.8g}' for each in broken[:6])}",
             where=str(path),
-            fix="use whole numbers; resample a label map to the nearest voxel, without interpolation",
+            fix="use whole numbers, in an integer type that holds them, and resample without interpolation",
         )
+    volume = volume.with_values(np.round(volume.values))
+    found = np.unique(volume.values)
     numbers = [int(each) for each in found if each != 0]
     return [Segment(each, names.get(each, ""), lambda: volume, each) for each in numbers]
 
