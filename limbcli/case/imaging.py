@@ -9,7 +9,8 @@ from typing import Any
 
 from limbcli.case import schema as schema
 from limbcli.case.files import CaseFiles
-from limbcli.case.parts import SKIN_SCALE, Imaging, LabelSource, Shape
+from limbcli.case.label_sources import read_label_sources
+from limbcli.case.parts import SKIN_SCALE, Imaging, Shape
 from limbcli.case.schema import BONE_RADIUS_MM, Key, number
 from limbcli.errors.problems import Problem
 
@@ -66,22 +67,6 @@ def read_imaging(
     scale = SKIN_SCALE if stated is None else float(stated)
     imaging = Imaging(*sources, fibres, frame, scale)
     return imaging, problems + found
-
-
-def read_label_sources(raw: object, files: CaseFiles) -> tuple[tuple[LabelSource, ...], list[Problem]]:
-    """The label maps of a case: one or several, each a name or a table with `file`, `preset` and numbers."""
-    sources, problems = [], []
-    listed = [] if raw is None else raw if isinstance(raw, list) else [raw]
-    for k, each in enumerate(listed):
-        table = each if isinstance(each, dict) else {"file": each}
-        label = "imaging.labels" if len(listed) == 1 else f"imaging.labels[{k}]"
-        path, found = files.existing(table.get("file"), label, is_folder=None)
-        problems += found
-        preset = table.get("preset")
-        names = {key: word for key, word in table.items() if key not in ("file", "preset")}
-        if path is not None and all(isinstance(word, str) for word in names.values()):
-            sources.append(LabelSource(path, preset if isinstance(preset, str) else None, names))
-    return tuple(sources), problems
 
 
 def _contradictions(table: Mapping[str, Any], file: str) -> list[Problem]:

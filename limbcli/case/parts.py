@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from limbcli.case.label_sources import LabelSource
 from limbcli.model import Array
 
 NOT_IMAGED = "geometry assumed, not imaged"
@@ -58,19 +59,6 @@ class Shape:
     def place(self) -> tuple[float, float, float]:
         """Default position of a site: in front, half-way along the limb."""
         return (0.0, -self.radius, 0.0)
-
-
-@dataclass(frozen=True)
-class LabelSource:
-    """A label map, and what its numbers and names mean where the file does not say so itself.
-
-    path : a file, or a folder with a file for each segment
-    preset : name of the program whose numbers it has; names : tissue by number or name
-    """
-
-    path: Path
-    preset: str | None = None
-    names: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from limbcli.case.parts import LabelSource
+from limbcli.case.label_sources import LabelSource
 from limbcli.case.schema import VOLUME_ENDINGS
 from limbcli.errors import CaseError
 from limbcli.imaging.dicom_seg import read_dicom_seg
@@ -96,8 +96,8 @@ def read_label_file(path: Path) -> Volume:
 def read_label_map(sources: Sequence[LabelSource], *, is_whole: bool = True) -> LabelMap:
     """Combine the segments of one or several label maps into one in our numbers, in patient LPS.
 
-    Bone overwrites soft tissue, markers overwrite everything, and of two bones the later source counts. Several
-    sources must have one grid.
+    Bone overwrites soft tissue, markers overwrite everything, and of two bones the later source counts.
+    Several sources must have one grid.
 
     is_whole : whether soft tissue is required; without, an image can supply it
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from limbcli.case import CASE_FILE, Site, read_case
 from limbcli.case.files import CaseFiles
-from limbcli.case.imaging import read_label_sources
+from limbcli.case.label_sources import read_label_sources
 from limbcli.errors import CaseError, LimbError, MeasurementError
 from limbcli.errors.problems import Problem, errors_of
 from limbcli.measurement.levels import FEWEST_LOADING

@@ -11,7 +11,7 @@ from limb_images import Limb
 from scipy.spatial.transform import Rotation
 
 from limbcli.atomic_files import sha256
-from limbcli.case.parts import LabelSource
+from limbcli.case.label_sources import LabelSource
 from limbcli.errors import CaseError
 from limbcli.imaging.label_files import label_lines, read_label_file, read_label_map
 from limbcli.imaging.label_names import PRESETS, meaning_of, preset_of
