@@ -18,6 +18,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from limbcli.detached_data import detached_data
 from limbcli.errors.file_system import PARTIAL, file_system_errors
 
 _OLD = "-old-"
@@ -193,13 +194,18 @@ _known: dict[tuple[str, int, int, int, int], str] = {}
 def sha256(path: Path) -> str:
     """SHA-256 hash of a file, or of the names and contents of all files of a folder in name order (hex).
 
+    A header whose data lie in files beside it (`.nhdr`, `.mhd`) is hashed together with them.
+
     Raises
     ------
     OSError
         If there is no such file or folder, or a file cannot be read.
     """
     if not path.is_dir():
-        return _file_hash(path)
+        data = detached_data(path)
+        if not data:
+            return _file_hash(path)
+        return hashlib.sha256("\0".join(map(_file_hash, (path, *data))).encode()).hexdigest()
     digest = hashlib.sha256()
     for each in sorted(each for each in path.rglob("*") if each.is_file() and each.name not in _NOT_CONTENT):
         digest.update(os.fsencode(f"{each.relative_to(path).as_posix()}\0{_file_hash(each)}\0"))

@@ -9,6 +9,7 @@ from typing import Any
 
 from limbcli.case import schema as schema
 from limbcli.case.files import CaseFiles
+from limbcli.case.label_sources import read_label_sources
 from limbcli.case.parts import SKIN_SCALE, Imaging, Shape
 from limbcli.case.schema import BONE_RADIUS_MM, Key, number
 from limbcli.errors.problems import Problem
@@ -35,9 +36,11 @@ def read_imaging(
         fix = 'add `mri = "folder or file"`, `labels = "file"`, `skin` and `bones`, or `shape`'
         problems.append(Problem("[imaging] specifies no geometry", file, fix))
     paths: dict[str, Path | None] = {}
-    for key, is_folder in (("mri", None), ("labels", False), ("skin", False), ("fibres", False)):
+    for key, is_folder in (("mri", None), ("skin", False), ("fibres", False)):
         paths[key], found = files.existing(table.get(key), f"imaging.{key}", is_folder=is_folder)
         problems += found
+    labels, found = read_label_sources(table.get("labels"), files)
+    problems += found
     mri = paths["mri"]
     if mri and mri.is_file() and not mri.name.lower().endswith(schema.VOLUME_ENDINGS):
         what = f"imaging.mri: {mri.name!r} is neither a folder nor a volume in a supported format"
@@ -59,7 +62,7 @@ def read_imaging(
     if fibres is not None and not fibres.name.lower().endswith((".nii", ".nii.gz")):
         what = f"imaging.fibres: {fibres.name!r} is not a NIfTI file"
         problems.append(Problem(what, file, "save the principal directions as .nii or .nii.gz"))
-    sources = (paths["mri"], paths["labels"], paths["skin"], tuple(bones), radius, shape)
+    sources = (paths["mri"], labels, paths["skin"], tuple(bones), radius, shape)
     stated = table.get("skin_scale_fraction")
     scale = SKIN_SCALE if stated is None else float(stated)
     imaging = Imaging(*sources, fibres, frame, scale)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from limbcli.case.label_sources import LabelSource
 from limbcli.model import Array
 
 NOT_IMAGED = "geometry assumed, not imaged"
@@ -64,6 +65,7 @@ class Shape:
 class Imaging:
     """Source of the geometry: an MRI series, a label map, surfaces, or external measurements.
 
+    labels : label maps; a path alone is a file or folder that says itself what it contains
     bone_radius : mm, of a bone that no file contains, at the depth seen by ultrasound; None: a file contains
         it
     shape : for a limb given only by numbers
@@ -73,7 +75,7 @@ class Imaging:
     """
 
     mri: Path | None = None
-    labels: Path | None = None
+    labels: Path | tuple[LabelSource, ...] = ()
     skin: Path | None = None
     bones: tuple[Path, ...] = ()
     bone_radius: float | None = None
@@ -81,6 +83,14 @@ class Imaging:
     fibres: Path | None = None
     fibre_frame: str | None = None
     skin_scale: float = SKIN_SCALE
+
+    @property
+    def label_maps(self) -> tuple[LabelSource, ...]:
+        """
+        >>> Imaging(labels=Path("a.nii")).label_maps
+        (LabelSource(path=PosixPath('a.nii'), preset=None, names={}),)
+        """
+        return self.labels if isinstance(self.labels, tuple) else (LabelSource(self.labels),)
 
     @property
     def assumed(self) -> str:

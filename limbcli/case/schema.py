@@ -98,6 +98,25 @@ def texts(value: object) -> str | None:
     return None if good else f"is {value!r}, not a list of strings"
 
 
+def label_sources(value: object) -> str | None:
+    """A file or folder of labels, a table that names it, or a list of these.
+
+    >>> label_sources("a.nii"), label_sources([{"file": "a.nii", "preset": "x", "8": "bone"}])
+    (None, None)
+    >>> label_sources({"8": "bone"}), label_sources({"file": "a.nii", "8": 2})
+    ('lacks `file`, the label map (a file or folder)', 'has 8 = 2, which is not text')
+    """
+    if isinstance(value, list):
+        wrong = [label_sources(each) for each in value if not isinstance(each, list)]
+        return next((each for each in wrong if each), None) if value and wrong else f"is {value!r}"
+    if not isinstance(value, dict):
+        return text(value)
+    if "file" not in value:
+        return "lacks `file`, the label map (a file or folder)"
+    wrong_key = next((key for key, each in value.items() if text(each) is not None), None)
+    return f"has {wrong_key} = {value[wrong_key]!r}, which is not text" if wrong_key is not None else None
+
+
 def vector(value: object) -> str | None:
     good = isinstance(value, list) and len(value) == 3 and all(map(_is_number, value))
     return None if good else f"is {value!r}, not three numbers [x, y, z]"
@@ -195,15 +214,22 @@ BONE_RADIUS_MM = 14.0
 # Permitted stretch ratios. Sarcomeres bear force at 0.6 to 1.7 of their optimal length (Gordon et al. 1966, J
 # Physiol 184:170).
 STRETCHES = (0.5, 2.0)
-VOLUME_ENDINGS = (".nii", ".nii.gz", ".nrrd", ".nhdr")  # suffixes of an MRI volume in one file
+VOLUME_ENDINGS = (
+    ".nii",
+    ".nii.gz",
+    ".nrrd",
+    ".nhdr",
+    ".mha",
+    ".mhd",
+)  # suffixes of an MRI volume in one file
 
 SUBJECT = {
     "id": Key("text", plain_name, required=True),
     "limb": Key("left | right", one_of("left", "right"), required=True),
 }
 IMAGING = {
-    "mri": Key("folder of DICOM files, or a NIfTI or NRRD file", text),
-    "labels": Key("file", text),
+    "mri": Key("folder of DICOM files, or a NIfTI, NRRD or MetaImage file", text),
+    "labels": Key("file or folder, or a table with it, or a list of such tables", label_sources),
     "skin": Key("file", text),
     "bones": Key("list of files", texts),
     "bone": Key("from-ultrasound", one_of("from-ultrasound")),

@@ -5,7 +5,6 @@ Only geometry, signal and a few technical facts leave this module; nothing that 
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,10 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pydicom
+from numpy.typing import NDArray
 from pydicom.dataset import Dataset
 from pydicom.errors import InvalidDicomError
 
+from limbcli.dicom_files import has_preamble, read_dicom
 from limbcli.errors import CaseError
 from limbcli.imaging.dicom_identity import one_body, public_name
 from limbcli.imaging.frames import (
@@ -37,6 +37,8 @@ _PIXELS = ("PixelData", *FLOAT_PIXELS)
 _PARALLEL = 1e-3  # largest change of a direction cosine between slices of one series
 _OWN_UIDS = 0.4  # with more distinct series UIDs than this fraction of the images, the UIDs are uninformative
 _DOUBLED = 0.05  # slices closer than this fraction of the slice spacing are duplicates
+# this many gaps that differ by less than this fraction are a spacing of their own
+_RUN, _SAME_GAP = 3, 0.05
 # plausible pixel size and slice spacing of an image of a limb, mm
 PIXEL_MM, STEP_MM = (0.05, 8.0), (0.05, 30.0)
 _MISSING = 1.5  # a gap wider than this multiple of the slice spacing lacks a slice
@@ -147,19 +149,15 @@ def _read(path: Path, number: int) -> Dataset | None:
     A file with the preamble that cannot be read is an error: if it were skipped, its absence might go
     unnoticed.
     """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            return pydicom.dcmread(path)
-        except InvalidDicomError:
-            pass
-        except DICOM_DAMAGED as error:
+    try:
+        dataset = read_dicom(path)
+    except InvalidDicomError:
+        return None
+    except DICOM_DAMAGED as error:
+        if has_preamble(path):
             raise damaged(f"file {number} in order of name", error) from error
-        try:
-            dataset = pydicom.dcmread(path, force=True)
-        except DICOM_DAMAGED:
-            return None
-    return dataset if "SOPClassUID" in dataset and "Rows" in dataset else None
+        return None
+    return dataset if has_preamble(path) or "Rows" in dataset else None
 
 
 def _slices(dataset: Dataset, name: str) -> list[Slice]:
@@ -265,16 +263,29 @@ def _slice_step(slices: list[Slice], heights: Array, folder: Path) -> float:
             n_doubled=len(pairs),
         )
     wide = np.flatnonzero(gaps > _MISSING * step)
-    if len(wide):
+    if len(wide) and not _spaced_wider(slices, gaps, wide):
         named = [f"between {slices[n].name} and {slices[n + 1].name} ({gaps[n]:.2f} mm)" for n in wide]
         missing = int(np.round(gaps[wide] / step - 1).sum())
         raise CaseError(
             f"about {missing} slice(s) are missing: {_some(named)}; the usual distance is {step:.2f} mm",
             where=str(folder),
-            fix="copy the whole series again",
+            fix="copy the whole series again"
+            + "; if they were taken at this distance, give their Instance Numbers (0020,0013)"
+            * (len(wide) > 2),
             n_missing=missing,
         )
     return step
+
+
+def _spaced_wider(slices: list[Slice], gaps: Array, wide: NDArray[np.integer]) -> bool:
+    """Whether wide gaps are the series' own spacing there: runs of equal gaps, numbered without a gap."""
+    numbers = [each.number for each in slices]
+    if any(each is None for each in numbers):
+        return False
+    steps = np.abs(np.diff(np.array(numbers, dtype=np.float64)))
+    runs = np.split(wide, np.flatnonzero(np.diff(wide) > 1) + 1)
+    even = all(len(run) >= _RUN and np.ptp(gaps[run]) <= _SAME_GAP * gaps[run].min() for run in runs)
+    return bool(even and (steps == steps[0]).all() and steps[0] > 0)
 
 
 def _plausible(first: Slice, step: float, folder: Path) -> None:

@@ -1,17 +1,20 @@
-"""DICOM Segmentation objects (PS3.3 A.51): binary or fractional segments, frame by frame."""
+"""DICOM Segmentation objects (PS3.3 A.51): binary or fractional segments frame by frame, or one label map.
+
+In a label map (Segmentation Type LABELMAP, PS3.3 C.8.20.2) a pixel's value is the number of its segment, and
+frames have no segment of their own.
+"""
 
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pydicom
 from numpy.typing import NDArray
 from pydicom.dataset import Dataset
 
+from limbcli.dicom_files import read_dicom
 from limbcli.errors import CaseError
 from limbcli.imaging.frames import DICOM_DAMAGED
 from limbcli.imaging.volume import MOST_VOXELS
@@ -27,10 +30,14 @@ _FIX = "export it again as DICOM SEG from 3D Slicer, or as NIfTI"
 
 @dataclass(frozen=True, eq=False)
 class NamedMasks:
-    """Name and mask [i, j, k] of each segment on one grid; affine from voxel to patient LPS."""
+    """Number, name and mask [i, j, k] of each segment on one grid; affine from voxel to patient LPS.
 
-    named: list[tuple[str, NDArray[np.bool_]]]
+    A label map has one array for all its segments, in which the segment's voxels have its number.
+    """
+
+    named: list[tuple[int, str, NDArray]]
     affine: Array
+    is_label_map: bool = False
 
 
 def read_dicom_seg(path: Path) -> NamedMasks:
@@ -42,9 +49,7 @@ def read_dicom_seg(path: Path) -> NamedMasks:
         If the file is not a segmentation or lacks its geometry.
     """
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            dataset = pydicom.dcmread(path)
+        dataset = read_dicom(path)
     except DICOM_DAMAGED as error:
         raise CaseError("the label map is not a DICOM file", where=str(path), fix=_FIX) from error
     if str(dataset.get("Modality", "")) != "SEG":
@@ -92,7 +97,9 @@ def _masks(dataset: Dataset, path: Path) -> NamedMasks:
         raise CaseError("the DICOM SEG's slices are not parallel", where=str(path), fix=_FIX)
     measures = _group(first, shared, "PixelMeasuresSequence")
     normal = np.cross(cosines[:3], cosines[3:])
-    positions = np.array([each.PlanePositionSequence[0].ImagePositionPatient for each in frames], float)
+    positions = np.array(
+        [_group(each, shared, "PlanePositionSequence").ImagePositionPatient for each in frames], float
+    )
     heights = positions @ normal
     step = _slice_step(heights, float(measures.get("SpacingBetweenSlices", 0) or measures.SliceThickness))
     index = np.round((heights - heights.min()) / step).astype(int)
@@ -105,16 +112,27 @@ def _masks(dataset: Dataset, path: Path) -> NamedMasks:
         )
     names = {int(each.SegmentNumber): str(each.SegmentLabel) for each in dataset.SegmentSequence}
     shape = (int(dataset.Columns), int(dataset.Rows), int(index.max()) + 1)
-    if math.prod(shape) * len(names) > MOST_VOXELS:
+    is_label_map = str(dataset.get("SegmentationType", "")).upper() == "LABELMAP"
+    if math.prod(shape) * (1 if is_label_map else len(names)) > MOST_VOXELS:
         raise CaseError(
             f"the DICOM SEG has {len(names)} segments of {' x '.join(map(str, shape))} voxels: too many",
             where=str(path),
             fix="cut it to the limb, or " + _FIX,
         )
-    masks = {number: np.zeros(shape, bool) for number in names}
-    for frame, plane, k in zip(frames, pixels, index, strict=True):
-        number = int(frame.SegmentIdentificationSequence[0].ReferencedSegmentNumber)
-        masks[number][:, :, k] |= 0.5 * int(dataset.get("MaximumFractionalValue", 1) or 1) < plane.T
+    masks: dict[int, NDArray] = {}
+    if is_label_map:
+        values = np.zeros(shape, pixels.dtype)
+        for plane, k in zip(pixels, index, strict=True):
+            values[:, :, k] = plane.T
+        masks = dict.fromkeys(
+            (*names, *(int(each) for each in np.unique(values) if int(each) not in names)), values
+        )
+        masks.pop(0, None)
+    else:
+        masks = {number: np.zeros(shape, bool) for number in names}
+        for frame, plane, k in zip(frames, pixels, index, strict=True):
+            number = int(_group(frame, shared, "SegmentIdentificationSequence").ReferencedSegmentNumber)
+            masks[number][:, :, k] |= 0.5 * int(dataset.get("MaximumFractionalValue", 1) or 1) < plane.T
     affine = np.eye(4)
     affine[:3, 0] = cosines[:3] * float(measures.PixelSpacing[1])
     affine[:3, 1] = cosines[3:] * float(measures.PixelSpacing[0])
@@ -124,7 +142,8 @@ def _masks(dataset: Dataset, path: Path) -> NamedMasks:
     if np.linalg.norm(beside, axis=1).max() > _BESIDE * float(min(measures.PixelSpacing)) + _UNEVEN * step:
         what = "the DICOM SEG's slices do not lie on one line, one behind the other"
         raise CaseError(what, where=str(path), fix=_FIX)
-    return NamedMasks([(names[number], mask) for number, mask in masks.items()], affine)
+    named = [(number, names.get(number, ""), mask) for number, mask in masks.items()]
+    return NamedMasks(named, affine, is_label_map)
 
 
 def _from_slice_to_slice(positions: Array, index: Array, upright: Array) -> Array:

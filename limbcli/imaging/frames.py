@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pydicom
@@ -26,7 +26,10 @@ _USABLE = ("MR", "CT", "OT", "")
 
 @dataclass(frozen=True, eq=False)
 class Slice:
-    """One image plane: pixels (rows, columns), the centre of its first pixel, and its directions."""
+    """One image plane: pixels (rows, columns), the centre of its first pixel, and its directions.
+
+    number : of the image in its series or stack, None if unknown
+    """
 
     name: str
     pixels: NDArray[np.float32]
@@ -34,6 +37,7 @@ class Slice:
     along_row: Array
     along_column: Array
     pixel_spacing: tuple[float, float]
+    number: int | None = None
 
     @property
     def normal(self) -> Array:
@@ -59,7 +63,8 @@ def slices_of(dataset: Dataset, name: str) -> list[Slice]:
             where=name,
             fix="export the series as enhanced MR or CT, or as one file per slice",
         )
-    return [_plane(dataset, dataset, dataset, _rescaled(pixels, dataset, dataset, name), name)]
+    plane = _plane(dataset, dataset, dataset, _rescaled(pixels, dataset, dataset, name), name)
+    return [replace(plane, number=_number(dataset, "InstanceNumber"))]
 
 
 def _enhanced(dataset: Dataset, pixels: NDArray, name: str) -> list[Slice]:
@@ -83,8 +88,17 @@ def _enhanced(dataset: Dataset, pixels: NDArray, name: str) -> list[Slice]:
         for part in (orientation, measures):
             merged.update(part)
         signal = _rescaled(image, transform, dataset, title)
-        planes.append(_plane(merged, position, measures, signal, title))
+        content = _group(dataset, frame, "FrameContentSequence")
+        plane = _plane(merged, position, measures, signal, title)
+        planes.append(replace(plane, number=_number(content, "InStackPositionNumber")))
     return planes
+
+
+def _number(dataset: Dataset, keyword: str) -> int | None:
+    try:
+        return int(dataset[keyword].value)
+    except (KeyError, TypeError, ValueError):
+        return None
 
 
 def _group(dataset: Dataset, frame: Dataset, name: str) -> Dataset:
@@ -162,11 +176,14 @@ def _decoded(dataset: Dataset, name: str) -> NDArray:
     except (ValueError, AttributeError, RuntimeError, NotImplementedError, KeyError, TypeError) as error:
         syntax = getattr(getattr(dataset, "file_meta", None), "TransferSyntaxUID", None)
         packed = bool(getattr(syntax, "is_private", True) or syntax.is_compressed)  # type: ignore[union-attr]
+        fix = _PLUGINS if packed else "the file is truncated or damaged: copy the series again"
+        if syntax is None:
+            fix = "the file does not say how its pixels are compressed: export the series again uncompressed"
         raise CaseError(
             "the pixel data (7FE0,0010) cannot be decoded "
             f"(Transfer Syntax 0002,0010: {getattr(syntax, 'name', 'unknown')})",
             where=name,
-            fix=_PLUGINS if packed else "the file is truncated or damaged: copy the series again",
+            fix=fix,
         ) from error
 
 

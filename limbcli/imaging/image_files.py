@@ -1,4 +1,4 @@
-"""Read the image that a case names: a folder with a DICOM series, or one NIfTI or NRRD volume."""
+"""Read the image that a case names: a folder with a DICOM series, or one NIfTI, NRRD or MetaImage volume."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ import numpy as np
 from limbcli.case.schema import VOLUME_ENDINGS
 from limbcli.errors import CaseError
 from limbcli.imaging.dicom import PIXEL_MM, STEP_MM, Series, read_series
+from limbcli.imaging.metaimage import read_metaimage
 from limbcli.imaging.nifti import read_nifti
 from limbcli.imaging.nrrd import read_nrrd_image
 from limbcli.imaging.volume import Volume
 from limbcli.progress import SILENT, Progress
 
-ENDINGS = {end: read_nifti if ".nii" in end else read_nrrd_image for end in VOLUME_ENDINGS}
+_READERS = {".ni": read_nifti, ".nr": read_nrrd_image, ".nh": read_nrrd_image, ".mh": read_metaimage}
+ENDINGS = {end: _READERS[end[:3]] for end in VOLUME_ENDINGS}
 _LEAST = 3  # smallest number of voxels along every axis
 _RIGHT_ANGLE = 1e-2  # largest cosine between two axes that count as perpendicular
 # HU: a volume counts as CT if _AIR_SHARE of its values lie below (air is at -1000), which is so in no MRI
@@ -42,6 +44,7 @@ def read_image(path: Path, *, progress: Progress = SILENT) -> Series:
             fix=f"give a folder with one DICOM series, or a volume that ends in {', '.join(ENDINGS)}",
         )
     volume = _plausible(reader(path), path)
+    volume = volume.with_values(np.asarray(volume.values, dtype=np.float32))
     progress.event("note", text=f"{path.name}: {' x '.join(map(str, volume.shape))} voxels")
     notes: list[str] = []
     finite = np.isfinite(volume.values)

@@ -38,14 +38,16 @@ class Agreement:
     problems: tuple[Problem, ...]
 
 
-def compare_frames(labels: Volume, image: Volume, *, where: str) -> Agreement:
+def compare_frames(labels: Volume, image: Volume, *, where: str, up_to_skin: bool = True) -> Agreement:
     """Compare position and size of a label map with those of its image.
 
     On the image's own grid nothing further is checked. A grid of equal matrix size but other position or
     voxel size is an error. Any other grid is used with its own position in the patient frame, and must cover
     the bright part of the image.
+
+    up_to_skin : whether the labels contain the whole limb; without, the bright part is not compared
     """
-    if _same_grid(labels, image):
+    if same_grid(labels, image):
         return Agreement(False, None, ())
     if sorted(labels.shape) == sorted(image.shape):
         off = np.linalg.norm(_middle(labels) - _middle(image))
@@ -60,6 +62,8 @@ def compare_frames(labels: Volume, image: Volume, *, where: str) -> Agreement:
     if beyond > _BEYOND:
         what = f"{beyond:.0%} of the label map's limb lies outside the MRI series"
         return Agreement(True, None, (Problem(what, where, _FIX),))
+    if not up_to_skin:
+        return Agreement(True, None, ())
     overlap = _overlap(labels, limb, image)
     if overlap >= _AGREE[0]:
         return Agreement(True, overlap, ())
@@ -97,7 +101,7 @@ def _middle(volume: Volume) -> Array:
     return np.asarray(_corners(volume).mean(axis=0), dtype=np.float64)
 
 
-def _same_grid(labels: Volume, image: Volume) -> bool:
+def same_grid(labels: Volume, image: Volume) -> bool:
     """Same voxels, in any order of the axes: each corner is within half a voxel of a corner of the other."""
     if sorted(labels.shape) != sorted(image.shape):
         return False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 
 import nibabel as nib
@@ -17,7 +18,7 @@ from limbcli.atomic_files import atomic_file
 from limbcli.errors import CaseError
 from limbcli.imaging.limbs import Side
 from limbcli.imaging.markers import MarkerCapsule, number_markers
-from limbcli.imaging.nifti import one_geometry, require_placement
+from limbcli.imaging.nifti import label_names_of, one_geometry, require_placement
 from limbcli.imaging.segmentation import BONE, FAT, MARKER, SOFT_TISSUE, Segmentation
 from limbcli.imaging.signed_distance import filled_by_slice, largest
 from limbcli.imaging.volume import DAMAGED, MOST_VOXELS, RAS_FROM_LPS, Volume
@@ -53,13 +54,24 @@ def write_labels(path: Path, labels: Volume) -> None:
 
 
 def read_labels(path: Path) -> Volume:
-    """Read a label map from NIfTI, in patient LPS.
+    """Read a label map in our numbers from NIfTI, in patient LPS.
 
     Raises
     ------
     CaseError
         If the file cannot be read, is not three-dimensional, lacks its position in the patient frame, or
         contains values other than 0 outside, 1 soft tissue, 2 bone, 3 marker, 4 fat.
+    """
+    return checked_labels(read_nifti_labels(path)[0], path)
+
+
+def read_nifti_labels(path: Path) -> tuple[Volume, dict[int, str]]:
+    """Read a label map in any numbers from NIfTI, in patient LPS, and the names that it gives them.
+
+    Raises
+    ------
+    CaseError
+        If the file cannot be read, or lacks its position in the patient frame.
     """
     try:
         image = nib.load(path)
@@ -79,17 +91,15 @@ def read_labels(path: Path) -> Volume:
     fix = "export it again from 3D Slicer with the MRI series as its reference volume"
     require_placement(image, path, noun="label map", fix=fix)
     one_geometry(image, path, noun="label map")
-    return checked_labels(Volume(values, RAS_FROM_LPS @ affine), path)
+    return Volume(values, RAS_FROM_LPS @ affine), label_names_of(image, path)
 
 
-def checked_labels(labels: Volume, path: Path) -> Volume:
-    """The label map as uint8; raises an error that says what is wrong with it."""
-    if labels.values.ndim != 3 or min(labels.values.shape) < 3:
-        raise CaseError(
-            f"the label map has shape {labels.values.shape}; it needs three dimensions of at least 3 voxels",
-            where=str(path),
-            fix="export the segmentation as one label map volume",
-        )
+def checked_labels(labels: Volume, path: Path, *, is_whole: bool = True) -> Volume:
+    """The label map as uint8; raises an error that says what is wrong with it.
+
+    is_whole : whether soft tissue is required
+    """
+    require_three_dimensions(labels, path)
     if not np.isfinite(labels.affine).all() or abs(np.linalg.det(labels.affine[:3, :3])) < 1e-9:
         raise CaseError(
             "the label map's affine is singular", where=str(path), fix="export it again with its geometry"
@@ -102,33 +112,54 @@ def checked_labels(labels: Volume, path: Path) -> Volume:
             where=str(path),
             fix="use 0 outside, 1 soft tissue, 2 bone, 3 marker, 4 fat",
         )
-    missing = [
-        name for value, name in ((SOFT_TISSUE, "1 (soft tissue)"), (BONE, "2 (bone)")) if value not in found
-    ]
+    needed = ((SOFT_TISSUE, "1 (soft tissue)"), (BONE, "2 (bone)"))[0 if is_whole else 1 :]
+    missing = [name for value, name in needed if value not in found]
     if missing:
         raise CaseError(
             f"the label map has no voxel of {' and '.join(missing)}",
             where=str(path),
-            fix="use 0 outside, 1 soft tissue, 2 bone, 3 marker, 4 fat",
+            fix="use 0 outside, 1 soft tissue, 2 bone, 3 marker, 4 fat; add the file that has it as another "
+            "[[imaging.labels]]; soft tissue is also taken from the image, [imaging] mri",
         )
     return labels.with_values(labels.values.astype(np.uint8))
 
 
-def segmentation_from(labels: Volume, *, side: Side | None = None) -> Segmentation:
+def require_three_dimensions(labels: Volume, path: Path) -> None:
+    """Refuse a label map that is not three-dimensional, or has fewer than 3 voxels along an axis.
+
+    Raises
+    ------
+    CaseError
+        If it is so.
+    """
+    if labels.values.ndim != 3 or min(labels.values.shape) < 3:
+        raise CaseError(
+            f"the label map has shape {labels.values.shape}; it needs three dimensions of at least 3 voxels",
+            where=str(path),
+            fix="export the segmentation as one label map volume",
+        )
+
+
+def segmentation_from(
+    labels: Volume, *, side: Side | None = None, bone_of: Volume | None = None, bone_names: Sequence[str] = ()
+) -> Segmentation:
     """Skin, bones and markers of a label map (k need not run along the limb).
 
     side : the limb to use, the patient's left or right, if the map contains two side by side
+    bone_of : n where a voxel is of the bone `bone_names[n - 1]`, else 0, on the grid of the labels: bones
+        that touch are kept apart; None: bones are what is connected
     """
     turned, _, _ = labels.along_limb()
     turned, notes = _of_one_limb(turned, side)
     limb = np.isin(turned.values, _LIMB)
     limb = filled_by_slice(largest(limb))
-    bones, specks = _parts(turned.values == BONE, turned, least=_LEAST_BONE)
+    bones, names, specks = _bones(turned, bone_of.along_limb()[0].values if bone_of else None, bone_names)
     markers, dots = _markers(turned, limb)
     return Segmentation(
         labels=labels,
         skin=turned.with_values(limb),
         bones=tuple(turned.with_values(each) for each in bones),
+        bone_names=names,
         fat=turned.with_values(turned.values == FAT) if (labels.values == FAT).any() else None,
         markers=markers,
         notes=(*notes, *_left_out(specks, "bone", turned), *_left_out(dots, "marker", turned)),
@@ -175,6 +206,26 @@ def _parts(mask: NDArray[np.bool_], volume: Volume, *, least: float) -> tuple[li
     small = np.flatnonzero(sizes < least) + 1
     middles = np.array(ndimage.center_of_mass(mask, parts, small)).reshape(-1, 3)
     return [parts == n + 1 for n in order if sizes[n] >= least], middles
+
+
+def _bones(
+    turned: Volume, bone_of: NDArray | None, bone_names: Sequence[str]
+) -> tuple[list[NDArray[np.bool_]], tuple[str, ...], Array]:
+    """The bones, largest first, their names (none if the map names none), and the centres of specks."""
+    bone = turned.values == BONE
+    if bone_of is None or not bone_names:
+        bones, specks = _parts(bone, turned, least=_LEAST_BONE)
+        return bones, (), specks
+    found: list[tuple[NDArray[np.bool_], str]] = []
+    centres = []
+    for n, name in enumerate(("", *bone_names)):
+        parts, specks = _parts(bone & (bone_of == n), turned, least=_LEAST_BONE)
+        centres.append(specks)
+        found += [(each, f"{name}_{k}" if k > 1 else name) for k, each in enumerate(parts, 1)]
+    found.sort(key=lambda each: -int(each[0].sum()))
+    unnamed = iter(range(1, len(found) + 1))
+    names = tuple(str(next(unnamed)) if name.partition("_")[0] == "" else name for _, name in found)
+    return [each for each, _ in found], names, np.concatenate(centres)
 
 
 def _markers(volume: Volume, limb: NDArray[np.bool_]) -> tuple[tuple[MarkerCapsule, ...], Array]:

@@ -6,14 +6,17 @@ Format: nifti.nimh.nih.gov/nifti-1 (qform, sform and their codes, xyzt_units).
 from __future__ import annotations
 
 import math
+import re
 import zlib
 from pathlib import Path
 
 import nibabel as nib
 import numpy as np
+from lxml import etree
 from nibabel.filebasedimages import ImageFileError
 from nibabel.spatialimages import HeaderDataError
 
+from limbcli.detached_data import beside
 from limbcli.errors import CaseError
 from limbcli.imaging.volume import DAMAGED, MOST_VOXELS, RAS_FROM_LPS, Volume
 
@@ -23,6 +26,7 @@ _FRAMES = {
     1: "the scanner's", 2: "aligned to another image", 3: "the Talairach atlas's",
     4: "the MNI 152 template's", 5: "another template's",
 }  # fmt: skip
+_INTENT_LABEL = 1002  # NIFTI_INTENT_LABEL: values are numbers of labels
 _ZOOM = 0.02  # largest relative difference of voxel sizes within one header
 _SAVE = "save it again from 3D Slicer as NIfTI (.nii.gz)"
 
@@ -167,3 +171,57 @@ def _frame(header: nib.Nifti1Header, which: str) -> str:
     """The code of qform or sform, and what it stands for."""
     code = int(header[f"{which}_code"])
     return f"code {code}, {_FRAMES.get(code, 'not one that the format knows')}"
+
+
+def label_names_of(image: object, path: Path) -> dict[int, str]:
+    """Names that a NIfTI label map gives its numbers: in a label table in its header, or in a file beside it.
+
+    The header's extension is XML with elements `<Label Key="1">name</Label>`, as TotalSegmentator 2 and
+    Connectome Workbench write it. With intent code 1002 (NIFTI_INTENT_LABEL), `aux_file` may name a text file
+    with lines of a number and a name.
+    """
+    header = getattr(image, "header", None)
+    if not isinstance(header, nib.Nifti1Header):
+        return {}
+    for extension in header.extensions:
+        content = extension.get_content()
+        content = content if isinstance(content, bytes) else str(content).encode()
+        if b"LabelTable" in content:
+            return _label_table(content)
+    name = bytes(header["aux_file"]).rstrip(b"\0").decode("utf-8", "replace").strip()
+    found = beside(path, name) if name and int(header["intent_code"]) == _INTENT_LABEL else None
+    return _names_in(found.read_text(encoding="utf-8", errors="replace")) if found else {}
+
+
+def _label_table(content: bytes) -> dict[int, str]:
+    """
+    >>> _label_table(b'<a><LabelTable><Label Key="2"><![CDATA[tibia]]></Label></LabelTable></a>')
+    {2: 'tibia'}
+    """
+    parser = etree.XMLParser(resolve_entities=False, recover=True)
+    root = etree.fromstring(content.strip(b"\0 \r\n\t"), parser)
+    labels = [] if root is None else root.iter("Label")
+    found = {}
+    for each in labels:
+        key = str(each.get("Key", ""))
+        if key.lstrip("-").isdigit() and (each.text or "").strip():
+            found[int(key)] = str(each.text).strip()
+    return found
+
+
+def _names_in(text: str) -> dict[int, str]:
+    """Names in a text file of labels: in quotes (ITK-SNAP), else the words after the number.
+
+    >>> _names_in('# a comment\\n 2 255 0 0 1 1 1 "Left tibia"\\n3 fibula 0 0 255 0\\n4\\tsoft tissue')
+    {2: 'Left tibia', 3: 'fibula', 4: 'soft tissue'}
+    """
+    found = {}
+    for line in text.splitlines():
+        numbered = re.match(r"\s*(\d+)\W+(.*)", line)
+        if numbered is None:
+            continue
+        quoted = re.search(r'"([^"]+)"', line)
+        words = quoted[1] if quoted else " ".join(re.findall(r"[^\W\d][\w-]*", numbered[2]))
+        if words:
+            found[int(numbered[1])] = words
+    return found

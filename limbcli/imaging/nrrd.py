@@ -1,7 +1,7 @@
 """Read NRRD volumes as written by 3D Slicer (`.nrrd`, `.seg.nrrd`): label maps and images.
 
-Format: teem.sourceforge.net/nrrd/format.html (NRRD0001 to NRRD0005, attached data, encodings raw, gzip and
-ascii).
+Format: teem.sourceforge.net/nrrd/format.html (NRRD0001 to NRRD0005, data in the file itself or in one file
+beside it, encodings raw, gzip and ascii).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.atomic_files import gunzip
+from limbcli.detached_data import beside
 from limbcli.errors import CaseError
 from limbcli.imaging.volume import MOST_VOXELS, RAS_FROM_LPS, Volume
 from limbcli.model import Array
@@ -26,6 +27,8 @@ _TYPES = {
     "u2": ("ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"),
     "i4": ("int", "signed int", "int32", "int32_t"),
     "u4": ("uint", "unsigned int", "uint32", "uint32_t"),
+    "i8": ("longlong", "long long", "long long int", "signed long long", "int64", "int64_t"),
+    "u8": ("ulonglong", "unsigned long long", "unsigned long long int", "uint64", "uint64_t"),
     "f4": ("float",),
     "f8": ("double",),
 }
@@ -44,7 +47,7 @@ class Nrrd:
 
 
 def read_nrrd(path: Path, *, noun: str = "label map") -> Nrrd:
-    """Read a NRRD file with attached data.
+    """Read a NRRD file, or a NRRD header (`.nhdr`) with its data beside it.
 
     noun : what the file is, for the messages
 
@@ -90,7 +93,7 @@ def read_nrrd_image(path: Path) -> Volume:
             fix="save only the T1-weighted volume from 3D Slicer, and give that file",
         )
     found = read_nrrd(path, noun="image")
-    return Volume(np.asarray(found.values, dtype=np.float32), found.affine)
+    return Volume(found.values, found.affine)
 
 
 def _check_geometry(fields: dict[str, str], path: Path, noun: str) -> None:
@@ -117,12 +120,37 @@ def _parts(path: Path, noun: str) -> tuple[dict[str, str], dict[str, str], bytes
     end, skip = content.find(b"\n\n"), 2
     if b"\r\n\r\n" in content[:65536] and (end < 0 or content.find(b"\r\n\r\n") < end):
         end, skip = content.find(b"\r\n\r\n"), 4
-    if not content.startswith(b"NRRD000") or end < 0:
-        raise _refusal(path, "is not a NRRD file", noun)
+    if end < 0:
+        end = len(content)  # a header alone may end without an empty line
     fields, pairs = _header(content[:end].decode("utf-8", "replace"))
-    if "data file" in fields or "datafile" in fields:
-        raise _refusal(path, "has its data in a separate file", noun)
-    return fields, pairs, content[end + skip :]
+    name = fields.get("data file", fields.get("datafile"))
+    if not content.startswith(b"NRRD000") or (end == len(content) and name is None):
+        raise _refusal(path, "is not a NRRD file", noun)
+    if name is None:
+        return fields, pairs, content[end + skip :]
+    return fields, pairs, read_beside(path, name, noun=noun)
+
+
+def read_beside(header: Path, name: str, *, noun: str) -> bytes:
+    """The content of the file with the data of a header.
+
+    Raises
+    ------
+    CaseError
+        If the header names several files, or one that is not in its folder.
+    """
+    found = beside(header, name)
+    if found is None:
+        several = name.upper().startswith("LIST") or "%" in name
+        what = f"the {noun}'s data are in several files"
+        if not several:
+            what = f"the {noun} has its data in a separate file, which is not beside it"
+        fix = "save it again as one file" if several else f"put it into the folder of {header.name}"
+        raise CaseError(f"{what} ({name})", where=str(header), fix=f"{fix}, or save it as .nrrd or .nii.gz")
+    try:
+        return found.read_bytes()
+    except OSError as error:
+        raise _refusal(found, f"cannot be read ({error.strerror})", noun) from error
 
 
 def _refusal(path: Path, what: str, noun: str) -> CaseError:

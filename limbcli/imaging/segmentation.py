@@ -40,6 +40,7 @@ class Segmentation:
     labels : Volume of uint8 on the image's grid: 0 outside, 1 soft tissue, 2 bone, 3 marker, 4 fat
     skin : Volume of bool on the working grid (k along the limb): everything inside the skin
     bones : one Volume of bool per bone, largest first
+    bone_names : their names, if a label map gives them; else empty
     fat : Volume of bool, or None if it cannot be distinguished from muscle
     markers : numbered capsules
     notes : processing steps that the user should know of
@@ -51,6 +52,7 @@ class Segmentation:
     fat: Volume | None = None
     markers: tuple[MarkerCapsule, ...] = ()
     notes: tuple[str, ...] = ()
+    bone_names: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

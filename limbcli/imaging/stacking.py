@@ -14,6 +14,9 @@ from limbcli.model import Array
 _TILT = 0.5  # degrees: a larger shear of the slices is corrected
 _BESIDE = 0.5  # pixels: slices farther from the line between the first and the last are shifted onto it
 _UNEVEN = 0.02  # relative variation of the slice spacing above which slices are resampled
+_NARROW = 10.0  # per cent of the spacings that may be narrower than the one to resample to
+_MOST = 10  # at most this many times as many slices
+_CHANGED = 1.5  # ratio of spacings above which the spacing changes within the series
 
 
 def stack(slices: list[Slice], heights: Array, step: float) -> tuple[Volume, tuple[str, ...]]:
@@ -48,8 +51,13 @@ def stack(slices: list[Slice], heights: Array, step: float) -> tuple[Volume, tup
         direction = (positions[-1] - positions[0]) / (len(slices) - 1)
     gaps = np.diff(heights)
     if np.abs(gaps / step - 1).max() > _UNEVEN:
-        notes.append(f"slice distances vary from {gaps.min():.2f} to {gaps.max():.2f} mm; resampled evenly")
-        values = _even(values, heights)
+        every = _fine_enough(gaps)
+        how = "evenly"
+        if len(every) > len(slices):
+            how = f"every {every[1]:.2f} mm, where they are wide by interpolation"
+        notes.append(f"slice distances vary from {gaps.min():.2f} to {gaps.max():.2f} mm; resampled {how}")
+        values = _even(values, heights, heights[0] + every)
+        direction = direction * (len(slices) - 1) / (len(every) - 1)
     affine = np.eye(4)
     affine[:3, 0] = first.along_row * pixel[0]
     affine[:3, 1] = first.along_column * pixel[1]
@@ -87,9 +95,24 @@ def _straight(values: NDArray[np.float32], offset: Array) -> tuple[NDArray[np.fl
     return padded, (int(-low[0]), int(-low[1]))
 
 
-def _even(values: NDArray[np.float32], heights: Array) -> NDArray[np.float32]:
-    """Linear interpolation to as many evenly spaced slices."""
-    at = np.linspace(heights[0], heights[-1], len(heights))
+def _fine_enough(gaps: Array) -> Array:
+    """Even heights (n,) from 0 to the sum of the gaps, mm.
+
+    They are as many as the slices; where the spacing changes within the series, as close as its narrow part.
+
+    >>> _fine_enough(np.array([2.0, 2.1, 1.9]))
+    array([0., 2., 4., 6.])
+    >>> _fine_enough(np.array([2.5, 2.5, 7.5]))
+    array([ 0. ,  2.5,  5. ,  7.5, 10. , 12.5])
+    """
+    n, narrow = len(gaps), float(np.percentile(gaps, _NARROW))
+    if gaps.max() > _CHANGED * narrow:
+        n = max(n, min(round(float(gaps.sum()) / narrow), _MOST * n))
+    return np.linspace(0.0, gaps.sum(), n + 1)
+
+
+def _even(values: NDArray[np.float32], heights: Array, at: Array) -> NDArray[np.float32]:
+    """Linear interpolation to the slices at these heights."""
     low = np.clip(np.searchsorted(heights, at, side="right") - 1, 0, len(heights) - 2)
     weight = ((at - heights[low]) / (heights[low + 1] - heights[low])).astype(np.float32)
     return values[:, :, low] * (1 - weight) + values[:, :, low + 1] * weight

@@ -269,10 +269,11 @@ def _read_dicom(path: Path, frame: int | None) -> _Frame:
 
 
 def _dicom_frame(path: Path, frame: int | None) -> _Frame:
-    import pydicom
     from pydicom.pixels import apply_color_lut, pixel_array
 
-    dataset = pydicom.dcmread(path)
+    from limbcli.dicom_files import read_dicom
+
+    dataset = read_dicom(path)
     number = _frame_of(path, int(dataset.get("NumberOfFrames", 1) or 1), frame)
     # already converted to RGB if the file stores YBR
     pixels = pixel_array(dataset, index=(number or 1) - 1)

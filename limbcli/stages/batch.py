@@ -106,7 +106,8 @@ class CaseRun:
         from limbcli.stages.segment import edited_labels, segment
 
         raw, images = self.case.raw, self.case.imaging
-        paths = [p for p in (images.mri, images.labels, images.skin, *images.bones) if p]
+        labels = (each.path for each in images.label_maps)
+        paths = [p for p in (images.mri, *labels, images.skin, *images.bones) if p]
         edited = [path for path in [edited_labels(self.out)] if path]
         hints = self._requested("segment", None, without=("seeds", "threshold") if edited else ())
         key = key_of(

@@ -6,6 +6,7 @@ read, even if case.toml itself has errors.
 
 from __future__ import annotations
 
+import os
 import shlex
 import tomllib
 from collections.abc import Callable, Mapping
@@ -16,6 +17,7 @@ from typing import Any
 
 from limbcli.case import CASE_FILE, Site, read_case
 from limbcli.case.files import CaseFiles
+from limbcli.case.label_sources import read_label_sources
 from limbcli.errors import CaseError, LimbError, MeasurementError
 from limbcli.errors.problems import Problem, errors_of
 from limbcli.measurement.levels import FEWEST_LOADING
@@ -61,19 +63,23 @@ def check(folder: Path, *, progress: Progress = SILENT) -> CaseCheck:
     progress.event("stage", name="check")
     case, problems = read_case(folder)
     looked_at = [CASE_FILE]
-    shown: list[str] = []
     raw = _raw(folder)
     for label, path, reader in _readers(raw, folder):
         looked_at.append(label)
         problems += reader(path)
+    read, found, on_labels = _read_labels(raw, folder)
+    looked_at += read
+    problems += found
+    shown = on_labels
     if case is not None:
         problems += _contradictions(case)
         reported = {each.what for each in problems}
         problems += [each for each in instrument_problems(case) if each.what not in reported]
         problems += state_problems(case)
-        found, on_bones = geometry_findings(case, problems)
+        found, on_geometry = geometry_findings(case, problems)
         problems += found
-        shown = [*layer_lines(case), *cycle_lines(case), *on_bones]
+        more = [each for each in on_geometry if each not in on_labels]
+        shown = [*on_labels, *layer_lines(case), *cycle_lines(case), *more]
     return CaseCheck(folder, tuple(looked_at), tuple(problems), tuple(shown))
 
 
@@ -93,7 +99,7 @@ def _readers(raw: Mapping[str, Any], folder: Path) -> list[tuple[str, Path, Read
     files = CaseFiles.of(raw, folder)
     imaging = raw.get("imaging")
     if isinstance(imaging, dict):
-        listed += [(imaging.get("mri"), _read_mri), (imaging.get("labels"), _read_labels)]
+        listed += [(imaging.get("mri"), _read_mri)]
         listed += [(imaging.get("fibres"), _read_fibres)]
         bones = imaging.get("bones")
         surfaces = [imaging.get("skin"), *(bones if isinstance(bones, list) else [])]
@@ -139,10 +145,19 @@ def _read_mri(path: Path) -> list[Problem]:
     return _caught(lambda: read_image(path))
 
 
-def _read_labels(path: Path) -> list[Problem]:
-    from limbcli.imaging.label_files import read_label_file
+def _read_labels(raw: Mapping[str, Any], folder: Path) -> tuple[list[str], list[Problem], list[str]]:
+    """The label maps read, their problems, and what each number and name in them is taken for."""
+    from limbcli.imaging.label_files import label_lines
 
-    return _caught(lambda: read_label_file(path))
+    imaging = raw.get("imaging")
+    table = imaging.get("labels") if isinstance(imaging, dict) else None
+    looked_at: list[str] = []
+    problems: list[Problem] = []
+    lines: list[str] = []
+    for source in read_label_sources(table, CaseFiles.of(raw, folder))[0]:
+        looked_at.append(os.path.relpath(source.path, folder))
+        problems += _caught(lambda source=source: lines.extend(label_lines(source)))  # type: ignore[misc]
+    return looked_at, problems, lines
 
 
 def _read_fibres(path: Path) -> list[Problem]:

@@ -29,12 +29,13 @@ def geometry_findings(case: Case, known: Sequence[Problem]) -> tuple[list[Proble
         if case.imaging.assumed:
             found = _assumed(case)
             lines, _ = _frames(case)
-        elif case.imaging.skin is None and case.imaging.labels is None:
+        elif case.imaging.skin is None and not case.imaging.label_maps:
             found = _images(case)
         else:
-            surfaces, where, found = _surfaces(case) if case.imaging.skin is not None else _label_map(case)
-            lines, mixed = _frames(case)
-            found += mixed + _of_limb(case, surfaces, where)
+            read = _surfaces if case.imaging.skin is not None else _label_map
+            surfaces, where, found, lines = read(case)
+            stated, mixed = _frames(case)
+            lines, found = [*lines, *stated], [*found, *mixed, *_of_limb(case, surfaces, where)]
             lines += _bone_lines(case, surfaces)
     except LimbError as error:
         found = [Problem(error.what, error.where, error.fix)]
@@ -82,10 +83,13 @@ def _bone_lines(case: Case, surfaces: Mapping[str, Triangles]) -> list[str]:
     return lines
 
 
-def _surfaces(case: Case) -> tuple[dict[str, Triangles], str, list[Problem]]:
+_Geometry = tuple[dict[str, "Triangles"], str, list[Problem], list[str]]
+
+
+def _surfaces(case: Case) -> _Geometry:
     from limbcli.stages.segmenting.surfaces import read_surfaces, triangles_of
 
-    return triangles_of(read_surfaces(case)[0]), str(case.imaging.skin), []
+    return triangles_of(read_surfaces(case)[0]), str(case.imaging.skin), [], []
 
 
 def _assumed(case: Case) -> list[Problem]:
@@ -134,24 +138,18 @@ def _places(case: Case) -> dict[str, np.ndarray]:
     return {each.name: np.array(each.position) for each in case.sites if each.position is not None}
 
 
-def _label_map(case: Case) -> tuple[dict[str, Triangles], str, list[Problem]]:
-    assert case.imaging.labels is not None
+def _label_map(case: Case) -> _Geometry:
     from limbcli.imaging.bones import name_bones
-    from limbcli.imaging.image_files import read_image
-    from limbcli.imaging.label_files import read_label_file
-    from limbcli.imaging.label_frame import compare_frames
-    from limbcli.imaging.labels import segmentation_from
     from limbcli.imaging.surface import surface_of
     from limbcli.meshing.anatomy import SKIN
+    from limbcli.stages.segmenting.label_maps import labelled_limb
     from limbcli.stages.segmenting.surfaces import triangles_of
 
-    path = str(case.imaging.labels)
-    labels = read_label_file(case.imaging.labels)
-    found: list[Problem] = []
-    if case.imaging.mri is not None:
-        found += compare_frames(labels, read_image(case.imaging.mri).volume, where=path).problems
-    parts = segmentation_from(labels, side=case.limb)
-    bones = {f"bone_{name}": each for name, each in zip(name_bones(parts.bones), parts.bones, strict=True)}
+    path = str(case.imaging.label_maps[0].path)
+    limb = labelled_limb(case, side=case.limb)
+    parts = limb.found
+    names = parts.bone_names or name_bones(parts.bones)
+    bones = {f"bone_{name}": each for name, each in zip(names, parts.bones, strict=True)}
     masks = {SKIN: parts.skin, **bones}
     surfaces = triangles_of({name: surface_of(each, edge=_EDGE, where=name) for name, each in masks.items()})
-    return surfaces, path, found
+    return surfaces, path, list(limb.problems), list(limb.lines)

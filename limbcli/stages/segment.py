@@ -16,7 +16,7 @@ import numpy as np
 from limbcli.atomic_files import sha256
 from limbcli.case import Case
 from limbcli.errors import CaseError
-from limbcli.errors.problems import raise_errors
+from limbcli.errors.problems import Problem, raise_errors
 from limbcli.imaging.bones import name_bones
 from limbcli.imaging.image_files import read_image
 from limbcli.imaging.label_files import read_label_file
@@ -35,6 +35,7 @@ from limbcli.results import StageResult, StageWriter, open_stage, read_result
 from limbcli.stages.provenance.chain_inputs import LIMB, note_case
 from limbcli.stages.provenance.requested_options import requested_of
 from limbcli.stages.segmenting.assumed import from_assumed
+from limbcli.stages.segmenting.label_maps import labelled_limb
 from limbcli.stages.segmenting.places import report_places
 from limbcli.stages.segmenting.surfaces import check_limb, from_surfaces, write_surfaces
 
@@ -116,8 +117,8 @@ def segment(
             from_assumed(case, writer, accept_bones=accept_bones)
         elif case.imaging.skin is not None:
             from_surfaces(case, writer, accept_bones=accept_bones)
-        elif case.imaging.labels is not None:
-            _from_labels(case, case.imaging.labels, options, writer, progress)
+        elif case.imaging.label_maps:
+            _from_labels(case, options, writer, progress)
         elif case.imaging.mri is not None:
             _from_series(case, case.imaging.mri, options, writer, progress)
         else:
@@ -191,17 +192,32 @@ def _from_series(case: Case, path: Path, options: _Options, writer: StageWriter,
     _write(case, series.volume, found, options, writer, progress)
 
 
-def _from_labels(case: Case, path: Path, options: _Options, writer: StageWriter, progress: Progress) -> None:
-    """Use a label map instead of the automatic segmentation."""
-    writer.used("labels", path, role="imaging/labels")
-    labels = read_label_file(path)
+def _from_labels(case: Case, options: _Options, writer: StageWriter, progress: Progress) -> None:
+    """Use label maps instead of the automatic segmentation."""
+    for number, source in enumerate(case.imaging.label_maps):
+        role = f"imaging/labels/{number}" if number else "imaging/labels"
+        writer.used(f"labels_{number}" if number else "labels", source.path, role=role)
     writer.data["source"] = "labels"
-    writer.summary.append(f"label map {path.name} used instead of the automatic segmentation")
+    names = ", ".join(each.path.name for each in case.imaging.label_maps)
+    writer.summary.append(f"label map {names} used instead of the automatic segmentation")
     _ignored(options, writer)
-    image = _image_of(case, labels, path, writer, progress)
-    found = segmentation_from(labels, side=options.limb or case.limb)
-    writer.warnings.extend(found.notes)
-    _write(case, image, found, options, writer, progress)
+    if case.imaging.mri is not None:
+        writer.used("mri", case.imaging.mri, role="imaging/mri")
+    limb = labelled_limb(case, side=options.limb or case.limb, progress=progress)
+    writer.summary.extend(limb.lines)
+    _place(limb.problems, limb.own_grid, writer)
+    writer.warnings.extend(limb.found.notes)
+    _write(case, limb.image, limb.found, options, writer, progress)
+
+
+def _place(problems: Sequence[Problem], own_grid: bool, writer: StageWriter) -> None:
+    """Raise or note what is wrong with a label map's position."""
+    raise_errors(problems, CaseError)
+    writer.warnings.extend(f"{each.what}; {each.fix}" for each in problems)
+    if own_grid:
+        writer.summary.append(
+            "the label map has a different grid; it is positioned by its patient coordinates"
+        )
 
 
 def _image_of(case: Case, labels: Volume, path: Path, writer: StageWriter, progress: Progress) -> Volume:
@@ -217,12 +233,7 @@ def _image_of(case: Case, labels: Volume, path: Path, writer: StageWriter, progr
     writer.used("mri", case.imaging.mri, role="imaging/mri")
     series = read_image(case.imaging.mri, progress=progress).volume
     agreement = compare_frames(labels, series, where=str(path))
-    raise_errors(agreement.problems, CaseError)
-    writer.warnings.extend(f"{each.what}; {each.fix}" for each in agreement.problems)
-    if agreement.own_grid:
-        writer.summary.append(
-            "the label map has a different grid; it is positioned by its patient coordinates"
-        )
+    _place(agreement.problems, agreement.own_grid, writer)
     return labels if agreement.own_grid else in_order_of(labels, series)
 
 
@@ -263,7 +274,7 @@ def _write(
             where=f"{case.subject}, segment",
             fix="give a point in its marrow with --seed bone=x,y,z (patient LPS, mm), or [imaging] labels",
         )
-    names = name_bones(found.bones)
+    names = found.bone_names or name_bones(found.bones)
     labels = writer.file("labels", LABELS)
     write_labels(labels, found.labels)
     writer.data["labels_sha256"] = sha256(labels)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ from limbcli.case import Case, read_case
 from limbcli.errors import CaseError
 from limbcli.stages.check import check
 from limbcli.stages.measure import measure
-from tests.case.test_case_text import HEAD, LEVELS, SITE
+from tests.case.test_case_text import HEAD, LEVELS, SITE, two_sites
 
 ALLOWED = "[files]\nallow_outside = true\n"
 SECRET = "secret of another 4711"
@@ -100,3 +101,33 @@ def test_only_true_allows(folder: Path, value: str):
     write(folder, text)
     with pytest.raises(CaseError, match="points outside"):
         Case.open(folder)
+
+
+LABEL_TABLES = {
+    '{ preset = "musclemap-1" }': "lacks `file`",
+    '{ file = "there.nii", 8151 = 2 }': "8151 = 2, which is not text",
+    '{ file = "gone.nii" }': "imaging.labels names a file or folder that was not found: gone.nii",
+    '["there.nii", { file = "gone.nii" }]': "imaging.labels[1] names a file or folder that was not found",
+}
+
+
+@pytest.mark.parametrize("table", LABEL_TABLES)
+def test_a_table_of_labels_is_checked(tmp_path, table):
+    folder = two_sites(tmp_path)
+    (folder / "there.nii").write_bytes(b"")
+    text = (folder / "case.toml").read_text().replace('mri = "mri"', f'mri = "mri"\nlabels = {table}')
+    (folder / "case.toml").write_text(text)
+    with pytest.raises(CaseError, match=re.escape(LABEL_TABLES[table])):
+        Case.open(folder)
+
+
+def test_label_maps_are_a_file_or_tables(tmp_path):
+    folder = two_sites(tmp_path)
+    (folder / "a.nii").write_bytes(b"")
+    (folder / "seg").mkdir()
+    labels = '["seg", { file = "a.nii", preset = "total", 9 = "fat" }]'
+    text = (folder / "case.toml").read_text().replace('mri = "mri"', f'mri = "mri"\nlabels = {labels}')
+    (folder / "case.toml").write_text(text)
+    first, second = Case.open(folder).imaging.label_maps
+    assert (first.path, first.preset, first.names) == (folder / "seg", None, {})
+    assert (second.path, second.preset, second.names) == (folder / "a.nii", "total", {"9": "fat"})

@@ -11,7 +11,9 @@ import numpy as np
 import pydicom
 from numpy.typing import NDArray
 from pydicom.dataset import FileDataset, FileMetaDataset
-from pydicom.uid import ExplicitVRLittleEndian, MRImageStorage, generate_uid
+from pydicom.filebase import DicomBytesIO
+from pydicom.filewriter import write_dataset
+from pydicom.uid import ExplicitVRLittleEndian, ImplicitVRLittleEndian, MRImageStorage, generate_uid
 
 from limbcli.imaging.volume import Volume
 
@@ -157,3 +159,13 @@ def _header(path: Path, volume: Volume, k: int, series_uid: str, series: int, sy
     for keyword, value in values.items():
         setattr(dataset, keyword, value)
     return dataset
+
+
+def without_meta(path: Path, syntax: str = ImplicitVRLittleEndian) -> None:
+    """Write a DICOM file anew as its plain dataset: no preamble, no file meta information."""
+    dataset = pydicom.dcmread(path)
+    plain = pydicom.Dataset(dataset)
+    buffer = DicomBytesIO()
+    buffer.is_implicit_VR, buffer.is_little_endian = syntax == ImplicitVRLittleEndian, True
+    write_dataset(buffer, plain)
+    path.write_bytes(buffer.getvalue())

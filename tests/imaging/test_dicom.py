@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pydicom
 import pytest
-from limb_images import write_dicom
-from pydicom.uid import ImplicitVRLittleEndian, JPEG2000Lossless, RLELossless
+from limb_images import without_meta, write_dicom
+from pydicom.uid import ExplicitVRLittleEndian, ImplicitVRLittleEndian, JPEG2000Lossless, RLELossless
 from scipy.spatial.transform import Rotation
 
 from limbcli.errors import CaseError
@@ -45,6 +45,31 @@ def test_rescale_slope_and_intercept_are_applied_slice_by_slice(ramp, tmp_path):
 def test_implicit_transfer_syntax_gives_the_same_values(ramp, tmp_path):
     write_dicom(tmp_path, ramp, syntax=ImplicitVRLittleEndian)
     assert np.array_equal(read_series(tmp_path).volume.values, ramp.values)
+
+
+@pytest.mark.parametrize(
+    "syntax", [ImplicitVRLittleEndian, ExplicitVRLittleEndian], ids=["implicit", "explicit"]
+)
+def test_plain_datasets_without_preamble_and_file_meta_are_read(ramp, tmp_path, syntax):
+    for path in write_dicom(tmp_path, ramp):
+        without_meta(path, syntax)
+    assert np.array_equal(read_series(tmp_path).volume.values, ramp.values)
+
+
+def test_a_file_that_only_lacks_the_preamble_is_read(ramp, tmp_path):
+    for path in write_dicom(tmp_path, ramp, syntax=ImplicitVRLittleEndian):
+        path.write_bytes(path.read_bytes()[132:])
+    assert np.array_equal(read_series(tmp_path).volume.values, ramp.values)
+
+
+def test_compressed_pixels_of_an_unstated_syntax_are_told(ramp, tmp_path):
+    for path in write_dicom(tmp_path, ramp, change=lambda dataset, k: dataset.compress(RLELossless)):
+        dataset = pydicom.dcmread(path)
+        del dataset.file_meta.TransferSyntaxUID
+        pydicom.dcmwrite(path, dataset, implicit_vr=False, little_endian=True)
+    error = refused(tmp_path)
+    assert "pip" not in error.fix
+    assert "how its pixels are compressed" in error.fix
 
 
 @pytest.mark.parametrize("syntax", [RLELossless, JPEG2000Lossless], ids=["RLE", "JPEG 2000"])
@@ -317,6 +342,36 @@ def test_uneven_slice_distances_are_made_even_and_said(ramp, tmp_path):
     assert any("even" in note for note in series.notes)
     expected = ramp.values[:, :, 1] + (ramp.values[:, :, 2] - ramp.values[:, :, 1]) * 3.0 / 3.6
     np.testing.assert_allclose(series.volume.values[:, :, 2], expected, rtol=1e-5)
+
+
+def coarser_above(ramp, folder, *, numbers):
+    """A series of 2.5 mm below and 7.5 mm above; returns the values and affine every 2.5 mm."""
+    fine = np.repeat(np.arange(31.0)[None, None], 9, axis=0).repeat(7, axis=1)
+    affine = ramp.affine.copy()
+    affine[:3, 2] *= 2.5 / 3.0
+    kept = [*range(16), *range(18, 31, 3)]
+    skipped = tuple(k for k in range(31) if k not in kept)
+
+    def number(dataset, k):
+        dataset.InstanceNumber = numbers(kept.index(k), k)
+
+    write_dicom(folder, Volume(fine.astype(np.float32), affine), change=number, skip=skipped)
+    return fine, affine
+
+
+def test_a_spacing_that_changes_within_a_series_is_resampled_to_the_narrow_one_and_said(ramp, tmp_path):
+    fine, affine = coarser_above(ramp, tmp_path, numbers=lambda place, k: place + 1)
+    series = read_series(tmp_path)
+    np.testing.assert_allclose(series.volume.values, fine, atol=1e-4)
+    np.testing.assert_allclose(series.volume.affine, affine, atol=1e-4)
+    assert any("from 2.50 to 7.50 mm; resampled every 2.50 mm" in note for note in series.notes)
+
+
+def test_gaps_that_the_numbers_skip_too_are_missing_slices(ramp, tmp_path):
+    coarser_above(ramp, tmp_path, numbers=lambda place, k: k + 1)
+    error = refused(tmp_path)
+    assert error.facts["n_missing"] == 10
+    assert "0020,0013" in error.fix
 
 
 def test_gantry_tilt_is_straightened(tmp_path):

@@ -214,9 +214,9 @@ def test_files_that_are_cut_short_are_refused(image, tmp_path, name, cut):
 
 
 def test_other_files_are_refused_with_what_can_be_read(tmp_path):
-    (tmp_path / "a.mha").write_text("x")
+    (tmp_path / "a.img").write_text("x")
     with pytest.raises(CaseError, match=r"not in a supported image format") as caught:
-        read_image(tmp_path / "a.mha")
+        read_image(tmp_path / "a.img")
     assert ".nii.gz" in caught.value.fix
 
 

@@ -7,13 +7,14 @@ import gzip
 import numpy as np
 import pydicom
 import pytest
-from limb_images import Limb
+from limb_images import Limb, without_meta
 from pydicom.dataset import FileDataset, FileMetaDataset
 from pydicom.uid import ExplicitVRLittleEndian, SegmentationStorage
 from scipy.spatial.transform import Rotation
 
 from limbcli.errors import CaseError
-from limbcli.imaging.label_files import by_name, read_label_file
+from limbcli.imaging.label_files import read_label_file
+from limbcli.imaging.label_names import meaning_of
 from limbcli.imaging.labels import write_labels
 from limbcli.imaging.nrrd import read_nrrd
 from limbcli.imaging.volume import RAS_FROM_LPS, Volume
@@ -103,6 +104,23 @@ def test_a_seg_nrrd_is_brought_to_our_labels_by_its_names(truth, tmp_path):
     assert_same(read_label_file(path), truth)
 
 
+def test_a_seg_nrrd_of_an_older_slicer_has_a_layer_for_each_segment(truth, tmp_path):
+    """Neither layer nor value is stated: segment n is layer n, where it is 1."""
+    extra = "".join(
+        f"Segment{n}_ID:=Segment_{n}\nSegment{n}_Name:={name}\n"
+        for n, name in enumerate(("Skin", "Bone", "Marker"))
+    )
+    layers = np.stack([truth.values > 0, truth.values == 2, truth.values == 3]).astype(np.uint8)
+    assert_same(read_label_file(nrrd(tmp_path / "s.seg.nrrd", truth, extra=extra, values=layers)), truth)
+
+
+@pytest.mark.parametrize("entry", ["Segment0_Layer:=7", "Segment0_Layer:=x", "Segment0_LabelValue:=y"])
+def test_a_seg_nrrd_with_an_impossible_description_is_refused(truth, tmp_path, entry):
+    path = nrrd(tmp_path / "s.seg.nrrd", truth, extra=f"Segment0_Name:=Skin\n{entry}\n")
+    with pytest.raises(CaseError, match=r"segment 0"):
+        read_label_file(path)
+
+
 def test_segments_without_telling_names_are_refused(truth, tmp_path):
     extra = "Segment0_Name:=Segment_1\nSegment0_LabelValue:=1\n"
     with pytest.raises(CaseError, match="Segment_1"):
@@ -176,6 +194,48 @@ def test_a_dicom_seg_is_brought_to_our_labels_by_its_names(truth, tmp_path):
     np.testing.assert_allclose(found.affine[:3, :3], truth.affine[:3, :3], atol=1e-5)
 
 
+def label_map_seg(path, truth, names):
+    """As highdicom 0.28 writes it: the pixel is the number; frames have no segment; 0 is described."""
+    dicom_seg(path, truth.with_values(np.ones_like(truth.values)), {"any": 1})
+    dataset = pydicom.dcmread(path)
+    dataset.SOPClassUID = dataset.file_meta.MediaStorageSOPClassUID = "1.2.840.10008.5.1.4.1.1.66.7"
+    dataset.SegmentationType, dataset.BitsAllocated, dataset.BitsStored, dataset.HighBit = "LABELMAP", 8, 8, 7
+    dataset.add_new("PixelPaddingValue", "US", 0)
+    for frame in dataset.PerFrameFunctionalGroupsSequence:
+        del frame.SegmentIdentificationSequence
+    segments = []
+    for number, name in {0: "Background", **names}.items():
+        segment = pydicom.Dataset()
+        segment.SegmentNumber, segment.SegmentLabel = number, name
+        segments.append(segment)
+    dataset.SegmentSequence = segments
+    planes = np.ascontiguousarray(np.moveaxis(truth.values, 2, 0).transpose(0, 2, 1)).astype(np.uint8)
+    dataset.PixelData = planes.tobytes()
+    dataset.save_as(path)
+    return path
+
+
+def test_a_dicom_label_map_is_brought_to_our_labels_by_its_names(truth, tmp_path):
+    values = np.select([truth.values == n for n in (1, 2, 3)], [5, 2, 9]).astype(np.uint8)
+    names = {5: "Soft tissue", 2: "Tibia", 9: "Marker", 7: "Fibula"}
+    path = label_map_seg(tmp_path / "seg.dcm", truth.with_values(values), names)
+    assert_same(read_label_file(path), truth)
+
+
+def test_a_number_of_a_dicom_label_map_that_is_not_described_is_refused(truth, tmp_path):
+    path = label_map_seg(tmp_path / "seg.dcm", truth, {1: "Soft tissue", 2: "Tibia"})
+    with pytest.raises(CaseError, match=r"value\(s\) 3") as caught:
+        read_label_file(path)
+    assert '3 = "ignore"' in caught.value.fix
+
+
+def test_a_dicom_seg_without_preamble_and_file_meta_is_read(truth, tmp_path):
+    path = dicom_seg(tmp_path / "seg.dcm", truth, {"Soft tissue": 1, "Bone": 2})
+    whole = read_label_file(path)
+    without_meta(path)
+    assert_same(read_label_file(path), whole)
+
+
 def test_slices_that_slide_along_with_a_gantrys_tilt_keep_their_places(truth, tmp_path):
     tilted = truth.affine.copy()
     tilted[:3, 2] += 0.4 * tilted[:3, 1]
@@ -243,11 +303,10 @@ NAMES = {
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_whole_words_of_a_name_tell_what_a_segment_is(tmp_path, name):
-    assert by_name([(name, np.ones((1, 1, 1), bool))], tmp_path).item() == NAMES[name]
+def test_whole_words_of_a_name_tell_what_a_segment_is(name):
+    assert meaning_of(name).label == NAMES[name]
 
 
 @pytest.mark.parametrize("name", ["tibialish", "non-bone", "bone and fat", "skin and bone", "muscle fat"])
-def test_a_name_of_several_kinds_or_none_is_refused(tmp_path, name):
-    with pytest.raises(CaseError, match="not recognised, or refer to several"):
-        by_name([(name, np.ones((1, 1, 1), bool))], tmp_path)
+def test_a_name_of_several_kinds_or_none_is_not_understood(name):
+    assert meaning_of(name) is None

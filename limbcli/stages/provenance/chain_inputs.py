@@ -90,6 +90,9 @@ def _image(case: Case, name: str, rest: list[str]) -> Path | None:
     if name == "bones":
         number = int(rest[0])
         return case.imaging.bones[number] if number < len(case.imaging.bones) else None
+    if name == "labels":
+        number, sources = int(rest[0]) if rest else 0, case.imaging.label_maps
+        return sources[number].path if number < len(sources) else None
     found: Path | None = getattr(case.imaging, name)
     return found
 

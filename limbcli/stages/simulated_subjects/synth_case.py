@@ -12,13 +12,14 @@ import numpy as np
 
 from limbcli.case import CASE_FILE, Case, Site
 from limbcli.case.schema import INSTRUMENTS
+from limbcli.detached_data import detached_data
 from limbcli.errors import CaseError
 from limbcli.model import Array
 from limbcli.phantom.case_folder import NoiseLaw
 from limbcli.results import StageResult
 
 _MADE_ANEW = ("levels", "trace", "swe_maps", "noise", *INSTRUMENTS)
-_FILES = ("mri", "labels", "skin", "fibres")  # keys of [imaging] that name a single file or folder
+_FILES = ("mri", "skin", "fibres")  # keys of [imaging] that name a single file or folder
 
 
 def check_orientations(sites: Sequence[Site]) -> None:
@@ -50,6 +51,8 @@ def copy_imaging(case: Case, work: Path) -> None:
             shutil.copytree(source, target)
         else:
             shutil.copyfile(source, target)
+            for data in detached_data(source):
+                shutil.copyfile(data, target.with_name(data.name))
 
 
 def _places(case: Case) -> dict[str, Path]:
@@ -58,7 +61,8 @@ def _places(case: Case) -> dict[str, Path]:
     Files from outside the case keep their file name; a second file of the same name gets its own folder.
     """
     table = case.raw["imaging"]
-    names = dict.fromkeys([*(table[key] for key in _FILES if key in table), *table.get("bones", [])])
+    labels = [each["file"] for each in _label_tables(table)]
+    names = dict.fromkeys([*(table[key] for key in _FILES if key in table), *labels, *table.get("bones", [])])
     found = {name: Path(name) for name in names if _is_within(name)}
     taken = {*found.values(), Path(CASE_FILE), *(Path(site.name) for site in case.sites)}
     for name in names:
@@ -68,6 +72,15 @@ def _places(case: Case) -> dict[str, Path]:
             found[name] = next(each for each in free if each not in taken)
             taken.add(found[name])
     return found
+
+
+def _label_tables(imaging: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """The label maps of [imaging], each as a table with `file`."""
+    raw = imaging.get("labels", [])
+    return [
+        each if isinstance(each, dict) else {"file": each}
+        for each in (raw if isinstance(raw, list) else [raw])
+    ]
 
 
 def _is_within(name: str) -> bool:
@@ -89,6 +102,9 @@ def case_table(case: Case, laws: Mapping[str, NoiseLaw], *, layers: bool = False
     for key in _FILES:
         if key in imaging:
             imaging[key] = places[imaging[key]].as_posix()
+    if "labels" in imaging:
+        moved = [{**each, "file": places[each["file"]].as_posix()} for each in _label_tables(imaging)]
+        imaging["labels"] = moved[0]["file"] if moved == [{"file": moved[0]["file"]}] else moved
     if "bones" in imaging:
         imaging["bones"] = [places[each].as_posix() for each in imaging["bones"]]
     sites = [

@@ -1,0 +1,39 @@
+"""Label maps that a case names, and what their numbers and names are said to be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from limbcli.case.files import CaseFiles
+from limbcli.errors.problems import Problem
+
+
+@dataclass(frozen=True)
+class LabelSource:
+    """A label map, and what its numbers and names mean where the file does not say so itself.
+
+    path : a file, or a folder with a file for each segment
+    preset : name of the program whose numbers it has; names : tissue by number or name
+    """
+
+    path: Path
+    preset: str | None = None
+    names: Mapping[str, str] = field(default_factory=dict)
+
+
+def read_label_sources(raw: object, files: CaseFiles) -> tuple[tuple[LabelSource, ...], list[Problem]]:
+    """The label maps of a case: one or several, each a name or a table with `file`, `preset` and numbers."""
+    sources, problems = [], []
+    listed = [] if raw is None else raw if isinstance(raw, list) else [raw]
+    for k, each in enumerate(listed):
+        table = each if isinstance(each, dict) else {"file": each}
+        label = "imaging.labels" if len(listed) == 1 else f"imaging.labels[{k}]"
+        path, found = files.existing(table.get("file"), label, is_folder=None)
+        problems += found
+        preset = table.get("preset")
+        names = {key: word for key, word in table.items() if key not in ("file", "preset")}
+        if path is not None and all(isinstance(word, str) for word in names.values()):
+            sources.append(LabelSource(path, preset if isinstance(preset, str) else None, names))
+    return tuple(sources), problems
