@@ -26,12 +26,17 @@ ABOUT_LONG = Parameter("tilt_about_long_axis_deg", null=0.0, start=5.0, low=-15.
 
 def apply(model: LimbModel, theta: Theta) -> LimbModel:
     """Rotate the probe about an axis in its face, then move it along the beam until its gap to the skin is
-    the same as before; on a round limb the lowered edge lies beside the highest point.
+    the same as before: on a round limb the lowered edge lies beside the highest point.
 
     Right-handed rotations: +5 deg about the short axis (y) lowers the side of +x, about the long one (x) that
     of -y.
     """
-    turn = np.deg2rad([theta[ABOUT_LONG.name], theta[ABOUT_SHORT.name], 0.0])
+    return turned(model, (theta[ABOUT_LONG.name], theta[ABOUT_SHORT.name], 0.0))
+
+
+def turned(model: LimbModel, degrees: tuple[float, float, float]) -> LimbModel:
+    """The model with its probe rotated about x, y, z of its frame, at the same gap to the skin as before."""
+    turn = np.deg2rad(degrees)
     angle = float(np.linalg.norm(turn))
     if angle == 0.0:
         return model
@@ -42,11 +47,11 @@ def apply(model: LimbModel, theta: Theta) -> LimbModel:
     points = model.mesh.points.copy()
     arms = points[nodes] - center
     c, s = np.cos(angle), np.sin(angle)
-    turned = arms * c + np.cross(axis, arms) * s + np.outer(arms @ axis, axis) * (1 - c)
-    lift = arms[:, 2].min() - turned[:, 2].min()
-    beside = _gap(model, center + turned + [0.0, 0.0, lift]) - _gap(model, points[nodes])
+    after = arms * c + np.cross(axis, arms) * s + np.outer(arms @ axis, axis) * (1 - c)
+    lift = arms[:, 2].min() - after[:, 2].min()
+    beside = _gap(model, center + after + [0.0, 0.0, lift]) - _gap(model, points[nodes])
     lift -= beside if np.isfinite(beside) else 0.0
-    points[nodes] = center + turned + [0.0, 0.0, lift]
+    points[nodes] = center + after + [0.0, 0.0, lift]
     moved = replace(body, center_of_mass=(float(center[0]), float(center[1]), float(center[2] + lift)))
     bodies = (moved, *model.bodies[1:])
     info = {**model.info, "depth_offset_mm": float(model.info.get("depth_offset_mm", 0.0)) + float(lift)}

@@ -18,6 +18,7 @@ from limbcli.effects.depth_zero import TOUCHES
 from limbcli.effects.drainage import Drainage
 from limbcli.effects.reading import Protocol, Reading, read
 from limbcli.effects.tissue import core
+from limbcli.effects.turn import TURN
 from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
@@ -328,6 +329,17 @@ def test_a_turned_probe_is_the_same_probe_turned_by_so_much(about, lowered, angl
     )
     way = after[opposite] - after[edge]
     assert np.rad2deg(np.arcsin(way[2] / np.linalg.norm(way))) == pytest.approx(angle)
+
+
+def test_a_probe_turned_about_the_beam_stays_at_first_touch():
+    """Along the crest of a cylinder all of the face's long side touches; turned by 90 degrees its middle."""
+    base = on_a_cylinder(radius=50.0)
+    body = np.unique(base.mesh.block("probe").cells)
+    along = TURN.apply(base, {"turn_about_beam_deg": 90.0})
+    before, after = base.mesh.points[body], along.mesh.points[body]
+    assert after[:, :2] == pytest.approx(np.stack([-before[:, 1], before[:, 0]], axis=1), abs=1e-9)
+    assert after[:, 2] == pytest.approx(before[:, 2], abs=0.05)
+    assert TURN.apply(base, TURN.null) is base
 
 
 def on_a_cylinder(*, radius: float) -> LimbModel:

@@ -22,6 +22,7 @@ from limbcli.effects.base import Parameter, Theta
 from limbcli.effects.curves import Curves, depth_at, gaps_filled, log_force_at
 from limbcli.effects.far_side import FAR_SIDE, far_side
 from limbcli.effects.tissue import core, with_core
+from limbcli.effects.turn import TURN
 from limbcli.errors import LimbError, SolveError
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, LimbModel
@@ -176,6 +177,8 @@ class NumericalChecks:
         tried = [effect("crop"), effect("contact"), INCOMPRESSIBILITY, effect("thickness")]
         if self._has_far_side:
             tried.insert(1, FAR_SIDE)
+        if isinstance(self.site.long_axis, str):
+            tried.append(TURN)
         for numerical in tried:
             self.progress.event("note", text=f"numerical check: {numerical.name}")
             try:
