@@ -1,7 +1,7 @@
 """The direction of the probe's long side, where a case names it: across the limb, or along it.
 
-"transverse" and "axial" are meant by eye, along the limb's axis as it seems. Where a bone lies near the end of
-the face, a few degrees about the beam decide whether it is met. Without effect where a vector was measured.
+"transverse" and "axial" are meant by eye, along the limb's axis as it seems. Where a bone lies near the end
+of the face, a few degrees about the beam decide whether it is met. A vector is taken as measured.
 Source: Zheng, Mak & Lue 1999, J Rehabil Res Dev 36:71 (angles of a hand-held indenter).
 """
 

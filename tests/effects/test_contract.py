@@ -332,7 +332,8 @@ def test_a_turned_probe_is_the_same_probe_turned_by_so_much(about, lowered, angl
 
 
 def test_a_probe_turned_about_the_beam_stays_at_first_touch():
-    """Along the crest of a cylinder all of the face's long side touches; turned by 90 degrees its middle."""
+    """Across a cylinder the middle of the face touches its crest, and turned by 90 degrees all of its length:
+    at the same height."""
     base = on_a_cylinder(radius=50.0)
     body = np.unique(base.mesh.block("probe").cells)
     along = TURN.apply(base, {"turn_about_beam_deg": 90.0})
