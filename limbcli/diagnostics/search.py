@@ -100,12 +100,8 @@ class Search:
             self._fit((name,))
         for _ in range(_MOST_STEPS):
             found = self.explained()
-            open_ = [
-                each.explanation for each in found
-                if each.probability > decisions.UNSETTLED and each.explanation not in self.settled
-            ]  # fmt: skip
-            if open_:
-                self._settle(open_[0])
+            if (open_ := self._next_open(found)) is not None:
+                self._settle(open_)
                 continue
             further = [
                 (name,) for name in self.linear[()].added
@@ -116,6 +112,17 @@ class Search:
                 break
             self.linearise(further[0])
         return self.explained()
+
+    def _next_open(self, found: Sequence[Explained]) -> Explanation | None:
+        """The next explanation to fit and simulate: of those that are likely, and before a pair its effects,
+        as simulation can raise the evidence of either; None if all are settled."""
+        for each in found:
+            if each.probability <= decisions.UNSETTLED:
+                break
+            for one in (*((name,) for name in each.explanation), each.explanation):
+                if one not in self.settled:
+                    return one
+        return None
 
     def fitted(self, fitted: Fitted) -> Posterior:
         """Add a fit."""

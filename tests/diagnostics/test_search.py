@@ -108,6 +108,18 @@ def test_what_is_likely_rests_on_a_simulation_or_needs_none(rng):
         assert bool(made.simulated) is not bool(readings)
 
 
+def test_before_a_pair_its_effects_alone_are_simulated(rng):
+    """Simulation can raise the evidence of any of them: a simulated pair would beat what is estimated."""
+    case = toy.make(rng, {"toe": 7.0, "offset": 6.0}, readings=frozenset())
+    made = search(case)
+    order: list[Explanation] = []
+    verified = case.verified
+    case.verified = lambda fitted: (order.append(fitted.explanation), verified(fitted))[1]
+    pairs = [each.explanation for each in made.all() if len(each.explanation) == 2 and each.simulated]
+    assert {"toe", "offset"} in map(set, pairs)
+    assert all(order.index((name,)) < order.index(pair) for pair in pairs for name in pair)
+
+
 def told(failing: Sequence[Explained], name: str) -> dict[Explanation, float]:
     return {each.explanation: each.probability for each in failing if name in each.explanation}
 
