@@ -67,9 +67,7 @@ def test_force_offset_is_named_and_the_tissue_comes_right(rng):
 def test_sizes_of_effects_are_those_of_their_fits_though_nothing_was_found(rng):
     """To first order a preload that has moved c far, and leaves nothing, would be excluded."""
     measured = levels(rng)
-    model = bench(
-        measured, names=("preload", "force-zero", "anisotropy"), errors=[of_the_block(measured)]
-    )
+    model = bench(measured, names=("preload", "force-zero", "anisotropy"), errors=[of_the_block(measured)])
     found = diagnose(model)
     assert (found.verdict, found.chosen, found.not_evaluated) == ("adequate", (), {})
     assert all(each.posterior is not None for each in found.explanations if len(each.explanation) == 1)

@@ -127,7 +127,7 @@ def menu(
 
 def _there(site: SiteData) -> set[str]:
     """Channels that need no further measurement; mean speeds only if at least half of the levels have one."""
-    n_speeds = sum(row.channel == "swe" for row in site.rows)
+    n_speeds = site.rows.among("swe").sum()
     in_part = "map" not in site.channels and 2 * n_speeds < len(site.protocol)
     return set(site.channels) - ({"swe"} if in_part else set())
 

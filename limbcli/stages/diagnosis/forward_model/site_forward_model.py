@@ -106,7 +106,9 @@ class SiteForwardModel:
         beside, in_maps = (self.shares.get(name, 1.0) for name in (BESIDE, IN_MAPS))
         return [
             Scalable(BESIDE, LEAST_BESIDE / beside, 1.0 / beside),
-            Scalable(IN_MAPS, LEAST_IN_MAPS / in_maps, 1.0 / in_maps, USUAL_IN_MAPS / in_maps, SPREAD_IN_MAPS),
+            Scalable(
+                IN_MAPS, LEAST_IN_MAPS / in_maps, 1.0 / in_maps, USUAL_IN_MAPS / in_maps, SPREAD_IN_MAPS
+            ),
         ]
 
     def size_priors(self, name: str) -> Mapping[str, Prior]:

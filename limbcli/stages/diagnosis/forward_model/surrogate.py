@@ -165,7 +165,7 @@ class SiteCurves:
     def _before(self, share: float) -> NDArray[np.bool_]:
         """Mask (n,) of data at levels before this fraction of all levels."""
         first = share * len(self.site.protocol)
-        return np.array([row.channel in _OF_LEVELS and row.level < first for row in self.site.rows])
+        return np.asarray(self.site.rows.among(*_OF_LEVELS) & (self.site.rows.level < first))
 
     def curves(
         self, c: float, m: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]
