@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -63,6 +63,8 @@ _BY_LEVELS = ("force", "swe", "map")  # channels that are divided into thirds, a
 class SiteData:
     """The data of one site, and the layout of a prediction for them.
 
+    channels, missing : measured, and not measured; slope (n,) : change of each datum with depth
+    depth_error : mm, standard deviation of a depth reading
     travel_from : reference level of the probe's travel
     strain_deviation : relative standard deviation of all strains, the noise part `STRAIN`
     bone_as_shown : the models' bone was placed where the image showed it, so that a wrong speed of sound
@@ -73,15 +75,15 @@ class SiteData:
     protocol: Protocol
     rows: Rows
     data: Data
-    channels: tuple[str, ...] = ()
-    missing: tuple[str, ...] = field(default=())
-    held: HeldForces | None = None
-    extras: tuple[ExtraMeasurement, ...] = ()
-    slope: Array = field(default_factory=lambda: np.zeros(0))
-    depth_error: float = 0.0
-    travel_from: int = 0
-    strain_deviation: float = 0.0
-    bone_as_shown: bool = False
+    channels: tuple[str, ...]
+    missing: tuple[str, ...]
+    held: HeldForces | None
+    extras: tuple[ExtraMeasurement, ...]
+    slope: Array
+    depth_error: float
+    travel_from: int
+    strain_deviation: float
+    bone_as_shown: bool
 
     def with_share(self, name: str, share: float) -> SiteData:
         """The data with the noise part `name` scaled to this fraction of its assumed size."""
@@ -95,8 +97,8 @@ class SiteData:
         would be found by that difference.
         """
         part = next((each for each in self.data.noise.parts if each.name == STRAIN), None)
-        pressed = self.protocol.depth[self._levels] if len(self.slope) else np.zeros(len(self.rows))
-        first = np.where(self.rows.among("travel"), 0.0, self.slope * pressed) if len(self.slope) else pressed
+        by_depth = self.slope * self.protocol.depth[self._levels]
+        first = np.where(self.rows.among("travel"), 0.0, by_depth)
         if part is None or not first.any():
             return self
         more, less = (
@@ -120,15 +122,12 @@ class SiteData:
         """
         further = self._further(curves, reading)
         moved = replace(self.protocol, depth=self.protocol.depth + further)
-        maps_apart = len(self.slope) > 0 and "map" in self._places
-        speeds = not maps_apart or "swe" in self._places or bool(reading.after)
+        speeds = "map" not in self._places or bool(reading.after)  # those of maps are read below
         out = self._laid_out(read(curves, moved, reading, with_speeds=speeds), curves, reading)
-        if not len(self.slope):
-            return out
         out = out - self.slope * further[self._levels]
         if "travel" in self._places:
             out[self._places["travel"][0]] += further[self.travel_from]
-        if maps_apart:
+        if "map" in self._places:
             places, levels, parts = self._places["map"]
             smoothed = replace(self.protocol, depth=self.protocol.depth + self._to_smooth)
             out[places] = read(curves, smoothed, reading).log_speed[levels, parts]
@@ -166,7 +165,7 @@ class SiteData:
         Limited to `_DEPTH_OUTLIER_SD` standard deviations of the depth.
         """
         found = np.zeros(len(self.protocol))
-        if not len(self.slope) or self.depth_error <= 0:
+        if self.depth_error <= 0:
             return found
         depth = true_depth(curves, self.protocol.depth, reading)
         elastic = force_at(curves, depth)

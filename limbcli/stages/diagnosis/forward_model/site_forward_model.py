@@ -235,7 +235,8 @@ class SiteForwardModel:
         return self._solve_node(float(round(m, 3)))
 
     def _solve_node(self, m: float) -> bool:
-        return all([each.solve_node(m) for each in self.predictions.sites])
+        solved = [each.solve_node(m) for each in self.predictions.sites]
+        return all(solved)
 
     def _nodes(self) -> set[float]:
         return set.intersection(*(set(each.nodes) for each in self.predictions.sites))
