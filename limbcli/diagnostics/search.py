@@ -170,7 +170,8 @@ class Search:
     def _of_pairs(self, names: Sequence[str]) -> dict[Explanation, float]:
         """Linear estimates: about the more probable of the fits of its two effects, where that was
         linearised; else about the fit without effects."""
-        nothing, found = self.known[()].ln_evidence, {}
+        nothing = self.known[()].ln_evidence
+        found: dict[Explanation, float] = {}
         for pair in itertools.combinations(names, 2):
             about = [
                 self.known[(one,)].ln_evidence + float(self.linear[(one,)].ln_factor(other)[0])
