@@ -1,18 +1,14 @@
 """The complete diagnosis of one data set with one forward model: the probability of every explanation.
 
 1. The model is fitted without effects, and with every effect and pair of effects that matters (`search`);
-each
-   explanation gets its evidence (`evidence`) and, with its prior, its probability.
+   each explanation gets its evidence (`evidence`) and, with its prior, its probability.
 2. The model is adequate if "nothing" is as probable as it is in 95 % of the measurements with nothing
-missing, which
-   draws from the noise show (`evidence.chance`).
+   missing, which draws from the noise show (`evidence.chance`).
 3. Else the effects that every likely explanation has are named if together these have 95 %; if not, the set
-of
-   explanations with 95 % is reported. If even the most probable one fails the posterior predictive check, the
-   verdict is unexplained.
+   of explanations with 95 % is reported. If even the most probable one fails the posterior predictive check,
+   the verdict is unexplained.
 4. Sizes, c and m are averaged over explanations; what the data cannot show, and which measurement would say
-most, follow
-   from the same probabilities.
+   most, follow from the same probabilities.
 """
 
 from __future__ import annotations
@@ -33,7 +29,7 @@ from limbcli.diagnostics.evidence.chance import least_by_chance
 from limbcli.diagnostics.evidence.laplace import Posterior
 from limbcli.diagnostics.evidence.linear_evidence import LinearEvidence
 from limbcli.diagnostics.model.common_errors import CommonError, common_errors
-from limbcli.diagnostics.model.forward_model import Explanation, Facts, ForwardModel
+from limbcli.diagnostics.model.forward_model import Explanation, Facts, Fitted, ForwardModel
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
 from limbcli.diagnostics.search import Explained, PriorOdds, Search, containing, credible, named
 from limbcli.diagnostics.statistics.heldout import held_out_error, over_shared
@@ -74,7 +70,7 @@ class _Run:
         self.facts: dict[str, Facts] = {each.name: each for each in model.candidates}
         base = model.fit((), {})
         whiten = Whitener.of(model.data.noise.covariance)
-        state = LinearFit.of(whiten(model.data.y - base.prediction), whiten(base.jacobian))
+        state = self._state(base, whiten)
         if state.nu >= 1:
             self.rough = roughness(state, whiten, series=model.data.all_series(), order=model.data.order)
         assumed = model.data.noise.is_assumed
@@ -132,21 +128,20 @@ class _Run:
         }  # fmt: skip
         return float(np.exp(ln[()] - np.logaddexp.reduce(list(ln.values()))))
 
-    def _posterior(self, explanation: Explanation) -> Posterior:
-        return self.search.known[explanation]
+    def _state(self, fitted: Fitted, whiten: Whitener, *, as_it_stands: bool = False) -> LinearFit:
+        """The fit, whitened."""
+        residual = whiten(self.forward_model.data.y - fitted.prediction)
+        return LinearFit.of(residual, whiten(fitted.jacobian), as_it_stands=as_it_stands)
 
     def _left_of(self, each: Explained) -> Check:
         """Check of an explanation, or of the larger of its parts that was fitted."""
-        known = [e for e in self.search.known if set(e) <= set(each.explanation)]
-        return self._checked(
-            self._posterior(max(known, key=lambda e: (len(e), self._posterior(e).ln_evidence)))
-        )
+        known = [found for e, found in self.search.known.items() if set(e) <= set(each.explanation)]
+        return self._checked(max(known, key=lambda one: (len(one.fitted.explanation), one.ln_evidence)))
 
     def _checked(self, found: Posterior) -> Check:
-        whiten, data = self.search.whitener(found), self.forward_model.data
-        fitted = found.fitted
-        state = LinearFit.of(whiten(data.y - fitted.prediction), whiten(fitted.jacobian), as_it_stands=True)
-        return checked(data, state, whiten, self._rng(2))
+        whiten = self.search.whitener(found)
+        state = self._state(found.fitted, whiten, as_it_stands=True)
+        return checked(self.forward_model.data, state, whiten, self._rng(2))
 
     # ------------------------------------------------------------ what is reported
 
@@ -156,51 +151,44 @@ class _Run:
         testable = word != "untestable" or bool(search.linear[()].added)
         shown = chosen or (best.explanation if word in ("unexplained", "ambiguous") else ())
         names = [name for name in self.facts if name in search.linear[()].added]
-        fits = [each for each in self.several if each.posterior is not None]
+        base = search.known[()]
         return Diagnosis(
-            verdict=word, reason=reason, relative=search.relative, base=self._posterior(()).fitted,
+            verdict=word, reason=reason, relative=search.relative, base=base.fitted,
             nothing=self.nothing if testable else 1.0, adequate_from=self.limit,
             explanations=tuple(self.several), confidence_set=tuple(each.explanation for each in members),
             effects={name: containing((name,), self.several) for name in names}, chosen=chosen,
-            check=self._checked(self._posterior(())) if testable else None,
+            check=self._checked(base) if testable else None,
             left=self._left_of(best) if testable else None, shrink=self._shrink(shown),
             blind_spots=self._blind_spots(), next_steps=self._next_steps(members) if self.propose else (),
             not_evaluated=search.not_evaluated, roughness=self.rough, facts=self.facts, seed=self.seed,
             sizes=self._sizes(names),
             common_errors={
-                each.explanation: self._common(each.posterior) for each in fits if each.posterior is not None
+                each.explanation: self._common(each.posterior) for each in self.several if each.posterior
             },
         )  # fmt: skip
 
     def _shrink(self, shown: Explanation) -> tuple[Shrink, ...]:
         """Stages from the base model to the shown explanation, with its effects added one at a time; the last
         one's c and m are averaged over all explanations."""
-        known = self.search.known
+        known, data = self.search.known, self.forward_model.data
         while shown not in known:
             shown = shown[:-1]
-        stages = [self._stage(shown[:size]) for size in range(len(shown)) if shown[:size] in known]
-        stages.append(self._stage(shown, self._averaged(shown)))
-        held_out = over_shared([each.held_out for each in stages], self.forward_model.data.blocks)
-        return tuple(
-            Shrink(each.explanation, each.chi2, each.nu, each.rms, held, each.estimates)
-            for each, held in zip(stages, held_out, strict=True)
-        )
+        stages = [known[shown[:n]] for n in range(len(shown) + 1) if shown[:n] in known]
+        held_out = over_shared([held_out_error(data, each.fitted) for each in stages], data.blocks)
+        values = [*(estimates([(1.0, each)]) for each in stages[:-1]), self._averaged(stages[-1])]
+        whiten, found = Whitener.of(data.noise.covariance), []
+        for each, held, own in zip(stages, held_out, values, strict=True):
+            state = self._state(each.fitted, whiten, as_it_stands=True)
+            z = (data.y - each.fitted.prediction) / data.deviation
+            rms = {name: float(np.sqrt(np.mean(z[mask] ** 2))) for name, mask in data.channels().items()}
+            found.append(Shrink(each.fitted.explanation, state.chi2, state.nu, rms, held, own))
+        return tuple(found)
 
-    def _averaged(self, shown: Explanation) -> Estimates:
+    def _averaged(self, mine: Posterior) -> Estimates:
         fits = [(each.probability, each.posterior) for each in self.several if each.posterior is not None]
-        mine = self._posterior(shown)
         others = [(p, one) for p, one in fits if one is not mine and p > 1e-3]
         own = next(p for p, one in fits if one is mine)
-        return estimates([(max(own, 1e-6), mine), *others], shown)
-
-    def _stage(self, explanation: Explanation, averaged: Estimates | None = None) -> Shrink:
-        data, found = self.forward_model.data, self._posterior(explanation)
-        fitted, whiten = found.fitted, Whitener.of(data.noise.covariance)
-        state = LinearFit.of(whiten(data.y - fitted.prediction), whiten(fitted.jacobian), as_it_stands=True)
-        z = (data.y - fitted.prediction) / data.deviation
-        rms = {name: float(np.sqrt(np.mean(z[mask] ** 2))) for name, mask in data.channels().items()}
-        own = averaged or estimates([(1.0, found)], explanation)
-        return Shrink(explanation, state.chi2, state.nu, rms, held_out_error(data, fitted), own)
+        return estimates([(max(own, 1e-6), mine), *others])
 
     def _sizes(self, names: Sequence[str]) -> dict[str, dict[str, tuple[float, float]]]:
         nulls = {
@@ -210,13 +198,12 @@ class _Run:
         return sizes_95(names, self.search.known, self.search.linear[()], nulls)
 
     def _common(self, found: Posterior) -> tuple[CommonError, ...]:
-        data, fitted, whiten = self.forward_model.data, found.fitted, self.search.whitener(found)
-        state = LinearFit.of(whiten(data.y - fitted.prediction), whiten(fitted.jacobian))
-        return common_errors(data.noise, whiten, state)
+        whiten = self.search.whitener(found)
+        return common_errors(self.forward_model.data.noise, whiten, self._state(found.fitted, whiten))
 
     def _blind_spots(self) -> tuple[BlindSpot, ...]:
         """Detectability of every candidate at its typical size, the least detectable first."""
-        nothing, linear = self._posterior(()), self.search.linear[()]
+        nothing, linear = self.search.known[()], self.search.linear[()]
         whiten, found = self.search.whitener(nothing), []
         odds = (1.0 - self.limit) / max(self.limit, 1e-12)
         needed = math.log(max(odds, 1e-12)) - self.search.odds.ln_single if linear.added else 0.0

@@ -12,11 +12,12 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from limbcli.diagnostics import decisions
-from limbcli.diagnostics.evidence.laplace import Posterior, Scalable, posterior
+from limbcli.diagnostics.evidence.laplace import Posterior, posterior
 from limbcli.diagnostics.evidence.linear_evidence import LinearEvidence
 from limbcli.diagnostics.model.form_error import form_error
 from limbcli.diagnostics.model.forward_model import Data, Direction, Explanation, Facts, Fitted, ForwardModel
@@ -90,10 +91,6 @@ class Search:
     def data(self) -> Data:
         return self.forward_model.data
 
-    @property
-    def scalable(self) -> Sequence[Scalable]:
-        return self.forward_model.scalable
-
     def all(self) -> list[Explained]:
         """All explanations, the most probable first."""
         for name in self.linear[()].added:
@@ -126,15 +123,10 @@ class Search:
 
     def fitted(self, fitted: Fitted) -> Posterior:
         """Add a fit."""
-        found = posterior(
-            fitted,
-            self.data.y,
-            self.data.noise,
-            self.scalable,
-            form=form_error(self.data, fitted),
-            relative=self.relative,
-        )
-        self.known[fitted.explanation] = found
+        found = self.known[fitted.explanation] = posterior(
+            fitted, self.data.y, self.data.noise, self.forward_model.scalable,
+            form=form_error(self.data, fitted), relative=self.relative,
+        )  # fmt: skip
         return found
 
     def whitener(self, found: Posterior) -> Whitener:
@@ -166,9 +158,7 @@ class Search:
 
     def explained(self) -> list[Explained]:
         """The explanations with what is known of them now."""
-        ln_evidence: dict[Explanation, float] = {
-            each: found.ln_evidence for each, found in self.known.items()
-        }
+        ln_evidence = {each: found.ln_evidence for each, found in self.known.items()}
         names = list(self.linear[()].added)
         for name in names:  # whose fit failed
             if (name,) not in ln_evidence:
@@ -188,8 +178,6 @@ class Search:
         """Linear estimates: about the more probable of the fits of its two effects, where that was
         linearised; else about the fit without effects."""
         nothing = self.known[()].ln_evidence
-        if not hasattr(self, "_first"):
-            self._first = self.linear[()].ln_factors_of_pairs()
         found: dict[Explanation, float] = {}
         for pair in itertools.combinations(names, 2):
             about = [
@@ -197,8 +185,13 @@ class Search:
                 for one, other in (pair, pair[::-1])
                 if (one,) in self.linear and other in self.linear[(one,)].added
             ]  # fmt: skip
-            found[pair] = max(about) if about else nothing + self._first[pair]
+            found[pair] = max(about) if about else nothing + self._ln_factors_of_pairs[pair]
         return found
+
+    @cached_property
+    def _ln_factors_of_pairs(self) -> dict[Explanation, float]:
+        """About the fit without effects."""
+        return self.linear[()].ln_factors_of_pairs()
 
     def _fit(self, explanation: Explanation) -> Posterior | None:
         try:

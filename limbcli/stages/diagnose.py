@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -142,7 +143,7 @@ def places(case: Case, sites: Sequence[Site], *, out: Path, separate: bool = Fal
 
 def chosen_effects(options: DiagnoseOptions) -> tuple[Effect, ...]:
     """The named effects, or all, and the user-defined effect of a file, which is always tried."""
-    own = () if options.effect_file is None else (load_effect(options.effect_file),)
+    own = () if options.effect_file is None else (effect_of_file(options.effect_file, EFFECTS),)
     if not options.effects:
         return (*EFFECTS, *own)
     named = [effect(name, (*EFFECTS, *own)) for name in options.effects]
@@ -157,17 +158,6 @@ def chosen_effects(options: DiagnoseOptions) -> tuple[Effect, ...]:
     return (*named, *(each for each in own if each not in named))
 
 
-def load_effect(path: Path) -> Effect:
-    """Load the `EFFECT` of a Python file.
-
-    Raises
-    ------
-    CaseError
-        If the file cannot be run, or contains no usable effect.
-    """
-    return effect_of_file(path, EFFECTS)
-
-
 class _Diagnosed:
     """Diagnosis of the measurements of one place, from preparation to results."""
 
@@ -180,42 +170,25 @@ class _Diagnosed:
         self.effects = {each.name: each for each in effects if each.kind != NUMERICAL}
 
     def all(self) -> list[StageResult]:
-        prepared = self._prepared()
-        try:
+        prepared: list[Prepared] = []
+        extras, options = known(self.options.measured), self.options
+        with ExitStack() as opened:
+            for site in self.sites:
+                with errors_of_site(site.name):
+                    one = prepare(
+                        self.case, site, self.effects, out=self.out, mesh=options.mesh,
+                        extras=[] if prepared else extras, draining=self.draining, progress=self.progress,
+                    )  # fmt: skip
+                opened.callback(one.close)
+                prepared.append(one)
             forward_model = SiteForwardModel([each.curves for each in prepared])
             forward_model.settle_noise()
-            found = self._found(forward_model, prepared)
+            if len(prepared) == 1 and (self.out / "segment" / "segment.json").is_file():
+                forward_model.turned = lambda: self._turned(prepared[0])
+            found = diagnose_bench(
+                forward_model, max_effects=options.max_effects, seed=options.seed, progress=self.progress
+            )
             return [self._write(found, forward_model, prepared, k) for k in range(len(prepared))]
-        finally:
-            for each in prepared:
-                each.close()
-
-    def _found(self, forward_model: SiteForwardModel, prepared: Sequence[Prepared]) -> Diagnosis:
-        if len(prepared) == 1 and (self.out / "segment" / "segment.json").is_file():
-            forward_model.turned = lambda: self._turned(prepared[0])
-        return diagnose_bench(
-            forward_model,
-            max_effects=self.options.max_effects,
-            seed=self.options.seed,
-            progress=self.progress,
-        )
-
-    def _prepared(self) -> list[Prepared]:
-        prepared: list[Prepared] = []
-        extras = known(self.options.measured)
-        try:
-            for site in self.sites:
-                more = extras if not prepared else []
-                with errors_of_site(site.name):
-                    prepared.append(
-                        prepare(self.case, site, self.effects, out=self.out, mesh=self.options.mesh,
-                                extras=more, draining=self.draining, progress=self.progress)
-                    )  # fmt: skip
-        except BaseException:
-            for each in prepared:
-                each.close()
-            raise
-        return prepared
 
     def _turned(self, prepared: Prepared) -> SiteCurves:
         """Curves with the probe turned by 90 degrees; a warning is added if they cannot be simulated."""
@@ -272,29 +245,26 @@ class _Diagnosed:
 def _content(
     found: Diagnosis, forward_model: SiteForwardModel, all_: Sequence[Prepared], mine: Prepared
 ) -> dict[str, Any]:
-    content = diagnosis_json(found, mine.curves.site, forward_model)
-    content["sites"] = [each.site.name for each in all_]
-    content["numerical"] = [
-        {"name": i.name, "note": i.note, "largest_change_in_deviations": i.deviations,
-         "matters": i.deviations > decisions.MATTERS_SD, "log_force_change": i.log_force,
-         "share_uncertain": i.left}
-        for i in mine.interventions
-    ]  # fmt: skip
-    content["f_kappa_held_at"] = F_KAPPA
-    content["not_simulated"] = sorted(forward_model.not_simulated)
-    content["solved_in_part_mm"] = mine.simulations.in_part
-    content["drainage"] = mine.notes.data.get("drainage")
+    matter = [each for each in mine.interventions if each.deviations > decisions.MATTERS_SD]
+    moved = ", ".join(each.name for each in matter if each.name != "locking")
     lines = sentences(found)
-    moved = [
-        i.name for i in mine.interventions if i.deviations > decisions.MATTERS_SD and i.name != "locking"
-    ]
-    lines[1:1] = [
-        _locked(i) for i in mine.interventions if i.name == "locking" and i.deviations > decisions.MATTERS_SD
-    ]
+    lines[1:1] = [_locked(each) for each in matter if each.name == "locking"]
     if moved:
-        lines.insert(2, f"Numerical uncertainty counted as noise: {', '.join(moved)} (see `numerical`).")
-    content["sentences"] = lines
-    return content
+        lines.insert(2, f"Numerical uncertainty counted as noise: {moved} (see `numerical`).")
+    return {
+        **diagnosis_json(found, mine.curves.site, forward_model),
+        "sites": [each.site.name for each in all_],
+        "numerical": [
+            {"name": i.name, "note": i.note, "largest_change_in_deviations": i.deviations,
+             "matters": i in matter, "log_force_change": i.log_force, "share_uncertain": i.left}
+            for i in mine.interventions
+        ],
+        "f_kappa_held_at": F_KAPPA,
+        "not_simulated": sorted(forward_model.not_simulated),
+        "solved_in_part_mm": mine.simulations.in_part,
+        "drainage": mine.notes.data.get("drainage"),
+        "sentences": lines,
+    }  # fmt: skip
 
 
 def _not_simulated(several: Iterable[Explanation]) -> str:

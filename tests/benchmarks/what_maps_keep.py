@@ -27,7 +27,7 @@ from limbcli.measurement.elastography import SweMap, read_maps
 from limbcli.measurement.map_noise import pixel_noise
 from limbcli.model import Array
 from limbcli.stages.diagnosis.data.noise import MapNoise
-from limbcli.stages.diagnosis.data.rows import Row
+from limbcli.stages.diagnosis.data.rows import Rows
 from limbcli.stages.diagnosis.data.windows import Windows
 
 SHARED = Path(os.environ.get("LIMBCLI_SHARED", Path(__file__).resolve().parents[3] / "shared"))
@@ -86,16 +86,17 @@ def kept(site: str, effect: str, thickness: float) -> Kept | None:
         raw += float(np.sum((change - change.mean()) ** 2)) / PIXEL**2
         (one, n), (other, _) = windows.log_means(a), windows.log_means(b)
         for part in np.flatnonzero(np.isfinite(one[1:] - other[1:])) + 1:
-            rows.append(Row("map", level, int(part)))
+            rows.append((level, part))
             apart.append(one[part] - other[part])
             counts.append(n[part])
     own = PIXEL / np.sqrt(np.array(counts))
-    pixels = noise.of_pixels(rows, own)
-    levels = [np.ones((n, n)) for n in np.bincount([row.level for row in rows])]
+    layout = Rows.of("map", *np.array(rows).T)
+    pixels = noise.of_pixels(layout, own)
+    levels = [np.ones((n, n)) for n in np.bincount(layout.level)]
     mean = block_diag(*levels)  # of a level: not known at all
     found = [
         float(np.array(apart) @ np.linalg.solve(covariance + mean, np.array(apart)))
-        for covariance in (pixels, pixels + noise.of_model(rows, SHARE))
+        for covariance in (pixels, pixels + noise.of_model(layout, SHARE))
     ]
     return Kept(site, effect, raw, *found)
 

@@ -50,9 +50,7 @@ def test_of_one_explanation_they_are_those_of_its_posterior():
 
 def test_over_several_they_are_quantiles_of_the_mixture():
     """Nine in ten at 8 kPa: the tenth at 16 is in the interval, and hardly moves the value."""
-    told = estimates(
-        [(0.9, found(8.0, 4.0, [0.02, 0.1, 0.5], [2.0])), (0.1, found(16.0, 4.0, [0.02, 0.1]))], ("a",)
-    )
+    told = estimates([(0.9, found(8.0, 4.0, [0.02, 0.1, 0.5], [2.0])), (0.1, found(16.0, 4.0, [0.02, 0.1]))])
     assert told.values["c_kpa"] == pytest.approx(8.0, rel=0.02)
     low, high = told.intervals["c_kpa"]
     of_c = np.hypot(0.02, 0.05)  # and the models' own error
@@ -63,11 +61,11 @@ def test_over_several_they_are_quantiles_of_the_mixture():
 
 def test_a_size_is_averaged_over_the_explanations_that_have_it():
     several = [(0.6, found(8.0, 4.0, [0.1, 0.1, 0.5], [2.0])), (0.4, found(8.0, 4.0, [0.1, 0.1]))]
-    told = estimates(several, ("a",))
+    told = estimates(several)
     assert told.values["a"] == pytest.approx(2.0, abs=0.01)
     assert told.intervals["a"] == pytest.approx((2.0 - 0.5 * Z, 2.0 + 0.5 * Z), abs=0.01)
     half = found(8.0, 4.0, [0.1, 0.1, 1.0], [0.0], size_prior=Prior(0.0, 9.0, 0.0))
-    low, high = estimates([(1.0, half)], ("a",)).intervals["a"]
+    low, high = estimates([(1.0, half)]).intervals["a"]
     assert low == 0.0  # nothing is as probable as no effect
     assert high == pytest.approx(stats.halfnorm.ppf(0.95), abs=0.01)
 

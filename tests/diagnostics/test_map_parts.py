@@ -15,11 +15,16 @@ from limbcli.effects.places import Places
 from limbcli.measurement.map_noise import PixelNoise
 from limbcli.stages.diagnosis.data import noise as model_noise
 from limbcli.stages.diagnosis.data.noise import MapNoise
-from limbcli.stages.diagnosis.data.rows import Row
+from limbcli.stages.diagnosis.data.rows import Rows
 from limbcli.stages.diagnosis.data.windows import Windows
 from tests.stages.block_case import block_model
 
 SMALL = Windows(-8.0, 8.0, 2.0, 10.0, 4, 2, whole_is_known=True)
+
+
+def mapped(levels, parts) -> Rows:
+    """These parts, numbered from 0, of the map of every level."""
+    return Rows.of("map", np.repeat(list(levels), len(parts)), np.tile(list(parts), len(levels)) + 1)
 
 
 def cells(rng: np.random.Generator, n: int = 6000) -> np.ndarray:
@@ -91,7 +96,7 @@ def test_the_covariance_of_parts_is_that_of_smoothed_pixels(rng):
         [(a, b) for b in pitch[1].reshape(6, 4).mean(1) for a in pitch[0].reshape(10, 4).mean(1)]
     )
     own = MapNoise(middles, (4.0, 4.0), (1.0, 1.0), PixelNoise(0.1, smoothing, 1.0), np.zeros(2))
-    rows = [Row("map", level, part + 1) for level in (0, 1) for part in (12, 13, 22)]
+    rows = mapped((0, 1), (12, 13, 22))
     found = own.of_pixels(rows, np.full(6, 0.1 / 4.0))
     drawn = [parts[:, 2, 1], parts[:, 3, 1], parts[:, 2, 2]]
     expected = np.cov(np.array(drawn))
@@ -103,7 +108,7 @@ def test_the_covariance_of_parts_is_that_of_smoothed_pixels(rng):
 
 def test_a_models_error_grows_with_strain_and_is_nearly_none_at_rest():
     model = MapNoise(SMALL.middles, (4.0, 4.0), (1.0, 1.0), PixelNoise(0.1), np.array([0.0, 0.2, 0.3]))
-    rows = [Row("map", level, part + 1) for level in range(3) for part in (0, 1, 7)]
+    rows = mapped(range(3), (0, 1, 7))
     found = np.sqrt(np.diag(model.of_model(rows, 1.0))).reshape(3, 3)
     assert np.all(found[0] < 0.002)  # a twentieth of what a part is read to
     assert np.all(found[2] > 1.4 * found[1])
@@ -115,13 +120,13 @@ def test_a_models_error_is_shared_by_neighbours_and_levels():
     """Beside one another by their distance, at the next level by less than all."""
     model = MapNoise(SMALL.middles, (4.0, 4.0), (1.0, 1.0), PixelNoise(0.1), np.array([0.0, 0.2, 0.3]))
     n = len(SMALL.middles)
-    found = model.of_model([Row("map", level, part + 1) for level in range(3) for part in range(n)], 0.5)
+    found = model.of_model(mapped(range(3), range(n)), 0.5)
     deviation = np.sqrt(np.diag(found))
     alike = found[n:, n:] / np.outer(deviation[n:], deviation[n:])
     near, far = alike[0, 1], alike[0, 3]
     assert 0.9 > near > 1.5 * far > 0
     assert 0.8 < alike[0, n] < 0.95
-    whole = model.of_model([Row("map", 1, 1)], 1.0)[0, 0]
+    whole = model.of_model(mapped((1,), (0,)), 1.0)[0, 0]
     of_level = (model_noise._IN_LEVEL * 0.2**2) ** 2  # of a level's mean, whatever the share
     assert found[n, n] - of_level == pytest.approx(0.25 * (whole - of_level), rel=1e-3)
 
@@ -129,13 +134,13 @@ def test_a_models_error_is_shared_by_neighbours_and_levels():
 def test_parts_at_an_edge_of_what_is_shown_are_known_less_well():
     """Four parts side by side in two rows: a corner one lacks a quarter of its pixels at the second level."""
     model = MapNoise(SMALL.middles, (4.0, 4.0), (1.0, 1.0), PixelNoise(0.1), np.zeros(2))
-    rows = [Row("map", level, part + 1) for level in (0, 1) for part in range(8)]
+    rows = mapped((0, 1), range(8))
     own = np.full(16, 0.025)
     own[15] = 0.1 / 12**0.5
     deviation = np.sqrt(np.diag(model.beside_unseen(rows, own))).reshape(2, 2, 4)
     assert not deviation[0].any()
     assert deviation[1] == pytest.approx(np.array([[0.0, 0.0, 0.15, 0.15]] * 2))
-    hole = [row for row in rows if (row.level, row.part) != (0, 1)]
+    hole = rows.where((rows.level != 0) | (rows.part != 1))
     deviation = np.sqrt(np.diag(model.beside_unseen(hole, np.full(15, 0.025))))
     assert {row.part for row, each in zip(hole, deviation, strict=True) if each > 0} == {2, 5, 6}
 

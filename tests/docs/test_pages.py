@@ -19,10 +19,10 @@ import limbcli
 from limbcli.case import read_case, schema
 from limbcli.cli.app import COMMANDS, app
 from limbcli.effects import EFFECTS
+from limbcli.effects.own_file import effect_of_file
 from limbcli.fem.elements import element
 from limbcli.materials import laws
 from limbcli.measurement import indentation
-from limbcli.stages.diagnose import load_effect
 from tests.loading import module_at
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -71,7 +71,7 @@ def test_the_effect_of_the_page_is_a_file_that_diagnose_takes(tmp_path: Path):
     file = tmp_path / "slip.py"
     text = blocks(EXAMPLES[2], "python")[0]
     file.write_text(text)
-    assert load_effect(file).name == "slip"
+    assert effect_of_file(file, EFFECTS).name == "slip"
     assert "Source:" in text  # what the contract test asks of one that is kept
     assert "Tell-tale:" in text
 

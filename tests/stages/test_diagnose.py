@@ -11,14 +11,16 @@ import numpy as np
 import pytest
 
 from limbcli.case import Case
+from limbcli.effects import EFFECTS as KNOWN
 from limbcli.effects import effect
+from limbcli.effects.own_file import effect_of_file
 from limbcli.effects.reading import Protocol, Reading, read
 from limbcli.errors import CaseError, FitError, LimbError, MeasurementError
 from limbcli.feb.read import read_feb
 from limbcli.model_io import save_model
 from limbcli.progress import SILENT
 from limbcli.results import StageResult, open_stage
-from limbcli.stages.diagnose import DiagnoseOptions, _Diagnosed, chosen_effects, diagnose, load_effect
+from limbcli.stages.diagnose import DiagnoseOptions, _Diagnosed, chosen_effects, diagnose
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.provenance.commands import CommandStep
 from tests.case.test_case_text import two_sites
@@ -38,11 +40,11 @@ EFFECT = Effect("slip", "the probe slips", "measurement", "none", (SLIP,), obser
 def test_a_users_effect_is_one_file(tmp_path):
     path = tmp_path / "slip.py"
     path.write_text(OWN)
-    assert load_effect(path).name == "slip"
+    assert effect_of_file(path, KNOWN).name == "slip"
     assert chosen_effects(DiagnoseOptions(effect_file=path, effects=("slip",)))[0].name == "slip"
     (tmp_path / "empty.py").write_text("x = 1")
     with pytest.raises(CaseError, match="defines no EFFECT"):
-        load_effect(tmp_path / "empty.py")
+        effect_of_file(tmp_path / "empty.py", KNOWN)
     with pytest.raises(CaseError, match="there is no effect 'frction'"):
         chosen_effects(DiagnoseOptions(effects=("frction",)))
 
@@ -67,14 +69,14 @@ def test_an_effect_file_that_cannot_be_tried_is_told_as_the_users(tmp_path, ther
     path = tmp_path / "slip.py"
     path.write_text(OWN.replace(there, instead))
     with pytest.raises(CaseError, match=f"(?s){given}"):
-        load_effect(path)
+        effect_of_file(path, KNOWN)
 
 
 def test_an_effect_file_may_hold_dataclasses(tmp_path):
     path = tmp_path / "slip.py"
     play = "from dataclasses import dataclass\n@dataclass\nclass Play:\n    mm: float | None = None\n"
     path.write_text(f"from __future__ import annotations\n{OWN}{play}")
-    assert load_effect(path).name == "slip"
+    assert effect_of_file(path, KNOWN).name == "slip"
 
 
 def test_a_users_effect_is_tried_beside_those_named_and_numerical_ones_cannot_be_named(tmp_path):

@@ -62,14 +62,9 @@ def blind_spot(
     size, information = float(np.linalg.norm(moved)), float(moved @ seen)
     fitted = nothing.fitted
     shift = nothing.covariance @ (whiten(fitted.jacobian).T @ moved)
-    n = len(fitted.base_names)
-    bias = {
-        key: float(shift[k] / max(nothing.deviation[k], 1e-300))
-        for k, key in enumerate(fitted.base_names[:n])
-    }
-    percent = {
-        key: float(100 * np.expm1(np.clip(shift[k], -5, 5))) for k, key in enumerate(fitted.base_names[:n])
-    }
+    of_base = list(zip(fitted.base_names, shift, nothing.deviation, strict=False))
+    bias = {key: float(moved_by / max(deviation, 1e-300)) for key, moved_by, deviation in of_base}
+    percent = {key: float(100 * np.expm1(np.clip(moved_by, -5, 5))) for key, moved_by, _ in of_base}
     prior = float(np.min((typical / added.deviation)[typical != 0] ** 2)) if np.any(typical) else 0.0
     one_sided = any(added.direction.signs)
     return BlindSpot(

@@ -48,12 +48,9 @@ class Estimates:
     prior: str = PRIOR
 
 
-def estimates(several: Sequence[tuple[float, Posterior]], chosen: Explanation = ()) -> Estimates:
-    """Estimates over explanations, each with its weight; sizes of the effects in `chosen`, over those that
-    have them.
-
-    The first explanation must be `chosen`, whose values are reported of what has no posterior of its own.
-    """
+def estimates(several: Sequence[tuple[float, Posterior]]) -> Estimates:
+    """Estimates over explanations, each with its weight; sizes of the effects of the first one, over those
+    that have them. Its values are reported of what has no posterior of its own."""
     fitted = several[0][1].fitted
     values, intervals, open_ends = dict(fitted.values), {}, []
     for k, letter in enumerate(fitted.base_names):
@@ -73,7 +70,7 @@ def estimates(several: Sequence[tuple[float, Posterior]], chosen: Explanation = 
         low, middle, high = (math.exp(min(max(x, bounds[0]), bounds[1])) for x in (low, middle, high))
         values[name], intervals[name] = middle, (low, high)
     for name in fitted.effect_names:
-        found = [one for w, p in several if name in p.fitted.effect_names for one in [_size(w, p, name)]]
+        found = [_size(w, p, name) for w, p in several if name in p.fitted.effect_names]
         (values[name],), intervals[name] = quantiles(found, (0.5,)), shortest(found, decisions.CREDIBLE)
     return Estimates(values, intervals, tuple(open_ends), len(several))
 

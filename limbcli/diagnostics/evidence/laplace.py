@@ -68,10 +68,15 @@ def posterior(
     unknown
     """
     known = {each.name: each for each in scalable if each.name in noise.names}
-    family = _Covariances(noise, tuple(known), form)
+    scaled = {part.name: part.covariance for part in noise.parts if part.name in known}
+    fixed = np.asarray(sum(part.covariance for part in noise.parts if part.name not in known))
+    fixed = fixed if form is None else fixed + form
 
     def at(shares: Mapping[str, float]) -> Posterior:
-        found = _at(fitted, y, family.at(shares), shares, relative=relative)
+        total = fixed.copy()
+        for name, share in shares.items():
+            total += share**2 * scaled[name]
+        found = _at(fitted, y, Whitener.of(total), shares, relative=relative)
         ln_prior = sum(known[name].ln_prior(share) for name, share in shares.items())
         return replace(found, ln_evidence=found.ln_evidence + ln_prior)
 
@@ -114,30 +119,6 @@ def _largest(
         if rise + fall > 0:
             value(min(max(at + 0.5 * step * (rise - fall) / (rise + fall), low), high))
     return max(found.values(), key=lambda each: each.ln_evidence)
-
-
-@dataclass(frozen=True, eq=False)
-class _Covariances:
-    noise: Noise
-    scalable: tuple[str, ...]
-    form: Array | None
-
-    @cached_property
-    def _fixed(self) -> Array:
-        total = np.asarray(
-            sum(each.covariance for each in self.noise.parts if each.name not in self.scalable)
-        )
-        return total if self.form is None else total + self.form
-
-    @cached_property
-    def _scaled(self) -> dict[str, Array]:
-        return {each.name: each.covariance for each in self.noise.parts if each.name in self.scalable}
-
-    def at(self, shares: Mapping[str, float]) -> Whitener:
-        total = self._fixed.copy()
-        for name, share in shares.items():
-            total += share**2 * self._scaled[name]
-        return Whitener.of(total)
 
 
 def _at(
@@ -185,14 +166,10 @@ def ln_prior_inside(fitted: Fitted) -> float:
     """ln of the prior probability of the box, which the normal priors are divided by; uniform ones have it
     1."""
     priors, total = fitted.priors, 0.0
-    for k, precision in enumerate(priors.precision):
-        if priors.is_normal[k]:
-            total += float(
-                ln_probability(
-                    priors.shift[k : k + 1][None],
-                    np.full((1, 1), 1 / precision),
-                    priors.low[k : k + 1],
-                    priors.high[k : k + 1],
-                )[0]
-            )
+    for k in np.flatnonzero(priors.is_normal).tolist():
+        one = slice(k, k + 1)
+        variance = np.full((1, 1), 1 / priors.precision[k])
+        total += float(
+            ln_probability(priors.shift[None, one], variance, priors.low[one], priors.high[one])[0]
+        )
     return total

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from limbcli.diagnostics.evidence.truncated import ln_probability
-from limbcli.diagnostics.model.forward_model import Direction, Fitted
+from limbcli.diagnostics.model.forward_model import Direction, Explanation, Fitted
 from limbcli.diagnostics.model.linear import Whitener
 from limbcli.diagnostics.model.priors import Prior
 from limbcli.model import Array
@@ -120,7 +120,7 @@ class LinearEvidence:
         mean = np.clip(both.sizes(self.residual[None])[0], both.low, both.high)
         return {**dict(zip(both.direction.names, mean.tolist(), strict=True)), **both.direction.at}
 
-    def ln_factors_of_pairs(self) -> dict[tuple[str, str], float]:
+    def ln_factors_of_pairs(self) -> dict[Explanation, float]:
         """ln Bayes factor of all pairs, each effect at the most probable point of its grid."""
         few = {name: self.best(name) for name in self.added}
         lost = {name: -np.log(len(each)) for name, each in self.added.items()}

@@ -102,7 +102,6 @@ class Fitted:
     values: Mapping[str, float]
     effect_names: tuple[str, ...] = ()
     at_bound: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
     points: Mapping[str, str] = field(default_factory=dict)
     without: Array | None = None
     priors: Priors = field(default_factory=lambda: Priors.about(np.zeros(0), ()))

@@ -11,13 +11,12 @@ Jeffreys 1961, Theory of Probability, section 5.7 (5 to 9 of them in long series
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from limbcli.model import Array
+from limbcli.model import Array, IntArray
 
 ASSUMED = "assumed"
 TAILS = 7.0
@@ -106,6 +105,18 @@ def common(name: str, direction: Array, *, source: str) -> NoisePart:
     return NoisePart(name, np.outer(direction, direction), source, direction)
 
 
+def of_groups(name: str, direction: Array, group: IntArray, *, source: str) -> NoisePart:
+    """As `common`, but with one unknown for each group (n,) of data.
+
+    >>> of_groups("depth", np.array([1.0, 2.0, 3.0]), np.array([0, 0, 1]), source="spec").covariance
+    array([[1., 2., 0.],
+           [2., 4., 0.],
+           [0., 0., 9.]])
+    """
+    same = group[:, None] == group[None, :]
+    return NoisePart(name, np.where(same, np.outer(direction, direction), 0.0), source)
+
+
 def correlated(
     name: str, deviation: Array, order: Array, *, correlation: float, source: str
 ) -> NoisePart:  # fmt: skip
@@ -121,14 +132,3 @@ def correlated(
     kernel[np.isnan(distance)] = 0.0
     np.fill_diagonal(kernel, 1.0)
     return NoisePart(name, deviation[:, None] * kernel * deviation[None, :], source)
-
-
-def numerical(name: str, differences: Sequence[Array]) -> NoisePart:
-    """Discretisation error: each difference (n,) of two meshes is one standard deviation of an unknown.
-
-    >>> numerical("mesh", [np.array([1.0, 0.0]), np.array([0.0, 2.0])]).covariance
-    array([[1., 0.],
-           [0., 4.]])
-    """
-    stacked = np.array(differences, dtype=float)
-    return NoisePart(name, stacked.T @ stacked, "computed")

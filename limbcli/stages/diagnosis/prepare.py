@@ -6,7 +6,6 @@ resumed.
 
 from __future__ import annotations
 
-import contextlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,7 +17,7 @@ import numpy as np
 from limbcli.atomic_files import atomic_file, sha256
 from limbcli.case import Case, Site
 from limbcli.effects.base import Effect
-from limbcli.errors import CaseError, LimbError, MeasurementError, SolveError
+from limbcli.errors import CaseError, LimbError, MeasurementError
 from limbcli.measurement.elastography import shear_modulus_from_wave_speed
 from limbcli.measurement.indentation import read_trace
 from limbcli.meshing.frame import LARGEST_SLOPE_DEG
@@ -30,9 +29,9 @@ from limbcli.model_io import load_model, save_model
 from limbcli.progress import Progress
 from limbcli.results import plain, read_result
 from limbcli.stages.diagnosis.curves.curve_plan import Reach
-from limbcli.stages.diagnosis.curves.exponents import FIRST_M
+from limbcli.stages.diagnosis.curves.exponents import FIRST_M, where_solved
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
-from limbcli.stages.diagnosis.data.held_forces import HeldForces, held_forces
+from limbcli.stages.diagnosis.data.held_forces import held_forces
 from limbcli.stages.diagnosis.data.layers import BorderLines
 from limbcli.stages.diagnosis.data.noise import deepest, readings
 from limbcli.stages.diagnosis.data.rows import ExtraMeasurement
@@ -203,9 +202,7 @@ class _Preparation:
     ) -> Prepared:  # fmt: skip
         simulations = self.simulations()
         try:
-            for m in FIRST_M:
-                with contextlib.suppress(SolveError):  # reported where the curves are used
-                    simulations.curves(m)
+            where_solved(simulations.curves, FIRST_M)  # failures are reported where the curves are used
             numerics = NumericalChecks(
                 self.case, self.site, self.levels, simulations, out=self.out, size=self.size,
                 notes=self.notes, progress=self.progress,
@@ -321,18 +318,18 @@ class _Preparation:
         return load_model(kept)  # reloaded, so that a resumed diagnosis uses an identical model
 
     def _data(
-        self,
-        numerics: NumericalChecks,
-        correction: MeshCorrection,
-        interventions: Sequence[Intervention],
+        self, numerics: NumericalChecks, correction: MeshCorrection, interventions: Sequence[Intervention],
         extras: Sequence[ExtraMeasurement],
-    ) -> SiteData:
+    ) -> SiteData:  # fmt: skip
         if self.site.swe_maps is not None:
             self.notes.inputs["swe maps"] = self.site.swe_maps
         held = None
         if self.site.trace is not None:
             self.notes.inputs["trace"] = self.site.trace
-            held, why = self._held()
+            try:
+                held, why = held_forces(read_trace(self.site.trace), self.levels)
+            except MeasurementError as error:
+                why = error.what
             if held is None:
                 self.notes.data["holds_not_used"] = why
         errors = ModelErrors(numerics)
@@ -351,24 +348,11 @@ class _Preparation:
         )  # fmt: skip
 
     def _drained(self, draining: DrainageSolver, data: SiteData, simulations: SiteSimulations) -> Drained:
-        why = str(self.notes.data.get("holds_not_used", ""))
         found = drained(
-            draining,
-            data.held,
-            why,
-            simulations,
-            deepest=simulations.needed,
-            keep=self.work,
-            progress=self.progress,
-        )
+            draining, data.held, str(self.notes.data.get("holds_not_used", "")), simulations,
+            deepest=simulations.needed, keep=self.work, progress=self.progress,
+        )  # fmt: skip
         self.notes.warnings.extend(found.warnings)
         if found.facts:
             self.notes.data["drainage"] = found.facts
         return found
-
-    def _held(self) -> tuple[HeldForces | None, str]:
-        assert self.site.trace is not None
-        try:
-            return held_forces(read_trace(self.site.trace), self.levels)
-        except MeasurementError as error:
-            return None, error.what

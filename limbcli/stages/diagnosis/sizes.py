@@ -22,24 +22,12 @@ def _same(value: float, c_kpa: float) -> float:
     return value
 
 
-def _ratio(value: float, c_kpa: float) -> float:
-    return float(np.exp(value))
-
-
-def _permeability(value: float, c_kpa: float) -> float:
-    return poroelasticity.permeability({poroelasticity.PERMEABILITY.name: value})
-
-
-def _softer(value: float, c_kpa: float) -> float:
-    return float(np.exp(-value))
-
-
 def _of_c(value: float, c_kpa: float) -> float:
     return value * c_kpa
 
 
-def _skin(value: float, c_kpa: float) -> float:
-    return float(np.exp(value)) * c_kpa
+def _permeability(value: float, c_kpa: float) -> float:
+    return poroelasticity.permeability({poroelasticity.PERMEABILITY.name: value})
 
 
 def _inverse(value: float, c_kpa: float) -> float:
@@ -58,9 +46,9 @@ _REPORTED: Mapping[str, tuple[str, _Turn]] = {
     "thickness_change": ("epsilon", _same),
     "tilt_about_short_axis_deg": ("about_short_axis_deg", _same),
     "tilt_about_long_axis_deg": ("about_long_axis_deg", _same),
-    "log_inclusion_ratio": ("stiffness_ratio", _ratio),
-    "log_fat_softness": ("stiffness_ratio", _softer),
-    "log_skin_ratio": ("c_kpa", _skin),
+    "log_inclusion_ratio": ("stiffness_ratio", lambda value, c_kpa: float(np.exp(value))),
+    "log_fat_softness": ("stiffness_ratio", lambda value, c_kpa: float(np.exp(-value))),
+    "log_skin_ratio": ("c_kpa", lambda value, c_kpa: float(np.exp(value)) * c_kpa),
     "weight_q": ("q", _same),
     "fibre_shear_per_c": ("mu_f_kpa", _of_c),
     "fibre_tension_per_c": ("ksi_kpa", _of_c),

@@ -22,8 +22,7 @@ from limbcli.feb.settings import schedule
 from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.diagnosis.curves.curve_plan import Reach, Solving
-from limbcli.stages.diagnosis.curves.exponents import FIRST_M as FIRST_M
-from limbcli.stages.diagnosis.curves.exponents import bend
+from limbcli.stages.diagnosis.curves.exponents import FIRST_M, bend, where_solved
 from limbcli.stages.diagnosis.curves.node_table import NodeTable
 from limbcli.stages.diagnosis.curves.site_models import SiteModels, fingerprint
 from limbcli.stages.diagnosis.curves.site_solver import SiteSolver
@@ -232,10 +231,7 @@ class SiteSimulations:
     def _plain_deformations(self, m: float) -> list[tuple[float, SolvedDeformation]]:
         """Deformations without effects at the exponents `FIRST_M`, where solved, with their interpolation
         weights at this m."""
-        found = []
-        for first in sorted(FIRST_M):
-            with contextlib.suppress(SolveError):
-                found.append((first, self.kinematics(first)))
+        found = list(where_solved(self.kinematics, sorted(FIRST_M)).items())
         if len(found) < len(FIRST_M):
             return [(1.0, each) for _, each in found[:1]]
         (low, softer), (high, stiffer) = found

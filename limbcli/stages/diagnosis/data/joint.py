@@ -11,9 +11,8 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import block_diag
 
-from limbcli.diagnostics.model.forward_model import Data
+from limbcli.diagnostics.model.forward_model import Data, Mask
 from limbcli.diagnostics.model.noise import ASSUMED, Noise, NoisePart, common
-from limbcli.model import Array
 from limbcli.stages.diagnosis.data.noise import GAIN_OF_SPEEDS
 from limbcli.stages.diagnosis.data.site_data import SiteData
 
@@ -22,17 +21,17 @@ def joined(sites: Sequence[SiteData]) -> Data:
     """The data of all sites, concatenated; those of a single site unchanged."""
     if len(sites) == 1:
         return sites[0].data
-    y = np.concatenate([site.data.y for site in sites])
-    channel = tuple(f"{name} {site.name}" for site in sites for name in site.data.channel)
-    order = np.concatenate([site.data.order for site in sites])
-    series = tuple(f"{name} {site.name}" for site in sites for name in site.data.series)
-    place = np.concatenate(
-        [
-            np.full((len(site.data), 2), np.nan) if site.data.place is None else site.data.place
-            for site in sites
-        ]
+    several = [site.data for site in sites]
+    channel, series = (
+        tuple(f"{name} {site.name}" for site in sites for name in getattr(site.data, field))
+        for field in ("channel", "series")
     )
-    return Data(y, channel, order, _noise(sites), _groups(sites), _blocks(sites), series, place)
+    place = [np.full((len(data), 2), np.nan) if data.place is None else data.place for data in several]
+    return Data(
+        np.concatenate([data.y for data in several]), channel,
+        np.concatenate([data.order for data in several]), _noise(several), *_groups_and_blocks(sites),
+        series, np.concatenate(place),
+    )  # fmt: skip
 
 
 def slices(sites: Sequence[SiteData]) -> list[slice]:
@@ -41,59 +40,43 @@ def slices(sites: Sequence[SiteData]) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
 
-def _noise(sites: Sequence[SiteData]) -> Noise:
-    names = dict.fromkeys(part.name for site in sites for part in site.data.noise.parts)
+def _noise(several: Sequence[Data]) -> Noise:
     parts = []
-    for name in names:
-        found = [_part(site, name) for site in sites]
-        source = _least_known([part.source for part in found if part is not None])
+    for name in dict.fromkeys(part.name for data in several for part in data.noise.parts):
+        found = [next((part for part in data.noise.parts if part.name == name), None) for data in several]
+        sources = [part.source for part in found if part is not None]
+        source = ASSUMED if ASSUMED in sources else sources[0]  # the least known
         if name == GAIN_OF_SPEEDS:
-            directions = [_direction(part, len(site.data)) for part, site in zip(found, sites, strict=True)]
+            directions = [
+                np.zeros(len(data)) if part is None or part.direction is None else part.direction
+                for part, data in zip(found, several, strict=True)
+            ]
             parts.append(common(name, np.concatenate(directions), source=source))
             continue
         blocks = [
-            np.zeros((len(site.data), len(site.data))) if part is None else part.covariance
-            for part, site in zip(found, sites, strict=True)
+            np.zeros((len(data), len(data))) if part is None else part.covariance
+            for part, data in zip(found, several, strict=True)
         ]
         parts.append(NoisePart(name, block_diag(*blocks), source))
     return Noise(tuple(parts))
 
 
-def _least_known(sources: Sequence[str]) -> str:
-    """Source of the joint noise: assumed if that of any site is."""
-    return ASSUMED if ASSUMED in sources else sources[0]
+def _groups_and_blocks(sites: Sequence[SiteData]) -> tuple[dict[str, Mask], dict[str, Mask]]:
+    """Groups are of one site each; blocks of the same name are held out at all sites together."""
+    places = slices(sites)
+    nothing = np.zeros(places[-1].stop, dtype=bool)
 
+    def wide(inside: slice, mask: Mask | bool = True) -> Mask:
+        found = nothing.copy()
+        found[inside] = mask
+        return found
 
-def _part(site: SiteData, name: str) -> NoisePart | None:
-    return next((part for part in site.data.noise.parts if part.name == name), None)
-
-
-def _direction(part: NoisePart | None, n: int) -> Array:
-    return np.zeros(n) if part is None or part.direction is None else part.direction
-
-
-def _groups(sites: Sequence[SiteData]) -> dict[str, np.ndarray]:
-    groups = {}
-    for site, inside in zip(sites, slices(sites), strict=True):
-        n = slices(sites)[-1].stop
-        whole = np.zeros(n, dtype=bool)
-        whole[inside] = True
-        groups[f"site {site.name}"] = whole
-        for name, mask in site.data.groups.items():
-            wide = np.zeros(n, dtype=bool)
-            wide[inside] = mask
-            groups[f"{site.name}: {name}"] = wide
-    return groups
-
-
-def _blocks(sites: Sequence[SiteData]) -> dict[str, np.ndarray]:
-    n = slices(sites)[-1].stop
-    blocks: dict[str, np.ndarray] = {}
-    for site, inside in zip(sites, slices(sites), strict=True):
+    groups: dict[str, Mask] = {}
+    blocks: dict[str, Mask] = {}
+    for site, inside in zip(sites, places, strict=True):
+        groups[f"site {site.name}"] = wide(inside)
+        groups |= {f"{site.name}: {name}": wide(inside, mask) for name, mask in site.data.groups.items()}
         for name, mask in site.data.blocks.items():
-            wide = blocks.setdefault(name, np.zeros(n, dtype=bool))
-            wide[inside] = mask
-        whole = np.zeros(n, dtype=bool)
-        whole[inside] = True
-        blocks[f"site {site.name}"] = whole
-    return blocks
+            blocks[name] = blocks.get(name, nothing) | wide(inside, mask)
+        blocks[f"site {site.name}"] = wide(inside)
+    return groups, blocks

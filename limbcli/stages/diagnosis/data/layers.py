@@ -19,7 +19,7 @@ from limbcli.effects.reading import Protocol
 from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.solvers.base import Simulation
 from limbcli.solvers.material_lines import FILE, material_lines
-from limbcli.stages.diagnosis.data.rows import Row, Stacked
+from limbcli.stages.diagnosis.data.rows import Rows, Stacked
 from limbcli.stages.site_model.indentation_model import tissue_nodes
 from limbcli.stages.site_model.layer_readings import LayerReadings
 
@@ -37,31 +37,24 @@ _BEYOND = 2.0  # length of the compressed column where no bone is known, as a mu
 
 def layer_rows(layers: LayerReadings | None, keep: IntArray) -> Stacked:
     """Layer thicknesses under load; keep (n_levels used,) : indices of the levels in the protocol."""
-    rows: list[Row] = []
-    y: list[float] = []
     if layers is None:
-        return rows, y, []
-    for layer in range(layers.n_counted):
-        for level, number in enumerate(keep.tolist()):
-            value = float(layers.thickness[number, layer])
-            if number > 0 and np.isfinite(value):
-                rows.append(Row(CHANNEL, level, layer))
-                y.append(value)
-    return rows, y, [layers.deviation] * len(rows)
+        return Stacked.of(CHANNEL, [], [], 0.0)
+    table = layers.thickness[keep, : layers.n_counted].T
+    layer, level = np.nonzero(np.isfinite(table) & (keep > 0))
+    return Stacked.of(CHANNEL, level, table[layer, level], layers.deviation, layer)
 
 
 def layer_slopes(
-    layers: LayerReadings | None, protocol: Protocol, place: Array, rows: Sequence[Row], y: Array
+    layers: LayerReadings | None, protocol: Protocol, place: Array, rows: Rows, y: Array
 ) -> Array:
     """Derivative of each datum with depth (n,), 0 for other channels.
 
     place (n_levels,) : ln(1 + F/unit) of the smooth depth, in which layers thin linearly
     """
     out = np.zeros(len(rows))
-    if layers is None:
-        return out
     for layer, members in _members(rows):
-        levels = [rows[k].level for k in members]
+        assert layers is not None
+        levels = rows.level[members]
         x = np.r_[0.0, place[levels]]
         depth = np.r_[0.0, np.maximum(protocol.depth[levels], 0.0)]
         thickness = np.r_[layers.thickness[0, layer], y[members]]
@@ -74,16 +67,16 @@ def layer_slopes(
 
 
 def layer_noise(
-    layers: LayerReadings | None, protocol: Protocol, rows: Sequence[Row], y: Array, source: str
+    layers: LayerReadings | None, protocol: Protocol, rows: Rows, y: Array, source: str
 ) -> list[NoisePart]:
     """Common errors of the readings of one layer: of its thickness at first touch, and of the model."""
     parts = []
-    for layer, members in _members(rows) if layers is not None else ():
+    for layer, members in _members(rows):
         assert layers is not None
         first, model = np.zeros(len(rows)), np.zeros(len(rows))
         first[members] = layers.deviation * layers.growth(np.maximum(y[members], 0.0), layer)
         thinner = layers.thickness[0, layer] - y[members]
-        depth = np.maximum(protocol.depth[[rows[k].level for k in members]], 0.0)
+        depth = np.maximum(protocol.depth[rows.level[members]], 0.0)
         model[members] = np.hypot(_OF_THINNING * thinner, _OF_DEPTH * depth)
         name = layers.names[layer]
         parts.append(common(f"{FIRST_TOUCH}, {name}", first, source=source))
@@ -91,13 +84,10 @@ def layer_noise(
     return parts
 
 
-def _members(rows: Sequence[Row]) -> list[tuple[int, list[int]]]:
+def _members(rows: Rows) -> list[tuple[int, IntArray]]:
     """Indices of the data of each layer."""
-    found: dict[int, list[int]] = {}
-    for k, row in enumerate(rows):
-        if row.channel == CHANNEL:
-            found.setdefault(row.part, []).append(k)
-    return list(found.items())
+    mine = rows.among(CHANNEL)
+    return [(k, np.flatnonzero(mine & (rows.part == k))) for k in np.unique(rows.part[mine]).tolist()]
 
 
 class BorderLines:

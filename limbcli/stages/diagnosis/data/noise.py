@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.case import StatedNoise
-from limbcli.diagnostics.model.noise import NoisePart, common, correlated, independent
+from limbcli.diagnostics.model.noise import NoisePart, common, correlated, independent, of_groups
 from limbcli.effects.reading import Protocol
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.map_noise import PixelNoise
 from limbcli.model import Array, IntArray
-from limbcli.stages.diagnosis.data.rows import Row
+from limbcli.stages.diagnosis.data.rows import Rows, within
 
 GAIN_OF_SPEEDS = "gain of all speeds"
 COMPRESSIBILITY = "model: f-kappa"
@@ -52,7 +52,6 @@ BESIDE, LEAST_BESIDE = "model: maps, beside what is not shown", 0.1  # name, and
 _TOUCHES, _WHOLE = 1.5, 0.95  # adjacent: distance of centres in sides of a part; complete: fraction of pixels
 FEWEST_SMOOTH = 4  # fewest levels for a smooth depth-force curve
 _STEEP, _STRAIGHT = 0.01, 10.0  # range of `SmoothDepth.unit`, as a multiple of the largest force
-_WITH_DEPTH = ("force", "swe", "map", "travel", "skin-bone")
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +85,7 @@ class MapNoise:
     pixel: PixelNoise
     strain: Array
 
-    def of_pixels(self, rows: Sequence[Row], own: Array) -> Array:
+    def of_pixels(self, rows: Rows, own: Array) -> Array:
         """Covariance (n, n) of the parts from pixel noise; own (n,) : standard deviations if the pixels were
         independent."""
         sides = [
@@ -97,20 +96,20 @@ class MapNoise:
         together = self.pixel.share * sides[0] * sides[1]
         n_pixels = counts[0] * counts[1]
         together += np.eye(len(together)) * (1.0 - self.pixel.share) / n_pixels
-        part, level = _map_places(rows)
+        part, level = rows.part - 1, rows.level
         times = own * np.sqrt(n_pixels)
         same = level[:, None] == level[None, :]
         return np.asarray(np.where(same, together[np.ix_(part, part)], 0.0) * np.outer(times, times))
 
-    def of_model(self, rows: Sequence[Row], share: float) -> Array:
+    def of_model(self, rows: Rows, share: float) -> Array:
         """Covariance (n, n) of the model error; share : factor on its usual size."""
-        part, level = _map_places(rows)
+        part, level = rows.part - 1, rows.level
         return maps_model_error(self.middles, part, np.abs(self.strain[level]), level, share=share)
 
-    def beside_unseen(self, rows: Sequence[Row], own: Array) -> Array:
+    def beside_unseen(self, rows: Rows, own: Array) -> Array:
         """Covariance (n, n) of parts that are incomplete in their level's map or adjacent to such a part, or
         to one that the model does not show; own (n,) : as in `of_pixels`."""
-        part, level = _map_places(rows)
+        part, level = rows.part - 1, rows.level
         n_pixels = np.zeros((len(self.strain), len(self.middles)))
         n_pixels[level, part] = np.maximum(own, 1e-9) ** -2.0
         whole = (n_pixels > 0) & (n_pixels >= _WHOLE * n_pixels.max(axis=0))
@@ -140,11 +139,6 @@ def maps_model_error(
     return np.asarray(found + (apart < 1e-9) * _RESOLVED**2)
 
 
-def _map_places(rows: Sequence[Row]) -> tuple[IntArray, IntArray]:
-    part, level = np.array([(row.part - 1, row.level) for row in rows], dtype=np.int64).T
-    return part, level
-
-
 def _side_correlation(noise: PixelNoise, apart: Array, size: float, pitch: float) -> Array:
     """Mean correlation along one side over all pairs of pixels of two parts whose centres are `apart` mm."""
     n = max(round(size / pitch), 1)
@@ -156,75 +150,56 @@ def _side_correlation(noise: PixelNoise, apart: Array, size: float, pitch: float
 
 
 def noise_parts(
-    protocol: Protocol, rows: tuple[Row, ...], y: Array, own: Array, noise: StatedNoise,
-    keep: IntArray, model_error: Sequence[ModelError], maps: MapNoise | None = None, map_share: float = 1.0,
-    map_slopes: Array | None = None, layer_slopes: Array | None = None,
+    protocol: Protocol, rows: Rows, y: Array, own: Array, slope: Array, noise: StatedNoise, keep: IntArray,
+    model_error: Sequence[ModelError], maps: MapNoise | None = None, map_share: float = 1.0,
 ) -> list[NoisePart]:  # fmt: skip
     """All noise parts of a site's rows, except those of layers, holds, travel and extra measurements.
 
+    slope (n,) : change of each datum with depth
     maps : noise of the parts of maps, if there are any; map_share : fraction of the model's usual error in
     them
-    layer_slopes : change with depth (n,) of the rows that are layers
     """
-    source = noise.source
-    is_map = np.array([row.channel == "map" for row in rows])
-    parts = [independent("measurement: own error of each reading", np.where(is_map, 0.0, own), source=source)]
-    slope = depth_slopes(protocol, rows, y, map_slopes)
-    slope = slope if layer_slopes is None else slope + layer_slopes
-    levels = np.array([row.level for row in rows])
-    exact = [k for k in range(len(protocol)) if protocol.force[k] == 0.0 and protocol.depth[k] == 0.0]
-    by_depth = np.zeros((len(rows), len(rows)))
-    for level in range(len(protocol)):
-        direction = np.where((levels == level) & (level not in exact), slope, 0.0) * noise.depth
-        by_depth += np.outer(direction, direction)
-    parts.append(NoisePart("measurement: depth, in all channels of a level", by_depth, source))
+    source, is_map = noise.source, rows.among("map")
+    level = np.minimum(rows.level, len(protocol) - 1)
+    exact = (protocol.force == 0.0) & (protocol.depth == 0.0)
+    by_depth = np.where(exact[level], 0.0, slope) * noise.depth
+    parts = [
+        independent("measurement: own error of each reading", np.where(is_map, 0.0, own), source=source),
+        of_groups("measurement: depth, in all channels of a level", by_depth, rows.level, source=source),
+    ]
     if is_map.any() and maps is not None:
-        mine, at = [row for row in rows if row.channel == "map"], np.flatnonzero(is_map)
-        for name, covariance, origin in (
-            ("measurement: pixels of the maps", maps.of_pixels(mine, own[is_map]), source),
-            (IN_MAPS, maps.of_model(mine, map_share), "computed"),
-            (BESIDE, maps.beside_unseen(mine, own[is_map]), "assumed"),
-        ):
-            whole = np.zeros((len(rows), len(rows)))
-            whole[np.ix_(at, at)] = covariance
-            parts.append(NoisePart(name, whole, origin))
-        common_to_level = np.zeros((len(rows), len(rows)))
-        for level in range(len(protocol)):
-            direction = np.where(is_map & (levels == level), noise.swe_level_fraction, 0.0)
-            common_to_level += np.outer(direction, direction)
-        parts.append(NoisePart("measurement: speeds of a level", common_to_level, source))
-    speeds = np.array([row.channel in ("swe", "map") for row in rows], dtype=float)
+        mine = rows.where(is_map)
+        parts += [
+            within("measurement: pixels of the maps", is_map, maps.of_pixels(mine, own[is_map]), source),
+            within(IN_MAPS, is_map, maps.of_model(mine, map_share), "computed"),
+            within(BESIDE, is_map, maps.beside_unseen(mine, own[is_map]), "assumed"),
+            of_groups("measurement: speeds of a level", np.where(is_map, noise.swe_level_fraction, 0.0),
+                      rows.level, source=source),
+        ]  # fmt: skip
+    speeds = rows.among("swe", "map")
     if speeds.any():
-        parts.append(common(GAIN_OF_SPEEDS, COMMON_GAIN * speeds, source="assumed"))
-    is_travel = np.array([row.channel == "travel" for row in rows])
+        parts.append(common(GAIN_OF_SPEEDS, np.where(speeds, COMMON_GAIN, 0.0), source="assumed"))
     for each in model_error:
         direction = _model_direction(rows, y, each.log_force[keep], each.log_speed[keep])
-        pressed = protocol.depth[np.minimum(levels, len(protocol) - 1)]  # 0 at rest: no error there
+        pressed = protocol.depth[level]  # 0 at rest: no error there
         shift = each.depth * (pressed > 0) + each.strain * pressed
-        direction = direction + shift * np.where(is_travel, 0.0, slope)
+        direction = direction + shift * np.where(rows.among("travel"), 0.0, slope)
         if each.correlation is None:
             parts.append(common(each.name, direction, source="computed"))
         else:
-            along = levels.astype(float)
-            parts.append(
-                correlated(each.name, direction, along, correlation=each.correlation, source="computed")
-            )
+            along, alike = rows.level.astype(float), each.correlation
+            parts.append(correlated(each.name, direction, along, correlation=alike, source="computed"))
     return parts
 
 
-def _model_direction(rows: tuple[Row, ...], y: Array, log_force: Array, log_speed: Array) -> Array:
-    out = np.zeros(len(rows))
-    for k, row in enumerate(rows):
-        if row.channel == "force":
-            out[k] = y[k] * log_force[row.level]
-        elif row.channel in ("swe", "map"):
-            out[k] = np.nan_to_num(log_speed[row.level, row.part])
+def _model_direction(rows: Rows, y: Array, log_force: Array, log_speed: Array) -> Array:
+    out, forces, speeds = np.zeros(len(rows)), rows.among("force"), rows.among("swe", "map")
+    out[forces] = y[forces] * log_force[rows.level[forces]]
+    out[speeds] = np.nan_to_num(log_speed[rows.level[speeds], rows.part[speeds]])
     return out
 
 
-def depth_slopes(
-    protocol: Protocol, rows: tuple[Row, ...], y: Array, map_slopes: Array | None = None
-) -> Array:
+def depth_slopes(protocol: Protocol, rows: Rows, y: Array, map_slopes: Array | None = None) -> Array:
     """Derivative of each datum with depth (n,), from smooth curves through the measured values; for parts of
     maps from a model, `map_slopes` (n_levels, n_parts), where given.
 
@@ -233,25 +208,20 @@ def depth_slopes(
     """
     out = np.zeros(len(rows))
     smooth = SmoothDepth.through(protocol)
-    groups: dict[str, list[int]] = {}
-    for k, row in enumerate(rows):
-        groups.setdefault(row.channel, []).append(k)
-    for channel, members in groups.items():
-        if channel not in _WITH_DEPTH:
-            continue
+    for channel in rows.channels():
+        mine = rows.among(channel)
         if channel == "map" and map_slopes is not None:
-            part, level = _map_places([rows[k] for k in members])
-            out[members] = map_slopes[level, part]
-            continue
-        force = protocol.force[[rows[k].level for k in members]]
-        place = smooth.place(force)
-        if channel == "travel":
-            out[members] = 1.0
+            out[mine] = map_slopes[rows.level[mine], rows.part[mine] - 1]
+        elif channel == "travel":
+            out[mine] = 1.0
         elif channel == "force":
-            out[members] = smooth.slope(force)
-        elif channel != "skin-bone" and len(np.unique(place)) >= 2:
-            curve = np.polynomial.Polynomial.fit(place, y[members], 2 if len(np.unique(place)) > 4 else 1)
-            out[members] = curve.deriv()(place) / smooth.rate
+            out[mine] = smooth.slope(protocol.force[rows.level[mine]])
+        elif channel in ("swe", "map"):
+            place = smooth.place(protocol.force[rows.level[mine]])
+            n_places = len(np.unique(place))
+            if n_places >= 2:
+                curve = np.polynomial.Polynomial.fit(place, y[mine], 2 if n_places > 4 else 1)
+                out[mine] = curve.deriv()(place) / smooth.rate
     return out
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from limbcli.case import StatedNoise
+from limbcli.diagnostics.model.forward_model import Mask
 from limbcli.diagnostics.model.noise import NoisePart, common
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Protocol, Reading
@@ -22,13 +24,69 @@ TRAVEL_DEVIATION = 0.1  # mm, standard deviation of a travel read on a guide's s
 THICKNESS_DEVIATION = 1.0  # mm, standard deviation of skin-bone distance: MRI voxel size and posture
 
 
-@dataclass(frozen=True, eq=False)
-class Row:
+class Row(NamedTuple):
     """One datum: channel, level, part of the window (or -1)."""
 
     channel: str
     level: int
     part: int = -1
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Layout of data: channel, level and part of the window (or -1) of each, (n,)."""
+
+    channel: NDArray[np.str_]
+    level: IntArray
+    part: IntArray
+
+    @staticmethod
+    def of(channel: str, level: ArrayLike, part: ArrayLike = -1) -> Rows:
+        """Rows of one channel, at these levels (n,) and parts (n,)."""
+        levels = np.asarray(level, dtype=np.int64)
+        parts = np.broadcast_to(np.asarray(part, dtype=np.int64), levels.shape)
+        return Rows(np.full(len(levels), channel), levels, parts)
+
+    def __len__(self) -> int:
+        return len(self.level)
+
+    def __iter__(self) -> Iterator[Row]:
+        return map(Row, self.channel.tolist(), self.level.tolist(), self.part.tolist())
+
+    def among(self, *channels: str) -> Mask:
+        """Mask (n,) of the data of these channels."""
+        return np.isin(self.channel, channels)
+
+    def channels(self) -> list[str]:
+        """The channels, in order."""
+        return list(dict.fromkeys(self.channel.tolist()))
+
+    def where(self, mask: Mask) -> Rows:
+        return Rows(self.channel[mask], self.level[mask], self.part[mask])
+
+
+@dataclass(frozen=True, eq=False)
+class Stacked:
+    """Data in a row: layout, values y (n,), and their own standard deviations (n,)."""
+
+    rows: Rows
+    y: Array
+    own: Array
+
+    @staticmethod
+    def of(channel: str, level: ArrayLike, y: ArrayLike, own: ArrayLike, part: ArrayLike = -1) -> Stacked:
+        """The data of one channel; own, part : of each, or of all."""
+        rows = Rows.of(channel, level, part)
+        return Stacked(rows, np.asarray(y, dtype=float), np.broadcast_to(own, len(rows)).astype(float))
+
+    @staticmethod
+    def together(several: Sequence[Stacked]) -> Stacked:
+        rows = Rows(
+            *(np.concatenate([getattr(each.rows, name) for each in several])
+              for name in ("channel", "level", "part"))
+        )  # fmt: skip
+        y, own = (np.concatenate([getattr(each, name) for each in several]) for name in ("y", "own"))
+        return Stacked(rows, y, own)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,47 +104,32 @@ class ExtraMeasurement:
     model_error: Array | None = None
 
 
-Stacked = tuple[list[Row], list[float], list[float]]
-
-
 def force_rows(protocol: Protocol, noise: StatedNoise) -> Stacked:
     """Every level except those at 0 N and 0 mm, which are zero by definition."""
-    used = [k for k in range(len(protocol)) if protocol.force[k] != 0.0 or protocol.depth[k] != 0.0]
-    return (
-        [Row("force", k) for k in used],
-        [float(protocol.force[k]) for k in used],
-        [noise.force] * len(used),
-    )
+    used = np.flatnonzero((protocol.force != 0.0) | (protocol.depth != 0.0))
+    return Stacked.of("force", used, protocol.force[used], noise.force)
 
 
 def speed_rows(
-    levels: Levels, keep: IntArray, noise: StatedNoise, windows: Windows, maps: list[SweMap] | None,
-    usable: NDArray[np.bool_] | None = None,
+    levels: Levels, keep: IntArray, noise: StatedNoise, windows: Windows, maps: Sequence[SweMap] | None,
+    usable: Mask | None = None,
 ) -> Stacked:  # fmt: skip
     """Parts of the maps (`MapNoise` gives their covariance), or the mean speeds where there are no maps.
 
     usable : parts (n_parts,) that the model shows at every level; None: all
     """
-    rows: list[Row] = []
-    y: list[float] = []
-    own: list[float] = []
     if maps is not None and len(maps) == len(levels):
-        for level, number in enumerate(keep.tolist()):
-            means, counts = windows.log_means(maps[number])
-            for part in range(1, len(means)):
-                if np.isfinite(means[part]) and (usable is None or usable[part - 1]):
-                    rows.append(Row("map", level, part))
-                    y.append(float(means[part]))
-                    own.append(float(noise.swe_pixel_fraction / np.sqrt(max(counts[part], 1))))
-        return rows, y, own
+        tables = np.array([windows.log_means(maps[k]) for k in keep]).reshape(-1, 2, 1 + windows.n_parts)
+        means, counts = tables[:, 0, 1:], tables[:, 1, 1:]
+        shown = np.isfinite(means) if usable is None else np.isfinite(means) & usable
+        level, part = np.nonzero(shown)
+        own = noise.swe_pixel_fraction / np.sqrt(np.maximum(counts[shown], 1))
+        return Stacked.of("map", level, means[shown], own, part + 1)
     speeds = levels.swe_mean_m_per_s[keep]
-    for level in np.flatnonzero(np.isfinite(speeds)).tolist():
-        pixels = levels.swe_pixels[int(keep[level])]
-        cells = max(pixels, 1.0) if np.isfinite(pixels) else 1.0
-        rows.append(Row("swe", int(level), 0))
-        y.append(float(np.log(speeds[level])))
-        own.append(float(np.hypot(noise.swe_level_fraction, noise.swe_pixel_fraction / np.sqrt(cells))))
-    return rows, y, own
+    used = np.flatnonzero(np.isfinite(speeds))
+    pixels = np.maximum(np.nan_to_num(levels.swe_pixels[keep][used], nan=1.0, posinf=1.0), 1.0)
+    own = np.hypot(noise.swe_level_fraction, noise.swe_pixel_fraction / np.sqrt(pixels))
+    return Stacked.of("swe", used, np.log(speeds[used]), own, 0)
 
 
 def travel_zero(levels: Levels, keep: IntArray) -> int:
@@ -98,18 +141,14 @@ def travel_zero(levels: Levels, keep: IntArray) -> int:
 def travel_rows(levels: Levels, keep: IntArray) -> Stacked:
     """Travel relative to the level `travel_zero`, which itself yields no datum."""
     travel, zero = levels.probe_travel[keep], travel_zero(levels, keep)
-    used = [int(k) for k in np.flatnonzero(np.isfinite(travel)) if k != zero]
-    return (
-        [Row("travel", k) for k in used],
-        [float(travel[k] - travel[zero]) for k in used],
-        [TRAVEL_DEVIATION] * len(used),
-    )
+    used = np.flatnonzero(np.isfinite(travel) & (np.arange(len(travel)) != zero))
+    return Stacked.of("travel", used, travel[used] - travel[zero : zero + 1], TRAVEL_DEVIATION)
 
 
-def travel_noise(protocol: Protocol, rows: Sequence[Row], zero: int, noise: StatedNoise) -> list[NoisePart]:
+def travel_noise(protocol: Protocol, rows: Rows, zero: int, noise: StatedNoise) -> list[NoisePart]:
     """Common error of all travels: of the travel reading and the depth at the reference level; a depth of 0
     has no error, as it is zero by definition."""
-    mine = np.array([row.channel == "travel" for row in rows], dtype=float)
+    mine = rows.among("travel")
     if not mine.any():
         return []
     deviation = np.hypot(TRAVEL_DEVIATION, noise.depth if protocol.depth[zero] != 0.0 else 0.0)
@@ -117,10 +156,10 @@ def travel_noise(protocol: Protocol, rows: Sequence[Row], zero: int, noise: Stat
 
 
 def thickness_rows(levels: Levels, keep: IntArray) -> Stacked:
-    first = levels.skin_bone[int(keep[0])] if len(keep) else np.nan
-    if not np.isfinite(first):
-        return [], [], []
-    return [Row("skin-bone", 0)], [float(first)], [THICKNESS_DEVIATION]
+    """The skin-bone distance at the first level."""
+    first = levels.skin_bone[keep[:1]]
+    first = first[np.isfinite(first)]
+    return Stacked.of("skin-bone", np.arange(len(first)), first, THICKNESS_DEVIATION)
 
 
 def hold_rows(held: HeldForces | None) -> Stacked:
@@ -129,35 +168,31 @@ def hold_rows(held: HeldForces | None) -> Stacked:
     Their covariance is given by `hold_noise`, as the ratios of one hold are correlated.
     """
     if held is None:
-        return [], [], []
-    rows = [Row("hold", k, part) for k, part in enumerate(held.place.tolist())]
-    return rows, held.y.tolist(), [0.0] * len(held)
+        return Stacked.of("hold", [], [], 0.0)
+    return Stacked.of("hold", np.arange(len(held)), held.y, 0.0, held.place)
 
 
-def extra_rows(extras: Sequence[ExtraMeasurement]) -> Stacked:
-    rows = [Row(each.name, k) for each in extras for k in range(len(each.y))]
-    y = [float(value) for each in extras for value in each.y]
-    return rows, y, [float(value) for each in extras for value in each.deviation]
+def extra_rows(extras: Sequence[ExtraMeasurement]) -> list[Stacked]:
+    return [Stacked.of(each.name, np.arange(len(each.y)), each.y, each.deviation) for each in extras]
 
 
-def hold_noise(held: HeldForces | None, rows: Sequence[Row], source: str) -> list[NoisePart]:
+def hold_noise(held: HeldForces | None, rows: Rows, source: str) -> list[NoisePart]:
     """Noise of the force ratios in holds, over all rows."""
     if held is None:
         return []
-    return [_of_channel("hold", held.covariance, rows, "measurement: forces in holds", source)]
+    return [within("measurement: forces in holds", rows.among("hold"), held.covariance, source)]
 
 
-def extra_noise(extras: Sequence[ExtraMeasurement], rows: Sequence[Row]) -> list[NoisePart]:
+def extra_noise(extras: Sequence[ExtraMeasurement], rows: Rows) -> list[NoisePart]:
     """Model error in the extra measurements, over all rows."""
     return [
-        _of_channel(each.name, each.model_error, rows, f"model: {each.name}", "computed")
+        within(f"model: {each.name}", rows.among(each.name), each.model_error, "computed")
         for each in extras if each.model_error is not None
     ]  # fmt: skip
 
 
-def _of_channel(channel: str, covariance: Array, rows: Sequence[Row], name: str, source: str) -> NoisePart:
-    """A noise part that affects a single channel."""
-    at = np.array([k for k, row in enumerate(rows) if row.channel == channel], dtype=np.int64)
-    whole = np.zeros((len(rows), len(rows)))
-    whole[np.ix_(at, at)] = covariance
+def within(name: str, mask: Mask, covariance: Array, source: str) -> NoisePart:
+    """A noise part that affects only the data of a mask (n,), with this covariance."""
+    whole = np.zeros((len(mask), len(mask)))
+    whole[np.ix_(mask, mask)] = covariance
     return NoisePart(name, whole, source)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from limbcli.case import StatedNoise
-from limbcli.diagnostics.model.forward_model import Data
+from limbcli.diagnostics.model.forward_model import Data, Mask
 from limbcli.diagnostics.model.noise import Noise, common
 from limbcli.effects.curves import Curves, depth_at, force_at
 from limbcli.effects.reading import Protocol, Reading, Readout, borne_at_zero, read, relaxed, true_depth
@@ -32,7 +31,8 @@ from limbcli.stages.diagnosis.data.noise import (
 )
 from limbcli.stages.diagnosis.data.rows import (
     ExtraMeasurement,
-    Row,
+    Rows,
+    Stacked,
     extra_noise,
     extra_rows,
     force_rows,
@@ -51,12 +51,20 @@ USUAL_THICKNESS = 25.0  # mm, assumed tissue thickness where the beam meets no b
 _STRAIN_STEP = 0.01  # relative step of the derivative with respect to all strains
 _DEPTH_OUTLIER_SD = 4.0  # largest error of a depth reading that is corrected, in its standard deviations
 _LEAST_N = 0.2  # N, smallest force from which a depth is determined
+# Channels that a measurement may have, as they are called where a misfit is localised.
+_CHANNELS = {
+    "force": "force", "swe": "mean speed", "map": "speed maps", "travel": "probe travel",
+    "skin-bone": "skin-bone distance", "layer": "layers", "hold": "force decay in holds",
+}  # fmt: skip
+_BY_LEVELS = ("force", "swe", "map")  # channels that are divided into thirds, and held out as blocks
 
 
 @dataclass(frozen=True, eq=False)
 class SiteData:
     """The data of one site, and the layout of a prediction for them.
 
+    channels, missing : measured, and not measured; slope (n,) : change of each datum with depth
+    depth_error : mm, standard deviation of a depth reading
     travel_from : reference level of the probe's travel
     strain_deviation : relative standard deviation of all strains, the noise part `STRAIN`
     bone_as_shown : the models' bone was placed where the image showed it, so that a wrong speed of sound
@@ -65,17 +73,17 @@ class SiteData:
 
     name: str
     protocol: Protocol
-    rows: tuple[Row, ...]
+    rows: Rows
     data: Data
-    channels: tuple[str, ...] = ()
-    missing: tuple[str, ...] = field(default=())
-    held: HeldForces | None = None
-    extras: tuple[ExtraMeasurement, ...] = ()
-    slope: Array = field(default_factory=lambda: np.zeros(0))
-    depth_error: float = 0.0
-    travel_from: int = 0
-    strain_deviation: float = 0.0
-    bone_as_shown: bool = False
+    channels: tuple[str, ...]
+    missing: tuple[str, ...]
+    held: HeldForces | None
+    extras: tuple[ExtraMeasurement, ...]
+    slope: Array
+    depth_error: float
+    travel_from: int
+    strain_deviation: float
+    bone_as_shown: bool
 
     def with_share(self, name: str, share: float) -> SiteData:
         """The data with the noise part `name` scaled to this fraction of its assumed size."""
@@ -89,9 +97,8 @@ class SiteData:
         would be found by that difference.
         """
         part = next((each for each in self.data.noise.parts if each.name == STRAIN), None)
-        pressed = self.protocol.depth[self._levels] if len(self.slope) else np.zeros(len(self.rows))
-        is_travel = np.array([row.channel == "travel" for row in self.rows])
-        first = np.where(is_travel, 0.0, self.slope * pressed) if len(self.slope) else pressed
+        by_depth = self.slope * self.protocol.depth[self._levels]
+        first = np.where(self.rows.among("travel"), 0.0, by_depth)
         if part is None or not first.any():
             return self
         more, less = (
@@ -115,15 +122,12 @@ class SiteData:
         """
         further = self._further(curves, reading)
         moved = replace(self.protocol, depth=self.protocol.depth + further)
-        maps_apart = len(self.slope) > 0 and "map" in self._places
-        speeds = not maps_apart or "swe" in self._places or bool(reading.after)
+        speeds = "map" not in self._places or bool(reading.after)  # those of maps are read below
         out = self._laid_out(read(curves, moved, reading, with_speeds=speeds), curves, reading)
-        if not len(self.slope):
-            return out
         out = out - self.slope * further[self._levels]
         if "travel" in self._places:
             out[self._places["travel"][0]] += further[self.travel_from]
-        if maps_apart:
+        if "map" in self._places:
             places, levels, parts = self._places["map"]
             smoothed = replace(self.protocol, depth=self.protocol.depth + self._to_smooth)
             out[places] = read(curves, smoothed, reading).log_speed[levels, parts]
@@ -153,8 +157,7 @@ class SiteData:
     @cached_property
     def _levels(self) -> IntArray:
         """Level of every datum (n,); 0 for data without a level, whose slope is 0."""
-        levels = np.array([row.level for row in self.rows])
-        return np.where(levels < len(self.protocol), levels, 0)
+        return np.where(self.rows.level < len(self.protocol), self.rows.level, 0)
 
     def _further(self, curves: Curves, reading: Reading) -> Array:
         """Distance (n_levels,) in mm from the depth read to that at which the model has the measured force.
@@ -162,7 +165,7 @@ class SiteData:
         Limited to `_DEPTH_OUTLIER_SD` standard deviations of the depth.
         """
         found = np.zeros(len(self.protocol))
-        if not len(self.slope) or self.depth_error <= 0:
+        if self.depth_error <= 0:
             return found
         depth = true_depth(curves, self.protocol.depth, reading)
         elastic = force_at(curves, depth)
@@ -198,19 +201,14 @@ class SiteData:
     @cached_property
     def _places(self) -> dict[str, tuple[IntArray, IntArray, IntArray]]:
         """For each channel: the indices of its data, and their levels and parts."""
-        found = {}
-        for channel in dict.fromkeys(row.channel for row in self.rows):
-            places = [n for n, row in enumerate(self.rows) if row.channel == channel]
-            at = [(n, self.rows[n].level, self.rows[n].part) for n in places]
-            k, level, part = np.array(at, dtype=np.int64).T
-            found[channel] = (k, level, part)
-        return found
+        places = {name: np.flatnonzero(self.rows.among(name)) for name in self.rows.channels()}
+        return {name: (k, self.rows.level[k], self.rows.part[k]) for name, k in places.items()}
 
 
 def site_data(
-    name: str, levels: Levels, noise: StatedNoise, *, windows: Windows, maps: list[SweMap] | None = None,
+    name: str, levels: Levels, noise: StatedNoise, *, windows: Windows, maps: Sequence[SweMap] | None = None,
     model_error: Sequence[ModelError] = (), held: HeldForces | None = None,
-    extras: Sequence[ExtraMeasurement] = (), usable: NDArray[np.bool_] | None = None,
+    extras: Sequence[ExtraMeasurement] = (), usable: Mask | None = None,
     thickness: float = USUAL_THICKNESS, map_share: float = 1.0,
     map_slopes: Array | None = None, layers: LayerReadings | None = None, bone_as_shown: bool = False,
 ) -> SiteData:  # fmt: skip
@@ -224,58 +222,34 @@ def site_data(
     """
     keep = np.asarray(np.flatnonzero(np.isfinite(levels.force) & np.isfinite(levels.depth)), dtype=np.int64)
     protocol = readings(levels)
-    rows, y, own = force_rows(protocol, noise)
-    for more in (
-        speed_rows(levels, keep, noise, windows, maps, usable),
-        travel_rows(levels, keep),
-        thickness_rows(levels, keep),
-        layer_rows(layers, keep),
-        hold_rows(held),
-        extra_rows(extras),
-    ):
-        rows, y, own = rows + more[0], y + more[1], own + more[2]
-    place = SmoothDepth.through(protocol).place(protocol.force)
-    of_layers = layer_slopes(layers, protocol, place, rows, np.array(y))
-    slope = depth_slopes(protocol, tuple(rows), np.array(y), map_slopes) + of_layers
-    parts = noise_parts(
-        protocol, tuple(rows), np.array(y), np.array(own), noise, keep, model_error,
-        None if maps is None else map_noise(windows, maps, noise, _depth(protocol) / thickness),
-        map_share, map_slopes, of_layers,
-    )  # fmt: skip
-    parts += layer_noise(layers, protocol, rows, np.array(y), noise.source)
-    parts += hold_noise(held, rows, noise.source) + extra_noise(extras, rows)
-    parts += travel_noise(protocol, rows, travel_zero(levels, keep), noise)
-    channel = tuple(row.channel for row in rows)
-    order = np.array([float(row.level) for row in rows])
-    series = tuple(f"{row.channel} {row.part}" if row.part >= 0 else row.channel for row in rows)
+    smooth, zero = SmoothDepth.through(protocol), travel_zero(levels, keep)
+    stacked = Stacked.together([
+        force_rows(protocol, noise), speed_rows(levels, keep, noise, windows, maps, usable),
+        travel_rows(levels, keep), thickness_rows(levels, keep), layer_rows(layers, keep), hold_rows(held),
+        *extra_rows(extras),
+    ])  # fmt: skip
+    rows, y = stacked.rows, stacked.y
+    slope = depth_slopes(protocol, rows, y, map_slopes)
+    slope = slope + layer_slopes(layers, protocol, smooth.place(protocol.force), rows, y)
+    of_maps = None if maps is None else map_noise(windows, maps, noise, smooth.at(protocol.force) / thickness)
+    parts = [
+        *noise_parts(protocol, rows, y, stacked.own, slope, noise, keep, model_error, of_maps, map_share),
+        *layer_noise(layers, protocol, rows, y, noise.source), *hold_noise(held, rows, noise.source),
+        *extra_noise(extras, rows), *travel_noise(protocol, rows, zero, noise),
+    ]  # fmt: skip
     data = Data(
-        np.array(y), channel, order, Noise(tuple(parts)), _groups(rows, protocol, windows), _blocks(rows),
-        series, _place(rows, windows),
+        y, tuple(rows.channel.tolist()), rows.level.astype(float), Noise(tuple(parts)),
+        _groups(rows, protocol, windows), _blocks(rows),
+        tuple(f"{row.channel} {row.part}" if row.part >= 0 else row.channel for row in rows),
+        _place(rows, windows),
     )  # fmt: skip
-    present = tuple(dict.fromkeys(channel))
-    extra = ("swe",) if "map" in present else ()
-    channels = (*present, *extra)
-    wanted = ("force", "swe", "map", "travel", "skin-bone", "layer", "hold")
+    channels = (*rows.channels(), *(("swe",) if "map" in rows.channels() else ()))
     return SiteData(
-        name,
-        protocol,
-        tuple(rows),
-        data,
-        channels,
-        tuple(c for c in wanted if c not in channels),
-        held,
-        tuple(extras),
-        slope,
-        noise.depth,
-        travel_zero(levels, keep),
-        next((each.strain for each in model_error if each.name == STRAIN), 0.0),
-        bone_as_shown,
-    )
-
-
-def _depth(protocol: Protocol) -> Array:
-    """Depth (n_levels,) in mm of a smooth curve through the readings."""
-    return SmoothDepth.through(protocol).at(protocol.force)
+        name, protocol, rows, data, channels, tuple(each for each in _CHANNELS if each not in channels),
+        held=held, extras=tuple(extras), slope=slope, depth_error=noise.depth, travel_from=zero,
+        strain_deviation=next((each.strain for each in model_error if each.name == STRAIN), 0.0),
+        bone_as_shown=bone_as_shown,
+    )  # fmt: skip
 
 
 def map_noise(windows: Windows, maps: Sequence[SweMap], noise: StatedNoise, strain: Array) -> MapNoise:
@@ -288,46 +262,35 @@ def map_noise(windows: Windows, maps: Sequence[SweMap], noise: StatedNoise, stra
     return MapNoise(windows.middles, size, (pitch[0], pitch[1]), pixel, strain)
 
 
-def _groups(rows: list[Row], protocol: Protocol, windows: Windows) -> dict[str, np.ndarray]:
+def _groups(rows: Rows, protocol: Protocol, windows: Windows) -> dict[str, Mask]:
     """Groups for localisation: channels, thirds of the levels by channel, unloading, regions of the map."""
-    groups: dict[str, np.ndarray] = {}
-    names = {"force": "force", "swe": "mean speed", "map": "speed maps", "travel": "probe travel",
-             "skin-bone": "skin-bone distance", "layer": "layers",
-             "hold": "force decay in holds"}  # fmt: skip
-    level = np.array([row.level for row in rows])
-    for channel in dict.fromkeys(row.channel for row in rows):
-        mask = np.array([row.channel == channel for row in rows])
-        groups[names.get(channel, channel)] = mask
-        if channel in ("force", "swe", "map"):
+    groups: dict[str, Mask] = {}
+    for channel in rows.channels():
+        name = _CHANNELS.get(channel, channel)
+        mask = groups[name] = rows.among(channel)
+        if channel in _BY_LEVELS:
+            third = rows.level * 3 // max(len(protocol), 1)
             for k, label in enumerate(("first", "middle", "last")):
-                third = (level * 3 // max(len(protocol), 1)) == k
-                groups[f"{names[channel]}, {label} third of the levels"] = mask & third
+                groups[f"{name}, {label} third of the levels"] = mask & (third == k)
     if any(protocol.unloading):
-        back = np.array([row.channel == "force" and protocol.unloading[row.level] for row in rows])
-        groups["force, unloading"] = back
-    regions = windows.names()
-    for label in dict.fromkeys(regions[1:]):
-        mask = np.array([row.channel == "map" and regions[row.part] == label for row in rows])
+        level = np.minimum(rows.level, len(protocol) - 1)
+        groups["force, unloading"] = rows.among("force") & np.array(protocol.unloading)[level]
+    regions, mapped = np.array(windows.names()), rows.among("map")
+    for label in dict.fromkeys(regions[1:].tolist()):
+        mask = mapped & (regions[np.where(mapped, rows.part, 0)] == label)
         if mask.any():
             groups[f"speed maps, {label}"] = mask
     return groups
 
 
-def _place(rows: Sequence[Row], windows: Windows) -> Array:
+def _place(rows: Rows, windows: Windows) -> Array:
     """Position (n, 2) in mm of each datum's part of a map; NaN for other data."""
-    found = np.full((len(rows), 2), np.nan)
-    for k, row in enumerate(rows):
-        if row.channel == "map":
-            found[k] = windows.middles[row.part - 1]
+    found, mapped = np.full((len(rows), 2), np.nan), rows.among("map")
+    found[mapped] = windows.middles[rows.part[mapped] - 1]
     return found
 
 
-def _blocks(rows: list[Row]) -> dict[str, np.ndarray]:
-    level = np.array([row.level for row in rows])
-    blocks = {f"levels {k + 1}, {k + 4}, ...": level % 3 == k for k in range(3)}
-    channels = list(dict.fromkeys(row.channel for row in rows))
-    if len(channels) > 1:
-        for channel in channels:
-            if channel in ("swe", "map", "force"):
-                blocks[f"channel {channel}"] = np.array([row.channel == channel for row in rows])
-    return blocks
+def _blocks(rows: Rows) -> dict[str, Mask]:
+    blocks = {f"levels {k + 1}, {k + 4}, ...": rows.level % 3 == k for k in range(3)}
+    several = [channel for channel in rows.channels() if len(rows.channels()) > 1]
+    return blocks | {f"channel {each}": rows.among(each) for each in several if each in _BY_LEVELS}

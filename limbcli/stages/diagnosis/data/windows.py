@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -27,10 +28,8 @@ _ROUNDED = 1e-6  # rounding tolerance of positions, in parts or pixels
 _SUBDIVIDED = 2  # subdivisions of each side of a part for the sampling points of a model
 # Each point is blurred by the scanner's smoothing in x and z, and averaged over the slice thickness in y.
 _BLUR, _BLUR_WEIGHT = (-(3.0**0.5), 0.0, 3.0**0.5), (1 / 6, 2 / 3, 1 / 6)  # in std. deviations: Gauss-Hermite
-_SLICE, _SLICE_WEIGHT = (
-    (-(0.6**0.5), 0.0, 0.6**0.5),
-    (5 / 18, 8 / 18, 5 / 18),
-)  # in half slices: Gauss-Legendre
+# The same over the slice, in half slices: Gauss-Legendre.
+_SLICE, _SLICE_WEIGHT = (-(0.6**0.5), 0.0, 0.6**0.5), (5 / 18, 8 / 18, 5 / 18)
 
 
 @dataclass(frozen=True)
@@ -135,13 +134,8 @@ class Windows:
     def _blur(self) -> tuple[Array, Array]:
         """Offsets (27, 3) in mm and weights (27,) of the quadrature points that one pixel averages."""
         sigma = self.smoothing / 2.355
-        offsets, weights = [], []
-        for a, wa in zip(_BLUR, _BLUR_WEIGHT, strict=True):
-            for b, wb in zip(_SLICE, _SLICE_WEIGHT, strict=True):
-                for c, wc in zip(_BLUR, _BLUR_WEIGHT, strict=True):
-                    offsets.append((a * sigma, b * self.elevation, c * sigma))
-                    weights.append(wa * wb * wc)
-        return np.array(offsets), np.array(weights)
+        offsets = np.array(list(product(_BLUR, _SLICE, _BLUR))) * (sigma, self.elevation, sigma)
+        return offsets, np.prod(list(product(_BLUR_WEIGHT, _SLICE_WEIGHT, _BLUR_WEIGHT)), axis=1)
 
     def log_means_of(self, speed_m_per_s: Array) -> Array:
         """ln of the mean speed of the whole and of every part (1 + n_parts,), from speeds at `pixels`."""

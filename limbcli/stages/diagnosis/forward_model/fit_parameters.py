@@ -13,11 +13,15 @@ _ROOMY = 1.5  # standard deviation of the prior of a size, in plausible sizes
 
 @dataclass(frozen=True)
 class Slot:
-    """A parameter of an explanation: its name in the fit, and the site it applies to (None: all)."""
+    """A parameter of an explanation: its name in the fit, and the site it applies to (None: all).
+
+    each_time : its size differs between measurements
+    """
 
     name: str
     parameter: Parameter
     site: int | None = None
+    each_time: bool = False
 
     @property
     def prior(self) -> Prior:

@@ -97,11 +97,8 @@ class Fits:
                 max_nfev=n_most,
             )  # fmt: skip
 
-        guesses = [
-            *besides,
-            *self._ends_of_parts(explanation, points),
-            *self._starts(explanation, points, start),
-        ]
+        known = self._ends_of_parts(explanation, points)
+        guesses = [*besides, *known, *self._starts(explanation, points, start)]
         seeds = [x for x in guesses if off.has_answer(np.clip(x, low + 1e-6, high - 1e-6))]
         if not seeds:
             raise off.problems[0]
@@ -124,14 +121,14 @@ class Fits:
     def fitted(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Fitted:
         """The fit at these parameters: ln c, ln m, and the effects'."""
         predict = self.predictions
-        slots = predict.slots(explanation)
+        slots, sizes = predict.slots(explanation), x[2:].tolist()
         values = {"c_kpa": float(kpa_from_mpa(float(np.exp(x[0])))), "m": float(np.exp(x[1]))}
-        values |= dict(zip([s.name for s in slots], x[2:].tolist(), strict=True))
+        values |= {slot.name: size for slot, size in zip(slots, sizes, strict=True)}
         values |= {k: float(v) for point in points for k, v in point.items()}
         return Fitted(
             explanation, predict.predict(x, explanation, points), predict.jacobian(x, explanation, points),
             ("c", "m"), values, tuple(s.name for s in slots),
-            at_bound=tuple(m for s, v in zip(slots, x[2:].tolist(), strict=True) if (m := s.on_bound(v))),
+            at_bound=tuple(m for s, v in zip(slots, sizes, strict=True) if (m := s.on_bound(v))),
             points={"grid": label(points)}, without=self._without_approximate(x, explanation, points),
             priors=Priors.about(x, predict.priors(explanation)),
         )  # fmt: skip

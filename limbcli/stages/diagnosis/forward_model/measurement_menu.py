@@ -127,7 +127,7 @@ def menu(
 
 def _there(site: SiteData) -> set[str]:
     """Channels that need no further measurement; mean speeds only if at least half of the levels have one."""
-    n_speeds = sum(row.channel == "swe" for row in site.rows)
+    n_speeds = site.rows.among("swe").sum()
     in_part = "map" not in site.channels and 2 * n_speeds < len(site.protocol)
     return set(site.channels) - ({"swe"} if in_part else set())
 
@@ -202,21 +202,15 @@ def _proposal(predictions: Predictions, fits: Sequence[Fitted], item: Item) -> P
 
 def _seen(predictions: Predictions, fitted: Fitted, where: SiteCurves, see: See) -> tuple[Array, Array]:
     """Prediction of the proposed measurement at a fit, and its Jacobian with the columns of the fit's."""
-    points = predictions.points(fitted)
-    x = [np.log(fitted.values["c_kpa"] / 1e3), np.log(fitted.values["m"])]
-    x += [fitted.values[name] for name in fitted.effect_names]
+    points, center = predictions.points(fitted), predictions.x_of(fitted)
 
-    def at(values: Array) -> Array:
-        theta = predictions.theta(
-            dict(zip(fitted.effect_names, values[2:].tolist(), strict=True)), fitted.explanation, 0
-        )
-        c, m = float(np.exp(values[0])), float(np.exp(values[1]))
-        curves = where.curves(c, m, fitted.explanation, theta, points)
-        return see(curves, where.reading(c, fitted.explanation, theta, points), where.site.protocol)
+    def at(x: Array) -> Array:
+        values = dict(zip(fitted.effect_names, x[2:].tolist(), strict=True))
+        theta, (c, m) = predictions.theta(values, fitted.explanation, 0), np.exp(x[:2]).tolist()
+        return see(*where.read(c, m, fitted.explanation, theta, points), where.site.protocol)
 
-    center = np.array(x)
     columns = []
-    for k in [0, *([1] if "m" in fitted.base_names else []), *range(2, len(x))]:
+    for k in range(len(center)):
         step = 1e-3 * max(abs(center[k]), 0.1)
         up, down = center.copy(), center.copy()
         up[k] += step
@@ -244,8 +238,7 @@ def _rotated(
         value, jacobian = _turned(predictions, fitted, other)
         first = jacobian.shape[1] - len(fitted.effect_names)
         for k, slot in enumerate(predictions.slots(fitted.explanation)):
-            effect = next(e for e in predictions.effects.values() if slot.parameter in e.parameters)
-            if effect.each_time:  # its size differs in every measurement and is unknown in the next
+            if slot.each_time:  # its size differs in every measurement and is unknown in the next
                 size = slot.parameter.typical - slot.parameter.null
                 unknown += np.outer(jacobian[:, first + k], jacobian[:, first + k]) * size**2
                 jacobian[:, first + k] = 0.0
@@ -258,10 +251,7 @@ def _rotated(
 def _turned(predictions: Predictions, fitted: Fitted, turned: SiteCurves) -> tuple[Array, Array]:
     """Prediction of the turned measurement by a fit, without effects whose size differs in every
     measurement."""
-    values = dict(fitted.values)
-    for slot in predictions.slots(fitted.explanation):
-        effect = next(e for e in predictions.effects.values() if slot.parameter in e.parameters)
-        if effect.each_time:
-            values[slot.name] = slot.parameter.null
-    absent = replace(fitted, values=values)
+    slots = predictions.slots(fitted.explanation)
+    null = {slot.name: slot.parameter.null for slot in slots if slot.each_time}
+    absent = replace(fitted, values={**fitted.values, **null})
     return _seen(predictions, absent, turned, lambda c, r, p: turned.site.predict(c, r))

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from limbcli.diagnostics.conclusions.estimates import LN_M_DEVIATION, USUAL_M
-from limbcli.diagnostics.model.forward_model import Data, Explanation, Fitted
+from limbcli.diagnostics.model.forward_model import Explanation, Fitted
 from limbcli.diagnostics.model.linear import Whitener
 from limbcli.diagnostics.model.priors import Prior
 from limbcli.effects.base import Effect, Theta
@@ -42,7 +42,7 @@ class Predictions:
     """Predictions for sites that share the tissue and the candidate effects, their data, and the priors of
     what is fitted.
 
-    whiten : of the data's noise, as fits weight it
+    data : of all sites; whiten : of their noise, as fits weight it
     """
 
     def __init__(self, sites: Sequence[SiteCurves]):
@@ -51,12 +51,7 @@ class Predictions:
         self.effects: dict[str, Effect] = {
             name: each.measured_by(channels) for name, each in sites[0].effects.items()
         }
-        self._data = joined([each.site for each in sites])
-        self.whiten = Whitener.of(self._data.noise.covariance)
-
-    @property
-    def data(self) -> Data:
-        return self._data
+        self._join()
 
     def allow_for(self, name: str, share: float) -> None:
         """Scale the noise part `name` to this fraction of its assumed size, at every site."""
@@ -71,8 +66,8 @@ class Predictions:
         self._join()
 
     def _join(self) -> None:
-        self._data = joined([each.site for each in self.sites])
-        self.whiten = Whitener.of(self._data.noise.covariance)
+        self.data = joined([each.site for each in self.sites])
+        self.whiten = Whitener.of(self.data.noise.covariance)
 
     @property
     def site(self) -> SiteData:
@@ -90,9 +85,9 @@ class Predictions:
             effect = self.effects[name]
             for p in effect.parameters:
                 if effect.each_time and len(self.sites) > 1:
-                    found += [Slot(f"{p.name}@{s.site.name}", p, k) for k, s in enumerate(self.sites)]
+                    found += [Slot(f"{p.name}@{s.site.name}", p, k, True) for k, s in enumerate(self.sites)]
                 else:
-                    found.append(Slot(p.name, p))
+                    found.append(Slot(p.name, p, each_time=effect.each_time))
         return found
 
     def theta(self, values: Mapping[str, float], explanation: Explanation, site: int) -> dict[str, float]:
@@ -138,23 +133,14 @@ class Predictions:
 
     def curves_of(self, fitted: Fitted, site: int = 0) -> tuple[Curves, Reading]:
         """The fitted curves of a site, and the reading model applied to them."""
-        points = self.points(fitted)
         theta = self.theta(fitted.values, fitted.explanation, site)
         c, m = fitted.values["c_kpa"] / 1e3, fitted.values["m"]
-        one = self.sites[site]
-        return (
-            one.curves(c, m, fitted.explanation, theta, points),
-            one.reading(c, fitted.explanation, theta, points),
-        )
+        return self.sites[site].read(c, m, fitted.explanation, theta, self.points(fitted))
 
     def jacobian(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
-        parameters = [slot.parameter for slot in self.slots(explanation)]
-        sizes = [1.0, 1.0, *(p.step for p in parameters)]
-        columns = []
-        for k, size in enumerate(sizes):
-            step = np.zeros(len(x))
-            step[k] = _DIFFERENCE * size
-            columns.append(self._slope(x, step, explanation, points) / (_DIFFERENCE * size))
+        sizes = [1.0, 1.0, *(slot.parameter.step for slot in self.slots(explanation))]
+        steps = np.diag(_DIFFERENCE * np.array(sizes))
+        columns = [self._slope(x, step, explanation, points) / step[k] for k, step in enumerate(steps)]
         return np.stack(columns, axis=1)
 
     def _slope(self, x: Array, step: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:

@@ -177,8 +177,7 @@ class SiteForwardModel:
             except SolveError as error:  # other points may have a solution
                 problem = error
                 continue
-            signs = tuple(slot.parameter.sign for slot in slots)
-            names = tuple(slot.name for slot in slots)
+            signs, names = zip(*((slot.parameter.sign, slot.name) for slot in slots), strict=True)
             found.append(
                 Direction(np.stack(columns, axis=1), signs, point_name(point), names, effect.free(point))
             )
@@ -199,11 +198,9 @@ class SiteForwardModel:
         explanation = (*old, effect.name)
         slots = predict.slots(explanation)
         values = {s.name: s.parameter.null for s in slots} | effect.free(point) | dict(fitted.values)
-        x = [np.log(fitted.values["c_kpa"] / 1e3), np.log(fitted.values["m"])]
-        x += [values[s.name] for s in slots]
-        k = 2 + [s.name for s in slots].index(slot.name)
+        up = predict.x_of(replace(fitted, explanation=explanation, values=values))
+        down, k = up.copy(), 2 + slots.index(slot)
         step = p.looked_at * (p.start - p.null)
-        up, down = np.array(x), np.array(x)
         up[k] += step
         if not p.sign:
             down[k] -= step

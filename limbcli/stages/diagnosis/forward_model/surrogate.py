@@ -18,10 +18,10 @@ from limbcli.diagnostics.model.forward_model import Explanation
 from limbcli.effects.base import Effect, Theta, point_name
 from limbcli.effects.curves import Curves, gaps_filled, without_gaps
 from limbcli.effects.reading import Reading
-from limbcli.errors import LimbError, SolveError
+from limbcli.errors import LimbError
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
-from limbcli.stages.diagnosis.curves.exponents import bend
+from limbcli.stages.diagnosis.curves.exponents import bend, where_solved
 from limbcli.stages.diagnosis.data.site_data import SiteData
 from limbcli.stages.diagnosis.forward_model.changes import Changes, CurveSource, logs, without_spikes
 from limbcli.stages.diagnosis.mesh_error.mesh_correction import MeshCorrection
@@ -31,9 +31,8 @@ _OF_LEVELS = ("force", "swe", "map", "travel", "layer")
 _NONE: Mapping[str, LimbError] = {}
 _NEAR = 5  # number of solved values of m used in the interpolation
 _ON = 0.25  # range of polynomial extrapolation in m, as a fraction of the span of solved values
-_MOST_CHANGE = (
-    10.0  # largest change of ln force and ln speed by effects: larger trial values in a fit would overflow
-)
+# Largest change of ln force and ln speed by effects: larger trial values in a fit would overflow.
+_MOST_CHANGE = 10.0
 _OF_NO_EFFECT = 0.1  # size, in units of the start value, below which a correction is not due to the effect
 _FAR_IN_M = 0.3  # distance in ln m that counts as much as an effect's start value
 _SAME = 1e-9  # squared distance below which two models are the same
@@ -99,15 +98,8 @@ class SiteCurves:
         correction: MeshCorrection | None = None, penetration: Penetration | None = None,
         refused: Mapping[str, LimbError] = _NONE, progress: Progress = SILENT,
     ):  # fmt: skip
-        self.refused = refused
-        self.site, self.simulations, self.effects, self.correction, self.progress = (
-            site,
-            simulations,
-            effects,
-            correction,
-            progress,
-        )
-        self.penetration = penetration
+        self.site, self.simulations, self.effects, self.refused = site, simulations, effects, refused
+        self.correction, self.penetration = correction, penetration
         self.changes = Changes(simulations, progress=progress)
         self.nodes: dict[float, Curves] = {}
         self._last_base: tuple[tuple[float, int], tuple[Array, Array, Curves]] | None = None
@@ -121,22 +113,16 @@ class SiteCurves:
         SolveError
             If none can be solved.
         """
-        problem = None
         for m in sorted(values, reverse=True):
-            try:
-                self.nodes[m] = self.simulations.curves(m)
-            except SolveError as error:
-                problem = error
-        if not self.nodes and problem is not None:
-            raise problem
+            self.solve_node(m)
+        if not self.nodes:
+            self.simulations.curves(min(values))  # raises
 
     def solve_node(self, m: float) -> bool:
         """Solve at one further m; returns whether this succeeded."""
-        try:
-            self.nodes[m] = self.simulations.curves(m)
-        except SolveError:
-            return False
-        return True
+        found = where_solved(self.simulations.curves, (m,))
+        self.nodes |= found
+        return m in found
 
     @property
     def thickness(self) -> float:
@@ -152,8 +138,7 @@ class SiteCurves:
         self, c: float, m: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]
     ) -> Array:
         """Prediction of this site's data (n,)."""
-        curves = self.curves(c, m, explanation, theta, points)
-        found = self.site.predict(curves, self.reading(c, explanation, theta, points))
+        found = self.site.predict(*self.read(c, m, explanation, theta, points))
         for k, (name, point) in enumerate(zip(explanation, points, strict=True)):
             share = point.get(self.effects[name].onset, 0.0)
             if share > 0.0:
@@ -165,7 +150,7 @@ class SiteCurves:
     def _before(self, share: float) -> NDArray[np.bool_]:
         """Mask (n,) of data at levels before this fraction of all levels."""
         first = share * len(self.site.protocol)
-        return np.array([row.channel in _OF_LEVELS and row.level < first for row in self.site.rows])
+        return np.asarray(self.site.rows.among(*_OF_LEVELS) & (self.site.rows.level < first))
 
     def curves(
         self, c: float, m: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]
@@ -190,6 +175,12 @@ class SiteCurves:
         log_speed = log_speed + 0.5 * np.log(times)
         found = Curves(depth, force * times, log_speed, plain.window_depth, thickness, others["log_line"])
         return found if self.penetration is None else self.penetration.without(found, force)
+
+    def read(
+        self, c: float, m: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]
+    ) -> tuple[Curves, Reading]:
+        """The curves, and the reading model applied to them."""
+        return self.curves(c, m, explanation, theta, points), self.reading(c, explanation, theta, points)
 
     def reading(self, c: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]) -> Reading:
         reading = Reading(c=c)

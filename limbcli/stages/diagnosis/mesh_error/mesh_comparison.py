@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from limbcli.case import Site
 from limbcli.effects.curves import Curves, gaps_filled
-from limbcli.errors import LimbError, SolveError
+from limbcli.errors import LimbError
 from limbcli.model import Array
 from limbcli.model_io import load_model
 from limbcli.progress import Progress
@@ -38,18 +38,21 @@ class ResultNotes(Protocol):
     warnings: list[str]
 
 
+@dataclass(frozen=True)
 class MeshComparison:
     """Comparison of one site's working mesh, with edges of `size` mm, with the site's own mesh.
 
     depth : mm, of the levels (n_levels,); several : values of m to compare, the likely one first
     """
 
-    def __init__(
-        self, site: Site, depth: Array, simulations: SiteSimulations, *, out: Path, size: float,
-        several: Sequence[float], notes: ResultNotes, progress: Progress,
-    ):  # fmt: skip
-        self.site, self.depth, self.simulations, self.out = site, depth, simulations, out
-        self.size, self.several, self.notes, self.progress = size, several, notes, progress
+    site: Site
+    depth: Array
+    simulations: SiteSimulations
+    out: Path
+    size: float
+    several: Sequence[float]
+    notes: ResultNotes
+    progress: Progress
 
     def correction(
         self, *, solves: bool = True, freed: Mapping[float, Curves], held: Mapping[float, Curves]
@@ -75,11 +78,11 @@ class MeshComparison:
             return found
         known = np.array(sorted(changed))
         nearest = [float(known[np.abs(bend(known) - bend(m)).argmin()]) for m in found.m]
-        changes = {m: self._change(m, changed[m]) for m in nearest}
+        changes = [change_of(self.simulations.curves(m), changed[m]) for m in nearest]
+        force, speed = (np.array(each) for each in zip(*changes, strict=True))
         return replace(
-            found, log_force=found.log_force + position * np.array([changes[m][0] for m in nearest]),
-            log_speed=found.log_speed + position * np.array([changes[m][1] for m in nearest]),
-        )  # fmt: skip
+            found, log_force=found.log_force + position * force, log_speed=found.log_speed + position * speed
+        )
 
     def _usual_correction(self, several: Sequence[float]) -> MeshCorrection:
         """Zero correction with the usual error."""
@@ -89,13 +92,6 @@ class MeshComparison:
             np.array(several), np.array([nothing[:, 0]] * len(several)), np.array([nothing] * len(several)),
             1.0, usual, np.zeros(len(self.depth)), map_share=_UNCORRECTED,
         )  # fmt: skip
-
-    def _change(self, m: float, changed: Curves) -> tuple[Array, Array]:
-        """Change of ln force (n,) and ln speeds (n, n_parts) of the working mesh with this m."""
-        working = self.simulations.curves(m)
-        change = np.zeros(len(working.depth))
-        change[1:] = np.log(np.maximum(changed.force[1:], 1e-9) / np.maximum(working.force[1:], 1e-9))
-        return change, gaps_filled(changed.log_speed - working.log_speed)
 
     def _solved_correction(self) -> MeshCorrection | None:
         """Correction from simulations with these m on the site's own mesh; None, with a warning, if
@@ -114,15 +110,11 @@ class MeshComparison:
                 )
                 return None
             model = load_model(meshed.folder / "model.npz")
-        except LimbError as error:
-            self.notes.warnings.append(f"the working mesh is not corrected to the site's own: {error.what}")
-            return None
-        h = float(meshed.data.get("size_under_probe_mm", _USUAL_EDGE))
-        words = " and ".join(f"m {m:g}" for m in self.several)
-        self.progress.event("note", text=f"{words} on the site's own mesh")
-        try:
+            h = float(meshed.data.get("size_under_probe_mm", _USUAL_EDGE))
+            words = " and ".join(f"m {m:g}" for m in self.several)
+            self.progress.event("note", text=f"{words} on the site's own mesh")
             found = own_curves(model, self.simulations, self.several, size_ratio=h / self.size)
-        except SolveError as error:
+        except LimbError as error:
             self.notes.warnings.append(f"the working mesh is not corrected to the site's own: {error.what}")
             return None
         apart = {m: self._apart(m, own) for m, own in found.items()}
@@ -130,14 +122,15 @@ class MeshComparison:
         own, working = found[likely], self.simulations.curves(likely)
         self.notes.data["working_mesh_force_ratio"] = np.exp(apart[likely][0])
         left = self._left(h)
-        tables = {m: self._onward(own, *apart[m]) for m, own in found.items()}
-        off = np.abs(np.interp(self.depth, working.depth, tables[likely][0]))
-        in_mean = left * np.abs(np.interp(self.depth, working.depth, tables[likely][1][:, 0]))
-        rising = sorted(found)
+        tables = {m: self._onward(found[m], *apart[m]) for m in sorted(found)}
+        off, in_mean = (
+            left * np.abs(np.interp(self.depth, working.depth, each))
+            for each in (tables[likely][0], tables[likely][1][:, 0])
+        )
+        log_force, log_speed = (np.array(each) for each in zip(*tables.values(), strict=True))
         return MeshCorrection(
-            np.array(rising), np.array([tables[m][0] for m in rising]),
-            np.array([tables[m][1] for m in rising]), _ratio(own.thickness, working.thickness),
-            np.maximum(left * off, _LEAST_ERROR), in_mean,
+            np.array(sorted(found)), log_force, log_speed, _ratio(own.thickness, working.thickness),
+            np.maximum(off, _LEAST_ERROR), in_mean,
         )  # fmt: skip
 
     def _apart(self, m: float, own: Curves) -> tuple[Array, Array]:
@@ -167,6 +160,14 @@ def _onward(depth: Array, values: Array, at: Array) -> Array:
         rise = (values[-1] - values[-2]) / (depth[-1] - depth[-2])
         found = found + rise * np.maximum(at - depth[-1], 0.0)
     return np.asarray(found)
+
+
+def change_of(before: Curves, after: Curves) -> tuple[Array, Array]:
+    """Change of ln force (n,), 0 at depth 0, and of ln speeds (n, n_parts), between curves of the same
+    depths."""
+    change = np.zeros(len(before.depth))
+    change[1:] = np.log(np.maximum(after.force[1:], 1e-9) / np.maximum(before.force[1:], 1e-9))
+    return change, gaps_filled(after.log_speed - before.log_speed)
 
 
 def at_depths(depth: Array, curves: Curves, table: Array) -> Array:

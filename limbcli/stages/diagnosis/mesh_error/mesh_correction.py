@@ -10,7 +10,6 @@ way, on three limbs). What the far side rests on (`far_side`) is not known eithe
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,11 +18,11 @@ import numpy as np
 
 from limbcli.case import Site
 from limbcli.effects.curves import Curves
-from limbcli.errors import CaseError, LimbError, SolveError
+from limbcli.errors import CaseError, LimbError
 from limbcli.feb.settings import USUAL_PENALTY
 from limbcli.model import Array, LimbModel
 from limbcli.results import read_result
-from limbcli.stages.diagnosis.curves.exponents import bend
+from limbcli.stages.diagnosis.curves.exponents import bend, where_solved
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.units import mpa_from_kpa
 
@@ -115,11 +114,7 @@ def own_curves(
     own = simulations.on_mesh(meshed, depths, enough=_ENOUGH, penalty=penalty)
     own.work.at_most = _TIMES_USUAL * max(simulations.work.mean, _LEAST_WORK)
     try:
-        found = {several[0]: own.curves(several[0])}
-        for m in several[1:]:
-            with contextlib.suppress(SolveError):
-                found[m] = own.curves(m)
-        return found
+        return {several[0]: own.curves(several[0])} | where_solved(own.curves, several[1:])
     finally:
         own.close()
         simulations.in_part |= {

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.effects.curves import Curves, gaps_filled
-from limbcli.errors import LimbError, SolveError
+from limbcli.errors import LimbError
 from limbcli.model import Array
 from limbcli.results import read_result
-from limbcli.stages.diagnosis.curves.exponents import FIRST_M
+from limbcli.stages.diagnosis.curves.exponents import FIRST_M, where_solved
 from limbcli.stages.diagnosis.data.noise import IN_MEAN, STRAIN, ModelError
 from limbcli.stages.diagnosis.data.site_data import USUAL_THICKNESS
 from limbcli.stages.diagnosis.mesh_error.geometry_gain import assumed_gain
@@ -37,17 +37,15 @@ class ModelErrors:
     """Model errors of one site and its simulations, at the tissue's likely m."""
 
     def __init__(self, numerics: NumericalChecks):
-        self.case, self.site, self.levels, self.simulations = (
-            numerics.case, numerics.site, numerics.levels, numerics.simulations
-        )  # fmt: skip
-        self.out, self.notes, self.depth = numerics.out, numerics.notes, numerics.depth
-        self.likely_m = numerics.likely_m
+        self.numerics = numerics
+        self.windows = numerics.simulations.windows
+        self.curves = numerics.simulations.curves(numerics.likely_m)
 
     def map_slopes(self) -> Array:
         """Derivative (n_levels used, n_parts) of the model's ln speeds with depth at the levels, in 1/mm."""
-        curves = self.simulations.curves(self.likely_m)
-        keep = np.isfinite(self.levels.force) & np.isfinite(self.levels.depth)
-        return at_depths(self.depth[keep], curves, _rise(curves)[:, 1:])
+        levels = self.numerics.levels
+        keep = np.isfinite(levels.force) & np.isfinite(levels.depth)
+        return at_depths(self.numerics.depth[keep], self.curves, _rise(self.curves)[:, 1:])
 
     def parts_seen(self) -> NDArray[np.bool_]:
         """Parts of the region (n_parts,) that the models without effects show at every depth.
@@ -55,10 +53,9 @@ class ModelErrors:
         Others come into view under load at the edges of the face, or lie at bone: the models err more in
         them, also at the depths at which they show them.
         """
-        seen = np.ones(self.simulations.windows.n_parts, dtype=bool)
-        for m in FIRST_M:
-            with contextlib.suppress(SolveError):
-                seen &= np.isfinite(self.simulations.curves(m).log_speed[:, 1:]).all(axis=0)
+        seen = np.ones(self.windows.n_parts, dtype=bool)
+        for curves in where_solved(self.numerics.simulations.curves, FIRST_M).values():
+            seen &= np.isfinite(curves.log_speed[:, 1:]).all(axis=0)
         return seen
 
     def all(self, correction: MeshCorrection, interventions: Sequence[Intervention]) -> list[ModelError]:
@@ -68,64 +65,55 @@ class ModelErrors:
             for each in interventions if each.name != "locking"
         ]  # fmt: skip
         errors += self._geometry()
-        no_force = np.zeros(len(self.levels))
-        no_speed = np.zeros((len(self.levels), len(self.simulations.windows.depths)))
-        return [
-            *errors,
-            ModelError("model: mesh", correction.mesh_error, no_speed, correlation=_ALIKE),
-            *self._mean_speed(correction, no_force),
-        ]
+        errors.append(self._error("model: mesh", force=correction.mesh_error, correlation=_ALIKE))
+        return errors + self._mean_speed(correction)
 
-    def _mean_speed(self, correction: MeshCorrection, no_force: Array) -> list[ModelError]:
+    def _error(
+        self, name: str, *, force: Array | float = 0.0, mean_speed: Array | float = 0.0, **more: Any
+    ) -> ModelError:
+        """An error of ln force and of ln mean speed at the levels, (n_levels,) or the same at all."""
+        log_speed = np.zeros((len(self.numerics.levels), len(self.windows.depths)))
+        log_speed[:, 0] = np.nan_to_num(mean_speed)
+        return ModelError(name, np.zeros(len(log_speed)) + force, log_speed, **more)
+
+    def _mean_speed(self, correction: MeshCorrection) -> list[ModelError]:
         """Errors of mean speeds, if there are no maps: from the mesh, and from the unknown width of the
         region."""
-        if self.site.swe_maps is not None:
+        if self.numerics.site.swe_maps is not None:
             return []
-        curves = self.simulations.curves(self.likely_m)
-        width = np.interp(
-            self.depth, curves.depth, self.simulations.windows.width_uncertainty(curves.log_speed)
-        )
-        strain = IN_MEAN * np.nan_to_num(self.depth) / self.thickness
+        curves, depth = self.curves, self.numerics.depth
+        width = np.interp(depth, curves.depth, self.windows.width_uncertainty(curves.log_speed))
+        mesh = np.hypot(correction.speed_error, IN_MEAN * np.nan_to_num(depth) / self.thickness)
         return [
-            ModelError(
-                "model: mesh, in the mean speed",
-                no_force,
-                self._in_mean(np.hypot(correction.speed_error, strain)),
-            ),
-            ModelError("model: width of the window", no_force, self._in_mean(width)),
+            self._error("model: mesh, in the mean speed", mean_speed=mesh),
+            self._error("model: width of the window", mean_speed=width),
         ]
-
-    def _in_mean(self, deviation: Array) -> Array:
-        table = np.zeros((len(self.levels), len(self.simulations.windows.depths)))
-        table[:, 0] = np.nan_to_num(deviation)
-        return table
 
     @property
     def thickness(self) -> float:
         """Tissue thickness under the probe in mm; a usual value if unknown."""
-        return self.simulations.curves(self.likely_m).thickness if self.has_bone else USUAL_THICKNESS
+        return self.curves.thickness if self.has_bone else USUAL_THICKNESS
 
     @property
     def has_bone(self) -> bool:
         """Whether the beam meets bone in the model."""
-        return self.simulations.curves(self.likely_m).thickness > 0
+        return self.curves.thickness > 0
 
     def _geometry(self) -> list[ModelError]:
         """Errors from the surfaces: of the depth at first touch, of the thickness and thus all strains, and
         of a common factor on the force."""
-        spacing = read_spacing(self.out)
+        numerics = self.numerics
+        spacing = read_spacing(numerics.out)
         touch = _TOUCH_MM if spacing is None else _TOUCH_VOXELS * float(np.prod(spacing)) ** (1 / 3)
-        assumed, warning = assumed_gain(self.case, self.site, self.out)
-        if warning and warning not in self.notes.warnings:
-            self.notes.warnings.append(warning)
+        assumed, warning = assumed_gain(numerics.case, numerics.site, numerics.out)
+        if warning and warning not in numerics.notes.warnings:
+            numerics.notes.warnings.append(warning)
         gain = float(np.hypot(_GAIN, assumed))
         strain = float(np.hypot(touch / self.thickness, _STRAIN))
-        n = len(self.levels)
-        none = np.zeros((n, len(self.simulations.windows.depths)))
         return [
-            ModelError("model: depth at first touch", np.zeros(n), none, depth=touch),
-            ModelError(STRAIN, np.zeros(n), none, strain=strain),
-            ModelError("model: gain of the force by the geometry", np.full(n, gain), none),
+            self._error("model: depth at first touch", depth=touch),
+            self._error(STRAIN, strain=strain),
+            self._error("model: gain of the force by the geometry", force=gain),
         ]
 
 

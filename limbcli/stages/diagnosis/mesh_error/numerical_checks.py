@@ -6,12 +6,10 @@ assumed compressibility, the cut and the contact enter the noise.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -19,25 +17,24 @@ from limbcli.case import Case, Site
 from limbcli.diagnostics import decisions
 from limbcli.effects import Effect, effect
 from limbcli.effects.base import Parameter, Theta
-from limbcli.effects.curves import Curves, depth_at, gaps_filled, log_force_at
+from limbcli.effects.curves import Curves, depth_at, log_force_at
 from limbcli.effects.far_side import FAR_SIDE, far_side
 from limbcli.effects.tissue import core, with_core
 from limbcli.effects.turn import TURN
-from limbcli.errors import LimbError, SolveError
+from limbcli.errors import LimbError
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, LimbModel
 from limbcli.progress import Progress
-from limbcli.stages.diagnosis.curves.exponents import FIRST_M
+from limbcli.stages.diagnosis.curves.exponents import FIRST_M, where_solved
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.data.noise import COMPRESSIBILITY, FEWEST_SMOOTH, SmoothDepth, readings
-from limbcli.stages.diagnosis.mesh_error.mesh_comparison import MeshComparison, ResultNotes, at_depths
-from limbcli.stages.diagnosis.mesh_error.mesh_correction import (
-    F_KAPPA,
-    START_M,
-    MeshCorrection,
-    SiteMeshRun,
-    own_run,
+from limbcli.stages.diagnosis.mesh_error.mesh_comparison import (
+    MeshComparison,
+    ResultNotes,
+    at_depths,
+    change_of,
 )
+from limbcli.stages.diagnosis.mesh_error.mesh_correction import F_KAPPA, START_M, MeshCorrection, own_run
 from limbcli.stages.diagnosis.mesh_error.penetration import LEFT_ERROR, Penetration, penetration
 
 USUAL_C = 0.006  # MPa, reference c; arbitrary, as force and modulus are proportional to it
@@ -109,7 +106,6 @@ class Intervention:
     deviations: float
     note: str = ""
     left: float = 1.0
-    facts: dict[str, Any] = field(default_factory=dict)
 
 
 class NumericalChecks:
@@ -128,25 +124,24 @@ class NumericalChecks:
         """Correction to the site's own mesh, and to a limb that is not cut and rests on something; `solves`:
         by simulations."""
         several = self._compared_at()
-        freed = self._changed_by(effect("crop"), several) if solves else {}
-        held = self._changed_by(FAR_SIDE, several) if solves and self._has_far_side else {}
-        return MeshComparison(
+        changed = {  # failures are reported when tried as interventions
+            each.name: where_solved(partial(self._with, each), several)
+            for each in (self._positions() if solves else ())
+        }
+        comparison = MeshComparison(
             self.site, self.depth, self.simulations, out=self.out, size=self.size, several=several,
             notes=self.notes, progress=self.progress,
-        ).correction(solves=solves, freed=freed, held=held)  # fmt: skip
+        )  # fmt: skip
+        freed, held = (changed.get(name, {}) for name in ("crop", FAR_SIDE.name))
+        return comparison.correction(solves=solves, freed=freed, held=held)
 
-    @property
-    def _has_far_side(self) -> bool:
-        """Whether there is tissue behind the bone (not in a layer on a bench)."""
-        return len(far_side(self.simulations.model)) > 0
+    def _positions(self) -> list[Effect]:
+        """Freeing the cut, and holding the far side if there is tissue behind the bone (not in a layer on a
+        bench)."""
+        return [effect("crop"), *([FAR_SIDE] if len(far_side(self.simulations.model)) else [])]
 
-    def _changed_by(self, numerical: Effect, several: Sequence[float]) -> dict[float, Curves]:
-        """Curves with this numerical effect, by m, where they can be solved."""
-        found = {}
-        for m in several:
-            with contextlib.suppress(SolveError):  # reported when it is tried as an intervention
-                found[m] = self.simulations.curves(m, ((numerical, numerical.start),))
-        return found
+    def _with(self, numerical: Effect, m: float) -> Curves:
+        return self.simulations.curves(m, ((numerical, numerical.start),))
 
     def _compared_at(self) -> list[float]:
         """The values of m to compare, the likely one first; with maps, whose difference between meshes grows
@@ -154,32 +149,16 @@ class NumericalChecks:
         likely = self.likely_m
         if self.site.swe_maps is None:
             return [likely]
-        return [likely, *(m for m in FIRST_M if m != likely and self._is_solved(m))]
-
-    def _is_solved(self, m: float) -> bool:
-        try:
-            self.simulations.curves(m)
-        except SolveError:
-            return False
-        return True
-
-    def _at_levels(self, curves: Curves, table: Array) -> Array:
-        return at_depths(self.depth, curves, table)
-
-    def _own_run(self) -> SiteMeshRun:
-        return own_run(self.site, self.out, c=self.simulations.c)
+        return [likely, *where_solved(self.simulations.curves, [m for m in FIRST_M if m != likely])]
 
     # ------------------------------------------------------------ interventions
 
     def interventions(self) -> list[Intervention]:
         """All numerical checks, made at the likely m, as their effects grow with m."""
         found, m = [], self.likely_m
-        tried = [effect("crop"), effect("contact"), INCOMPRESSIBILITY, effect("thickness")]
-        if self._has_far_side:
-            tried.insert(1, FAR_SIDE)
-        if isinstance(self.site.long_axis, str):
-            tried.append(TURN)
-        for numerical in tried:
+        turn = (TURN,) if isinstance(self.site.long_axis, str) else ()
+        always = (effect("contact"), INCOMPRESSIBILITY, effect("thickness"))
+        for numerical in (*self._positions(), *always, *turn):
             self.progress.event("note", text=f"numerical check: {numerical.name}")
             try:
                 found.append(self._intervene(numerical, m))
@@ -196,7 +175,7 @@ class NumericalChecks:
 
     def _intervene(self, numerical: Effect, m: float) -> Intervention:
         plain_curves = self.simulations.curves(m)
-        changed = self.simulations.curves(m, ((numerical, numerical.start),))
+        changed = self._with(numerical, m)
         judged = self._judged(numerical.name, plain_curves, changed, numerical.sentence)
         if numerical.name == "contact":
             self.penetration = penetration(plain_curves, changed)
@@ -214,7 +193,7 @@ class NumericalChecks:
         """Locking check if the site's own run has linear elements: its force compared with the working
         tet10."""
         try:
-            own = self._own_run()
+            own = own_run(self.site, self.out, c=self.simulations.c)
         except LimbError as error:
             if self.case.model.element == "tet4":
                 self.notes.data.setdefault("numerical_not_evaluated", {})["locking"] = error.what
@@ -234,12 +213,10 @@ class NumericalChecks:
         return [judged]
 
     def _judged(self, name: str, before: Curves, after: Curves, note: str) -> Intervention:
-        change = np.zeros(len(before.depth))
-        change[1:] = np.log(np.maximum(after.force[1:], 1e-9) / np.maximum(before.force[1:], 1e-9))
+        change, speed = change_of(before, after)
         change[0] = change[1]
         at_levels = np.interp(self.depth, before.depth, change)
-        speed = gaps_filled(after.log_speed - before.log_speed)
-        speeds = self._at_levels(before, speed)
+        speeds = at_depths(self.depth, before, speed)
         noise = self.site.noise
         slope = SmoothDepth.through(readings(self.levels)).slope(self.levels.force)
         deviation = np.hypot(noise.force, slope * noise.depth)
@@ -274,11 +251,7 @@ def depth_scatter(simulations: SiteSimulations, levels: Levels) -> dict[float, f
     found: dict[float, float] = {}
     if rising.sum() < 2:
         return found
-    for m in FIRST_M:
-        try:
-            curves = simulations.curves(m)
-        except SolveError:
-            continue
+    for m, curves in where_solved(simulations.curves, FIRST_M).items():
         off = [depth[rising] - depth_at(curves, force[rising] / times) for times in _STIFFNESSES]
         found[m] = min(float(np.mean(each**2)) for each in off)
     return found
