@@ -26,7 +26,6 @@ from limbcli.model import Array, IntArray
 
 # mm: neither curvature nor thin tissue reduces the edge length below this; a smaller requested size still can
 _MIN_SIZE = 1.5
-_NEAR = 20.0  # mm from the face, within which details of bones count
 _CROWDED = 0.1  # fraction of the target length: a shorter edge is an artefact
 # cosine between the normals of two adjacent faces, below which they are folded onto each other
 _FOLDED = -0.9998
@@ -43,8 +42,6 @@ class Sizes:
     bends: float = 2.5  # lower limit of the edge length from curvature
     # lower limit of the edge length from thin tissue, thin bone and clefts, where facets do not meet
     thin: float = 0.0
-    # growth of both lower limits with the distance from the face beyond `_NEAR` (mm per mm)
-    floor_growth: float = 0.0
 
     def __post_init__(self) -> None:
         """Convert integers to float, so that arrays made of them can hold fractions."""
@@ -54,7 +51,7 @@ class Sizes:
     def finer(self, factor: float) -> Sizes:
         return Sizes(
             self.under_probe * factor, self.far * factor, self.growth, self.reach,
-            self.bends * factor, self.thin * factor, self.floor_growth,
+            self.bends * factor, self.thin * factor,
         )  # fmt: skip
 
 
@@ -71,7 +68,8 @@ class SizeField:
     def at(self, points: Array) -> Array:
         """Target edge length (n,), mm, at points (n, 3)."""
         s = self.sizes
-        distance = _from_face(points, self.probe)
+        beside = self.probe.distance_in_plan(points[:, 0], points[:, 1])
+        distance = np.hypot(beside, np.minimum(points[:, 2], 0.0))
         wanted = np.clip(s.under_probe + s.growth * np.maximum(distance - s.reach, 0), s.under_probe, s.far)
         return np.maximum(np.minimum(wanted, self.bend.at(points)), self.least)
 
@@ -79,18 +77,15 @@ class SizeField:
 def size_field(domain: TissueDomain, probe: ProbeShape, sizes: Sizes) -> SizeField:
     """The size field of a domain: thickness and radius of curvature limit the size of the facets."""
     limit = np.full(domain.skin.grid.shape, sizes.far)
-    distance = _from_face(domain.skin.grid.points(), probe)
-    further = sizes.floor_growth * np.maximum(distance - _NEAR, 0.0)
     if domain.bone is not None:
         thickness = np.abs(domain.bone.values) + np.abs(domain.skin.values)
         limit = np.minimum(limit, 1.4 * thickness + 0.3)
         limit = np.minimum(limit, _cleft_limit(domain, sizes.far))
-        limit = np.maximum(limit, np.minimum(sizes.thin + further, sizes.far))
-    sag = _chord_error(distance)
-    least = np.minimum(sizes.bends + further, sizes.far)
+        limit = np.maximum(limit, min(sizes.thin, sizes.far))
+    sag = _chord_error(domain, probe)
     for field in (domain.skin, domain.bone):
         if field is not None:
-            limit = np.minimum(limit, _bend_limit(field, sag, sizes.far, least=least))
+            limit = np.minimum(limit, _bend_limit(field, sag, sizes.far, least=sizes.bends))
     limit[~_within_cuts(domain)] = sizes.far
     bend = Field(domain.skin.grid, _graded(limit, domain.skin.grid.spacing))
     return SizeField(sizes, probe, domain, bend, least=min(_MIN_SIZE, sizes.under_probe))
@@ -105,18 +100,16 @@ def _within_cuts(domain: TissueDomain, *, inside: float = 1.0) -> NDArray[np.boo
     return keep
 
 
-def _from_face(points: Array, probe: ProbeShape) -> Array:
-    """Distance (mm) of points (..., 3) from the probe's face at first touch."""
-    beside = probe.distance_in_plan(points[..., 0], points[..., 1])
-    return np.asarray(np.hypot(beside, np.minimum(points[..., 2], 0.0)))
-
-
-def _chord_error(distance: Array, *, near: float = 0.25, growth: float = 0.03) -> Array:
+def _chord_error(
+    domain: TissueDomain, probe: ProbeShape, *, near: float = 0.25, growth: float = 0.03
+) -> Array:
     """Permitted deviation (mm) of facets from the true surface: small under the probe, larger far away."""
-    return near + growth * distance
+    points = domain.skin.grid.points()
+    beside = probe.distance_in_plan(points[..., 0], points[..., 1])
+    return near + growth * np.hypot(beside, np.minimum(points[..., 2], 0.0))
 
 
-def _bend_limit(field: Field, sag: Array, far: float, *, least: Array) -> Array:
+def _bend_limit(field: Field, sag: Array, far: float, *, least: float) -> Array:
     """Edge length that keeps chords within `sag` of a curved surface: sqrt(8 sag / curvature)."""
     h = field.grid.spacing
     phi = ndimage.gaussian_filter(field.values, 1.5)
@@ -124,7 +117,7 @@ def _bend_limit(field: Field, sag: Array, far: float, *, least: Array) -> Array:
     size = np.sqrt(sum(each**2 for each in gradient)) + 1e-6
     bend = np.abs(sum(np.gradient(g / size, h, axis=k) for k, g in enumerate(gradient)))
     limit = np.where(np.abs(field.values) < 1.5 * h, np.sqrt(8 * sag / np.maximum(bend, 1e-6)), far)
-    return np.clip(limit, least, far)
+    return np.clip(limit, min(least, far), far)
 
 
 def _cleft_limit(domain: TissueDomain, far: float, *, share: float = 4.0) -> Array:

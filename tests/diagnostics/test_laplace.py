@@ -134,19 +134,6 @@ def test_scalable_errors_have_the_size_of_the_largest_evidence(rng, true):
     assert own.covariance == pytest.approx(found.covariance)
 
 
-def test_a_size_is_drawn_to_what_it_is_elsewhere(rng):
-    """What a datum leaves open has the usual size, and is the less probable the farther it is from that."""
-    maps = independent("maps", np.full(N, 1e-3), source="assumed")
-    noise = Noise((independent("own", np.ones(N), source="repeats"), maps))
-    one = fitted_at(rng.standard_normal((N, 1)), np.zeros(1), (Prior(0.0, 3.0),))
-    usual, spread = 0.3, 0.7
-    found = posterior(one, np.zeros(N), noise, [Scalable("maps", 0.1, 1.0, usual, spread)])
-    assert found.shares["maps"] == pytest.approx(usual, rel=0.02)
-    bound = posterior(one, np.zeros(N), noise, [Scalable("maps", 0.6, 1.0, usual, spread)])
-    lost = 0.5 * (np.log(2.0) / spread) ** 2
-    assert bound.ln_evidence == pytest.approx(found.ln_evidence - lost, abs=0.02)
-
-
 @pytest.mark.parametrize("times", [0.3, 1.0, 4.0])
 def test_noise_of_unknown_level_has_that_of_the_largest_evidence(rng, times):
     J, y = rng.standard_normal((N, 2)), times * rng.standard_normal(N)

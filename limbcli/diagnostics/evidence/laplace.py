@@ -2,8 +2,8 @@
 
 Laplace's approximation with the sensitivities that the fit has: the integrand is normal in the parameters,
 truncated at their limits, so that a size that ends at its null value, or on a bound, is integrated on one
-side only. Errors of the model of unknown size (`Scalable`) are set to the most probable size, by their prior
-and the evidence, in every explanation anew.
+side only. Errors of the model of unknown size (`Scalable`) are set to the size that makes the evidence
+largest, in every explanation anew.
 
 Source: MacKay 2003, Information Theory, Inference, and Learning Algorithms, chapters 27 and 28.
 """
@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -76,9 +76,7 @@ def posterior(
         total = fixed.copy()
         for name, share in shares.items():
             total += share**2 * scaled[name]
-        found = _at(fitted, y, Whitener.of(total), shares, relative=relative)
-        ln_prior = sum(known[name].ln_prior(share) for name, share in shares.items())
-        return replace(found, ln_evidence=found.ln_evidence + ln_prior)
+        return _at(fitted, y, Whitener.of(total), shares, relative=relative)
 
     best = at(dict.fromkeys(known, 1.0))
     for name, each in known.items():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -110,24 +109,11 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Scalable:
-    """A part of the noise whose standard deviation is between `least` and `most` of what is assumed.
-
-    usual, spread : median of this fraction elsewhere, and standard deviation of its logarithm (inf: unknown)
-    """
+    """A part of the noise whose standard deviation is between `least` and `most` of what is assumed."""
 
     name: str
     least: float
     most: float = 1.0
-    usual: float = 1.0
-    spread: float = math.inf
-
-    def ln_prior(self, share: float) -> float:
-        """ln of the prior density of ln(share), but for a constant.
-
-        >>> Scalable("maps", 0.1, usual=0.3, spread=0.5).ln_prior(0.3 * math.exp(0.5))
-        -0.5
-        """
-        return -0.5 * (math.log(share / self.usual) / self.spread) ** 2
 
 
 @dataclass(frozen=True)

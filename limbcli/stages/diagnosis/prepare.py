@@ -58,10 +58,9 @@ _N_DEPTHS = 6  # number of equal depth steps down to the depth needed
 _BEYOND, _FURTHER, _FURTHER_SHARE = 1.05, 2.5, 0.075
 _ROUND = 0.5  # mm, to which the depth needed is rounded up
 _TIMES_FORCE = 4.0  # simulated force over the largest reading: tissue may be softer than the speed implies
-# mm, smallest edge lengths at curved surfaces, and at thin bones and clefts; further than 20 mm from the face
-# both grow by this much per mm. With 8 and 6 mm everywhere, and more nodes, a bone near the end of a face was
-# not met (28 % less force a quarter of the tissue deep); with these the force is within 2 % of own meshes.
-_BENDS, _THIN, _FLOOR_GROWTH = 4.0, 3.0, 0.3
+# mm, smallest edge lengths at curved surfaces (bone is approximated coarsely), and at thin bones and clefts. A
+# bone near the end of a face may not be met (28 % less force), until corrected to the site's own mesh.
+_BENDS, _THIN = 8.0, 6.0
 _LAYERS, _FINEST, _COARSEST = 3.0, 2.5, 5.0  # elements between skin and bone; mm, limits of their edge length
 
 
@@ -297,8 +296,7 @@ class _Preparation:
         surfaces = [sha256(path) for path in sorted(segmented.folder.glob("*.ply"))]
         place = site_position(self.site, segmented)
         recipe = [surfaces, place, self.site.long_axis, vars(self.case.probe), self.case.model.margin,
-                  self.size, self.mesh.far_size, _BENDS, _THIN, _FLOOR_GROWTH, LARGEST_SLOPE_DEG,
-                  __version__]  # fmt: skip
+                  self.size, self.mesh.far_size, _BENDS, _THIN, LARGEST_SLOPE_DEG, __version__]  # fmt: skip
         text = json.dumps(plain(recipe))
         self.work.mkdir(parents=True, exist_ok=True)
         kept, key = self.work / "model.npz", self.work / "model.json"
@@ -306,8 +304,7 @@ class _Preparation:
             return load_model(kept)
         self.progress.event("note", text="making the working mesh")
         probe = ProbeShape(self.case.probe.length, self.case.probe.width, self.case.probe.edge_radius)
-        sizes = Sizes(under_probe=self.size, far=self.mesh.far_size, bends=_BENDS, thin=_THIN,
-                      floor_growth=_FLOOR_GROWTH)  # fmt: skip
+        sizes = Sizes(under_probe=self.size, far=self.mesh.far_size, bends=_BENDS, thin=_THIN)
         meshing = MeshOptions(element="tet10", margin=self.case.model.margin, sizes=sizes)
         limb = read_limb(segmented)
         model = site_model(limb, place, self.site.long_axis, probe, meshing, name=self.site.name).model

@@ -39,9 +39,7 @@ _WIDE_SHARE, _WIDE_MM = 0.2, 10.0
 # size above.
 _IN_LEVEL = 0.17
 _RESOLVED = 0.001  # standard deviation of a part's ln speed, independent of strain
-# Name; smallest fraction of the assumed error; median of the fraction and standard deviation of its
-# logarithm, at the same sites.
-IN_MAPS, LEAST_IN_MAPS, USUAL_IN_MAPS, SPREAD_IN_MAPS = "model: maps", 0.08, 0.3, 0.7
+IN_MAPS, LEAST_IN_MAPS = "model: maps", 0.08  # name, and smallest fraction of the assumed error
 IN_MEAN = 0.07  # standard deviation of ln mean speed per unit of strain, where there is no map
 # Largest standard deviation of ln speed in a part that is incomplete in a map, or adjacent to an incomplete
 # part, at bone or at a hole. Meshes and the scanner differ in the visible fraction of such a part and in how

@@ -32,8 +32,6 @@ from limbcli.stages.diagnosis.data.noise import (
     IN_MAPS,
     LEAST_BESIDE,
     LEAST_IN_MAPS,
-    SPREAD_IN_MAPS,
-    USUAL_IN_MAPS,
 )
 from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
 from limbcli.stages.diagnosis.forward_model.fits import Fits
@@ -103,12 +101,9 @@ class SiteForwardModel:
     @property
     def scalable(self) -> Sequence[Scalable]:
         """The model errors in maps, whose size a site's data tell; relative to the sizes that fits use."""
-        beside, in_maps = (self.shares.get(name, 1.0) for name in (BESIDE, IN_MAPS))
         return [
-            Scalable(BESIDE, LEAST_BESIDE / beside, 1.0 / beside),
-            Scalable(
-                IN_MAPS, LEAST_IN_MAPS / in_maps, 1.0 / in_maps, USUAL_IN_MAPS / in_maps, SPREAD_IN_MAPS
-            ),
+            Scalable(name, least / self.shares.get(name, 1.0), 1.0 / self.shares.get(name, 1.0))
+            for name, least in ((BESIDE, LEAST_BESIDE), (IN_MAPS, LEAST_IN_MAPS))
         ]
 
     def size_priors(self, name: str) -> Mapping[str, Prior]:
