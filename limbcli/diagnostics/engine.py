@@ -175,7 +175,9 @@ class _Run:
             shown = shown[:-1]
         stages = [known[shown[:n]] for n in range(len(shown) + 1) if shown[:n] in known]
         held_out = over_shared([held_out_error(data, each.fitted) for each in stages], data.blocks)
-        values = [*(estimates([(1.0, each)]) for each in stages[:-1]), self._averaged(stages[-1])]
+        imaged = bool(data.imaged.any())
+        alone = (estimates([(1.0, each)], imaged=imaged) for each in stages[:-1])
+        values = [*alone, self._averaged(stages[-1], imaged=imaged)]
         whiten, found = Whitener.of(data.noise.covariance), []
         for each, held, own in zip(stages, held_out, values, strict=True):
             state = self._state(each.fitted, whiten, as_it_stands=True)
@@ -184,11 +186,11 @@ class _Run:
             found.append(Shrink(each.fitted.explanation, state.chi2, state.nu, rms, held, own))
         return tuple(found)
 
-    def _averaged(self, mine: Posterior) -> Estimates:
+    def _averaged(self, mine: Posterior, *, imaged: bool) -> Estimates:
         fits = [(each.probability, each.posterior) for each in self.several if each.posterior is not None]
         others = [(p, one) for p, one in fits if one is not mine and p > 1e-3]
         own = next(p for p, one in fits if one is mine)
-        return estimates([(max(own, 1e-6), mine), *others])
+        return estimates([(max(own, 1e-6), mine), *others], imaged=imaged)
 
     def _sizes(self, names: Sequence[str]) -> dict[str, dict[str, tuple[float, float]]]:
         nulls = {

@@ -44,6 +44,10 @@ def test_of_one_explanation_they_are_those_of_its_posterior():
     assert told.intervals["c_kpa"] == pytest.approx(8.0 * np.exp(of_c * np.array([-Z, Z])), rel=1e-3)
     assert told.intervals["m"] == pytest.approx(4.0 * np.exp(of_m * np.array([-Z, Z])), rel=1e-3)
     assert (told.open, told.over) == ((), 1)
+    blind = estimates([(1.0, found(8.0, 4.0, [0.1, 0.2]))], imaged=False)
+    assert blind.intervals["c_kpa"] == told.intervals["c_kpa"]
+    of_m = np.hypot(0.2, 0.35)
+    assert blind.intervals["m"] == pytest.approx(4.0 * np.exp(of_m * np.array([-Z, Z])), rel=1e-2)
     moved = estimates([(1.0, found(8.0, 4.0, [0.1, 0.2], step=0.05))])
     assert moved.values["c_kpa"] == pytest.approx(8.0 * np.exp(0.05), rel=1e-3)
 

@@ -26,9 +26,9 @@ USUAL_M, LN_M_DEVIATION = 3.9, 0.69
 PRIOR = f"ln m = ln {USUAL_M} with deviation {LN_M_DEVIATION} (m from 1 to 15, 95 %)"
 TISSUE = {"c": "c_kpa", "m": "m"}
 # Standard deviation of ln c and ln m beside what the data leave: the models' own error that no part of the
-# noise describes, as seen where FEBio's sites are explained rightly
-# (`tests/benchmarks/figures/diagnosis-febio.md`).
-_MODEL_ERROR = {"c": 0.05, "m": 0.12}
+# noise describes, as seen where FEBio's sites are explained rightly (`tests/benchmarks/figures/
+# diagnosis-febio.md`). Without maps m follows from the rise of the force, which bone beside the probe changes.
+_MODEL_ERROR, _WITHOUT_MAPS = {"c": 0.05, "m": 0.12}, {"c": 0.05, "m": 0.35}
 Intervals = Mapping[str, tuple[float, float]]
 _ENDS = (0.5 * (1.0 - decisions.CREDIBLE), 0.5 * (1.0 + decisions.CREDIBLE))
 
@@ -48,9 +48,12 @@ class Estimates:
     prior: str = PRIOR
 
 
-def estimates(several: Sequence[tuple[float, Posterior]]) -> Estimates:
+def estimates(several: Sequence[tuple[float, Posterior]], *, imaged: bool = True) -> Estimates:
     """Estimates over explanations, each with its weight; sizes of the effects of the first one, over those
-    that have them. Its values are reported of what has no posterior of its own."""
+    that have them. Its values are reported of what has no posterior of its own.
+
+    imaged : whether there are maps among the data
+    """
     fitted = several[0][1].fitted
     values, intervals, open_ends = dict(fitted.values), {}, []
     for k, letter in enumerate(fitted.base_names):
@@ -58,7 +61,7 @@ def estimates(several: Sequence[tuple[float, Posterior]]) -> Estimates:
         if name is None:
             continue
         members = [(w, p, math.log(p.fitted.values[name])) for w, p in several]
-        beside = _MODEL_ERROR.get(letter, 0.0)
+        beside = (_MODEL_ERROR if imaged else _WITHOUT_MAPS).get(letter, 0.0)
         free = [Truncated(w, at + p.step[k], float(np.hypot(p.deviation[k], beside))) for w, p, at in members]
         low, middle, high = quantiles(free, (_ENDS[0], 0.5, _ENDS[1]))
         bounds = [members[0][2] + float(end[k]) for end in (fitted.priors.low, fitted.priors.high)]
