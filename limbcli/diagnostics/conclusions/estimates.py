@@ -26,8 +26,9 @@ USUAL_M, LN_M_DEVIATION = 3.9, 0.69
 PRIOR = f"ln m = ln {USUAL_M} with deviation {LN_M_DEVIATION} (m from 1 to 15, 95 %)"
 TISSUE = {"c": "c_kpa", "m": "m"}
 # Standard deviation of ln c and ln m beside what the data leave: the models' own error that no part of the
-# noise describes, as seen where FEBio's sites are explained rightly (`tests/benchmarks/figures/
-# diagnosis-febio.md`). Without maps m follows from the rise of the force, which bone beside the probe changes.
+# noise describes, as seen where FEBio's sites are explained rightly
+# (`tests/benchmarks/figures/diagnosis-febio.md`). Without maps m follows from the rise of the force, which
+# bone beside the probe changes.
 _MODEL_ERROR, _WITHOUT_MAPS = {"c": 0.05, "m": 0.12}, {"c": 0.05, "m": 0.35}
 Intervals = Mapping[str, tuple[float, float]]
 _ENDS = (0.5 * (1.0 - decisions.CREDIBLE), 0.5 * (1.0 + decisions.CREDIBLE))
