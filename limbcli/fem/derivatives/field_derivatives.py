@@ -17,8 +17,10 @@ from limbcli.fem.motion.state import State
 from limbcli.fem.record_fields import (
     _CENTER,
     _F,
+    _PRINCIPAL,
     _STRAIN,
     _STRESS,
+    _STRETCH,
     BODY_FIELDS,
     NODE_FIELDS,
     TANGENT_FIELDS,
@@ -27,6 +29,7 @@ from limbcli.fem.record_fields import (
     mean_places,
     pair_push,
     pushed,
+    right_stretch,
 )
 from limbcli.fem.system import System
 from limbcli.model import Array, IntArray, LogRecord
@@ -74,17 +77,20 @@ def cell_field_derivatives(
 ) -> Array:
     """d(field)/d(theta) (n_cells, n_fields) of a group's cells.
 
-    Where principal stresses coincide, the derivatives are one-sided, for increasing theta and in the order
-    the stresses then have; for decreasing theta the same values apply in the opposite order.
+    Where principal values coincide, the derivatives are one-sided, for increasing theta and in the order
+    the values then have; for decreasing theta the same values apply in the opposite order.
     """
     tangent = bool(set(TANGENT_FIELDS) & set(fields))
     at = point_changes(system, state, number, parameter, sensitivity.displacement, tangent=tangent)
     spatial = _tangent_change(at).mean(axis=1) if tangent else np.zeros(0)
-    principal = np.zeros(0)
-    if {"s1", "s2", "s3"} & set(fields):
-        n_points = at.stress.shape[:2]
-        changes = principal_changes(at.stress.reshape(-1, 3, 3), at.d_stress.reshape(-1, 3, 3))
-        principal = changes.reshape(*n_points, 3).mean(axis=1)
+    C = np.swapaxes(at.F, -1, -2) @ at.F
+    tensors = {"s": (at.stress, at.d_stress), "E": (0.5 * (C - np.eye(3)), at.d_strain)}
+    if any(name.startswith("U") for name in fields):
+        tensors["U"] = right_stretch(C), stretch_change(C, 2.0 * at.d_strain)
+    principal = {}
+    for letter in {name[0] for name in _PRINCIPAL if name in fields}:
+        value, change = (each.reshape(-1, 3, 3) for each in tensors[letter])
+        principal[letter] = principal_changes(value, change).reshape(*C.shape[:2], 3).mean(axis=1)
     columns = []
     for name in fields:
         if name in TANGENT_FIELDS:
@@ -97,17 +103,31 @@ def cell_field_derivatives(
             columns.append(_component(at.d_stress, _STRESS[name]))
         elif name in _STRAIN:
             columns.append(_component(at.d_strain, _STRAIN[name]))
+        elif name in _STRETCH:
+            columns.append(_component(tensors["U"][1], _STRETCH[name]))
         elif name in _CENTER:
             moves, rest = _node_changes(system, state, parameter, sensitivity)
             of_nodes = (moves + rest)[:, _CENTER.index(name)]
             columns.append(of_nodes[system.groups[number].cells] @ system.groups[number].shares)
         else:
-            columns.append(principal[:, int(name[1]) - 1])
+            columns.append(principal[name[0]][:, int(name[1]) - 1])
     return np.stack(columns, axis=1)
 
 
+def stretch_change(C: Array, change: Array) -> Array:
+    """Derivative (..., 3, 3) of the right stretch U, U U = C, from that of C: U dU + dU U = dC.
+
+    >>> stretch_change(np.diag([4.0, 1.0, 9.0]), np.diag([4.0, 1.0, 3.0])).diagonal().tolist()
+    [1.0, 0.5, 0.5]
+    """
+    squares, axes = np.linalg.eigh(C)
+    stretches = np.sqrt(squares)
+    inner = np.swapaxes(axes, -1, -2) @ change @ axes / (stretches[..., :, None] + stretches[..., None, :])
+    return np.asarray(axes @ inner @ np.swapaxes(axes, -1, -2))
+
+
 def principal_changes(stress: Array, change: Array) -> Array:
-    """Derivatives (n, 3) of the principal values, largest first, of stress (n, 3, 3) along `change`.
+    """Derivatives (n, 3) of the principal values, largest first, of a tensor (n, 3, 3) along `change`.
 
     dl_i = n_i . dS n_i. For coincident values: the principal values of dS restricted to their eigenspace,
     largest first, which is the one-sided derivative in the forward direction.
