@@ -307,7 +307,7 @@ def test_a_bone_met_on_its_flank_is_within_the_interval_that_allows_for_it(tmp_p
     real = flank_and_slope(tmp_path / "real", angle_deg=30.0, slope=0.15)
     truth = KnownTissue(c_kpa=8.0, f_kappa=2.0, m=5.0)
     plan = SynthOptions(
-        tissue=truth, size=3.0, far_size=7.0, noise=0.2,
+        tissue=truth, size=3.0, far_size=7.0, noise=0.1,
         protocol=LoadingProtocol(step=0.75, max_force=4.0),
     )  # fmt: skip
     synth(real, out=tmp_path / "real-out", out_case=tmp_path / "made", options=plan)
