@@ -26,7 +26,7 @@ _ALIKE = 0.8  # correlation of the mesh error between neighbouring levels
 # For comparison, a probe 53 mm long that is tilted by 1 degree touches 0.5 mm earlier.
 _TOUCH_VOXELS, _TOUCH_MM = 0.5, 0.2
 # Standard deviation of ln force, common to all levels, besides compressibility, cut, far side and thickness.
-# At the true c, m and f_kappa our force is off that of FEBio's records without noise by 4 % (root mean square,
+# At true c, m and f_kappa our force is off that of FEBio's records without noise by 4 % (root mean square,
 # thirteen sites) in the first 60 % of the depth, by 7 and 13 % at strains of 0.27 and 0.35
 # (`tests/benchmarks/map_errors.py`).
 _GAIN = 0.07
