@@ -14,7 +14,7 @@ _FOLLOWS = "follows"  # fact of an error that may only follow from another one
 
 
 @dataclass
-class Notes:
+class ReadingNotes:
     """refused : errors in the order found; ignored : what cannot change a result, in a few words each."""
 
     refused: list[CaseError] = field(default_factory=list)

@@ -19,7 +19,7 @@ from limbcli.bodies import RigidBody
 from limbcli.feb import read_loads
 from limbcli.feb.dialects import convert
 from limbcli.feb.info import read_info
-from limbcli.feb.notes import Notes
+from limbcli.feb.notes import ReadingNotes
 from limbcli.feb.read_contact import read_contacts
 from limbcli.feb.read_control import read_steps
 from limbcli.feb.read_material import MaterialSection, read_materials
@@ -67,7 +67,7 @@ def read_feb(path: Path | str) -> LimbModel:
 
     Source: FEBio user manual 4, chapter 3 (free format input).
     """
-    notes = Notes()
+    notes = ReadingNotes()
     root = open_model(Path(path), notes)
     units = units_of(root)
     scale = units_scale(root)

@@ -16,7 +16,7 @@ from lxml import etree
 
 from limbcli.atomic_files import gunzip
 from limbcli.errors import CaseError
-from limbcli.feb.notes import Notes
+from limbcli.feb.notes import ReadingNotes
 from limbcli.model import Array, IntArray
 
 UNITS = "mm-N-s"
@@ -67,7 +67,7 @@ class Tag:
 
     element: etree._Element
     file: Path
-    notes: Notes | None = None
+    notes: ReadingNotes | None = None
 
     @property
     def name(self) -> str:
@@ -283,7 +283,7 @@ def _suggestion(name: str, known: Collection[str], kind: str) -> str:
     return f"{listed}remove this {kind}, or run the file with FEBio (--solver febio)"
 
 
-def open_model(path: Path, notes: Notes | None = None) -> Tag:
+def open_model(path: Path, notes: ReadingNotes | None = None) -> Tag:
     """The root tag of a `.feb` or `.feb.gz` file, of format 4.0, or of an older one that can be converted.
 
     Raises

@@ -27,7 +27,7 @@ from limbcli.measurement.elastography import SweMap, read_maps
 from limbcli.measurement.map_noise import pixel_noise
 from limbcli.model import Array
 from limbcli.stages.diagnosis.data.noise import MapNoise
-from limbcli.stages.diagnosis.data.rows import Rows
+from limbcli.stages.diagnosis.data.rows import SiteRows
 from limbcli.stages.diagnosis.data.windows import Windows
 
 SHARED = Path(os.environ.get("LIMBCLI_SHARED", Path(__file__).resolve().parents[3] / "shared"))
@@ -90,7 +90,7 @@ def kept(site: str, effect: str, thickness: float) -> Kept | None:
             apart.append(one[part] - other[part])
             counts.append(n[part])
     own = PIXEL / np.sqrt(np.array(counts))
-    layout = Rows.of("map", *np.array(rows).T)
+    layout = SiteRows.of("map", *np.array(rows).T)
     pixels = noise.of_pixels(layout, own)
     levels = [np.ones((n, n)) for n in np.bincount(layout.level)]
     mean = block_diag(*levels)  # of a level: not known at all

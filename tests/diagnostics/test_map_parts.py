@@ -15,16 +15,16 @@ from limbcli.effects.places import Places
 from limbcli.measurement.map_noise import PixelNoise
 from limbcli.stages.diagnosis.data import noise as model_noise
 from limbcli.stages.diagnosis.data.noise import MapNoise
-from limbcli.stages.diagnosis.data.rows import Rows
+from limbcli.stages.diagnosis.data.rows import SiteRows
 from limbcli.stages.diagnosis.data.windows import Windows
 from tests.stages.block_case import block_model
 
 SMALL = Windows(-8.0, 8.0, 2.0, 10.0, 4, 2, whole_is_known=True)
 
 
-def mapped(levels, parts) -> Rows:
+def mapped(levels, parts) -> SiteRows:
     """These parts, numbered from 0, of the map of every level."""
-    return Rows.of("map", np.repeat(list(levels), len(parts)), np.tile(list(parts), len(levels)) + 1)
+    return SiteRows.of("map", np.repeat(list(levels), len(parts)), np.tile(list(parts), len(levels)) + 1)
 
 
 def cells(rng: np.random.Generator, n: int = 6000) -> np.ndarray:

@@ -19,7 +19,7 @@ from limbcli.effects.reading import Protocol
 from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.solvers.base import Simulation
 from limbcli.solvers.material_lines import FILE, material_lines
-from limbcli.stages.diagnosis.data.rows import Rows, Stacked
+from limbcli.stages.diagnosis.data.rows import SiteRows, Stacked
 from limbcli.stages.site_model.indentation_model import tissue_nodes
 from limbcli.stages.site_model.layer_readings import LayerReadings
 
@@ -45,7 +45,7 @@ def layer_rows(layers: LayerReadings | None, keep: IntArray) -> Stacked:
 
 
 def layer_slopes(
-    layers: LayerReadings | None, protocol: Protocol, place: Array, rows: Rows, y: Array
+    layers: LayerReadings | None, protocol: Protocol, place: Array, rows: SiteRows, y: Array
 ) -> Array:
     """Derivative of each datum with depth (n,), 0 for other channels.
 
@@ -67,7 +67,7 @@ def layer_slopes(
 
 
 def layer_noise(
-    layers: LayerReadings | None, protocol: Protocol, rows: Rows, y: Array, source: str
+    layers: LayerReadings | None, protocol: Protocol, rows: SiteRows, y: Array, source: str
 ) -> list[NoisePart]:
     """Common errors of the readings of one layer: of its thickness at first touch, and of the model."""
     parts = []
@@ -84,7 +84,7 @@ def layer_noise(
     return parts
 
 
-def _members(rows: Rows) -> list[tuple[int, IntArray]]:
+def _members(rows: SiteRows) -> list[tuple[int, IntArray]]:
     """Indices of the data of each layer."""
     mine = rows.among(CHANNEL)
     return [(k, np.flatnonzero(mine & (rows.part == k))) for k in np.unique(rows.part[mine]).tolist()]

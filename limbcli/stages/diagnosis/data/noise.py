@@ -18,7 +18,7 @@ from limbcli.effects.reading import Protocol
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.map_noise import PixelNoise
 from limbcli.model import Array, IntArray
-from limbcli.stages.diagnosis.data.rows import Rows, within
+from limbcli.stages.diagnosis.data.rows import SiteRows, within
 
 GAIN_OF_SPEEDS = "gain of all speeds"
 COMPRESSIBILITY = "model: f-kappa"
@@ -83,7 +83,7 @@ class MapNoise:
     pixel: PixelNoise
     strain: Array
 
-    def of_pixels(self, rows: Rows, own: Array) -> Array:
+    def of_pixels(self, rows: SiteRows, own: Array) -> Array:
         """Covariance (n, n) of the parts from pixel noise; own (n,) : standard deviations if the pixels were
         independent."""
         sides = [
@@ -99,12 +99,12 @@ class MapNoise:
         same = level[:, None] == level[None, :]
         return np.asarray(np.where(same, together[np.ix_(part, part)], 0.0) * np.outer(times, times))
 
-    def of_model(self, rows: Rows, share: float) -> Array:
+    def of_model(self, rows: SiteRows, share: float) -> Array:
         """Covariance (n, n) of the model error; share : factor on its usual size."""
         part, level = rows.part - 1, rows.level
         return maps_model_error(self.middles, part, np.abs(self.strain[level]), level, share=share)
 
-    def beside_unseen(self, rows: Rows, own: Array) -> Array:
+    def beside_unseen(self, rows: SiteRows, own: Array) -> Array:
         """Covariance (n, n) of parts that are incomplete in their level's map or adjacent to such a part, or
         to one that the model does not show; own (n,) : as in `of_pixels`."""
         part, level = rows.part - 1, rows.level
@@ -148,7 +148,7 @@ def _side_correlation(noise: PixelNoise, apart: Array, size: float, pitch: float
 
 
 def noise_parts(
-    protocol: Protocol, rows: Rows, y: Array, own: Array, slope: Array, noise: StatedNoise, keep: IntArray,
+    protocol: Protocol, rows: SiteRows, y: Array, own: Array, slope: Array, noise: StatedNoise, keep: IntArray,
     model_error: Sequence[ModelError], maps: MapNoise | None = None, map_share: float = 1.0,
 ) -> list[NoisePart]:  # fmt: skip
     """All noise parts of a site's rows, except those of layers, holds, travel and extra measurements.
@@ -190,14 +190,14 @@ def noise_parts(
     return parts
 
 
-def _model_direction(rows: Rows, y: Array, log_force: Array, log_speed: Array) -> Array:
+def _model_direction(rows: SiteRows, y: Array, log_force: Array, log_speed: Array) -> Array:
     out, forces, speeds = np.zeros(len(rows)), rows.among("force"), rows.among("swe", "map")
     out[forces] = y[forces] * log_force[rows.level[forces]]
     out[speeds] = np.nan_to_num(log_speed[rows.level[speeds], rows.part[speeds]])
     return out
 
 
-def depth_slopes(protocol: Protocol, rows: Rows, y: Array, map_slopes: Array | None = None) -> Array:
+def depth_slopes(protocol: Protocol, rows: SiteRows, y: Array, map_slopes: Array | None = None) -> Array:
     """Derivative of each datum with depth (n,), from smooth curves through the measured values; for parts of
     maps from a model, `map_slopes` (n_levels, n_parts), where given.
 

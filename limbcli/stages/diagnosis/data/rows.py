@@ -33,7 +33,7 @@ class Row(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class SiteRows:
     """Layout of data: channel, level and part of the window (or -1) of each, (n,)."""
 
     channel: NDArray[np.str_]
@@ -41,11 +41,11 @@ class Rows:
     part: IntArray
 
     @staticmethod
-    def of(channel: str, level: ArrayLike, part: ArrayLike = -1) -> Rows:
-        """Rows of one channel, at these levels (n,) and parts (n,)."""
+    def of(channel: str, level: ArrayLike, part: ArrayLike = -1) -> SiteRows:
+        """SiteRows of one channel, at these levels (n,) and parts (n,)."""
         levels = np.asarray(level, dtype=np.int64)
         parts = np.broadcast_to(np.asarray(part, dtype=np.int64), levels.shape)
-        return Rows(np.full(len(levels), channel), levels, parts)
+        return SiteRows(np.full(len(levels), channel), levels, parts)
 
     def __len__(self) -> int:
         return len(self.level)
@@ -61,27 +61,27 @@ class Rows:
         """The channels, in order."""
         return list(dict.fromkeys(self.channel.tolist()))
 
-    def where(self, mask: Mask) -> Rows:
-        return Rows(self.channel[mask], self.level[mask], self.part[mask])
+    def where(self, mask: Mask) -> SiteRows:
+        return SiteRows(self.channel[mask], self.level[mask], self.part[mask])
 
 
 @dataclass(frozen=True, eq=False)
 class Stacked:
     """Data in a row: layout, values y (n,), and their own standard deviations (n,)."""
 
-    rows: Rows
+    rows: SiteRows
     y: Array
     own: Array
 
     @staticmethod
     def of(channel: str, level: ArrayLike, y: ArrayLike, own: ArrayLike, part: ArrayLike = -1) -> Stacked:
         """The data of one channel; own, part : of each, or of all."""
-        rows = Rows.of(channel, level, part)
+        rows = SiteRows.of(channel, level, part)
         return Stacked(rows, np.asarray(y, dtype=float), np.broadcast_to(own, len(rows)).astype(float))
 
     @staticmethod
     def together(several: Sequence[Stacked]) -> Stacked:
-        rows = Rows(
+        rows = SiteRows(
             *(np.concatenate([getattr(each.rows, name) for each in several])
               for name in ("channel", "level", "part"))
         )  # fmt: skip
@@ -145,7 +145,7 @@ def travel_rows(levels: Levels, keep: IntArray) -> Stacked:
     return Stacked.of("travel", used, travel[used] - travel[zero : zero + 1], TRAVEL_DEVIATION)
 
 
-def travel_noise(protocol: Protocol, rows: Rows, zero: int, noise: StatedNoise) -> list[NoisePart]:
+def travel_noise(protocol: Protocol, rows: SiteRows, zero: int, noise: StatedNoise) -> list[NoisePart]:
     """Common error of all travels: of the travel reading and the depth at the reference level; a depth of 0
     has no error, as it is zero by definition."""
     mine = rows.among("travel")
@@ -176,14 +176,14 @@ def extra_rows(extras: Sequence[ExtraMeasurement]) -> list[Stacked]:
     return [Stacked.of(each.name, np.arange(len(each.y)), each.y, each.deviation) for each in extras]
 
 
-def hold_noise(held: HeldForces | None, rows: Rows, source: str) -> list[NoisePart]:
+def hold_noise(held: HeldForces | None, rows: SiteRows, source: str) -> list[NoisePart]:
     """Noise of the force ratios in holds, over all rows."""
     if held is None:
         return []
     return [within("measurement: forces in holds", rows.among("hold"), held.covariance, source)]
 
 
-def extra_noise(extras: Sequence[ExtraMeasurement], rows: Rows) -> list[NoisePart]:
+def extra_noise(extras: Sequence[ExtraMeasurement], rows: SiteRows) -> list[NoisePart]:
     """Model error in the extra measurements, over all rows."""
     return [
         within(f"model: {each.name}", rows.among(each.name), each.model_error, "computed")

@@ -31,7 +31,7 @@ from limbcli.stages.diagnosis.data.noise import (
 )
 from limbcli.stages.diagnosis.data.rows import (
     ExtraMeasurement,
-    Rows,
+    SiteRows,
     Stacked,
     extra_noise,
     extra_rows,
@@ -73,7 +73,7 @@ class SiteData:
 
     name: str
     protocol: Protocol
-    rows: Rows
+    rows: SiteRows
     data: Data
     channels: tuple[str, ...]
     missing: tuple[str, ...]
@@ -262,7 +262,7 @@ def map_noise(windows: Windows, maps: Sequence[SweMap], noise: StatedNoise, stra
     return MapNoise(windows.middles, size, (pitch[0], pitch[1]), pixel, strain)
 
 
-def _groups(rows: Rows, protocol: Protocol, windows: Windows) -> dict[str, Mask]:
+def _groups(rows: SiteRows, protocol: Protocol, windows: Windows) -> dict[str, Mask]:
     """Groups for localisation: channels, thirds of the levels by channel, unloading, regions of the map."""
     groups: dict[str, Mask] = {}
     for channel in rows.channels():
@@ -283,14 +283,14 @@ def _groups(rows: Rows, protocol: Protocol, windows: Windows) -> dict[str, Mask]
     return groups
 
 
-def _place(rows: Rows, windows: Windows) -> Array:
+def _place(rows: SiteRows, windows: Windows) -> Array:
     """Position (n, 2) in mm of each datum's part of a map; NaN for other data."""
     found, mapped = np.full((len(rows), 2), np.nan), rows.among("map")
     found[mapped] = windows.middles[rows.part[mapped] - 1]
     return found
 
 
-def _blocks(rows: Rows) -> dict[str, Mask]:
+def _blocks(rows: SiteRows) -> dict[str, Mask]:
     blocks = {f"levels {k + 1}, {k + 4}, ...": rows.level % 3 == k for k in range(3)}
     several = [channel for channel in rows.channels() if len(rows.channels()) > 1]
     return blocks | {f"channel {each}": rows.among(each) for each in several if each in _BY_LEVELS}
