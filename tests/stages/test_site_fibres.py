@@ -89,10 +89,11 @@ def test_the_model_file_keeps_them_and_febio_4_reads_the_attribute(model, tmp_pa
     assert not differences(built.fibres, read_feb(path).fibres)
 
 
-def test_files_with_the_older_attribute_are_still_read(model, tmp_path: Path):
+def test_the_older_attribute_is_refused_as_by_febio_4(model, tmp_path: Path):
     path = write_feb(model, tmp_path / "model.feb")
     path.write_text(path.read_text().replace("data_type=", "datatype="))
-    assert not differences(model.fibres, read_feb(path).fibres)
+    with pytest.raises(CaseError, match="datatype"):
+        read_feb(path)
 
 
 def test_a_law_with_fibres_refers_to_the_same_map(model, tmp_path: Path):

@@ -148,7 +148,8 @@ def _side_correlation(noise: PixelNoise, apart: Array, size: float, pitch: float
 
 
 def noise_parts(
-    protocol: Protocol, rows: SiteRows, y: Array, own: Array, slope: Array, noise: StatedNoise, keep: IntArray,
+    protocol: Protocol, rows: SiteRows, y: Array, own: Array, slope: Array, noise: StatedNoise,
+    keep: IntArray,
     model_error: Sequence[ModelError], maps: MapNoise | None = None, map_share: float = 1.0,
 ) -> list[NoisePart]:  # fmt: skip
     """All noise parts of a site's rows, except those of layers, holds, travel and extra measurements.
