@@ -25,6 +25,11 @@ $(VENV)/.ready: pyproject.toml
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@$(BIN)/python -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "limbcli needs Python 3.11 or newer; try: make PYTHON=python3.11 $(MAKECMDGOALS)"; exit 1; }
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+	@touch $@
+
+# What tests, checks and benchmarks need is not installed for the demo and the cases.
+$(VENV)/.dev: $(VENV)/.ready
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
 	@touch $@
 
@@ -40,22 +45,22 @@ demo: env        ## the main job: a synthetic subject through every stage, to a 
 	@sed -n 's/^ *"p1: diagnosis: \(.*\)",*$$/diagnosis:                 \1/p' $(DEMO)/results/report/report.json
 	@echo "the whole of it, to be opened in a browser: $(DEMO)/results/report/report.html"
 
-lint: env        ## style and format
+lint: $(VENV)/.dev   ## style and format
 	$(BIN)/ruff check limbcli tests docs
 	$(BIN)/ruff format --check limbcli tests docs
 
-types: env       ## type checks
+types: $(VENV)/.dev  ## type checks
 	$(BIN)/mypy
 
 # The solver's kernels are compiled once, beside the checks of style and types, before two test processes would each
 # compile the same.
 COMPILE := $(BIN)/python -m limbcli.stages.machine.kernels
 
-test: env        ## everything that must hold
+test: $(VENV)/.dev   ## everything that must hold
 	@$(ONE) $(COMPILE) & compiling=$$!; $(MAKE) --no-print-directory lint types && wait $$compiling
 	$(ONE) $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --durations=15
 
-test-quick: env  ## the part that answers sooner
+test-quick: $(VENV)/.dev  ## the part that answers sooner
 	@$(ONE) $(COMPILE)
 	$(ONE) $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m "not slow"
 
@@ -66,13 +71,13 @@ cases: env       ## all of cases/, or CASES=path/*: compared with expected.toml 
 	test $$# -gt 0 || { echo "there is no case folder in $(CASES)"; exit 2; }; \
 	LIMBCLI_OUT="$(OUT)" $(LIMBCLI) batch "$$@" --expect $(if $(JOBS),--jobs $(JOBS))
 
-bench: env       ## benchmarks, as tables
+bench: $(VENV)/.dev  ## benchmarks, as tables
 	$(BIN)/python -m tests.benchmarks
 
-fuzz: env        ## 20,000 damaged files, as a table of how they were answered
+fuzz: $(VENV)/.dev   ## 20,000 damaged files, as a table of how they were answered
 	$(ONE) $(BIN)/python -m tests.benchmarks.fuzz
 
-hidden: env      ## the hidden-effect study: resumable, confusion matrix and gates in out/hidden
+hidden: $(VENV)/.dev ## the hidden-effect study: resumable, confusion matrix and gates in out/hidden
 	$(ONE) $(BIN)/python tests/benchmarks/hidden_study.py --out $(OUT)/hidden --repeats 6 --own-tissue
 
 docs: $(VENV)/.docs   ## the documentation, in out/docs; a warning is an error
