@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from scipy.stats import chi2, f
+from scipy.special import chdtr, chdtri, fdtri
 
 # chi-square limit of the deviance for one parameter, with the noise as stated
-THRESHOLD_95 = float(chi2.ppf(0.95, 1))
+THRESHOLD_95 = float(chdtri(1, 1.0 - 0.95))
 
 
 def threshold_95(chi_square: float, n_freedom: int) -> float:
@@ -24,9 +24,9 @@ def threshold_95(chi_square: float, n_freedom: int) -> float:
     >>> [round(threshold_95(*each), 2) for each in ((0.1, 2), (2.0, 2), (30.0, 2), (300.0, 30))]
     [3.84, 13.12, 18.51, 4.17]
     """
-    larger = float(chi2.cdf(chi_square, n_freedom))
+    larger = float(chdtr(n_freedom, chi_square))
     scale = noise_scale(chi_square, n_freedom)
-    unknown = max(THRESHOLD_95, float(f.ppf(0.95, 1, n_freedom)) * chi_square / n_freedom)
+    unknown = max(THRESHOLD_95, float(fdtri(1, n_freedom, 0.95)) * chi_square / n_freedom)
     return ((1.0 - larger) * THRESHOLD_95 + larger * unknown) / scale
 
 

@@ -7,11 +7,13 @@ import sys
 import threading
 import time
 from collections.abc import Iterable, Sequence
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from limbcli.cli.remaining_time import TimeLeft, keep_alive
 from limbcli.progress import SILENT, Progress
-from limbcli.results import StageResult
+
+if TYPE_CHECKING:  # without numpy, which help and messages do not need
+    from limbcli.results import StageResult
 
 _SECONDS_BETWEEN_LINES = 2.0
 _LONGEST = 100  # largest number of characters of the current work in a heartbeat
@@ -143,10 +145,10 @@ def _bar(done: int, total: int, width: int = 24) -> str:
 
 def emit(results: StageResult | Sequence[StageResult], *, as_json: bool) -> None:
     """Print results: JSON for programs, or the summary for people."""
-    several = [results] if isinstance(results, StageResult) else list(results)
+    several = list(results) if isinstance(results, Sequence) else [results]
     if as_json:
         contents = [{**each.to_json(), "folder": str(each.folder)} for each in several]
-        emit_json(contents[0] if isinstance(results, StageResult) else contents)
+        emit_json(contents if isinstance(results, Sequence) else contents[0])
         return
     for each in several:
         print(f"{each.stage}{' ' + each.site if each.site else ''}: {each.folder}")

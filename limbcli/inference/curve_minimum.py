@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from limbcli.model import Array
 
-_TWO_SIDED = float(norm.ppf(0.975))
+_TWO_SIDED = float(ndtri(0.975))
 _FEWEST = 3
 
 

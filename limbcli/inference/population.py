@@ -29,8 +29,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2, norm
-from scipy.stats import t as student_t
+from scipy.special import chdtri, ndtri, stdtrit
 
 from limbcli.model import Array
 
@@ -73,7 +72,7 @@ class Population:
     @property
     def mean_interval(self) -> tuple[Array, Array]:
         """95 % interval of the means: low, high (p,)."""
-        reach = student_t.ppf(_HIGH, self.n_people - 1) * self.mean_error
+        reach = stdtrit(self.n_people - 1, _HIGH) * self.mean_error
         return self.mean - reach, self.mean + reach
 
     @property
@@ -86,8 +85,8 @@ class Population:
         falling.
         """
         free = np.maximum(0.5 * (self.deviation / self.deviation_error) ** 2, _PRIOR_ROWS)
-        low = self.deviation - norm.ppf(_HIGH) * self.deviation_error
-        return np.maximum(low, 0.0), self.deviation * np.sqrt(free / chi2.ppf(_LOW, free))
+        low = self.deviation - ndtri(_HIGH) * self.deviation_error
+        return np.maximum(low, 0.0), self.deviation * np.sqrt(free / chdtri(free, 1.0 - _LOW))
 
 
 @dataclass(frozen=True, eq=False)

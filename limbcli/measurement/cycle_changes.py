@@ -16,7 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from limbcli.measurement.cycles import LEVEL, CycleStudy, Difference
 from limbcli.measurement.levels import Levels
@@ -60,7 +60,7 @@ def _fitted(name: str, column: Array, difference: Difference) -> CycleChange:
     size = float(weighted @ difference.depth) / information
     rest = difference.depth - size * column
     left = float(rest @ np.linalg.solve(difference.covariance, rest))
-    fits = bool(chi2.sf(left, len(rest) - 1) >= LEVEL)
+    fits = bool(chdtrc(len(rest) - 1, left) >= LEVEL)
     return CycleChange(name, size, information**-0.5, left, fits)
 
 

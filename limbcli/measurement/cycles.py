@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.optimize import approx_fprime
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from limbcli.measurement.levels import FEWEST_LOADING, TOUCH_FORCE, Levels
 from limbcli.model import Array, IntArray
@@ -68,7 +68,7 @@ class Difference:
     @property
     def p_value(self) -> float:
         """Probability of at least this difference from noise alone."""
-        return float(chi2.sf(self.chi_square, len(self.depth)))
+        return float(chdtrc(len(self.depth), self.chi_square))
 
     @property
     def is_noise(self) -> bool:

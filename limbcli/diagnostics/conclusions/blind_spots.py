@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from limbcli.diagnostics import decisions
 from limbcli.diagnostics.evidence.laplace import Posterior
@@ -15,7 +15,7 @@ from limbcli.diagnostics.evidence.linear_evidence import Added
 from limbcli.diagnostics.model.linear import Whitener
 from limbcli.model import Array
 
-_Z = float(norm.ppf(decisions.POWER))
+_Z = float(ndtri(decisions.POWER))
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy.special import chdtrc
 
 from limbcli.diagnostics.model.forward_model import Mask
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
@@ -53,4 +53,4 @@ def _p(fit: LinearFit) -> float:
     """
     own = 1.0 - np.sum(fit.basis**2, axis=1)
     scale = 1.0 + EXCESS * float(own @ own) / (2.0 * fit.nu)
-    return float(stats.chi2.sf(fit.chi2 / scale, fit.nu / scale))
+    return float(chdtrc(fit.nu / scale, fit.chi2 / scale))

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.special import chdtrc, ndtr
 
 from limbcli.inference.cohort_model import C_FAT, C_MUSCLE, PARAMETERS, M
 from limbcli.inference.layered_solves import EXPONENT, HIGH, LOW, RATIO
@@ -153,7 +153,7 @@ def row_entries(
         )
         answered, _ = site.model(found.mean, False)
         skin = site.model.skin_part(found.mean)
-        p = chi2.sf(found.misfit, site.readings.shape[1])
+        p = chdtrc(site.readings.shape[1], found.misfit)
         at_end, inside = site.model.at_an_end(found.mode), site.model.inside
         one = missed_by_one_tissue(site)
         for i, row in enumerate(site.rows):
@@ -199,7 +199,7 @@ def outliers(table: CohortTable, sites: list[SiteEstimate]) -> dict[str, Any]:
     for site in sites:
         for i, row in enumerate(site.rows):
             rows.append((str(table.person[row]), site.name, int(table.lines[row])))
-            p_rows.append(float(chi2.sf(site.found.misfit[i], site.readings.shape[1])))
+            p_rows.append(float(chdtrc(site.readings.shape[1], site.found.misfit[i])))
     adjusted = holm(np.array(p_rows))
     listed = [
         {
@@ -227,7 +227,7 @@ def people_apart(table: CohortTable, sites: list[SiteEstimate]) -> list[dict[str
             scores.setdefault(name, []).append(value / scale)
     names = sorted(scores)
     z = person_scores([scores[each] for each in names])
-    adjusted = holm(2 * norm.sf(np.abs(z)))
+    adjusted = holm(2 * ndtr(-np.abs(z)))
     order = [k for k in np.argsort(adjusted, kind="stable") if adjusted[k] < _LEVEL]
     return [
         {

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from limbcli.effects.tissue import fibre_direction
 from limbcli.inference.adaptive import EstimationProblem, Intervals
@@ -77,7 +77,7 @@ def write_joint(
 
 def warn_poor(found: Intervals, writer: StageWriter) -> None:
     """Insert, as the first warning, that the misfit exceeds what the stated noise explains."""
-    chance = float(chi2.sf(found.chi_square, found.n_freedom))
+    chance = float(chdtrc(found.n_freedom, found.chi_square))
     if chance >= _POOR:
         return
     writer.warnings.insert(

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from limbcli.case import Site
 from limbcli.drawing import save_figure
@@ -97,7 +97,7 @@ def _report(layers: LayerReadings, found: PredictedLayers, levels: Levels, write
             "rms_mm": float(np.sqrt(np.mean(off**2))), "last_mm": float(off[-1]),
             "last_deviations": float(off[-1] / np.sqrt(covariance[-1, -1])),
         }  # fmt: skip
-    p = float(chi2.sf(deviance, n)) if n else None
+    p = float(chdtrc(n, deviance)) if n else None
     writer.data["layers"] = {
         "names": list(layers.names), "deviation_mm": layers.deviation, "n_readings": n,
         "chi_square": deviance, "p": p, "measured_less_predicted": reported, "drift_mm": found.drift,

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from limbcli.case import Site
 from limbcli.errors import MeasurementError
 from limbcli.measurement.indentation import read_levels
-from limbcli.meshing.checks import LayersKept, SiteChecks
-from limbcli.meshing.places import MOVED_MM
 from limbcli.results import StageResult
+
+if TYPE_CHECKING:  # `check` asks for distances only, without the mesher
+    from limbcli.meshing.checks import LayersKept, SiteChecks
 
 OVER_TISSUE = 0.95  # least share of the probe's face that should be over skin
 SKIN_BONE_TOLERANCE = 0.10  # tolerance of the skin-bone distance, as a fraction of the measured one
@@ -107,6 +110,8 @@ def geometry_warnings(checks: SiteChecks, *, measured: float | None, margin: flo
 
 def moved_warnings(moved: float, site: Site) -> list[str]:
     """Warn if a place was off the skin by `moved` mm; a marker's centre is expected to be above the skin."""
+    from limbcli.meshing.places import MOVED_MM
+
     if site.marker is not None or moved <= MOVED_MM:
         return []
     return [f"the site was {moved:.1f} mm from the skin and was moved onto it"]
