@@ -4,9 +4,9 @@
    each explanation gets its evidence (`evidence`) and, with its prior, its probability.
 2. The model is adequate if "nothing" is as probable as it is in 95 % of the measurements with nothing
    missing, which draws from the noise show (`evidence.chance`).
-3. Else the effects that every likely explanation has are named if together these have 95 %; if not, the set
-   of explanations with 95 % is reported. If even the most probable one fails the posterior predictive check,
-   the verdict is unexplained.
+3. Else the effects that every likely explanation has are named if together these have 95 % and none of their
+   sizes may be none; if not, the set of explanations with 95 % is reported. If even the most probable one
+   fails the posterior predictive check, the verdict is unexplained.
 4. Sizes, c and m are averaged over explanations; what the data cannot show, and which measurement would say
    most, follow from the same probabilities.
 """
@@ -114,10 +114,25 @@ class _Run:
             alone = f"{' + '.join(chosen)} has a probability of {100 * p:.0f} %"
             if chosen not in self.search.known:
                 return self._finish("ambiguous", f"{alone} to first order, but its fit failed", ())
+            if absent := self._of_any_size(chosen):
+                why = f"{alone}, but the size of {' and of '.join(absent)} may as well be none"
+                return self._finish("ambiguous", why, ())
             return self._finish("named", alone, chosen)
         n = len(credible(self.several))
         why = f"{n} explanations together have a probability of {100 * decisions.CREDIBLE:.0f} %"
         return self._finish("ambiguous", why, ())
+
+    def _of_any_size(self, chosen: Explanation) -> list[str]:
+        """Effects whose sizes all have their null value in their 95 % intervals. They may be probable all the
+        same where the models err in few of many data, as beside bone in maps."""
+        model = self.forward_model
+        intervals = self._averaged(self.search.known[chosen], imaged=bool(model.data.imaged.any())).intervals
+        found = []
+        for name in chosen:
+            sizes = [(prior.mean, *intervals[size]) for size, prior in model.size_priors(name).items()]
+            if sizes and all(low <= null <= high for null, low, high in sizes):
+                found.append(name)
+        return found
 
     @property
     def nothing(self) -> float:

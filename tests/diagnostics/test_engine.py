@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import binom
 
-from limbcli.diagnostics import decisions
+from limbcli.diagnostics import decisions, engine
 from limbcli.diagnostics.conclusions.sentences import sentences
 from limbcli.diagnostics.engine import diagnose
 from tests.diagnostics import toy
@@ -46,6 +47,24 @@ def test_a_clear_effect_is_named_and_sized(rng, name, size):
     text = f"held-out error {before:.2f} to {after:.2f} deviations"
     assert any(text in each for each in sentences(found)), "a sentence says what the table of the page says"
     assert sentences(found)[0].startswith("NAMED: one missing effect explains")
+
+
+def test_an_effect_whose_size_may_be_none_is_not_named(rng, monkeypatch):
+    """However probable it is."""
+    case, usual = toy.make(rng, {"offset": 5.0}), engine.estimates
+
+    def wide(several, **more):
+        found = usual(several, **more)
+        return replace(
+            found, intervals={name: (min(low, -1.0), high) for name, (low, high) in found.intervals.items()}
+        )
+
+    monkeypatch.setattr(engine, "estimates", wide)
+    found = run(case)
+    assert found.verdict == "ambiguous"
+    assert found.effects["offset"] >= decisions.CREDIBLE
+    assert found.chosen == ()
+    assert "the size of offset may as well be none" in found.reason
 
 
 @pytest.mark.slow
