@@ -20,6 +20,7 @@ from limbcli.meshing.surfaces import Triangles, join
 from limbcli.results import StageWriter
 from limbcli.stages.segmenting.bone_names import names_of_bodies, names_of_files, numbered
 from limbcli.stages.segmenting.places import report_places
+from limbcli.surface_formats.colours import has_colours
 from limbcli.surface_frames import mixed_frames, stated_frame
 
 # Later steps use points and triangles. Triangles of drawn (CAD) bodies can span the whole limb and are
@@ -103,12 +104,21 @@ def triangles_of(surfaces: Mapping[str, ClosedSurface]) -> dict[str, Triangles]:
 
 
 def frames_of(case: Case) -> tuple[list[str], list[Problem]]:
-    """Lines on the case's surfaces that were converted to patient LPS and mm; a warning if not all were."""
+    """Lines on the case's surfaces: conversions to patient LPS and mm, and colours, which are ignored; and a
+    warning if not all were converted.
+    """
     paths = [path for path in (case.imaging.skin, *case.imaging.bones) if path is not None]
     stated = [stated_frame(path) for path in paths]
     mixed = mixed_frames(stated)
     found = [Problem(mixed, str(paths[0]), IN_ONE_FRAME, severity="warning")] if mixed else []
-    return [each.converted for each in stated if each.converted], found
+    lines = [each.converted for each in stated if each.converted]
+    coloured = [path.name for path in paths if has_colours(path)]
+    if coloured:
+        lines.append(
+            f"the colours of {', '.join(coloured)} are ignored: state where a coloured landmark lies by "
+            "position_mm of its [[site]]"
+        )
+    return lines, found
 
 
 def read_surfaces(case: Case) -> tuple[dict[str, ClosedSurface], dict[str, Path]]:
