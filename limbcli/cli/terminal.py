@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any, TextIO
 
 from limbcli.cli.remaining_time import TimeLeft, keep_alive
+from limbcli.cli.results_stream import results
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult
 
@@ -160,4 +161,4 @@ def emit_lines(lines: Iterable[str]) -> None:
 
 
 def emit_json(content: object) -> None:
-    print(json.dumps(content, indent=1))
+    print(json.dumps(content, indent=1), file=results(), flush=True)
