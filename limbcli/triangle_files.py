@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from limbcli.surface_formats.aop import read_aop
 from limbcli.surface_formats.off import read_off
 from limbcli.surface_formats.vtk_legacy import read_vtk
 from limbcli.surface_formats.vtk_xml import read_vtk_xml
 from limbcli.surface_frames import stated_frame
 from limbcli.three_mf import read_3mf
 
-SUFFIXES = (".ply", ".stl", ".obj", ".3mf", ".off", ".vtk", ".vtp", ".vtu")
+SUFFIXES = (".ply", ".stl", ".obj", ".3mf", ".off", ".vtk", ".vtp", ".vtu", ".aop")
 
 _Points = NDArray[np.float64]
 _Faces = NDArray[np.int64]
@@ -49,7 +50,7 @@ def read_triangles(path: Path) -> tuple[_Points, _Faces]:
     """
     read = {
         ".ply": _ply, ".obj": _obj, ".3mf": read_3mf, ".off": read_off, ".vtk": read_vtk,
-        ".vtp": read_vtk_xml, ".vtu": read_vtk_xml,
+        ".vtp": read_vtk_xml, ".vtu": read_vtk_xml, ".aop": read_aop,
     }.get(path.suffix.lower(), _by_meshio)  # fmt: skip
     try:
         with np.errstate(all="ignore"):  # meshio computes sizes that may overflow

@@ -20,6 +20,7 @@ from limbcli.meshing.surfaces import Triangles, join
 from limbcli.results import StageWriter
 from limbcli.stages.segmenting.bone_names import names_of_bodies, names_of_files, numbered
 from limbcli.stages.segmenting.places import report_places
+from limbcli.surface_formats.aop import read_aop_limb
 from limbcli.surface_formats.colours import has_colours
 from limbcli.surface_frames import mixed_frames, stated_frame
 
@@ -104,8 +105,8 @@ def triangles_of(surfaces: Mapping[str, ClosedSurface]) -> dict[str, Triangles]:
 
 
 def frames_of(case: Case) -> tuple[list[str], list[Problem]]:
-    """Lines on the case's surfaces: conversions to patient LPS and mm, and colours, which are ignored; and a
-    warning if not all were converted.
+    """Lines on the case's surfaces: conversions to patient LPS and mm, landmarks, and colours, which are ignored;
+    and a warning if not all were converted. Raises CaseError if one states the other side than the case.
     """
     paths = [path for path in (case.imaging.skin, *case.imaging.bones) if path is not None]
     stated = [stated_frame(path) for path in paths]
@@ -118,7 +119,25 @@ def frames_of(case: Case) -> tuple[list[str], list[Problem]]:
             f"the colours of {', '.join(coloured)} are ignored: state where a coloured landmark lies by "
             "position_mm of its [[site]]"
         )
-    return lines, found
+    return lines + [line for path in paths for line in _of_aop(path, case)], found
+
+
+def _of_aop(path: Path, case: Case) -> list[str]:
+    """The landmarks of an AOP file, as a line. Raises CaseError if it states the other side than the case."""
+    if path.suffix.lower() != ".aop":
+        return []
+    try:
+        limb = read_aop_limb(path)
+    except OSError:
+        return []  # reported where its surface is read
+    if limb.side and limb.side != case.limb:
+        raise CaseError(
+            f"{path.name} states that it is the {limb.side} limb, but case.toml says {case.limb}",
+            where=str(path),
+            fix='correct limb = "left" or "right" under [subject], or give the file of this limb',
+        )
+    places = [f"{name} {triple(each)}" for name, rows in limb.landmark_points.items() for each in rows]
+    return [f"landmarks of {path.name}, as for position_mm: {', '.join(places)}"] if places else []
 
 
 def read_surfaces(case: Case) -> tuple[dict[str, ClosedSurface], dict[str, Path]]:
