@@ -155,6 +155,6 @@ def test_the_side_that_a_file_states_is_compared_with_the_case_s_and_landmarks_a
     path.write_text(HEAD + BODY)
     imaging = SimpleNamespace(skin=path, bones=())
     lines, _ = frames_of(SimpleNamespace(imaging=imaging, limb="left"))  # type: ignore[arg-type]
-    assert "TIB (0.0, -10.0, 10.0), TIB (-20.0" in lines[0]
+    assert "TIB [0.0, -10.0, 10.0], TIB [-20.0" in lines[0]
     with pytest.raises(CaseError, match="states that it is the left limb"):
         frames_of(SimpleNamespace(imaging=imaging, limb="right"))  # type: ignore[arg-type]

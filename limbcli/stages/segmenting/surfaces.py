@@ -105,7 +105,7 @@ def triangles_of(surfaces: Mapping[str, ClosedSurface]) -> dict[str, Triangles]:
 
 
 def frames_of(case: Case) -> tuple[list[str], list[Problem]]:
-    """Lines on the case's surfaces: conversions to patient LPS and mm, landmarks, and colours, which are ignored;
+    """Lines on the case's surfaces: conversions to patient LPS and mm, landmarks, colours that are ignored;
     and a warning if not all were converted. Raises CaseError if one states the other side than the case.
     """
     paths = [path for path in (case.imaging.skin, *case.imaging.bones) if path is not None]
