@@ -204,14 +204,14 @@ def aop_limb(
     inset = min(_INSET, 0.01 * (high - low))
     n_heights = max(2, int(np.ceil((high - low) / step_mm)) + 1)
     heights = np.linspace(low + inset, high - inset, n_heights)
-    angles = 360.0 / n_angles * np.arange(n_angles)
+    angles = np.arange(n_angles, dtype=np.float64) * 360.0 / n_angles
     directions = _placed(np.ones(n_angles), angles, np.zeros(n_angles))[:, :2]
     tip = points[points[:, 2] < low + _TIP * (high - low)][:, :2].mean(axis=0)
     best, axis, radii = slice(0, 0), np.zeros(3), np.zeros((0, n_angles))
     for middle in (tip, _middle(points[triangles])):
         corners = points[triangles] - np.append(middle, 0.0)
         rows = np.array([_outermost(_section(corners, height), directions) for height in heights])
-        whole = _longest_run((rows > 0).all(axis=1))
+        whole = _longest_run(np.asarray((rows > 0).all(axis=1)))
         if whole.stop - whole.start > best.stop - best.start:
             best, axis, radii = whole, np.append(middle, heights[whole.start]), rows[whole]
     if len(radii) < max(2, _LEAST * n_heights):

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limbcli.model import Array, IntArray
 from limbcli.surface_formats.polygons import by_length, from_cells, from_strips
@@ -92,7 +94,7 @@ class _File:
         self.at = end + 1
         return found.decode("latin-1").strip()
 
-    def numbers(self, count: int, kind: str) -> Array | IntArray:
+    def numbers(self, count: int, kind: str) -> NDArray[Any]:
         if count < 0:
             raise OSError("a number of values is negative")
         if not self.is_binary:
@@ -101,8 +103,7 @@ class _File:
             if len(words) < count:
                 raise OSError(_ENDS_EARLY)
             self.at = len(self.content) - len(rest)
-            form = np.float64 if kind.lower() in ("float", "double") else np.int64
-            return np.array(words, form)
+            return np.array(words, np.float64 if kind.lower() in ("float", "double") else np.int64)
         if kind.lower() not in _TYPES:
             raise OSError(f"it has numbers of an unknown type ({kind})")
         form = np.dtype(">" + _TYPES[kind.lower()])
