@@ -152,12 +152,12 @@ def _lines(model: LimbModel) -> Iterator[str]:
     yield "*HEADING"
     yield "limbcli; units mm, N, s, tonne, MPa"
     yield "** All laws are in Abaqus' Ogden form; beside each stands what differs from the law of the model."
+    yield "** The last nodes are the reference nodes of rigid bodies."
     yield "*NODE"
     for k, point in enumerate(model.mesh.points, 1):
         yield f"{k}, " + ", ".join(f"{value:.9g}" for value in point)
     references = {body.name: len(model.mesh.points) + k for k, body in enumerate(model.bodies, 1)}
     for body in model.bodies:
-        yield f"** reference node of the rigid body {body.name}"
         yield f"{references[body.name]}, " + ", ".join(f"{value:.9g}" for value in body.center_of_mass)
     for block in model.mesh.blocks:
         kind = "R3D3" if block.name in shells else _ELEMENTS.get(block.kind, "R3D3")

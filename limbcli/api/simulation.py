@@ -226,7 +226,8 @@ def run(
     with at_work(case, out, wait=wait, progress=progress) as work:
         found = stage.run(
             work.case, out=work.out, sites=names_of(sites), solver=solver, febio=maybe_path(febio, "febio"),
-            options=stage.RunOptions(time_limit_s=time_limit_s, vtu=vtu, keep_plot=keep_plot), progress=work.progress,
+            options=stage.RunOptions(time_limit_s=time_limit_s, vtu=vtu, keep_plot=keep_plot),
+            progress=work.progress,
         )  # fmt: skip
     return by_site(RunResult, found)
 
@@ -271,6 +272,7 @@ def run_feb(
         with one_writer(target, wait=wait, progress=heard):
             found = stage.run_file(
                 file, out=target, solver=solver, febio=maybe_path(febio, "febio"),
-                options=stage.RunOptions(time_limit_s=time_limit_s, vtu=vtu, keep_plot=keep_plot), progress=heard,
+                options=stage.RunOptions(time_limit_s=time_limit_s, vtu=vtu, keep_plot=keep_plot),
+                progress=heard,
             )  # fmt: skip
     return RunResult.of(found)

@@ -34,8 +34,8 @@ _OF_A_CASE = ("segment", "mesh", "build-feb", "fit")  # stages whose results sho
 
 @dataclass(frozen=True)
 class RunOptions:
-    """time_limit_s : time limit of each simulation; vtu : also write a time series for ParaView; keep_plot : keep
-    FEBio's plot file.
+    """time_limit_s : time limit of each simulation; vtu : also write a time series for ParaView;
+    keep_plot : keep FEBio's plot file.
     """
 
     time_limit_s: float | None = None
