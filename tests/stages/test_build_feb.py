@@ -150,9 +150,9 @@ def test_values_given_by_hand_win(case: Case, tmp_path: Path) -> None:
 
 
 def test_an_abaqus_file_is_written_on_request(case: Case, tmp_path: Path) -> None:
-    (plain,) = build_feb(case, out=tmp_path)
+    (plain,) = build_feb(case, out=tmp_path / "out")
     assert not (plain.folder / "model.inp").exists()
-    (found,) = build_feb(case, out=tmp_path, options=TissueOptions(abaqus=True))
+    (found,) = build_feb(case, out=tmp_path / "out", options=TissueOptions(abaqus=True))
     text = found.path("abaqus").read_text()
     assert "*HYPERELASTIC, OGDEN, N=2" in text
     assert "TYPE=C3D" in text

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.case import Case
-from limbcli.errors import CaseError
+from limbcli.errors import CaseError, MeshError
 from limbcli.errors.problems import Problem, raise_errors
 from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
 from limbcli.meshing.anatomy import IN_ONE_FRAME, SKIN, bones_outside, limb_problems
@@ -20,12 +20,13 @@ from limbcli.meshing.surfaces import Triangles, join
 from limbcli.results import StageWriter
 from limbcli.stages.segmenting.bone_names import names_of_bodies, names_of_files, numbered
 from limbcli.stages.segmenting.places import report_places
-from limbcli.surface_formats.aop import read_aop_limb
+from limbcli.surface_formats.aop import aop_limb, read_aop_limb, write_aop
 from limbcli.surface_formats.colours import has_colours
 from limbcli.surface_frames import mixed_frames, stated_frame
 
 # Later steps use points and triangles. Triangles of drawn (CAD) bodies can span the whole limb and are
 # divided; those of a scan do so only at its flat ends, and are kept as given.
+AOP_FILE = "skin.aop"
 _LONGEST_EDGE = 25.0  # mm, longest edge of a divided body
 _DRAWN_SHARE = 0.5  # share of area in triangles with a longer edge above which a body is taken as drawn
 
@@ -259,6 +260,23 @@ def _rims(surface: ClosedSurface) -> str:
     middle, width = max(rims, key=lambda each: each[1])
     several = f", {len(rims)} open rims" if len(rims) > 1 else ""
     return f" (an opening of {width:.0f} mm at {triple(middle)} mm{several})"
+
+
+def write_skin_aop(case: Case, writer: StageWriter) -> None:
+    """Write skin.aop of the skin that was written, with the markers as landmarks; warn where it cannot be."""
+    skin = read_surface(writer.work / f"{SKIN}.ply")
+    marks = {f"MARKER {each['number']}": np.array(each["position_mm"]) for each in writer.data["markers"]}
+    body = _largest(skin)
+    try:
+        limb, axis = aop_limb(body.points, body.faces, side=case.limb or "", landmarks=marks)
+    except MeshError as error:
+        writer.warnings.append(f"{AOP_FILE} was not written: {error.what}; {error.fix}")
+        return
+    place = f"height 0 of its axis is at {triple(axis)} mm (patient LPS)"
+    write_aop(writer.file("aop", AOP_FILE), limb, comments=("limbcli", place))
+    writer.summary.append(
+        f"{AOP_FILE}: {len(limb.heights)} slices over {np.ptp(limb.heights):.0f} mm; {place}"
+    )
 
 
 def write_surfaces(surfaces: dict[str, ClosedSurface], writer: StageWriter) -> None:
