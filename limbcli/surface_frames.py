@@ -13,12 +13,8 @@ A file that says nothing is taken as patient LPS in mm.
 
 from __future__ import annotations
 
-import base64
-import lzma
 import re
-import struct
-import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,6 +22,7 @@ import numpy as np
 
 from limbcli.errors import CaseError
 from limbcli.model import Array, IntArray
+from limbcli.surface_formats.vtk_xml import field_text
 from limbcli.three_mf import unit_of_3mf
 from limbcli.units import LENGTH_UNITS_IN_MM, unit_named
 
@@ -35,10 +32,6 @@ _ONE_UNIT = re.compile(r"\b1 unit\s*=\s*([0-9][0-9.]*(?:e[+-]?\d+)?)\s*([^\W\d]+
 _UNITS = re.compile(r"\bunits?\b\s*(?:(?:is|are|in|of length)\b)?\s*[=:]?\s*([^\W\d]+)", re.IGNORECASE)
 _STL_TITLE = 80  # bytes
 _VTK_FIELD = re.compile(rb"\nSPACE 1 1 string\r?\n[\x80-\xff]?([A-Za-z-]+)")
-_XML_FIELD = re.compile(rb'<(?:Data)?Array\b([^>]*\bName="SPACE"[^>]*?)(?:/>|>([^<]*)<)')
-_XML_ATTRIBUTE = re.compile(rb'(\w+)\s*=\s*"([^"]*)"')
-_UNREADABLE = "in a form that cannot be decoded"
-_LONGEST = 64  # bytes, longest name of a frame
 
 
 @dataclass(frozen=True)
@@ -187,7 +180,7 @@ def _of_ply(path: Path) -> list[str]:
 
 
 def _of_comments(path: Path) -> list[str]:
-    found = re.findall(rb"^[ \t]*#[^\r\n]*", path.read_bytes(), re.MULTILINE)
+    found = re.findall(rb"(?:^|[ \t])#[^\r\n]*", path.read_bytes(), re.MULTILINE)
     return [each.decode("latin-1") for each in found]
 
 
@@ -213,57 +206,13 @@ def _of_3mf(path: Path) -> list[str]:
 
 
 def _of_vtk_xml(path: Path) -> list[str]:
-    """The string array SPACE of the field data, in any of the encodings of VTK's XML files."""
-    content = path.read_bytes()
-    found = _XML_FIELD.search(content)
-    if found is None:
-        return []
-    head = _attributes(content[: content.find(b">", content.find(b"<VTKFile"))])
+    """The text SPACE of the field data, in any of the encodings of VTK's XML files."""
     try:
-        word = _array(content, _attributes(found[1]), found[2] or b"", head).split(b"\0")[0].decode("ascii")
-    except (ValueError, KeyError, struct.error, zlib.error, lzma.LZMAError):
-        word = ""
-    if not word:
+        word = field_text(path, "SPACE")
+    except OSError as error:
         raise CaseError(
-            f"the surface states its frame (SPACE) {_UNREADABLE}",
+            f"the frame (SPACE) of the surface cannot be read ({error})",
             where=str(path),
             fix="save it as STL, PLY or OBJ, or without compression",
-        )
-    return [f"SPACE={word}"]
-
-
-def _attributes(tag: bytes) -> dict[str, str]:
-    return {name.decode("latin-1"): value.decode("latin-1") for name, value in _XML_ATTRIBUTE.findall(tag)}
-
-
-def _array(content: bytes, own: Mapping[str, str], text: bytes, head: Mapping[str, str]) -> bytes:
-    """The bytes of a short array (one block). Format: VTK, XML file formats."""
-    if own["format"] == "ascii":
-        return bytes(int(each) for each in text.split())
-    data, is_base64 = text.strip(), True
-    if own["format"] == "appended":
-        begin = content.index(b"<AppendedData")
-        is_base64 = b'"base64"' in content[begin : content.index(b">", begin)]
-        at = content.index(b"_", content.index(b">", begin)) + 1 + int(own["offset"])
-        data = content[at : at + 4096]
-    order = "<" if head.get("byte_order", "LittleEndian") == "LittleEndian" else ">"
-    number = order + ("Q" if head.get("header_type") == "UInt64" else "I")
-    size, packer = struct.calcsize(number), head.get("compressor", "")
-    n_head = (4 if packer else 1) * size  # of one block: count, its size, size of the last, packed size
-    if is_base64:
-        chars = 4 * -(-n_head // 3)
-        packed = base64.b64decode(data[:chars])
-        (length,) = struct.unpack(number, packed[n_head - size : n_head])
-        rest = data[chars:] if packer else data
-        skip = 0 if packer else n_head
-        body = base64.b64decode(rest[: 4 * -(-(skip + min(length, _LONGEST)) // 3)])[skip : skip + length]
-    else:
-        (length,) = struct.unpack(number, data[n_head - size : n_head])
-        body = data[n_head : n_head + min(length, 4 * _LONGEST)]
-    if "ZLib" in packer:
-        return zlib.decompress(body)
-    if "LZMA" in packer:
-        return lzma.decompress(body)
-    if "LZ4" in packer:  # so few bytes are not packed: a token with their number, then the bytes
-        return body[1:]
-    return body
+        ) from error
+    return [f"SPACE={word}"] if word else []

@@ -1,4 +1,4 @@
-"""Read triangle surfaces as written by scanners and CAD programs: PLY, OBJ, STL, 3MF and others.
+"""Read triangle surfaces of scanners, CAD and visualisation programs: PLY, OBJ, STL, VTK and others.
 
 PLY: paulbourke.net/dataformats/ply; OBJ: paulbourke.net/dataformats/obj. Colours, normals and texture
 coordinates in such files are ignored. PLY and OBJ are read here because meshio rejects many files of
@@ -13,8 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from limbcli.surface_formats.aop import read_aop
+from limbcli.surface_formats.off import read_off
+from limbcli.surface_formats.vtk_legacy import read_vtk
+from limbcli.surface_formats.vtk_xml import read_vtk_xml
 from limbcli.surface_frames import stated_frame
 from limbcli.three_mf import read_3mf
+
+SUFFIXES = (".ply", ".stl", ".obj", ".3mf", ".off", ".vtk", ".vtp", ".vtu", ".aop")
 
 _Points = NDArray[np.float64]
 _Faces = NDArray[np.int64]
@@ -27,8 +33,6 @@ _NUMBERS = {
 }  # fmt: skip
 _CORNERS = ("vertex_indices", "vertex_index")
 _SIDES = ("triangle", "quad")
-# Raised on a corrupt file: meshio's own ReadError and others; some of its readers call sys.exit.
-_DAMAGED = (Exception, SystemExit)
 
 
 def read_triangles(path: Path) -> tuple[_Points, _Faces]:
@@ -44,11 +48,16 @@ def read_triangles(path: Path) -> tuple[_Points, _Faces]:
     CaseError
         If the frame or the unit that it states is not known, or contradicts another in it.
     """
-    read = {".ply": _ply, ".obj": _obj, ".3mf": read_3mf}.get(path.suffix.lower(), _by_meshio)
+    read = {
+        ".ply": _ply, ".obj": _obj, ".3mf": read_3mf, ".off": read_off, ".vtk": read_vtk,
+        ".vtp": read_vtk_xml, ".vtu": read_vtk_xml, ".aop": read_aop,
+    }.get(path.suffix.lower(), _by_meshio)  # fmt: skip
     try:
         with np.errstate(all="ignore"):  # meshio computes sizes that may overflow
             points, polygons = read(path)
-    except _DAMAGED as error:
+    except SystemExit as error:
+        raise OSError("it is damaged, or of a kind that is not read") from error
+    except Exception as error:
         raise OSError(str(error) or type(error).__name__) from error
     if points.ndim != 2 or points.shape[1] < 3:
         raise OSError("its points do not have three coordinates")

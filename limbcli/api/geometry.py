@@ -135,6 +135,7 @@ def segment(
     threshold: float | None = None,
     limb: Literal["left", "right"] | None = None,
     accept_bones: bool = False,
+    aop: bool = False,
     fresh: bool = False,
     wait: bool = True,
     progress: Heard = None,
@@ -153,6 +154,7 @@ def segment(
     threshold : signal between air and skin, in the image's units (HU for CT); None: automatic
     limb : which limb to use, if two are in view
     accept_bones : of bones outside the skin, keep what is inside; otherwise they are an error
+    aop : also write skin.aop, the skin for prosthetic CAD programs
     fresh : ignore a label map that was edited by hand
     wait : wait for another process that writes into `out`; False: raise an error at once
     progress : called with (kind, facts) at each event; None: no calls
@@ -171,7 +173,7 @@ def segment(
     with at_work(case, out, wait=wait, progress=progress, opening=Case.open_images) as work:
         found = stage.segment(
             work.case, out=work.out, seeds=_seeds(seeds), smooth=smooth_mm, threshold=threshold, limb=limb,
-            accept_bones=accept_bones, fresh=fresh, progress=work.progress,
+            accept_bones=accept_bones, aop=aop, fresh=fresh, progress=work.progress,
         )  # fmt: skip
     return SegmentResult.of(found)
 

@@ -127,6 +127,7 @@ def build_feb(
     m: float = 2.0,
     layers: Mapping[str, Mapping[str, Any]] | None = None,
     contact_penalty: float | None = None,
+    abaqus: bool = False,
     templates: PathLike | None = None,
     wait: bool = True,
     progress: Heard = None,
@@ -142,6 +143,7 @@ def build_feb(
     m : start value of the law's exponent, 1 to 100
     layers : by "skin" or "fat" a table of `law`, `c_kpa`, `f_kappa`, `m`, `beta`, which overrides the case
     contact_penalty : multiple of the skin's stiffness at rest; None: 20, with which FEBio converges
+    abaqus : also write model.inp, the same model for Abaqus in its nearest laws
     templates : a folder of Jinja templates that take precedence over the built-in ones
 
     Raises
@@ -158,8 +160,9 @@ def build_feb(
 
     with at_work(case, out, wait=wait, progress=progress) as work:
         options = stage.TissueOptions(
-            c_kpa=c_kpa, f_kappa=f_kappa, m=m, layers=_laws(layers or {}), contact_penalty=contact_penalty
-        )
+            c_kpa=c_kpa, f_kappa=f_kappa, m=m, layers=_laws(layers or {}), contact_penalty=contact_penalty,
+            abaqus=abaqus,
+        )  # fmt: skip
         found = stage.build_feb(
             work.case, out=work.out, sites=names_of(sites), options=options,
             templates=maybe_path(templates, "templates"), progress=work.progress,
@@ -191,6 +194,7 @@ def run(
     febio: PathLike | None = None,
     time_limit_s: float | None = None,
     vtu: bool = False,
+    keep_plot: bool = False,
     wait: bool = True,
     progress: Heard = None,
 ) -> SiteResults[RunResult]:
@@ -204,6 +208,7 @@ def run(
     febio : the FEBio binary
     time_limit_s : of each simulation; None: by the model's size
     vtu : also write a time series for ParaView
+    keep_plot : keep FEBio's plot file, model.xplt
 
     Raises
     ------
@@ -221,7 +226,8 @@ def run(
     with at_work(case, out, wait=wait, progress=progress) as work:
         found = stage.run(
             work.case, out=work.out, sites=names_of(sites), solver=solver, febio=maybe_path(febio, "febio"),
-            options=stage.RunOptions(time_limit_s=time_limit_s, vtu=vtu), progress=work.progress,
+            options=stage.RunOptions(time_limit_s=time_limit_s, vtu=vtu, keep_plot=keep_plot),
+            progress=work.progress,
         )  # fmt: skip
     return by_site(RunResult, found)
 
@@ -235,6 +241,7 @@ def run_feb(
     febio: PathLike | None = None,
     time_limit_s: float | None = None,
     vtu: bool = False,
+    keep_plot: bool = False,
     wait: bool = True,
     progress: Heard = None,
 ) -> RunResult:
@@ -244,7 +251,7 @@ def run_feb(
     ----------
     feb : a .feb or .feb.gz file, format 4.0, units mm-N-s
     out : output folder; None: out/<name of the file>
-    solver, febio, time_limit_s, vtu, wait, progress : as for `run`
+    solver, febio, time_limit_s, vtu, keep_plot, wait, progress : as for `run`
 
     Raises
     ------
@@ -265,6 +272,7 @@ def run_feb(
         with one_writer(target, wait=wait, progress=heard):
             found = stage.run_file(
                 file, out=target, solver=solver, febio=maybe_path(febio, "febio"),
-                options=stage.RunOptions(time_limit_s=time_limit_s, vtu=vtu), progress=heard,
+                options=stage.RunOptions(time_limit_s=time_limit_s, vtu=vtu, keep_plot=keep_plot),
+                progress=heard,
             )  # fmt: skip
     return RunResult.of(found)

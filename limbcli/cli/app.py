@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import itertools
 import json
 import math
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, NoReturn
@@ -18,6 +19,7 @@ import typer
 from limbcli.cli.examples import EXAMPLES
 from limbcli.cli.fixes import for_command_line
 from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
+from limbcli.cli.results_stream import results
 from limbcli.config import at_home
 from limbcli.errors import CaseError, LimbError
 from limbcli.errors.file_system import NO_MEMORY, in_words
@@ -76,10 +78,25 @@ def _root(
     pass
 
 
+def _never_ended(command: Callable[..., None]) -> Callable[..., None]:
+    """The command, with an error where a library ends the process (commands themselves raise typer.Exit)."""
+
+    @functools.wraps(command)
+    def run(*arguments: object, **options: object) -> None:
+        try:
+            command(*arguments, **options)
+        except SystemExit as stop:
+            raise RuntimeError(f"a library ended the process (exit code {stop.code})") from stop
+
+    return run
+
+
 for _name, _module in COMMANDS.items():
     _command = import_module(f"limbcli.cli.{_module}").command
     _first = inspect.getdoc(_command).partition("\n\n")[0]  # type: ignore[union-attr]
-    app.command(_name, short_help=" ".join(_first.split()), epilog=f"Example: {EXAMPLES[_name]}")(_command)
+    app.command(_name, short_help=" ".join(_first.split()), epilog=f"Example: {EXAMPLES[_name]}")(
+        _never_ended(_command)
+    )
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -96,7 +113,7 @@ def main(arguments: list[str] | None = None) -> None:
             print(MESSAGE, file=sys.stderr)
         raise
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        os.dup2(os.open(os.devnull, os.O_WRONLY), results().fileno())
         sys.exit(1)
     except OSError as error:
         found = in_words(error)
@@ -170,4 +187,4 @@ def report_json(error: LimbError) -> None:
         "fix": error.fix,
         "facts": plain(error.facts),
     }
-    print(json.dumps(content, indent=1, default=str))
+    print(json.dumps(content, indent=1, default=str), file=results(), flush=True)

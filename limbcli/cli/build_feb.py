@@ -48,6 +48,9 @@ def command(
             "warns that the probe sinks in.",
         ),
     ] = None,
+    abaqus: Annotated[
+        bool, typer.Option("--abaqus", help="Also model.inp, the same model for Abaqus in its nearest laws.")
+    ] = False,
     templates: TemplatesOpt = None,
     no_wait: NoWaitOpt = False,
     json: JsonOpt = False,
@@ -68,6 +71,7 @@ def command(
         m=m,
         layers=dict(map(parse_law, layer or [])),
         contact_penalty=contact_penalty,
+        abaqus=abaqus,
     )
     with one_writer(target, wait=not no_wait, progress=progress):
         results = build_feb(

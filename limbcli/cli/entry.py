@@ -12,6 +12,7 @@ import sys
 from types import FrameType
 
 from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
+from limbcli.cli.results_stream import keep_stdout_for_results
 
 
 def main() -> None:
@@ -21,6 +22,8 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # escape characters that the terminal cannot show
+    if "--json" in sys.argv and not {"--help", "-h"} & set(sys.argv):
+        keep_stdout_for_results()
     try:
         from limbcli.cli.app import main as run
 

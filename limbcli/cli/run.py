@@ -39,6 +39,9 @@ def command(
         ),
     ] = None,
     vtu: Annotated[bool, typer.Option("--vtu", help="Also a time series for ParaView.")] = False,
+    keep_plot: Annotated[
+        bool, typer.Option("--keep-plot", help="Keep FEBio's plot file (model.xplt), for FEBio Studio.")
+    ] = False,
     no_wait: NoWaitOpt = False,
     json: JsonOpt = False,
     quiet: QuietOpt = False,
@@ -48,7 +51,7 @@ def command(
     from limbcli.config import default_out
     from limbcli.stages.run import RunOptions, model_name, run, run_file
 
-    options = RunOptions(time_limit_s=time_limit_s, vtu=vtu)
+    options = RunOptions(time_limit_s=time_limit_s, vtu=vtu, keep_plot=keep_plot)
     progress = terminal(quiet=quiet, verbose=verbose)
     file = feb or (case if case is not None and is_model_file(case) else None)
     if file is not None and (case is None or file == case):

@@ -47,6 +47,7 @@ AcceptBonesOpt = Annotated[
         help="Of bones outside the skin, keep what is inside; default: they are an error.",
     ),
 ]
+AopOpt = Annotated[bool, typer.Option("--aop", help="Also skin.aop, the skin for prosthetic CAD programs.")]
 FreshOpt = Annotated[
     bool, typer.Option("--fresh", help="Discard a label map that was edited by hand and start anew.")
 ]
@@ -60,6 +61,7 @@ def command(
     threshold: ThresholdOpt = None,
     limb: LimbOpt = None,
     accept_bones: AcceptBonesOpt = False,
+    aop: AopOpt = False,
     fresh: FreshOpt = False,
     no_wait: NoWaitOpt = False,
     json: JsonOpt = False,
@@ -92,6 +94,7 @@ def command(
             threshold=threshold,
             limb=limb,  # type: ignore[arg-type]
             accept_bones=accept_bones,
+            aop=aop,
             fresh=fresh,
             progress=progress,
         )

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, TextIO
 
 from limbcli.cli.remaining_time import TimeLeft, keep_alive
+from limbcli.cli.results_stream import results
 from limbcli.progress import SILENT, Progress
 
 if TYPE_CHECKING:  # without numpy, which help and messages do not need
@@ -162,4 +163,4 @@ def emit_lines(lines: Iterable[str]) -> None:
 
 
 def emit_json(content: object) -> None:
-    print(json.dumps(content, indent=1))
+    print(json.dumps(content, indent=1), file=results(), flush=True)

@@ -1,4 +1,4 @@
-"""Read a load-cell record as its program wrote it: other column names, separators, units, LabVIEW files.
+"""Read a load-cell record as its program wrote it: other column names, separators, units, LabVIEW, TDMS.
 
 `trace.csv` of the case format needs none of this; for an instrument that writes another format, case.toml
 states the names and units of the columns.
@@ -18,9 +18,11 @@ from limbcli.measurement import lvm
 from limbcli.measurement.column_units import factor, is_unit, matches, quantity, stated_unit, stated_word
 from limbcli.measurement.sheet import Sheet, cell, csv_sheet, text_of
 from limbcli.measurement.tables import number_of, shown
-from limbcli.measurement.trace import LONGEST_S, Trace, rate_question
+from limbcli.measurement.tdms import is_tdms, tdms_sheet
+from limbcli.measurement.trace import LONGEST_S, RATES_HZ, Trace, block_means, rate_question
 from limbcli.model import Array
 
+_AVERAGED_HZ = 1000.0  # rate to which records are averaged that are faster than plausible ones
 COLUMNS = ("time_s", "force_n", "depth_mm", "probe_travel_mm", "accel_x_g", "accel_y_g", "accel_z_g")
 
 
@@ -82,7 +84,14 @@ def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
     values = _values(sheet, positions, form, path)
     _check_time(values["time_s"], path)
     k = positions["time_s"]
-    unit = form.time_unit or stated_word(sheet.header[k], "time_s", sheet.unit(k), {})
+    in_file = stated_word(sheet.header[k], "time_s", sheet.unit(k), {})
+    unit = form.time_unit or in_file
+    averaged = ""
+    if in_file is not None and (n := _fast(values["time_s"])):
+        values, averaged = (
+            {name: block_means(each, n) for name, each in values.items()},
+            f"means of {n} samples",
+        )
     _check_rate(values["time_s"], path, unit)
     axes = [values.get(f"accel_{axis}_g") for axis in "xyz"]
     return Trace(
@@ -94,8 +103,14 @@ def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
         if all(each is not None for each in axes)
         else None,
         path=path,
-        converted=_converted(sheet, positions, form),
+        converted="; ".join(each for each in (_converted(sheet, positions, form), averaged) if each),
     )
+
+
+def _fast(time: Array) -> int:
+    """How many samples are averaged in a record that is faster than plausible ones; 0 if it is not."""
+    rate = 1.0 / float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    return round(rate / _AVERAGED_HZ) if rate > 1.01 * RATES_HZ[1] else 0
 
 
 def _converted(sheet: Sheet, positions: Mapping[str, int], form: RecordingFormat) -> str:
@@ -111,6 +126,11 @@ def _converted(sheet: Sheet, positions: Mapping[str, int], form: RecordingFormat
 
 
 def _sheet(path: Path, form: RecordingFormat) -> Sheet:
+    if is_tdms(path):
+        wanted = {name: form.columns.get(name, name) for name in COLUMNS}
+        return tdms_sheet(
+            path, lambda title: any(_places([title], own, name) for name, own in wanted.items())
+        )
     text = text_of(path)
     if lvm.is_lvm(text):
         return lvm.lvm_sheet(

@@ -16,7 +16,7 @@ from limbcli.measurement.tables import SEPARATOR_LINE, csv_rows, number_of
 
 _BINARY = {
     b"PK\x03\x04": "an Excel workbook, or another archive", b"\xd0\xcf\x11\xe0": "an old Excel workbook",
-    b"TDSm": "a LabVIEW TDMS file", b"\x89HDF": "an HDF5 file", b"MATLAB": "a MATLAB file",
+    b"TDSh": "the index of a TDMS file beside it", b"\x89HDF": "an HDF5 file", b"MATLAB": "a MATLAB file",
     b"\x1f\x8b": "compressed", b"\x89PNG": "a picture", b"%PDF": "a PDF",
 }  # fmt: skip
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x19\x1b-\x1f]")
@@ -82,7 +82,7 @@ def text_of(path: Path) -> str:
         raise MeasurementError(
             f"the record is a binary file ({kind})",
             where=str(path),
-            fix="export it as text from the program that wrote it: CSV, or LabVIEW's .lvm",
+            fix="export it from the program that wrote it: CSV, or LabVIEW's .lvm or .tdms",
         )
     for encoding in encodings:
         try:

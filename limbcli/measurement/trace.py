@@ -46,6 +46,15 @@ class Trace:
         )
 
 
+def block_means(values: Array, n: int) -> Array:
+    """Means (m // n,) of n values each; what is left at the end is dropped.
+
+    >>> block_means(np.arange(7.0), 3)
+    array([1., 4.])
+    """
+    return np.asarray(values[: len(values) // n * n].reshape(-1, n).mean(axis=1))
+
+
 def rate_question(time: Array, *, unit: str = "s", longest: float = LONGEST_S) -> str:
     """A question about the unit of a record's times (n,), s; empty if they are plausible.
 

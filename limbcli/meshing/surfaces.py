@@ -13,9 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from limbcli.errors import MeshError
 from limbcli.model import Array, IntArray
-from limbcli.triangle_files import read_triangles
-
-SUFFIXES = (".ply", ".stl", ".obj", ".3mf", ".off", ".vtk", ".vtu")
+from limbcli.triangle_files import SUFFIXES, read_triangles
 
 
 @dataclass(frozen=True, eq=False)

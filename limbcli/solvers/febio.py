@@ -45,10 +45,12 @@ class FebioSolver:
 
     binary : executable to run; None: the variable LIMBCLI_FEBIO, then `febio4`, `febio` on PATH
     threads : OpenMP threads; None: OMP_NUM_THREADS, else all processors
+    keep_plot : keep FEBio's plot file of a finished run beside the log, named as the model (.xplt)
     """
 
     binary: Path | None = None
     threads: int | None = None
+    keep_plot: bool = False
     name: str = "febio"
 
     def path(self) -> Path | None:
@@ -149,7 +151,11 @@ class FebioSolver:
                 _watch(process, LogWatcher(log, outline, progress), limit, given=time_limit_s is not None)
             finally:
                 _stop(process)
+                if self.keep_plot and (feb.parent / plot).is_file():
+                    (feb.parent / plot).replace(feb.parent / plot_file(feb))
                 for name in (*(feb.stem + ending for ending in _LEFTOVERS), plot):
+                    if self.keep_plot and name == plot_file(feb):
+                        continue
                     (feb.parent / name).unlink(missing_ok=True)
             _judge(log, outline, process.returncode, screen)
         check_belongs(log, feb, outline, by_mark=True)
@@ -196,6 +202,15 @@ class FebioSolver:
             )
         except OSError as error:
             raise _not_startable(binary, error) from error
+
+
+def plot_file(feb: Path) -> str:
+    """Name of the plot file that is kept.
+
+    >>> plot_file(Path("model.feb"))
+    'model.xplt'
+    """
+    return feb.stem + _LEFTOVERS[0]
 
 
 @cache

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from limbcli.abaqus_files import write_abaqus
 from limbcli.atomic_files import sha256
 from limbcli.case import Case, Site
 from limbcli.errors import MeasurementError
@@ -53,6 +54,7 @@ from limbcli.stages.site_model.site_levels import levels_of
 from limbcli.units import kpa_from_mpa, mpa_from_kpa
 
 STAGE = "build-feb"
+ABAQUS_FILE = "model.inp"
 _WIDE_GAP = 0.25  # mm, gap at first touch that is reported: about one standard deviation of a depth reading
 _LINE_NEEDS = 3  # least number of speeds to extrapolate c linearly to 0 N
 __all__ = ["PROBE", "TISSUE", "TissueOptions", "build_feb", "indentation_model", "tissue_stiffness"]
@@ -65,6 +67,7 @@ class TissueOptions:
     c_kpa : c = 2 mu given by hand (None: from SWE at level 0)
     layers : a table (law, c_kpa, f_kappa, m, beta) for "skin" or "fat", which overrides the case's values
     contact_penalty : multiple of the skin's stiffness at rest; None: the value with which FEBio converges
+    abaqus : also write model.inp, an Abaqus input file
     """
 
     c_kpa: float | None = None
@@ -72,6 +75,7 @@ class TissueOptions:
     m: float = 2.0
     layers: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     contact_penalty: float | None = None
+    abaqus: bool = False
 
 
 def build_feb(
@@ -119,6 +123,9 @@ def _build_site(
     if options.contact_penalty is not None:
         model = with_penalty(model, options.contact_penalty)
     write_feb(model, writer.file("feb", MODEL_FILE), templates)
+    if options.abaqus:
+        write_abaqus(model, writer.file("abaqus", ABAQUS_FILE))
+        writer.summary.append(f"{ABAQUS_FILE}: the same model for Abaqus; its comments say what differs")
     writer.used("mesh", path)
     writer.used_result(meshed, files=["model"])
     writer.used("levels", site.levels, role=f"site/{site.name}/levels")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from limbcli.atomic_files import atomic_folder, sha256
@@ -19,6 +19,7 @@ from limbcli.progress import PROGRESS_FILE, SILENT, Progress, recorded
 from limbcli.results import StageResult, StageWriter, open_stage, plain, stage_folder
 from limbcli.solvers import choose
 from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Solver
+from limbcli.solvers.febio import FebioSolver, plot_file
 from limbcli.solvers.reference import NAME as REFERENCE
 from limbcli.solvers.restart import RESTART_FILE
 from limbcli.stages.provenance.chain import Chain
@@ -33,10 +34,13 @@ _OF_A_CASE = ("segment", "mesh", "build-feb", "fit")  # stages whose results sho
 
 @dataclass(frozen=True)
 class RunOptions:
-    """time_limit_s : time limit of each simulation; vtu : also write a time series for ParaView."""
+    """time_limit_s : time limit of each simulation; vtu : also write a time series for ParaView;
+    keep_plot : keep FEBio's plot file.
+    """
 
     time_limit_s: float | None = None
     vtu: bool = False
+    keep_plot: bool = False
 
 
 def run(
@@ -64,7 +68,7 @@ def run(
     SolveError
         If the end of the load is not reached, or the solver does not support a feature of the model.
     """
-    engine = choose(solver, febio)
+    engine = _keeping_plot(choose(solver, febio), options)
     results = []
     for site in case.selected(sites):
         progress.event("stage", name=STAGE, site=site.name)
@@ -91,7 +95,7 @@ def run_file(
         As in `run`.
     """
     _refuse_results_of_a_case(out, feb)
-    engine = choose(solver, febio)
+    engine = _keeping_plot(choose(solver, febio), options)
     model = runnable(feb)
     progress.event("stage", name=f"{STAGE} {feb.name}", site=None)
     with open_stage(out, STAGE, subject=model_name(feb)) as writer:
@@ -99,6 +103,18 @@ def run_file(
     shutil.rmtree(out / f"{STAGE}{FAILED}", ignore_errors=True)
     assert writer.result is not None
     return writer.result
+
+
+def _keeping_plot(engine: Solver, options: RunOptions) -> Solver:
+    if not options.keep_plot:
+        return engine
+    if isinstance(engine, FebioSolver):
+        return replace(engine, keep_plot=True)
+    raise CaseError(
+        f"the {engine.name} solver writes no plot file (.xplt); only FEBio does",
+        where="--keep-plot",
+        fix="omit --keep-plot and take --vtu, or install FEBio and give its binary with --febio FILE",
+    )
 
 
 def _refuse_results_of_a_case(out: Path, feb: Path) -> None:
@@ -183,6 +199,11 @@ def _simulate(
             _keep(writer, stopped_by_hand, engine)
             raise
     writer.files["log"] = LOG_FILE
+    if options.keep_plot:
+        if (feb.parent / plot_file(feb)).is_file():
+            writer.files["plot"] = plot_file(feb)
+        else:
+            writer.warnings.append("FEBio wrote no plot file: <Output> of the model has no <plotfile>")
     for record in outline.records:
         writer.files[Path(record.file).stem] = record.file
     write_simulation(simulation, outline, writer, levels=levels, site=site)

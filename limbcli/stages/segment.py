@@ -37,7 +37,7 @@ from limbcli.stages.provenance.requested_options import requested_of
 from limbcli.stages.segmenting.assumed import from_assumed
 from limbcli.stages.segmenting.label_maps import labelled_limb
 from limbcli.stages.segmenting.places import report_places
-from limbcli.stages.segmenting.surfaces import check_limb, from_surfaces, write_surfaces
+from limbcli.stages.segmenting.surfaces import check_limb, from_surfaces, write_skin_aop, write_surfaces
 
 SKIN_EDGE, BONE_EDGE = 2.0, 1.5  # mm, edge lengths of the surfaces' triangles
 # Loss of a bone's volume by smoothing, as a fraction of that in the label map, above which a warning is
@@ -56,9 +56,10 @@ class _Options:
     threshold: float | None
     limb: Side | None
     accept_bones: bool
+    aop: bool
 
     def requested(self) -> dict[str, Any]:
-        usual = {"smooth": SMOOTH, "accept_bones": False}
+        usual = {"smooth": SMOOTH, "accept_bones": False, "aop": False}
         return requested_of({**vars(self), "seeds": self.seeds or None}, usual)
 
     def hints(self, limb: Side) -> SegmentationHints:
@@ -80,6 +81,7 @@ def segment(
     threshold: float | None = None,
     limb: Side | None = None,
     accept_bones: bool = False,
+    aop: bool = False,
     fresh: bool = False,
     progress: Progress = SILENT,
 ) -> StageResult:
@@ -96,6 +98,7 @@ def segment(
     threshold : signal that separates air from skin, image units (HU on CT)
     limb : which of two limbs in the image; None: that stated by the case
     accept_bones : of bones outside the skin, keep what is inside, instead of refusing them
+    aop : also write skin.aop, the skin as radii about an upright axis
     fresh : ignore an edited label map and start again
 
     Raises
@@ -104,7 +107,7 @@ def segment(
         If the input cannot be used; the message gives the reason and the remedy.
     """
     progress.event("stage", name="segment")
-    options = _Options(_checked(seeds, case), smooth, threshold, limb, accept_bones)
+    options = _Options(_checked(seeds, case), smooth, threshold, limb, accept_bones, aop)
     edited = None if fresh else edited_labels(out)
     if edited is not None:
         _check_edited(case, out, edited)
@@ -127,6 +130,8 @@ def segment(
                 where=str(case.folder / "case.toml"),
                 fix="set mri, labels, or skin and bones under [imaging]",
             )
+        if aop:
+            write_skin_aop(case, writer)
     assert writer.result is not None
     return writer.result
 

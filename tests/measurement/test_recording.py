@@ -302,7 +302,7 @@ def test_what_stands_above_the_header_and_separators_are_found_out(tmp_path, tex
     ("content", "kind"),
     [
         (b"PK\x03\x04" + bytes(range(256)) * 20, "Excel"),
-        (b"TDSm" + bytes(range(256)) * 20, "TDMS"),
+        (b"TDSh" + bytes(range(256)) * 20, "TDMS"),
         (np.random.default_rng(7).bytes(5000), "no text"),
         (bytes(range(1, 256)) * 20, "no text"),
         (b"time_s,force_n\n0,\x001\n", "no text"),

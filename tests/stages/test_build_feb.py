@@ -149,6 +149,15 @@ def test_values_given_by_hand_win(case: Case, tmp_path: Path) -> None:
             build_feb(case, out=tmp_path / "out", options=TissueOptions(c_kpa=c_kpa))
 
 
+def test_an_abaqus_file_is_written_on_request(case: Case, tmp_path: Path) -> None:
+    (plain,) = build_feb(case, out=tmp_path / "out")
+    assert not (plain.folder / "model.inp").exists()
+    (found,) = build_feb(case, out=tmp_path / "out", options=TissueOptions(abaqus=True))
+    text = found.path("abaqus").read_text()
+    assert "*HYPERELASTIC, OGDEN, N=2" in text
+    assert "TYPE=C3D" in text
+
+
 def test_without_swe_c_must_be_given(case: Case, tmp_path: Path) -> None:
     case.sites[0].levels.write_text("force_n,depth_mm\n0,0\n0.3,0.8\n1.9,3.25\n")
     with pytest.raises(MeasurementError, match="--c-kpa"):

@@ -54,6 +54,18 @@ def test_febios_run_leaves_all_files(febio: Path, tmp_path: Path) -> None:
     assert json.loads((result.folder / "run.json").read_text())["data"]["max_force_n"] == 0.8
 
 
+def test_febios_plot_file_is_kept_on_request(febio: Path, tmp_path: Path) -> None:
+    plain = run_file(DATA / "punch.feb", out=tmp_path / "a", febio=febio)
+    assert not list(plain.folder.glob("*.xplt"))
+    kept = run_file(DATA / "punch.feb", out=tmp_path / "b", febio=febio, options=RunOptions(keep_plot=True))
+    assert kept.path("plot").read_bytes() == b"plot of this run"
+    assert [each.name for each in kept.folder.glob("*.xplt")] == ["model.xplt"]
+    with pytest.raises(CaseError, match="writes no plot file"):
+        run_file(
+            DATA / "punch.feb", out=tmp_path / "c", solver="reference", options=RunOptions(keep_plot=True)
+        )
+
+
 @pytest.mark.slow
 def test_both_solvers_leave_the_same_files(febio: Path, tmp_path: Path) -> None:
     one = run_file(DATA / "punch.feb", out=tmp_path / "a", febio=febio)

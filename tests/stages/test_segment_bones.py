@@ -15,6 +15,7 @@ from limbcli.stages.check_geometry import geometry_findings
 from limbcli.stages.provenance.commands import CommandStep
 from limbcli.stages.provenance.freshness import Memory
 from limbcli.stages.segment import segment
+from limbcli.surface_formats.aop import read_aop_limb
 from tests.meshing.conftest import tube
 from tests.stages.test_segment import case_with
 
@@ -106,3 +107,13 @@ def test_check_says_where_a_site_has_other_than_two_bones(tmp_path):
     assert line.startswith("site p1: 1 bone at its height (bone_tibia); ")
     at_ankle = replace(site, position=(0.0, 40.0, -95.0))  # below the end of the fibula
     assert len(geometry_findings(replace(both, sites=(at_ankle,)), [])[1]) == 1
+
+
+def test_the_skin_is_also_an_aop_on_request(tmp_path):
+    found = segment(limb(tmp_path), out=tmp_path / "out", aop=True)
+    written = read_aop_limb(found.path("aop"))
+    assert written.side == "left"
+    np.testing.assert_allclose(written.radii, 40.0, rtol=0.02)  # a prism of many sides
+    assert np.ptp(written.heights) == pytest.approx(200.0, abs=1.1)
+    assert CommandStep.of(found).command(Path("limb"), Path("out")).endswith("--aop")
+    assert "aop" not in segment(limb(tmp_path), out=tmp_path / "out").files

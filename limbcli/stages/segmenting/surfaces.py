@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.case import Case
-from limbcli.errors import CaseError
+from limbcli.errors import CaseError, MeshError
 from limbcli.errors.problems import Problem, raise_errors
 from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
 from limbcli.meshing.anatomy import IN_ONE_FRAME, SKIN, bones_outside, limb_problems
@@ -20,10 +20,13 @@ from limbcli.meshing.surfaces import Triangles, join
 from limbcli.results import StageWriter
 from limbcli.stages.segmenting.bone_names import names_of_bodies, names_of_files, numbered
 from limbcli.stages.segmenting.places import report_places
+from limbcli.surface_formats.aop import aop_limb, read_aop_limb, write_aop
+from limbcli.surface_formats.colours import has_colours
 from limbcli.surface_frames import mixed_frames, stated_frame
 
 # Later steps use points and triangles. Triangles of drawn (CAD) bodies can span the whole limb and are
 # divided; those of a scan do so only at its flat ends, and are kept as given.
+AOP_FILE = "skin.aop"
 _LONGEST_EDGE = 25.0  # mm, longest edge of a divided body
 _DRAWN_SHARE = 0.5  # share of area in triangles with a longer edge above which a body is taken as drawn
 
@@ -103,12 +106,39 @@ def triangles_of(surfaces: Mapping[str, ClosedSurface]) -> dict[str, Triangles]:
 
 
 def frames_of(case: Case) -> tuple[list[str], list[Problem]]:
-    """Lines on the case's surfaces that were converted to patient LPS and mm; a warning if not all were."""
+    """Lines on the case's surfaces: conversions to patient LPS and mm, landmarks, colours that are ignored;
+    and a warning if not all were converted. Raises CaseError if one states the other side than the case.
+    """
     paths = [path for path in (case.imaging.skin, *case.imaging.bones) if path is not None]
     stated = [stated_frame(path) for path in paths]
     mixed = mixed_frames(stated)
     found = [Problem(mixed, str(paths[0]), IN_ONE_FRAME, severity="warning")] if mixed else []
-    return [each.converted for each in stated if each.converted], found
+    lines = [each.converted for each in stated if each.converted]
+    coloured = [path.name for path in paths if has_colours(path)]
+    if coloured:
+        lines.append(
+            f"the colours of {', '.join(coloured)} are ignored: state where a coloured landmark lies by "
+            "position_mm of its [[site]]"
+        )
+    return lines + [line for path in paths for line in _of_aop(path, case)], found
+
+
+def _of_aop(path: Path, case: Case) -> list[str]:
+    """The landmarks of an AOP file, as a line. Raises CaseError if it states the other side than the case."""
+    if path.suffix.lower() != ".aop":
+        return []
+    try:
+        limb = read_aop_limb(path)
+    except OSError:
+        return []  # reported where its surface is read
+    if limb.side and limb.side != case.limb:
+        raise CaseError(
+            f"{path.name} states that it is the {limb.side} limb, but case.toml says {case.limb}",
+            where=str(path),
+            fix='correct limb = "left" or "right" under [subject], or give the file of this limb',
+        )
+    places = [f"{name} {triple(each)}" for name, rows in limb.landmark_points.items() for each in rows]
+    return [f"landmarks of {path.name}, as for position_mm: {', '.join(places)}"] if places else []
 
 
 def read_surfaces(case: Case) -> tuple[dict[str, ClosedSurface], dict[str, Path]]:
@@ -230,6 +260,23 @@ def _rims(surface: ClosedSurface) -> str:
     middle, width = max(rims, key=lambda each: each[1])
     several = f", {len(rims)} open rims" if len(rims) > 1 else ""
     return f" (an opening of {width:.0f} mm at {triple(middle)} mm{several})"
+
+
+def write_skin_aop(case: Case, writer: StageWriter) -> None:
+    """Write skin.aop of the skin that was written, with the markers as landmarks; warn where it cannot be."""
+    skin = read_surface(writer.work / f"{SKIN}.ply")
+    marks = {f"MARKER {each['number']}": np.array(each["position_mm"]) for each in writer.data["markers"]}
+    body = _largest(skin)
+    try:
+        limb, axis = aop_limb(body.points, body.faces, side=case.limb or "", landmarks=marks)
+    except MeshError as error:
+        writer.warnings.append(f"{AOP_FILE} was not written: {error.what}; {error.fix}")
+        return
+    place = f"height 0 of its axis is at {triple(axis)} mm (patient LPS)"
+    write_aop(writer.file("aop", AOP_FILE), limb, comments=("limbcli", place))
+    writer.summary.append(
+        f"{AOP_FILE}: {len(limb.heights)} slices over {np.ptp(limb.heights):.0f} mm; {place}"
+    )
 
 
 def write_surfaces(surfaces: dict[str, ClosedSurface], writer: StageWriter) -> None:

@@ -54,6 +54,8 @@ def main() -> int:
     log = model.parent / sys.argv[sys.argv.index("-o") + 1]
     (model.parent / "threads.txt").write_text(os.environ["OMP_NUM_THREADS"])
     model.with_suffix(".xplt").write_bytes(b"plot")
+    if "-p" in sys.argv:
+        (model.parent / sys.argv[sys.argv.index("-p") + 1]).write_bytes(b"plot of this run")
     if mode == "no log":
         print("error while loading shared libraries: libmkl_rt.so")
         return 127
