@@ -227,7 +227,8 @@ def mesh(
         found = stage.mesh(
             work.case, out=work.out, sites=names_of(sites), element=element, size=size_mm,
             far_size=far_size_mm, margin=margin_mm, skin_layer=thickness_argument("mesh", "skin_mm", skin_mm),
-            fat_layer=thickness_argument("mesh", "fat_mm", fat_mm), place=place, study=study, progress=work.progress,
+            fat_layer=thickness_argument("mesh", "fat_mm", fat_mm), place=place, study=study,
+            progress=work.progress,
         )  # fmt: skip
     studies = {each.site: MeshStudyResult.of(each) for each in found if each.stage == MeshStudyResult.stage}
     meshed = (each for each in found if each.stage == MeshResult.stage)

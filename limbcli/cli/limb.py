@@ -7,7 +7,16 @@ from typing import Annotated
 import typer
 
 from limbcli.cli.mesh import ElementOpt
-from limbcli.cli.options import CaseArg, CKpaOpt, JsonOpt, NoWaitOpt, OutOpt, QuietOpt, TemplatesOpt, VerboseOpt
+from limbcli.cli.options import (
+    CaseArg,
+    CKpaOpt,
+    JsonOpt,
+    NoWaitOpt,
+    OutOpt,
+    QuietOpt,
+    TemplatesOpt,
+    VerboseOpt,
+)
 from limbcli.cli.terminal import emit, terminal
 from limbcli.mesh_bounds import LIMB_CUT_MM, LIMB_NODES
 from limbcli.output_lock import one_writer
@@ -15,7 +24,10 @@ from limbcli.output_lock import one_writer
 NodesOpt = Annotated[
     int,
     typer.Option(
-        "--nodes", min=LIMB_NODES[0], max=LIMB_NODES[1], help="About this number of nodes; the edges follow from it."
+        "--nodes",
+        min=LIMB_NODES[0],
+        max=LIMB_NODES[1],
+        help="About this number of nodes; the edges follow from it.",
     ),
 ]
 CutOpt = Annotated[
@@ -34,7 +46,7 @@ DistalOpt = Annotated[
 SkinOpt = Annotated[
     str | None,
     typer.Option(
-        "--skin-mm", metavar="MM|mri", help="Thickness of a skin layer, 0 for none; default: the case's sites'.",
+        "--skin-mm", metavar="MM|mri", help="Thickness of a skin layer, 0 for none; default: the sites'.",
         show_default=False,
     ),
 ]  # fmt: skip

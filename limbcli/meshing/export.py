@@ -50,7 +50,8 @@ def write_vtu(
         cell_data["fibre"] = [fibre_rows(each, fibres) for each in mesh.blocks]
     for name in dict.fromkeys(name for each in (values or {}).values() for name in each):
         cell_data[name] = [
-            (values or {}).get(each.name, {}).get(name, np.full(len(each.cells), np.nan)) for each in mesh.blocks
+            (values or {}).get(each.name, {}).get(name, np.full(len(each.cells), np.nan))
+            for each in mesh.blocks
         ]
     meshio.Mesh(mesh.points, cells, point_data=point_data, cell_data=cell_data).write(path, file_format="vtu")
 

@@ -106,7 +106,7 @@ class _Leg:
     missing: dict[str, str] = field(default_factory=dict)
 
     def ends_of(self, name: str) -> tuple[float | None, float | None] | None:
-        """Heights of a bone's distal and proximal end, None where it is cut; None if there is no such bone."""
+        """Heights of a bone's distal and proximal end, None where cut; None if there is no such bone."""
         bone = bone_named(self.bones, name)
         if bone is None:
             return None
@@ -191,7 +191,9 @@ def _crest(leg: _Leg, heights: Array) -> tuple[Array, Array]:
             k = near[np.argmax(ahead[near])]
             found.append((each, aside[k], ahead[k]))
     table = np.array(found)
-    smooth = [np.array([np.median(table[max(k - 1, 0) : k + 2, c]) for k in range(len(table))]) for c in (1, 2)]
+    smooth = [
+        np.array([np.median(table[max(k - 1, 0) : k + 2, c]) for k in range(len(table))]) for c in (1, 2)
+    ]
     return np.interp(heights, table[:, 0], smooth[0]), np.interp(heights, table[:, 0], smooth[1])
 
 
@@ -228,7 +230,11 @@ def _patellar_tendon(leg: _Leg, landmarks: dict[str, Array]) -> NDArray[np.bool_
     landmarks["patella_lower_pole"] = pole
     high = float(heights.min())
     if not low < high < leg.top:
-        return _no(leg, "patellar_tendon", "the patella's lower pole is not above the tibial tuberosity and below the cut")
+        return _no(
+            leg,
+            "patellar_tendon",
+            "the patella's lower pole is not above the tibial tuberosity and below the cut",
+        )
     height = leg.frame.height(leg.centroids)
     share = np.clip((height - low) / (high - low), 0, 1)
     middle = aside + share * (float(leg.frame.aside(pole[None])[0]) - aside)
@@ -243,7 +249,9 @@ def _tibial_end(leg: _Leg, landmarks: dict[str, Array]) -> NDArray[np.bool_] | N
     if ends[0] is None:
         return _no(leg, "tibial_end", "the tibia goes on beyond the distal cut")
     others = [
-        leg.frame.height(each.points).min() for name, each in leg.bones.items() if not any(k in name for k in _LEG)
+        leg.frame.height(each.points).min()
+        for name, each in leg.bones.items()
+        if not any(k in name for k in _LEG)
     ]
     if others and min(others) < ends[0] - BONE_BELOW_MM:
         return _no(leg, "tibial_end", "other bones lie below the tibia: its end is an ankle")

@@ -70,7 +70,9 @@ def _view(
     plan = np.stack([corners @ right, corners @ frame.axis], axis=-1)
     shade = 0.55 + 0.45 * facing[shown]
     rgb = np.array([[int(c[k : k + 2], 16) / 255 for k in (1, 3, 5)] for c in colours[shown]])
-    drawn = PolyCollection(list(plan), facecolors=rgb * shade[:, None], edgecolors="#00000030", linewidths=0.2)
+    drawn = PolyCollection(
+        list(plan), facecolors=rgb * shade[:, None], edgecolors="#00000030", linewidths=0.2
+    )
     axes.add_collection(drawn)
     for name, point in sites.items():
         u, v = (point - frame.origin) @ right, (point - frame.origin) @ frame.axis

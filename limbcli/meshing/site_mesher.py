@@ -171,7 +171,9 @@ def _improved(raw: Tetrahedra, faces: IntArray, labels: IntArray, domain: Tissue
     return VolumeMesh(points, raw.cells, faces, labels, raw.maker, ())
 
 
-def _with_ftetwild(domain: TissueDomain, probe: ProbeShape | None, sizes: Sizes, tale: list[str]) -> VolumeMesh:
+def _with_ftetwild(
+    domain: TissueDomain, probe: ProbeShape | None, sizes: Sizes, tale: list[str]
+) -> VolumeMesh:
     """Mesh with fTetWild: slower, its surface within a tolerance of ours, but it accepts any input."""
     field = size_field(domain, probe, sizes)
     surface = _remeshed_or_not(domain, field, tale)

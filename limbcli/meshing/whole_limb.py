@@ -1,7 +1,7 @@
 """The mesh of a whole limb: graded tetrahedra between skin, bones and cut, the bones as rigid voids.
 
-The tissue is bounded as in a site's model (`domain`), but by the limb's own ends only. Mid-side nodes of tet10
-on skin and bone lie on the curved surface wherever every cell there stays valid.
+The tissue is bounded as in a site's model (`domain`), but by the limb's own ends only. Mid-side nodes of
+tet10 on skin and bone lie on the curved surface wherever every cell there stays valid.
 """
 
 from __future__ import annotations
@@ -98,8 +98,8 @@ def end_planes(limb: Limb, frame: LimbFrame, options: LimbMeshOptions, *, where:
         raise CaseError(
             "the limb is cut at both ends: its distal end was not imaged",
             where=where,
-            fix="give surfaces or images with the distal end; or mesh the piece as it is, with its distal cut "
-            "as a free surface: --distal-cut",
+            fix="give surfaces or images with the distal end; or mesh the piece as it is, with its distal "
+            "cut as a free surface: --distal-cut",
         )
     if options.cut is not None:
         found[PROXIMAL_CUT] = _cut_at(options.cut, frame, found.get(PROXIMAL_CUT), where)
@@ -107,7 +107,7 @@ def end_planes(limb: Limb, frame: LimbFrame, options: LimbMeshOptions, *, where:
         raise CaseError(
             "the skin has no cut end: it is closed and rounded at its proximal end",
             where=where,
-            fix=f"say where to cut the limb: --cut-mm, a height up to {frame.length:.0f} mm above its distal end",
+            fix=f"say where to cut it: --cut-mm, a height up to {frame.length:.0f} mm above its distal end",
         )
     return found
 
@@ -149,7 +149,9 @@ def limb_mesh(
     """
     if not limb.bones:
         raise CaseError(
-            "the limb has no bones", where=where, fix="give the bones' surfaces or labels: a socket is carried by them"
+            "the limb has no bones",
+            where=where,
+            fix="give the bones' surfaces or labels: a socket is carried by them",
         )
     planes = end_planes(limb, frame, options, where=where)
     progress.event("task", name="limb: distances", done=0, total=3)
@@ -242,7 +244,11 @@ def _of_bones(points: Array, faces: IntArray, bones: Mapping[str, Triangles]) ->
 
 
 def _curved(
-    points: Array, cells: IntArray, volume: VolumeMesh, middle: Mapping[tuple[int, int], int], domain: TissueDomain
+    points: Array,
+    cells: IntArray,
+    volume: VolumeMesh,
+    middle: Mapping[tuple[int, int], int],
+    domain: TissueDomain,
 ) -> tuple[Array, float]:
     """Mid-side nodes of skin and bone on their surface, except where a cell would not stay valid."""
     outer = facets(volume.faces, dict(middle))["tri6"]

@@ -1,11 +1,10 @@
-"""limb: build the finite-element model of the whole limb from the surfaces, with named parts, to hand over."""
+"""limb: build the finite-element model of the whole limb from the surfaces, with named parts."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -57,7 +56,6 @@ from limbcli.stages.site_model.site_layers import (
     LayerLaw,
     Thickness,
     layer_laws,
-    layers_in,
     locking_warning,
     with_layer_laws,
 )
@@ -90,7 +88,7 @@ def limb(
     templates: Path | None = None,
     progress: Progress = SILENT,
 ) -> StageResult:
-    """Mesh the whole limb and write its model: model.npz, limb.feb, limb.vtu, surfaces, parts, picture, README.
+    """Mesh the whole limb and write its model, surfaces, parts, picture and README.
 
     Raises
     ------
@@ -118,7 +116,11 @@ def limb(
         layers, sources = limb_layers(case, layering, segmented, writer)
         tube = _is_tube(segmented)
         mesh_options = LimbMeshOptions(
-            options.element or case.model.element, options.nodes, options.cut, options.distal_cut or tube, layers
+            options.element or case.model.element,
+            options.nodes,
+            options.cut,
+            options.distal_cut or tube,
+            layers,
         )
         found = limb_mesh(body, bones, frame, mesh_options, where=where, progress=progress)
         check_invariants(found)
@@ -138,7 +140,12 @@ def limb(
         if tube and DISTAL_CUT in found.planes:
             writer.warnings.append("the assumed limb has no distal end: it is cut there, and free")
         limb_picture(
-            writer.file("picture", "limb.png"), frame, surface, parts, sites=places, title=f"{case.subject}: the limb"
+            writer.file("picture", "limb.png"),
+            frame,
+            surface,
+            parts,
+            sites=places,
+            title=f"{case.subject}: the limb",
         )
         write_limb(LimbFiles(model, surface, parts, columns_of(values)), writer, segmented, templates)
     assert writer.result is not None
@@ -146,8 +153,8 @@ def limb(
 
 
 def _note(
-    case: Case, segmented: StageResult, layered: tuple[str, ...], options: LimbOptions, templates: Path | None,
-    writer: StageWriter,
+    case: Case, segmented: StageResult, layered: tuple[str, ...], options: LimbOptions,
+    templates: Path | None, writer: StageWriter,
 ) -> None:  # fmt: skip
     """Record the inputs."""
     note_case(writer, case, [SITES, LIMB, *([] if options.element else ["model/element"])])
@@ -196,12 +203,13 @@ def limb_layers(
     for name, each in thickness.items():
         if each and max(each) > _UNLIKE * min(each):
             writer.warnings.append(
-                f"the {name} is {min(each):.1f} to {max(each):.1f} mm thick at the sites; the model has its mean, "
-                f"{means[name]:.1f} mm, everywhere"
+                f"the {name} is {min(each):.1f} to {max(each):.1f} mm thick at the sites; the model has its "
+                f"mean, {means[name]:.1f} mm, everywhere"
             )
     layers = layers_of(skin=means["skin"], fat=means["fat"], size=_LAYER_CELL)
     words = {
-        each.name: f"mean of {len(thickness[each.name])} ({', '.join(sorted(origin[each.name]))})" for each in layers
+        each.name: f"mean of {len(thickness[each.name])} ({', '.join(sorted(origin[each.name]))})"
+        for each in layers
     }
     return layers, words
 
@@ -274,7 +282,9 @@ def limb_model(
         RigidBody(_body(name), tuple(mesh.points[mesh.node_sets[name]].mean(axis=0).tolist()), (), (name,))
         for name in present
     )
-    drives = tuple(Drive(each.name, dof, "fixed") for each in bodies for dof in ("x", "y", "z", "u", "v", "w"))  # type: ignore[arg-type]
+    drives = tuple(
+        Drive(each.name, dof, "fixed") for each in bodies for dof in ("x", "y", "z", "u", "v", "w")
+    )  # type: ignore[arg-type]
     law = ogden_type(c=stiffness.c, f_kappa=stiffness.f_kappa, m=stiffness.m)
     held = (Support(HELD, ("x", "y", "z")),) if len(mesh.node_sets[HELD]) else ()
     return LimbModel(
@@ -285,7 +295,12 @@ def limb_model(
         supports=held,
         drives=drives,
         steps=(Step(),),
-        info={"limb": case.subject, "side": case.limb, "frame": frame.to_json(), "element": mesh.blocks[0].kind},
+        info={
+            "limb": case.subject,
+            "side": case.limb,
+            "frame": frame.to_json(),
+            "element": mesh.blocks[0].kind,
+        },
     )
 
 
@@ -333,11 +348,13 @@ def _report(
         },
     )  # fmt: skip
     writer.summary.append(
-        f"{len(mesh.points)} nodes, {len(cells)} {mesh.solid_blocks[0].kind}, edges {found.size:.1f} mm; smallest "
-        f"dihedral angle {angles.min():.1f} deg"
+        f"{len(mesh.points)} nodes, {len(cells)} {mesh.solid_blocks[0].kind}, edges {found.size:.1f} mm; "
+        f"smallest dihedral angle {angles.min():.1f} deg"
     )
     writer.summary.append(f"bones: {', '.join(each.name for each in model.bodies)}")
-    writer.summary.append("patches: " + (", ".join(each.replace("_", " ") for each in parts.patches) or "none"))
+    writer.summary.append(
+        "patches: " + (", ".join(each.replace("_", " ") for each in parts.patches) or "none")
+    )
     for name, why in parts.missing.items():
         writer.summary.append(f"no patch {name.replace('_', ' ')}: {why}")
     writer.summary.append(f"c = {kpa_from_mpa(stiffness.c):.2f} kPa everywhere (assumed): {stiffness.source}")

@@ -1,4 +1,4 @@
-"""A small residual limb of simple shapes: skin with a round distal end, two sawn bones, patella, femur's end."""
+"""A small residual limb of simple shapes: skin with a round distal end, two sawn bones, patella, femur."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from tests.meshing.conftest import tube
 def turned(heights, radii, centre=(0.0, 0.0), *, around: int = 36, closed_top: bool = False) -> Triangles:
     """A surface of revolution about z, closed at its lower end; radii[0] must be 0."""
     t = np.linspace(0, 2 * np.pi, around, endpoint=False)
-    rings = [np.c_[r * np.cos(t), r * np.sin(t), np.full(around, z)] for z, r in zip(heights[1:], radii[1:])]
+    rings = [
+        np.c_[r * np.cos(t), r * np.sin(t), np.full(around, z)]
+        for z, r in zip(heights[1:], radii[1:], strict=True)
+    ]
     points = [*rings, np.array([[0.0, 0.0, heights[0]]])]
     tip = len(rings) * around
     k, after = np.arange(around), np.roll(np.arange(around), -1)
@@ -21,8 +24,10 @@ def turned(heights, radii, centre=(0.0, 0.0), *, around: int = 36, closed_top: b
         faces += [np.c_[a + k, a + after, b + after], np.c_[a + k, b + after, b + k]]
     if closed_top:
         points.append(np.array([[0.0, 0.0, heights[-1]]]))
-        faces.append(np.c_[np.full(around, tip + 1), (len(rings) - 1) * around + k, (len(rings) - 1) * around + after])
-    return Triangles(np.vstack(points) + [*centre, 0.0], np.concatenate(faces).astype(np.int64))
+        faces.append(
+            np.c_[np.full(around, tip + 1), (len(rings) - 1) * around + k, (len(rings) - 1) * around + after]
+        )
+    return Triangles(np.vstack(points) + np.array([*centre, 0.0]), np.concatenate(faces).astype(np.int64))
 
 
 def stump(*, closed_top: bool = False) -> dict[str, Triangles]:

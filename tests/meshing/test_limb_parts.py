@@ -49,7 +49,9 @@ def test_patches_lie_on_their_side_of_the_limb(whole):
 
 
 def test_the_head_of_the_fibula_is_on_the_other_side_of_a_right_limb():
-    surfaces = {name: Triangles(each.points * [-1, 1, 1], each.faces[:, ::-1]) for name, each in stump().items()}
+    surfaces = {
+        name: Triangles(each.points * [-1, 1, 1], each.faces[:, ::-1]) for name, each in stump().items()
+    }
     found, skin, frame = parts_of(surfaces, side="right")
     assert frame.lateral[0] < -0.99
     assert skin.centroids[found.patches["fibular_head"]].mean(axis=0)[0] < -25
@@ -85,6 +87,8 @@ def test_a_cut_distal_end_has_no_end():
 
 
 def test_an_ankle_is_no_tibial_end():
-    foot = Triangles(stump()["bone_patella"].points * [1, 1, 0.1] - [0, -28, 8], stump()["bone_patella"].faces)
+    foot = Triangles(
+        stump()["bone_patella"].points * [1, 1, 0.1] - [0, -28, 8], stump()["bone_patella"].faces
+    )
     found, _, _ = parts_of({**stump(), "bone_5": foot})
     assert "ankle" in found.missing["tibial_end"]

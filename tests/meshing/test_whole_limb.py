@@ -41,7 +41,12 @@ def test_it_fills_the_skin_without_the_bones(made):
     """The remaining difference is that between facets of some 10 mm and the curved skin."""
     found, surfaces, limb = made
     whole = limb.skin.volume - np.pi * 40**2 * 1.5  # the cut lies 1.5 mm inside the open end
-    inside = {"bone_tibia": 1.0, "bone_fibula": 1.0, "bone_patella": 1.0, "bone_femur": (158.5 - 114) / (190 - 114)}
+    inside = {
+        "bone_tibia": 1.0,
+        "bone_fibula": 1.0,
+        "bone_patella": 1.0,
+        "bone_femur": (158.5 - 114) / (190 - 114),
+    }
     bones = sum(share * surfaces[name].volume for name, share in inside.items())
     filled = volumes(found.mesh.points, all_cells(found.mesh)).sum()
     assert filled == pytest.approx(whole - bones, rel=0.015)
@@ -95,7 +100,7 @@ def test_facets_are_smaller_where_bone_is_near_the_skin(made):
     mesh = made[0].mesh
     corners = mesh.points[mesh.surfaces["skin"].facets["tri6"][:, :3]]
     surface = Triangles(mesh.points, mesh.surfaces["skin"].facets["tri6"][:, :3])
-    x, y, z = corners.mean(axis=1).T
+    _, y, z = corners.mean(axis=1).T
     level = (z > 114) & (z < 130)
     front, back = level & (y < -30), level & (y > 30)  # over the patella 6 mm below the skin, and behind
     assert surface.areas[front].mean() < 0.8 * surface.areas[back].mean()
@@ -104,7 +109,9 @@ def test_facets_are_smaller_where_bone_is_near_the_skin(made):
 def test_the_bound_of_the_jacobian_is_one_for_a_straight_cell_and_sees_a_fold():
     points, cells, _ = quadratic(np.vstack([np.zeros(3), np.eye(3)]), np.array([[0, 1, 2, 3]]))
     assert least_jacobians(points, cells) == pytest.approx([1.0])
-    points[4] = points[:2].mean(axis=0) + [0.3, 0.0, 0.0]  # a mid-side node beyond the quarter point
+    points[4] = points[:2].mean(axis=0) + np.array(
+        [0.3, 0.0, 0.0]
+    )  # a mid-side node beyond the quarter point
     assert least_jacobians(points, cells)[0] < 0
 
 
@@ -125,7 +132,7 @@ def test_limbs_without_a_usable_end_are_refused(leg, surfaces, said):
 def test_a_limb_cut_at_both_ends_is_taken_if_asked(leg):
     frame = limb_frame(leg, "left")
     planes = end_planes(leg, frame, LimbMeshOptions(distal_cut=True), where="limb")
-    assert list(sorted(planes)) == ["distal_cut", "proximal_cut"]
+    assert sorted(planes) == ["distal_cut", "proximal_cut"]
     assert planes["proximal_cut"].normal @ frame.axis > 0.9
 
 
@@ -151,7 +158,7 @@ def test_a_limb_without_bones_is_refused():
 
 def test_a_limb_in_metres_is_refused():
     skin = stump()["skin"]
-    with pytest.raises(MeshError, match="encloses 0.00 cm3") as error:
+    with pytest.raises(MeshError, match=r"encloses 0\.00 cm3") as error:
         mend(Triangles(skin.points / 1e3, skin.faces), [])
     assert "unit" in error.value.fix
 

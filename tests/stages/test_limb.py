@@ -45,9 +45,12 @@ def write_case(folder: Path, surfaces=None, more: str = "") -> Case:
     (folder / "s").mkdir(parents=True)
     surfaces = surfaces or stump()
     for name, each in surfaces.items():
-        meshio.Mesh(each.points, [("triangle", each.faces.astype(np.int32))]).write(folder / "s" / f"{name}.ply")
+        meshio.Mesh(each.points, [("triangle", each.faces.astype(np.int32))]).write(
+            folder / "s" / f"{name}.ply"
+        )
     bones = ", ".join(f'"s/{name}.ply"' for name in surfaces if name != "skin")
-    text = f'format = 1\n[subject]\nid = "S1"\nlimb = "left"\n[imaging]\nskin = "s/skin.ply"\nbones = [{bones}]\n'
+    text = 'format = 1\n[subject]\nid = "S1"\nlimb = "left"\n[imaging]\nskin = "s/skin.ply"\n'
+    text += f"bones = [{bones}]\n"
     (folder / "case.toml").write_text(text + more)
     rows = ["force_n,depth_mm,swe_mean_m_per_s", "0,0,2.0", "1,2,", "2,4,"]
     (folder / "levels.csv").write_text("\n".join(rows) + "\n")
@@ -75,8 +78,8 @@ def test_the_model_file_is_read_back_as_the_stored_model(made):
     assert kappa.values == pytest.approx(0.8)
 
 
-def test_the_file_solves_with_a_small_load_and_the_forces_balance(made):
-    """The distal end pulled by 0.2 mm: the held nodes and bones carry what moves it; twice the c, twice as much."""
+def test_the_file_solves_with_a_small_load(made):
+    """The distal end pulled by 0.2 mm: it moves, the bones do not, and nothing moves farther."""
     model = read_feb(made[2].path("feb"))
     pulled = np.unique(model.mesh.surfaces["patch_distal_end"].facets["tri6"])
     mesh = replace(model.mesh, node_sets={**model.mesh.node_sets, "pulled": pulled})
@@ -88,8 +91,8 @@ def test_the_file_solves_with_a_small_load_and_the_forces_balance(made):
         steps=(Step(n_steps=1, step_size=1.0),),
     )
     analysis = Analysis(loaded)
-    states = list(analysis.run())
-    moved = states[-1].displacement.reshape(-1, 3)
+    states = analysis.run()
+    moved = states[-1].state.u
     assert moved[pulled, 2] == pytest.approx(-0.2)
     inside = np.setdiff1d(np.arange(len(mesh.points)), pulled)
     assert np.abs(moved[inside]).max() < 0.25
@@ -111,7 +114,11 @@ def test_files_for_others(made):
     assert "not good for" in text
     with result.path("parts").open() as stream:
         rows = list(csv.DictReader(stream))
-    assert {row["name"] for row in rows if row["kind"] == "patch"} >= {"distal_end", "popliteal", "tibial_crest"}
+    assert {row["name"] for row in rows if row["kind"] == "patch"} >= {
+        "distal_end",
+        "popliteal",
+        "tibial_crest",
+    }
 
 
 def test_bones_are_fixed_and_the_cut_is_held(made):
@@ -128,7 +135,10 @@ def test_a_change_of_the_surfaces_makes_the_result_stale(made, tmp_path):
 
     case, out, result = made
     assert Chain(case, out).broken(read_result(out, "limb")) is None
-    other = write_case(tmp_path / "other", {**stump(), "skin": Triangles(stump()["skin"].points * 1.01, stump()["skin"].faces)})
+    other = write_case(
+        tmp_path / "other",
+        {**stump(), "skin": Triangles(stump()["skin"].points * 1.01, stump()["skin"].faces)},
+    )
     broken = Chain(other, out).broken(result)
     assert broken is not None
     assert "limbcli limb" in broken.fix(other, out)

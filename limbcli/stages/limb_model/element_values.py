@@ -1,7 +1,7 @@
 """The stiffness of every element of a limb's model: here the values enter.
 
-`element_values` is the one place that a stiffness field replaces: it gets centroids (n, 3) in patient LPS (mm)
-and returns one value per element. Until then every element has one c and says `assumed`.
+`element_values` is the one place that a stiffness field replaces: it gets centroids (n, 3) in patient LPS
+(mm) and returns one value per element. Until then every element has one c and says `assumed`.
 """
 
 from __future__ import annotations
@@ -52,7 +52,9 @@ class ElementValues:
     distance: Array
 
 
-def limb_stiffness(case: Case, out: Chain, writer: StageWriter, *, c_kpa: float | None = None) -> LimbStiffness:
+def limb_stiffness(
+    case: Case, out: Chain, writer: StageWriter, *, c_kpa: float | None = None
+) -> LimbStiffness:
     """One c for the limb: given, else the mean of the fitted sites, else that of the sites' speeds at rest.
 
     Raises
@@ -65,7 +67,9 @@ def limb_stiffness(case: Case, out: Chain, writer: StageWriter, *, c_kpa: float 
         if not low <= c_kpa <= high:
             raise CaseError(f"c is {c_kpa:g} kPa", where="--c-kpa", fix=f"give {low:g} to {high:g} kPa")
         return LimbStiffness(mpa_from_kpa(c_kpa), F_KAPPA, M, "given with --c-kpa")
-    fits = {site.name: found for site in case.sites if (found := out.present("fit", site=site.name)) is not None}
+    fits = {
+        site.name: found for site in case.sites if (found := out.present("fit", site=site.name)) is not None
+    }
     if fits:
         return _of_fits(fits, writer)
     speeds = {}
@@ -101,7 +105,7 @@ def _listed(sites: Sequence[str] | dict[str, object] | dict[str, float] | dict[s
 
 
 def element_values(centroids: Array, stiffness: LimbStiffness, sites: Array) -> ElementValues:
-    """Values of the elements with these centroids (n, 3); sites (k, 3): places of the sites used, both LPS, mm.
+    """Values of the elements with these centroids (n, 3); sites (k, 3) are the places used; both LPS, mm.
 
     One c everywhere: every element is `assumed`, and its limits are not known (NaN).
     """
@@ -122,7 +126,8 @@ def with_element_values(
     law = ogden_type(c=stiffness.c, f_kappa=stiffness.f_kappa, m=stiffness.m)
     shares = {"c1": 0.5, "c2": 0.5, "kappa": stiffness.f_kappa}
     maps = {
-        name: ElementMap(f"{block.name}_{name}", block.name, share * values.c) for name, share in shares.items()
+        name: ElementMap(f"{block.name}_{name}", block.name, share * values.c)
+        for name, share in shares.items()
     }
     materials = {**model.materials, block.name: law.with_parameters(**maps)}
     return replace(model, materials=materials)

@@ -1,4 +1,4 @@
-"""The files of a limb's model for others: FEBio, ParaView, surfaces, parts, and a README that says what it is."""
+"""The files of a limb's model for others: FEBio, ParaView, surfaces, parts, and a README."""
 
 from __future__ import annotations
 
