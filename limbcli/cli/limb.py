@@ -80,8 +80,7 @@ def command(
     from limbcli.stages.limb import LimbOptions, limb
     from limbcli.stages.site_model.site_layers import thickness_of
 
-    opened = Case.open_images(case)
-    target = out or default_out(opened)
+    opened, target = Case.open_images(case), out or default_out(case)
     options = LimbOptions(
         element=element,
         nodes=nodes,

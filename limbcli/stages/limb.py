@@ -114,6 +114,7 @@ def limb(
         body = mend(skin, list(bones.values()), where=where)
         frame = limb_frame(body, case.limb)
         layers, sources = limb_layers(case, layering, segmented, writer)
+        stiffness = limb_stiffness(case, chain, writer, c_kpa=options.c_kpa)
         tube = _is_tube(segmented)
         mesh_options = LimbMeshOptions(
             options.element or case.model.element,
@@ -127,7 +128,6 @@ def limb(
         parts, surface = parts_of(found, frame, bones)
         places = _places(case, segmented, skin, writer)
         mesh = _with_parts(found.mesh, parts, surface, places)
-        stiffness = limb_stiffness(case, chain, writer, c_kpa=options.c_kpa)
         used = [places[name] for name in stiffness.sites if name in places]
         laws = _laws(case, layers)
         model = with_layer_laws(limb_model(mesh, list(bones), frame, case, stiffness), laws)
@@ -189,9 +189,9 @@ def limb_layers(
     origin: dict[str, set[str]] = {"skin": set(), "fat": set()}
     for site in case.sites:
         layers, sources = layering.of(site, segmented, size=_LAYER_CELL)
-        for each in layers:
-            thickness[each.name].append(each.thickness)
-            origin[each.name].add(sources[each.name].partition(":")[0])
+        for layer in layers:
+            thickness[layer.name].append(layer.thickness)
+            origin[layer.name].add(sources[layer.name].partition(":")[0])
     if not case.sites:
         for name, value in (("skin", layering.skin), ("fat", layering.fat)):
             if isinstance(value, str):
@@ -199,24 +199,21 @@ def limb_layers(
                 raise CaseError(what, where=f"--{name}-mm", fix="give it in mm")
             if value:
                 thickness[name], origin[name] = [value], {"given"}
-    means = {name: float(np.mean(each)) if each else 0.0 for name, each in thickness.items()}
-    for name, each in thickness.items():
-        if each and max(each) > _UNLIKE * min(each):
+    known = {name: each for name, each in thickness.items() if each}
+    means = {name: float(np.mean(each)) for name, each in known.items()}
+    for name, each in known.items():
+        if max(each) > _UNLIKE * min(each):
             writer.warnings.append(
                 f"the {name} is {min(each):.1f} to {max(each):.1f} mm thick at the sites; the model has its "
                 f"mean, {means[name]:.1f} mm, everywhere"
             )
-    layers = layers_of(skin=means["skin"], fat=means["fat"], size=_LAYER_CELL)
-    words = {
-        each.name: f"mean of {len(thickness[each.name])} ({', '.join(sorted(origin[each.name]))})"
-        for each in layers
-    }
-    return layers, words
+    words = {name: f"mean of {len(each)} ({', '.join(sorted(origin[name]))})" for name, each in known.items()}
+    return layers_of(skin=means.get("skin", 0.0), fat=means.get("fat", 0.0), size=_LAYER_CELL), words
 
 
 def _laws(case: Case, layers: tuple[Layer, ...]) -> dict[str, LayerLaw]:
     """The law of each layer: that of the first site that states one."""
-    laws = {}
+    laws: dict[str, LayerLaw] = {}
     for each in layers:
         stating = [site for site in case.sites if site.layers.get(each.name)] or list(case.sites)
         laws |= layer_laws(stating[0], [each.name]) if stating else {each.name: LayerLaw()}

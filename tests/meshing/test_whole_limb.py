@@ -21,6 +21,7 @@ from limbcli.meshing.whole_limb import (
 from limbcli.model import Surface
 from tests.meshing.stump import stump, turned
 
+pytestmark = pytest.mark.slow
 NODES = 14_000
 
 

@@ -23,6 +23,7 @@ from limbcli.stages.limb import LimbOptions, limb
 from limbcli.stages.segment import segment
 from tests.meshing.stump import stump
 
+pytestmark = pytest.mark.slow
 OPTIONS = LimbOptions(nodes=12_000, c_kpa=8.0)
 SITE = """
 [probe]
@@ -144,7 +145,6 @@ def test_a_change_of_the_surfaces_makes_the_result_stale(made, tmp_path):
     assert "limbcli limb" in broken.fix(other, out)
 
 
-@pytest.mark.slow
 def test_fat_of_a_site_is_a_conforming_layer_and_c_that_of_speed_at_rest(tmp_path):
     case = write_case(tmp_path / "case", more=SITE)
     segment(case, out=tmp_path / "out")
@@ -179,7 +179,6 @@ def test_a_bone_through_the_skin_is_refused(tmp_path):
     segment(case, out=tmp_path / "out", accept_bones=True)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["Mean_Limb_Shape.stl", "102p.stl"])
 def test_limbs_of_openlimb(shared: Path, tmp_path: Path, name: str):
     """Statistical transtibial limbs: every patch is there, and the mesh is sound."""
@@ -201,7 +200,6 @@ def test_limbs_of_openlimb(shared: Path, tmp_path: Path, name: str):
     assert result.data["volume_cm3"] == pytest.approx(result.data["expected_volume_cm3"], rel=0.01)
 
 
-@pytest.mark.slow
 def test_the_leg_of_the_visible_human(shared: Path, tmp_path: Path):
     """Cut at the ankle and in the thigh: refused, and meshed with its distal cut if asked."""
     folder = shared / "data" / "visible-human-leg"
