@@ -9,7 +9,7 @@ Patches are disjoint: a facet that meets several definitions belongs to the firs
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -93,6 +93,10 @@ class LimbParts:
     missing: Mapping[str, str]
 
 
+class _MissingPart(Exception):
+    """Why a part is not there."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Leg:
     """The limb as the definitions need it: skin facets' centroids and normals, bones, heights of the cuts."""
@@ -103,7 +107,6 @@ class _Leg:
     bones: Mapping[str, Triangles]
     top: float
     bottom: float
-    missing: dict[str, str] = field(default_factory=dict)
 
     def ends_of(self, name: str) -> tuple[float | None, float | None] | None:
         """Heights of a bone's distal and proximal end, None where cut; None if there is no such bone."""
@@ -135,31 +138,21 @@ def limb_parts(
     unit = skin.area_vectors / np.maximum(skin.areas, 1e-12)[:, None]
     leg = _Leg(frame, skin.centroids, unit, bones, top, bottom)
     landmarks: dict[str, Array] = {}
-    masks = {
-        "fibular_head": _fibular_head(leg, landmarks),
-        "patellar_tendon": _patellar_tendon(leg, landmarks),
-        "tibial_end": _tibial_end(leg, landmarks),
-        "tibial_crest": _tibial_crest(leg),
-        "popliteal": _popliteal(leg),
-        "distal_end": _distal_end(leg, landmarks),
-    }
+    missing: dict[str, str] = {}
     taken = np.zeros(len(skin.faces), bool)
     patches = {}
-    for name in PATCHES:
-        mask = masks[name]
-        if mask is None:
+    for name, place in _PLACED.items():
+        try:
+            own = place(leg, landmarks) & ~taken
+        except _MissingPart as reason:
+            missing[name] = str(reason)
             continue
-        own = mask & ~taken
         if own.any():
             patches[name] = own
             taken |= own
         else:
-            leg.missing[name] = "no facet of the skin meets its definition"
-    return LimbParts(patches, landmarks, leg.missing)
-
-
-def _no(leg: _Leg, name: str, why: str) -> None:
-    leg.missing[name] = why
+            missing[name] = "no facet of the skin meets its definition"
+    return LimbParts(patches, landmarks, missing)
 
 
 def _near_end(leg: _Leg, bone: Triangles, keep: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -168,13 +161,13 @@ def _near_end(leg: _Leg, bone: Triangles, keep: NDArray[np.bool_]) -> NDArray[np
     return np.asarray(far <= far.min() + BEYOND_NEAREST_MM)
 
 
-def _plateau(leg: _Leg, name: str) -> float | None:
-    """Height of the top of the tibia; None, with the reason noted, if it is not known."""
+def _plateau(leg: _Leg) -> float:
+    """Height of the top of the tibia."""
     ends = leg.ends_of("tibia")
     if ends is None:
-        return _no(leg, name, "no bone is named tibia")
+        raise _MissingPart("no bone is named tibia")
     if ends[1] is None:
-        return _no(leg, name, "the top of the tibia lies beyond the proximal cut")
+        raise _MissingPart("the top of the tibia lies beyond the proximal cut")
     return ends[1]
 
 
@@ -201,40 +194,34 @@ def _point(frame: LimbFrame, height: float, aside: float, ahead: float) -> Array
     return np.asarray(frame.origin + height * frame.axis + aside * frame.lateral + ahead * frame.anterior)
 
 
-def _fibular_head(leg: _Leg, landmarks: dict[str, Array]) -> NDArray[np.bool_] | None:
+def _fibular_head(leg: _Leg, landmarks: dict[str, Array]) -> NDArray[np.bool_]:
     ends, fibula = leg.ends_of("fibula"), bone_named(leg.bones, "fibula")
     if ends is None or fibula is None:
-        return _no(leg, "fibular_head", "no bone is named fibula")
+        raise _MissingPart("no bone is named fibula")
     height = leg.frame.height(fibula.points)
     if ends[0] is not None:
         landmarks["fibular_end"] = fibula.points[np.argmin(height)]
     if ends[1] is None:
-        return _no(leg, "fibular_head", "the top of the fibula lies beyond the proximal cut")
+        raise _MissingPart("the top of the fibula lies beyond the proximal cut")
     landmarks["fibular_head"] = fibula.points[np.argmax(height)]
     outward = leg.normals @ leg.frame.lateral > 0
     return _near_end(leg, fibula, height >= ends[1] - HEAD_PART_MM) & outward
 
 
-def _patellar_tendon(leg: _Leg, landmarks: dict[str, Array]) -> NDArray[np.bool_] | None:
-    plateau = _plateau(leg, "patellar_tendon")
-    if plateau is None:
-        return None
+def _patellar_tendon(leg: _Leg, landmarks: dict[str, Array]) -> NDArray[np.bool_]:
+    plateau = _plateau(leg)
     low = plateau - TUBEROSITY_MM
     aside, ahead = (float(each[0]) for each in _crest(leg, np.array([low])))
     landmarks["tibial_tuberosity"] = _point(leg.frame, low, aside, ahead)
     patella = bone_named(leg.bones, "patella")
     if patella is None:
-        return _no(leg, "patellar_tendon", "no bone is named patella, from whose lower pole the tendon runs")
+        raise _MissingPart("no bone is named patella, from whose lower pole the tendon runs")
     heights = leg.frame.height(patella.points)
     pole = patella.points[np.argmin(heights)]
     landmarks["patella_lower_pole"] = pole
     high = float(heights.min())
     if not low < high < leg.top:
-        return _no(
-            leg,
-            "patellar_tendon",
-            "the patella's lower pole is not above the tibial tuberosity and below the cut",
-        )
+        raise _MissingPart("the patella's lower pole is not above the tibial tuberosity and below the cut")
     height = leg.frame.height(leg.centroids)
     share = np.clip((height - low) / (high - low), 0, 1)
     middle = aside + share * (float(leg.frame.aside(pole[None])[0]) - aside)
@@ -242,28 +229,28 @@ def _patellar_tendon(leg: _Leg, landmarks: dict[str, Array]) -> NDArray[np.bool_
     return near & (height >= low) & (height <= high) & (leg.normals @ leg.frame.anterior > FRONT)
 
 
-def _tibial_end(leg: _Leg, landmarks: dict[str, Array]) -> NDArray[np.bool_] | None:
+def _tibial_end(leg: _Leg, landmarks: dict[str, Array]) -> NDArray[np.bool_]:
     ends, tibia = leg.ends_of("tibia"), bone_named(leg.bones, "tibia")
     if ends is None or tibia is None:
-        return _no(leg, "tibial_end", "no bone is named tibia")
+        raise _MissingPart("no bone is named tibia")
     if ends[0] is None:
-        return _no(leg, "tibial_end", "the tibia goes on beyond the distal cut")
+        raise _MissingPart("the tibia goes on beyond the distal cut")
     others = [
         leg.frame.height(each.points).min()
         for name, each in leg.bones.items()
         if not any(k in name for k in _LEG)
     ]
     if others and min(others) < ends[0] - BONE_BELOW_MM:
-        return _no(leg, "tibial_end", "other bones lie below the tibia: its end is an ankle")
+        raise _MissingPart("other bones lie below the tibia: its end is an ankle")
     height = leg.frame.height(tibia.points)
     landmarks["tibial_end"] = tibia.points[np.argmin(height)]
     return _near_end(leg, tibia, height <= ends[0] + END_PART_MM)
 
 
-def _tibial_crest(leg: _Leg) -> NDArray[np.bool_] | None:
+def _tibial_crest(leg: _Leg, _landmarks: dict[str, Array]) -> NDArray[np.bool_]:
     ends, tibia = leg.ends_of("tibia"), bone_named(leg.bones, "tibia")
     if ends is None or tibia is None:
-        return _no(leg, "tibial_crest", "no bone is named tibia")
+        raise _MissingPart("no bone is named tibia")
     low = leg.bottom if ends[0] is None else ends[0] + CREST_ABOVE_END_MM
     high = leg.top if ends[1] is None else ends[1] - CREST_BELOW_MM
     height = leg.frame.height(leg.centroids)
@@ -273,21 +260,28 @@ def _tibial_crest(leg: _Leg) -> NDArray[np.bool_] | None:
     return near & before & (height >= low) & (height <= high)
 
 
-def _popliteal(leg: _Leg) -> NDArray[np.bool_] | None:
-    plateau = _plateau(leg, "popliteal")
-    if plateau is None:
-        return None
+def _popliteal(leg: _Leg, _landmarks: dict[str, Array]) -> NDArray[np.bool_]:
+    plateau = _plateau(leg)
     height = leg.frame.height(leg.centroids) - plateau
     within = (height >= POPLITEAL_MM[0]) & (height <= POPLITEAL_MM[1])
     return within & (leg.normals @ leg.frame.anterior < -BACK)
 
 
-def _distal_end(leg: _Leg, landmarks: dict[str, Array]) -> NDArray[np.bool_] | None:
+def _distal_end(leg: _Leg, landmarks: dict[str, Array]) -> NDArray[np.bool_]:
     if np.isfinite(leg.bottom):
-        return _no(leg, "distal_end", "the limb is cut at its distal end")
+        raise _MissingPart("the limb is cut at its distal end")
     height = leg.frame.height(leg.centroids)
     landmarks["distal_tip"] = leg.centroids[np.argmin(height)]
     bones = [leg.frame.height(each.points).min() for each in leg.bones.values()]
     if not bones:
-        return _no(leg, "distal_end", "there is no bone whose end it would lie below")
+        raise _MissingPart("there is no bone whose end it would lie below")
     return np.asarray(height < min(bones))
+
+
+_PLACED = dict(
+    zip(
+        PATCHES,
+        (_fibular_head, _patellar_tendon, _tibial_end, _tibial_crest, _popliteal, _distal_end),
+        strict=True,
+    )
+)

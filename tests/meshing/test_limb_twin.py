@@ -37,7 +37,10 @@ def with_probe(mesh: Mesh, frame: SiteFrame, bones: list[str]) -> LimbModel:
         Block("probe", "quad4", probe["quad4"]),
         Block("probe_tips", "tri3", probe["tri3"]),
     )
-    surfaces = {"contact": Surface("contact", {kind: facets[near]}), "probe_face": Surface("probe_face", probe)}
+    surfaces = {
+        "contact": Surface("contact", {kind: facets[near]}),
+        "probe_face": Surface("probe_face", probe),
+    }
     whole = Mesh(np.vstack([points, rigid.points - [0, 0, START]]), blocks, mesh.node_sets, surfaces)
     held = [RigidBody(name, (0.0, 0.0, 0.0), (), (name,)) for name in bones]
     fixed = [(body.name, dof) for body in held for dof in "xyzuvw"] + [("probe", dof) for dof in "xyuvw"]
