@@ -74,6 +74,7 @@ def limb(
     out: PathLike | None = None,
     element: Literal["tet10", "tet4"] | None = None,
     nodes: int = 40_000,
+    site_size_mm: float | None = None,
     cut_mm: float | None = None,
     distal_cut: bool = False,
     skin_mm: float | Literal["mri"] | None = None,
@@ -90,6 +91,7 @@ def limb(
     case, out, wait, progress : as for `segment`
     element : None: as in the case
     nodes : about this number of nodes, 3000 to 400000
+    site_size_mm : edge length round the sites, such as 3 to set a probe there; None: as elsewhere
     cut_mm : height of the proximal cut above the distal end; None: where the images end
     distal_cut : accept a limb whose distal end was not imaged
     skin_mm, fat_mm : thickness of a layer all over the limb, 0: no layer, "mri": as found by `segment`; None:
@@ -107,14 +109,14 @@ def limb(
 
     Source: docs/limb.md has the definition of every named part.
     """
-    within("limb", nodes=nodes, cut_mm=cut_mm, c_kpa=c_kpa)
+    within("limb", nodes=nodes, cut_mm=cut_mm, site_size_mm=site_size_mm, c_kpa=c_kpa)
     one_of("limb", ("tet10", "tet4"), element=element)
     from limbcli.api.geometry import thickness_argument
     from limbcli.stages import limb as stage
 
     options = stage.LimbOptions(
         element, nodes, cut_mm, distal_cut, thickness_argument("limb", "skin_mm", skin_mm),
-        thickness_argument("limb", "fat_mm", fat_mm), c_kpa,
+        thickness_argument("limb", "fat_mm", fat_mm), c_kpa, site_size_mm,
     )  # fmt: skip
     with at_work(case, out, wait=wait, progress=progress, opening=Case.open_images) as work:
         found = stage.limb(

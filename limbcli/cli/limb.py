@@ -18,7 +18,7 @@ from limbcli.cli.options import (
     VerboseOpt,
 )
 from limbcli.cli.terminal import emit, terminal
-from limbcli.mesh_bounds import LIMB_CUT_MM, LIMB_NODES
+from limbcli.mesh_bounds import LIMB_CUT_MM, LIMB_NODES, LIMB_SITE_SIZE_MM
 from limbcli.output_lock import one_writer
 
 NodesOpt = Annotated[
@@ -37,6 +37,16 @@ CutOpt = Annotated[
         min=LIMB_CUT_MM[0],
         max=LIMB_CUT_MM[1],
         help="Height of the proximal cut above the distal end; default: where the images end.",
+        show_default=False,
+    ),
+]
+SiteSizeOpt = Annotated[
+    float | None,
+    typer.Option(
+        "--site-size-mm",
+        min=LIMB_SITE_SIZE_MM[0],
+        max=LIMB_SITE_SIZE_MM[1],
+        help="Edge length round the sites, such as 3 to set a probe there; default: as elsewhere.",
         show_default=False,
     ),
 ]
@@ -63,6 +73,7 @@ def command(
     out: OutOpt = None,
     element: ElementOpt = None,
     nodes: NodesOpt = 40_000,
+    site_size: SiteSizeOpt = None,
     cut: CutOpt = None,
     distal_cut: DistalOpt = False,
     skin: SkinOpt = None,
@@ -89,6 +100,7 @@ def command(
         skin_layer=None if skin is None else thickness_of(skin, "--skin-mm"),
         fat_layer=None if fat is None else thickness_of(fat, "--fat-mm"),
         c_kpa=c_kpa,
+        site_size=site_size,
     )
     progress = terminal(quiet=quiet, verbose=verbose)
     with one_writer(target, wait=not no_wait, progress=progress):

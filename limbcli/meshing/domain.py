@@ -44,6 +44,7 @@ class TissueDomain:
 
     whole : whether it is a whole limb: of separate pieces of tissue the largest is meant, not that at the
         site
+    finest : upper limit of the edge length (mm) on the grid; None: no further one
     """
 
     skin: Field
@@ -51,6 +52,7 @@ class TissueDomain:
     planes: tuple[Plane, ...]
     notes: tuple[str, ...]
     whole: bool = False
+    finest: Field | None = None
 
     def label(self, points: Array) -> IntArray:
         """The boundary on which points (n, 3) of the surface lie: SKIN, BONE or CUT + number of the plane."""

@@ -92,6 +92,8 @@ def size_field(domain: TissueDomain, probe: ProbeShape | None, sizes: Sizes) -> 
         if field is not None:
             limit = np.minimum(limit, _bend_limit(field, sag, sizes.far, least=sizes.bends))
     limit[~_within_cuts(domain)] = sizes.far
+    if domain.finest is not None:
+        limit = np.minimum(limit, domain.finest.values)
     bend = Field(domain.skin.grid, _graded(limit, domain.skin.grid.spacing))
     return SizeField(sizes, probe, domain, bend, least=min(_MIN_SIZE, sizes.under_probe))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -69,7 +69,10 @@ _ASSUMED_TUBE = "numbers"  # kind of the assumed geometry without a distal end
 
 @dataclass(frozen=True)
 class LimbOptions:
-    """Options of a limb's model: those of its mesh, and its stiffness (kPa) if given by hand."""
+    """Options of a limb's model: those of its mesh, and its stiffness (kPa) if given by hand.
+
+    site_size : edge length (mm) round the sites, for a probe to be set there; None: as elsewhere
+    """
 
     element: str | None = None
     nodes: int = 40_000
@@ -78,6 +81,7 @@ class LimbOptions:
     skin_layer: Thickness | None = None
     fat_layer: Thickness | None = None
     c_kpa: float | None = None
+    site_size: float | None = None
 
 
 def limb(
@@ -116,6 +120,7 @@ def limb(
         layers, sources = limb_layers(case, layering, segmented, writer)
         stiffness = limb_stiffness(case, chain, writer, c_kpa=options.c_kpa)
         tube = _is_tube(segmented)
+        places = _places(case, segmented, skin, writer)
         mesh_options = LimbMeshOptions(
             options.element or case.model.element,
             options.nodes,
@@ -123,10 +128,12 @@ def limb(
             options.distal_cut or tube,
             layers,
         )
+        if options.site_size is not None:
+            at = tuple((float(x), float(y), float(z)) for x, y, z in places.values())
+            mesh_options = replace(mesh_options, fine_at=at, fine_size=options.site_size)
         found = limb_mesh(body, bones, frame, mesh_options, where=where, progress=progress)
         check_invariants(found)
         parts, surface = parts_of(found, frame, bones)
-        places = _places(case, segmented, skin, writer)
         mesh = _with_parts(found.mesh, parts, surface, places)
         used = [places[name] for name in stiffness.sites if name in places]
         laws = _laws(case, layers)

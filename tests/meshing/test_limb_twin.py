@@ -72,5 +72,6 @@ def test_the_whole_limb_under_a_probe_gives_the_force_of_the_site_model():
     limb = mend(skin, list(surfaces.values()))
     frame = site_frame(limb, np.array(BEHIND), "axial", PROBE)
     local = site_model(limb, BEHIND, "axial", PROBE, MeshOptions(margin=40.0))
-    mesh = limb_mesh(limb, surfaces, limb_frame(limb, "left"), LimbMeshOptions(nodes=40_000)).mesh
+    options = LimbMeshOptions(nodes=40_000, fine_at=(BEHIND,))
+    mesh = limb_mesh(limb, surfaces, limb_frame(limb, "left"), options).mesh
     assert force(with_probe(mesh, frame, list(surfaces))) == pytest.approx(force(local.model), rel=0.02)
