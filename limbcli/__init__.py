@@ -56,6 +56,8 @@ if TYPE_CHECKING:
     from limbcli.api.subjects import MeasureResult as MeasureResult
     from limbcli.api.subjects import check as check
     from limbcli.api.subjects import measure as measure
+    from limbcli.api.whole_limb import LimbResult as LimbResult
+    from limbcli.api.whole_limb import limb as limb
     from limbcli.case import Case as Case
     from limbcli.errors import CaseError as CaseError
     from limbcli.errors import FitError as FitError
@@ -84,6 +86,7 @@ _PUBLIC = {
     "api.geometry": ("Marker", "MeshResult", "MeshStudyResult", "SegmentResult", "mesh", "segment"),
     "api.simulation": ("BuildFebResult", "RunResult", "build_feb", "run", "run_feb"),
     "api.making": ("MadeCase", "make_phantom", "synth"),
+    "api.whole_limb": ("LimbResult", "limb"),
     "api.subjects": ("CheckResult", "MeasureResult", "check", "measure"),
     "case": ("Case",),
     "errors": (

@@ -228,8 +228,9 @@ def mesh(
     with at_work(case, out, wait=wait, progress=progress) as work:
         found = stage.mesh(
             work.case, out=work.out, sites=names_of(sites), element=element, size=size_mm,
-            far_size=far_size_mm, margin=margin_mm, skin_layer=_thickness("skin_mm", skin_mm),
-            fat_layer=_thickness("fat_mm", fat_mm), place=place, study=study, progress=work.progress,
+            far_size=far_size_mm, margin=margin_mm, skin_layer=thickness_argument("mesh", "skin_mm", skin_mm),
+            fat_layer=thickness_argument("mesh", "fat_mm", fat_mm), place=place, study=study,
+            progress=work.progress,
         )  # fmt: skip
     studies = {each.site: MeshStudyResult.of(each) for each in found if each.stage == MeshStudyResult.stage}
     meshed = (each for each in found if each.stage == MeshResult.stage)
@@ -245,13 +246,13 @@ def _place(at: tuple[float, float] | None) -> tuple[float, float] | None:
     return float(at[0]), float(at[1])
 
 
-def _thickness(name: str, value: float | str | None) -> Any:
+def thickness_argument(function: str, name: str, value: float | str | None) -> Any:
     """The value in the form that the stage expects."""
     from limbcli.stages.site_model.site_layers import thickness_of
 
     if isinstance(value, str):
         return thickness_of(value, name)
-    within("mesh", **{name: value})
+    within(function, **{name: value})
     return None if value is None else float(value)
 
 

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from limbcli.errors import CaseError
-from limbcli.mesh_bounds import FAR_SIZE_MM, MARGIN_MM, SIZE_MM
+from limbcli.mesh_bounds import FAR_SIZE_MM, LIMB_CUT_MM, LIMB_NODES, LIMB_SITE_SIZE_MM, MARGIN_MM, SIZE_MM
 
 Bounds: TypeAlias = tuple[float, float]
 
@@ -28,6 +28,7 @@ LIMITS: dict[str, dict[str, Bounds]] = {
     "build_feb": {"f_kappa": (0.01, 1000), "m": (1, 100), "contact_penalty": (1, 1000)},
     "batch": {"jobs": (1, math.inf)},
     "cohort": {**_SEED},
+    "limb": {"nodes": LIMB_NODES, "cut_mm": LIMB_CUT_MM, "site_size_mm": LIMB_SITE_SIZE_MM},
     "run": {"time_limit_s": (0, math.inf)},
     "fit": {"max_iterations": (1, math.inf)},
     "diagnose": {"max_effects": (1, 2), **_SEED, "size_mm": (1, 20), "far_size_mm": (2, 50)},
@@ -37,7 +38,7 @@ LIMITS: dict[str, dict[str, Bounds]] = {
     },
     "phantom": {**_SEED, **_TISSUE, **_MEASURING, **_SIZES},
 }  # fmt: skip
-_WHOLE = ("seed", "max_effects", "max_iterations", "jobs")
+_WHOLE = ("seed", "max_effects", "max_iterations", "jobs", "nodes")
 
 
 def within(function: str, **values: object) -> None:

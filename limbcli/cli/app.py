@@ -47,6 +47,7 @@ COMMANDS = {
     "run": "run",
     "fit": "fit",
     "diagnose": "diagnose",
+    "limb": "limb",
     "report": "report",
     "batch": "batch",
     "cohort": "cohort",

@@ -40,12 +40,19 @@ _SPECK = 0.05  # fraction of the largest piece of tissue: the site cannot lie in
 
 @dataclass(frozen=True, eq=False)
 class TissueDomain:
-    """Distance fields of skin and bone in the site's frame, the cutting planes, and notes on repairs."""
+    """Distance fields of skin and bone in the site's frame, the cutting planes, and notes on repairs.
+
+    whole : whether it is a whole limb: of separate pieces of tissue the largest is meant, not that at the
+        site
+    finest : upper limit of the edge length (mm) on the grid; None: no further one
+    """
 
     skin: Field
     bone: Field | None
     planes: tuple[Plane, ...]
     notes: tuple[str, ...]
+    whole: bool = False
+    finest: Field | None = None
 
     def label(self, points: Array) -> IntArray:
         """The boundary on which points (n, 3) of the surface lie: SKIN, BONE or CUT + number of the plane."""
@@ -63,8 +70,12 @@ class TissueDomain:
         return replace(self, bone=distance_again(self.bone.with_values(values)))
 
 
-def make_domain(limb: Limb, planes: tuple[Plane, ...], *, spacing: float = 1.0) -> TissueDomain:
+def make_domain(
+    limb: Limb, planes: tuple[Plane, ...], *, spacing: float = 1.0, whole: bool = False
+) -> TissueDomain:
     """The tissue between skin, bones and planes, in the frame of the given limb.
+
+    whole : of separate pieces of tissue, keep the largest, not the one at the origin (the site)
 
     Raises
     ------
@@ -85,9 +96,9 @@ def make_domain(limb: Limb, planes: tuple[Plane, ...], *, spacing: float = 1.0) 
     bone = None
     if bones:
         bone = _clear_of_skin(rounded(signed_distance(join(bones), grid), CLEFT), skin, planes, notes)
-        bone = _one_tissue(_without_wedges(bone, planes), skin, planes, notes)
+        bone = _one_tissue(_without_wedges(bone, planes), skin, planes, notes, whole=whole)
     return TissueDomain(
-        skin, bone if bone is not None and (bone.values < 0).any() else None, planes, tuple(notes)
+        skin, bone if bone is not None and (bone.values < 0).any() else None, planes, tuple(notes), whole
     )
 
 
@@ -146,7 +157,9 @@ def _without_wedges(bone: Field, planes: tuple[Plane, ...]) -> Field:
     return distance_again(bone.with_values(np.minimum(bone.values, wedge)))
 
 
-def _one_tissue(bone: Field, skin: Field, planes: tuple[Plane, ...], notes: list[str]) -> Field:
+def _one_tissue(
+    bone: Field, skin: Field, planes: tuple[Plane, ...], notes: list[str], *, whole: bool
+) -> Field:
     """Fill tissue pockets enclosed by bone, and discard specks of bone."""
     values = bone.values.copy()
     specks, n = ndimage.label(values < 0)
@@ -158,8 +171,8 @@ def _one_tissue(bone: Field, skin: Field, planes: tuple[Plane, ...], notes: list
     tissue = (values > 0) & (skin.values < 0) & kept
     pockets, n = ndimage.label(tissue)
     if n > 1:
-        site = _piece_at_site(pockets, n, points)
-        shut = tissue & (pockets != site)
+        piece = int(np.argmax(np.bincount(pockets[tissue]))) if whole else _piece_at_site(pockets, n, points)
+        shut = tissue & (pockets != piece)
         values[shut] = -0.5 * bone.grid.spacing
         notes.append(f"{n - 1} pockets ({int(shut.sum() * bone.grid.spacing**3)} mm3) shut in by bone filled")
     return bone.with_values(values)
@@ -197,7 +210,10 @@ def boundary(domain: TissueDomain) -> Triangles:
             "no tissue is left after the crop", where="site", fix="check position_mm and the surfaces"
         )
     whole = max(each.volume for each in bodies)
-    body = min((each for each in bodies if each.volume > _SPECK * whole), key=_distance_from_site)
+    if domain.whole:
+        body = max(bodies, key=lambda each: each.volume)
+    else:
+        body = min((each for each in bodies if each.volume > _SPECK * whole), key=_distance_from_site)
     voids = [_triangles(each) for each in pieces if each.volume() < 0]  # bones that no cut intersects
     return join([body, *(each for each in voids if _lies_within(each, body))])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +17,19 @@ _VTK = {
 }  # fmt: skip
 
 
-def write_vtu(mesh: Mesh, path: Path, *, fibres: ElementMap | None = None) -> None:
+def write_vtu(
+    mesh: Mesh,
+    path: Path,
+    *,
+    fibres: ElementMap | None = None,
+    values: Mapping[str, Mapping[str, Array]] | None = None,
+) -> None:
     """Write all blocks as cells, and every node set and surface as a point array of 0 and 1.
 
     Cell arrays: `block` (its number), one array of 0 and 1 per block name, `min_dihedral_deg`, and, if given,
-    `fibre` (3 components in the site's frame; 0 outside the tissue).
+    `fibre` (3 components in the site's frame; 0 outside the tissue) and `values`.
+
+    values : by block, then by name, a value for each of its cells (n_cells,); NaN in other blocks
     """
     import meshio
 
@@ -39,6 +48,11 @@ def write_vtu(mesh: Mesh, path: Path, *, fibres: ElementMap | None = None) -> No
         ]
     if fibres is not None:
         cell_data["fibre"] = [fibre_rows(each, fibres) for each in mesh.blocks]
+    for name in dict.fromkeys(name for each in (values or {}).values() for name in each):
+        cell_data[name] = [
+            (values or {}).get(each.name, {}).get(name, np.full(len(each.cells), np.nan))
+            for each in mesh.blocks
+        ]
     meshio.Mesh(mesh.points, cells, point_data=point_data, cell_data=cell_data).write(path, file_format="vtu")
 
 

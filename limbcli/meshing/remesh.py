@@ -57,10 +57,13 @@ class Sizes:
 
 @dataclass(frozen=True, eq=False)
 class SizeField:
-    """Target edge length at any point: fine under the probe, coarse far away, finer where thin or curved."""
+    """Target edge length at any point: fine under the probe, coarse far away, finer where thin or curved.
+
+    probe : None for a whole limb, where only thin and curved places are finer than `sizes.far`
+    """
 
     sizes: Sizes
-    probe: ProbeShape
+    probe: ProbeShape | None
     domain: TissueDomain
     bend: Field  # upper limit of the edge length from curvature and thin places
     least: float
@@ -68,13 +71,15 @@ class SizeField:
     def at(self, points: Array) -> Array:
         """Target edge length (n,), mm, at points (n, 3)."""
         s = self.sizes
+        if self.probe is None:
+            return np.maximum(np.minimum(s.far, self.bend.at(points)), self.least)
         beside = self.probe.distance_in_plan(points[:, 0], points[:, 1])
         distance = np.hypot(beside, np.minimum(points[:, 2], 0.0))
         wanted = np.clip(s.under_probe + s.growth * np.maximum(distance - s.reach, 0), s.under_probe, s.far)
         return np.maximum(np.minimum(wanted, self.bend.at(points)), self.least)
 
 
-def size_field(domain: TissueDomain, probe: ProbeShape, sizes: Sizes) -> SizeField:
+def size_field(domain: TissueDomain, probe: ProbeShape | None, sizes: Sizes) -> SizeField:
     """The size field of a domain: thickness and radius of curvature limit the size of the facets."""
     limit = np.full(domain.skin.grid.shape, sizes.far)
     if domain.bone is not None:
@@ -87,6 +92,8 @@ def size_field(domain: TissueDomain, probe: ProbeShape, sizes: Sizes) -> SizeFie
         if field is not None:
             limit = np.minimum(limit, _bend_limit(field, sag, sizes.far, least=sizes.bends))
     limit[~_within_cuts(domain)] = sizes.far
+    if domain.finest is not None:
+        limit = np.minimum(limit, domain.finest.values)
     bend = Field(domain.skin.grid, _graded(limit, domain.skin.grid.spacing))
     return SizeField(sizes, probe, domain, bend, least=min(_MIN_SIZE, sizes.under_probe))
 
@@ -101,9 +108,11 @@ def _within_cuts(domain: TissueDomain, *, inside: float = 1.0) -> NDArray[np.boo
 
 
 def _chord_error(
-    domain: TissueDomain, probe: ProbeShape, *, near: float = 0.25, growth: float = 0.03
+    domain: TissueDomain, probe: ProbeShape | None, *, near: float = 0.25, growth: float = 0.03
 ) -> Array:
     """Permitted deviation (mm) of facets from the true surface: small under the probe, larger far away."""
+    if probe is None:
+        return np.full(domain.skin.grid.shape, 2 * near)
     points = domain.skin.grid.points()
     beside = probe.distance_in_plan(points[..., 0], points[..., 1])
     return near + growth * np.hypot(beside, np.minimum(points[..., 2], 0.0))

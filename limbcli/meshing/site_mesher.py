@@ -51,16 +51,18 @@ class VolumeMesh:
 
 
 def under_probe(
-    points: Array, cells: IntArray, probe: ProbeShape, *, beside: float = 2.0, depth: float = 15.0
+    points: Array, cells: IntArray, probe: ProbeShape | None, *, beside: float = 2.0, depth: float = 15.0
 ) -> NDArray[np.bool_]:
     """Which cells (n_cells,) lie under the probe face: their centroid at most `depth` mm below it."""
+    if probe is None:
+        return np.zeros(len(cells), bool)
     middle = points[cells[:, :4]].mean(axis=1)
     near = probe.distance_in_plan(middle[:, 0], middle[:, 1]) <= beside
     return np.asarray(near & (middle[:, 2] > -depth), bool)
 
 
-def mesh_volume(domain: TissueDomain, probe: ProbeShape, sizes: Sizes) -> VolumeMesh:
-    """Graded tetrahedra in a domain, good enough for the solver.
+def mesh_volume(domain: TissueDomain, probe: ProbeShape | None, sizes: Sizes) -> VolumeMesh:
+    """Graded tetrahedra in a domain, good enough for the solver; probe: None for a whole limb.
 
     Tried in turn: TetGen on the boundary remeshed as requested (finer where facets intersect), TetGen on a
     finer boundary, TetGen with smoothed bones, fTetWild.
@@ -100,14 +102,14 @@ def mesh_volume(domain: TissueDomain, probe: ProbeShape, sizes: Sizes) -> Volume
     )
 
 
-def _score(mesh: VolumeMesh, probe: ProbeShape) -> float:
+def _score(mesh: VolumeMesh, probe: ProbeShape | None) -> float:
     """Smallest ratio of a cell's dihedral angle to the required one; 1 or more is sufficient."""
     lowest = dihedral_angles_deg(mesh.points, mesh.cells).min(axis=1)
     near = under_probe(mesh.points, mesh.cells, probe)
     return float((lowest / np.where(near, MIN_ANGLE_UNDER_PROBE_DEG, MIN_ANGLE_DEG)).min())
 
 
-def _with_tetgen(domain: TissueDomain, probe: ProbeShape, sizes: Sizes, tale: list[str]) -> VolumeMesh:
+def _with_tetgen(domain: TissueDomain, probe: ProbeShape | None, sizes: Sizes, tale: list[str]) -> VolumeMesh:
     fine = boundary(domain)
     field = size_field(domain, probe, sizes)
     graded = unfold(remesh(fine, domain, field), domain)
@@ -169,7 +171,9 @@ def _improved(raw: Tetrahedra, faces: IntArray, labels: IntArray, domain: Tissue
     return VolumeMesh(points, raw.cells, faces, labels, raw.maker, ())
 
 
-def _with_ftetwild(domain: TissueDomain, probe: ProbeShape, sizes: Sizes, tale: list[str]) -> VolumeMesh:
+def _with_ftetwild(
+    domain: TissueDomain, probe: ProbeShape | None, sizes: Sizes, tale: list[str]
+) -> VolumeMesh:
     """Mesh with fTetWild: slower, its surface within a tolerance of ours, but it accepts any input."""
     field = size_field(domain, probe, sizes)
     surface = _remeshed_or_not(domain, field, tale)

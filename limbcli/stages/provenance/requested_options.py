@@ -20,7 +20,8 @@ Requested = Mapping[str, Any]
 _SPOKEN = {
     "seeds": "--seed", "smooth": "--smooth", "threshold": "--threshold", "limb": "--limb",
     "element": "--element", "size": "--size-mm", "far_size": "--far-size-mm", "margin": "--margin-mm",
-    "skin_layer": "--skin-mm", "fat_layer": "--fat-mm", "place": "--at",
+    "skin_layer": "--skin-mm", "cut": "--cut-mm",
+    "site_size": "--site-size-mm", "fat_layer": "--fat-mm", "place": "--at",
     "c_kpa": "--c-kpa", "f_kappa": "--f-kappa", "m": "--m", "layers": "--layer", "templates": "--templates",
     "time_limit_s": "--time-limit-s", "vtu": "--vtu", "c_deviation": "--c-deviation-fraction",
     "stiffness_map": "--stiffness-map", "tolerance": "--tolerance", "max_iterations": "--max-iterations",

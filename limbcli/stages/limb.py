@@ -1,0 +1,378 @@
+"""limb: build the finite-element model of the whole limb from the surfaces, with named parts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.bodies import Drive, RigidBody
+from limbcli.case import Case
+from limbcli.errors import CaseError
+from limbcli.errors.problems import raise_errors
+from limbcli.mesh_bounds import LIMB_NODES
+from limbcli.meshing.anatomy import SKIN, limb_problems
+from limbcli.meshing.layers import Layer, layers_of
+from limbcli.meshing.limb_parts import LimbFrame, LimbParts, limb_frame, limb_parts
+from limbcli.meshing.limb_picture import limb_picture
+from limbcli.meshing.mending import mend
+from limbcli.meshing.places import place_fault
+from limbcli.meshing.quality import dihedral_angles_deg, scaled_jacobians, volumes
+from limbcli.meshing.surfaces import Triangles, read_surface
+from limbcli.meshing.whole_limb import (
+    DISTAL_CUT,
+    HELD,
+    PROXIMAL_CUT,
+    LimbMesh,
+    LimbMeshOptions,
+    cell_centroids,
+    check_invariants,
+    limb_mesh,
+    with_surfaces,
+)
+from limbcli.model import Array, Domain, IntArray, LimbModel, Mesh, Step, Support, Surface
+from limbcli.progress import SILENT, Progress
+from limbcli.results import StageResult, StageWriter, open_stage
+from limbcli.stages.limb_model.element_values import (
+    LABELS,
+    ElementValues,
+    LimbStiffness,
+    columns_of,
+    element_values,
+    limb_stiffness,
+    with_element_values,
+)
+from limbcli.stages.limb_model.hand_over import LimbFiles, write_limb
+from limbcli.stages.mesh import site_position
+from limbcli.stages.provenance.chain import Chain
+from limbcli.stages.provenance.chain_inputs import LIMB, SITES, note_case, note_templates
+from limbcli.stages.provenance.requested_options import requested_of
+from limbcli.stages.segmenting.places import warnings_of_limb
+from limbcli.stages.site_model.indentation_model import TISSUE
+from limbcli.stages.site_model.site_layers import (
+    Layering,
+    LayerLaw,
+    Thickness,
+    layer_laws,
+    locking_warning,
+    with_layer_laws,
+)
+from limbcli.units import kpa_from_mpa
+
+STAGE = "limb"
+_LAYER_CELL = 6.0  # mm, height of a layer's cells
+_UNLIKE = 1.5  # ratio of a layer's largest to its smallest thickness above which one thickness is doubtful
+_ASSUMED_TUBE = "numbers"  # kind of the assumed geometry without a distal end
+
+
+@dataclass(frozen=True)
+class LimbOptions:
+    """Options of a limb's model: those of its mesh, and its stiffness (kPa) if given by hand.
+
+    site_size : edge length (mm) round the sites, for a probe to be set there; None: as elsewhere
+    """
+
+    element: str | None = None
+    nodes: int = 40_000
+    cut: float | None = None
+    distal_cut: bool = False
+    skin_layer: Thickness | None = None
+    fat_layer: Thickness | None = None
+    c_kpa: float | None = None
+    site_size: float | None = None
+
+
+def limb(
+    case: Case,
+    *,
+    out: Path,
+    options: LimbOptions = LimbOptions(),
+    templates: Path | None = None,
+    progress: Progress = SILENT,
+) -> StageResult:
+    """Mesh the whole limb and write its model, surfaces, parts, picture and README.
+
+    Raises
+    ------
+    CaseError
+        If the limb, a site or an option cannot be used, or the result of `segment` is missing or out of date.
+    MeshError
+        If no volume mesh of sufficient quality could be made.
+    """
+    progress.event("stage", name=STAGE)
+    if not LIMB_NODES[0] <= options.nodes <= LIMB_NODES[1]:
+        low, high = LIMB_NODES
+        raise CaseError(f"--nodes is {options.nodes}", where=case.subject, fix=f"give {low} to {high}")
+    layering = Layering(options.skin_layer, options.fat_layer)
+    layered = tuple(site.name for site in case.sites if layering.is_from_images(site))
+    chain = Chain(case, out)
+    segmented = chain.result("segment", about=layered)
+    with open_stage(out, STAGE, subject=case.subject) as writer:
+        writer.data["asked"] = requested_of({**vars(options), "templates": templates}, vars(LimbOptions()))
+        _note(case, segmented, layered, options, templates, writer)
+        skin, bones = named_surfaces(segmented)
+        where = str(segmented.folder)
+        raise_errors(limb_problems({SKIN: skin, **bones}, limb=case.limb, where=where), CaseError)
+        body = mend(skin, list(bones.values()), where=where)
+        frame = limb_frame(body, case.limb)
+        layers, sources = limb_layers(case, layering, segmented, writer)
+        stiffness = limb_stiffness(case, chain, writer, c_kpa=options.c_kpa)
+        tube = _is_tube(segmented)
+        places = _places(case, segmented, skin, writer)
+        mesh_options = LimbMeshOptions(
+            options.element or case.model.element,
+            options.nodes,
+            options.cut,
+            options.distal_cut or tube,
+            layers,
+        )
+        if options.site_size is not None:
+            at = tuple((float(x), float(y), float(z)) for x, y, z in places.values())
+            mesh_options = replace(mesh_options, fine_at=at, fine_size=options.site_size)
+        found = limb_mesh(body, bones, frame, mesh_options, where=where, progress=progress)
+        check_invariants(found)
+        parts, surface = parts_of(found, frame, bones)
+        mesh = _with_parts(found.mesh, parts, surface, places)
+        used = [places[name] for name in stiffness.sites if name in places]
+        laws = _laws(case, layers)
+        model = with_layer_laws(limb_model(mesh, list(bones), frame, case, stiffness), laws)
+        tissue = mesh.block(TISSUE)
+        values = element_values(cell_centroids(mesh, tissue), stiffness, np.array(used).reshape(-1, 3))
+        model = with_element_values(model, tissue, values, stiffness)
+        _report(writer, found, model, parts, frame, stiffness, values)
+        _report_layers(writer, layers, sources, laws, mesh_options.element)
+        writer.warnings.extend(warnings_of_limb(segmented))
+        if tube and DISTAL_CUT in found.planes:
+            writer.warnings.append("the assumed limb has no distal end: it is cut there, and free")
+        limb_picture(
+            writer.file("picture", "limb.png"),
+            frame,
+            surface,
+            parts,
+            sites=places,
+            title=f"{case.subject}: the limb",
+        )
+        write_limb(LimbFiles(model, surface, parts, columns_of(values)), writer, segmented, templates)
+    assert writer.result is not None
+    return writer.result
+
+
+def _note(
+    case: Case, segmented: StageResult, layered: tuple[str, ...], options: LimbOptions,
+    templates: Path | None, writer: StageWriter,
+) -> None:  # fmt: skip
+    """Record the inputs."""
+    note_case(writer, case, [SITES, LIMB, *([] if options.element else ["model/element"])])
+    for site in case.sites:
+        note_case(writer, case, [], site=site, own=["place", "layers", "density_kg_per_m3"])
+    surfaces = [name for name, path in segmented.files.items() if path.endswith(".ply")]
+    markers = ["markers"] if any(site.position is None for site in case.sites) else []
+    writer.used_result(segmented, files=surfaces, data=[*(f"layers/{name}" for name in layered), *markers])
+    note_templates(writer, templates)
+
+
+def named_surfaces(segmented: StageResult) -> tuple[Triangles, dict[str, Triangles]]:
+    """The skin, and the bones by name, written by `segment`."""
+    names = sorted(name for name in segmented.files if name.startswith("bone_"))
+    bones = {name: read_surface(segmented.path(name)) for name in names}
+    return read_surface(segmented.folder / "skin.ply"), bones
+
+
+def _is_tube(segmented: StageResult) -> bool:
+    geometry = segmented.data.get("geometry")
+    return isinstance(geometry, Mapping) and geometry.get("kind") == _ASSUMED_TUBE
+
+
+# ---------------------------------------------------------------- layers
+
+
+def limb_layers(
+    case: Case, layering: Layering, segmented: StageResult, writer: StageWriter
+) -> tuple[tuple[Layer, ...], dict[str, str]]:
+    """Skin and fat of one thickness all over the limb: the mean of the sites where it is known."""
+    thickness: dict[str, list[float]] = {"skin": [], "fat": []}
+    origin: dict[str, set[str]] = {"skin": set(), "fat": set()}
+    for site in case.sites:
+        layers, sources = layering.of(site, segmented, size=_LAYER_CELL)
+        for layer in layers:
+            thickness[layer.name].append(layer.thickness)
+            origin[layer.name].add(sources[layer.name].partition(":")[0])
+    if not case.sites:
+        for name, value in (("skin", layering.skin), ("fat", layering.fat)):
+            if isinstance(value, str):
+                what = "the case has no sites, at which the images give a thickness"
+                raise CaseError(what, where=f"--{name}-mm", fix="give it in mm")
+            if value:
+                thickness[name], origin[name] = [value], {"given"}
+    known = {name: each for name, each in thickness.items() if each}
+    means = {name: float(np.mean(each)) for name, each in known.items()}
+    for name, each in known.items():
+        if max(each) > _UNLIKE * min(each):
+            writer.warnings.append(
+                f"the {name} is {min(each):.1f} to {max(each):.1f} mm thick at the sites; the model has its "
+                f"mean, {means[name]:.1f} mm, everywhere"
+            )
+    words = {name: f"mean of {len(each)} ({', '.join(sorted(origin[name]))})" for name, each in known.items()}
+    return layers_of(skin=means.get("skin", 0.0), fat=means.get("fat", 0.0), size=_LAYER_CELL), words
+
+
+def _laws(case: Case, layers: tuple[Layer, ...]) -> dict[str, LayerLaw]:
+    """The law of each layer: that of the first site that states one."""
+    laws: dict[str, LayerLaw] = {}
+    for each in layers:
+        stating = [site for site in case.sites if site.layers.get(each.name)] or list(case.sites)
+        laws |= layer_laws(stating[0], [each.name]) if stating else {each.name: LayerLaw()}
+    return laws
+
+
+# ---------------------------------------------------------------- parts and model
+
+
+def parts_of(
+    found: LimbMesh, frame: LimbFrame, bones: Mapping[str, Triangles]
+) -> tuple[LimbParts, Triangles]:
+    """The limb's parts, and the skin's facets (corners only) in the order of their masks."""
+    mesh = found.mesh
+    surface = Triangles(mesh.points, next(iter(mesh.surfaces["skin"].facets.values()))[:, :3])
+    top = float(frame.height(mesh.points[mesh.node_sets[PROXIMAL_CUT]]).min())
+    bottom = -np.inf
+    if DISTAL_CUT in mesh.node_sets:
+        bottom = float(frame.height(mesh.points[mesh.node_sets[DISTAL_CUT]]).max())
+    return limb_parts(frame, surface, bones, top=top, bottom=bottom), surface
+
+
+def _with_parts(mesh: Mesh, parts: LimbParts, surface: Triangles, places: Mapping[str, Array]) -> Mesh:
+    """The mesh with the patches as surfaces, landmarks and sites as sets of the skin node nearest to each."""
+    kind, facets = next(iter(mesh.surfaces["skin"].facets.items()))
+    names = {name: f"patch_{name}" for name in parts.patches}
+    more = {names[name]: Surface(names[name], {kind: facets[mask]}) for name, mask in parts.patches.items()}
+    nodes = np.unique(surface.faces)
+    marks = {f"landmark_{name}": point for name, point in parts.landmarks.items()}
+    marks |= {f"site_{name}": point for name, point in places.items()}
+    sets: dict[str, IntArray] = {}
+    for name, point in marks.items():
+        nearest = np.argmin(np.linalg.norm(mesh.points[nodes] - point, axis=1))
+        sets[name] = nodes[[nearest]]
+    return with_surfaces(mesh, more, sets)
+
+
+def _places(case: Case, segmented: StageResult, skin: Triangles, writer: StageWriter) -> dict[str, Array]:
+    """Position (3,) of each site that lies on the skin; others are left out with a warning."""
+    found = {}
+    for site in case.sites:
+        try:
+            place = np.asarray(site_position(site, segmented), float)
+        except CaseError as error:
+            writer.warnings.append(f"site {site.name} is left out: {error.what}")
+            continue
+        fault = place_fault(skin, place) if site.marker is None else None
+        if fault is not None and not fault.usable:
+            writer.warnings.append(f"site {site.name} is left out: it {fault.what}")
+            continue
+        found[site.name] = place
+    return found
+
+
+def limb_model(
+    mesh: Mesh, bones: list[str], frame: LimbFrame, case: Case, stiffness: LimbStiffness
+) -> LimbModel:
+    """The model at rest: every bone a rigid body of its own, fixed; the proximal cut held; no load."""
+    from limbcli.materials.ogden import ogden_type
+
+    present = [name for name in bones if len(mesh.node_sets.get(name, ()))]
+    bodies = tuple(
+        RigidBody(_body(name), tuple(mesh.points[mesh.node_sets[name]].mean(axis=0).tolist()), (), (name,))
+        for name in present
+    )
+    drives = tuple(
+        Drive(each.name, dof, "fixed") for each in bodies for dof in ("x", "y", "z", "u", "v", "w")
+    )  # type: ignore[arg-type]
+    law = ogden_type(c=stiffness.c, f_kappa=stiffness.f_kappa, m=stiffness.m)
+    held = (Support(HELD, ("x", "y", "z")),) if len(mesh.node_sets[HELD]) else ()
+    return LimbModel(
+        mesh=mesh,
+        materials={each.name: law for each in mesh.solid_blocks},
+        domains=tuple(Domain(each.name, each.name) for each in mesh.solid_blocks),
+        bodies=bodies,
+        supports=held,
+        drives=drives,
+        steps=(Step(),),
+        info={
+            "limb": case.subject,
+            "side": case.limb,
+            "frame": frame.to_json(),
+            "element": mesh.blocks[0].kind,
+        },
+    )
+
+
+def _body(name: str) -> str:
+    """
+    >>> _body("bone_tibia"), _body("bone_1")
+    ('tibia', 'bone_1')
+    """
+    short = name.removeprefix("bone_")
+    return name if short.isdigit() else short
+
+
+# ---------------------------------------------------------------- report
+
+
+def _report(
+    writer: StageWriter, found: LimbMesh, model: LimbModel, parts: LimbParts, frame: LimbFrame,
+    stiffness: LimbStiffness, values: ElementValues,
+) -> None:  # fmt: skip
+    mesh = model.mesh
+    cells = np.concatenate([each.cells for each in mesh.solid_blocks])
+    angles = dihedral_angles_deg(mesh.points, cells)
+    counts = {LABELS[k]: int((values.label == k).sum()) for k in range(len(LABELS))}
+    writer.data.update(
+        element=mesh.solid_blocks[0].kind,
+        n_nodes=len(mesh.points),
+        n_cells=len(cells),
+        size_mm=found.size,
+        quality={
+            "min_angle_deg": float(angles.min()),
+            "max_angle_deg": float(angles.max()),
+            "min_scaled_jacobian": float(scaled_jacobians(mesh.points, cells).min()),
+            "curved_share": found.curved_share,
+        },
+        volume_cm3=float(volumes(mesh.points, cells).sum()) / 1e3,
+        expected_volume_cm3=found.expected / 1e3,
+        mesher=found.maker,
+        frame=frame.to_json(),
+        bones=[each.name for each in model.bodies],
+        surfaces={name: each.n_facets for name, each in mesh.surfaces.items()},
+        missing_parts=dict(parts.missing),
+        stiffness={
+            "c_kpa": kpa_from_mpa(stiffness.c), "f_kappa": stiffness.f_kappa, "m": stiffness.m,
+            "source": stiffness.source, "elements": counts,
+        },
+    )  # fmt: skip
+    writer.summary.append(
+        f"{len(mesh.points)} nodes, {len(cells)} {mesh.solid_blocks[0].kind}, edges {found.size:.1f} mm; "
+        f"smallest dihedral angle {angles.min():.1f} deg"
+    )
+    writer.summary.append(f"bones: {', '.join(each.name for each in model.bodies)}")
+    writer.summary.append(
+        "patches: " + (", ".join(each.replace("_", " ") for each in parts.patches) or "none")
+    )
+    for name, why in parts.missing.items():
+        writer.summary.append(f"no patch {name.replace('_', ' ')}: {why}")
+    writer.summary.append(f"c = {kpa_from_mpa(stiffness.c):.2f} kPa everywhere (assumed): {stiffness.source}")
+    writer.warnings.extend(each for each in found.notes if "pushed inside" in each or "shut in" in each)
+
+
+def _report_layers(
+    writer: StageWriter, layers: tuple[Layer, ...], sources: Mapping[str, str], laws: Mapping[str, LayerLaw],
+    element: str,
+) -> None:  # fmt: skip
+    writer.data["layers"] = {
+        each.name: {"thickness_mm": each.thickness, "source": sources[each.name], **laws[each.name].to_json()}
+        for each in layers
+    }
+    for each in layers:
+        writer.summary.append(f"layer {each.name}: {each.thickness:.1f} mm all over, {sources[each.name]}")
+    writer.warnings.extend(locking_warning(laws, element))

@@ -1,0 +1,1 @@
+"""What the stage `limb` puts into the model of a whole limb, and what it hands over."""

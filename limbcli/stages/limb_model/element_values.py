@@ -1,0 +1,141 @@
+"""The stiffness of every element of a limb's model: here the values enter.
+
+`element_values` is the one place that a stiffness field replaces: it gets centroids (n, 3) in patient LPS
+(mm) and returns one value per element. Until then every element has one c and says `assumed`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from limbcli.case import Case
+from limbcli.errors import CaseError, MeasurementError
+from limbcli.materials.ogden import ogden_type
+from limbcli.model import Array, Block, ElementMap, LimbModel
+from limbcli.results import StageResult, StageWriter
+from limbcli.stages.build_feb import tissue_stiffness
+from limbcli.stages.provenance.chain import Chain
+from limbcli.stages.site_model.indentation_model import C_KPA
+from limbcli.stages.site_model.site_levels import levels_of
+from limbcli.units import kpa_from_mpa, mpa_from_kpa
+
+IDENTIFIED, INTERPOLATED, ASSUMED = "identified", "interpolated", "assumed"
+LABELS = (IDENTIFIED, INTERPOLATED, ASSUMED)
+F_KAPPA, M = 100.0, 2.0  # of the law where no site was fitted
+
+
+@dataclass(frozen=True)
+class LimbStiffness:
+    """c (MPa) of the limb's tissue with its source in words; f_kappa and m of the law; the sites used."""
+
+    c: float
+    f_kappa: float
+    m: float
+    source: str
+    sites: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class ElementValues:
+    """Of each element (n,): c with its 95 % limits (MPa), index into `LABELS`, distance to a site (mm).
+
+    A distance is NaN where no site gave the value.
+    """
+
+    c: Array
+    c_low: Array
+    c_high: Array
+    label: Array
+    distance: Array
+
+
+def limb_stiffness(
+    case: Case, out: Chain, writer: StageWriter, *, c_kpa: float | None = None
+) -> LimbStiffness:
+    """One c for the limb: given, else the mean of the fitted sites, else that of the sites' speeds at rest.
+
+    Raises
+    ------
+    CaseError
+        If none is known, or the given one is out of range.
+    """
+    if c_kpa is not None:
+        low, high = C_KPA
+        if not low <= c_kpa <= high:
+            raise CaseError(f"c is {c_kpa:g} kPa", where="--c-kpa", fix=f"give {low:g} to {high:g} kPa")
+        return LimbStiffness(mpa_from_kpa(c_kpa), F_KAPPA, M, "given with --c-kpa")
+    fits = {
+        site.name: found for site in case.sites if (found := out.present("fit", site=site.name)) is not None
+    }
+    if fits:
+        return _of_fits(fits, writer)
+    speeds = {}
+    for site in case.sites:
+        try:
+            speeds[site.name] = tissue_stiffness(levels_of(site), site)[0]
+        except (CaseError, MeasurementError):
+            continue
+        writer.used(f"levels {site.name}", site.levels, role=f"site/{site.name}/levels")
+    if not speeds:
+        raise CaseError(
+            "the limb's stiffness is unknown: no site is fitted, and none has a shear-wave speed at rest",
+            where=case.subject,
+            fix="run `limbcli fit CASE`, or give the stiffness by hand: --c-kpa",
+        )
+    words = f"mean of 2 mu from SWE at rest of {_listed(speeds)}"
+    return LimbStiffness(float(np.mean(list(speeds.values()))), F_KAPPA, M, words, tuple(speeds))
+
+
+def _of_fits(fits: dict[str, StageResult], writer: StageWriter) -> LimbStiffness:
+    keys = ("c_kpa", "f_kappa", "m")
+    for found in fits.values():
+        writer.used_result(found, data=keys)
+    table = np.array([[float(each.data[key]) for key in keys] for each in fits.values()])
+    c, f_kappa, m = table.mean(axis=0)
+    words = f"mean of the fitted {_listed(fits)}"
+    return LimbStiffness(mpa_from_kpa(float(c)), float(f_kappa), float(m), words, tuple(fits))
+
+
+def _listed(sites: Sequence[str] | dict[str, object] | dict[str, float] | dict[str, StageResult]) -> str:
+    names = list(sites)
+    return f"site{'s' if len(names) > 1 else ''} {', '.join(names)}"
+
+
+def element_values(centroids: Array, stiffness: LimbStiffness, sites: Array) -> ElementValues:
+    """Values of the elements with these centroids (n, 3); sites (k, 3) are the places used; both LPS, mm.
+
+    One c everywhere: every element is `assumed`, and its limits are not known (NaN).
+    """
+    n = len(centroids)
+    away = np.full(n, np.nan)
+    if len(sites):
+        away = np.linalg.norm(centroids[:, None] - sites[None], axis=2).min(axis=1)
+    unknown = np.full(n, np.nan)
+    return ElementValues(
+        np.full(n, stiffness.c), unknown, unknown, np.full(n, float(LABELS.index(ASSUMED))), away
+    )
+
+
+def with_element_values(
+    model: LimbModel, block: Block, values: ElementValues, stiffness: LimbStiffness
+) -> LimbModel:
+    """The model whose tissue has c1, c2 and kappa element by element."""
+    law = ogden_type(c=stiffness.c, f_kappa=stiffness.f_kappa, m=stiffness.m)
+    shares = {"c1": 0.5, "c2": 0.5, "kappa": stiffness.f_kappa}
+    maps = {
+        name: ElementMap(f"{block.name}_{name}", block.name, share * values.c)
+        for name, share in shares.items()
+    }
+    materials = {**model.materials, block.name: law.with_parameters(**maps)}
+    return replace(model, materials=materials)
+
+
+def columns_of(values: ElementValues) -> dict[str, Array]:
+    """The values as they are written for others: kPa, mm, label as its index in `LABELS`."""
+    return {
+        "c_kpa": kpa_from_mpa(values.c), "c_low_kpa": kpa_from_mpa(values.c_low),
+        "c_high_kpa": kpa_from_mpa(values.c_high), "label": values.label, "distance_mm": values.distance,
+    }  # fmt: skip

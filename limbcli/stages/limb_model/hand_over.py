@@ -1,0 +1,122 @@
+"""The files of a limb's model for others: FEBio, ParaView, surfaces, parts, and a README."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+
+from limbcli.config import templates_folder
+from limbcli.feb.write import write_feb
+from limbcli.meshing.export import write_vtu
+from limbcli.meshing.limb_parts import LimbParts
+from limbcli.meshing.surfaces import Triangles, join
+from limbcli.model import Array, LimbModel
+from limbcli.model_io import save_model
+from limbcli.results import StageResult, StageWriter
+from limbcli.stages.limb_model.element_values import LABELS
+from limbcli.stages.site_model.indentation_model import TISSUE
+from limbcli.version import __version__
+
+FEB, README = "limb.feb", "README.txt"
+
+
+@dataclass(frozen=True, eq=False)
+class LimbFiles:
+    """A limb's model, its skin's facets, its parts, and the tissue's values by name (n_cells,)."""
+
+    model: LimbModel
+    skin: Triangles
+    parts: LimbParts
+    values: Mapping[str, Array]
+
+
+def write_limb(files: LimbFiles, writer: StageWriter, segmented: StageResult, templates: Path | None) -> None:
+    """Write all files of the model into the stage's folder; call it last, when all warnings are known."""
+    model = files.model
+    save_model(model, writer.file("model", "model.npz"))
+    write_feb(model, writer.file("feb", FEB), templates)
+    write_vtu(model.mesh, writer.file("mesh", "limb.vtu"), values={TISSUE: files.values})
+    write_stl(files.skin, writer.file("skin", "skin.stl"))
+    bones = [
+        Triangles(model.mesh.points, next(iter(model.mesh.surfaces[name].facets.values()))[:, :3]).flipped()
+        for body in model.bodies
+        for name in body.node_sets
+    ]
+    write_stl(join(bones), writer.file("bones", "bones.stl"))
+    _write_parts(files, writer.file("parts", "parts.csv"))
+    writer.file("readme", README).write_text(_readme(files, writer, segmented), encoding="utf-8")
+
+
+def write_stl(surface: Triangles, path: Path) -> None:
+    """Write a surface as binary STL, mm."""
+    import meshio
+
+    used = surface.part(np.arange(len(surface.faces)))
+    meshio.Mesh(used.points, [("triangle", used.faces)]).write(path, file_format="stl", binary=True)
+
+
+def _write_parts(files: LimbFiles, path: Path) -> None:
+    """One row per patch (area, centroid) and landmark (its skin node)."""
+    mesh = files.model.mesh
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        table = csv.writer(stream)
+        table.writerow(["kind", "name", "x_mm", "y_mm", "z_mm", "area_mm2", "facets"])
+        for name, mask in files.parts.patches.items():
+            areas = files.skin.areas[mask]
+            middle = np.average(files.skin.centroids[mask], axis=0, weights=areas)
+            at = [f"{each:.3f}" for each in middle]
+            table.writerow(["patch", name, *at, f"{areas.sum():.1f}", int(mask.sum())])
+        for name, nodes in mesh.node_sets.items():
+            kind, _, short = name.partition("_")
+            if kind in ("landmark", "site"):
+                table.writerow([kind, short, *(f"{each:.3f}" for each in mesh.points[nodes[0]]), "", ""])
+        for name, why in files.parts.missing.items():
+            table.writerow(["missing", name, "", "", "", "", why])
+
+
+def _readme(files: LimbFiles, writer: StageWriter, segmented: StageResult) -> str:
+    """The README in plain text."""
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(templates_folder() / "limb"),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        keep_trailing_newline=True,
+    )
+    data: dict[str, Any] = writer.data
+    stiffness, frame = data["stiffness"], data["frame"]
+    layers = [
+        f"{name}: {each['thickness_mm']:.1f} mm ({each['source']}), {each['law']}, c = {each['c_kpa']:g} kPa"
+        + (f" ({', '.join(each['assumed'])} assumed)" if each["assumed"] else "")
+        for name, each in data["layers"].items()
+    ]
+    return environment.get_template("README.txt.j2").render(
+        subject=writer.subject,
+        version=__version__,
+        axis=_vector(frame["axis_lps"], 4),
+        origin=_vector(frame["origin_lps"], 1),
+        n_nodes=data["n_nodes"],
+        n_cells=data["n_cells"],
+        element=data["element"],
+        size=f"{data['size_mm']:.1f}",
+        surfaces=", ".join(name for name in data["surfaces"] if not name.startswith("patch_")),
+        patches=", ".join(files.parts.patches) or "none",
+        missing=files.parts.missing,
+        m=f"{stiffness['m']:.4g}",
+        f_kappa=f"{stiffness['f_kappa']:.4g}",
+        c_kpa=f"{stiffness['c_kpa']:.4g}",
+        c_source=stiffness["source"],
+        labels=", ".join(f"{k} {name}" for k, name in enumerate(LABELS)),
+        layers=layers,
+        source=segmented.data.get("source", "segment"),
+        warnings=list(dict.fromkeys(writer.warnings)),
+    )
+
+
+def _vector(values: list[float], digits: int) -> str:
+    return "(" + ", ".join(f"{each:.{digits}f}" for each in values) + ")"

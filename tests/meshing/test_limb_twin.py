@@ -1,0 +1,77 @@
+"""Twin: a probe on the model of the whole limb gives the force of the site's own model."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from limbcli.bodies import Contact, Drive, RigidBody
+from limbcli.feb.settings import schedule
+from limbcli.materials.ogden import ogden_type
+from limbcli.meshing.frame import SiteFrame, site_frame
+from limbcli.meshing.limb_parts import limb_frame
+from limbcli.meshing.mending import mend
+from limbcli.meshing.probe import ProbeShape, probe_mesh
+from limbcli.meshing.regions import reachable
+from limbcli.meshing.site_model import MeshOptions, site_model
+from limbcli.meshing.whole_limb import HELD, LimbMeshOptions, limb_mesh
+from limbcli.model import Block, Domain, LimbModel, Mesh, Support, Surface
+from limbcli.solvers.session import ReferenceSession
+from limbcli.stages.site_model.indentation_model import indentation_model
+from tests.meshing.stump import stump
+
+START, DEPTH = 0.05, 2.0
+PROBE = ProbeShape(40.0, 14.0, 3.0)
+BEHIND = (0.0, 40.0, 80.0)
+
+
+def with_probe(mesh: Mesh, frame: SiteFrame, bones: list[str]) -> LimbModel:
+    """A limb's mesh in a site's frame, with the probe at first touch, bones fixed and the cut held."""
+    points = mesh.points @ frame.to_model[:3, :3].T + frame.to_model[:3, 3]
+    rigid, first = probe_mesh(PROBE), len(points)
+    ((kind, facets),) = mesh.surfaces["skin"].facets.items()
+    near = reachable(points, facets[:, :3], PROBE)
+    probe = {"quad4": rigid.quads + first, "tri3": rigid.tips + first}
+    blocks = (
+        *mesh.blocks,
+        Block("probe", "quad4", probe["quad4"]),
+        Block("probe_tips", "tri3", probe["tri3"]),
+    )
+    surfaces = {
+        "contact": Surface("contact", {kind: facets[near]}),
+        "probe_face": Surface("probe_face", probe),
+    }
+    whole = Mesh(np.vstack([points, rigid.points - [0, 0, START]]), blocks, mesh.node_sets, surfaces)
+    held = [RigidBody(name, (0.0, 0.0, 0.0), (), (name,)) for name in bones]
+    fixed = [(body.name, dof) for body in held for dof in "xyzuvw"] + [("probe", dof) for dof in "xyuvw"]
+    return LimbModel(
+        mesh=whole,
+        materials={"tissue": ogden_type(c=0.008, f_kappa=10.0, m=2.0)},
+        domains=(Domain("tissue", "tissue"),),
+        bodies=(RigidBody("probe", (0.0, 0.0, -START), ("probe", "probe_tips")), *held),
+        supports=(Support(HELD, ("x", "y", "z")),),
+        drives=tuple(Drive(name, dof, "fixed") for name, dof in fixed),  # type: ignore[arg-type]
+        contacts=(Contact("contact", "probe_face"),),
+    )
+
+
+def force(model: LimbModel) -> float:
+    plan = schedule([DEPTH], start=START)
+    session = ReferenceSession(indentation_model(model, plan, c=0.008, f_kappa=10.0, m=2.0), body="probe")
+    try:
+        return float(session.solve().must_points.forces[-1])
+    finally:
+        session.close()
+
+
+@pytest.mark.slow
+def test_the_whole_limb_under_a_probe_gives_the_force_of_the_site_model():
+    """Behind a stump, where 25 mm of tissue lie over the bones."""
+    surfaces = stump()
+    skin = surfaces.pop("skin")
+    limb = mend(skin, list(surfaces.values()))
+    frame = site_frame(limb, np.array(BEHIND), "axial", PROBE)
+    local = site_model(limb, BEHIND, "axial", PROBE, MeshOptions(margin=40.0))
+    options = LimbMeshOptions(nodes=40_000, fine_at=(BEHIND,))
+    mesh = limb_mesh(limb, surfaces, limb_frame(limb, "left"), options).mesh
+    assert force(with_probe(mesh, frame, list(surfaces))) == pytest.approx(force(local.model), rel=0.02)

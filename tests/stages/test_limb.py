@@ -1,0 +1,216 @@
+"""`limbcli limb`: its files, what it refuses, and what its result says."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+
+import limbcli
+from limbcli.case import Case
+from limbcli.errors import CaseError
+from limbcli.feb.read import read_feb
+from limbcli.fem.analysis import Analysis
+from limbcli.meshing.surfaces import Triangles, read_surface
+from limbcli.model import Curve, ElementMap, Step, Support
+from limbcli.model_io import load_model
+from limbcli.results import read_result
+from limbcli.stages.limb import LimbOptions, limb
+from limbcli.stages.segment import segment
+from tests.meshing.stump import stump
+
+pytestmark = pytest.mark.slow
+OPTIONS = LimbOptions(nodes=12_000, c_kpa=8.0)
+SITE = """
+[probe]
+name = "small"
+length_mm = 20.0
+width_mm = 10.0
+edge_radius_mm = 3.0
+[[site]]
+name = "p1"
+position_mm = [0.0, 40.0, 80.0]
+long_axis = "transverse"
+levels = "levels.csv"
+[site.layers]
+fat = {thickness_mm = 4.0}
+"""
+
+
+def write_case(folder: Path, surfaces=None, more: str = "") -> Case:
+    """A case of these surfaces (a stump's); more : further text of case.toml."""
+    (folder / "s").mkdir(parents=True)
+    surfaces = surfaces or stump()
+    for name, each in surfaces.items():
+        meshio.Mesh(each.points, [("triangle", each.faces.astype(np.int32))]).write(
+            folder / "s" / f"{name}.ply"
+        )
+    bones = ", ".join(f'"s/{name}.ply"' for name in surfaces if name != "skin")
+    text = 'format = 1\n[subject]\nid = "S1"\nlimb = "left"\n[imaging]\nskin = "s/skin.ply"\n'
+    text += f"bones = [{bones}]\n"
+    (folder / "case.toml").write_text(text + more)
+    rows = ["force_n,depth_mm,swe_mean_m_per_s", "0,0,2.0", "1,2,", "2,4,"]
+    (folder / "levels.csv").write_text("\n".join(rows) + "\n")
+    return Case.open_images(folder)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("limb")
+    case = write_case(folder / "case")
+    segment(case, out=folder / "out")
+    return case, folder / "out", limb(case, out=folder / "out", options=OPTIONS)
+
+
+def test_the_model_file_is_read_back_as_the_stored_model(made):
+    result = made[2]
+    model, stored = read_feb(result.path("feb")), load_model(result.path("model"))
+    assert np.array_equal(model.mesh.points, stored.mesh.points)
+    assert set(model.mesh.surfaces) == set(stored.mesh.surfaces)
+    assert {body.name for body in model.bodies} == {"tibia", "fibula", "femur", "patella"}
+    c1, kappa = (model.materials["tissue"].parameters[name] for name in ("c1", "kappa"))
+    assert isinstance(c1, ElementMap)
+    assert isinstance(kappa, ElementMap)
+    assert c1.values == pytest.approx(0.004)
+    assert kappa.values == pytest.approx(0.8)
+
+
+def test_the_file_solves_with_a_small_load(made):
+    """The distal end pulled by 0.2 mm: it moves, the bones do not, and nothing moves farther."""
+    model = read_feb(made[2].path("feb"))
+    pulled = np.unique(model.mesh.surfaces["patch_distal_end"].facets["tri6"])
+    mesh = replace(model.mesh, node_sets={**model.mesh.node_sets, "pulled": pulled})
+    loaded = replace(
+        model,
+        mesh=mesh,
+        supports=(*model.supports, Support("pulled", ("z",), -0.2, "load")),
+        curves={"load": Curve(((0.0, 0.0), (1.0, 1.0)))},
+        steps=(Step(n_steps=1, step_size=1.0),),
+    )
+    analysis = Analysis(loaded)
+    states = analysis.run()
+    moved = states[-1].state.u
+    assert moved[pulled, 2] == pytest.approx(-0.2)
+    inside = np.setdiff1d(np.arange(len(mesh.points)), pulled)
+    assert np.abs(moved[inside]).max() < 0.25
+    assert np.abs(moved[mesh.node_sets["bone_tibia"]]).max() == pytest.approx(0.0, abs=1e-12)
+
+
+def test_files_for_others(made):
+    result = made[2]
+    grid = meshio.read(result.path("mesh"))
+    assert grid.cell_data["c_kpa"][0] == pytest.approx(8.0)
+    assert set(grid.cell_data["label"][0]) == {2.0}
+    assert np.isnan(grid.cell_data["distance_mm"][0]).all()
+    skin, bones = (read_surface(result.path(name)) for name in ("skin", "bones"))
+    assert skin.areas.sum() > 2 * np.pi * 40 * 110
+    assert bones.volume > 0, "normals out of the bone"
+    text = result.path("readme").read_text()
+    assert "LPS" in text
+    assert "MPa" in text
+    assert "not good for" in text
+    with result.path("parts").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert {row["name"] for row in rows if row["kind"] == "patch"} >= {
+        "distal_end",
+        "popliteal",
+        "tibial_crest",
+    }
+
+
+def test_bones_are_fixed_and_the_cut_is_held(made):
+    model = load_model(made[2].path("model"))
+    assert {(each.body, each.dof) for each in model.drives} == {
+        (body.name, dof) for body in model.bodies for dof in "xyzuvw"
+    }
+    assert model.supports[0].node_set == "held"
+    assert model.info["frame"]["axis_lps"] == pytest.approx([0, 0, 1], abs=0.02)
+
+
+def test_a_change_of_the_surfaces_makes_the_result_stale(made, tmp_path):
+    from limbcli.stages.provenance.chain import Chain
+
+    case, out, result = made
+    assert Chain(case, out).broken(read_result(out, "limb")) is None
+    other = write_case(
+        tmp_path / "other",
+        {**stump(), "skin": Triangles(stump()["skin"].points * 1.01, stump()["skin"].faces)},
+    )
+    broken = Chain(other, out).broken(result)
+    assert broken is not None
+    assert "limbcli limb" in broken.fix(other, out)
+
+
+def test_fat_of_a_site_is_a_conforming_layer_and_c_that_of_speed_at_rest(tmp_path):
+    case = write_case(tmp_path / "case", more=SITE)
+    segment(case, out=tmp_path / "out")
+    found = limbcli.limb(case, out=tmp_path / "out", nodes=14_000)
+    model = found.model()
+    assert [each.name for each in model.mesh.solid_blocks] == ["tissue", "fat"]
+    shared = np.intersect1d(*(each.cells for each in model.mesh.solid_blocks))
+    assert len(shared) > 100, "both blocks have the nodes of the border"
+    assert found.c_kpa == pytest.approx(8.0)  # 2 rho v2
+    assert "site p1" in found.data["stiffness"]["source"]
+    assert "site_p1" in model.mesh.node_sets
+    inner = Triangles(model.mesh.points, next(iter(model.mesh.surfaces["skin"].facets.values()))[:, :3])
+    assert inner.areas.sum() > 0
+
+
+def test_without_segment_without_stiffness_and_with_a_wrong_option(tmp_path, made):
+    case = write_case(tmp_path / "case")
+    with pytest.raises(CaseError, match="no result of `segment`"):
+        limb(case, out=tmp_path / "out", options=OPTIONS)
+    with pytest.raises(CaseError, match="--nodes is 10"):
+        limb(made[0], out=made[1], options=replace(OPTIONS, nodes=10))
+    with pytest.raises(CaseError, match=r"c is 9000 kPa"):
+        limbcli.limb(made[0], out=made[1], c_kpa=9000.0, nodes=12_000)
+
+
+def test_a_bone_through_the_skin_is_refused(tmp_path):
+    surfaces = stump()
+    out_of_it = Triangles(surfaces["bone_tibia"].points - [0, 40, 0], surfaces["bone_tibia"].faces)
+    case = write_case(tmp_path / "case", {**surfaces, "bone_tibia": out_of_it})
+    with pytest.raises(CaseError, match="outside the skin"):
+        segment(case, out=tmp_path / "out")
+    segment(case, out=tmp_path / "out", accept_bones=True)
+
+
+@pytest.mark.parametrize("name", ["Mean_Limb_Shape.stl", "102p.stl"])
+def test_limbs_of_openlimb(shared: Path, tmp_path: Path, name: str):
+    """Statistical transtibial limbs: every patch is there, and the mesh is sound."""
+    path = shared / "data" / "openlimb" / name
+    if not path.is_file():
+        pytest.skip(f"needs {path}")
+    surface = read_surface(path)
+    (tmp_path / "case").mkdir()
+    in_mm = meshio.Mesh(surface.points * 380.0, [("triangle", surface.faces.astype(np.int32))])
+    in_mm.write(tmp_path / "case" / "limb.ply")
+    text = 'format = 1\n[subject]\nid = "S1"\nlimb = "left"\n[imaging]\nskin = "limb.ply"\n'
+    (tmp_path / "case" / "case.toml").write_text(text)
+    case = Case.open_images(tmp_path / "case")
+    segment(case, out=tmp_path / "out")
+    result = limb(case, out=tmp_path / "out", options=LimbOptions(c_kpa=8.0))
+    assert result.data["n_nodes"] == pytest.approx(40_000, rel=0.25)
+    assert not result.data["missing_parts"]
+    assert result.data["quality"]["min_angle_deg"] > 4
+    assert result.data["volume_cm3"] == pytest.approx(result.data["expected_volume_cm3"], rel=0.01)
+
+
+def test_the_leg_of_the_visible_human(shared: Path, tmp_path: Path):
+    """Cut at the ankle and in the thigh: refused, and meshed with its distal cut if asked."""
+    folder = shared / "data" / "visible-human-leg"
+    if not folder.is_dir():
+        pytest.skip(f"needs {folder}")
+    names = {"skin": "skin_leg_5p0_mm", **{f"bone_{n}": n for n in ("femur", "tibia", "fibula", "patella")}}
+    surfaces = {name: read_surface(folder / f"VHF_right_{file}.obj") for name, file in names.items()}
+    case = write_case(tmp_path / "case", surfaces)
+    segment(case, out=tmp_path / "out")
+    with pytest.raises(CaseError, match="cut at both ends"):
+        limb(case, out=tmp_path / "out", options=LimbOptions(c_kpa=8.0))
+    result = limb(case, out=tmp_path / "out", options=LimbOptions(c_kpa=8.0, distal_cut=True))
+    assert "distal_end" in result.data["missing_parts"]
+    assert {"patch_patellar_tendon", "patch_popliteal", "distal_cut"} <= set(result.data["surfaces"])
