@@ -19,19 +19,19 @@ Source: Rasmussen and Williams 2006, Gaussian Processes for Machine Learning, se
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.spatial import cKDTree
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from limbcli.model import Array
 from limbcli.stiffness_field.coordinates import LimbCoordinates, Places
 from limbcli.stiffness_field.expectation import normal_readings
-from limbcli.stiffness_field.kernel import Lengths, correlation
+from limbcli.stiffness_field.kernel import Between, Lengths
 from limbcli.stiffness_field.likelihood import Bound, Interval, Known, likelihood_of
 from limbcli.stiffness_field.readings import PARAMETERS, MapReading, SiteReading, check_readings
 
@@ -42,7 +42,7 @@ LABELS = ("identified", "interpolated", "assumed")
 NEAR_MM, IDENTIFIED, ASSUMED = 10.0, 0.5, 0.9
 _LEAST_WEIGHT = 1e-3  # combinations of less weight, as a fraction of the largest, are left out
 _CHUNK = 4000  # points at a time
-_BISECTIONS, _WIDEST = 18, 8.0
+_STEPS, _STILL, _WIDEST = 12, 1e-3, 8.0  # quantiles of mixtures
 _UNKNOWN_GAIN = 3.0  # standard deviation of ln c of a map's common error where nothing is known of it
 
 
@@ -81,8 +81,8 @@ class Grid:
     own_error : tau, standard deviation of ln of a site's own error beyond its interval
     """
 
-    height_mm: tuple[float, ...] = (30.0, 70.0, 160.0)
-    around: tuple[float, ...] = (0.5, 1.0, 2.0)
+    height_mm: tuple[float, ...] = (40.0, 120.0)
+    around: tuple[float, ...] = (0.6, 1.5)
     depth: tuple[float, ...] = (0.5, 1.5)
     variation: tuple[float, ...] = (0.15, 0.3, 0.6)
     own_error: tuple[float, ...] = (0.0, 0.15)
@@ -209,8 +209,10 @@ class StiffnessField:
         for start in range(0, len(places), _CHUNK):
             chunk = slice(start, start + _CHUNK)
             mean, variance, far = self._moments(which, places.part(chunk))
-            ends = [quantile(q, mean, variance, self.shares) for q in (0.5, 0.025, 0.975)]
-            out[:3, chunk] = ends
+            out[0, chunk] = self.shares @ mean
+            out[1, chunk], out[2, chunk] = (
+                quantile(q, mean, variance, self.shares) for q in (0.025, 0.975)
+            )
             out[3, chunk] = np.clip((self.shares @ variance) / (self.shares @ far), 0.0, 1.0)
         prior = self.priors[parameter]
         return Values(*np.clip(np.exp(out[:3]), prior.low, prior.high), out[3])
@@ -220,15 +222,13 @@ class StiffnessField:
         prior = self.priors[PARAMETERS[which]]
         shape = (len(self.parts), len(places))
         mean, variance, far = np.full(shape, prior.mean), np.empty(shape), np.empty(shape)
-        between: dict[Lengths, Array] = {}
+        between = self.to_readings(which, places, {part.hypothesis.lengths for part in self.parts})
         for k, part in enumerate(self.parts):
             hypothesis = part.hypothesis
             total = hypothesis.variation**2 + prior.deviation**2
             variance[k], far[k] = total, total
             if not len(self.readings):
                 continue
-            if hypothesis.lengths not in between:
-                between[hypothesis.lengths] = self.to_readings(which, places, hypothesis.lengths)
             same = (self.readings.parameter == which).astype(float)
             cross = (hypothesis.variation**2) * between[hypothesis.lengths]
             cross += prior.deviation**2 * same
@@ -239,28 +239,33 @@ class StiffnessField:
             far[k] -= away @ away
         return mean, np.maximum(variance, 1e-12), np.maximum(far, 1e-12)
 
-    def to_readings(self, which: int, places: Places, lengths: Lengths) -> Array:
-        """Correlation (n_places, n_readings) of one parameter's variation at places with all readings."""
+    def to_readings(self, which: int, places: Places, lengths: Iterable[Lengths]) -> dict[Lengths, Array]:
+        """Correlations (n_places, n_readings) of one parameter's variation at places with all readings, for
+        each of the lengths."""
         same = self.readings.parameter == which
-        out = np.zeros((len(places), len(self.readings)))
         own = self.readings.average[same]
         used = own.any(axis=0)
-        if used.any():
-            out[:, same] = correlation(places, self.readings.places.part(used), lengths) @ own[:, used].T
-        return out
+        between = Between(places, self.readings.places.part(used))
+        found = {}
+        for each in lengths:
+            found[each] = np.zeros((len(places), len(self.readings)))
+            found[each][:, same] = between.correlation(each) @ own[:, used].T
+        return found
 
     def mean_over(self, parameter: str, points: Array) -> tuple[Array, Array]:
         """Mean and variance (n_parts,) of the mean of ln over points (q, 3), under each hypothesis."""
         which, places = PARAMETERS.index(parameter), self.limb.places(points)
         prior = self.priors[parameter]
         mean, variance = np.full(len(self.parts), prior.mean), np.empty(len(self.parts))
+        several = {part.hypothesis.lengths for part in self.parts}
+        itself, between = Between(places, places), self.to_readings(which, places, several)
         for k, part in enumerate(self.parts):
             hypothesis = part.hypothesis
-            own = float(correlation(places, places, hypothesis.lengths).mean())
+            own = float(itself.correlation(hypothesis.lengths).mean())
             variance[k] = hypothesis.variation**2 * own + prior.deviation**2
             if len(self.readings):
                 same = (self.readings.parameter == which).astype(float)
-                cross = hypothesis.variation**2 * self.to_readings(which, places, hypothesis.lengths).mean(0)
+                cross = hypothesis.variation**2 * between[hypothesis.lengths].mean(axis=0)
                 cross += prior.deviation**2 * same
                 mean[k] += cross @ part.weights
                 root = solve_triangular(part.factor[0], cross, lower=True)
@@ -287,7 +292,9 @@ def stiffness_field(
     """
     check_readings(sites, maps)
     readings = _gathered(limb, sites, maps)
-    parts = [_conditioned(readings, each, priors) for each in (grid or Grid()).combinations()]
+    hypotheses = (grid or Grid()).combinations()
+    together = _averaged_correlations(readings, {each.lengths for each in hypotheses})
+    parts = [_conditioned(readings, each, priors, together[each.lengths]) for each in hypotheses]
     logs = np.array([each.log_evidence for each in parts])
     shares = np.exp(logs - logs.max())
     kept = shares > _LEAST_WEIGHT
@@ -300,14 +307,25 @@ def stiffness_field(
 
 
 def quantile(q: float, mean: Array, variance: Array, shares: Array) -> Array:
-    """Quantile (n,) of a mixture of normals: means and variances (n_parts, n), shares (n_parts,)."""
+    """Quantile (n,) of a mixture of normals: means and variances (n_parts, n), shares (n_parts,).
+
+    Newton's method within a bracket, from the quantile of the normal distribution with the same moments.
+    """
     deviation = np.sqrt(variance)
+    middle = shares @ mean
+    total = np.sqrt(shares @ (variance + (mean - middle) ** 2))
     low, high = (mean - _WIDEST * deviation).min(axis=0), (mean + _WIDEST * deviation).max(axis=0)
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        below = shares @ ndtr((middle - mean) / deviation) < q
-        low, high = np.where(below, middle, low), np.where(below, high, middle)
-    return np.asarray(0.5 * (low + high))
+    x = middle + float(ndtri(q)) * total
+    for _ in range(_STEPS):
+        z = (x - mean) / deviation
+        missed = shares @ ndtr(z) - q
+        slope = shares @ (np.exp(-0.5 * z * z) / deviation) / np.sqrt(2.0 * np.pi)
+        low, high = np.where(missed < 0, x, low), np.where(missed < 0, high, x)
+        step = x - missed / np.maximum(slope, 1e-12)
+        x = np.where((step > low) & (step < high), step, 0.5 * (low + high))
+        if np.max(np.abs(missed), initial=0.0) < _STILL * min(q, 1.0 - q):
+            break
+    return np.asarray(x)
 
 
 def _gathered(
@@ -377,12 +395,20 @@ def _is_bound(likelihoods: Mapping[int, Known | Bound], *which: int) -> bool:
     return any(isinstance(likelihoods.get(k), Bound) for k in which)
 
 
-def _conditioned(readings: Readings, hypothesis: Hypothesis, priors: Mapping[str, Prior]) -> Conditioned:
+def _averaged_correlations(readings: Readings, lengths: Iterable[Lengths]) -> dict[Lengths, Array]:
+    """Correlations (n, n) of the readings' regional means, for each of the lengths."""
+    between, average = Between(readings.places, readings.places), readings.average
+    return {each: average @ between.correlation(each) @ average.T for each in lengths}
+
+
+def _conditioned(
+    readings: Readings, hypothesis: Hypothesis, priors: Mapping[str, Prior], together: Array
+) -> Conditioned:
     n = len(readings)
     if not n:
         empty = np.empty(0)
         return Conditioned(hypothesis, 0.0, empty, np.empty((0, 0)), (np.empty((0, 0)), True), empty)
-    covariance = _prior_covariance(readings, hypothesis, priors)
+    covariance = _prior_covariance(readings, hypothesis, priors, together)
     mean = np.array([priors[PARAMETERS[k]].mean for k in readings.parameter])
     values = readings.values.copy()
     noise = readings.noise.copy()
@@ -416,13 +442,13 @@ def _conditioned(readings: Readings, hypothesis: Hypothesis, priors: Mapping[str
     return Conditioned(hypothesis, log_evidence, values, noise, (root, True), weights)
 
 
-def _prior_covariance(readings: Readings, hypothesis: Hypothesis, priors: Mapping[str, Prior]) -> Array:
+def _prior_covariance(
+    readings: Readings, hypothesis: Hypothesis, priors: Mapping[str, Prior], together: Array
+) -> Array:
     """Covariance (n, n) of the readings before the data, without the noise that they state."""
-    together = readings.average @ correlation(readings.places, readings.places, hypothesis.lengths)
     same = readings.parameter[:, None] == readings.parameter
     person = np.array([priors[PARAMETERS[k]].deviation ** 2 for k in readings.parameter])
-    variation = hypothesis.variation**2 * (together @ readings.average.T)
-    out = same * (variation + person) + hypothesis.own_error**2 * readings.own
+    out = same * (hypothesis.variation**2 * together + person) + hypothesis.own_error**2 * readings.own
     return np.asarray(out + 1e-10 * np.eye(len(readings)))
 
 

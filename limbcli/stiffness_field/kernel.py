@@ -31,12 +31,33 @@ class Lengths:
     depth: float
 
 
+class Between:
+    """Correlations between two lists of places, for several lengths: each factor is computed once."""
+
+    def __init__(self, a: Places, b: Places):
+        self._height = np.abs(a.height[:, None] - b.height)
+        self._chord = ((a.around[:, None] - b.around) ** 2).sum(axis=2)
+        self._depth = np.abs(a.depth[:, None] - b.depth)
+        self._known: dict[tuple[str, float], Array] = {}
+
+    def correlation(self, lengths: Lengths) -> Array:
+        """Correlation (n_a, n_b)."""
+        height = self._once("height", lengths.height_mm)
+        return np.asarray(height * self._once("around", lengths.around) * self._once("depth", lengths.depth))
+
+    def _once(self, name: str, length: float) -> Array:
+        if (name, length) not in self._known:
+            if name == "around":
+                found = np.exp(-0.5 * self._chord / length**2)
+            else:
+                found = _matern((self._height if name == "height" else self._depth) / length)
+            self._known[name, length] = found
+        return self._known[name, length]
+
+
 def correlation(a: Places, b: Places, lengths: Lengths) -> Array:
     """Correlation (n_a, n_b) between places."""
-    height = _matern(np.abs(a.height[:, None] - b.height) / lengths.height_mm)
-    chord = ((a.around[:, None] - b.around) ** 2).sum(axis=2)
-    depth = _matern(np.abs(a.depth[:, None] - b.depth) / lengths.depth)
-    return np.asarray(height * np.exp(-0.5 * chord / lengths.around**2) * depth)
+    return Between(a, b).correlation(lengths)
 
 
 def _matern(distance: Array) -> Array:
