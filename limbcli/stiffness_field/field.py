@@ -322,7 +322,7 @@ def quantile(q: float, mean: Array, variance: Array, shares: Array) -> Array:
         slope = shares @ (np.exp(-0.5 * z * z) / deviation) / np.sqrt(2.0 * np.pi)
         low, high = np.where(missed < 0, x, low), np.where(missed < 0, high, x)
         step = x - missed / np.maximum(slope, 1e-12)
-        x = np.where((step > low) & (step < high), step, 0.5 * (low + high))
+        x = np.where((step >= low) & (step <= high), step, 0.5 * (low + high))
         if np.max(np.abs(missed), initial=0.0) < _STILL * min(q, 1.0 - q):
             break
     return np.asarray(x)

@@ -112,12 +112,16 @@ def true_log_c(kind: str, points: np.ndarray, rng: np.random.Generator) -> np.nd
 
 
 def measured(
-    kind: str, points: np.ndarray, rng: np.random.Generator, *, deviation: float = 0.1
+    kind: str, points: np.ndarray, rng: np.random.Generator, *, deviation: float = 0.1, shallow: bool = False
 ) -> tuple[np.ndarray, list[SiteReading]]:
-    """True ln c at points, and the readings of eight sites with noise: the means of ln c over their regions."""
+    """True ln c at points, and the readings of eight sites with noise: the means of ln c over their regions.
+
+    shallow : a site's reading weights depths by exp(-2 share of the way to the bone), unlike the model's
+    """
     regions = [region(*each) for each in EIGHT]
     values = true_log_c(kind, np.concatenate([points, *regions]), rng)
-    at_sites = values[len(points) :].reshape(len(regions), -1).mean(axis=1)
+    weights = np.exp(-2 * np.repeat([0.1, 0.3, 0.5, 0.7, 0.9], 3) * shallow)  # as `region_below` orders them
+    at_sites = values[len(points) :].reshape(len(regions), -1) @ (weights / weights.sum())
     readings = np.exp(at_sites + deviation * rng.standard_normal(len(regions)))
     sites = [
         site(f"p{k}", where, float(c), deviation)
