@@ -84,12 +84,14 @@ class LimbCoordinates:
     skin: cKDTree
     bone: cKDTree | None
 
-    def places(self, points: Array) -> Places:
-        """Anatomical coordinates of points (n, 3), mm, in the frame of the surfaces.
+    def places(self, points: Array | Places) -> Places:
+        """Anatomical coordinates of points (n, 3), mm, in the frame of the surfaces; places as they are.
 
         Points are taken as lying in the soft tissue: the depth of those outside the skin or within a bone is
         that of their distances all the same.
         """
+        if isinstance(points, Places):
+            return points
         points = np.asarray(points, float).reshape(-1, 3)
         height = points @ self.axis - self.distal
         centre = np.stack([np.interp(height, self.heights, each) for each in self.centres.T], axis=1)
@@ -127,7 +129,7 @@ def limb_coordinates(
     across = np.stack([front, np.cross(axis, front)])
     along = skin.points @ axis
     heights, centres = _centre_line(skin, axis, across, float(along.min()), float(along.max()), where)
-    wall = skin.part(~_proximal_cap(skin, axis))
+    wall = skin.part(np.logical_not(_proximal_cap(skin, axis)))
     inner = cKDTree(np.concatenate([_samples(each) for each in bones])) if len(bones) else None
     return LimbCoordinates(axis, float(along.min()), heights, centres, across, cKDTree(_samples(wall)), inner)
 

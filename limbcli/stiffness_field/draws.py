@@ -62,8 +62,11 @@ class Draw:
     weights: Array
     update: Array
 
-    def at(self, points: Array) -> DrawnValues:
-        """c, m and f_kappa at points (n, 3), mm in the frame of the surfaces."""
+    def at(self, points: Array | Places) -> DrawnValues:
+        """c, m and f_kappa at points (n, 3), mm in the frame of the surfaces, or at places in the limb.
+
+        For several draws at the same points, `field.limb.places(points)` spares the distances.
+        """
         places = self.field.limb.places(points)
         logs = np.concatenate(
             [
@@ -115,25 +118,28 @@ class Draws:
         points : (n, 3) mm over which the means are taken (geometric, as the field is one of logarithms)
         weights : (n,) such as volumes of elements; None: equal
         """
-        rows = []
+        rows, places = [], self.field.limb.places(points)
+        at_sites = {site.name: self.field.limb.places(site.points) for site in self.field.sites}
         for k in range(self.n):
             draw = self.draw(k)
-            found = draw.at(points)
+            found = draw.at(places)
             means = [
                 float(np.exp(np.average(np.log(each), weights=weights)))
                 for each in (found.c, found.m, found.f_kappa)
             ]
             row = {"draw": float(k), "c_mean_kpa": kpa_from_mpa(means[0]), "m_mean": means[1]}
             row["f_kappa_mean"] = means[2]
-            for site in self.field.sites:
-                at_site = draw.at(site.points)
-                c = float(np.exp(np.log(at_site.c).mean()))
-                row |= {f"c_{site.name}_kpa": kpa_from_mpa(c), f"m_{site.name}": float(at_site.m.mean())}
+            for name, region in at_sites.items():
+                here = draw.at(region)
+                c, m = (float(np.exp(np.log(each).mean())) for each in (here.c, here.m))
+                row |= {f"c_{name}_kpa": kpa_from_mpa(c), f"m_{name}": m}
             hypothesis = draw.part.hypothesis
             row |= {
-                "length_along_mm": hypothesis.lengths.height_mm, "length_around_rad": hypothesis.lengths.around,
-                "length_depth": hypothesis.lengths.depth, "variation_of_ln": hypothesis.variation,
-            }  # fmt: skip
+                "length_along_mm": hypothesis.lengths.height_mm,
+                "length_around_rad": hypothesis.lengths.around,
+                "length_depth": hypothesis.lengths.depth,
+                "variation_of_ln": hypothesis.variation,
+            }
             rows.append(row)
         return rows
 

@@ -31,7 +31,8 @@ class NormalReadings:
 
 
 def normal_readings(likelihoods: Sequence[Known | Bound], mean: Array, covariance: Array) -> NormalReadings:
-    """Readings that stand for the likelihoods of n jointly normal quantities: mean (n,), covariance (n, n)."""
+    """Readings that stand for the likelihoods of n jointly normal quantities: mean (n,), covariance
+    (n, n)."""
     n = len(likelihoods)
     precision, shift = np.full(n, _LEAST_PRECISION), np.full(n, _LEAST_PRECISION) * mean
     after_mean, after = mean.copy(), covariance.copy()

@@ -21,6 +21,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -169,7 +170,7 @@ class Conditioned:
     log_evidence: float
     values: Array
     noise: Array
-    factor: tuple[Array, bool]
+    factor: tuple[NDArray[np.floating[Any]], bool]
     weights: Array
 
 
@@ -210,12 +211,11 @@ class StiffnessField:
             chunk = slice(start, start + _CHUNK)
             mean, variance, far = self._moments(which, places.part(chunk))
             out[0, chunk] = self.shares @ mean
-            out[1, chunk], out[2, chunk] = (
-                quantile(q, mean, variance, self.shares) for q in (0.025, 0.975)
-            )
+            out[1, chunk], out[2, chunk] = (quantile(q, mean, variance, self.shares) for q in (0.025, 0.975))
             out[3, chunk] = np.clip((self.shares @ variance) / (self.shares @ far), 0.0, 1.0)
         prior = self.priors[parameter]
-        return Values(*np.clip(np.exp(out[:3]), prior.low, prior.high), out[3])
+        value, low, high = np.clip(np.exp(out[:3]), prior.low, prior.high)
+        return Values(value, low, high, out[3])
 
     def _moments(self, which: int, places: Places) -> tuple[Array, Array, Array]:
         """Mean and variance of ln (n_parts, n) at places under each hypothesis; variance far away."""
@@ -328,9 +328,7 @@ def quantile(q: float, mean: Array, variance: Array, shares: Array) -> Array:
     return np.asarray(x)
 
 
-def _gathered(
-    limb: LimbCoordinates, sites: Sequence[SiteReading], maps: Sequence[MapReading]
-) -> Readings:
+def _gathered(limb: LimbCoordinates, sites: Sequence[SiteReading], maps: Sequence[MapReading]) -> Readings:
     regions: list[tuple[int, int]] = []  # first point and number of points of each reading
     parameter: list[int] = []
     values: list[float] = []

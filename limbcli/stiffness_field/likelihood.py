@@ -61,12 +61,12 @@ class Known:
         shares = [math.exp(each[0] - top) for each in parts]
         total = sum(shares)
         first = sum(s * each[1] for s, each in zip(shares, parts, strict=True)) / total
-        second = sum(
-            s * (each[2] + (each[1] - first) ** 2) for s, each in zip(shares, parts, strict=True)
-        )
+        second = sum(s * (each[2] + (each[1] - first) ** 2) for s, each in zip(shares, parts, strict=True))
         return top + math.log(total), first, second / total
 
-    def _half(self, mean: float, variance: float, deviation: float, side: float) -> tuple[float, float, float]:
+    def _half(
+        self, mean: float, variance: float, deviation: float, side: float
+    ) -> tuple[float, float, float]:
         """The same for one half: side -1 below the mode, 1 above."""
         own = deviation**2
         narrow = 1.0 / (1.0 / variance + 1.0 / own)

@@ -2,12 +2,12 @@
 
     python tests/benchmarks/stiffness_field.py [--seeds 50] [--points 100]
 
-A synthetic limb with eight sites whose readings have noise; its true c is drawn from fields of five kinds that
-are not those of the model. Per kind: share of the points in the tissue inside their 95 % interval, share of
+A synthetic limb with eight sites whose readings have noise; its true c is drawn from fields of five kinds
+that are not those of the model. Per kind: share of the points in the tissue inside their 95 % interval, share of
 the sites left out that were inside the interval predicted without them, and the error of ln c (root mean
 square, and what 95 % of the points stay below, as factors) of the field and of one c (the geometric mean of
-the sites). Three further rows change what the model assumes: sites that see shallow tissue more than the model
-says, noise of twice the stated size, and three sites instead of eight.
+the sites). Three further rows change what the model assumes: sites that see shallow tissue more than the
+model says, noise of twice the stated size, and three sites instead of eight.
 """
 
 from __future__ import annotations
@@ -25,7 +25,10 @@ from limbcli.stiffness_field import Draws, held_out, stiffness_field
 from limbcli.stiffness_field.coordinates import LimbCoordinates
 from tests.stiffness_field import synthetic as limb
 
-HEADER = "| field | inside, % | sites left out inside, % | field: rms | one c: rms | field: 95 % within | one c: 95 % within |"
+HEADER = (
+    "| field | inside, % | sites left out inside, % | field: rms | one c: rms | field: 95 % within "
+    "| one c: 95 % within |"
+)
 
 
 def one(

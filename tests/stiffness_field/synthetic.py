@@ -84,15 +84,14 @@ KINDS = ("smooth", "rough", "gradient", "waves", "groups")
 
 
 def true_log_c(kind: str, points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """ln c (MPa) at points (n, 3): a person's mean, and a variation within the limb that no kernel of the field
-    makes.
+    """ln c (MPa) at points (n, 3): a person's mean, and a variation that no kernel of the field makes.
 
     smooth, rough : Gaussian (squared exponential, 60 mm; exponential, 100 mm) over x, y, z, not over the
         anatomical coordinates; gradient : along the limb and across it; waves : a few sinusoids; groups : two
         tissues with a border of 15 mm
     """
     mean = np.log(0.008) + 0.5 * rng.standard_normal()
-    size = 0.3
+    size = np.exp(rng.uniform(np.log(0.15), np.log(0.6)))  # limbs differ in how much c varies within them
     if kind in ("smooth", "rough"):
         apart = np.linalg.norm(points[:, None] - points, axis=2)
         k = np.exp(-0.5 * (apart / 60.0) ** 2) if kind == "smooth" else np.exp(-apart / 100.0)

@@ -68,9 +68,7 @@ def site_results(case: Case, chain: Chain, writer: StageWriter | None = None) ->
     return found
 
 
-def _add(
-    found: SiteResults, site: Site, mesh: StageResult, chain: Chain, writer: StageWriter | None
-) -> None:
+def _add(found: SiteResults, site: Site, mesh: StageResult, chain: Chain, writer: StageWriter | None) -> None:
     frame = mesh.data["frame"]
     fit, diagnosis = (chain.present(stage, site=site.name) for stage in ("fit", "diagnose"))
     added = list(diagnosis.data["added"]) if diagnosis is not None else []
