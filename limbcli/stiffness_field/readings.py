@@ -176,13 +176,7 @@ def check_readings(sites: Sequence[SiteReading], maps: Sequence[MapReading]) -> 
                 fix="give c in MPa (1 kPa = 0.001 MPa)",
                 c=c.value,
             )
-        for pair, rho in site.correlation.items():
-            if not abs(rho) < 1.0:
-                raise FitError(
-                    f"the correlation of {pair[0]} and {pair[1]} is {rho:g}",
-                    where=where,
-                    fix="give a number between -1 and 1, or none",
-                )
+        _check_correlation(site.correlation, where)
     for each in maps:
         where = f"map of site {each.site}"
         _check_points(each.points, where)
@@ -192,6 +186,20 @@ def check_readings(sites: Sequence[SiteReading], maps: Sequence[MapReading]) -> 
                 where=where,
                 fix="read the map again (`map_reading`)",
             )
+
+
+def _check_correlation(correlation: Mapping[tuple[str, str], float], where: str) -> None:
+    together = np.eye(len(PARAMETERS))
+    for (one, other), rho in correlation.items():
+        i, j = PARAMETERS.index(one), PARAMETERS.index(other)
+        together[i, j] = together[j, i] = rho
+    if not np.isfinite(together).all() or np.linalg.eigvalsh(together).min() < 1e-6:
+        told = ", ".join(f"{one} and {other} {rho:g}" for (one, other), rho in correlation.items())
+        raise FitError(
+            f"no three quantities have the correlations {told}",
+            where=where,
+            fix="give those of one fit, each between -1 and 1, or none",
+        )
 
 
 def _check_points(points: Array, where: str) -> None:

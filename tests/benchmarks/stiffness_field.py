@@ -3,8 +3,8 @@
     python tests/benchmarks/stiffness_field.py [--seeds 50] [--points 100]
 
 A synthetic limb with eight sites whose readings have noise; its true c is drawn from fields of five kinds
-that are not those of the model. Per kind: share of the points in the tissue inside their 95 % interval, share of
-the sites left out that were inside the interval predicted without them, and the error of ln c (root mean
+that are not those of the model. Per kind: share of the points in the tissue inside their 95 % interval, share
+of the sites left out that were inside the interval predicted without them, and the error of ln c (root mean
 square, and what 95 % of the points stay below, as factors) of the field and of one c (the geometric mean of
 the sites). Three further rows change what the model assumes: sites that see shallow tissue more than the
 model says, noise of twice the stated size, and three sites instead of eight.

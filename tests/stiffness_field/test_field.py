@@ -382,6 +382,15 @@ def test_impossible_readings_are_refused_with_the_site(coordinates, reading, mat
     assert "p1" in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    "rho", [{("c", "m"): 1.0}, {("c", "m"): 0.9, ("c", "f_kappa"): 0.9, ("m", "f_kappa"): -0.9}]
+)
+def test_correlations_that_cannot_be_are_refused(coordinates, rho):
+    one = limb.site("p1", limb.region(110, 60), 0.01, 0.1)
+    with pytest.raises(FitError, match="no three quantities"):
+        stiffness_field(coordinates, [SiteReading("p1", one.points, one.values, rho)])
+
+
 def test_a_site_given_twice_is_refused(coordinates):
     one = limb.site("p1", limb.region(110, 60), 0.01, 0.1)
     with pytest.raises(FitError, match="two readings"):

@@ -25,6 +25,7 @@ from limbcli.units import mpa_from_kpa
 
 _KEYS = {"c_kpa": "c", "m": "m", "f_kappa": "f_kappa"}
 _OF_SPEEDS = "swe-"  # names of the effects by which speeds are misread
+_MOST_CORRELATED = 0.98
 _DEEP_MM = 30.0  # region of a site without bone below it
 
 
@@ -115,7 +116,7 @@ def of_fit(data: Mapping[str, Any]) -> Reading:
     pairs = {("c", "f_kappa"): "c,f_kappa", ("c", "m"): "c,m", ("m", "f_kappa"): "f_kappa,m"}
     correlation = {pair: float(rho[key]) for pair, key in pairs.items() if rho.get(key) is not None}
     # A correlation of 1 would make two readings one.
-    return values, {pair: float(np.clip(each, -0.98, 0.98)) for pair, each in correlation.items()}, "fit"
+    return values, {pair: _MOST_CORRELATED * each for pair, each in correlation.items()}, "fit"
 
 
 def of_diagnosis(data: Mapping[str, Any]) -> Reading:
