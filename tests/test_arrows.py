@@ -24,9 +24,11 @@ ALLOWED: dict[str, set[str]] = {
     "solvers": {"feb", "fem", "materials"},
     "shear_waves": {"materials", "measurement", "solvers"},
     "effects": {"materials", "meshing", "shear_waves"},
+    "stiffness_field": {"measurement", "meshing"},
     "reporting": {"measurement"},
     "phantom": {"imaging", "measurement", "materials", "meshing", "shear_waves"},
-    "stages": SIBLINGS | {"solvers", "effects", "reporting", "phantom", "materials", "feb", "shear_waves"},
+    "stages": SIBLINGS
+    | {"solvers", "effects", "reporting", "phantom", "materials", "feb", "shear_waves", "stiffness_field"},
     "cli": {"stages"},
     "api": {"stages", "solvers", "feb"},
     "__init__": {"api", "solvers", "feb"},

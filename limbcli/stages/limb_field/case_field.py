@@ -1,0 +1,182 @@
+"""The stiffness field of a case in one call, and its values for the elements of a mesh."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from limbcli.case import Case
+from limbcli.errors import CaseError
+from limbcli.meshing.surfaces import Triangles
+from limbcli.model import Array
+from limbcli.results import StageWriter
+from limbcli.stages.limb_field.site_results import SiteResults, site_results
+from limbcli.stages.provenance.chain import Chain
+from limbcli.stiffness_field import (
+    LABELS,
+    PRIORS,
+    Prior,
+    StiffnessField,
+    contradictions,
+    held_out,
+    limb_coordinates,
+    prior_of,
+    stiffness_field,
+)
+from limbcli.units import kpa_from_mpa, mpa_from_kpa
+
+_REACH = 2 * 1.959964  # width of a 95 % interval, in standard deviations
+
+
+@dataclass(frozen=True, eq=False)
+class CaseField:
+    """The field of a case, and the readings that it comes from."""
+
+    field: StiffnessField
+    results: SiteResults
+
+    def element_columns(self, points: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """Of points (n, 3), mm, LPS: c, c_low, c_high (MPa), index of the label in `LABELS`, distance (mm,
+        NaN where no site was read)."""
+        found = self.field.at(points)
+        index = np.array([LABELS.index(each) for each in found.label.tolist()], float)
+        return found.c, found.c_low, found.c_high, index, np.where(
+            np.isfinite(found.distance), found.distance, np.nan
+        )  # fmt: skip
+
+    def to_json(self) -> dict[str, Any]:
+        """Sites, hypotheses, held-out test and priors, as plain values with units in the keys."""
+        field = self.field
+        tested = held_out(field)
+        return {
+            "sites": {
+                each.name: {
+                    "source": each.source,
+                    **{
+                        ("c_kpa" if name == "c" else name): _in_kpa(name, [v.value, v.low, v.high])
+                        for name, v in each.values.items()
+                    },
+                }
+                for each in field.sites
+            },
+            "maps": {each.site: {"n_squares": len(each.log_c)} for each in field.maps},
+            "left_out": dict(self.results.left_out),
+            "contradictions": contradictions(field),
+            "priors": {
+                name: {
+                    "median" if name != "c" else "median_kpa": _in_kpa(name, [float(np.exp(each.mean))])[0],
+                    "deviation_of_ln": each.deviation, "source": each.source,
+                }
+                for name, each in field.priors.items()
+            },
+            "hypotheses": [
+                {
+                    "length_along_mm": part.hypothesis.lengths.height_mm,
+                    "length_around_rad": part.hypothesis.lengths.around,
+                    "length_depth": part.hypothesis.lengths.depth,
+                    "variation_of_ln": part.hypothesis.variation,
+                    "own_error_of_ln": part.hypothesis.own_error, "probability": float(share),
+                }
+                for part, share in zip(field.parts, field.shares, strict=True)
+            ],
+            "held_out": {
+                "words": tested.words, "n_inside": tested.n_inside, "n": len(tested.sites), "p": tested.p,
+                "skipped": dict(tested.skipped),
+                "sites": [
+                    {
+                        "site": each.site, "c_kpa": kpa_from_mpa(each.c),
+                        "predicted_kpa": kpa_from_mpa(each.predicted),
+                        "predicted_95_kpa": [
+                            kpa_from_mpa(each.predicted_low), kpa_from_mpa(each.predicted_high)
+                        ],
+                        "z": each.z, "inside": each.inside,
+                    }
+                    for each in tested.sites
+                ],
+            },
+        }  # fmt: skip
+
+
+def case_field(
+    case: Case,
+    chain: Chain,
+    skin: Triangles,
+    bones: Sequence[Triangles],
+    axis: Array,
+    *,
+    writer: StageWriter | None = None,
+    cohort: Path | None = None,
+    location: str | None = None,
+) -> CaseField:
+    """The field of a case from the results in its output folder.
+
+    skin, bones, axis : mm, patient LPS; the axis towards proximal
+    cohort, location : cohort.json, and its location whose population is the prior
+
+    Raises
+    ------
+    CaseError
+        If a result is out of date, or the cohort has no such location.
+    MeasurementError, FitError, MeshError
+        If a map, a reading or the surfaces cannot be used.
+    """
+    results = site_results(case, chain, writer)
+    priors = PRIORS if cohort is None else {**PRIORS, **cohort_priors(cohort, location)}
+    limb = limb_coordinates(skin, bones, axis, where=case.subject)
+    return CaseField(stiffness_field(limb, results.sites, results.maps, priors=priors), results)
+
+
+def cohort_priors(path: Path, location: str | None) -> dict[str, Prior]:
+    """Priors of c and m from the population of a cohort's location.
+
+    The population's spread between people and the uncertainty of its mean are added. m is left out where it
+    lies beyond the range of the cohort's models.
+
+    location : None: the only one there is
+
+    Raises
+    ------
+    CaseError
+        If the file is no cohort.json, or has no such location.
+    """
+    try:
+        sites: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))["sites"]
+        name = location or (next(iter(sites)) if len(sites) == 1 else "")
+        if name not in sites:
+            raise CaseError(
+                f"the cohort has no location {name!r}" if name else "the cohort has several locations",
+                where=str(path),
+                fix=f"give one of {', '.join(sites)}",
+            )
+        population = sites[name]["population"]
+        out = {}
+        for key, parameter in (("c_muscle_kpa", "c"), ("m", "m")):
+            own = population[key]
+            if own["beyond_family"]:
+                continue
+            scale = mpa_from_kpa(1.0) if parameter == "c" else 1.0
+            deviation = np.hypot(own["spread_of_ln"], np.log(own["high"] / own["low"]) / _REACH)
+            out[parameter] = prior_of(
+                parameter,
+                mean=float(np.log(own["geometric_mean"] * scale)),
+                deviation=float(deviation),
+                source=f"cohort, location {name}, {sites[name]['n_people']} people",
+            )
+        return out
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise CaseError(
+            f"the cohort's result cannot be read ({type(error).__name__}: {error})",
+            where=str(path),
+            fix="give the cohort.json that `limbcli cohort` wrote",
+        ) from error
+
+
+def _in_kpa(name: str, values: Sequence[float | None]) -> list[float | None]:
+    if name != "c":
+        return list(values)
+    return [None if each is None else kpa_from_mpa(each) for each in values]

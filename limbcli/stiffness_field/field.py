@@ -1,0 +1,472 @@
+"""The stiffness of a whole limb from its sites: a Gaussian process over anatomical coordinates.
+
+For each parameter p of c, m and f_kappa, at a place x of the limb,
+
+    ln p(x) = mu_p + b_p + f_p(x)
+
+mu_p is the population's mean, b_p ~ N(0, s_p^2) the person's deviation from it (constant over the limb) and
+f_p ~ GP(0, sigma^2 k) the variation within the limb (`kernel`). A site reads the mean of ln p over its
+region, plus the error that its interval states, plus one of its own, N(0, tau^2): what two measurements of
+one place differ by. Far from every site the field is thus the person's mean as the sites show it, and without
+sites the population's.
+
+The correlation lengths, sigma and tau are not known from a few sites. They are not fitted: every combination
+of a grid is kept, weighted by its marginal likelihood, and all results are averages over the grid.
+
+Source: Rasmussen and Williams 2006, Gaussian Processes for Machine Learning, sections 2.2, 2.7 and 5.2.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.spatial import cKDTree
+from scipy.special import ndtr, ndtri
+
+from limbcli.model import Array
+from limbcli.stiffness_field.coordinates import LimbCoordinates, Places
+from limbcli.stiffness_field.expectation import normal_readings
+from limbcli.stiffness_field.kernel import Between, Lengths
+from limbcli.stiffness_field.likelihood import Bound, Interval, Known, likelihood_of
+from limbcli.stiffness_field.readings import PARAMETERS, MapReading, SiteReading, check_readings
+
+LABELS = ("identified", "interpolated", "assumed")
+# A point is identified within this distance (mm) of what a site's reading averages over, if the readings have
+# removed half of the variance that the field has far from all sites; it is assumed if they have removed less
+# than a tenth.
+NEAR_MM, IDENTIFIED, ASSUMED = 10.0, 0.5, 0.9
+_LEAST_WEIGHT = 1e-3  # combinations of less weight, as a fraction of the largest, are left out
+_CHUNK = 4000  # points at a time
+_STEPS, _STILL, _WIDEST = 12, 1e-3, 8.0  # quantiles of mixtures
+_UNKNOWN_GAIN = 3.0  # standard deviation of ln c of a map's common error where nothing is known of it
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Prior of one parameter: ln of the person's mean is normal.
+
+    mean : of ln (of MPa for c); deviation : of ln; low, high : possible values, draws are kept within them
+    source : in words
+    """
+
+    mean: float
+    deviation: float
+    low: float
+    high: float
+    source: str
+
+
+PRIORS: Mapping[str, Prior] = {
+    "c": Prior(
+        float(np.log(0.008)), 0.7, 1e-5, 1.0,
+        "chosen: 2 to 32 kPa (95 %), which holds both sites of the lower legs in MULTIS (`cohort`: 4.9 and "
+        "18.8 kPa)",
+    ),
+    "m": Prior(float(np.log(3.9)), 0.69, 1.0, 100.0, "that of `diagnose`: 1 to 15 (95 %)"),
+    "f_kappa": Prior(float(np.log(100.0)), 0.9, 0.01, 1000.0, "chosen: 17 to 580 (95 %)"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Values of the quantities that few sites do not tell, all combinations equally probable before the data.
+
+    height_mm, around, depth : correlation lengths
+    variation : sigma, standard deviation of ln within a limb
+    own_error : tau, standard deviation of ln of a site's own error beyond its interval
+    """
+
+    height_mm: tuple[float, ...] = (40.0, 120.0)
+    around: tuple[float, ...] = (0.6, 1.5)
+    depth: tuple[float, ...] = (0.5, 1.5)
+    variation: tuple[float, ...] = (0.15, 0.3, 0.6)
+    own_error: tuple[float, ...] = (0.0, 0.15)
+
+    def combinations(self) -> list[Hypothesis]:
+        return [
+            Hypothesis(Lengths(*each[:3]), *each[3:])
+            for each in itertools.product(
+                self.height_mm, self.around, self.depth, self.variation, self.own_error
+            )
+        ]
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One combination of the grid."""
+
+    lengths: Lengths
+    variation: float
+    own_error: float
+
+
+@dataclass(frozen=True, eq=False)
+class Values:
+    """One parameter at n points (c in MPa): median, ends of the 95 % interval, all (n,).
+
+    ratio : variance of ln over that far from every site, 0 (known) to 1
+    """
+
+    value: Array
+    low: Array
+    high: Array
+    ratio: Array
+
+
+@dataclass(frozen=True, eq=False)
+class PointValues:
+    """The field at n points: c, c_low, c_high (MPa, 95 %), all (n,).
+
+    label : "identified", "interpolated" or "assumed"; distance : mm to the nearest point that a reading of c
+        averages over (inf without sites); ratio : as `Values`
+    """
+
+    c: Array
+    c_low: Array
+    c_high: Array
+    label: NDArray[np.str_]
+    distance: Array
+    ratio: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """All readings as linear functionals of the fields.
+
+    places : (q,) all points of all regions; average : (n, q) weights, rows sum to 1
+    parameter : (n,) index into `PARAMETERS`; values : (n,) ln, NaN where `likelihoods` has one
+    noise : (n, n) covariance of the errors of the normal readings; own : (n, n) 1 where two have the same
+        site's own error
+    correlated : (i, j, rho) of two readings of a site
+    """
+
+    places: Places
+    average: Array
+    parameter: NDArray[np.int_]
+    values: Array
+    noise: Array
+    own: Array
+    likelihoods: Mapping[int, Known | Bound]
+    correlated: Sequence[tuple[int, int, float]]
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+
+@dataclass(frozen=True, eq=False)
+class Conditioned:
+    """The field under one hypothesis: readings (n,) and their noise with all likelihoods made normal.
+
+    weights : (n,) the inverse covariance times the readings' distance from the prior mean
+    """
+
+    hypothesis: Hypothesis
+    log_evidence: float
+    values: Array
+    noise: Array
+    factor: tuple[NDArray[np.floating[Any]], bool]
+    weights: Array
+
+
+@dataclass(frozen=True, eq=False)
+class StiffnessField:
+    """c, m and f_kappa in a whole limb, conditioned on the readings of its sites.
+
+    parts, shares : (n,) hypotheses with their posterior probabilities
+    known : (k, 3) mm, points that readings of c average over
+    """
+
+    limb: LimbCoordinates
+    priors: Mapping[str, Prior]
+    readings: Readings
+    parts: Sequence[Conditioned]
+    shares: Array
+    known: Array
+    sites: Sequence[SiteReading]
+    maps: Sequence[MapReading]
+
+    def at(self, points: Array) -> PointValues:
+        """c at points (n, 3), mm in the frame of the surfaces, with 95 % intervals and labels."""
+        found = self.values_of("c", points)
+        distance = np.full(len(points), np.inf)
+        if len(self.known):
+            distance = cKDTree(self.known).query(points)[0]
+        label = np.full(len(points), LABELS[1], dtype="<U12")
+        label[found.ratio > ASSUMED] = LABELS[2]
+        label[(found.ratio <= IDENTIFIED) & (distance <= NEAR_MM)] = LABELS[0]
+        return PointValues(found.value, found.low, found.high, label, distance, found.ratio)
+
+    def values_of(self, parameter: str, points: Array) -> Values:
+        """One of "c" (MPa), "m" and "f_kappa" at points (n, 3)."""
+        which = PARAMETERS.index(parameter)
+        places = self.limb.places(points)
+        out = np.empty((4, len(places)))
+        for start in range(0, len(places), _CHUNK):
+            chunk = slice(start, start + _CHUNK)
+            mean, variance, far = self._moments(which, places.part(chunk))
+            out[0, chunk] = self.shares @ mean
+            out[1, chunk], out[2, chunk] = (quantile(q, mean, variance, self.shares) for q in (0.025, 0.975))
+            out[3, chunk] = np.clip((self.shares @ variance) / (self.shares @ far), 0.0, 1.0)
+        prior = self.priors[parameter]
+        value, low, high = np.clip(np.exp(out[:3]), prior.low, prior.high)
+        return Values(value, low, high, out[3])
+
+    def _moments(self, which: int, places: Places) -> tuple[Array, Array, Array]:
+        """Mean and variance of ln (n_parts, n) at places under each hypothesis; variance far away."""
+        prior = self.priors[PARAMETERS[which]]
+        shape = (len(self.parts), len(places))
+        mean, variance, far = np.full(shape, prior.mean), np.empty(shape), np.empty(shape)
+        between = self.to_readings(which, places, {part.hypothesis.lengths for part in self.parts})
+        for k, part in enumerate(self.parts):
+            hypothesis = part.hypothesis
+            total = hypothesis.variation**2 + prior.deviation**2
+            variance[k], far[k] = total, total
+            if not len(self.readings):
+                continue
+            same = (self.readings.parameter == which).astype(float)
+            cross = (hypothesis.variation**2) * between[hypothesis.lengths]
+            cross += prior.deviation**2 * same
+            mean[k] += cross @ part.weights
+            root = part.factor[0]
+            variance[k] -= (solve_triangular(root, cross.T, lower=True) ** 2).sum(axis=0)
+            away = solve_triangular(root, prior.deviation**2 * same, lower=True)
+            far[k] -= away @ away
+        return mean, np.maximum(variance, 1e-12), np.maximum(far, 1e-12)
+
+    def to_readings(self, which: int, places: Places, lengths: Iterable[Lengths]) -> dict[Lengths, Array]:
+        """Correlations (n_places, n_readings) of one parameter's variation at places with all readings, for
+        each of the lengths."""
+        same = self.readings.parameter == which
+        own = self.readings.average[same]
+        used = own.any(axis=0)
+        between = Between(places, self.readings.places.part(used))
+        found = {}
+        for each in lengths:
+            found[each] = np.zeros((len(places), len(self.readings)))
+            found[each][:, same] = between.correlation(each) @ own[:, used].T
+        return found
+
+    def mean_over(self, parameter: str, points: Array) -> tuple[Array, Array]:
+        """Mean and variance (n_parts,) of the mean of ln over points (q, 3), under each hypothesis."""
+        which, places = PARAMETERS.index(parameter), self.limb.places(points)
+        prior = self.priors[parameter]
+        mean, variance = np.full(len(self.parts), prior.mean), np.empty(len(self.parts))
+        several = {part.hypothesis.lengths for part in self.parts}
+        itself, between = Between(places, places), self.to_readings(which, places, several)
+        for k, part in enumerate(self.parts):
+            hypothesis = part.hypothesis
+            own = float(itself.correlation(hypothesis.lengths).mean())
+            variance[k] = hypothesis.variation**2 * own + prior.deviation**2
+            if len(self.readings):
+                same = (self.readings.parameter == which).astype(float)
+                cross = hypothesis.variation**2 * between[hypothesis.lengths].mean(axis=0)
+                cross += prior.deviation**2 * same
+                mean[k] += cross @ part.weights
+                root = solve_triangular(part.factor[0], cross, lower=True)
+                variance[k] -= root @ root
+        return mean, np.maximum(variance, 1e-12)
+
+
+def stiffness_field(
+    limb: LimbCoordinates,
+    sites: Sequence[SiteReading],
+    maps: Sequence[MapReading] = (),
+    *,
+    priors: Mapping[str, Prior] = PRIORS,
+    grid: Grid | None = None,
+) -> StiffnessField:
+    """The field of a limb from the readings of its sites.
+
+    Without sites it is the prior everywhere. Parameters that no site tells keep their prior.
+
+    Raises
+    ------
+    FitError
+        If a reading is not finite and positive, in another unit, or of a site that was given twice.
+    """
+    check_readings(sites, maps)
+    readings = _gathered(limb, sites, maps)
+    hypotheses = (grid or Grid()).combinations()
+    together = _averaged_correlations(readings, {each.lengths for each in hypotheses})
+    parts = [_conditioned(readings, each, priors, together[each.lengths]) for each in hypotheses]
+    logs = np.array([each.log_evidence for each in parts])
+    shares = np.exp(logs - logs.max())
+    kept = shares > _LEAST_WEIGHT
+    of_c = [each.points for each in sites if "c" in each.values] + [each.points for each in maps]
+    return StiffnessField(
+        limb, priors, readings, [part for part, keep in zip(parts, kept, strict=True) if keep],
+        shares[kept] / shares[kept].sum(), np.concatenate(of_c) if of_c else np.empty((0, 3)),
+        tuple(sites), tuple(maps),
+    )  # fmt: skip
+
+
+def quantile(q: float, mean: Array, variance: Array, shares: Array) -> Array:
+    """Quantile (n,) of a mixture of normals: means and variances (n_parts, n), shares (n_parts,).
+
+    Newton's method within a bracket, from the quantile of the normal distribution with the same moments.
+    """
+    deviation = np.sqrt(variance)
+    middle = shares @ mean
+    total = np.sqrt(shares @ (variance + (mean - middle) ** 2))
+    low, high = (mean - _WIDEST * deviation).min(axis=0), (mean + _WIDEST * deviation).max(axis=0)
+    x = middle + float(ndtri(q)) * total
+    for _ in range(_STEPS):
+        z = (x - mean) / deviation
+        missed = shares @ ndtr(z) - q
+        slope = shares @ (np.exp(-0.5 * z * z) / deviation) / np.sqrt(2.0 * np.pi)
+        low, high = np.where(missed < 0, x, low), np.where(missed < 0, high, x)
+        step = x - missed / np.maximum(slope, 1e-12)
+        x = np.where((step >= low) & (step <= high), step, 0.5 * (low + high))
+        if np.max(np.abs(missed), initial=0.0) < _STILL * min(q, 1.0 - q):
+            break
+    return np.asarray(x)
+
+
+def _gathered(limb: LimbCoordinates, sites: Sequence[SiteReading], maps: Sequence[MapReading]) -> Readings:
+    regions: list[tuple[int, int]] = []  # first point and number of points of each reading
+    parameter: list[int] = []
+    values: list[float] = []
+    variances: list[float] = []
+    owner: list[str] = []
+    likelihoods: dict[int, Known | Bound] = {}
+    correlated: list[tuple[int, int, float]] = []
+    points: list[Array] = []
+    n_points = 0
+    for site in sites:
+        index: dict[str, int] = {}
+        for name, interval in site.values.items():
+            found = likelihood_of(interval, where=f"{name} of site {site.name}")
+            if found is None:
+                continue
+            k = index[name] = len(values)
+            normal = isinstance(found, Known) and found.is_normal
+            values.append(found.mode if isinstance(found, Known) and normal else np.nan)
+            variances.append(found.variance if isinstance(found, Known) and normal else np.nan)
+            if not normal:
+                likelihoods[k] = found
+            regions.append((n_points, len(site.points)))
+            parameter.append(PARAMETERS.index(name))
+            owner.append(site.name)
+        for (one, other), rho in site.correlation.items():
+            if one in index and other in index and not _is_bound(likelihoods, index[one], index[other]):
+                correlated.append((index[one], index[other], rho))
+        points.append(site.points)
+        n_points += len(site.points)
+    n_of_sites = len(values)
+    for each in maps:
+        for k, value in enumerate(each.log_c):
+            regions.append((n_points + k, 1))
+            values.append(float(value))
+            variances.append(0.0)
+            parameter.append(0)
+            owner.append(each.site)
+        points.append(each.points)
+        n_points += len(each.points)
+    n = len(values)
+    average = np.zeros((n, n_points))
+    for k, (first, count) in enumerate(regions):
+        average[k, first : first + count] = 1.0 / count
+    noise = np.diag(np.array(variances)) if n else np.zeros((0, 0))
+    first = n_of_sites
+    for each in maps:
+        block = slice(first, first + len(each.log_c))
+        gain = _UNKNOWN_GAIN if each.gain_deviation is None else each.gain_deviation
+        noise[block, block] = each.covariance + gain**2
+        first += len(each.log_c)
+    kind = np.array(parameter, dtype=int)
+    names = np.array(owner, dtype=str)
+    own = (names[:, None] == names) & (kind[:, None] == kind) if n else np.zeros((0, 0), bool)
+    all_points = np.concatenate(points) if points else np.empty((0, 3))
+    return Readings(
+        limb.places(all_points), average, kind, np.array(values, float), noise, own.astype(float),
+        likelihoods, correlated,
+    )  # fmt: skip
+
+
+def _is_bound(likelihoods: Mapping[int, Known | Bound], *which: int) -> bool:
+    return any(isinstance(likelihoods.get(k), Bound) for k in which)
+
+
+def _averaged_correlations(readings: Readings, lengths: Iterable[Lengths]) -> dict[Lengths, Array]:
+    """Correlations (n, n) of the readings' regional means, for each of the lengths."""
+    between, average = Between(readings.places, readings.places), readings.average
+    return {each: average @ between.correlation(each) @ average.T for each in lengths}
+
+
+def _conditioned(
+    readings: Readings, hypothesis: Hypothesis, priors: Mapping[str, Prior], together: Array
+) -> Conditioned:
+    n = len(readings)
+    if not n:
+        empty = np.empty(0)
+        return Conditioned(hypothesis, 0.0, empty, np.empty((0, 0)), (np.empty((0, 0)), True), empty)
+    covariance = _prior_covariance(readings, hypothesis, priors, together)
+    mean = np.array([priors[PARAMETERS[k]].mean for k in readings.parameter])
+    values = readings.values.copy()
+    noise = readings.noise.copy()
+    for i, j, rho in readings.correlated:
+        if i not in readings.likelihoods and j not in readings.likelihoods:
+            noise[i, j] = noise[j, i] = rho * np.sqrt(noise[i, i] * noise[j, j])
+    odd = np.array(sorted(readings.likelihoods), dtype=int)
+    normal = np.setdiff1d(np.arange(n), odd)
+    log_size = 0.0
+    if len(odd):
+        given_mean, given = mean[odd], covariance[np.ix_(odd, odd)]
+        if len(normal):
+            factor = cho_factor((covariance + noise)[np.ix_(normal, normal)], lower=True)
+            cross = covariance[np.ix_(odd, normal)]
+            given_mean = given_mean + cross @ cho_solve(factor, values[normal] - mean[normal])
+            given = given - cross @ cho_solve(factor, cross.T)
+        found = normal_readings([readings.likelihoods[k] for k in odd.tolist()], given_mean, given)
+        values[odd], log_size = found.values, found.log_size
+        noise[odd, odd] = found.variance
+    total = covariance + noise
+    root = np.linalg.cholesky(total)
+    apart = solve_triangular(root, values - mean, lower=True)
+    log_evidence = log_size - 0.5 * float(apart @ apart) - float(np.log(np.diag(root)).sum())
+    log_evidence -= 0.5 * n * float(np.log(2.0 * np.pi))
+    late = [each for each in readings.correlated if set(each[:2]) & set(odd.tolist())]
+    for i, j, rho in late:
+        noise[i, j] = noise[j, i] = rho * np.sqrt(noise[i, i] * noise[j, j])
+    if late:
+        root = np.linalg.cholesky(covariance + noise)
+    weights = cho_solve((root, True), values - mean)
+    return Conditioned(hypothesis, log_evidence, values, noise, (root, True), weights)
+
+
+def _prior_covariance(
+    readings: Readings, hypothesis: Hypothesis, priors: Mapping[str, Prior], together: Array
+) -> Array:
+    """Covariance (n, n) of the readings before the data, without the noise that they state."""
+    same = readings.parameter[:, None] == readings.parameter
+    person = np.array([priors[PARAMETERS[k]].deviation ** 2 for k in readings.parameter])
+    out = same * (hypothesis.variation**2 * together + person) + hypothesis.own_error**2 * readings.own
+    return np.asarray(out + 1e-10 * np.eye(len(readings)))
+
+
+def without_site(field: StiffnessField, name: str, grid: Grid | None = None) -> StiffnessField:
+    """The field from all other sites."""
+    return stiffness_field(
+        field.limb,
+        [each for each in field.sites if each.name != name],
+        [each for each in field.maps if each.site != name],
+        priors=field.priors,
+        grid=grid,
+    )
+
+
+def prior_of(name: str, *, mean: float, deviation: float, source: str) -> Prior:
+    """A prior of its own for one parameter, such as that of a population: mean and deviation of ln."""
+    return replace(PRIORS[name], mean=mean, deviation=deviation, source=source)
+
+
+__all__ = [
+    "LABELS", "PRIORS", "Grid", "Interval", "PointValues", "Prior", "StiffnessField", "Values",
+    "prior_of", "quantile", "stiffness_field", "without_site",
+]  # fmt: skip

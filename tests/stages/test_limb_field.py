@@ -1,0 +1,183 @@
+"""The readings of a case's sites for the stiffness field, and the field in one call."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from limbcli.case.parts import StatedNoise
+from limbcli.errors import CaseError, FitError
+from limbcli.measurement.elastography import SweMap, write_map
+from limbcli.results import StageResult, plain
+from limbcli.stages.limb_field.case_field import case_field, cohort_priors
+from limbcli.stages.limb_field.site_results import of_diagnosis, of_fit, site_results
+from limbcli.stiffness_field import LABELS
+from tests.stiffness_field import synthetic as limb
+
+FIT = {
+    "c_kpa": 8.0, "m": 4.0, "f_kappa": 1000.0,
+    "interval_95": {"c_kpa": [6.6, 9.7], "m": [3.0, 5.5], "f_kappa": [20.0, None]},
+    "correlation": {"c,m": -0.6, "c,f_kappa": None, "f_kappa,m": None},
+}  # fmt: skip
+DIAGNOSED = {
+    "added": ["tilt"],
+    "shrink": [
+        {"values": {"c_kpa": 8.0, "m": 4.0}, "intervals_95": {"c_kpa": [6.0, 9.0], "m": [3.0, 5.0]}},
+        {"values": {"c_kpa": 12.0, "m": 3.0}, "intervals_95": {"c_kpa": [10.0, 14.0], "m": [2.0, None]}},
+    ],
+}
+HEIGHT, ANGLE = 110.0, 0.0
+NORMAL = np.array([0.0, -1.0, 0.0])
+SKIN = limb.skin_radius(np.array(HEIGHT)) * NORMAL + HEIGHT * limb.AXIS
+
+
+def result(stage: str, data: dict) -> StageResult:
+    made = {"made_from": {"case": {"probe": {"length": 50.0}}}}
+    return StageResult(stage, "S1", Path("out"), "p1", data=data, provenance=made)
+
+
+def mesh() -> StageResult:
+    pose = np.eye(4)  # x along the limb, z outward
+    pose[:3, :3] = np.stack([limb.AXIS, np.cross(NORMAL, limb.AXIS), NORMAL], axis=1)
+    pose[:3, 3] = SKIN
+    frame = {
+        "skin_point_mm": SKIN, "normal": NORMAL, "long_axis": limb.AXIS, "patient_from_model": pose,
+    }  # fmt: skip
+    return result("mesh", plain({"frame": frame, "checks": {"skin_bone_mm": 20.0}}))
+
+
+class Results:
+    """The results that are there, by stage."""
+
+    def __init__(self, **there: StageResult):
+        self.there = there
+
+    def present(self, stage: str, *, site: str | None = None) -> StageResult | None:
+        return self.there.get(stage)
+
+
+def case_of(swe_maps: Path | None = None, levels: Path | None = None) -> SimpleNamespace:
+    site = SimpleNamespace(
+        name="p1", swe_maps=swe_maps, noise=StatedNoise(), density_kg_per_m3=1000.0, levels=levels
+    )
+    return SimpleNamespace(sites=[site], subject="S1")
+
+
+def read(**there: StageResult):
+    return site_results(case_of(), Results(mesh=mesh(), **there))
+
+
+def test_a_fit_gives_all_parameters_in_mpa_with_intervals_and_correlation():
+    values, correlation, source = of_fit(FIT)
+    assert values["c"].value == pytest.approx(0.008)
+    assert (values["c"].low, values["c"].high) == (pytest.approx(0.0066), pytest.approx(0.0097))
+    assert (values["f_kappa"].low, values["f_kappa"].high) == (20.0, None)  # above 20, not 1000
+    assert correlation == {("c", "m"): pytest.approx(-0.588)}
+    assert source == "fit"
+
+
+def test_a_diagnosis_that_named_an_effect_goes_before_the_fit():
+    (site,) = read(fit=result("fit", FIT), diagnose=result("diagnose", DIAGNOSED)).sites
+    assert site.values["c"].value == pytest.approx(0.012)
+    assert "tilt" in site.source
+    assert "f_kappa" not in site.values
+
+
+def test_a_diagnosis_that_named_nothing_leaves_the_fit():
+    nothing = {**DIAGNOSED, "added": []}
+    (site,) = read(fit=result("fit", FIT), diagnose=result("diagnose", nothing)).sites
+    assert site.values["c"].value == pytest.approx(0.008)
+    (alone,) = read(diagnose=result("diagnose", nothing)).sites
+    assert alone.values["c"].value == pytest.approx(0.012)
+    assert of_diagnosis(nothing)[2] == "diagnose (nothing missing)"
+
+
+def test_a_site_without_results_says_why():
+    assert site_results(case_of(), Results()).left_out == {"p1": "it is not meshed"}
+    assert "neither fitted nor diagnosed" in read().left_out["p1"]
+
+
+def test_a_result_that_lacks_a_value_is_an_error_of_its_site():
+    broken = {key: value for key, value in FIT.items() if key != "m"}
+    with pytest.raises(FitError, match="lack a value") as caught:
+        read(fit=result("fit", broken))
+    assert "site p1" in str(caught.value)
+
+
+LEVELS = "force_n,depth_mm\n0,0\n2,2\n4,4\n6,5\n"
+
+
+@pytest.fixture
+def measured(tmp_path):
+    (tmp_path / "swe").mkdir()
+    x, z = (each.ravel() for each in np.meshgrid(np.arange(-15, 15.0), np.arange(2.0, 18)))
+    for k in range(4):
+        write_map(tmp_path / "swe" / f"level_{k:02d}.csv", SweMap(x, z, np.where(x > 0, 2.4, 1.8)))
+    (tmp_path / "levels.csv").write_text(LEVELS, encoding="utf-8")
+    return case_of(tmp_path / "swe", tmp_path / "levels.csv")
+
+
+def test_a_map_at_rest_is_placed_on_the_limb_and_says_only_how_c_varies_where_c_is_known(measured):
+    found = site_results(measured, Results(mesh=mesh(), fit=result("fit", FIT)))
+    (swe,) = found.maps
+    assert swe.gain_deviation is None
+    assert np.ptp(swe.points[:, 2]) > 20  # lateral runs along the limb
+    assert (np.linalg.norm(swe.points[:, :2], axis=1) < limb.RADIUS).all()
+    high = swe.points[:, 2] > HEIGHT + 4
+    np.testing.assert_allclose(np.exp(swe.log_c[high]), 2e-6 * 1000 * 2.4**2, rtol=1e-6)
+    bare = site_results(measured, Results(mesh=mesh())).maps[0]
+    assert bare.gain_deviation == pytest.approx(0.1)
+
+
+def test_a_map_is_left_out_where_the_diagnosis_says_that_speeds_are_misread(measured):
+    guided = result("diagnose", {**DIAGNOSED, "added": ["swe-guided-wave"]})
+    found = site_results(measured, Results(mesh=mesh(), diagnose=guided))
+    assert not found.maps
+    assert "swe-guided-wave" in found.left_out["map of p1"]
+
+
+def test_the_field_of_a_case_in_one_call(measured):
+    there = Results(mesh=mesh(), fit=result("fit", FIT))
+    found = case_field(measured, there, limb.SKIN, limb.BONES, limb.AXIS)
+    c, low, high, label, distance = found.element_columns(limb.region(HEIGHT, ANGLE))
+    assert ((low < c) & (c < high)).all()
+    assert np.exp(np.log(c).mean()) == pytest.approx(0.008, rel=0.05)
+    assert {LABELS[int(each)] for each in label} <= {"identified", "interpolated"}
+    assert distance.max() < 10
+    words = json.loads(json.dumps(plain(found.to_json())))
+    assert words["sites"]["p1"]["c_kpa"][0] == pytest.approx(8.0)
+    assert sum(each["probability"] for each in words["hypotheses"]) == pytest.approx(1.0)
+    assert words["held_out"]["n"] == 0
+
+
+def population(geometric_mean, low, high, spread, beyond=None):
+    return {
+        "geometric_mean": geometric_mean, "low": low, "high": high, "spread_of_ln": spread,
+        "beyond_family": beyond,
+    }  # fmt: skip
+
+
+def test_the_population_of_a_cohort_is_the_prior(tmp_path):
+    one = {
+        "n_people": 12,
+        "population": {
+            "c_muscle_kpa": population(5.0, 4.0, 6.25, 0.3), "m": population(1.2, 1, 2, 0.3, "below 1.5")
+        },
+    }  # fmt: skip
+    path = tmp_path / "cohort.json"
+    path.write_text(json.dumps({"sites": {"LL_P": one, "LL_A": one}}), encoding="utf-8")
+    found = cohort_priors(path, "LL_P")
+    assert set(found) == {"c"}  # m lies beyond the family
+    assert np.exp(found["c"].mean) == pytest.approx(0.005)
+    assert found["c"].deviation == pytest.approx(np.hypot(0.3, np.log(6.25 / 4) / 3.92), rel=1e-3)
+    with pytest.raises(CaseError, match="no location 'X'"):
+        cohort_priors(path, "X")
+    with pytest.raises(CaseError, match="several locations"):
+        cohort_priors(path, None)
+    path.write_text("{}", encoding="utf-8")
+    with pytest.raises(CaseError, match="cannot be read"):
+        cohort_priors(path, "LL_P")
