@@ -1,0 +1,8 @@
+"""Makes stumps.py beside this file importable."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
