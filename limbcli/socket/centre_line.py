@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,7 +72,7 @@ def centre_line(skin: Triangles, toward_tip: Array) -> CentreLine:
             length_mm=float(np.ptp(h)),
         )
     heights, centres, radii = [], [], []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in itertools.pairwise(edges):
         # flat ends belong to no cross-section
         side = np.abs(skin.area_vectors @ along) < 0.9 * np.maximum(weight, 1e-300)
         inside = (h >= low) & (h < high) & side
