@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from limbcli.bodies import Contact, Drive, RigidBody
-from limbcli.errors import CaseError
+from limbcli.errors import CaseError, SolveError
 from limbcli.feb.write import write_feb
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array, Block, Curve, IntArray, LimbModel, LogRecord, Mesh, Step, Surface
@@ -184,6 +184,8 @@ def don_and_load(
 
     try:
         analysis.run(visit, guesses=None if restart is None else restart.guess)
+    except SolveError as error:
+        raise _explained(error, len(states), options) from error
     finally:
         analysis.close()
     if restart is not None:
@@ -228,6 +230,7 @@ def _steps(options: DonningOptions) -> tuple[Step, ...]:
     donning = Step(
         n_steps=options.donning_steps,
         step_size=1.0 / options.donning_steps,
+        dt_max=1.0 / options.donning_steps,
         must_points=(1.0,),
         drives=fixed([options.axis, *others]),
     )
@@ -237,10 +240,25 @@ def _steps(options: DonningOptions) -> tuple[Step, ...]:
     loading = Step(
         n_steps=options.load_steps * len(options.loads_n),
         step_size=1.0 / options.load_steps,
+        dt_max=1.0 / options.load_steps,
         must_points=tuple(float(k + 1) for k in range(len(options.loads_n))),
         drives=(*fixed(others), push),
     )
     return donning, loading
+
+
+def _explained(error: SolveError, n_states: int, options: DonningOptions) -> SolveError:
+    """The error, with what was going on: donning, or which load."""
+    what = "donning" if n_states == 0 else f"the load of {options.loads_n[n_states - 1]:g} N"
+    fix = "use more donning steps; check the alignment and the interference"
+    if n_states:
+        fix = (
+            "use more load steps or a smaller load: the limb may slide on into the socket, or out of it, "
+            "where neither its shape nor friction holds it"
+        )
+    return SolveError(
+        f"{what} has no equilibrium: {error.what}", where=error.where, fix=fix, n_states=n_states
+    )
 
 
 # ---------------------------------------------------------------- results
