@@ -86,3 +86,46 @@ def centre_line(skin: Triangles, toward_tip: Array) -> CentreLine:
         radii.append(float(np.average(np.linalg.norm(away, axis=1), weights=weight[inside])))
     order = np.argsort(heights)
     return CentreLine(along, np.array(heights)[order], np.array(centres)[order], np.array(radii)[order])
+
+
+def own_line(socket: Triangles) -> CentreLine:
+    """The centre line of a socket in its own frame, for its inner face before it is aligned with a limb.
+
+    Of the principal axes through its centroid, that which meets the surface on one side only: the tip.
+
+    Raises
+    ------
+    MeshError
+        If it is not longer than three slabs of 5 mm, or if no axis leaves it through an opening: it is
+        closed, or open at both ends.
+    """
+    weight = socket.areas
+    middle = np.average(socket.centroids, axis=0, weights=weight)
+    centred = socket.centroids - middle
+    axes = np.linalg.eigh((centred * weight[:, None]).T @ centred)[1].T[::-1]  # the longest first
+    for axis in axes:
+        ahead, behind = _meets(socket, middle, axis), _meets(socket, middle, -axis)
+        if ahead != behind:
+            return centre_line(socket, axis if ahead else -axis)
+    raise MeshError(
+        "the socket does not show where the limb enters: it is closed, or open at both ends",
+        where="socket",
+        fix="give its wall or inner face with the opening at the brim alone, or align it with at least "
+        "three landmarks on limb and socket",
+    )
+
+
+def _meets(surface: Triangles, start: Array, along: Array) -> bool:
+    """Whether a ray meets a surface.
+
+    Source: Moeller and Trumbore 1997, J. Graphics Tools 2, 21.
+    """
+    a, b, c = np.moveaxis(surface.corners, 1, 0)
+    u, v, w = b - a, c - a, start - a
+    p = np.cross(along, v)
+    det = (u * p).sum(axis=1)
+    det = np.where(np.abs(det) > 1e-12, det, np.inf)
+    s = (w * p).sum(axis=1) / det
+    q = np.cross(w, u)
+    t, way = (q @ along) / det, (v * q).sum(axis=1) / det
+    return bool(((s >= 0) & (t >= 0) & (s + t <= 1) & (way > 0) & np.isfinite(det)).any())

@@ -76,7 +76,7 @@ def test_a_limb_is_donned_and_loaded_in_balance(tmp_path: Path) -> None:
 
 def test_a_load_that_nothing_holds_says_what_it_was() -> None:
     pulled_off = replace(OPTIONS, loads_n=(40.0,), donning_steps=4, load_steps=1, sign=-1.0)
-    with pytest.raises(SolveError, match="the load of .* has no equilibrium") as caught:
+    with pytest.raises(SolveError, match="the load of 40 N has no equilibrium") as caught:
         don_and_load(limb(), face(), pulled_off, threads=1)
     assert "out of it" in caught.value.fix
 

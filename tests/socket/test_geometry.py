@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from stumps import DOWN, stump, wall
 
 from limbcli.errors import CaseError, MeshError
-from limbcli.meshing.surfaces import Triangles
+from limbcli.meshing.surfaces import Triangles, read_surface
 from limbcli.socket.alignment import align, by_landmarks
-from limbcli.socket.centre_line import centre_line
+from limbcli.socket.centre_line import centre_line, own_line
 from limbcli.socket.checks import check_around, check_near, check_size, clearance
 from limbcli.socket.inner_face import inner_face
 from limbcli.socket.nearest import NearestPoints, on_triangles
@@ -50,6 +52,28 @@ def test_the_inner_side_of_a_wall_is_found(flip: bool, thickness: float) -> None
     assert faces_limb(face) > 0.98
     away = np.linalg.norm(face.points - NearestPoints(expected).of(face.points)[0], axis=1)
     assert np.quantile(away, 0.95) < 0.1
+
+
+def test_a_socket_shows_its_own_tip_in_its_own_frame() -> None:
+    away = np.array([[1.0, 0, 0, 7.0], [0, 0, -1.0, 9.0], [0, 1.0, 0, -400.0], [0, 0, 0, 1.0]])
+    for socket in (wall(), stump(top=110.0)):
+        np.testing.assert_allclose(own_line(socket).along, DOWN, atol=0.1)
+        np.testing.assert_allclose(own_line(socket.moved(away)).along, away[:3, :3] @ DOWN, atol=0.1)
+    with pytest.raises(MeshError, match="where the limb enters"):
+        own_line(SKIN.part(SKIN.centroids[:, 2] > 30.0))
+
+
+def test_a_transfemoral_socket_is_found_and_aligned_with_its_stump(shared: Path) -> None:
+    folder = shared / "data" / "limb-scans" / "socket-sense"
+    limb, socket = read_surface(folder / "Stump.stl"), read_surface(folder / "Socket.stl")
+    face = inner_face(socket, own_line(socket))
+    assert 0.4 < face.areas.sum() / socket.areas.sum() < 0.5  # a thin wall has two equal sides
+    line = centre_line(limb, np.array([0.04, 0.26, 0.96]))
+    found = align(face, limb, line)
+    assert found.rms_mm < 5.0
+    aligned = face.moved(found.transform)
+    check_around(aligned, line)
+    assert clearance(aligned, limb, line).deepest_mm < 5.0
 
 
 def test_a_sheet_that_is_partly_inside_out_is_refused() -> None:
