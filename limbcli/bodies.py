@@ -71,6 +71,8 @@ class Spring:
 class Contact:
     """FEBio's `sliding-elastic`: a deformable primary surface against a rigid secondary one.
 
+    penalty_curve : name of the load curve that multiplies the penalty. An interference is resolved over
+        load steps by a penalty that grows from nearly 0; None: the penalty is constant
     `more` holds further FEBio settings by their names, as text ("maxaug": "10").
     """
 
@@ -91,3 +93,4 @@ class Contact:
     knmult: float = 0.0
     search_tolerance: float = 0.01
     more: Mapping[str, str] = field(default_factory=dict)
+    penalty_curve: str | None = None

@@ -27,8 +27,9 @@ ALLOWED: dict[str, set[str]] = {
     "stiffness_field": {"measurement", "meshing"},
     "reporting": {"measurement"},
     "phantom": {"imaging", "measurement", "materials", "meshing", "shear_waves"},
+    "socket": {"meshing", "materials", "solvers", "feb", "fem"},
     "stages": SIBLINGS
-    | {"solvers", "effects", "reporting", "phantom", "materials", "feb", "shear_waves", "stiffness_field"},
+    | {"solvers", "effects", "reporting", "phantom", "materials", "feb", "shear_waves", "stiffness_field", "socket"},
     "cli": {"stages"},
     "api": {"stages", "solvers", "feb"},
     "__init__": {"api", "solvers", "feb"},

@@ -52,10 +52,13 @@ def _contact(tag: Tag, scene: Scene) -> Contact:
             f"there is no surface pair {pair!r}", fix="add it to <Mesh>, or correct the name", follows=True
         )
     primary, secondary = scene.mesh.pairs[pair]
-    numbers = dict(CONTACT_DEFAULTS)
+    numbers, curve = dict(CONTACT_DEFAULTS), None
     for name in CONTACT_DEFAULTS:
         child = tag.child(name)
-        if child is not None:
+        if child is not None and name == "penalty":
+            child.allow(attributes=("lc",))
+            numbers[name], curve = child.number(attributes=("lc",)), scene.curve(child)
+        elif child is not None:
             numbers[name] = child.number()
     return Contact(
         primary=primary,
@@ -75,6 +78,7 @@ def _contact(tag: Tag, scene: Scene) -> Contact:
         knmult=numbers["knmult"],
         search_tolerance=numbers["search_tol"],
         more={each.name: each.constant() for each in tag if each.name in CONTACT_MORE},
+        penalty_curve=curve,
     )
 
 

@@ -28,6 +28,7 @@ from limbcli.fem.motion.state import Forces, State
 from limbcli.model import Array, IntArray, LimbModel, Support
 
 _NOTHING = 1e-9  # force regarded as zero, as a fraction of tissue stiffness times tissue size squared
+_MOST_IN_ROOT = 4_000  # unknowns: their dense front takes 64 MB in single precision
 
 
 class System(RigidLoads, ElementLoops):
@@ -92,6 +93,9 @@ class System(RigidLoads, ElementLoops):
     def at(self, time: float) -> None:
         """Set the time and evaluate the material parameters that follow load curves."""
         self.time = time
+        for pair in self.pairs:
+            if pair.contact.penalty_curve is not None:
+                pair.scale_penalty(self.curve_at(pair.contact.penalty_curve, time))
         self.operands = [
             g.at(self.curve, scale=s, history=h)
             for g, s, h in zip(self.groups, self.scales, self.histories, strict=True)
@@ -220,14 +224,18 @@ class System(RigidLoads, ElementLoops):
         return sparse.coo_array((values, (row, column)), shape=(n, n)).tocsr()
 
     def within_reach(self) -> IntArray:
-        """Sorted equation numbers of the nodes that the rigid surfaces may touch during this step."""
+        """Sorted equation numbers of the nodes that the rigid surfaces may touch during this step.
+
+        None where they are too many to be eliminated together, as in a socket around a whole limb.
+        """
         nodes = [
             near_nodes(self.X, pair.facets2, patch.facets, patch.normals)
             for pair in self.pairs
             for patch in pair.patches
         ]
         found = self.equations[np.concatenate(nodes)].ravel() if nodes else np.zeros(0, dtype=np.int64)
-        return np.unique(found[found >= 0])
+        found = np.unique(found[found >= 0])
+        return found if len(found) <= _MOST_IN_ROOT else found[:0]
 
     def may_pass(self, state: State, time: float) -> bool:
         """Whether a rigid surface not in contact at a converged state would move by more than the contact

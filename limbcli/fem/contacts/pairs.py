@@ -37,6 +37,7 @@ class Pair:
     full_tangent : 1 for the exact tangent; 0 omits terms that are harmful far from equilibrium, where the
         tractions are many times too large: their change due to rotating normals, and with friction the
         zero stiffness along a slip
+    full_eps, factor : penalties (n_facets,) of the patches, MPa/mm, before their load curve, and its value
     """
 
     contact: Contact
@@ -45,6 +46,8 @@ class Pair:
     patches: list[Patch]
     rim: Array
     full_tangent: float = field(default=1.0, kw_only=True)
+    full_eps: list[Array] = field(default_factory=list, kw_only=True)
+    factor: float = field(default=1.0, kw_only=True)
     threads: Threads = field(default_factory=lambda: Threads(1), kw_only=True)
 
     def search(self, x: Array, at: BodyState) -> int:
@@ -93,8 +96,14 @@ class Pair:
         """Store a converged step; nothing to store without friction."""
 
     def set_penalty(self, groups: Sequence[Group], curve: CurveAt, dt: float) -> None:
-        for p in self.patches:
-            p.eps = penalties(self.contact, p, groups, curve, dt)
+        self.full_eps = [penalties(self.contact, p, groups, curve, dt) for p in self.patches]
+        self.scale_penalty(self.factor)
+
+    def scale_penalty(self, factor: float) -> None:
+        """Multiply the penalties by the value of their load curve."""
+        self.factor = factor
+        for p, full in zip(self.patches, self.full_eps, strict=False):
+            p.eps = factor * full
 
     def forget(self) -> None:
         """Reset to the unloaded state: no contact, multipliers zero."""

@@ -134,7 +134,9 @@ def _law(system: System, state: State, parameter: LawParameter) -> tuple[Array, 
         change = group.material.change(parameter.name, len(group.cells), at_first, weights=parameter.weights)
         for pair in system.pairs:
             for patch in pair.patches:
-                deps = penalty_derivative(pair.contact, patch, system.groups, number, at_first, change, dt)
+                deps = pair.factor * penalty_derivative(
+                    pair.contact, patch, system.groups, number, at_first, change, dt
+                )
                 if not deps.any():
                     continue
                 on_body = np.zeros(6)

@@ -1,0 +1,234 @@
+"""Where a socket sits on its limb: rigid alignment by landmarks, or to the shape of the skin.
+
+Source: Kabsch 1976, Acta Cryst. A32, 922 (rotation of landmarks); Chen and Medioni 1992, Image Vis. Comput.
+10, 145 (point to plane).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.errors import MeshError
+from limbcli.meshing.mending import open_rims
+from limbcli.meshing.surfaces import Triangles
+from limbcli.model import Array
+from limbcli.socket.centre_line import CentreLine
+from limbcli.socket.nearest import NearestPoints
+
+_STARTS = 12  # around the limb
+_COARSE, _FINE = 300, 2000  # points that are compared
+_ROUNDS, _MORE_ROUNDS = 25, 30
+_TRIM = 0.9  # share of the points, the nearest, that count: brims reach beyond the limb
+_OTHER_DEG = 20.0  # a start that ends further away than this is another alignment
+_AS_GOOD = 1.1, 0.1  # residual up to which it is as good: factor, and mm
+_MOST_LANDMARK_MM = 15.0
+_LEAST_SPREAD_MM = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """transform (4, 4) : from the socket's frame to the limb's
+    rms_mm, largest_mm : distance of landmarks, or of the inner face from the skin, afterwards
+    turned_deg : rotation
+    """
+
+    transform: Array
+    rms_mm: float
+    largest_mm: float
+    turned_deg: float
+
+    @property
+    def sentence(self) -> str:
+        return (
+            f"socket aligned by a rotation of {self.turned_deg:.1f} degrees: residual {self.rms_mm:.1f} mm "
+            f"rms, {self.largest_mm:.1f} mm at most"
+        )
+
+
+def by_landmarks(socket: Array, limb: Array, *, where: str = "landmarks") -> Alignment:
+    """The rigid transform that takes landmarks (n, 3) of the socket to the limb's, by least squares.
+
+    Raises
+    ------
+    MeshError
+        If there are fewer than three, they lie in a line, or they do not match within 15 mm.
+    """
+    if len(socket) != len(limb) or len(limb) < 3:
+        raise MeshError(
+            f"{len(socket)} landmarks of the socket and {len(limb)} of the limb",
+            where=where,
+            fix="give at least three pairs",
+        )
+    for points, whose in ((socket, "socket's"), (limb, "limb's")):
+        spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[1]
+        if spread < _LEAST_SPREAD_MM:
+            raise MeshError(
+                f"the {whose} landmarks lie within {spread:.1f} mm of a line: the rotation is not determined",
+                where=where,
+                fix="add a landmark beside it",
+            )
+    transform = _rigid(socket, limb)
+    distance = np.linalg.norm(_moved(socket, transform) - limb, axis=1)
+    if distance.max() > _MOST_LANDMARK_MM:
+        k = int(np.argmax(distance))
+        raise MeshError(
+            f"landmark {k + 1} lies {distance[k]:.0f} mm off after alignment",
+            where=where,
+            fix="check its coordinates, the order of the landmarks and the side (left or right)",
+            distance_mm=float(distance[k]),
+        )
+    return _alignment(transform, distance)
+
+
+def align(
+    face: Triangles, skin: Triangles, line: CentreLine, *, seed: int = 7, where: str = "--align"
+) -> Alignment:
+    """The rigid transform that brings an inner face onto the skin, from starts all around the limb.
+
+    Parameters
+    ----------
+    face : the inner face (an open sheet) in its own frame, mm
+    line : the limb's centre line
+    seed : of the points that are compared
+
+    Raises
+    ------
+    MeshError
+        If the face has no opening that shows its direction, or if alignments more than 20 degrees apart
+        fit equally well.
+    """
+    rng = np.random.default_rng(seed)
+    along, tip = _direction(face, where)
+    samples = _samples(face, _FINE, rng)
+    few = samples[: min(_COARSE, len(samples))]
+    near = NearestPoints(skin)
+    found = []
+    for k in range(_STARTS):
+        start = _start(along, tip, line, skin, 2 * np.pi * k / _STARTS)
+        transform = _to_planes(few, near, start, _ROUNDS)
+        found.append((_residual(few, near, transform)[0], transform))
+    found.sort(key=lambda each: each[0])
+    refined = [(t, *_residual(samples, near, t)) for t in
+               (_to_planes(samples, near, found[0][1], _MORE_ROUNDS),)]  # fmt: skip
+    best, rms, distance = refined[0]
+    limit = max(_AS_GOOD[0] * found[0][0], found[0][0] + _AS_GOOD[1])
+    for coarse, other in found[1:]:
+        angle = _angle(other @ np.linalg.inv(best))
+        if coarse <= limit and angle > _OTHER_DEG:
+            raise MeshError(
+                f"two alignments {angle:.0f} degrees apart fit equally well ({found[0][0]:.1f} and "
+                f"{coarse:.1f} mm rms): the shape does not tell how the socket is turned about the limb",
+                where=where,
+                fix="give at least three landmarks on both",
+                rms_mm=rms,
+                angle_deg=angle,
+            )
+    return _alignment(best, distance)
+
+
+def _direction(face: Triangles, where: str) -> tuple[Array, Array]:
+    """Unit direction towards the closed end of a face, and its point there."""
+    rims = open_rims(face)
+    if not rims:
+        raise MeshError(
+            "the inner face is closed all around: it does not tell where the limb enters",
+            where=where,
+            fix="give the inner face with its opening, or landmarks",
+        )
+    middle = np.average(face.centroids, axis=0, weights=face.areas)
+    along = middle - rims[0][0]
+    along /= np.linalg.norm(along)
+    return along, face.points[int(np.argmax(face.points @ along))]
+
+
+def _samples(face: Triangles, count: int, rng: np.random.Generator) -> Array:
+    """Points spread evenly over the area of a surface."""
+    facets = rng.choice(len(face.faces), size=count, p=face.areas / face.areas.sum())
+    s, t = rng.uniform(size=(2, count))
+    s, t = np.where(s + t > 1, 1 - s, s), np.where(s + t > 1, 1 - t, t)
+    a, b, c = np.moveaxis(face.corners[facets], 1, 0)
+    return np.asarray(a + s[:, None] * (b - a) + t[:, None] * (c - a))
+
+
+def _start(along: Array, tip: Array, line: CentreLine, skin: Triangles, angle: float) -> Array:
+    """The socket's direction along the limb's, its tip at the limb's, turned by an angle (rad)."""
+    turn = _about(line.along, angle) @ _onto(along, line.along)
+    aim = skin.points[int(np.argmax(skin.points @ line.along))]
+    transform = np.eye(4)
+    transform[:3, :3], transform[:3, 3] = turn, aim - turn @ tip
+    return transform
+
+
+def _to_planes(points: Array, near: NearestPoints, start: Array, rounds: int) -> Array:
+    """Iterated closest points, moved onto the tangent planes of the skin."""
+    transform, normals = start, near.surface.area_vectors
+    normals = normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
+    for _ in range(rounds):
+        x = _moved(points, transform)
+        nearest, facets = near.of(x)
+        away = np.linalg.norm(x - nearest, axis=1)
+        kept = away <= np.quantile(away, _TRIM)
+        x, q, n = x[kept], nearest[kept], normals[facets[kept]]
+        middle = x.mean(axis=0)
+        A = np.concatenate([np.cross(x - middle, n), n], axis=1)
+        b = np.einsum("ij,ij->i", q - x, n)
+        # a socket that is rotationally symmetric leaves a direction without information
+        step = np.linalg.solve(A.T @ A + 1e-6 * np.trace(A.T @ A) / 6 * np.eye(6), A.T @ b)
+        size = float(np.linalg.norm(step[:3]))
+        turn = _about(step[:3] / size, min(size, 0.3)) if size > 0 else np.eye(3)
+        move = np.eye(4)
+        move[:3, :3], move[:3, 3] = turn, middle + step[3:] - turn @ middle
+        transform = move @ transform
+        if size < 1e-5 and np.linalg.norm(step[3:]) < 1e-4:
+            break
+    return transform
+
+
+def _residual(points: Array, near: NearestPoints, transform: Array) -> tuple[float, Array]:
+    """Root mean square distance (mm) of the nearest 90 %, and their distances."""
+    x = _moved(points, transform)
+    away = np.sort(np.linalg.norm(x - near.of(x)[0], axis=1))[: int(_TRIM * len(x))]
+    return float(np.sqrt((away**2).mean())), away
+
+
+def _alignment(transform: Array, distance: Array) -> Alignment:
+    rms = float(np.sqrt((distance**2).mean()))
+    return Alignment(transform, rms, float(distance.max()), _angle(transform))
+
+
+def _rigid(moving: Array, fixed: Array) -> Array:
+    a, b = moving - moving.mean(axis=0), fixed - fixed.mean(axis=0)
+    u, _, vt = np.linalg.svd(a.T @ b)
+    mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))])
+    transform = np.eye(4)
+    transform[:3, :3] = vt.T @ mirror @ u.T
+    transform[:3, 3] = fixed.mean(axis=0) - transform[:3, :3] @ moving.mean(axis=0)
+    return transform
+
+
+def _moved(points: Array, transform: Array) -> Array:
+    return np.asarray(points @ transform[:3, :3].T + transform[:3, 3])
+
+
+def _angle(transform: Array) -> float:
+    cosine = 0.5 * (np.trace(transform[:3, :3]) - 1.0)
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+def _about(axis: Array, angle: float) -> Array:
+    """Rotation matrix (3, 3) about a unit axis by an angle (rad)."""
+    x, y, z = axis
+    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K)
+
+
+def _onto(a: Array, b: Array) -> Array:
+    """The smallest rotation (3, 3) that takes the unit vector a to b."""
+    axis = np.cross(a, b)
+    sine, cosine = float(np.linalg.norm(axis)), float(a @ b)
+    if sine < 1e-9:
+        side = np.cross(a, np.eye(3)[int(np.argmin(np.abs(a)))])
+        return _about(side / np.linalg.norm(side), 0.0 if cosine > 0 else np.pi)
+    return _about(axis / sine, float(np.arctan2(sine, cosine)))

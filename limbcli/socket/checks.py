@@ -1,0 +1,133 @@
+"""What a socket must be before a limb is put into it; each reason to refuse has its own message."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.errors import MeshError
+from limbcli.meshing.surfaces import Triangles
+from limbcli.model import Array
+from limbcli.socket.centre_line import CentreLine
+from limbcli.socket.nearest import NearestPoints
+from limbcli.units import LENGTH_UNITS_IN_MM
+
+_ALIKE = (0.3, 3.0)  # size of a socket, as a multiple of its limb's, that needs no other unit
+_LEAST_OVERLAP_MM = 20.0
+_SECTORS = 24
+_LEAST_AROUND = 0.75  # share of the sectors around the limb that the socket covers
+_SLAB_MM = 10.0
+# Share of the distance from the skin to the centre line by which the wall may lie inside the skin: chosen.
+# Beyond it a facet's normal no longer meets the wall on its own side.
+_DEEPEST = 0.35
+
+
+@dataclass(frozen=True, eq=False)
+class Clearance:
+    """How a socket fits: distances (n_points,), mm, of the skin's points within its height; below 0: the
+    skin lies outside the inner face. `points`: which of the skin's points these are."""
+
+    points: Array
+    distances: Array
+
+    @property
+    def deepest_mm(self) -> float:
+        return float(max(-self.distances.min(initial=0.0), 0.0))
+
+    @property
+    def widest_mm(self) -> float:
+        return float(max(self.distances.max(initial=0.0), 0.0))
+
+
+def check_size(socket: Triangles, skin: Triangles, *, where: str = "socket") -> None:
+    """Refuse a socket that is in another unit than the limb. Raises MeshError."""
+    size, limb = (float(np.linalg.norm(np.ptp(each.points, axis=0))) for each in (socket, skin))
+    ratio = size / limb
+    if _ALIKE[0] <= ratio <= _ALIKE[1]:
+        return
+    units = {name: mm for name, mm in LENGTH_UNITS_IN_MM.items() if _ALIKE[0] <= ratio * mm <= _ALIKE[1]}
+    likely = min(units, key=lambda name: abs(np.log(ratio * units[name])), default="")
+    words = f"as if it were in units of {likely}" if likely else "which no unit of length explains"
+    raise MeshError(
+        f"the socket is {size:.3g} mm large and the limb {limb:.3g} mm, {words}",
+        where=where,
+        fix=f"export it in mm{f' (multiply its coordinates by {units[likely]:g})' if likely else ''}",
+        size_mm=size,
+        limb_mm=limb,
+    )
+
+
+def check_near(socket: Triangles, skin: Triangles, *, where: str = "socket") -> None:
+    """Refuse a socket whose box does not meet the limb's. Raises MeshError."""
+    apart = np.maximum(
+        socket.points.min(axis=0) - skin.points.max(axis=0),
+        skin.points.min(axis=0) - socket.points.max(axis=0),
+    )
+    distance = float(np.linalg.norm(np.maximum(apart, 0.0)))
+    if distance > 0:
+        raise MeshError(
+            f"socket and limb are {distance:.0f} mm apart: they lie in different frames",
+            where=where,
+            fix="give at least three landmarks on both, or --align",
+            distance_mm=distance,
+        )
+
+
+def check_around(face: Triangles, line: CentreLine, *, where: str = "socket") -> None:
+    """Refuse an inner face that does not surround the limb. Raises MeshError."""
+    height, angle = line.height(face.centroids), line.angles(face.centroids)
+    low, high = max(height.min(), line.heights[0]), min(height.max(), line.heights[-1])
+    if high - low < _LEAST_OVERLAP_MM:
+        raise MeshError(
+            f"the socket covers {max(high - low, 0.0):.0f} mm of the limb's length",
+            where=where,
+            fix="align it (landmarks or --align), or give the limb's direction towards its tip",
+            overlap_mm=float(high - low),
+        )
+    # corners as well as centroids: facets may be longer than a slab is high
+    samples = np.concatenate([face.centroids, face.points, *(face.corners[:, [k, (k + 1) % 3]].mean(1)
+                              for k in range(3))])  # fmt: skip
+    height, angle = line.height(samples), line.angles(samples)
+    slabs = np.arange(low, high, _SLAB_MM)
+    sector = ((angle + np.pi) / (2 * np.pi) * _SECTORS).astype(int) % _SECTORS
+    within = (height >= low) & (height <= high)
+    cells = np.unique(np.stack([((height - low) // _SLAB_MM).astype(int), sector])[:, within], axis=1)
+    share = cells.shape[1] / (max(len(slabs), 1) * _SECTORS)
+    if share < _LEAST_AROUND:
+        raise MeshError(
+            f"the socket covers {100 * share:.0f} % of the way around the limb: it does not surround it",
+            where=where,
+            fix="give the whole inner face; check that limb and socket are aligned",
+            share_around=float(share),
+        )
+
+
+def clearance(face: Triangles, skin: Triangles, line: CentreLine, *, where: str = "socket") -> Clearance:
+    """How the limb lies in the socket before donning.
+
+    Raises
+    ------
+    MeshError
+        If the wall lies deeper in the limb than donning can resolve.
+    """
+    height = line.height(face.points)
+    h = line.height(skin.points)
+    near = NearestPoints(face)
+    nearest, _ = near.of(skin.points)
+    at_brim = line.height(nearest) < height.min() + 1.0  # beyond the brim there is no wall
+    points = np.flatnonzero((h >= height.min()) & ~(at_brim & (h < line.height(nearest))))
+    found = Clearance(points, near.clearances(skin.points[points]))
+    room = np.linalg.norm(skin.points[points] - line.nearest(skin.points[points]), axis=1)
+    through = -found.distances - _DEEPEST * room
+    if len(points) and through.max() > 0:
+        k = int(np.argmax(through))
+        place = ", ".join(f"{each:.0f}" for each in skin.points[points[k]])
+        raise MeshError(
+            f"the socket's wall lies {-found.distances[k]:.0f} mm inside the limb at ({place}), more than "
+            f"{_DEEPEST * room[k]:.0f} mm, which donning can resolve",
+            where=where,
+            fix="check the alignment, and that the socket belongs to this limb",
+            depth_mm=float(-found.distances[k]),
+        )
+    return found

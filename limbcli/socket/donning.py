@@ -1,0 +1,331 @@
+"""A limb in its socket: donning, then load along the limb's axis.
+
+The socket is a rigid body. It is drawn where it ends up after donning, and thus inside the skin where it is
+tight. During donning the penalty of the contact grows from nearly 0, by equal ratios, to its full value, so
+that each step takes up a part of the interference; friction acts from the beginning. Then the socket is
+free along the axis and pressed onto the limb by a force; its other motions stay fixed.
+
+Between donning and the first load the force along the axis falls from the reaction of donning to 0: the limb
+settles in the socket as far as friction lets it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from limbcli.bodies import Contact, Drive, RigidBody
+from limbcli.errors import CaseError, SolveError
+from limbcli.feb.write import write_feb
+from limbcli.meshing.surfaces import Triangles
+from limbcli.model import Array, Block, Curve, IntArray, LimbModel, LogRecord, Mesh, Step, Surface
+from limbcli.progress import SILENT, Progress
+from limbcli.solvers.reference import prepare
+from limbcli.solvers.restart import Restart
+
+if TYPE_CHECKING:
+    from limbcli.fem.analysis import Analysis, Snapshot
+    from limbcli.fem.contacts.patch import Patch
+
+SOCKET, FACE = "socket", "socket_face"
+_DONNING, _LOAD = "donning", "socket_load"
+_FIRST_PENALTY = 1e-4  # of the full one: about a hundredth of a limb's own stiffness
+_CELL_FIELDS = ("E1", "sed")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DonningOptions:
+    """How the limb is put into its socket and loaded.
+
+    friction : between skin (or liner) and socket. 0.3 is a choice: its source has not been read in full
+    loads_n : forces that press the socket onto the limb, one after the other, N
+    axis, sign : direction of this force on the socket, along an axis of the model
+    donning_steps, load_steps : time steps of donning, and of each load
+    penalty : of the contact, as a multiple of the tissue's stiffness at rest
+    search_radius_mm : the contact sees the socket within this distance: more than the interference
+    skin : the limb's surface that meets the socket
+    """
+
+    friction: float = 0.3
+    loads_n: tuple[float, ...] = (400.0, 800.0)
+    axis: Literal["x", "y", "z"] = "z"
+    sign: float = 1.0
+    donning_steps: int = 10
+    load_steps: int = 5
+    penalty: float = 20.0
+    search_radius_mm: float = 30.0
+    skin: str = "skin"
+
+
+@dataclass(frozen=True, eq=False)
+class SocketState:
+    """The limb after donning (`load_n` 0) or under a load.
+
+    pressure_mpa, shear_mpa (n_skin,) : at the skin's nodes, per current area; shear is the size of the mean
+        tangential traction
+    facet_pressure_mpa (n_facets,) : mean over each facet, in the surface's order
+    displacements (n_points, 3) : mm, of all nodes of `socket_model`
+    strain, energy_density (n_cells,) : largest principal Green-Lagrange strain, and MPa
+    socket_force_n (3,), socket_moment_n_mm (3,) : on the socket from outside, about its centre
+    socket_shift_mm (3,) : of the socket's centre
+    imbalance_n : size of the sum of all forces from outside: on the socket, the bones and held nodes
+    """
+
+    load_n: float
+    pressure_mpa: Array
+    shear_mpa: Array
+    facet_pressure_mpa: Array
+    displacements: Array
+    strain: Array
+    energy_density: Array
+    socket_force_n: Array
+    socket_moment_n_mm: Array
+    socket_shift_mm: Array
+    imbalance_n: float
+
+
+@dataclass(frozen=True, eq=False)
+class SocketResult:
+    """skin_nodes (n_skin,) : node numbers, ascending; states : after donning, then one per load."""
+
+    model: LimbModel
+    skin_nodes: IntArray
+    states: tuple[SocketState, ...]
+
+    @property
+    def donned(self) -> SocketState:
+        return self.states[0]
+
+
+def socket_model(limb: LimbModel, face: Triangles, options: DonningOptions | None = None) -> LimbModel:
+    """The limb's model with its socket: everything a solver needs, also as `socket.feb`.
+
+    Parameters
+    ----------
+    limb : solids, laws and supports: bones and proximal cut held; without contacts
+    face : inner face in the limb's frame, mm, normals towards the limb
+
+    Raises
+    ------
+    CaseError
+        If the limb has no such skin, holds contacts or a body named `socket`, or an option is out of range.
+    """
+    options = options or DonningOptions()
+    _check(limb, options)
+    n = len(limb.mesh.points)
+    facets = (face.faces + n).astype(np.int64)
+    mesh = Mesh(
+        np.concatenate([limb.mesh.points, face.points]),
+        (*limb.mesh.blocks, Block(SOCKET, "tri3", facets)),
+        limb.mesh.node_sets,
+        {**limb.mesh.surfaces, FACE: Surface(FACE, {"tri3": facets})},
+    )
+    centre = np.average(face.centroids, axis=0, weights=face.areas)
+    contact = Contact(
+        primary=options.skin,
+        secondary=FACE,
+        name="socket_contact",
+        penalty=options.penalty,
+        search_radius=options.search_radius_mm,
+        friction=options.friction,
+        symmetric=not options.friction,
+        penalty_curve=_DONNING,
+    )
+    return replace(
+        limb,
+        mesh=mesh,
+        bodies=(*limb.bodies, RigidBody(SOCKET, (centre[0], centre[1], centre[2]), (SOCKET,))),
+        contacts=(contact,),
+        curves={**limb.curves, **_curves(options)},
+        steps=_steps(options),
+    )
+
+
+def don_and_load(
+    limb: LimbModel,
+    face: Triangles,
+    options: DonningOptions | None = None,
+    *,
+    feb: Path | None = None,
+    threads: int = 2,
+    progress: Progress = SILENT,
+) -> SocketResult:
+    """Put a limb into its socket and load it, with the reference solver.
+
+    Parameters
+    ----------
+    limb, face, options : as for `socket_model`
+    feb : the model is written to this file; a run that was stopped is resumed from the levels beside it.
+        None: nothing is written
+
+    Raises
+    ------
+    CaseError
+        As `socket_model`.
+    SolveError
+        If the model holds what the solver does not support, or a step has no equilibrium.
+    """
+    options = options or DonningOptions()
+    model = socket_model(limb, face, options)
+    restart = None if feb is None else Restart(write_feb(model, feb), "socket")
+    analysis = prepare(model, progress, threads=threads)
+    states: list[SocketState] = []
+    loads = iter((0.0, *options.loads_n))
+
+    def visit(running: Analysis, snapshot: Snapshot) -> None:
+        if restart is not None:
+            restart.keep(snapshot.state)
+        if snapshot.must:
+            states.append(_state(running, snapshot, next(loads)))
+
+    try:
+        analysis.run(visit, guesses=None if restart is None else restart.guess)
+    except SolveError as error:
+        raise _explained(error, len(states), options) from error
+    finally:
+        analysis.close()
+    if restart is not None:
+        restart.finished()
+    return SocketResult(model, _skin_nodes(model, options.skin), tuple(states))
+
+
+# ---------------------------------------------------------------- model
+
+
+def _check(limb: LimbModel, options: DonningOptions) -> None:
+    wrong, fix = "", "correct it"
+    if options.skin not in limb.mesh.surfaces:
+        wrong, fix = f"the limb has no surface {options.skin!r}", f"use one of {sorted(limb.mesh.surfaces)}"
+    elif limb.contacts or any(body.name == SOCKET for body in limb.bodies):
+        wrong, fix = "the limb's model already holds a contact or a socket", "give the limb alone"
+    elif options.friction < 0 or options.penalty <= 0 or options.search_radius_mm <= 0:
+        wrong = "friction is below 0, or penalty or search radius is not above 0"
+    elif options.donning_steps < 1 or options.load_steps < 1:
+        wrong = "there is no step for donning or for a load"
+    elif abs(options.sign) != 1.0:
+        wrong = f"the sign of the force's direction is {options.sign:g}, neither 1 nor -1"
+    elif any(load <= 0 for load in options.loads_n):
+        wrong, fix = "a load does not press the socket onto the limb", "give forces above 0 N"
+    if wrong:
+        raise CaseError(wrong, where="socket", fix=fix)
+
+
+def _curves(options: DonningOptions) -> dict[str, Curve]:
+    n = options.donning_steps
+    ratios = [_FIRST_PENALTY ** (1.0 - (k + 1) / n) for k in range(n)] if n > 1 else [1.0]
+    growth = ((0.0, _FIRST_PENALTY), *(((k + 1) / n, ratio) for k, ratio in enumerate(ratios)))
+    load = ((0.0, 0.0), (1.0, 0.0), *((2.0 + k, load) for k, load in enumerate(options.loads_n)))
+    return {_DONNING: Curve(growth), _LOAD: Curve(load)}
+
+
+def _steps(options: DonningOptions) -> tuple[Step, ...]:
+    def fixed(dofs: Sequence[str]) -> tuple[Drive, ...]:
+        return tuple(Drive(SOCKET, dof, "fixed") for dof in dofs)  # type: ignore[arg-type]
+
+    others = [dof for dof in ("x", "y", "z", "u", "v", "w") if dof != options.axis]
+    donning = Step(
+        n_steps=options.donning_steps,
+        step_size=1.0 / options.donning_steps,
+        dt_max=1.0 / options.donning_steps,
+        must_points=(1.0,),
+        drives=fixed([options.axis, *others]),
+    )
+    if not options.loads_n:
+        return (donning,)
+    push = Drive(SOCKET, options.axis, "force", options.sign, _LOAD)
+    loading = Step(
+        n_steps=options.load_steps * len(options.loads_n),
+        step_size=1.0 / options.load_steps,
+        dt_max=1.0 / options.load_steps,
+        must_points=tuple(float(k + 1) for k in range(len(options.loads_n))),
+        drives=(*fixed(others), push),
+    )
+    return donning, loading
+
+
+def _explained(error: SolveError, n_states: int, options: DonningOptions) -> SolveError:
+    """The error, with what was going on: donning, or which load."""
+    what = "donning" if n_states == 0 else f"the load of {options.loads_n[n_states - 1]:g} N"
+    fix = "use more donning steps; check the alignment and the interference"
+    if n_states:
+        fix = (
+            "use more load steps or a smaller load: the limb may slide on into the socket, or out of it, "
+            "where neither its shape nor friction holds it"
+        )
+    return SolveError(
+        f"{what} has no equilibrium: {error.what}", where=error.where, fix=fix, n_states=n_states
+    )
+
+
+# ---------------------------------------------------------------- results
+
+
+def _skin_nodes(model: LimbModel, skin: str) -> IntArray:
+    facets = model.mesh.surfaces[skin].facets.values()
+    return np.unique(np.concatenate([each.ravel() for each in facets]))
+
+
+def _state(running: Analysis, snapshot: Snapshot, load: float) -> SocketState:
+    from limbcli.fem.record_fields import record_rows
+
+    system, state = running.system, snapshot.state
+    forces = system.forces(state)
+    (pair,) = system.pairs
+    nodes = _skin_nodes(running.model, pair.contact.primary)
+    sums = np.zeros((len(system.X), 4))  # area, pressure, and the two below times area
+    shear = np.zeros((len(system.X), 3))
+    facet_pressures = []
+    for patch in pair.patches:
+        area, pressure, tangential = _tractions(patch)
+        facet_pressures.append(pressure)
+        for column in patch.facets.T:
+            np.add.at(sums, (column, 0), area)
+            np.add.at(sums, (column, 1), area * pressure)
+            np.add.at(shear, column, area[:, None] * tangential)
+    area = np.maximum(sums[nodes, 0], 1e-300)
+    cells = record_rows(system, state, forces, LogRecord("element", _CELL_FIELDS, ""))[1]
+    tied = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(b.tied for b in system.bodies)]))
+    reactions = forces.nodal.copy()
+    reactions[tied] = 0.0  # they are in the forces of their bodies
+    names = [body.name for body in system.bodies]
+    b = names.index(SOCKET)
+    return SocketState(
+        load_n=load,
+        pressure_mpa=sums[nodes, 1] / area,
+        shear_mpa=np.linalg.norm(shear[nodes], axis=1) / area,
+        facet_pressure_mpa=np.concatenate(facet_pressures),
+        displacements=state.u.copy(),
+        strain=cells[:, 0],
+        energy_density=cells[:, 1],
+        socket_force_n=forces.bodies[b, :3].copy(),
+        socket_moment_n_mm=forces.bodies[b, 3:].copy(),
+        socket_shift_mm=np.array(state.bodies[b].shift),
+        imbalance_n=float(np.linalg.norm(forces.bodies[:, :3].sum(axis=0) + reactions.sum(axis=0))),
+    )
+
+
+def _tractions(patch: Patch) -> tuple[Array, Array, Array]:
+    """Current area in contact or not (n_facets,), mean pressure (n_facets,) and mean tangential traction
+    (n_facets, 3) of a patch after a contact search."""
+    from limbcli.fem.contacts import friction_kernels
+    from limbcli.fem.contacts.contact_points import NORMAL, TRACTION
+
+    normal = patch.state[..., NORMAL : NORMAL + 3]
+    size = np.linalg.norm(normal, axis=2)
+    touching = patch.state[..., TRACTION] > 0
+    weight = patch.weights * np.where(touching, size, 0.0)
+    rest = patch.weights * np.where(touching, 0.0, 1.0)
+    area = weight.sum(axis=1) + rest.sum(axis=1) / patch.weights.sum() * patch.areas
+    pressure = (weight * patch.state[..., TRACTION]).sum(axis=1) / area
+    tangential = np.zeros((len(patch.facets), 3))
+    if patch.state.shape[2] == friction_kernels.N_STATE:
+        push = patch.state[..., friction_kernels.PUSH : friction_kernels.PUSH + 3]
+        nu = normal / np.maximum(size, 1e-300)[..., None]
+        along = (push * nu).sum(axis=2)[..., None] * nu
+        tangential = np.einsum("fg,fgi->fi", weight, np.where(touching[..., None], push - along, 0.0))
+        tangential /= area[:, None]
+    return area, pressure, tangential

@@ -1,0 +1,116 @@
+"""A socket made from the limb itself: the skin, moved in or out patch by patch."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from limbcli.errors import CaseError, MeshError
+from limbcli.meshing.surfaces import Triangles
+from limbcli.model import Array, IntArray
+
+# No published table of rectifications has been read in full: the skin's own shape is what is chosen.
+CHOSEN = "no rectification was given: the socket has the shape of the skin (0 mm everywhere, chosen)"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rectification:
+    """How the skin becomes a socket.
+
+    patches_mm : by patch, mm; positive: into the limb
+    all_mm : of the whole skin, mm; positive: into the limb
+    transition_mm : width of the transition around a patch
+    brim_mm : height, along the direction towards the tip, at which the socket begins; None: whole skin
+    """
+
+    patches_mm: Mapping[str, float]
+    all_mm: float = 0.0
+    transition_mm: float = 15.0
+    brim_mm: float | None = None
+
+    @property
+    def sentence(self) -> str:
+        changed = {name: mm for name, mm in self.patches_mm.items() if mm}
+        if not changed and not self.all_mm:
+            return CHOSEN
+        parts = [f"{name} {mm:+g} mm" for name, mm in changed.items()]
+        return f"the skin moved inward by {self.all_mm:g} mm" + (f"; {', '.join(parts)}" if parts else "")
+
+
+def rectified(
+    skin: Triangles,
+    patches: Mapping[str, IntArray],
+    table: Rectification,
+    toward_tip: Array,
+    *,
+    where: str = "rectifications",
+) -> Triangles:
+    """The inner face, with its normals towards the limb.
+
+    Within a patch the skin moves by the full amount; around it the amount falls to 0 over `transition_mm`
+    along a smooth curve (3 t^2 - 2 t^3). Where transitions overlap the amounts are averaged by their weights,
+    if these exceed 1 in sum.
+
+    Parameters
+    ----------
+    skin : closed or open skin with outward normals, mm
+    patches : by name, the numbers of the skin's points in it
+    toward_tip (3,) : direction along the limb
+
+    Raises
+    ------
+    CaseError
+        If a patch is not known or has no points, or if the transition is not positive.
+    MeshError
+        If a facet would turn over: the amounts change too fast.
+    """
+    if table.transition_mm <= 0:
+        raise CaseError(
+            f"the transition is {table.transition_mm:g} mm wide", where=where, fix="give a positive width"
+        )
+    amount = np.full(len(skin.points), float(table.all_mm))
+    weights, sums = np.zeros(len(skin.points)), np.zeros(len(skin.points))
+    for name, mm in table.patches_mm.items():
+        if not len(patches.get(name, ())):
+            raise CaseError(
+                f"there is no patch {name!r} on this limb",
+                where=where,
+                fix=f"use some of {', '.join(sorted(patches))}",
+            )
+        away = cKDTree(skin.points[patches[name]]).query(skin.points)[0]
+        t = np.clip(1.0 - away / table.transition_mm, 0.0, 1.0)
+        weight = t * t * (3.0 - 2.0 * t)
+        weights += weight
+        sums += weight * mm
+    amount += sums / np.maximum(weights, 1.0)
+    moved = Triangles(skin.points - amount[:, None] * _normals(skin), skin.faces)
+    kept = np.ones(len(skin.faces), dtype=bool)
+    if table.brim_mm is not None:
+        kept = (skin.points @ toward_tip)[skin.faces].min(axis=1) >= table.brim_mm
+        if not kept.any():
+            raise CaseError(
+                f"no skin lies beyond the brim at {table.brim_mm:g} mm",
+                where=where,
+                fix="give a height between the limb's ends",
+            )
+    turned = (moved.area_vectors * skin.area_vectors).sum(axis=1) <= 0
+    if (turned & kept).any():
+        place = skin.centroids[np.flatnonzero(turned & kept)[0]]
+        raise MeshError(
+            f"the socket would fold at ({', '.join(f'{each:.0f}' for each in place)}): "
+            f"{int((turned & kept).sum())} facets turn over",
+            where=where,
+            fix="make the rectification there smaller, or the transition wider",
+        )
+    return moved.part(kept).flipped()
+
+
+def _normals(surface: Triangles) -> Array:
+    """Unit normals (n_points, 3), weighted by the areas of the facets around a point."""
+    out = np.zeros_like(surface.points)
+    for k in range(3):
+        np.add.at(out, surface.faces[:, k], surface.area_vectors)
+    return np.asarray(out / np.maximum(np.linalg.norm(out, axis=1), 1e-300)[:, None])

@@ -1,0 +1,209 @@
+"""The inner face is found, aligned, made from the skin, and refused with a reason of its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from stumps import DOWN, stump, wall
+
+from limbcli.errors import CaseError, MeshError
+from limbcli.meshing.surfaces import Triangles, read_surface
+from limbcli.socket.alignment import align, by_landmarks
+from limbcli.socket.centre_line import centre_line, own_line
+from limbcli.socket.checks import check_around, check_near, check_size, clearance
+from limbcli.socket.inner_face import inner_face
+from limbcli.socket.nearest import NearestPoints, on_triangles
+from limbcli.socket.rectification import CHOSEN, Rectification, rectified
+
+SKIN = stump()
+LINE = centre_line(SKIN, DOWN)
+
+
+def turned(degrees: float, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> np.ndarray:
+    a = np.radians(degrees)
+    transform = np.eye(4)
+    transform[:2, :2] = [[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]
+    transform[:3, 3] = shift
+    return transform
+
+
+def faces_limb(face: Triangles) -> float:
+    inward = LINE.nearest(face.centroids) - face.centroids
+    return float(face.areas[(face.area_vectors * inward).sum(axis=1) > 0].sum() / face.areas.sum())
+
+
+@pytest.mark.parametrize("flip", [False, True])
+def test_an_open_sheet_is_turned_towards_the_limb(flip: bool) -> None:
+    sheet = stump(grow=-2.0, top=110.0)
+    face = inner_face(sheet.flipped() if flip else sheet, LINE)
+    assert len(face.faces) == len(sheet.faces)
+    assert faces_limb(face) > 0.999
+
+
+@pytest.mark.parametrize("flip", [False, True])
+@pytest.mark.parametrize("thickness", [3.0, 8.0])
+def test_the_inner_side_of_a_wall_is_found(flip: bool, thickness: float) -> None:
+    socket = wall(inner=-2.0, thickness=thickness)
+    face = inner_face(socket.flipped() if flip else socket, LINE)
+    expected = stump(grow=-2.0, top=110.0)
+    assert face.areas.sum() == pytest.approx(expected.areas.sum(), rel=0.06)
+    assert faces_limb(face) > 0.98
+    away = np.linalg.norm(face.points - NearestPoints(expected).of(face.points)[0], axis=1)
+    assert np.quantile(away, 0.95) < 0.1
+
+
+def test_a_socket_shows_its_own_tip_in_its_own_frame() -> None:
+    away = np.array([[1.0, 0, 0, 7.0], [0, 0, -1.0, 9.0], [0, 1.0, 0, -400.0], [0, 0, 0, 1.0]])
+    for socket in (wall(), stump(top=110.0)):
+        np.testing.assert_allclose(own_line(socket).along, DOWN, atol=0.1)
+        np.testing.assert_allclose(own_line(socket.moved(away)).along, away[:3, :3] @ DOWN, atol=0.1)
+    with pytest.raises(MeshError, match="where the limb enters"):
+        own_line(SKIN.part(SKIN.centroids[:, 2] > 30.0))
+
+
+def test_a_transfemoral_socket_is_found_and_aligned_with_its_stump(shared: Path) -> None:
+    folder = shared / "data" / "limb-scans" / "socket-sense"
+    limb, socket = read_surface(folder / "Stump.stl"), read_surface(folder / "Socket.stl")
+    face = inner_face(socket, own_line(socket))
+    assert 0.4 < face.areas.sum() / socket.areas.sum() < 0.5  # a thin wall has two equal sides
+    line = centre_line(limb, np.array([0.04, 0.26, 0.96]))
+    found = align(face, limb, line)
+    assert found.rms_mm < 5.0
+    aligned = face.moved(found.transform)
+    check_around(aligned, line)
+    assert clearance(aligned, limb, line).deepest_mm < 5.0
+
+
+def test_a_sheet_that_is_partly_inside_out_is_refused() -> None:
+    sheet = stump(top=110.0)
+    faces = sheet.faces.copy()
+    half = sheet.centroids[:, 0] > 10.0
+    faces[half] = faces[half][:, ::-1]
+    with pytest.raises(MeshError, match="inside out"):
+        inner_face(Triangles(sheet.points, faces), LINE)
+
+
+@pytest.mark.parametrize(("scale", "unit"), [(1e-3, "units of m"), (1 / 25.4, "inch"), (0.1, "cm")])
+def test_another_unit_is_named(scale: float, unit: str) -> None:
+    socket = stump(top=110.0)
+    with pytest.raises(MeshError, match=unit):
+        check_size(Triangles(socket.points * scale, socket.faces), SKIN)
+    check_size(socket, SKIN)
+
+
+def test_a_socket_in_another_frame_is_refused() -> None:
+    with pytest.raises(MeshError, match="apart"):
+        check_near(stump().moved(turned(0.0, (400.0, 0.0, 0.0))), SKIN)
+    check_near(stump(), SKIN)
+
+
+def test_a_socket_that_does_not_surround_the_limb_is_refused() -> None:
+    sheet = stump(top=110.0)
+    check_around(sheet.flipped(), LINE)
+    with pytest.raises(MeshError, match="does not surround"):
+        check_around(sheet.part(sheet.centroids[:, 0] > 0.0), LINE)
+    with pytest.raises(MeshError, match="of the limb's length"):
+        check_around(sheet.part(sheet.centroids[:, 2] < 10.0), LINE)
+
+
+def test_clearance_is_positive_where_there_is_room() -> None:
+    loose = clearance(stump(grow=3.0, top=110.0).flipped(), SKIN, LINE)
+    tight = clearance(stump(grow=-3.0, top=110.0).flipped(), SKIN, LINE)
+    # 3 mm across the axis are less along the normals, since the limb is tapered
+    assert 2.3 < np.median(loose.distances) < 3.0
+    assert -3.0 < np.median(tight.distances) < -2.3
+    assert tight.deepest_mm < 4.0
+    assert loose.deepest_mm < 0.5
+
+
+def test_a_wall_deep_in_the_limb_is_refused() -> None:
+    with pytest.raises(MeshError, match="inside the limb"):
+        clearance(stump(grow=-30.0, top=110.0).flipped(), SKIN, LINE)
+
+
+def test_landmarks_restore_a_pose_and_state_what_is_left() -> None:
+    limb = np.array([[50.0, 0, 90], [0, 55.0, 60], [-40.0, 10, 30], [5.0, 5, 0]])
+    pose = turned(130.0, (30.0, -200.0, 12.0))
+    socket = limb @ np.linalg.inv(pose)[:3, :3].T + np.linalg.inv(pose)[:3, 3]
+    found = by_landmarks(socket, limb)
+    np.testing.assert_allclose(found.transform, pose, atol=1e-9)
+    assert found.rms_mm < 1e-9
+    assert found.turned_deg == pytest.approx(130.0)
+    socket[0] += (4.0, 0.0, 0.0)
+    assert 0.5 < by_landmarks(socket, limb).rms_mm < 4.0
+
+
+@pytest.mark.parametrize(
+    ("socket", "words"),
+    [
+        (np.zeros((2, 3)), "landmarks of the socket"),
+        (np.array([[0.0, 0, 0], [0, 0, 10], [0, 0, 30]]), "within"),
+        (np.array([[0.0, 0, 0], [0, 80, 10], [90.0, 0, 30]]), "off after"),
+    ],
+)
+def test_bad_landmarks_have_their_own_messages(socket: np.ndarray, words: str) -> None:
+    limb = np.array([[0.0, 0, 0], [0, 30, 10], [20.0, 0, 30]])
+    with pytest.raises(MeshError, match=words):
+        by_landmarks(socket, limb)
+
+
+def test_a_turned_and_shifted_socket_is_brought_back() -> None:
+    pose = turned(75.0, (20.0, 300.0, -60.0))
+    face = stump(grow=-2.0, top=110.0).flipped()
+    found = align(face.moved(np.linalg.inv(pose)), SKIN, LINE)
+    back = found.transform @ np.linalg.inv(pose)
+    assert np.degrees(np.arccos(0.5 * (np.trace(back[:3, :3]) - 1))) < 3.0
+    assert found.rms_mm < 2.5
+    assert "mm rms" in found.sentence
+
+
+def test_a_round_socket_is_not_turned_at_random() -> None:
+    limb = stump(oval=0.0, bump=0.0)
+    with pytest.raises(MeshError, match="landmarks") as caught:
+        align(stump(top=110.0, oval=0.0, bump=0.0).flipped(), limb, centre_line(limb, DOWN))
+    assert "fit equally well" in caught.value.what
+
+
+def patch(x: float) -> np.ndarray:
+    return np.flatnonzero(np.linalg.norm(SKIN.points - np.array([x, 0.0, 60.0]), axis=1) < 15.0)
+
+
+def test_rectifications_move_patches_smoothly() -> None:
+    patches = {"front": patch(62.0), "back": patch(-62.0)}
+    table = Rectification(patches_mm={"front": 4.0, "back": -2.0}, all_mm=1.0, brim_mm=-120.0)
+    face = rectified(SKIN, patches, table, DOWN)
+    assert faces_limb(face) > 0.99
+    kept = SKIN.points[:, 2] <= 120.0 + 1e-9
+    moved = -NearestPoints(face).clearances(SKIN.points)
+    assert moved[patches["front"]].mean() == pytest.approx(5.0, abs=0.5)
+    assert moved[patches["back"]].mean() == pytest.approx(-1.0, abs=0.3)
+    far = kept & (np.abs(SKIN.points[:, 0]) < 10.0) & (SKIN.points[:, 2] > 50)
+    assert moved[far].mean() == pytest.approx(1.0, abs=0.1)
+
+
+def test_without_a_table_the_skin_is_the_socket_and_it_is_said() -> None:
+    table = Rectification(patches_mm={})
+    face = rectified(SKIN, {}, table, DOWN)
+    np.testing.assert_allclose(face.points, SKIN.points)
+    assert table.sentence == CHOSEN
+
+
+def test_folds_and_unknown_patches_are_refused() -> None:
+    patches = {"front": patch(62.0)}
+    with pytest.raises(CaseError, match="no patch 'back'"):
+        rectified(SKIN, patches, Rectification(patches_mm={"back": 1.0}), DOWN)
+    with pytest.raises(MeshError, match="fold"):
+        rectified(SKIN, patches, Rectification(patches_mm={}, all_mm=75.0), DOWN)
+
+
+def test_the_nearest_point_is_within_on_a_side_or_at_a_corner() -> None:
+    corners = np.array([[0.0, 0, 0], [2, 0, 0], [0, 2, 0]])
+    for point, expected in (
+        ((0.5, 0.5, 3.0), (0.5, 0.5, 0.0)),
+        ((1.0, -1.0, 0.0), (1.0, 0.0, 0.0)),
+        ((2.0, 2.0, 1.0), (1.0, 1.0, 0.0)),
+        ((-1.0, -1.0, 0.0), (0.0, 0.0, 0.0)),
+    ):
+        np.testing.assert_allclose(on_triangles(np.array(point), corners), expected, atol=1e-12)
