@@ -184,6 +184,24 @@ class Support:
 
 
 @dataclass(frozen=True)
+class Load:
+    """A load on tissue, multiplied by `curve`.
+
+    kind : "pressure" (value[0], MPa) acts against the outward normal; "traction" (MPa) in a fixed direction;
+        "nodal force" (N) on each node; "body force" (mm/s^2) is an acceleration: its force per volume is the
+        material's density times it
+    on : the surface, the node set or the block; of a body force "" is all of the tissue
+    on_reference : a pressure or traction acts on the undeformed surface, else on the deformed one
+    """
+
+    kind: Literal["pressure", "traction", "nodal force", "body force"]
+    on: str
+    value: tuple[float, ...]
+    curve: str | None = None
+    on_reference: bool = False
+
+
+@dataclass(frozen=True)
 class Step:
     """One analysis step of total duration n_steps * step_size, however the time steps are cut or enlarged.
 
@@ -209,6 +227,7 @@ class Step:
     control: Mapping[str, Any] = field(default_factory=dict)
     supports: tuple[Support, ...] = ()
     drives: tuple[Drive, ...] = ()
+    loads: tuple[Load, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,6 +271,7 @@ class LimbModel:
     records: tuple[LogRecord, ...] = ()
     info: Mapping[str, Any] = field(default_factory=dict)
     fibres: ElementMap | None = None
+    loads: tuple[Load, ...] = ()
 
     @property
     def has_friction(self) -> bool:

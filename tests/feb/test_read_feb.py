@@ -133,7 +133,7 @@ def test_packed_files_read_the_same(punch: Path, tmp_path: Path) -> None:
         ('<node id="2">-6.0', '<node id="2">x', "node", "not 3 number"),
         ('<elem id="1">', '<elem id="1">999,', "elem", "not 4 number"),
         ("<analysis>STATIC", "<analysis>STEADY-STATE", "analysis", "STEADY-STATE"),
-        ("<Boundary>", "<Loads><load/></Loads><Boundary>", "Loads", "know this tag"),
+        ("<Boundary>", "<Loads><load/></Loads><Boundary>", "load", "know this tag"),
         (">2</rigid_body_data>", ">1</rigid_body_data>", "rigid_body_data", "not the material id"),
         ("<cp>0.05</cp>", "<cp>1_0</cp>", "cp", "not 1 number"),
         ("<time_steps>10", "<time_steps>0", "time_steps", "not positive"),

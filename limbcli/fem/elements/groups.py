@@ -30,6 +30,7 @@ class Group:
     grad (n_cells, n_gauss, n_nodes, 3), weight (n_cells, n_gauss) : shape gradients and integration weights
         times Jacobian in the reference configuration
     shares (n_nodes,) : weights of the nodes in the mean position of a cell's integration points
+    points (n_gauss, 3) : natural coordinates of the integration points
     """
 
     block: str
@@ -40,6 +41,7 @@ class Group:
     weight: Array
     material: Compiled
     shares: Array
+    points: Array
     _cache: dict[str, Any] = field(default_factory=dict)
 
     def at(self, curve: CurveAt, *, scale: float = 1.0, history: Array = _NO_HISTORY) -> Operands:
@@ -173,7 +175,7 @@ def _group(model: LimbModel, domain: Domain, block: Block, first: int) -> Group:
     if weight.shape[1] > LANES or cells.shape[1] > WIDTH:  # the compiled loops would write out of bounds
         raise NotImplementedError(f"{block.kind} with {cells.shape[1]} nodes and {weight.shape[1]} points")
     shares = shape(block.kind, points)[0].mean(axis=0)
-    return Group(block.name, block.kind, first, cells, grad, weight, compiled, shares)
+    return Group(block.name, block.kind, first, cells, grad, weight, compiled, shares, points)
 
 
 def _rule(domain: Domain, block: Block) -> str:
