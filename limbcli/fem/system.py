@@ -82,7 +82,9 @@ class System(RigidLoads, ElementLoops):
     @property
     def least_force(self) -> float:
         """Force (N) regarded as zero in unloaded tissue: a generous bound on its stress round-off."""
-        stiffest = max((float(abs(o.lame).max()) for o in self.operands), default=0.0)
+        # lambda of a law without lateral contraction is 0
+        moduli = [(float(abs(o.lame).max()), 2 * float(abs(o.shear).max())) for o in self.operands]
+        stiffest = max((each for pair in moduli for each in pair), default=0.0)
         return _NOTHING * stiffest * self._size**2
 
     @property

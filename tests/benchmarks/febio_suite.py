@@ -75,7 +75,9 @@ def out_of_scope(root: etree._Element) -> list[str]:
     module = root.find("Module")
     if module is None or module.get("type") != "solid":
         return [f"module {module.get('type') if module is not None else None}"]
-    why = [f"<{each.tag}>" for each in _elements(root, *root.iterfind("Step/step")) if each.tag not in _SECTIONS]
+    why = [
+        f"<{each.tag}>" for each in _elements(root, *root.iterfind("Step/step")) if each.tag not in _SECTIONS
+    ]
     why += _analyses(root)
     why += _materials(root)
     why += _parts(root)
@@ -161,8 +163,12 @@ def _conditions(root: etree._Element) -> list[str]:
 
     return [
         *others(_CONDITIONS, root.iter("bc"), "boundary condition"),
-        *others(_RIGID, (t for n in ("rigid_bc", "rigid_load", "rigid_connector") for t in root.iter(n)), "rigid"),
-        *others(_LOADS, (t for n in ("surface_load", "nodal_load", "body_load") for t in root.iter(n)), "load"),
+        *others(
+            _RIGID, (t for n in ("rigid_bc", "rigid_load", "rigid_connector") for t in root.iter(n)), "rigid"
+        ),
+        *others(
+            _LOADS, (t for n in ("surface_load", "nodal_load", "body_load") for t in root.iter(n)), "load"
+        ),
         *others({"loadcurve"}, root.iter("load_controller"), "load controller"),
     ]
 
@@ -192,7 +198,9 @@ def _contacts(root: etree._Element) -> list[str]:
         pair = root.find(f"Mesh/SurfacePair[@name='{each.get('surface_pair')}']")
         secondary = pair.findtext("secondary") if pair is not None else None
         facets = root.find(f"Mesh/Surface[@name='{(secondary or '').strip()}']")
-        on = {node.strip() for facet in (facets if facets is not None else ()) for node in facet.text.split(",")}
+        on = {
+            node.strip() for facet in (facets if facets is not None else ()) for node in facet.text.split(",")
+        }
         if not on or not on <= nodes:
             why.append("contact of two deformable sides")
     return why
