@@ -72,12 +72,24 @@ class Mesh:
     Names used by site models: blocks `tissue` (and `fat`, `skin` if layers are requested) and `probe`; node
     sets `bone`, `cut`, `fixed` (bone and cut together), `skin`; surfaces `skin`, `contact` (skin that the
     probe can reach), `bone`, `cut`, `probe_face`.
+
+    node_ids, cell_ids : of the file that the mesh was read from, by number; None: they count from 1
     """
 
     points: Array
     blocks: tuple[Block, ...]
     node_sets: Mapping[str, IntArray] = field(default_factory=dict)
     surfaces: Mapping[str, Surface] = field(default_factory=dict)
+    node_ids: IntArray | None = None
+    cell_ids: IntArray | None = None
+
+    def node_id(self, number: int) -> int:
+        """A node's id in its file, for messages."""
+        return _id(self.node_ids, number)
+
+    def cell_id(self, number: int) -> int:
+        """An element's id in its file, for messages; `number` counts over all blocks."""
+        return _id(self.cell_ids, number)
 
     def block(self, name: str) -> Block:
         return next(each for each in self.blocks if each.name == name)
@@ -85,6 +97,10 @@ class Mesh:
     @property
     def solid_blocks(self) -> tuple[Block, ...]:
         return tuple(each for each in self.blocks if each.is_solid)
+
+
+def _id(ids: IntArray | None, number: int) -> int:
+    return int(ids[number]) if ids is not None and number < len(ids) else number + 1
 
 
 # ---------------------------------------------------------------- values
@@ -184,6 +200,24 @@ class Support:
 
 
 @dataclass(frozen=True)
+class Load:
+    """A load on tissue, multiplied by `curve`.
+
+    kind : "pressure" (value[0], MPa) acts against the outward normal; "traction" (MPa) in a fixed direction;
+        "nodal force" (N) on each node; "body force" (mm/s^2) is an acceleration: its force per volume is the
+        material's density times it
+    on : the surface, the node set or the block; of a body force "" is all of the tissue
+    on_reference : a pressure or traction acts on the undeformed surface, else on the deformed one
+    """
+
+    kind: Literal["pressure", "traction", "nodal force", "body force"]
+    on: str
+    value: tuple[float, ...]
+    curve: str | None = None
+    on_reference: bool = False
+
+
+@dataclass(frozen=True)
 class Step:
     """One analysis step of total duration n_steps * step_size, however the time steps are cut or enlarged.
 
@@ -209,6 +243,7 @@ class Step:
     control: Mapping[str, Any] = field(default_factory=dict)
     supports: tuple[Support, ...] = ()
     drives: tuple[Drive, ...] = ()
+    loads: tuple[Load, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,6 +287,7 @@ class LimbModel:
     records: tuple[LogRecord, ...] = ()
     info: Mapping[str, Any] = field(default_factory=dict)
     fibres: ElementMap | None = None
+    loads: tuple[Load, ...] = ()
 
     @property
     def has_friction(self) -> bool:

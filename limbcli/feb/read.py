@@ -22,6 +22,7 @@ from limbcli.feb.info import read_info
 from limbcli.feb.notes import ReadingNotes
 from limbcli.feb.read_contact import read_contacts
 from limbcli.feb.read_control import read_steps
+from limbcli.feb.read_distributed_loads import read_distributed_loads
 from limbcli.feb.read_material import MaterialSection, read_materials
 from limbcli.feb.read_mesh import (
     DEFAULT_RULES,
@@ -41,7 +42,7 @@ _OF_SHELLS = ("shell_thickness", "shell_normal_nodal")
 EMPTY_NODE_SETS, EMPTY_SURFACES = "empty_node_sets", "empty_surfaces"  # keys stored with `info`
 _SECTIONS = (
     "Module", "Globals", "Control", "Material", "Mesh", "MeshDomains", "MeshData", "Boundary", "Rigid",
-    "Contact", "Step", "LoadData", "Output",
+    "Loads", "Contact", "Step", "LoadData", "Output",
 )  # fmt: skip
 
 
@@ -104,6 +105,7 @@ def _read(root: Tag) -> tuple[LimbModel, frozenset[str]]:
     scene = read_loads.Scene(mesh, node_maps, bodies, curve_names, materials.by_id)
     supports, ties = read_loads.read_boundary(root.child("Boundary"), scene)
     drives, springs = read_loads.read_rigid(root.child("Rigid"), scene)
+    loads = read_distributed_loads(root.child("Loads"), scene, root.child("Material"))
     contacts = read_contacts(root.child("Contact"), scene)
     steps, must_curves = read_steps(root, scene, curves)
     for name in {*element_maps, *node_maps} - (materials.used_maps | scene.used_maps | {FIBRES}):
@@ -126,6 +128,7 @@ def _read(root: Tag) -> tuple[LimbModel, frozenset[str]]:
         records=records,
         info=info,
         fibres=_fibres(element_maps),
+        loads=loads,
     )
     return model, must_curves
 
@@ -261,6 +264,7 @@ def used_curves(model: LimbModel) -> set[str]:
     for owner in owners:
         names |= {support.curve for support in owner.supports}
         names |= {drive.curve for drive in owner.drives}
+        names |= {load.curve for load in owner.loads}
 
     names |= {step.dt_max_curve for step in model.steps}
 

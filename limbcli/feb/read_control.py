@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal, cast
 
+from limbcli.feb.read_distributed_loads import read_distributed_loads
 from limbcli.feb.read_loads import Scene, read_boundary, read_rigid
 from limbcli.feb.xml import Tag, drop_empty
 from limbcli.model import Curve, Step
@@ -30,7 +31,7 @@ OUTPUT_CONTROL = {
     "plot_level": _TEXT, "plot_range": _TEXT, "plot_zero_state": _WHOLE, "plot_stride": _WHOLE,
     "output_level": _TEXT, "output_stride": _WHOLE, "adaptor_re_solve": _WHOLE,
 }  # fmt: skip
-_OF_STEP = ("Control", "Boundary", "Rigid")
+_OF_STEP = ("Control", "Boundary", "Loads", "Rigid")
 _TIME_DIGITS = 12
 
 
@@ -42,6 +43,7 @@ class _Context:
     curves: Mapping[str, Curve]
     start: float
     must_curves: set[str]
+    materials: Tag | None
 
 
 def read_steps(
@@ -52,7 +54,7 @@ def read_steps(
     Global times of must-points are converted to times from the start of their step.
     """
     control, several = root.child("Control"), root.child("Step")
-    context = _Context(scene, curves, 0.0, set())
+    context = _Context(scene, curves, 0.0, set(), root.child("Material"))
     if several is None or several.is_empty:
         if control is None:
             raise root.problem("there is neither <Control> nor <Step>", fix="add <Control>")
@@ -83,7 +85,7 @@ def _step(tag: Tag, owner: Tag | None, context: _Context) -> Step:
     if stepper is not None:
         fields, more = _stepper(stepper, context)
         control |= more
-    loads = _loads(owner, context.scene) if owner else {}
+    loads = _loads(owner, context) if owner else {}
     given = analysis.choice(("STATIC", "TRANSIENT", "DYNAMIC")) if analysis else "STATIC"
     kind = "static" if given == "STATIC" else "transient"  # FEBio's DYNAMIC is another name of TRANSIENT
     return Step(
@@ -102,8 +104,10 @@ def _positive(tag: Tag) -> Tag:
     return tag
 
 
-def _loads(owner: Tag, scene: Scene) -> dict[str, Any]:
-    """Supports and drives that are active during one step only."""
+def _loads(owner: Tag, context: _Context) -> dict[str, Any]:
+    """Supports, drives and loads that are active during one step only."""
+    scene = context.scene
+    loads = read_distributed_loads(owner.child("Loads"), scene, context.materials)
     supports, ties = read_boundary(owner.child("Boundary"), scene)
     drives, springs = read_rigid(owner.child("Rigid"), scene)
     if ties or springs:
@@ -111,7 +115,7 @@ def _loads(owner: Tag, scene: Scene) -> dict[str, Any]:
             "ties to rigid bodies and springs inside a step are not supported",
             fix="move them out of the step",
         )
-    return {"supports": supports, "drives": drives}
+    return {"supports": supports, "drives": drives, "loads": loads}
 
 
 def _stepper(tag: Tag, context: _Context) -> tuple[dict[str, Any], dict[str, Any]]:

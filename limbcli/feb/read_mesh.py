@@ -166,7 +166,7 @@ def read_mesh(tag: Tag) -> MeshSection:
     blocks, cell_ids, rules = _blocks(tag, node_table)
     numbering = Numbering(node_table, Numbering.of(cell_ids))
     surfaces = _surfaces(tag, node_table)
-    mesh = Mesh(points=points, blocks=blocks, node_sets=_node_sets(tag, node_table), surfaces=surfaces)
+    mesh = Mesh(points, blocks, _node_sets(tag, node_table), surfaces, _own_ids(node_ids), _own_ids(cell_ids))
     section = MeshSection(
         mesh, numbering, _pairs(tag, surfaces), {}, _edges(tag, node_table), unlisted, rules
     )
@@ -183,6 +183,11 @@ def read_mesh(tag: Tag) -> MeshSection:
     if tag.child("DiscreteSet") is not None:
         tag.ignore("<DiscreteSet>, which only <Discrete> uses")
     return replace(section, element_sets=sets)
+
+
+def _own_ids(ids: IntArray) -> IntArray | None:
+    """Ids that do not simply count from 1."""
+    return None if np.array_equal(ids, np.arange(1, len(ids) + 1)) else ids
 
 
 def _edges(tag: Tag, node_table: IntArray) -> dict[str, IntArray]:

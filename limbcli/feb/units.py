@@ -14,6 +14,7 @@ from limbcli.model import (
     Curved,
     ElementMap,
     LimbModel,
+    Load,
     Material,
     NodeMap,
     Step,
@@ -70,6 +71,7 @@ def scaled(model: LimbModel, length: float, force: float) -> LimbModel:
         bodies=tuple(by.body(each) for each in model.bodies),
         supports=tuple(by.support(each) for each in model.supports),
         drives=tuple(by.drive(each) for each in model.drives),
+        loads=tuple(by.load(each) for each in model.loads),
         springs=tuple(by.spring(each) for each in model.springs),
         contacts=tuple(by.contact(each) for each in model.contacts),
         steps=tuple(by.step(each) for each in model.steps),
@@ -118,6 +120,10 @@ class _Factors:
         factors = {"displacement": self.length, "force": self.force, "moment": self.force * self.length}
         return replace(drive, value=drive.value * factors.get(drive.kind, 1.0))
 
+    def load(self, load: Load) -> Load:
+        factor = {"nodal force": self.force, "body force": self.length}.get(load.kind, self.stress)
+        return replace(load, value=tuple(each * factor for each in load.value))
+
     def spring(self, spring: Spring) -> Spring:
         a, b = (
             (point[0] * self.length, point[1] * self.length, point[2] * self.length)
@@ -155,6 +161,7 @@ class _Factors:
             control={**step.control, **limits},
             supports=tuple(self.support(each) for each in step.supports),
             drives=tuple(self.drive(each) for each in step.drives),
+            loads=tuple(self.load(each) for each in step.loads),
         )
 
 

@@ -225,9 +225,10 @@ def _step(step: Step, must_curve: str | None, ids: Ids) -> dict[str, Any]:
         "quasi_newton": chosen(QUASI_NEWTON),
         "output": chosen(OUTPUT_CONTROL),
         "stepper": chosen(STEPPER_MORE),
-        "has_loads": bool(step.supports or step.drives),
+        "has_loads": bool(step.supports or step.drives or step.loads),
         "supports": step.supports,
         "drives": drive_groups(step.drives),
+        "loads": step.loads,
     }
 
 

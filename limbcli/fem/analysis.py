@@ -147,7 +147,7 @@ class Analysis:
 
     def _prepare(self, step: Step, state: State | None) -> Newton:
         """Prepare the system of a step; the current one is reused if its supports and drives are the same."""
-        key = (*step.supports, *step.drives)
+        key = (*step.supports, *step.drives, *step.loads)
         if self._newton is not None and self._supports == key and state is None:
             system = self._newton.system
             system.with_materials(self.model)
@@ -165,6 +165,7 @@ class Analysis:
             self.model,
             supports=supports + step.supports,
             drives=drives + step.drives,
+            loads=self.model.loads + step.loads,
             threads=self.settings.threads,
             start=state,
         )

@@ -19,13 +19,15 @@ from limbcli.bodies import Drive
 from limbcli.fem.contacts.contact import make_pairs
 from limbcli.fem.contacts.contact_points import FACET, TRACTION, add_symmetric
 from limbcli.fem.contacts.contact_reach import near_nodes
+from limbcli.fem.contacts.patch import Patch
 from limbcli.fem.elements.assembly import Pattern, Threads, make_pattern
 from limbcli.fem.elements.element_loops import ElementLoops
 from limbcli.fem.elements.groups import make_groups
 from limbcli.fem.elements.thread_partition import halve
+from limbcli.fem.motion.distributed_loads import DistributedLoads, LoadedSurface
 from limbcli.fem.motion.rigid_loads import RigidLoads
 from limbcli.fem.motion.state import Forces, State
-from limbcli.model import Array, IntArray, LimbModel, Support
+from limbcli.model import Array, IntArray, LimbModel, Load, Support
 
 _NOTHING = 1e-9  # force regarded as zero, as a fraction of tissue stiffness times tissue size squared
 _MOST_IN_ROOT = 4_000  # unknowns: their dense front takes 64 MB in single precision
@@ -34,7 +36,7 @@ _MOST_IN_ROOT = 4_000  # unknowns: their dense front takes 64 MB in single preci
 class System(RigidLoads, ElementLoops):
     """The equations of one analysis step of a model.
 
-    supports, drives : those active in this step (the model's and the step's own)
+    supports, drives, loads : those active in this step (the model's and the step's own)
     start : state at the beginning of the step, the reference for relative loads
     """
 
@@ -44,6 +46,7 @@ class System(RigidLoads, ElementLoops):
         *,
         supports: tuple[Support, ...] | None = None,
         drives: tuple[Drive, ...] | None = None,
+        loads: tuple[Load, ...] | None = None,
         threads: int = 2,
         start: State | None = None,
     ):
@@ -54,10 +57,14 @@ class System(RigidLoads, ElementLoops):
         self.pairs = make_pairs(model, self.groups, self.bodies)
         for pair in self.pairs:
             pair.threads = self.threads
+        self.loads = model.loads if loads is None else loads
+        self.distributed = DistributedLoads(model, self.loads, self.groups, self.bodies, self.X)
         patches = [p for pair in self.pairs for p in pair.patches]
-        self.pattern: Pattern = make_pattern(self.equations, cell_lists + [p.facets for p in patches])
-        for patch, pairs in zip(patches, self.pattern.pairs[len(cell_lists) :], strict=True):
-            patch.pairs = pairs
+        with_pairs: list[Patch | LoadedSurface] = [*patches, *self.distributed.surfaces]
+        facets = [each.facets for each in with_pairs]
+        self.pattern: Pattern = make_pattern(self.equations, cell_lists + facets)
+        for each, pairs in zip(with_pairs, self.pattern.pairs[len(cell_lists) :], strict=True):
+            each.pairs = pairs
         self.halves = [
             halve(self.X[cells].mean(axis=1), pairs, len(self.pattern.high))
             for cells, pairs in zip(cell_lists, self.pattern.pairs, strict=False)
@@ -76,7 +83,9 @@ class System(RigidLoads, ElementLoops):
     @property
     def least_force(self) -> float:
         """Force (N) regarded as zero in unloaded tissue: a generous bound on its stress round-off."""
-        stiffest = max((float(abs(o.lame).max()) for o in self.operands), default=0.0)
+        # lambda of a law without lateral contraction is 0
+        moduli = [(float(abs(o.lame).max()), 2 * float(abs(o.shear).max())) for o in self.operands]
+        stiffest = max((each for pair in moduli for each in pair), default=0.0)
         return _NOTHING * stiffest * self._size**2
 
     @property
@@ -96,6 +105,7 @@ class System(RigidLoads, ElementLoops):
         for pair in self.pairs:
             if pair.contact.penalty_curve is not None:
                 pair.scale_penalty(self.curve_at(pair.contact.penalty_curve, time))
+        self.distributed.at(self.curve)
         self.operands = [
             g.at(self.curve, scale=s, history=h)
             for g, s, h in zip(self.groups, self.scales, self.histories, strict=True)
@@ -154,7 +164,7 @@ class System(RigidLoads, ElementLoops):
     # ------------------------------------------------------------ forces
 
     def forces(self, state: State) -> Forces:
-        """Internal, contact, spring and applied forces at a state."""
+        """Internal, contact, spring and applied forces at a state; loads are subtracted from `nodal`."""
         nodal, worst, place = self.internal(state)
         internal = nodal.copy()
         bodies = np.zeros((len(self.bodies), 6))
@@ -166,14 +176,16 @@ class System(RigidLoads, ElementLoops):
             push = np.zeros(6)
             pair.force(self.center(pair.body, state), contact, push)
             bodies[pair.body] -= push
-        nodal += contact
+        loads = self.distributed.forces(state.u)
+        nodal += contact - loads
         self.gather_tied(state, nodal, bodies)
         self.add_springs(state, bodies)
         applied = self.applied(state.time)
         residual = np.concatenate([nodal[self.free], [bodies[k] - applied[k] for k in self.rigid]])
         held = internal[~self.free]
         with np.errstate(over="ignore"):  # a diverging iterate may overflow
-            scale = np.sqrt((held**2).sum() + (contact**2).sum() + (applied[:, :3] ** 2).sum())
+            acting = (held, contact, applied[:, :3], loads)
+            scale = np.sqrt(sum((each**2).sum() for each in acting))
         scale = max(float(scale), self.least_force)
         mixed = residual
         if state.volumes:
@@ -182,6 +194,16 @@ class System(RigidLoads, ElementLoops):
         return Forces(nodal, bodies, residual, scale, touching, worst, place, mixed)
 
     # ------------------------------------------------------------ tangent
+
+    def stiffness(self, state: State) -> Array:
+        """Blocks of the symmetric part of the elastic tangent (see `ElementLoops`) and of the loads' one."""
+        blocks = super().stiffness(state)
+        self.distributed.subtract_symmetric(state.u, blocks)
+        return blocks
+
+    def tangent_times(self, state: State, v: Array) -> Array:
+        """Tangent of all nodes, elastic and of the loads, times v (n_points, 3)."""
+        return super().tangent_times(state, v) - self.distributed.change(state.u, v)
 
     @contextmanager
     def full_contact_tangent(self, on: bool) -> Iterator[None]:

@@ -11,7 +11,7 @@ import numpy as np
 from limbcli.errors import CaseError
 from limbcli.model import LimbModel
 
-_SET_UP = ("mesh", "domains", "bodies", "supports", "drives", "springs", "contacts")
+_SET_UP = ("mesh", "domains", "bodies", "supports", "drives", "loads", "springs", "contacts")
 
 
 def check_same_set_up(model: LimbModel, other: LimbModel) -> None:
@@ -20,8 +20,8 @@ def check_same_set_up(model: LimbModel, other: LimbModel) -> None:
     Raises
     ------
     CaseError
-        If they differ in mesh, domains, bodies, supports, drives, springs or contacts, which are fixed for
-        a session.
+        If they differ in mesh, domains, bodies, supports, drives, loads, springs or contacts, which are
+        fixed for a session.
     """
     different = [name for name in _SET_UP if not _alike(getattr(model, name), getattr(other, name))]
     if different:

@@ -133,7 +133,7 @@ def test_packed_files_read_the_same(punch: Path, tmp_path: Path) -> None:
         ('<node id="2">-6.0', '<node id="2">x', "node", "not 3 number"),
         ('<elem id="1">', '<elem id="1">999,', "elem", "not 4 number"),
         ("<analysis>STATIC", "<analysis>STEADY-STATE", "analysis", "STEADY-STATE"),
-        ("<Boundary>", "<Loads><load/></Loads><Boundary>", "Loads", "know this tag"),
+        ("<Boundary>", "<Loads><load/></Loads><Boundary>", "load", "know this tag"),
         (">2</rigid_body_data>", ">1</rigid_body_data>", "rigid_body_data", "not the material id"),
         ("<cp>0.05</cp>", "<cp>1_0</cp>", "cp", "not 1 number"),
         ("<time_steps>10", "<time_steps>0", "time_steps", "not positive"),
@@ -382,3 +382,11 @@ def test_either_elastic_constant_may_be_a_map(punch: Path, tmp_path: Path, mappe
     for name, constant in zip(("mu", "lambda"), lame(1.0, 0.3), strict=True):
         assert isinstance(found[name], ElementMap)
         np.testing.assert_array_equal(found[name].values, np.full(192, constant))
+
+
+def test_nodes_and_elements_keep_the_ids_of_their_file(punch: Path, tmp_path: Path) -> None:
+    """Messages name them; ids that count from 1 need not be kept."""
+    assert read_feb(punch).mesh.cell_ids is None
+    path = edited(punch, tmp_path / "ids.feb", '<elem id="192">', '<elem id="5000">')
+    mesh = read_feb(path).mesh
+    assert [mesh.cell_id(190), mesh.cell_id(191), mesh.node_id(7)] == [191, 5000, 8]

@@ -23,6 +23,7 @@ from limbcli.model import (
     Domain,
     ElementMap,
     LimbModel,
+    Load,
     Material,
     NodeMap,
     Step,
@@ -102,7 +103,14 @@ def everything(model: LimbModel, rng: np.random.Generator) -> LimbModel:
                 2, 0.5, "transient", adaptive=False,
                 control={"linear_solver": "pardiso", "qn_method": "full Newton", "plot_range": "0,-1"},
                 supports=(Support("skin", ("x", "z")),), drives=(Drive("probe", "y", "displacement", 1.0),),
+                loads=(Load("traction", "skin", (0.1, 0.0, 1 / 3)),),
             ),
+        ),
+        loads=(
+            Load("pressure", "skin", (1 / 3,), "travel", True),
+            Load("nodal force", "skin", (0.0, 0.1, -1e-3), "twitch"),
+            Load("body force", "", (0.0, 0.0, -9810.0), "travel"),
+            Load("body force", "tissue", (1 / 3, 0.0, 0.0)),
         ),
         info={"note": "a -- b <&> 'é' \"q\" ---", "n": 3},
     )  # fmt: skip

@@ -23,7 +23,7 @@ from limbcli.fem.record_fields import cell_fields, gauss_fields
 from limbcli.fem.system import System
 from limbcli.materials import ogden_type
 from limbcli.materials.energy import energy_density
-from limbcli.model import CellKind, LimbModel, Material, NodeMap, Support
+from limbcli.model import CellKind, LimbModel, Material, NodeMap, Step, Support
 
 KINDS = ("tet4", "tet10", "hex8", "penta6")
 TIGHT = Settings(tolerance=1e-11, threads=1)
@@ -255,8 +255,27 @@ def test_inverted_reference_cell_is_an_error() -> None:
     cells = model.mesh.blocks[0].cells.copy()
     cells[3] = cells[3][[1, 0, 2, 3]]
     mesh = replace(model.mesh, blocks=(replace(model.mesh.blocks[0], cells=cells),))
-    with pytest.raises(MeshError, match="1 cells"):
+    with pytest.raises(MeshError, match=r"1 cells.*\n.*element 4,"):
         System(replace(model, mesh=mesh), threads=1)
+    ids = 100 + np.arange(len(cells))
+    with pytest.raises(MeshError, match="element 103,"):
+        System(replace(model, mesh=replace(mesh, cell_ids=ids)), threads=1)
+
+
+def test_a_plate_that_turns_as_a_rigid_body_is_at_equilibrium_without_forces() -> None:
+    """All acting forces vanish, and lambda too, so that neither gives the residual a scale."""
+    model = block(
+        "hex8", (4, 4, 1), (4.0, 4.0, 1.0), material=Material("neo_hooke", {"mu": 0.5, "lambda": 0.0})
+    )
+    x = model.mesh.points
+    edge, far = ((np.hypot(x[:, 0] - a, x[:, 1] - a) < 1e-9) for a in (0.0, 4.0))
+    sets = {**model.mesh.node_sets, "edge": np.flatnonzero(edge), "far": np.flatnonzero(far)}
+    supports = (Support("z0", ("z",)), Support("edge", ("x", "y")), Support("far", ("y",), 1.0, "ramp"))
+    model = replace(model, mesh=replace(model.mesh, node_sets=sets), supports=supports)
+    _, last = solve(replace(model, steps=(Step(n_steps=2, step_size=0.5),)))
+    turned = x + last.state.u
+    np.testing.assert_allclose(np.linalg.norm(turned[far, :2], axis=1), 4 * np.sqrt(2), rtol=1e-9)
+    assert abs(last.forces.nodal).max() < 1e-12
 
 
 def test_free_block_is_a_singular_matrix_with_a_fix() -> None:

@@ -195,8 +195,9 @@ def _motion(system: System, state: State, parameter: BodyMotion) -> tuple[Array,
 
 
 def _nodal_forces(system: System, state: State) -> Array:
-    """Internal and contact forces (n_points, 3), with contact from the last search."""
+    """Internal and contact forces less the loads (n_points, 3), with contact from the last search."""
     nodal, _, _ = system.internal(state)
+    nodal -= system.distributed.forces(state.u)
     for pair in system.pairs:
         pair.force(system.center(pair.body, state), nodal, np.zeros(6))
     return nodal
@@ -220,7 +221,13 @@ def moved_system(system: System, parameter: ShapeParameter, sign: float) -> Syst
         mesh = system.model.mesh
         points = mesh.points + sign * parameter.step * parameter.directions
         model = replace(system.model, mesh=replace(mesh, points=points))
-        moved = System(model, supports=system.supports, drives=system.drives, threads=system.threads.n)
+        moved = System(
+            model,
+            supports=system.supports,
+            drives=system.drives,
+            loads=system.loads,
+            threads=system.threads.n,
+        )
         parameter._systems[sign] = (system.groups, moved)
     return moved
 

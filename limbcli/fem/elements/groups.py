@@ -30,6 +30,7 @@ class Group:
     grad (n_cells, n_gauss, n_nodes, 3), weight (n_cells, n_gauss) : shape gradients and integration weights
         times Jacobian in the reference configuration
     shares (n_nodes,) : weights of the nodes in the mean position of a cell's integration points
+    points (n_gauss, 3) : natural coordinates of the integration points
     """
 
     block: str
@@ -40,6 +41,7 @@ class Group:
     weight: Array
     material: Compiled
     shares: Array
+    points: Array
     _cache: dict[str, Any] = field(default_factory=dict)
 
     def at(self, curve: CurveAt, *, scale: float = 1.0, history: Array = _NO_HISTORY) -> Operands:
@@ -168,12 +170,12 @@ def _group(model: LimbModel, domain: Domain, block: Block, first: int) -> Group:
         )
     points, weights = rule(_rule(domain, block))
     grad, weight = reference_gradients(model.mesh.points, block.cells, block.kind, (points, weights))
-    check_volumes(model, block, weight)
+    check_volumes(model, block, first, weight)
     cells = np.ascontiguousarray(block.cells, dtype=np.int64)
     if weight.shape[1] > LANES or cells.shape[1] > WIDTH:  # the compiled loops would write out of bounds
         raise NotImplementedError(f"{block.kind} with {cells.shape[1]} nodes and {weight.shape[1]} points")
     shares = shape(block.kind, points)[0].mean(axis=0)
-    return Group(block.name, block.kind, first, cells, grad, weight, compiled, shares)
+    return Group(block.name, block.kind, first, cells, grad, weight, compiled, shares, points)
 
 
 def _rule(domain: Domain, block: Block) -> str:
@@ -189,14 +191,18 @@ def _rule(domain: Domain, block: Block) -> str:
     return "TET10G4" if domain.rule == "TET10G4" else block.kind
 
 
-def check_volumes(model: LimbModel, block: Block, weight: Array) -> None:
-    """Raise MeshError if a cell has no positive volume in the reference configuration."""
+def check_volumes(model: LimbModel, block: Block, first: int, weight: Array) -> None:
+    """Raise MeshError if a cell has no positive volume in the reference configuration.
+
+    first : number of the block's first cell, counted over all blocks
+    """
     bad = np.flatnonzero((weight <= 0).any(axis=1) | ~np.isfinite(weight).all(axis=1))
     if len(bad):
-        place = model.mesh.points[block.cells[bad[0]]].mean(axis=0)
+        x, y, z = model.mesh.points[block.cells[bad[0]]].mean(axis=0)
+        name = f"element {model.mesh.cell_id(first + int(bad[0]))}"
         raise MeshError(
             f"{len(bad)} cells of block {block.name!r} are inverted or flat before any load",
-            where=f"cell {bad[0]} of the block, near ({place[0]:.1f}, {place[1]:.1f}, {place[2]:.1f}) mm",
+            where=f"{name}, near ({x:.1f}, {y:.1f}, {z:.1f}) mm",
             fix="remesh, or turn the node order of these cells",
             n_cells=len(bad),
         )

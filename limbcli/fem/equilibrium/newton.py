@@ -257,12 +257,13 @@ class Newton:
         system = self.system
         if forces.worst <= 0:
             k, cell = forces.place
-            nodes = system.groups[k].cells[cell]
-            place, what = (system.X + state.u)[nodes].mean(axis=0), "inverted cell"
+            group = system.groups[k]
+            place = (system.X + state.u)[group.cells[cell]].mean(axis=0)
+            what = f"inverted element {system.model.mesh.cell_id(group.first + cell)}"
         else:
             size = np.where(system.free, forces.nodal, 0.0)
             node = int(np.argmax((size**2).sum(axis=1)))
-            place, what = (system.X + state.u)[node], f"largest at node {node}"
+            place, what = (system.X + state.u)[node], f"largest at node {system.model.mesh.node_id(node)}"
         return NotConverged(
             f"{load_step.at(state.time, self.depth(state))}"
             f" stopped at residual {forces.error:.1e} after {iteration} iterations,"
@@ -291,8 +292,10 @@ class Newton:
         forces = self.forces(state)
         if forces.worst < _NEARLY_FLAT:
             k, cell = forces.place
-            middle = (system.X + state.u)[system.groups[k].cells[cell]].mean(axis=0)
-            return f"an element at {_mm(middle)} is about to invert: volume ratio {forces.worst:.2f}"
+            group = system.groups[k]
+            middle = (system.X + state.u)[group.cells[cell]].mean(axis=0)
+            name = f"element {system.model.mesh.cell_id(group.first + cell)}"
+            return f"{name} at {_mm(middle)} is about to invert: volume ratio {forces.worst:.2f}"
         try:
             self.linearised.refresh(state, forces.nodal)
         except SolveError:

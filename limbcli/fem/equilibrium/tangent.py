@@ -34,7 +34,8 @@ class Tangent:
     blocks (n_pairs, 3, 3) : stiffness blocks of all node pairs, see `assembly.Pattern`
     columns (n_rigid, n_points, 3) : elastic nodal forces per unit motion of each rigid unknown
     corner (n_rigid, n_rigid) : rigid-rigid part: springs, rotating lever arms of tied forces, elastic forces
-    jumps : unsymmetric part of the elastic tangent; `blocks` hold the symmetric part
+    jumps, loads : unsymmetric parts of the tangent, of the laws and of loads that follow the surface;
+        `blocks` hold the symmetric part
     """
 
     system: System
@@ -43,6 +44,7 @@ class Tangent:
     columns: Array
     corner: Array
     jumps: Jumps | None = None
+    loads: sparse.csr_array | None = None
 
     def times(self, state: State, step: Array) -> Array:
         """Tangent times a change of the unknowns; contact at `state`, from the last search."""
@@ -58,10 +60,13 @@ class Tangent:
         elastic = self._times_blocks(v)
         if self.jumps is not None:
             elastic += self.jumps.times(v)
+        if self.loads is not None:
+            elastic += (self.loads @ v.ravel()).reshape(-1, 3)
+        unsymmetric = self.jumps is not None or self.loads is not None
         out[:n] = system.collect(elastic)
         for k, column in enumerate(self.columns):
             out[:n] += column[system.free] * step[n + k]
-            if self.jumps is not None:
+            if unsymmetric:
                 bodies = np.zeros((len(system.bodies), 6))
                 system.gather_tied(self.state, elastic, bodies)
                 out[n + k] += bodies[system.rigid[k]]
@@ -107,7 +112,15 @@ def assemble(system: System, state: State, nodal: Array, *, drag: float = 0.0) -
         nodes = np.flatnonzero(np.diff(system.pattern.first))  # the pair (n, n) is the first of node n
         blocks[system.pattern.first[nodes]] += drag * system.drag[nodes, None, None] * np.eye(3)
     columns, corner = _border(system, state, nodal)
-    return Tangent(system, state, blocks, columns, corner, find_jumps(system, state))
+    return Tangent(
+        system,
+        state,
+        blocks,
+        columns,
+        corner,
+        find_jumps(system, state),
+        system.distributed.unsymmetric(state.u),
+    )
 
 
 def _border(system: System, state: State, nodal: Array) -> tuple[Array, Array]:

@@ -40,7 +40,8 @@ class RoughState(State):
 class Forces:
     """Forces at a state.
 
-    nodal (n_points, 3) : internal plus contact force at every node; at constrained nodes the reaction
+    nodal (n_points, 3) : internal plus contact force less the loads, at every node; at constrained nodes the
+        reaction
     bodies (n_bodies, 6) : external force and moment needed to hold each body in place
     residual : out-of-balance forces of the unknowns; scale : norm of the acting forces (N)
     worst, place : smallest det F and its (group, cell)

@@ -1,0 +1,156 @@
+"""`<Loads>`: pressure and traction on surfaces, forces on nodes, constant body forces.
+
+FEBio's body force is that of an accelerated frame: it acts against the given direction, with the density of
+the material, 1 where none is given (FEElasticSolidDomain::BodyForce, FESolidMaterial).
+
+Source: FEBio 4.11, FEPressureLoad, FETractionLoad, FENodalForce, FENodalDOFLoad, FEGenericBodyForce.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from limbcli.feb.read_loads import Scene, flag
+from limbcli.feb.xml import Tag
+from limbcli.model import Load
+
+_AXES = ("x", "y", "z")
+_KNOWN = "pressure, traction, nodal_force, nodal_load, and body forces of type const or body force"
+
+
+def read_distributed_loads(tag: Tag | None, scene: Scene, materials: Tag | None) -> tuple[Load, ...]:
+    """The loads of a section.
+
+    materials : the <Material> section, in which a body force needs densities
+    """
+    if tag is None:
+        return ()
+    tag.allow(many=("surface_load", "nodal_load", "body_load"))
+    loads: list[Load] = []
+    for each in tag:
+        with each.goes_on():
+            read = _READERS.get((each.name, each.attribute("type")))
+            if read is None:
+                raise each.problem(
+                    f"a {each.name.replace('_', ' ')} of type {each.attribute('type')!r} is not supported",
+                    fix=f"use {_KNOWN}, or run the file with FEBio (--solver febio)",
+                )
+            found = [load for load in read(each, scene) if any(load.value)]
+            if found and each.name == "body_load":
+                _need_densities(each, materials)
+            loads += found
+    return tuple(loads)
+
+
+def _pressure(tag: Tag, scene: Scene) -> list[Load]:
+    tag.allow(
+        attributes=("name", "type", "surface"),
+        children=("pressure", "linear", "symmetric_stiffness", "shell_bottom"),
+    )
+    value = tag.need("pressure")
+    value.allow(attributes=("lc", "type"))
+    amount = value.number(attributes=("lc",))
+    return [Load("pressure", _surface(tag, scene), (amount,), scene.curve(value), flag(tag, "linear"))]
+
+
+def _traction(tag: Tag, scene: Scene) -> list[Load]:
+    tag.allow(
+        attributes=("name", "type", "surface"), children=("scale", "traction", "linear", "shell_bottom")
+    )
+    vector, scale = tag.need("traction"), tag.child("scale")
+    vector.allow(attributes=("type",))
+    factor = 1.0
+    if scale is not None:
+        scale.allow(attributes=("lc", "type"))
+        factor = scale.number(attributes=("lc",))
+    x, y, z = (factor * each for each in vector.numbers(3))
+    curve = scene.curve(scale) if scale is not None else None
+    return [Load("traction", _surface(tag, scene), (x, y, z), curve, flag(tag, "linear"))]
+
+
+def _surface(tag: Tag, scene: Scene) -> str:
+    """The name of the surface that a load is on."""
+    _refuse_flag(tag, "shell_bottom", "shells of deformable material are not supported")
+    name = tag.attribute("surface")
+    if name not in scene.mesh.mesh.surfaces:
+        raise tag.problem(
+            f"there is no surface {name!r}", fix="add it to <Mesh>, or correct the name", follows=True
+        )
+    return name
+
+
+def _nodal_force(tag: Tag, scene: Scene) -> list[Load]:
+    tag.allow(attributes=("name", "type", "node_set"), children=("value", "relative", "shell_bottom"))
+    value = tag.need("value")
+    value.allow(attributes=("lc", "type"))
+    x, y, z = value.numbers(3, attributes=("lc",))
+    return [Load("nodal force", _nodes(tag, scene), (x, y, z), scene.curve(value))]
+
+
+def _nodal_load(tag: Tag, scene: Scene) -> list[Load]:
+    tag.allow(attributes=("name", "type", "node_set"), children=("dof", "scale", "relative"))
+    scale = tag.need("scale")
+    scale.allow(attributes=("lc", "type"))
+    dof, amount = tag.need("dof").choice(_AXES), scale.number(attributes=("lc",))
+    x, y, z = (amount if axis == dof else 0.0 for axis in _AXES)
+    return [Load("nodal force", _nodes(tag, scene), (x, y, z), scene.curve(scale))]
+
+
+def _nodes(tag: Tag, scene: Scene) -> str:
+    """The name of the node set that a load is on."""
+    _refuse_flag(tag, "shell_bottom", "shells of deformable material are not supported")
+    _refuse_flag(tag, "relative", "a force relative to the one before is not supported")
+    return scene.mesh.node_set(tag, tag.attribute("node_set"))
+
+
+def _const(tag: Tag, scene: Scene) -> list[Load]:
+    """A body force whose components have a curve each; those with the same curve are one load."""
+    tag.allow(attributes=("name", "type", "elem_set"), children=_AXES)
+    by_curve: dict[str | None, list[float]] = {}
+    for k, axis in enumerate(_AXES):
+        child = tag.child(axis)
+        if child is not None:
+            child.allow(attributes=("lc", "type"))
+            amount = child.number(attributes=("lc",))
+            if amount:
+                by_curve.setdefault(scene.curve(child), [0.0] * 3)[k] = -amount
+    block = _block(tag, scene)
+    return [Load("body force", block, tuple(value), curve) for curve, value in by_curve.items()]
+
+
+def _body_force(tag: Tag, scene: Scene) -> list[Load]:
+    tag.allow(attributes=("name", "type", "elem_set"), children=("force",))
+    force = tag.need("force")
+    force.allow(attributes=("lc", "type"))
+    x, y, z = (0.0 - each for each in force.numbers(3, attributes=("lc",)))
+    return [Load("body force", _block(tag, scene), (x, y, z), scene.curve(force))]
+
+
+def _block(tag: Tag, scene: Scene) -> str:
+    name = tag.optional("elem_set")
+    return "" if name is None else scene.mesh.block_of(tag, name)
+
+
+def _need_densities(tag: Tag, materials: Tag | None) -> None:
+    for each in materials or ():
+        if each.child("density") is None and each.optional("type") != "rigid body":
+            raise tag.problem(
+                f"the material in line {each.line} has no <density>, for which FEBio takes 1",
+                fix="give every material its <density>",
+            )
+
+
+def _refuse_flag(tag: Tag, name: str, why: str) -> None:
+    child = tag.child(name)
+    if child is not None and child.flag():
+        raise child.problem(why, fix="switch it off, or run the file with FEBio (--solver febio)")
+
+
+_READERS: dict[tuple[str, str], Callable[[Tag, Scene], list[Load]]] = {
+    ("surface_load", "pressure"): _pressure,
+    ("surface_load", "traction"): _traction,
+    ("nodal_load", "nodal_force"): _nodal_force,
+    ("nodal_load", "nodal_load"): _nodal_load,
+    ("body_load", "const"): _const,
+    ("body_load", "body force"): _body_force,
+}

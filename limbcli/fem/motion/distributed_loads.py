@@ -1,0 +1,267 @@
+"""Loads on the tissue: pressure and traction on surfaces, body forces, nodal forces.
+
+Forces are consistent with the shape functions. A pressure, or a traction on the deformed surface, follows the
+deformation; its tangent is symmetric only if the surface is closed or held at its rim.
+
+Source: FEBio 4.11, FEPressureLoad, FETractionLoad, FENodalForce, FEElasticSolidDomain::BodyForce.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sparse
+from numpy.typing import NDArray
+
+from limbcli.errors import SolveError
+from limbcli.fem.elements.element import shape
+from limbcli.fem.elements.groups import Group
+from limbcli.fem.elements.quadrature import rule
+from limbcli.fem.motion.rigid import Body, skew
+from limbcli.model import Array, IntArray, LimbModel, Load
+
+
+@dataclass(eq=False)
+class LoadedSurface:
+    """The facets (n_facets, n_nodes) of one kind to which a load applies.
+
+    N (n_gauss, n_nodes), dN (n_gauss, n_nodes, 2), weights (n_gauss,) : shape functions and integration rule
+    pairs : of its nodes in the matrix pattern (see `Pattern`)
+    """
+
+    load: Load
+    facets: IntArray
+    N: Array
+    dN: Array
+    weights: Array
+    pairs: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int32))
+
+    @property
+    def follows(self) -> bool:
+        return not self.load.on_reference
+
+    def forces(self, x: Array) -> Array:
+        """Forces (n_facets, n_nodes, 3) at unit load factor, for node positions x."""
+        g1, g2 = self._tangents(x)
+        return self._spread(self._stress(np.cross(g1, g2)))
+
+    def change(self, x: Array, v: Array) -> Array:
+        """Change of `forces` for velocities v."""
+        g1, g2 = self._tangents(x)
+        d1, d2 = self._tangents(v)
+        dn = np.cross(d1, g2) + np.cross(g1, d2)
+        if self.load.kind == "pressure":
+            return self._spread(self._stress(dn))
+        n = np.cross(g1, g2)
+        dA = (n * dn).sum(axis=-1) / np.linalg.norm(n, axis=-1)
+        return self._spread(dA[..., None] * np.array(self.load.value))
+
+    def blocks(self, x: Array) -> Array:
+        """Derivatives (n_facets, n_nodes, 3, n_nodes, 3) of `forces` by the positions of the nodes."""
+        g1, g2 = (_skews(each) for each in self._tangents(x))
+        # the change of n = g1 x g2 with a node's position
+        dn = np.einsum("gb,fgij->fgbij", self.dN[..., 1], g1) - np.einsum(
+            "gb,fgij->fgbij", self.dN[..., 0], g2
+        )
+        if self.load.kind == "pressure":
+            dt = -self.load.value[0] * dn
+        else:
+            n = np.cross(*self._tangents(x))
+            unit = n / np.linalg.norm(n, axis=-1, keepdims=True)
+            dt = np.einsum("i,fgk,fgbkj->fgbij", np.array(self.load.value), unit, dn)
+        return np.einsum("g,ga,fgbij->faibj", self.weights, self.N, dt)
+
+    def _tangents(self, x: Array) -> tuple[Array, Array]:
+        """Tangent vectors (n_facets, n_gauss, 3)."""
+        g = np.einsum("fki,gkd->dfgi", x[self.facets], self.dN)
+        return g[0], g[1]
+
+    def _stress(self, n: Array) -> Array:
+        """Force per unit natural area for area vectors n."""
+        if self.load.kind == "pressure":
+            return -self.load.value[0] * n
+        return np.linalg.norm(n, axis=-1, keepdims=True) * np.array(self.load.value)
+
+    def _spread(self, t: Array) -> Array:
+        return np.einsum("g,ga,fgi->fai", self.weights, self.N, t)
+
+
+class DistributedLoads:
+    """All loads on tissue of one analysis step.
+
+    surfaces : the facets under pressure and traction, by load and kind of facet
+    """
+
+    def __init__(
+        self,
+        model: LimbModel,
+        loads: Sequence[Load],
+        groups: Sequence[Group],
+        bodies: Sequence[Body],
+        X: Array,
+    ):
+        self.X = X
+        self.surfaces = [each for load in loads for each in _surfaces(model, load)]
+        self._factors: dict[int, float] = {}
+        # forces (n_points, 3) per load factor that do not depend on the deformation
+        self._dead = [(load, _dead(model, load, groups, X)) for load in loads if not _on_surface(load)]
+        for surface in self.surfaces:
+            if surface.load.on_reference:
+                self._dead.append((surface.load, _sum(surface, surface.forces(X), X)))
+        self._following = [each for each in self.surfaces if each.follows]
+        _refuse_on_bodies(loads, self.surfaces, self._dead, bodies)
+        self._refuse_bodies_mass(model, loads)
+
+    def at(self, curve: Callable[[str], float]) -> None:
+        """Evaluate the load factors at the time of `curve`."""
+        loads = [load for load, _ in self._dead] + [each.load for each in self.surfaces]
+        self._factors = {id(each): 1.0 if each.curve is None else curve(each.curve) for each in loads}
+
+    def forces(self, u: Array) -> Array:
+        """Nodal forces (n_points, 3) of all loads at displacements u."""
+        out = np.zeros_like(self.X)
+        for load, force in self._dead:
+            out += self._factors[id(load)] * force
+        for each in self._following:
+            out += self._factors[id(each.load)] * _sum(each, each.forces(self.X + u), self.X)
+        return out
+
+    def change(self, u: Array, v: Array) -> Array:
+        """Change of `forces` for velocities v (n_points, 3)."""
+        out = np.zeros_like(self.X)
+        for each in self._active:
+            out += self._factors[id(each.load)] * _sum(each, each.change(self.X + u, v), self.X)
+        return out
+
+    def subtract_symmetric(self, u: Array, blocks: Array) -> None:
+        """Subtract the symmetric part of the loads' derivative from the blocks of all node pairs."""
+        for each in self._active:
+            K = self._factors[id(each.load)] * each.blocks(self.X + u)
+            K = 0.5 * (K + K.transpose(0, 3, 4, 1, 2))
+            place = 0
+            for b in range(K.shape[1]):
+                for a in range(b + 1):
+                    pair, swapped = each.pairs[:, place] // 2, each.pairs[:, place] % 2 == 1
+                    place += 1
+                    one = K[:, a, :, b, :]
+                    np.subtract.at(
+                        blocks, pair, np.where(swapped[:, None, None], one.transpose(0, 2, 1), one)
+                    )
+
+    def unsymmetric(self, u: Array) -> sparse.csr_array | None:
+        """Minus the antisymmetric part of the loads' derivative (3 n_points, 3 n_points), if there is one."""
+        total: sparse.csr_array | None = None
+        for each in self._active:
+            K = self._factors[id(each.load)] * each.blocks(self.X + u)
+            size = K.shape[1] * 3
+            rows = (3 * each.facets[:, :, None] + np.arange(3)).reshape(-1, size)
+            i, j = np.broadcast_arrays(rows[:, :, None], rows[:, None, :])
+            half = 0.5 * (K.transpose(0, 3, 4, 1, 2) - K).reshape(-1, size, size)
+            shape_of = (self.X.size, self.X.size)
+            part = sparse.coo_array((half.ravel(), (i.ravel(), j.ravel())), shape=shape_of).tocsr()
+            total = part if total is None else total + part
+        return total
+
+    @property
+    def _active(self) -> list[LoadedSurface]:
+        return [each for each in self._following if self._factors[id(each.load)] != 0.0]
+
+    @staticmethod
+    def _refuse_bodies_mass(model: LimbModel, loads: Sequence[Load]) -> None:
+        """Refuse a body force on rigid bodies with a volume, whose weight it would change."""
+        solid = {name for body in model.bodies for name in body.blocks if model.mesh.block(name).is_solid}
+        for load in loads:
+            if load.kind == "body force" and solid and (not load.on or load.on in solid):
+                raise SolveError(
+                    f"a body force on the rigid part {min(solid)!r} is not supported",
+                    where="loads",
+                    fix="apply the body force to the deformable parts, and a force to the rigid body",
+                )
+
+
+def _on_surface(load: Load) -> bool:
+    return load.kind in ("pressure", "traction")
+
+
+def _sum(surface: LoadedSurface, forces: Array, X: Array) -> Array:
+    out = np.zeros_like(X)
+    np.add.at(out, surface.facets, forces)
+    return out
+
+
+def _skews(vectors: Array) -> Array:
+    """Matrices (..., 3, 3) of the cross products with vectors (..., 3)."""
+    return np.einsum("...k,kij->...ij", vectors, np.stack([skew(axis) for axis in np.eye(3)]))
+
+
+def _surfaces(model: LimbModel, load: Load) -> list[LoadedSurface]:
+    if not _on_surface(load):
+        return []
+    known = model.mesh.surfaces
+    if load.on not in known:
+        raise SolveError(
+            f"a {load.kind} refers to the unknown surface {load.on!r}",
+            where="loads",
+            fix=f"use one of {sorted(known)}",
+        )
+    found = []
+    for kind, facets in known[load.on].facets.items():
+        points, weights = rule(kind)
+        found.append(LoadedSurface(load, np.asarray(facets, dtype=np.int64), *shape(kind, points), weights))
+    return found
+
+
+def _dead(model: LimbModel, load: Load, groups: Sequence[Group], X: Array) -> Array:
+    """Forces (n_points, 3) at unit load factor of a body force or of forces on nodes."""
+    out = np.zeros_like(X)
+    if load.kind == "nodal force":
+        if load.on not in model.mesh.node_sets:
+            raise SolveError(
+                f"a nodal force refers to the unknown node set {load.on!r}",
+                where="loads",
+                fix=f"use one of {sorted(model.mesh.node_sets)}",
+            )
+        np.add.at(out, model.mesh.node_sets[load.on], np.array(load.value))
+        return out
+    mine = [group for group in groups if load.on in ("", group.block)]
+    if not mine:
+        raise SolveError(
+            f"a body force refers to {load.on!r}, which is no part of the tissue",
+            where="loads",
+            fix=f"use one of {[group.block for group in groups]}",
+        )
+    density = {domain.block: model.materials[domain.material].density for domain in model.domains}
+    for group in mine:
+        if group.material.prestrain is not None:
+            raise SolveError(
+                f"a body force on the prestrained part {group.block!r} is not supported",
+                where="loads",
+                fix="run this model with FEBio",
+            )
+        N = shape(group.kind, group.points)[0]
+        shares = np.einsum("cg,gn->cn", group.weight, N)
+        np.add.at(out, group.cells, density[group.block] * shares[..., None] * np.array(load.value))
+    return out
+
+
+def _refuse_on_bodies(
+    loads: Sequence[Load],
+    surfaces: Sequence[LoadedSurface],
+    dead: Sequence[tuple[Load, Array]],
+    bodies: Sequence[Body],
+) -> None:
+    """Refuse loads on nodes that belong to rigid bodies only."""
+    for load in loads:
+        at = [each.facets.ravel() for each in surfaces if each.load is load]
+        at += [np.flatnonzero(force.any(axis=1)) for each, force in dead if each is load]
+        nodes = np.unique(np.concatenate(at)) if at else np.zeros(0, dtype=np.int64)
+        for body in bodies:
+            if len(np.intersect1d(nodes, np.setdiff1d(body.points, body.tied))):
+                raise SolveError(
+                    f"a {load.kind} on {load.on!r}, which belongs to the rigid body {body.name!r}, is not "
+                    "supported",
+                    where="loads",
+                    fix="apply a rigid force or moment to the body",
+                )

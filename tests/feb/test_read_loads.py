@@ -1,0 +1,112 @@
+"""`<Loads>`: what is read, in which direction, and what is refused, all at once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from limbcli.errors import CaseError
+from limbcli.feb.read import read_feb
+from limbcli.model import Load
+
+
+def with_loads(punch: Path, folder: Path, loads: str, *more: tuple[str, str]) -> Path:
+    text = punch.read_text().replace("<Boundary>", f"<Loads>{loads}</Loads><Boundary>", 1)
+    for old, new in more:
+        assert old in text
+        text = text.replace(old, new, 1)
+    path = folder / "loaded.feb"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("text", "load"),
+    [
+        (
+            '<surface_load name="a" type="pressure" surface="skin"><pressure lc="1">0.5</pressure>'
+            "<linear>1</linear><symmetric_stiffness>1</symmetric_stiffness><shell_bottom>0</shell_bottom>"
+            "</surface_load>",
+            Load("pressure", "skin", (0.5,), "travel", True),
+        ),
+        (
+            '<surface_load type="traction" surface="skin"><scale lc="1">-2</scale><traction>0,1,0.5'
+            "</traction></surface_load>",
+            Load("traction", "skin", (-0.0, -2.0, -1.0), "travel"),
+        ),
+        (
+            '<nodal_load type="nodal_force" node_set="@surface:skin"><relative>0</relative>'
+            "<value>0,0,1</value></nodal_load>",
+            Load("nodal force", "skin", (0.0, 0.0, 1.0)),
+        ),
+        (
+            '<nodal_load type="nodal_load" node_set="skin"><dof>y</dof><scale lc="1">3</scale></nodal_load>',
+            Load("nodal force", "skin", (0.0, 3.0, 0.0), "travel"),
+        ),
+        (
+            '<body_load type="const" elem_set="tissue"><x>0</x><y lc="1">2</y><z lc="1">3</z></body_load>',
+            Load("body force", "tissue", (0.0, -2.0, -3.0), "travel"),
+        ),
+        (
+            '<body_load type="body force"><force>0,0,9810</force></body_load>',
+            Load("body force", "", (0.0, 0.0, -9810.0)),
+        ),
+    ],
+)
+def test_a_load_is_read_as_febio_applies_it(punch: Path, tmp_path: Path, text: str, load: Load) -> None:
+    """FEBio's body force acts against the direction it gives."""
+    assert read_feb(with_loads(punch, tmp_path, text)).loads == (load,)
+
+
+def test_components_with_curves_of_their_own_are_loads_of_their_own(punch: Path, tmp_path: Path) -> None:
+    text = '<body_load type="const"><x lc="1">1</x><y>2</y></body_load>'
+    assert read_feb(with_loads(punch, tmp_path, text)).loads == (
+        Load("body force", "", (-1.0, 0.0, 0.0), "travel"),
+        Load("body force", "", (0.0, -2.0, 0.0)),
+    )
+
+
+def test_loads_without_a_value_are_none(punch: Path, tmp_path: Path) -> None:
+    text = '<body_load type="const"><z lc="1">0</z></body_load>'
+    assert read_feb(with_loads(punch, tmp_path, text)).loads == ()
+
+
+def test_other_units_scale_the_loads(punch: Path, tmp_path: Path) -> None:
+    text = (
+        '<surface_load type="pressure" surface="skin"><pressure>1000</pressure></surface_load>'
+        '<nodal_load type="nodal_force" node_set="skin"><value>0,0,2</value></nodal_load>'
+        '<body_load type="body force"><force>0,0,9.81</force></body_load>'
+    )
+    path = with_loads(punch, tmp_path, text, ("mm-N-s", "SI"))
+    pressure, force, weight = (each.value for each in read_feb(path).loads)
+    assert pressure == (pytest.approx(1e-3),)  # 1 kPa in MPa
+    assert force == (0.0, 0.0, 2.0)
+    assert weight == (0.0, 0.0, pytest.approx(-9810.0))
+
+
+def test_all_that_is_not_supported_is_told_at_once(punch: Path, tmp_path: Path) -> None:
+    text = (
+        '<surface_load type="fluidflux" surface="skin"/><body_load type="centrifugal"/>'
+        '<surface_load type="pressure" surface="nowhere"><pressure>1</pressure></surface_load>'
+        '<surface_load type="pressure" surface="skin"><pressure type="map">m</pressure></surface_load>'
+        '<nodal_load type="nodal_force" node_set="skin"><value>0,0,1</value><relative>1</relative>'
+        "</nodal_load>"
+    )
+    with pytest.raises(CaseError) as caught:
+        read_feb(with_loads(punch, tmp_path, text))
+    told = str(caught.value)
+    for words in (
+        "surface load of type 'fluidflux'",
+        "body load of type 'centrifugal'",
+        "type='map'",
+        "relative",
+    ):
+        assert words in told
+
+
+def test_a_body_force_needs_the_density_that_febio_would_assume(punch: Path, tmp_path: Path) -> None:
+    text = '<body_load type="body force"><force>0,0,9810</force></body_load>'
+    path = with_loads(punch, tmp_path, text, ("<density>1e-09</density><cp>", "<cp>"))
+    with pytest.raises(CaseError, match="no <density>"):
+        read_feb(path)
