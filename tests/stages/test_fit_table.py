@@ -15,7 +15,7 @@ from limbcli.inference.two_step_fit import ForceDepth, two_step
 from limbcli.reporting.figures import profiles
 from limbcli.stages.fitting import result as fit_result
 from limbcli.stages.fitting.result import write_curves
-from limbcli.stages.fitting.table import Identified, step_misfit, step_table, total_covariance
+from limbcli.stages.fitting.table import Identified, step_agreement, step_table, total_covariance
 from tests.loading import module_at
 
 C, KNOTS = 0.008, np.linspace(1.0, 11.0, 11)
@@ -77,7 +77,7 @@ def test_levels_at_first_touch_do_not_make_a_fit_look_better():
     depth, force = np.array([0.0, 3.0, 6.0, 9.0]), np.array([0.0, 7.2, 13.6, 28.0])
     once = found_of(depth, force)
     often = found_of(np.r_[0.0, 0.0, 0.0, depth], np.r_[0.0, 0.0, 0.0, force])
-    ratios = [step_misfit(each, each.steps[-1]).times_noise for each in (once, often)]
+    ratios = [step_agreement(each, each.steps[-1]).times_noise for each in (once, often)]
     assert ratios[1] == pytest.approx(ratios[0], rel=1e-3)
 
 

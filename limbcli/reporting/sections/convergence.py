@@ -28,7 +28,7 @@ def convergence(page: ReportData, site: SiteMaterial) -> Reportlet:
     return Reportlet(
         key,
         TITLE,
-        "fine" if pictures else "missing",
+        "neutral" if pictures else "missing",
         site.name,
         pictures=tuple(pictures),
         look_for="a misfit that falls and then stays flat, and parameters that settle",
