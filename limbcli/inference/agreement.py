@@ -24,7 +24,7 @@ from limbcli.significant_digits import short
 State = Literal["good", "doubtful", "bad", "untested"]
 ORDER: tuple[State, ...] = ("good", "untested", "doubtful", "bad")  # the worst decides for a whole
 
-BAD_CHANCE = 1e-3
+BAD_CHANCE = 0.005
 DOUBTFUL_CHANCE = 0.05
 TOO_CLOSE_CHANCE = 0.01
 # Ratio of RMSE to counted noise above which a fit is bad; with six residuals chance alone exceeds 1.5 in one
@@ -204,7 +204,8 @@ def _judged(numbers: Mapping[str, Any], *, bad: bool, good: str, poor: str) -> F
         )
         return FitAgreement("doubtful", close, **numbers)
     rms, noise = numbers.get("rms"), numbers.get("noise_rms")
-    if runs is not None and runs < DOUBTFUL_CHANCE and rms > WITHIN_NOISE * noise:
+    visible = rms is not None and noise is not None and rms > WITHIN_NOISE * noise
+    if runs is not None and runs < DOUBTFUL_CHANCE and visible:
         drift = (
             f"{good}{told}. The differences change sign only {_times(numbers['n_changes'])} along the depth "
             f"(chance {short(100 * runs, 2)} %): the curve's shape is not that of the levels"

@@ -26,7 +26,7 @@ def speeds(factor: float | np.ndarray, *, level: float = 0.05, c: float = 0.1):
 FITS = {
     "scatter as large as the noise": (force(ZIGZAG), "good"),
     "differences of half the noise": (force(0.6 * ZIGZAG), "good"),
-    "1.6 times the noise": (force(1.6 * ZIGZAG), "doubtful"),
+    "1.5 times the noise": (force(1.5 * ZIGZAG), "doubtful"),
     "2.5 times the noise": (force(2.5 * ZIGZAG), "bad"),
     "levels too stiff: all one sign, far off": (force(4.0 * np.abs(ZIGZAG)), "bad"),
     "wrong zero of depth: a drift beyond the noise": (force(2.0 * BOW), "bad"),

@@ -18,6 +18,7 @@ from limbcli.case import Case
 from limbcli.errors import CaseError, ToolError
 from limbcli.inference.agreement import chi_square_agreement
 from limbcli.reporting.page import render
+from limbcli.reporting.sections.convergence import profiles
 from limbcli.reporting.sections.joint import joint, laws
 from limbcli.reporting.sections.overview import overview
 from limbcli.reporting.sections.parameters import parameters
@@ -787,3 +788,24 @@ def test_a_diagnosis_that_cannot_be_shown_whole_does_not_stop_the_page(tmp_path)
     path.write_text(json.dumps(json.loads(path.read_text()) | {"data": {"added": ["x"], "shrink": [{}, {}]}}))
     result = report(case, out=out)
     assert "Its result cannot be shown (KeyError: &#39;verdict&#39;)" in result.path("page").read_text()
+
+
+def test_the_limit_of_an_interval_is_said_once_and_the_panel_states_the_interval(tmp_path):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    add_fit(out, "p1", scale=1.9)
+    path = out / "fit" / "p1" / "fit.json"
+    content = json.loads(path.read_text())
+    content["data"]["n_freedom"] = 3
+    content["data"]["steps"]["ogden"]["profiles"] = {
+        "m": {"values": [1, 2], "deviance": [3, 0], "limit": 9.98, "extended_to_fit": True}
+    }
+    path.write_text(json.dumps(content))
+    page = gather(case, out=out)
+    found = profiles(page, page.sites[0])
+    assert found.mood == "warning", "f_kappa is open"
+    assert "m: 3.70\u00a0to\u00a04.50 (95 %), identified" in found.answer
+    text = " ".join(found.notes)
+    assert text.count("9.98 instead of 3.84") == 1
+    assert "1.9 times as much" in text
+    assert "3 degrees of freedom" in text
+    assert "extended to the value of the published fit" in text

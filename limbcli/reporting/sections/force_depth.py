@@ -65,8 +65,12 @@ def _counted(view: FitView) -> tuple[Array, Array] | None:
     """Depths (mm) of the loaded levels and the noise (N) that the fit counted there, or None."""
     found = view.raw.get("agreement")
     force = found.get("force") if isinstance(found, Mapping) else None
+    if not isinstance(force, Mapping):
+        return None
     try:
-        depth, spread = (np.array(force[name], dtype=float) for name in ("depths_mm", "counted_noise_n"))
+        depth, spread = (
+            np.asarray(force[name], dtype=np.float64) for name in ("depths_mm", "counted_noise_n")
+        )
     except UNLIKE_OURS:
         return None
     return (depth, spread) if depth.size and depth.shape == spread.shape and spread.any() else None

@@ -73,7 +73,7 @@ def write_result(
     ]
     write_exports(writer, rows, fitted)
     draw_fit(found, site, writer)
-    _summarise(found, last, writer)
+    summarise(found, last, writer)
 
 
 def write_widening(of_noise: Intervals, writer: StageWriter) -> None:
@@ -158,7 +158,11 @@ def draw_fit(found: Identified, site: Site, writer: StageWriter) -> None:
     save_figure(profile_figure(profiles), writer.file("profiles", "profiles.png"))
 
 
-def _summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) -> None:
+def summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) -> None:
+    """Write the summary, `misfit` and the force's `agreement`.
+
+    last : table of the last step
+    """
     met, poor = step_agreement(found, found.steps[-1]), ""
     if met.state == "bad":
         poor = met.words

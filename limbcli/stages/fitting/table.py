@@ -22,6 +22,7 @@ from limbcli.inference.identifiability import (
 from limbcli.inference.interpolation import pchip_sample
 from limbcli.inference.interval import Stiffness
 from limbcli.inference.prediction import SolvedPoints, slopes_at
+from limbcli.inference.profile import ends_beyond
 from limbcli.inference.two_step_fit import FittedStep, ForceDepth, sensitivities
 from limbcli.model import Array
 from limbcli.reporting.headline import headline
@@ -249,11 +250,19 @@ def _parameter(
 
 
 def _profiles(found: Identified, k: int) -> dict[str, dict[str, Any]]:
-    """The profile likelihoods: parameter values, increase of -2 ln likelihood, and its limit at 95 %."""
+    """The profile likelihoods: parameter values, increase of -2 ln likelihood, and its limit at 95 %.
+
+    extended_to_fit : the interval ends at the published fit, where the curve is already above the limit
+    """
     if not found.intervals:
         return {}
     limit = found.intervals[k].threshold
     return {
-        name: {"values": each.values, "deviance": each.deviance, "limit": limit}
+        name: {
+            "values": each.values,
+            "deviance": each.deviance,
+            "limit": limit,
+            "extended_to_fit": ends_beyond(each, limit),
+        }
         for name, each in found.intervals[k].profiles.items()
     }
