@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from limbcli.inference.agreement import force_agreement
 from limbcli.inference.identifiability import verdict
-from limbcli.inference.misfit import Misfit
 from limbcli.inference.parameter import FitParameter
 from limbcli.measurement.cycle_changes import CycleChange, _compliance
 from limbcli.reporting.sections.assumed_geometry import geometry_tables
 
 
 def test_a_poor_fit_by_a_slip_of_units_is_written_out():
-    words = Misfit(340.4, 0.5, float("nan")).words
+    residual, deviation = np.full(4, 340.4), np.full(4, 0.5)
+    words = force_agreement(residual, deviation, float("nan"), n_free=2).words
     assert "by 340 N (RMSE under load), 681 times" in words
 
 

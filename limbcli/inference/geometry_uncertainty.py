@@ -56,20 +56,56 @@ def shifts(columns: Array, moved: Array) -> Array:
 
 
 def no_narrower(wide: Intervals, narrow: Intervals) -> Intervals:
-    """The intervals with the uncertainty of the geometry, extended to include those of the noise alone.
+    """The intervals with the uncertainty of the geometry, but not narrower than those of the noise alone.
 
     Where the data scatter more than their noise, the modes may explain that scatter and so reduce the factor
-    by which the noise was enlarged; an additional uncertainty must not narrow the result.
+    by which the noise was enlarged; an additional uncertainty must not narrow the result. Each profile is the
+    curve that crosses the limit where its interval ends: that of the wider interval or, where each is wider
+    on one side, the lower of the two curves.
     """
-    profiles = {name: _hull(each, narrow.profiles[name]) for name, each in wide.profiles.items()}
+    ratio = wide.threshold / narrow.threshold
+    profiles = {
+        name: _wider(each, _scaled(narrow.profiles[name], ratio)) for name, each in wide.profiles.items()
+    }
     return replace(wide, profiles=profiles)
 
 
-def _hull(wide: Profile, narrow: Profile) -> Profile:
+def _scaled(profile: Profile, ratio: float) -> Profile:
+    """The profile in units of another limit."""
+    return replace(profile, deviance=profile.deviance * ratio)
+
+
+def _wider(wide: Profile, narrow: Profile) -> Profile:
+    sides = _covers(wide, narrow), _covers(narrow, wide)
+    if all(sides[0]):
+        return wide
+    if all(sides[1]):
+        return narrow
+    values = np.unique(np.r_[wide.values, narrow.values])
+    roots = np.array([_root_at(each, values) for each in (wide, narrow)])
+    source = (wide, narrow)
+    low, high = (source[int(not covers)] for covers in sides[0])
+    nearest = [source[k] for k in roots.argmin(axis=0)]
+    thetas = [each.thetas[np.abs(each.values - v).argmin()] for each, v in zip(nearest, values, strict=True)]
     return replace(
-        wide, low=min(wide.low, narrow.low), high=max(wide.high, narrow.high),
-        open_low=wide.open_low or narrow.open_low, open_high=wide.open_high or narrow.open_high,
+        wide, values=values, deviance=roots.min(axis=0) ** 2, thetas=np.array(thetas),
+        low=low.low, high=high.high, open_low=low.open_low, open_high=high.open_high,
+        ends=np.array([low.ends[0], high.ends[1]]),
     )  # fmt: skip
+
+
+def _covers(one: Profile, other: Profile) -> tuple[bool, bool]:
+    """Whether an interval reaches at least as far as another: (downwards, upwards)."""
+    down = one.open_low or (not other.open_low and one.low <= other.low)
+    up = one.open_high or (not other.open_high and one.high >= other.high)
+    return down, up
+
+
+def _root_at(profile: Profile, values: Array) -> Array:
+    """Root of the deviance, which is nearly linear in ln of the parameter; infinite beyond the profile."""
+    root = np.sqrt(np.maximum(profile.deviance, 0.0))
+    found = np.interp(np.log(values), np.log(profile.values), root, left=np.inf, right=np.inf)
+    return np.asarray(found)
 
 
 def ends(intervals: Intervals) -> dict[str, list[float | None]]:

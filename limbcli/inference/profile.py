@@ -48,6 +48,17 @@ class Profile:
         return self.open_low or self.open_high
 
 
+def ends_beyond(profile: Profile, limit: float) -> bool:
+    """Whether an end of the interval lies where the curve is above the limit, or beyond the curve.
+
+    This is so where the interval was extended to include a fit by another method.
+    """
+    ends = np.array([profile.low, profile.high])
+    root = np.sqrt(np.maximum(profile.deviance, 0.0))
+    at = np.interp(np.log(ends), np.log(profile.values), root, left=np.inf, right=np.inf) ** 2
+    return bool((at > limit + 2 * _CLOSE).any())
+
+
 def best_of(objective: Objective, parameters: Sequence[FitParameter], starts: Sequence[Array]) -> Fit:
     """The fit with the lowest cost from several starts; starts that cannot be solved are skipped.
 

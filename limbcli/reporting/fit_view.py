@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from limbcli.reporting.agreement_view import UNTESTED, AgreementView, agreement_view
 from limbcli.reporting.figures.convergence import FitWalk
 from limbcli.reporting.headline import headline
 from limbcli.reporting.numbers import DASH, number
@@ -92,7 +93,14 @@ class FitView:
     steps: tuple[StepView, ...]
     walks: tuple[FitWalk, ...]
     raw: Mapping[str, Any]
-    poor: str = ""
+    force: AgreementView = UNTESTED
+    speeds: AgreementView | None = None
+    whole: AgreementView = UNTESTED
+
+    @property
+    def poor(self) -> str:
+        """The sentence about a fit that disagrees with its data; "" if it does not."""
+        return self.whole.words if self.whole.state == "bad" else ""
 
     def step(self, key: str) -> StepView | None:
         return next((each for each in self.steps if each.key == key), None)
@@ -126,13 +134,15 @@ def read_fit_view(result: StageResult) -> FitView:
         steps=steps,
         walks=walks,
         raw=data,
-        poor=_poor(data.get("misfit")),
+        force=agreement_view(data, "force"),
+        speeds=agreement_view(data, "speeds") if _has_speeds(data) else None,
+        whole=agreement_view(data),
     )
 
 
-def _poor(misfit: object) -> str:
-    """The sentence about a fit that disagrees with its data; "" if it agrees, or for an older result."""
-    return str(misfit.get("words") or "") if isinstance(misfit, Mapping) and misfit.get("poor") else ""
+def _has_speeds(data: Mapping[str, Any]) -> bool:
+    found = data.get("agreement")
+    return isinstance(found, Mapping) and "speeds" in found
 
 
 _UNITS = {"f_kappa": ("f_κ", ""), "m": ("m", ""), "c_kpa": ("c", "kPa"), "kappa_kpa": ("κ′", "kPa")}

@@ -38,9 +38,13 @@ class IndexRow:
     @property
     def word(self) -> str:
         """The state in one or two words."""
-        if self.mood in ("fine", "warning"):
-            return "poor fit" if self.view is not None and self.view.poor else "fitted"
-        return "failed" if self.mood == "failed" else "not fitted"
+        if self.failures:
+            return "failed"
+        if self.view is None:
+            return "failed" if self.mood == "failed" else "not fitted"
+        return {"bad": "poor fit", "doubtful": "doubtful fit", "untested": "not tested"}.get(
+            self.view.whole.state, "fitted"
+        )
 
     @property
     def cells(self) -> tuple[Cell, ...]:

@@ -11,7 +11,20 @@ from matplotlib.figure import Figure
 
 from limbcli.reporting.outcome import Failure, Outcome
 
-Mood = Literal["fine", "warning", "failed", "missing"]
+Mood = Literal["fine", "warning", "failed", "missing", "neutral"]
+# What a colour says, in words: colour alone says nothing to who cannot see it. Neutral: nothing is tested.
+MOOD_WORDS: Mapping[Mood, str] = {
+    "fine": "good", "warning": "doubtful", "failed": "bad", "missing": "not yet", "neutral": "not judged",
+}  # fmt: skip
+_WORST: tuple[Mood, ...] = ("neutral", "fine", "missing", "warning", "failed")
+
+
+def worst_mood(*moods: Mood) -> Mood:
+    """
+    >>> worst_mood("fine", "warning"), worst_mood("neutral", "fine")
+    ('warning', 'fine')
+    """
+    return max(moods, key=_WORST.index)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +112,7 @@ class Reportlet:
 
     key: str
     title: str
-    mood: Mood = "fine"
+    mood: Mood = "neutral"
     site: str | None = None
     pictures: tuple[Picture, ...] = ()
     tables: tuple[PageTable, ...] = ()
@@ -111,6 +124,11 @@ class Reportlet:
     command: str = ""
     more: tuple[PageTable, ...] = field(default=())
     answer: str = ""
+
+    @property
+    def word(self) -> str:
+        """The state in words."""
+        return "failed" if self.failure else MOOD_WORDS[self.mood]
 
     @property
     def is_answered(self) -> bool:

@@ -49,7 +49,7 @@ from limbcli.stages.fitting.layers import write_layers
 from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.stages.fitting.options import FitOptions, check_choice, check_numbers
 from limbcli.stages.fitting.predicted_speeds import write_speeds
-from limbcli.stages.fitting.result import Identified, write_result, write_widening
+from limbcli.stages.fitting.result import Identified, write_agreement, write_result, write_widening
 from limbcli.stages.fitting.solve_again import forces_again
 from limbcli.stages.fitting.stiffness_map import tissue_map, write_tissue_map
 from limbcli.stages.fitting.table import NAMES
@@ -185,6 +185,7 @@ def _fit_site(
         if of_noise is not None and len(modes):
             write_widening(of_noise[-1], writer)
         write_speeds(fitted, simulation, levels, site, writer)
+        write_agreement(identified, writer)
         write_layers(fitted, simulation, levels, site, writer)
         write_mat_file(writer)
 

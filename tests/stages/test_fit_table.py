@@ -13,9 +13,10 @@ from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.profile import Profile
 from limbcli.inference.two_step_fit import ForceDepth, two_step
 from limbcli.reporting.figures import profiles
+from limbcli.results import open_stage, read_result
 from limbcli.stages.fitting import result as fit_result
-from limbcli.stages.fitting.result import write_curves
-from limbcli.stages.fitting.table import Identified, step_misfit, step_table, total_covariance
+from limbcli.stages.fitting.result import summarise, write_agreement, write_curves
+from limbcli.stages.fitting.table import Identified, step_agreement, step_table, total_covariance
 from tests.loading import module_at
 
 C, KNOTS = 0.008, np.linspace(1.0, 11.0, 11)
@@ -77,7 +78,7 @@ def test_levels_at_first_touch_do_not_make_a_fit_look_better():
     depth, force = np.array([0.0, 3.0, 6.0, 9.0]), np.array([0.0, 7.2, 13.6, 28.0])
     once = found_of(depth, force)
     often = found_of(np.r_[0.0, 0.0, 0.0, depth], np.r_[0.0, 0.0, 0.0, force])
-    ratios = [step_misfit(each, each.steps[-1]).times_noise for each in (once, often)]
+    ratios = [step_agreement(each, each.steps[-1]).times_noise for each in (once, often)]
     assert ratios[1] == pytest.approx(ratios[0], rel=1e-3)
 
 
@@ -101,3 +102,34 @@ def test_profiles_are_shaded_as_far_as_the_intervals_that_are_told(tmp_path, mon
     site = SimpleNamespace(noise=SimpleNamespace(depth=0.1, force=0.1))
     fit_result.draw_fit(found, site, SimpleNamespace(file=lambda *_: tmp_path))
     assert [each.interval for each in drawn[0]] == [(1.2, 9.0)] * 2
+
+
+@pytest.mark.parametrize(
+    ("factor", "measured", "state"),
+    [(1.0, [2.3, 2.6, 3.0], "good"), (1.0, [2.3, 2.2, 2.1], "bad"), (1.0, [], "good"), (2.0, [], "bad")],
+)
+def test_the_verdict_stands_first_in_the_summary_and_in_the_result(tmp_path, factor, measured, state):
+    """With the speeds predicted at the last three levels; force of a limb, or one that no m can follow."""
+    depth = np.array([0.0, 2.0, 4.0, 6.0, 8.0, 10.0])
+    limb = module_at(Path(__file__).parents[1] / "inference" / "simulated.py")
+    force = np.r_[0.0, limb.force(depth[1:], C, 50.0, 5.0, "tet4")]
+    force[1:] += [0.1, -0.2, 0.2, -0.3, 0.2]
+    force[1:3] += 40.0 * (factor - 1.0)
+    found = found_of(depth, force)
+    with open_stage(tmp_path, "fit", subject="S1", site="p1") as writer:
+        tables = {step.name: step_table(found, k) for k, step in enumerate(found.steps)}
+        writer.data.update(
+            steps=tables, element="tet10", n_iterations=3, n_solves=4, noise={"swe_level_fraction": 0.05},
+            swe={"loaded_measured_m_per_s": measured,
+                 "loaded_predicted_m_per_s": [2.35, 2.65, 2.95][: len(measured)]},
+        )  # fmt: skip
+        summarise(found, tables["ogden"], writer)
+        write_agreement(found, writer)
+    result = read_result(tmp_path, "fit", site="p1")
+    told = result.data["agreement"]
+    assert told["state"] == state, result.summary[:2]
+    assert result.summary[0] == f"{told['force']['state']}: {told['force']['words']}"
+    assert ("speeds" in told) == bool(measured)
+    assert result.data["misfit"]["poor"] == (told["force"]["state"] == "bad")
+    assert len(told["force"]["counted_noise_n"]) == len(told["force"]["depths_mm"]) == 5
+    assert min(told["force"]["counted_noise_n"]) > 0.1, "the depth's noise counts through the slope"

@@ -16,7 +16,9 @@ from matplotlib.figure import Figure
 
 from limbcli.case import Case
 from limbcli.errors import CaseError, ToolError
+from limbcli.inference.agreement import chi_square_agreement
 from limbcli.reporting.page import render
+from limbcli.reporting.sections.convergence import profiles
 from limbcli.reporting.sections.joint import joint, laws
 from limbcli.reporting.sections.overview import overview
 from limbcli.reporting.sections.parameters import parameters
@@ -120,6 +122,8 @@ def add_fit(
     noise: str = "repeats",
     scale: float = 1.0,
     c_kpa: float | None = None,
+    state: str = "good",
+    words: str = "the force agrees: RMSE 0.21 N",
 ) -> None:
     with open_stage(out, "fit", subject="S1", site=site) as writer:
         steps = {
@@ -130,6 +134,7 @@ def add_fit(
             element=element, solver="reference", solver_version="0.1.0", linear_solver="pardiso",
             c_source="2 mu from SWE at level 0 (2.250 m/s)", steps=steps, noise={"source": noise},
             noise_scale=scale, asked={} if c_kpa is None else {"c_kpa": c_kpa},
+            agreement={"state": state, "force": {"state": state, "words": words}},
         )  # fmt: skip
         rows = ["depth_mm,measured_n,start_n,mooney-rivlin_n,ogden_n"]
         rows += [
@@ -317,17 +322,13 @@ def test_headlines_of_what_is_open_are_words(whole):
 
 def test_a_poor_fit_is_told_before_anything_else(tmp_path):
     case, out = make_case(tmp_path / "case"), tmp_path / "out"
-    add_fit(out, "p1")
-    path = out / "fit" / "p1" / "fit.json"
-    content = json.loads(path.read_text())
     words = "poor fit: it differs from the measured force by 3 N (RMSE under load); R2 0.61"
-    content["data"]["misfit"] = {"poor": True, "words": words}
-    path.write_text(json.dumps(content))
+    add_fit(out, "p1", state="bad", words=words)
     glance = overview(gather(case, out=out))
-    assert glance.sentence.startswith("Poor fit at p1")
+    assert glance.sentence.startswith("Poor fit at p1: it differs from the measured force by 3 N")
     assert glance.mood == "failed"
-    assert glance.sites[0].facts[0].remark.startswith("poor fit")
-    assert glance.sites[0].sentence.startswith("Poor fit: it differs")
+    assert glance.sites[0].facts[0].remark.startswith("bad")
+    assert glance.sites[0].sentence.startswith("Bad: poor fit: it differs")
 
 
 def test_page_of_a_case_that_cannot_be_read_has_a_paragraph_a_problem(tmp_path):
@@ -687,11 +688,13 @@ def test_a_joint_fit_that_misses_its_data_is_not_marked_as_fine(tmp_path):
     sound = {"c_kpa": {"value": 8.0, "low": 7.0, "high": 9.0, "flag": "identified"}}
     for warnings, mood in (
         ((), "fine"),
-        (("the fit does not reproduce the data: chi-square 73",), "warning"),
+        (("the shape of the limb is assumed",), "warning"),
+        ((), "failed"),
     ):
+        told = chi_square_agreement(73.0 if mood == "failed" else 3.0, 4).to_json()
         for stage, site in (("fit-joint", None), ("fit-states", "p1")):
             with open_stage(out, stage, subject="S1", site=site) as writer:
-                writer.data.update(parameters=sound, element="tet10", sites=["p1"])
+                writer.data.update(parameters=sound, element="tet10", sites=["p1"], agreement=told)
                 writer.warnings += warnings
         page = gather(case, out=out)
         assert [each.mood for each in (joint(page), states(page, page.sites[0])) if each] == [mood, mood]
@@ -785,3 +788,24 @@ def test_a_diagnosis_that_cannot_be_shown_whole_does_not_stop_the_page(tmp_path)
     path.write_text(json.dumps(json.loads(path.read_text()) | {"data": {"added": ["x"], "shrink": [{}, {}]}}))
     result = report(case, out=out)
     assert "Its result cannot be shown (KeyError: &#39;verdict&#39;)" in result.path("page").read_text()
+
+
+def test_the_limit_of_an_interval_is_said_once_and_the_panel_states_the_interval(tmp_path):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    add_fit(out, "p1", scale=1.9)
+    path = out / "fit" / "p1" / "fit.json"
+    content = json.loads(path.read_text())
+    content["data"]["n_freedom"] = 3
+    content["data"]["steps"]["ogden"]["profiles"] = {
+        "m": {"values": [1, 2], "deviance": [3, 0], "limit": 9.98, "extended_to_fit": True}
+    }
+    path.write_text(json.dumps(content))
+    page = gather(case, out=out)
+    found = profiles(page, page.sites[0])
+    assert found.mood == "warning", "f_kappa is open"
+    assert "m: 3.70\u00a0to\u00a04.50 (95 %), identified" in found.answer
+    text = " ".join(found.notes)
+    assert text.count("9.98 instead of 3.84") == 1
+    assert "1.9 times as much" in text
+    assert "3 degrees of freedom" in text
+    assert "extended to the value of the published fit" in text

@@ -27,6 +27,7 @@ def add_subject(folder: Path, name: str, *, fitted: bool = True, failure: str | 
             writer.data["steps"] = {
                 "ogden": {**step, "parameters": {"m": m, "f_kappa": {"value": 80.0, "flag": "weak"}}}
             }
+            writer.data["agreement"] = {"state": "good", "force": {"state": "good", "words": "it agrees"}}
     with open_stage(out, "report", subject=name) as writer:
         writer.file("page", "report.html").write_text("<!DOCTYPE html>")
         writer.data["sites"] = {"p1": {}}
@@ -95,7 +96,7 @@ def test_a_poor_fit_is_called_so_in_the_table(tmp_path):
     add_subject(tmp_path, "A")
     path = tmp_path / "A" / "fit" / "p1" / "fit.json"
     content = json.loads(path.read_text())
-    content["data"]["misfit"] = {"poor": True, "words": "poor fit: it differs"}
+    content["data"]["agreement"] = {"state": "bad", "force": {"state": "bad", "words": "it differs"}}
     path.write_text(json.dumps(content))
     html = report_index(tmp_path).page.read_text(encoding="utf-8")
     assert re.search(r'<span class="pill \w+">poor fit</span>', html)

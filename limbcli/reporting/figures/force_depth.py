@@ -23,13 +23,17 @@ _OTHER = ("#5b6b78", "-.")
 
 @dataclass(frozen=True, eq=False)
 class MeasuredCurve:
-    """Levels of one site: depth (n,) mm, force (n,) N, one standard deviation each, unloading or not (n,)."""
+    """Levels of one site: depth (n,) mm, force (n,) N, one standard deviation each, unloading or not (n,).
+
+    counted : depths (k,) mm and the standard deviation of the force (k,) N that the fit counted there
+    """
 
     depth: Array
     force: Array
     depth_sd: float | None = None
     force_sd: float | None = None
     unloading: Array | None = None
+    counted: tuple[Array, Array] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,10 +73,12 @@ def force_depth(measured: MeasuredCurve, curves: Sequence[SimulatedCurve]) -> Fi
         _legend(figure, upper)
         for curve in curves:
             _draw_difference(lower, measured, curve)
-        if measured.force_sd:
-            lower.axhspan(
-                -measured.force_sd, measured.force_sd, color=QUIET, alpha=0.25, lw=0, label="±1 SD of force"
-            )
+        if measured.counted is not None:
+            depth, spread = _band(measured)
+            lower.fill_between(depth, -spread, spread, color=QUIET, alpha=0.25, lw=0, label="±1 SD counted")
+        elif measured.force_sd:
+            half = measured.force_sd
+            lower.axhspan(-half, half, color=QUIET, alpha=0.25, lw=0, label="±1 SD of the load cell")
         lower.axhline(0.0, color=INK, lw=0.8, label="no difference")
         lower.set(xlabel="indentation depth [mm]", ylabel="measured −\nsimulated [N]")
         _limit_difference(lower, measured, curves)
@@ -158,5 +164,16 @@ def _limit_difference(axes: Axes, measured: MeasuredCurve, curves: Sequence[Simu
     fits = [each for each in curves if each.key != "start"] or list(curves)
     sizes = [np.abs(_difference(measured, each)) for each in fits]
     largest = max((float(np.nanmax(each)) for each in sizes if np.isfinite(each).any()), default=0.0)
-    span = 1.25 * max(largest, 2.0 * (measured.force_sd or 0.0), 1e-3)
+    counted = (
+        float(_band(measured)[1].max()) if measured.counted is not None else 2.0 * (measured.force_sd or 0.0)
+    )
+    span = 1.25 * max(largest, counted, 1e-3)
     axes.set_ylim(-span, span)
+
+
+def _band(measured: MeasuredCurve) -> tuple[Array, Array]:
+    """Depths (k,) and the counted standard deviation there (k,), with the first held back to the start."""
+    assert measured.counted is not None
+    order = np.argsort(measured.counted[0], kind="stable")
+    depth, spread = (each[order] for each in measured.counted)
+    return np.r_[min(0.0, float(depth[0])), depth], np.r_[spread[0], spread]

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+from limbcli.interval_limits import THRESHOLD_95
 from limbcli.reporting.figures.convergence import fit_walk, newton_residuals
-from limbcli.reporting.fit_view import read_fit_view
+from limbcli.reporting.fit_view import OGDEN, StepView, read_fit_view
+from limbcli.reporting.numbers import number, significant
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Picture, Reportlet, placeholder
+from limbcli.reporting.sections.assumed_geometry import SYMBOLS
+from limbcli.reporting.sections.parameters import interval_text
+from limbcli.results import StageResult
 
 TITLE = "Did the identification converge?"
 
@@ -28,7 +35,7 @@ def convergence(page: ReportData, site: SiteMaterial) -> Reportlet:
     return Reportlet(
         key,
         TITLE,
-        "fine" if pictures else "missing",
+        "neutral" if pictures else "missing",
         site.name,
         pictures=tuple(pictures),
         look_for="a misfit that falls and then stays flat, and parameters that settle",
@@ -49,11 +56,12 @@ def profiles(page: ReportData, site: SiteMaterial) -> Reportlet | None:
     path = result.path("profiles")
     if not path.is_file():
         return None
+    step, wording = read_fit_view(result).last, _limit_words(result)
     alt = f"Profile likelihood of each parameter of site {site.name}; the shaded range is its 95 % interval."
     return Reportlet(
         f"profiles-{site.name}",
         PROFILES_TITLE,
-        "fine",
+        "fine" if step and all(each.is_sound for each in step.estimates) else "warning",
         site.name,
         pictures=(Picture(f"profiles-{site.name}", alt, source=path, vector=False),),
         look_for="a valley with steep sides around the fitted value: the data exclude values beyond the "
@@ -61,4 +69,42 @@ def profiles(page: ReportData, site: SiteMaterial) -> Reportlet | None:
         "equally, so the minimum may lie beside the fitted value)",
         bad="a curve that stays below the 95 % line on one side of its panel: the data exclude "
         "nothing in that direction, and the fitted value is where the search happened to stop",
+        notes=wording,
+        answer=_told(step),
     )
+
+
+def _told(step: StepView | None) -> str:
+    """Each parameter with the interval that the picture shows, and its verdict."""
+    shown = [
+        f"{each.name}: {interval_text(each)} (95 %), {each.flag}"
+        if each.low is not None or each.high is not None
+        else f"{each.name}: no value is excluded, {each.flag}"
+        for each in (step.estimates if step else ())
+        if each.flag != "fixed"
+    ]
+    return f"{'; '.join(shown)}." if shown else ""
+
+
+def _limit_words(result: StageResult) -> tuple[str, ...]:
+    """Why the limit is not that of chi-square, and where an interval reaches beyond its curve's crossing."""
+    found = result.value(f"steps/{OGDEN}/profiles")
+    if not isinstance(found, Mapping) or not found:
+        return ()
+    profiles = {name: each for name, each in found.items() if isinstance(each, Mapping)}
+    limit = next((number(each.get("limit")) for each in profiles.values()), None)
+    times, n = number(result.value("noise_scale")), result.value("n_freedom")
+    words = ["The interval of each parameter is where its curve lies below the limit."]
+    if limit is not None and limit > 1.01 * THRESHOLD_95:
+        larger = f" {significant(times, 2)} times" if times is not None and times > 1.0 else ""
+        words.append(
+            f"The limit is {limit:.2f} instead of {THRESHOLD_95:.2f}, because the data scatter{larger} as "
+            f"much as the stated noise explains and only {n} degrees of freedom tell how large the noise is."
+        )
+    beyond = [SYMBOLS.get(name, name) for name, each in profiles.items() if each.get("extended_to_fit")]
+    if beyond:
+        words.append(
+            f"For {' and '.join(beyond)} the interval is extended to the value of the published fit "
+            "(dotted), which lies where the curve is above the limit."
+        )
+    return tuple(words)

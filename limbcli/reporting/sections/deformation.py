@@ -43,7 +43,7 @@ def deformation(page: ReportData, site: SiteMaterial) -> Reportlet:
     return Reportlet(
         key,
         TITLE,
-        "fine",
+        "neutral",
         site.name,
         pictures=pictures,
         look_for="a smooth bowl under the probe that fades before it reaches the cut faces, skin that "

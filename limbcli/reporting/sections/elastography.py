@@ -6,12 +6,13 @@ from limbcli.errors import CaseError
 from limbcli.measurement.regression import Line
 from limbcli.reporting.curves import read_predicted_speeds
 from limbcli.reporting.figures.wave_speed import PredictedSpeeds, line_text, wave_speed
+from limbcli.reporting.fit_view import read_fit_view
 from limbcli.reporting.numbers import DASH, cell, number, quantity
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head
 from limbcli.results import StageResult
 
-TITLE = "Does the shear-wave speed rise with load?"
+TITLE = "Does the shear-wave speed rise with load, as the model predicts?"
 _LOOK = (
     "speeds that rise steadily with load; the speed at zero load gives the initial stiffness "
     "c. Against depth the plot hardly depends on the force zero, on skin or on the mesh"
@@ -36,6 +37,7 @@ def elastography(page: ReportData, site: SiteMaterial) -> Reportlet:
     key = f"elastography-{site.name}"
     fit = page.outcomes.of("fit", site.name).result
     predicted, warned = _predicted(fit)
+    speeds = read_fit_view(fit).speeds if fit else None
     if site.speeds is None and predicted is None:
         why = site.why_no_levels or "The levels of this site have no shear-wave speeds."
         return Reportlet(key, TITLE, "missing", site.name, notes=(why,), warned=warned)
@@ -48,7 +50,7 @@ def elastography(page: ReportData, site: SiteMaterial) -> Reportlet:
     return Reportlet(
         key,
         TITLE,
-        "fine" if site.against_force or site.speeds is None else "warning",
+        speeds.mood if speeds else "warning" if site.why_no_line else "neutral",
         site.name,
         pictures=(_speeds(site, predicted), *_pictures(site, fit)),
         tables=(table,) if site.speeds is not None else (),
@@ -56,6 +58,7 @@ def elastography(page: ReportData, site: SiteMaterial) -> Reportlet:
         bad=_BAD + (_BAD_PREDICTED if predicted else ""),
         notes=_notes(fit) if predicted else (),
         warned=warned,
+        answer=speeds.sentence if speeds else "",
     )
 
 

@@ -28,7 +28,7 @@ def fibres(page: ReportData, site: SiteMaterial) -> Reportlet | None:
     return Reportlet(
         key,
         TITLE,
-        "fine",
+        "neutral",
         site.name,
         pictures=pictures,
         look_for="lines that run as the muscle does: along the limb, or at its pennation angle",

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
 from limbcli.errors import CaseError
+from limbcli.model import Array
 from limbcli.reporting.curves import read_curves, read_run_curve
 from limbcli.reporting.figures.force_depth import SimulatedCurve, force_depth
 from limbcli.reporting.fit_view import FitView, read_fit_view
 from limbcli.reporting.numbers import quantity
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Picture, Reportlet, placeholder
+from limbcli.results import UNLIKE_OURS
 
 TITLE = "Does the model follow the measured force?"
 _NO_FIT = (
@@ -27,19 +34,22 @@ def force_over_depth(page: ReportData, site: SiteMaterial) -> Reportlet:
         return Reportlet(key, TITLE, "failed", site.name, warned=(site.why_no_levels,))
     curves, warned = _curves(page, site)
     notes: list[str] = []
-    if outcome.result is not None:
-        notes = [*_step_notes(read_fit_view(outcome.result)), _R2_CAVEAT]
+    view = read_fit_view(outcome.result) if outcome.result is not None else None
+    measured = site.measured
+    if view is not None:
+        notes = [*_step_notes(view), _R2_CAVEAT]
+        measured = replace(measured, counted=_counted(view))
     gap = placeholder(key, TITLE, outcome) if outcome.status != "done" else None
     name = f"force-depth-{site.name}"
-    picture = Picture(name, _alt(site, curves), figure=force_depth(site.measured, curves))
+    picture = Picture(name, _alt(site, curves), figure=force_depth(measured, curves))
     return Reportlet(
         key,
         TITLE,
-        gap.mood if gap else "fine",
+        gap.mood if gap else view.force.mood if view else "missing",
         site.name,
         pictures=(picture,),
         look_for="the solid curve passes through the points and the differences scatter around zero, inside "
-        "the grey band of the force's standard deviation",
+        "the grey band: one standard deviation of the noise that the fit counted, that of the depth included",
         bad="differences that drift slowly from one side to the other (the model lacks something), "
         "a curve that fits at one end only, or a start curve that already fits (the data are not "
         "informative)",
@@ -47,7 +57,23 @@ def force_over_depth(page: ReportData, site: SiteMaterial) -> Reportlet:
         warned=warned,
         failure=gap.failure if gap else None,
         command=gap.command if gap else "",
+        answer=view.force.sentence if view and not gap else "",
     )
+
+
+def _counted(view: FitView) -> tuple[Array, Array] | None:
+    """Depths (mm) of the loaded levels and the noise (N) that the fit counted there, or None."""
+    found = view.raw.get("agreement")
+    force = found.get("force") if isinstance(found, Mapping) else None
+    if not isinstance(force, Mapping):
+        return None
+    try:
+        depth, spread = (
+            np.asarray(force[name], dtype=np.float64) for name in ("depths_mm", "counted_noise_n")
+        )
+    except UNLIKE_OURS:
+        return None
+    return (depth, spread) if depth.size and depth.shape == spread.shape and spread.any() else None
 
 
 def _curves(page: ReportData, site: SiteMaterial) -> tuple[tuple[SimulatedCurve, ...], tuple[str, ...]]:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from limbcli.reporting.agreement_view import agreement_view
 from limbcli.reporting.fit_view import EstimateView, read_estimates
 from limbcli.reporting.numbers import DASH, cell, quantity
 from limbcli.reporting.report_data import ReportData
-from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head, placeholder
+from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head, placeholder, worst_mood
 from limbcli.reporting.sections.model_checks import model_check_tables
 from limbcli.reporting.sections.parameters import TET4_WORDS, estimate_cells
 from limbcli.results import StageResult
@@ -29,10 +30,11 @@ def joint(page: ReportData) -> Reportlet | None:
     locks = "tet4" in str(data.get("element", ""))
     estimates = read_estimates(data.get("parameters", {}), locks=locks)
     sites = ", ".join(map(str, data.get("sites", [])))
+    met, sound = agreement_view(data), all(each.is_sound for each in estimates)
     return Reportlet(
         "fit-joint",
         TITLE,
-        "fine" if all(each.is_sound for each in estimates) and not result.warnings else "warning",
+        worst_mood(met.mood, "fine" if sound and not result.warnings else "warning"),
         pictures=tuple(_pictures(result, sites)),
         tables=(_table(estimates, data, sites), *_checks(data)),
         look_for="curves through the points of both columns, chi-square near its degrees of freedom, and "
@@ -41,6 +43,7 @@ def joint(page: ReportData) -> Reportlet | None:
         "the fit to the force alone: then the model cannot fit both",
         notes=tuple(_notes(data)),
         warned=(*result.warnings, *((TET4_WORDS,) if locks else ())),
+        answer=met.sentence,
     )
 
 

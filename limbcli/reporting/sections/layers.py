@@ -25,7 +25,7 @@ def layers(page: ReportData, site: SiteMaterial) -> Reportlet | None:
     return Reportlet(
         f"layers-{site.name}",
         TITLE,
-        "fine" if fits else "warning",
+        "neutral" if not isinstance(p, int | float) else "fine" if fits else "warning",
         site.name,
         pictures=(Picture(f"layers-{site.name}", _alt(layers, site.name), source=path, vector=False),),
         look_for="points on the borders of the bands at every level: then one tissue moves as the layers do. "

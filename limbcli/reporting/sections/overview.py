@@ -8,7 +8,7 @@ from limbcli.reporting.fit_view import EstimateView, FitView, read_fit_view
 from limbcli.reporting.numbers import quantity, significant
 from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import Mood
+from limbcli.reporting.reportlet import Mood, worst_mood
 from limbcli.reporting.sections.diagnosis import in_short
 from limbcli.reporting.sections.next_steps import next_steps
 from limbcli.reporting.sections.parameters import parameter_warnings
@@ -88,6 +88,11 @@ def overview(page: ReportData) -> Overview:
     )
 
 
+def _bare(words: str) -> str:
+    """The words of a bad agreement without their first "poor fit: "."""
+    return words.removeprefix("poor fit: ")
+
+
 def sentence_of(words: str) -> str:
     """
     >>> sentence_of("geometry assumed, not imaged: a limb")
@@ -109,7 +114,7 @@ def _sentence(sites: tuple[SiteGlance, ...], failures: tuple[Outcome, ...], n_wa
     fitted = [each for each in sites if each.facts]
     weak = [f"{', '.join(each.weak)} at {each.name}" for each in fitted if each.weak]
     poor = [each.name for each in fitted if each.poor]
-    text = f"Poor fit at {', '.join(poor)}: it does not reproduce the measured force. " if poor else ""
+    text = "".join(f"Poor fit at {each.name}: {_bare(each.poor)}. " for each in fitted if each.poor)
     text += (
         f"The tissue was fitted at {len(fitted)} of {len(sites)} {'site' if len(sites) == 1 else 'sites'}."
     )
@@ -142,7 +147,7 @@ def _site(page: ReportData, site: SiteMaterial) -> SiteGlance:
     view = read_fit_view(result)
     facts = _facts(view)
     moods = {each.mood for each in facts}
-    mood: Mood = "failed" if view.poor else "warning" if "warning" in moods else "fine"
+    mood = worst_mood(view.whole.mood, *moods)
     step = view.last
     weak = tuple(each.name for each in step.estimates if not each.is_sound) if step else ()
     return SiteGlance(
@@ -174,9 +179,8 @@ def _facts(view: FitView) -> tuple[Fact, ...]:
     facts += [_estimate(each) for each in step.estimates if each.name in ("m", "f_κ")]
     remark = f"R² {quantity(step.r2, '', digits=4)}"
     missed = Fact("misfit, root mean square", quantity(step.rmse_n, "N", digits=2), remark)
-    if view.poor:
-        return (replace(missed, remark=f"poor fit; {remark}", mood="failed"), *facts)
-    return (*facts, missed)
+    missed = replace(missed, remark=f"{view.force.state}; {remark}", mood=view.force.mood)
+    return (missed, *facts) if view.force.state == "bad" else (*facts, missed)
 
 
 _TITLES = {"m": "m, stiffening", "f_κ": "f_κ, resistance to volume change"}
@@ -196,9 +200,9 @@ def _estimate(each: EstimateView) -> Fact:
 
 def _site_sentence(view: FitView) -> str:
     step = view.last
-    poor = f"{view.poor[0].upper()}{view.poor[1:]}. " if view.poor else ""
+    told = [each.sentence for each in (view.force, view.speeds) if each is not None]
     return (
-        f"{poor}{step.label}, {view.element} elements, {view.solver}."
+        f"{' '.join(told)} {step.label}, {view.element} elements, {view.solver}."
         if step
         else "The fit produced no parameters."
     )

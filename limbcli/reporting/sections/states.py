@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from limbcli.reporting.agreement_view import agreement_view
 from limbcli.reporting.fit_view import read_estimates
 from limbcli.reporting.numbers import DASH, cell, quantity, significant
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head, placeholder
+from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head, placeholder, worst_mood
 from limbcli.reporting.sections.parameters import TET4_WORDS, estimate_cells
 from limbcli.results import StageResult
 
@@ -27,11 +28,12 @@ def states(page: ReportData, site: SiteMaterial) -> Reportlet | None:
         return placeholder(key, TITLE, outcome)
     data = result.data
     locks = "tet4" in str(data.get("element", ""))
+    met = agreement_view(data)
     determined = not data.get("undetermined")
     return Reportlet(
         key,
         TITLE,
-        "fine" if determined and not result.warnings else "warning",
+        worst_mood(met.mood, "fine" if determined and not result.warnings else "warning"),
         site.name,
         pictures=tuple(_pictures(result, site.name)),
         tables=(_parameters(data, locks=locks), _states(data)),
@@ -42,6 +44,7 @@ def states(page: ReportData, site: SiteMaterial) -> Reportlet | None:
         "it is lowest, and a lowest point beyond the measured states rests on the law alone",
         notes=tuple(_notes(data)),
         warned=(*result.warnings, *((TET4_WORDS,) if locks else ())),
+        answer=met.sentence,
     )
 
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtrc
 
 from limbcli.effects.tissue import fibre_direction
 from limbcli.inference.adaptive import EstimationProblem, Intervals
+from limbcli.inference.agreement import chi_square_agreement
 from limbcli.inference.identifiability import Verdict, are_determined, correlation, verdict
 from limbcli.inference.joint import JointProblem, JointTask, SiteMeasurement, SitePrediction, held_out_error
 from limbcli.inference.parameter import FitParameter
@@ -24,8 +24,6 @@ from limbcli.stages.fitting.fibre_orientations import write_moduli
 from limbcli.stages.fitting.joint_picture import draw_joint
 from limbcli.stages.fitting.laws import FIBRE_F_KAPPA, FitLaw
 from limbcli.units import kpa_from_mpa
-
-_POOR = 1e-4  # p-value of the chi-square statistic below which a fit is called poor
 
 
 def write_joint(
@@ -76,15 +74,17 @@ def write_joint(
 
 
 def warn_poor(found: Intervals, writer: StageWriter) -> None:
-    """Insert, as the first warning, that the misfit exceeds what the stated noise explains."""
-    chance = float(chdtrc(found.n_freedom, found.chi_square))
-    if chance >= _POOR:
+    """Write `agreement`; a bad one is also the first warning."""
+    met = chi_square_agreement(found.chi_square, found.n_freedom)
+    writer.data["agreement"] = met.to_json()
+    writer.summary.insert(0, f"{met.state}: {met.words}")
+    if met.state != "bad":
         return
     writer.warnings.insert(
         0,
         f"the fit does not reproduce the data: chi-square {found.chi_square:.0f} for {found.n_freedom} "
         f"degrees of "
-        f"freedom (probability {chance:.1g} under the stated noise). The parameters describe the nearest "
+        f"freedom (probability {met.chance:.1g} under the stated noise). The parameters describe the nearest "
         "curves, not the tissue: check the figures, the noise of the case, and what `limbcli "
         "diagnose` finds missing",
     )

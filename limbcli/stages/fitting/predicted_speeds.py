@@ -154,12 +154,14 @@ def _write_speed_table(found: Predicted, levels: Levels, writer: StageWriter) ->
 def _report(found: Predicted, levels: Levels, writer: StageWriter) -> None:
     measured, mean = levels.swe_mean_m_per_s[found.levels], found.mean_m_per_s
     both = np.isfinite(measured)
-    loaded = both & (levels.depth[found.levels] > least_level())
+    loaded = both & np.isfinite(found.mean_m_per_s) & (levels.depth[found.levels] > least_level())
     gap = mean - measured
     facts: dict[str, object] = {
         "n_levels": len(found.levels),
         "n_measured_maps": sum(each is not None for each in found.measured),
         "mean_predicted_m_per_s": mean,
+        "loaded_measured_m_per_s": measured[loaded],
+        "loaded_predicted_m_per_s": mean[loaded],
         "rmse_m_per_s": float(np.sqrt(np.mean(gap[loaded] ** 2))) if loaded.any() else None,
     }
     writer.data["swe"] = facts

@@ -12,6 +12,7 @@ import numpy as np
 from limbcli.case import Site
 from limbcli.drawing import save_figure
 from limbcli.inference.adaptive import Intervals
+from limbcli.inference.agreement import speed_agreement, worst
 from limbcli.inference.geometry_uncertainty import ends
 from limbcli.inference.two_step_fit import MOONEY_RIVLIN, OGDEN
 from limbcli.model import LimbModel
@@ -20,10 +21,10 @@ from limbcli.results import StageWriter
 from limbcli.significant_digits import short
 from limbcli.solvers.base import Simulation
 from limbcli.stages.fitting.exports import parameter_rows, write_exports
-from limbcli.stages.fitting.table import NAMES, Identified, step_misfit, step_table
+from limbcli.stages.fitting.table import NAMES, Identified, counted_deviation, step_agreement, step_table
 from limbcli.units import kpa_from_mpa
 
-__all__ = ["Identified", "draw_fit", "write_curves", "write_result", "write_widening"]
+__all__ = ["Identified", "draw_fit", "write_agreement", "write_curves", "write_result", "write_widening"]
 
 _FINE = 120
 _TOP = (
@@ -72,7 +73,7 @@ def write_result(
     ]
     write_exports(writer, rows, fitted)
     draw_fit(found, site, writer)
-    _summarise(found, last, writer)
+    summarise(found, last, writer)
 
 
 def write_widening(of_noise: Intervals, writer: StageWriter) -> None:
@@ -133,7 +134,11 @@ def draw_fit(found: Identified, site: Site, writer: StageWriter) -> None:
         SimulatedCurve(key, label, depths, found.simulated(theta, depths))
         for key, label, theta in zip(("start", MOONEY_RIVLIN, OGDEN), labels, thetas, strict=True)
     ]
-    measured = MeasuredCurve(found.data.depth, found.data.force, site.noise.depth, site.noise.force)
+    loaded, last = found.data.loaded, found.steps[-1]
+    measured = MeasuredCurve(
+        found.data.depth, found.data.force, site.noise.depth, site.noise.force,
+        counted=(found.data.depth[loaded], counted_deviation(found, last)),
+    )  # fmt: skip
     save_figure(force_depth(measured, curves), writer.file("picture", "fit.png"))
     if not found.intervals:
         return
@@ -153,14 +158,27 @@ def draw_fit(found: Identified, site: Site, writer: StageWriter) -> None:
     save_figure(profile_figure(profiles), writer.file("profiles", "profiles.png"))
 
 
-def _summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) -> None:
-    met = step_misfit(found, found.steps[-1])
+def summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) -> None:
+    """Write the summary, `misfit` and the force's `agreement`.
+
+    last : table of the last step
+    """
+    met, poor = step_agreement(found, found.steps[-1]), ""
+    if met.state == "bad":
+        poor = met.words
+        writer.warnings.insert(0, f"{poor}. {_POOR}")
     writer.data["misfit"] = {
-        "poor": met.poor, "noise_rms_n": met.noise, "times_noise": met.times_noise, "words": met.words
+        "poor": bool(poor), "noise_rms_n": met.noise_rms or 0.0, "times_noise": met.times_noise, "words": poor
     }  # fmt: skip
-    if met.poor:
-        writer.summary.append(met.words)
-        writer.warnings.insert(0, f"{met.words}. {_POOR}")
+    loaded = found.data.loaded
+    writer.data["agreement"] = {
+        "state": met.state,
+        "force": {
+            **met.to_json(),
+            "depths_mm": found.data.depth[loaded],
+            "counted_noise_n": counted_deviation(found, found.steps[-1]),
+        },
+    }
     writer.summary.append(f"c = {last['c_kpa']:.2f} kPa, held fixed ({found.c_source})")
     for name in NAMES:
         writer.summary.append(_headline(name, last["parameters"][name]))
@@ -180,6 +198,22 @@ def _summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) 
     for name in NAMES:
         if last["flags"][name] not in ("identified", "fixed"):
             writer.warnings.append(last["words"][name])
+
+
+def write_agreement(found: Identified, writer: StageWriter) -> None:
+    """Complete `agreement` by the speeds, if they were predicted, and put it at the top of the summary."""
+    told = writer.data["agreement"]
+    speeds = writer.data.get("swe")
+    if speeds is not None and len(speeds["loaded_measured_m_per_s"]):
+        met = speed_agreement(
+            np.array(speeds["loaded_predicted_m_per_s"]), np.array(speeds["loaded_measured_m_per_s"]),
+            level_fraction=writer.data["noise"]["swe_level_fraction"],
+            c_deviation=found.stiffness.force_deviation,
+        )  # fmt: skip
+        told["speeds"] = met.to_json()
+    parts = [told[name] for name in ("force", "speeds") if name in told]
+    told["state"] = worst(each["state"] for each in parts)
+    writer.summary[:0] = [f"{each['state']}: {each['words']}" for each in parts]
 
 
 _POOR = (

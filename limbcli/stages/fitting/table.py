@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.inference.adaptive import Intervals
+from limbcli.inference.agreement import FitAgreement, force_agreement
 from limbcli.inference.geometry_uncertainty import at_depths, shifts
 from limbcli.inference.identifiability import (
     Verdict,
@@ -20,8 +21,8 @@ from limbcli.inference.identifiability import (
 )
 from limbcli.inference.interpolation import pchip_sample
 from limbcli.inference.interval import Stiffness
-from limbcli.inference.misfit import Misfit, misfit
 from limbcli.inference.prediction import SolvedPoints, slopes_at
+from limbcli.inference.profile import ends_beyond
 from limbcli.inference.two_step_fit import FittedStep, ForceDepth, sensitivities
 from limbcli.model import Array
 from limbcli.reporting.headline import headline
@@ -147,7 +148,7 @@ def _noise_scale(found: Identified, step: FittedStep, columns: Array, variance: 
     The residuals are compared with those expected of an unweighted fit from the noise and these errors.
     """
     if found.intervals:
-        return found.intervals[next(k for k, each in enumerate(found.steps) if each is step)].scale
+        return found.intervals[_place(found, step)].scale
     left = np.eye(len(variance)) - columns @ np.linalg.pinv(columns)
     expected = np.diag(left @ (np.diag(variance) + held @ held.T) @ left.T)
     chi_square = np.sum(step.fit.residual[found.data.loaded] ** 2 / variance)
@@ -167,9 +168,24 @@ def _spread(found: Identified, step: FittedStep, modes: Array) -> Array:
     return np.asarray(answer.values[:, None] * at_depths(modes, found.knots, depth))
 
 
-def step_misfit(found: Identified, step: FittedStep) -> Misfit:
-    """Misfit of a step's curve to the measured forces, relative to their stated noise."""
-    return misfit(step.fit.residual[found.data.loaded], _variance(found, step), step.r2)
+def step_agreement(found: Identified, step: FittedStep) -> FitAgreement:
+    """FitAgreement of a step's curve with the measured forces, by the noise that the fit counted."""
+    order = np.argsort(found.data.depth[found.data.loaded], kind="stable")
+    residual = step.fit.residual[found.data.loaded][order]
+    intervals = found.intervals[_place(found, step)] if found.intervals else None
+    return force_agreement(
+        residual, counted_deviation(found, step)[order], step.r2, n_free=len(step.free),
+        likelihood=(intervals.chi_square, intervals.n_freedom) if intervals else None,
+    )  # fmt: skip
+
+
+def counted_deviation(found: Identified, step: FittedStep) -> Array:
+    """Standard deviation of the force (n,), N, that the fit counted at the loaded levels."""
+    return np.sqrt(_variance(found, step))
+
+
+def _place(found: Identified, step: FittedStep) -> int:
+    return next(k for k, each in enumerate(found.steps) if each is step)
 
 
 def _variance(found: Identified, step: FittedStep) -> Array:
@@ -234,11 +250,19 @@ def _parameter(
 
 
 def _profiles(found: Identified, k: int) -> dict[str, dict[str, Any]]:
-    """The profile likelihoods: parameter values, increase of -2 ln likelihood, and its limit at 95 %."""
+    """The profile likelihoods: parameter values, increase of -2 ln likelihood, and its limit at 95 %.
+
+    extended_to_fit : the interval ends at the published fit, where the curve is already above the limit
+    """
     if not found.intervals:
         return {}
     limit = found.intervals[k].threshold
     return {
-        name: {"values": each.values, "deviance": each.deviance, "limit": limit}
+        name: {
+            "values": each.values,
+            "deviance": each.deviance,
+            "limit": limit,
+            "extended_to_fit": ends_beyond(each, limit),
+        }
         for name, each in found.intervals[k].profiles.items()
     }

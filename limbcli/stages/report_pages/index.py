@@ -19,6 +19,7 @@ from limbcli.reporting.fit_view import FitView, read_fit_view
 from limbcli.reporting.index import HEADINGS, IndexRow, relative, study_rows
 from limbcli.reporting.outcome import Failure, problems_of
 from limbcli.reporting.page import data_uri, render
+from limbcli.reporting.reportlet import worst_mood
 from limbcli.results import ERROR_FILE, UNLIKE_OURS, StageResult, plain, provenance, read_result, stage_folder
 
 INDEX_FILE = "index.html"
@@ -141,8 +142,9 @@ def _row(out: Path, report: StageResult, site: str, link: str) -> IndexRow:
     view, shown_fit = read_fit_view(fitted), report.value(f"fitted_utc/{site}")
     is_shown = shown_fit in (None, fitted.provenance.get("finished_utc"))
     older = "" if is_shown else "again after its report was made: make the report again"
+    mood = worst_mood(view.whole.mood, "warning" if n_warnings or older else "fine")
     return IndexRow(
-        name, report.subject, site, "warning" if n_warnings or older else "fine", "fitted", n_warnings, link,
+        name, report.subject, site, mood, "fitted", n_warnings, link,
         view, assumed=assumed, older=older,
     )  # fmt: skip
 

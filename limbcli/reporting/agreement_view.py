@@ -1,0 +1,67 @@
+"""The verdict of a fit (`inference.agreement`) as the page shows it: a colour, a word and a sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from limbcli.reporting.reportlet import Mood
+
+_MOODS: Mapping[str, Mood] = {"good": "fine", "doubtful": "warning", "bad": "failed", "untested": "warning"}
+_SILENT = (
+    "not tested: this result does not say whether the model agrees with the data; run `limbcli fit` again"
+)
+
+
+@dataclass(frozen=True)
+class AgreementView:
+    """State ("good", "doubtful", "bad", "untested") and the sentence with the numbers that decided it."""
+
+    state: str
+    words: str
+
+    @property
+    def mood(self) -> Mood:
+        return _MOODS[self.state]
+
+    @property
+    def sentence(self) -> str:
+        """
+        >>> AgreementView("bad", "poor fit: off by 2 N").sentence
+        'Bad: poor fit: off by 2 N.'
+        """
+        tail = self.words.rstrip(".")
+        return (
+            f"{tail[:1].upper()}{tail[1:]}."
+            if self.state == "untested"
+            else f"{self.state.capitalize()}: {tail}."
+        )
+
+
+UNTESTED = AgreementView("untested", _SILENT)
+
+
+def agreement_view(data: Mapping[str, Any], part: str = "") -> AgreementView:
+    """Agreement of one part of a fit's result ("force", "speeds"), or of the whole if `part` is "".
+
+    The whole has the words of its worst part.
+
+    >>> told = {"agreement": {"state": "bad", "force": {"state": "good", "words": "a"},
+    ...     "speeds": {"state": "bad", "words": "b"}}}
+    >>> agreement_view(told).words, agreement_view(told, "force").state, agreement_view({}).state
+    ('b', 'good', 'untested')
+    """
+    found = data.get("agreement")
+    if not isinstance(found, Mapping):
+        return UNTESTED
+    parts = [each for each in (found.get("force"), found.get("speeds")) if isinstance(each, Mapping)]
+    if part:
+        found = found.get(part)
+    if not isinstance(found, Mapping) or found.get("state") not in _MOODS:
+        return UNTESTED
+    state = str(found["state"])
+    told = found.get("words") or next(
+        (each["words"] for each in parts if each.get("state") == state), _SILENT
+    )
+    return AgreementView(state, str(told))
