@@ -21,7 +21,7 @@ from limbcli.reporting.sections.joint import joint, laws
 from limbcli.reporting.sections.overview import overview
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.reporting.sections.states import states
-from limbcli.results import open_stage, read_result
+from limbcli.results import open_stage, read_result, sealed
 from limbcli.stages.batching.outcome import keep_error
 from limbcli.stages.report import report
 from limbcli.stages.report_pages.failure import report_failure
@@ -322,7 +322,7 @@ def test_a_poor_fit_is_told_before_anything_else(tmp_path):
     content = json.loads(path.read_text())
     words = "poor fit: it differs from the measured force by 3 N (RMSE under load); R2 0.61"
     content["data"]["misfit"] = {"poor": True, "words": words}
-    path.write_text(json.dumps(content))
+    path.write_text(json.dumps(sealed(content)))
     glance = overview(gather(case, out=out))
     assert glance.sentence.startswith("Poor fit at p1")
     assert glance.mood == "failed"
@@ -433,7 +433,7 @@ def add_predicted_speeds(out: Path, site: str) -> None:
             "median_kpa": 8.0, "low_kpa": 5.0, "high_kpa": 12.0,
         },
     }  # fmt: skip
-    (folder / "fit.json").write_text(json.dumps(content))
+    (folder / "fit.json").write_text(json.dumps(sealed(content)))
 
 
 @pytest.mark.slow
@@ -587,10 +587,10 @@ def test_a_fit_of_the_very_model_is_not_called_old(tmp_path):
     path = out / "fit" / "p1" / "fit.json"
     content = json.loads(path.read_text())
     content["provenance"]["finished_utc"] = "2001-01-01T00:00:00Z"
-    path.write_text(json.dumps(content))
+    path.write_text(json.dumps(sealed(content)))
     assert any("fit p1" in text and "older" in text for text in gather(case, out=out).notices)
     content["provenance"]["inputs_sha256"]["model"] = "0123"
-    path.write_text(json.dumps(content))
+    path.write_text(json.dumps(sealed(content)))
     assert not any("older" in text for text in gather(case, out=out).notices)
 
 
@@ -720,7 +720,7 @@ def test_a_joint_fit_older_than_its_model_is_told(tmp_path):
     path = out / "fit-joint" / "fit-joint.json"
     content = json.loads(path.read_text())
     content["provenance"]["finished_utc"] = "2020-01-01T00:00:00Z"
-    path.write_text(json.dumps(content))
+    path.write_text(json.dumps(sealed(content)))
     page = Page(report(case, out=out).path("page").read_text(encoding="utf-8"))
     assert "“fit-joint” (2020-01-01T00:00:00Z) is older than that of “build-feb p1”" in page.text
     assert "--objective joint" in page.text
@@ -782,6 +782,8 @@ def test_a_diagnosis_that_cannot_be_shown_whole_does_not_stop_the_page(tmp_path)
     page = report(case, out=out).path("page").read_text()
     assert "The skin is stiff." in page
     path = out / "diagnose" / "p1" / "diagnose.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"data": {"added": ["x"], "shrink": [{}, {}]}}))
+    path.write_text(
+        json.dumps(sealed(json.loads(path.read_text()) | {"data": {"added": ["x"], "shrink": [{}, {}]}}))
+    )
     result = report(case, out=out)
     assert "Its result cannot be shown (KeyError: &#39;verdict&#39;)" in result.path("page").read_text()
