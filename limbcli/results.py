@@ -7,13 +7,14 @@ stages, the report and the batch read these.
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import platform
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextvars import ContextVar
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -29,8 +30,9 @@ FORMAT = 1
 CALLED: ContextVar[str] = ContextVar("called", default="")  # the current call from Python
 ERROR_FILE = "error.json"  # file that a batch writes for a failed stage
 # Raised when reading a result that is corrupt or of an older version.
-UNLIKE_OURS = (ValueError, KeyError, TypeError, IndexError, AttributeError)
+UNLIKE_OURS = (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError)
 _PICTURES = (".png", ".svg", ".html")
+_DIGEST = "record_sha256"  # in the provenance: hash of the whole record without this entry
 
 
 @dataclass(frozen=True)
@@ -189,25 +191,55 @@ class StageWriter:
                 "seconds": round(time.time() - self._start, 3),
                 "inputs_sha256": dict(self.inputs),
                 "made_from": {"version": __version__, **plain(self.made_from)},
-                "files_sha256": self._hashes(),
+                "files_sha256": self._hashes(pictures=False),
+                "pictures_sha256": self._hashes(pictures=True),
                 **self.extra_provenance,
             },
         )
-        text = json.dumps(result.to_json(), indent=1, allow_nan=False)
+        content = sealed(result.to_json())
+        text = json.dumps(content, indent=1, allow_nan=False)
         (self.work / f"{self.stage}.json").write_text(text + "\n", encoding="utf-8")
-        return result
+        return replace(result, provenance=content["provenance"])
 
-    def _hashes(self) -> dict[str, str]:
-        """Hashes of the written files, except pictures.
+    def _hashes(self, *, pictures: bool) -> dict[str, str]:
+        """Hashes of the written pictures, or of all other files.
 
-        No stage reads pictures, and a user may open and save them again.
+        No stage reads pictures, and a user may open and save them again; the report shows them.
         """
         paths = {name: self.work / each for name, each in self.files.items()}
         return {
             name: sha256(path)
             for name, path in paths.items()
-            if path.exists() and path.suffix not in _PICTURES
+            if path.exists() and (path.suffix in _PICTURES) == pictures
         }
+
+
+def sealed(content: Mapping[str, Any]) -> dict[str, Any]:
+    """A result's record with its own hash in its provenance, by which a change by hand is noticed.
+
+    >>> record = sealed({"data": {"c_kpa": 8.5}, "provenance": {}})
+    >>> check_seal(record)
+    >>> check_seal(record | {"data": {"c_kpa": 18.5}})
+    Traceback (most recent call last):
+    ...
+    ValueError: it was changed after it was written
+    """
+    return {**content, "provenance": {**content["provenance"], _DIGEST: _digest(content)}}
+
+
+def check_seal(content: Mapping[str, Any]) -> None:
+    """Raise ValueError if a record does not have the hash that it was written with."""
+    known = content["provenance"].get(_DIGEST)
+    if known is None:
+        raise ValueError("it has no hash of its own: an earlier limbcli wrote it, or it was changed by hand")
+    if known != _digest(content):
+        raise ValueError("it was changed after it was written")
+
+
+def _digest(content: Mapping[str, Any]) -> str:
+    own = {name: each for name, each in content["provenance"].items() if name != _DIGEST}
+    text = json.dumps({**content, "provenance": own}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def read_result(out: Path, stage: str, *, site: str | None = None) -> StageResult:
@@ -216,7 +248,8 @@ def read_result(out: Path, stage: str, *, site: str | None = None) -> StageResul
     Raises
     ------
     CaseError
-        If the stage has not been run, its JSON cannot be read, or belongs to another stage or site.
+        If the stage has not been run, or its JSON cannot be read, was changed since it was written, or
+        belongs to another stage or site.
     """
     folder = stage_folder(out, stage, site)
     path = folder / f"{stage}.json"
@@ -231,6 +264,10 @@ def read_result(out: Path, stage: str, *, site: str | None = None) -> StageResul
         for name in ("files", "data", "provenance"):
             if not isinstance(content[name], dict):
                 raise ValueError(f"`{name}` is not a table")
+        for name in ("summary", "warnings"):
+            if not all(isinstance(each, str) for each in content[name]):
+                raise ValueError(f"`{name}` is not a list of texts")
+        check_seal(content)
         found = StageResult(
             stage=content["stage"],
             subject=content["subject"],
@@ -245,7 +282,7 @@ def read_result(out: Path, stage: str, *, site: str | None = None) -> StageResul
         if (found.stage, found.site) != (stage, site):
             raise ValueError(f"it is that of `{found.label}`")
         return found
-    except (ValueError, KeyError, TypeError) as error:
+    except UNLIKE_OURS as error:
         raise CaseError(
             f"the result of `{stage}` cannot be read ({error})",
             where=str(path),

@@ -81,6 +81,15 @@ FORCE_UNITS_IN_N = {
     "gf": GRAVITY_M_PER_S2 / 1e3,
     "lbf": 4.4482216152605,
 }
+PRESSURE_UNITS_IN_MPA = {
+    "MPa": 1.0,
+    "kPa": 1e-3,
+    "Pa": 1e-6,
+    "bar": 0.1,
+    "psi": 4.4482216152605 / 25.4**2,
+    "mmHg": 133.322387415e-6,
+    "kgf/cm2": GRAVITY_M_PER_S2 / 100.0,
+}
 LENGTH_UNITS_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3, "inch": 25.4, "ft": 304.8, "yd": 914.4}
 TIME_UNITS_IN_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
 ACCELERATION_UNITS_IN_G = {"g": 1.0, "mg": 1e-3, "m/s2": 1.0 / GRAVITY_M_PER_S2}

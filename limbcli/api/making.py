@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +21,7 @@ from limbcli.api.call import (
 )
 from limbcli.api.limits import one_of, tables, within
 from limbcli.case import Case
+from limbcli.case.toml_file import read_toml
 from limbcli.results import StageResult
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class MadeCase(Result):
     @classmethod
     def of(cls, found: StageResult) -> Self:
         path = found.path("truth") if "truth" in found.files else Path(found.data["truth"])
-        truth = tomllib.loads(path.read_text(encoding="utf-8"))
+        truth = read_toml(path)
         return cls(found, Case.open(found.folder.absolute()), truth)
 
     def rows(self) -> list[dict[str, Any]]:

@@ -8,7 +8,6 @@ all of these checks at once.
 from __future__ import annotations
 
 import shlex
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import nan
@@ -22,6 +21,7 @@ from limbcli.case.imaging import place_of, read_imaging
 from limbcli.case.instruments import read_instruments, read_layers
 from limbcli.case.parts import Fibres, Imaging, ModelOptions, Probe, Site, StatedNoise
 from limbcli.case.states import read_states, site_schema
+from limbcli.case.toml_file import read_toml
 from limbcli.config import at_home
 from limbcli.errors import CaseError
 from limbcli.errors.file_system import not_in_utf8
@@ -198,11 +198,11 @@ def _read_toml(folder: Path) -> tuple[dict[str, Any] | None, list[Problem]]:
         fix = f"give the folder that contains it; `limbcli new {subject}` writes one to fill in"
         return None, [Problem("the folder contains no case.toml", str(folder), fix)]
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig")), []
-    except tomllib.TOMLDecodeError as error:
-        return None, [Problem(f"case.toml is not valid TOML: {error}", str(path), "correct that line")]
+        return read_toml(path), []
     except UnicodeDecodeError as error:
         return None, [Problem(f"case.toml is not UTF-8 text: {error}", str(path), "save it as UTF-8")]
+    except ValueError as error:
+        return None, [Problem(f"case.toml is not valid TOML: {error}", str(path), "correct that line")]
 
 
 def _read_sites(tables: object, files: CaseFiles, imaging: Imaging) -> tuple[list[Site], list[Problem]]:
@@ -211,15 +211,18 @@ def _read_sites(tables: object, files: CaseFiles, imaging: Imaging) -> tuple[lis
         return [], [Problem("case.toml has no site", file, "add a [[site]] (see the case format)")]
     sites: list[Site] = []
     problems: list[Problem] = []
-    names: set[str] = set()
+    names: dict[str, str] = {}
     for k, table in enumerate(tables, 1):
         site, found = _read_site(table, files, imaging, label=f"site {k}")
         problems += found
         if site is None:
             continue
-        if site.name in names:
+        first = names.setdefault(schema.folder_key(site.name), site.name)
+        if first == site.name and any(each.name == first for each in sites):
             problems.append(Problem(f"two sites are named {site.name!r}", file, "give each its own name"))
-        names.add(site.name)
+        elif first != site.name:
+            what = f"the sites {first!r} and {site.name!r} share a folder where names ignore case"
+            problems.append(Problem(what, file, "give each a name that differs by more than capitals"))
         sites.append(site)
     return sites, problems + fibre_problems(sites, imaging, file)
 

@@ -8,10 +8,7 @@ from math import pi
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from limbcli.case.label_sources import LabelSource
-from limbcli.model import Array
 
 NOT_IMAGED = "geometry assumed, not imaged"
 # Standard deviation of the scale of a scanned skin, as a fraction. Chosen: the limits of agreement (two
@@ -183,21 +180,6 @@ class StatedNoise:
     swe_pixel_fraction: float = 0.10
     source: str = "assumed"
     layer: float = 0.2
-
-    def of_mean_speed(self, pixels: Array) -> Array:
-        """Standard deviation of ln of a level's mean speed (n,), given its number of pixels (n,).
-
-        If the number is unknown, the pixel noise is neglected if there is noise common to all pixels;
-        otherwise that of a single pixel is used, so that a missing count never makes a reading exact.
-
-        >>> StatedNoise().of_mean_speed(np.array([100.0, np.nan])).round(4)
-        array([0.051, 0.05 ])
-        >>> StatedNoise(swe_level_fraction=0.0).of_mean_speed(np.array([100.0, np.nan]))
-        array([0.01, 0.1 ])
-        """
-        unknown = np.inf if self.swe_level_fraction > 0 else 1.0
-        own = self.swe_pixel_fraction / np.sqrt(np.where(np.isfinite(pixels), pixels, unknown))
-        return np.hypot(self.swe_level_fraction, own)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import isfinite
@@ -50,6 +51,15 @@ def number(low: float, high: float, unit: str) -> Check:
     return check
 
 
+def format_one(value: object) -> str | None:
+    """
+    >>> format_one(1), format_one(True)
+    (None, 'is True; this program reads format 1')
+    """
+    good = isinstance(value, int) and not isinstance(value, bool) and value == 1
+    return None if good else f"is {value!r}; this program reads format 1"
+
+
 def text(value: object) -> str | None:
     return None if isinstance(value, str) and value.strip() else f"is {value!r}, not text"
 
@@ -70,6 +80,15 @@ def plain_name(value: object) -> str | None:
     if wrong is None and len(str(value).encode()) > _LONGEST_NAME:
         wrong = f"is {len(str(value))} letters long ({str(value)[:12]}...); give a short name, such as p1"
     return wrong
+
+
+def folder_key(name: str) -> str:
+    """The same for names that some file system takes for one: by case, Unicode form, or dots at the end.
+
+    >>> folder_key("P1") == folder_key("p1."), folder_key("Caf\u00e9") == folder_key("cafe\u0301")
+    (True, True)
+    """
+    return unicodedata.normalize("NFC", name).casefold().rstrip(".")
 
 
 def site_name(value: object) -> str | None:
@@ -339,7 +358,7 @@ NOISE = {
     "source": Key("repeats | spec | assumed", one_of("repeats", "spec", "assumed"), default="assumed"),
 }
 TOP = {
-    "format": Key("1", lambda value: None if value == 1 else f"is {value!r}; this program reads format 1"),
+    "format": Key("1", format_one),
     "subject": Key("table", lambda _: None),
     "files": Key("table", lambda _: None),
     "imaging": Key("table", lambda _: None),

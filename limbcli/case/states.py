@@ -92,7 +92,8 @@ def _alone(tables: list[object], label: str, file: str) -> list[Problem]:
 def _twice(states: list[StretchState], label: str, file: str) -> list[Problem]:
     problems = []
     names, paths = [each.name for each in states], [each.levels.resolve() for each in states]
-    for name in sorted({each for each in names if names.count(each) > 1}):
+    keys = [schema.folder_key(each) for each in names]
+    for name in sorted({each for each, key in zip(names, keys, strict=True) if keys.count(key) > 1}):
         problems.append(Problem(f"{label} has two states named {name!r}", file, "give each its own name"))
     for path in sorted({each for each in paths if paths.count(each) > 1}):
         what = f"{label} has two states with the levels of {path.name}"

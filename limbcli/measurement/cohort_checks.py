@@ -24,6 +24,7 @@ from limbcli.measurement.cohort_table import (
     CohortTable,
     read_cohort,
 )
+from limbcli.measurement.cohort_units import common_factors, disagreeing, pressure_units, unusual_face
 from limbcli.measurement.edge_noise import EdgeNoise, layer_noise
 from limbcli.measurement.tables import RawTable, problem
 from limbcli.model import Array
@@ -45,6 +46,7 @@ _FORCE = (0.05, 500.0)  # plausible force, N
 _LEAST_BELOW = 1e-3
 # a slope that differs from pressure over depth by more than this factor is in the wrong unit
 _SLOPE_OFF = 5.0
+_R2_ROUNDING = 0.01
 
 
 def checked_cohort(path: Path) -> tuple[CohortTable | None, list[Problem]]:
@@ -69,6 +71,9 @@ def checked_cohort(path: Path) -> tuple[CohortTable | None, list[Problem]]:
     if any(each.severity == "error" for each in problems):
         return None, problems
     table = replace(_table(raw, path).rows(complete), n_incomplete=n_left)
+    if face := unusual_face(raw.numbers, _table(raw, path).face, complete):
+        fix = "check the units: a force in lbf makes the face 4.4 times too small; or give face_mm2"
+        problems.append(problem(face, path, fix, warning=True))
     problems += _repeated(table) + _alike(table) + _sexes(table) + _partly_given(table)
     problems += _grown(table, layer_noise(table.shortened))
     return (None if any(each.severity == "error" for each in problems) else table), problems
@@ -161,6 +166,7 @@ def _units(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
     middle = float(np.median(skin[complete])) if np.isfinite(skin[complete]).all() else np.nan
     if 0 < middle < _THINNEST_SKIN:
         what = f"the skin is {middle:.2g} mm thick in the median of all rows: the unit of lengths looks wrong"
+        what += " (usual are 1 to 2 mm, which are 0.1 to 0.2 cm, or 0.04 to 0.08 inch)"
         found.append(problem(what, path, "give skin_mm and all other lengths in millimetres"))
     found += _listed(
         complete & ~((force >= _FORCE[0]) & (force <= _FORCE[1])),
@@ -184,10 +190,16 @@ def _units(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
         lambda k: f"a strain is {percent[k]:g}: its unit looks wrong",
         "give shortening over thickness (0.2, not 20)",
     )
+    found += _pressure_against_force(raw, complete, path)
     secant = force / table.face / depth
     off = table.slope / secant
+    explained = np.zeros(len(lines), dtype=bool)
+    for rows, words in common_factors(raw, complete & (depth > 0) & (off > 0), secant, table.slope):
+        explained |= rows
+        fix = "give the slope in MPa/mm, forces in N, faces in mm2 and lengths in mm"
+        found.append(problem(words, path, fix, line=int(lines[np.argmax(rows)])))
     found += _listed(
-        complete & (depth > 0) & ~((off > 1 / _SLOPE_OFF) & (off < _SLOPE_OFF)),
+        complete & ~explained & (depth > 0) & ~((off > 1 / _SLOPE_OFF) & (off < _SLOPE_OFF)),
         lines,
         path,
         lambda k: (
@@ -198,6 +210,27 @@ def _units(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
         "give the slope of pressure (MPa) over displacement (mm)",
     )
     return found
+
+
+def _pressure_against_force(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
+    """The pressure must be force over face where all three are given."""
+    columns, wrong = raw.numbers, complete & disagreeing(raw.numbers)
+    if not wrong.any():
+        return []
+    ratio = columns[PRESSURE] * columns[FACE] / columns["max_force_n"]
+    middle = float(np.median(ratio[wrong]))
+    units = pressure_units(middle) if middle > 0 else ""
+    return _listed(
+        wrong,
+        np.array(raw.lines),
+        path,
+        lambda k: (
+            f"max_pressure_mpa is {columns[PRESSURE][k]:g}, but max_force_n over face_mm2 is "
+            f"{columns['max_force_n'][k] / columns[FACE][k]:.3g}: they differ by the factor {ratio[k]:.3g}"
+        ),
+        f"correct one of the three, or leave max_pressure_mpa empty; the median factor is {middle:.3g}: "
+        f"{units}",
+    )
 
 
 def _contradictions(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
@@ -258,6 +291,17 @@ def _contradictions(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
             f"{table.shortened[k, 2]:.2f} mm, of {depth[k]:.2f} mm"
         ),
         "shortening counts positive; mark the borders of both images again",
+    )
+    line, parabola = (columns.get(f"r2_{name}", np.full(len(lines), np.nan)) for name in ("line", "parabola"))
+    found += _listed(
+        complete & ((line > 1.0) | (parabola > 1.0) | (parabola < line - _R2_ROUNDING)),
+        lines,
+        path,
+        lambda k: (
+            f"r2_line is {line[k]:g} and r2_parabola {parabola[k]:g}: neither exceeds 1, and a parabola fits "
+            "no worse than a line"
+        ),
+        "correct them, or leave both empty (are they in percent, or exchanged?)",
     )
     girth = columns.get("circumference_mm", np.full(len(lines), np.nan))
     found += _listed(

@@ -27,6 +27,7 @@ from limbcli.measurement.level_checks import (
     check_zero,
 )
 from limbcli.measurement.levels import LAYERS, Levels
+from limbcli.measurement.speed_noise import check_speed_noise
 from limbcli.measurement.tables import RawTable, read_table
 from limbcli.measurement.trace import TRACE_OPTIONAL, TRACE_REQUIRED, Trace, check_trace, read_trace
 
@@ -94,6 +95,8 @@ def check_levels(path: Path, *, noise: LayerNoise | None = None) -> tuple[Levels
         problems += check_tare(levels, table, path)
         problems += check_plausible(levels, path, speed_is_possible=trusted)
         problems += speeds
+        if trusted:
+            problems += check_speed_noise(levels, table, path, noise=noise.speed if noise else None)
     return levels, problems
 
 

@@ -7,13 +7,14 @@ not known, only impossible readings are refused.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from limbcli.errors.problems import Problem
 from limbcli.measurement.levels import LAYERS, Levels
+from limbcli.measurement.speed_noise import SpeedNoise
 from limbcli.measurement.tables import problem
 from limbcli.model import Array
 
@@ -26,10 +27,11 @@ _LEAST = 1.0  # mm by which columns of different origin may differ, whatever the
 
 @dataclass(frozen=True)
 class LayerNoise:
-    """Standard deviations (mm) of a layer's thickness and of the depth."""
+    """Standard deviations (mm) of a layer's thickness and of the depth, and those of the speeds."""
 
     thickness: float = USUAL_DEVIATION
     depth: float = 0.3
+    speed: SpeedNoise = field(default_factory=SpeedNoise)
 
 
 def check_layers(

@@ -14,7 +14,7 @@ import numpy as np
 
 from limbcli.errors import MeshError
 from limbcli.meshing.distance import Heights
-from limbcli.meshing.surfaces import Triangles, bodies, boundary_loops, undirected
+from limbcli.meshing.surfaces import Triangles, bodies, boundary_loops, join, undirected
 from limbcli.meshlab import open_pymeshlab
 from limbcli.model import Array
 from limbcli.patient_frame import HEAD
@@ -113,6 +113,26 @@ def mend(
 def skin_and_bones(surface: Triangles) -> list[Triangles]:
     """The bodies in a file that contains a limb, the largest (its skin) first; stray pieces are dropped."""
     return _without_strays(bodies(surface), [], "skin")
+
+
+def largest_and_fragments(skin: Triangles) -> tuple[Triangles, list[Triangles]]:
+    """A skin's largest body with what lies inside it, and all other pieces, largest first.
+
+    Pieces inside the body may be bones; those outside it are scraps of a scan, or another body.
+    """
+    largest, *others = bodies(skin)
+    if not others:
+        return skin, []
+    above = Heights(_closed(largest, [], "skin", []))
+    is_inside = [float(np.median(above.of(each.points))) < -_WITHIN for each in others]
+    outside = [each for each, within in zip(others, is_inside, strict=True) if not within]
+    inside = [each for each, within in zip(others, is_inside, strict=True) if within]
+    return join([largest, *inside]) if outside else skin, outside
+
+
+def lies_within(outer: Triangles, inner: Triangles) -> bool:
+    """Whether most of a body lies within another, in its box and below its surface."""
+    return _holds(outer, inner)
 
 
 def without_cavities(pieces: Sequence[Triangles]) -> list[Triangles]:

@@ -11,7 +11,7 @@ from typing import Literal
 from limbcli.case.schema import FAILED
 from limbcli.errors import CaseError
 from limbcli.errors.commands import typed
-from limbcli.results import ERROR_FILE, StageResult, read_result, stage_folder
+from limbcli.results import ERROR_FILE, UNLIKE_OURS, StageResult, read_result, stage_folder
 
 SUBJECT_STAGES = ("segment",)
 SITE_STAGES = ("mesh", "build-feb", "run", "fit")
@@ -174,7 +174,7 @@ def _failed_run(folder: Path, stage: str) -> Failure | None:
             str(content.get(name) or "–") for name in ("error", "what", "where", "fix")
         )
         return Failure(error, what, where, fix)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (OSError, *UNLIKE_OURS):
         return None
 
 
@@ -188,6 +188,6 @@ def _failure(path: Path) -> Failure | None:
             str(content.get(name) or "–") for name in ("error", "what", "where", "fix")
         )
         return Failure(error, what, where, fix, problems_of(content.get("facts")))
-    except (ValueError, AttributeError, UnicodeDecodeError):
+    except UNLIKE_OURS:
         what = "the stage failed; its note cannot be read"
         return Failure("unknown", what, str(path), "run the stage again")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import shlex
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -18,6 +17,7 @@ from typing import Any
 from limbcli.case import CASE_FILE, Site, read_case
 from limbcli.case.files import CaseFiles
 from limbcli.case.label_sources import read_label_sources
+from limbcli.case.toml_file import read_toml
 from limbcli.errors import CaseError, LimbError, MeasurementError
 from limbcli.errors.problems import Problem, errors_of
 from limbcli.measurement.levels import FEWEST_LOADING
@@ -88,7 +88,7 @@ Reader = Callable[[Path], list[Problem]]
 
 def _raw(folder: Path) -> Mapping[str, Any]:
     try:
-        return tomllib.loads((folder / CASE_FILE).read_text(encoding="utf-8-sig"))
+        return read_toml(folder / CASE_FILE)
     except (OSError, ValueError):
         return {}
 

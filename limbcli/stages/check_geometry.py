@@ -89,7 +89,10 @@ _Geometry = tuple[dict[str, "Triangles"], str, list[Problem], list[str]]
 def _surfaces(case: Case) -> _Geometry:
     from limbcli.stages.segmenting.surfaces import read_surfaces, triangles_of
 
-    return triangles_of(read_surfaces(case)[0]), str(case.imaging.skin), [], []
+    surfaces, _, left_out = read_surfaces(case)
+    fix = "none needed, if these are scraps of the scan"
+    found = [Problem(each, str(case.imaging.skin), fix, severity="warning") for each in left_out]
+    return triangles_of(surfaces), str(case.imaging.skin), found, []
 
 
 def _assumed(case: Case) -> list[Problem]:

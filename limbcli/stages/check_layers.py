@@ -14,14 +14,22 @@ if TYPE_CHECKING:
 
 
 def stated_layer_noise(site: Mapping[str, Any]) -> LayerNoise:
-    """Layer noise of a site's raw table in case.toml; default values where it states no usable ones."""
+    """Noise of layers, depth and speeds of a site's raw table in case.toml; default values where it states
+    no usable ones."""
     from limbcli.measurement.indentation import LayerNoise
+    from limbcli.measurement.speed_noise import SpeedNoise
 
     table, usual = site.get("noise"), StatedNoise()
     table = table if isinstance(table, Mapping) else {}
-    found = {"layer_mm": usual.layer, "depth_mm": usual.depth} | dict(table)
-    good = all(isinstance(found[key], int | float) for key in ("layer_mm", "depth_mm"))
-    return LayerNoise(found["layer_mm"], found["depth_mm"]) if good else LayerNoise()
+    numbers = {
+        "layer_mm": usual.layer, "depth_mm": usual.depth,
+        "swe_level_fraction": usual.swe_level_fraction, "swe_pixel_fraction": usual.swe_pixel_fraction,
+    }  # fmt: skip
+    found = {key: table.get(key, value) for key, value in numbers.items()}
+    if not all(isinstance(each, int | float) for each in found.values()):
+        return LayerNoise()
+    thickness, depth, level, pixel = found.values()
+    return LayerNoise(thickness, depth, SpeedNoise(level, pixel))
 
 
 def layer_lines(case: Case) -> list[str]:

@@ -22,7 +22,7 @@ from limbcli.inference.layered_solves import FORCE
 from limbcli.measurement.cohort_checks import checked_cohort
 from limbcli.measurement.cohort_table import CohortTable
 from limbcli.progress import SILENT, Progress
-from limbcli.results import UNLIKE_OURS, StageResult, plain, provenance
+from limbcli.results import UNLIKE_OURS, StageResult, check_seal, plain, provenance, sealed
 from limbcli.stages.cohorts.compliance import compliance_left_out
 from limbcli.stages.cohorts.estimate import CohortNoise, SiteEstimate, estimate_sites, noise_of
 from limbcli.stages.cohorts.page import PICTURES, cohort_page, is_ours
@@ -196,6 +196,7 @@ def _written(
             writer.writeheader()
             writer.writerows(content["rows"])
         content["provenance"]["files_sha256"] = {name: sha256(work / name) for name in _RECORDED}
+        content = sealed(content)
         text = json.dumps(content, indent=1, allow_nan=False)
         (work / RESULT).write_text(text + "\n", encoding="utf-8")
     return _result(out, content)
@@ -230,7 +231,9 @@ def read_cohort(out: Path) -> StageResult:
             fix=f"run `limbcli cohort TABLE --out {out}` first",
         )
     try:
-        found = _result(out, json.loads(path.read_text(encoding="utf-8")))
+        content = json.loads(path.read_text(encoding="utf-8"))
+        check_seal(content)
+        found = _result(out, content)
         recorded = {name: found.provenance["files_sha256"][name] for name in _RECORDED}
     except UNLIKE_OURS as error:
         raise CaseError(

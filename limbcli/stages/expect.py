@@ -25,13 +25,13 @@ from __future__ import annotations
 
 import math
 import shutil
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from limbcli.case import Case
+from limbcli.case.toml_file import read_toml
 from limbcli.errors import CaseError, LimbError
 from limbcli.errors.problems import suggestion
 from limbcli.results import StageResult, read_result
@@ -83,7 +83,7 @@ def compare(folder: Path, out: Path, *, case: Case | None = None) -> list[Compar
     """
     path = folder / EXPECTED_FILE
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = read_toml(path)
     except FileNotFoundError:
         fix = f"write one, e.g.: [site.p1] m = {{ value = 2.0, tolerance = 0.1 }} ({EXPECTED_FILE})"
         raise CaseError(f"the case has no {EXPECTED_FILE}", where=str(folder), fix=fix) from None

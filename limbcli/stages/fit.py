@@ -25,6 +25,7 @@ from limbcli.inference.interval import Stiffness, force_intervals
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.two_step_fit import START_F_KAPPA, FittedStep, ForceDepth, two_step
 from limbcli.measurement.indentation import Levels, level_warnings
+from limbcli.measurement.speed_noise import mean_speed_deviation
 from limbcli.model import Array, ElementMap, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
@@ -57,7 +58,7 @@ from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.provenance.chain_inputs import note_case, note_templates
 from limbcli.stages.site_model.indentation_model import with_tissue
 from limbcli.stages.site_model.site_layers import held_layers
-from limbcli.stages.site_model.site_levels import layer_noise, levels_of
+from limbcli.stages.site_model.site_levels import layer_noise, levels_of, speed_noise
 from limbcli.stages.site_model.site_states import one_state
 
 __all__ = [
@@ -285,13 +286,12 @@ def force_depth_data(levels: Levels, site: Site) -> ForceDepth:
 def initial_stiffness(levels: Levels, site: Site, options: FitOptions) -> tuple[Stiffness, str]:
     """c = 2 rho v^2 of level 0 or the value given by hand, with its uncertainty, and its source in words.
 
-    The standard deviation of ln c is twice the relative one of the mean speed. That combines the error common
-    to all pixels of a level and the error of a single pixel divided by the square root of their number.
+    The standard deviation of ln c is twice the relative one of the mean speed (`mean_speed_deviation`).
     """
     c, source = tissue_stiffness(levels, site, c_kpa=options.c_kpa)
     if options.c_deviation is not None:
         return Stiffness(c, options.c_deviation), source
-    return Stiffness(c, 2.0 * float(site.noise.of_mean_speed(levels.swe_pixels[:1])[0])), source
+    return Stiffness(c, 2.0 * float(mean_speed_deviation(levels, speed_noise(site))[0])), source
 
 
 def _first_solve(

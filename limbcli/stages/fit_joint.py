@@ -27,6 +27,7 @@ from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.site_depth import RestSpeed
 from limbcli.inference.site_layers import NO_LAYERS, LayerData
 from limbcli.measurement.indentation import Levels
+from limbcli.measurement.speed_noise import mean_speed_deviation
 from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
@@ -53,7 +54,7 @@ from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.stages.provenance.requested_options import in_words
 from limbcli.stages.site_model.layer_readings import LayerReadings, layer_readings
 from limbcli.stages.site_model.site_layers import held_layers
-from limbcli.stages.site_model.site_levels import levels_of
+from limbcli.stages.site_model.site_levels import levels_of, speed_noise
 from limbcli.stages.site_model.site_states import one_state
 
 STAGE = "fit-joint"
@@ -310,7 +311,7 @@ def site_data(measured: Measured, knots: Array, joint: JointOptions, *, speeds: 
     rows = levels.loading & (levels.depth > 0.0) & (levels.force > 0.0)
     seen = levels.loading & np.isfinite(levels.swe_mean_m_per_s) if speeds else np.zeros(len(levels), bool)
     given = joint.gain_deviation if joint.gain_deviation is not None else measured.studied_error
-    deviation = noise.of_mean_speed(levels.swe_pixels[seen])
+    deviation = mean_speed_deviation(levels, speed_noise(measured.site))[seen]
     return SiteMeasurement(
         measured.site.name, knots, levels.force[rows], levels.depth[rows], noise.force, noise.depth,
         np.maximum(levels.force[seen], 0.0), np.log(levels.swe_mean_m_per_s[seen]),

@@ -128,6 +128,32 @@ def test_two_sites_of_one_name_are_refused(folder: Path):
         Case.open(write(folder, GOOD + site))
 
 
+@pytest.mark.parametrize("other", ["P1", "p1."])
+def test_sites_that_share_a_folder_on_some_file_systems_are_refused(folder: Path, other: str):
+    site = GOOD[GOOD.index("[[site]]") :].replace('"p1"', f'"{other}"', 1)
+    with pytest.raises(CaseError, match=f"the sites 'p1' and '{other}' share a folder"):
+        Case.open(write(folder, GOOD + site))
+
+
+@pytest.mark.parametrize("value", ["true", "1.0", "2", '"1"', "[1]"])
+def test_only_the_whole_number_1_is_the_format(folder: Path, value: str):
+    with pytest.raises(CaseError, match="this program reads format 1"):
+        Case.open(write(folder, GOOD.replace("format = 1", f"format = {value}")))
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ("1" + 400 * "0", "64 bits"), ("-" + "9" * 5000, "not valid TOML"),
+        ("[" * 2000 + "]" * 2000, "nested"),
+        ("[" * 40 + "]" * 40, "nested"), (str(2**63), "64 bits"),
+    ],
+)  # fmt: skip
+def test_numbers_and_lists_beyond_all_measure_are_a_message(folder: Path, value: str, words: str):
+    for line in (f"margin_mm = {value}", f"unknown = {value}"):
+        assert any(words in each for each in whats(write(folder, GOOD + f"\n[model]\n{line}\n")))
+
+
 def test_missing_folder_and_missing_file_differ(tmp_path: Path):
     with pytest.raises(CaseError, match="there is no case folder"):
         Case.open(tmp_path / "nowhere")

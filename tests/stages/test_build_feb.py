@@ -17,6 +17,7 @@ from limbcli.feb.settings import apart, schedule
 from limbcli.measurement.indentation import read_levels
 from limbcli.model import LimbModel
 from limbcli.model_io import load_model
+from limbcli.results import sealed
 from limbcli.stages.build_feb import TissueOptions, build_feb, simulated_depths
 from limbcli.stages.site_model.indentation_model import start_at, starting_depth, touching_points
 from tests.stages.block_case import make_case
@@ -245,7 +246,7 @@ def test_a_depth_that_the_tissue_does_not_have_is_refused(case: Case, tmp_path: 
     found = json.loads(path.read_text())
     for thick, is_refused in ((3.3, False), (3.25, True), (None, False)):
         found["data"] |= {"checks": {"skin_bone_mm": thick}, "measured_skin_bone_mm": None}
-        path.write_text(json.dumps(found))
+        path.write_text(json.dumps(sealed(found)))
         if is_refused:
             with pytest.raises(MeasurementError, match=r"reaches 3.25 mm, .* has 3.25 mm"):
                 build_feb(case, out=tmp_path / "out")

@@ -18,7 +18,7 @@ from limbcli.atomic_files import sha256
 from limbcli.case import Case
 from limbcli.cli.app import main
 from limbcli.errors import CaseError, ToolError
-from limbcli.results import open_stage, read_result
+from limbcli.results import open_stage, read_result, sealed
 from limbcli.stages import build_feb as build_feb_module
 from limbcli.stages import diagnose as diagnose_module
 from limbcli.stages import fit as fit_module
@@ -114,7 +114,7 @@ def made_again(stage: str, site: str | None, file: str) -> Callable[[Path], None
         name = content["files"][file]
         (folder / name).write_bytes((folder / name).read_bytes() + b"\n")
         content["provenance"]["files_sha256"][file] = sha256(folder / name)
-        path.write_text(json.dumps(content))
+        path.write_text(json.dumps(sealed(content)))
 
     return change
 
@@ -127,7 +127,7 @@ def of_version(version: str | None) -> Callable[[Path], None]:
             del content["provenance"]["made_from"]
         else:
             content["provenance"]["made_from"]["version"] = version
-        path.write_text(json.dumps(content))
+        path.write_text(json.dumps(sealed(content)))
 
     return change
 
@@ -372,7 +372,7 @@ def test_a_damaged_account_of_what_a_result_was_made_from_is_none(root: Path, da
     path = root / "out" / "segment" / "segment.json"
     content = json.loads(path.read_text())
     content["provenance"]["made_from"] = damaged
-    path.write_text(json.dumps(content))
+    path.write_text(json.dumps(sealed(content)))
     with pytest.raises(CaseError, match="an earlier limbcli"):
         mesh_module.mesh(Case.open(root / "case"), out=root / "out")
     path.write_text(json.dumps({**content, "provenance": []}))

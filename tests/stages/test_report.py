@@ -23,7 +23,7 @@ from limbcli.reporting.sections.joint import joint, laws
 from limbcli.reporting.sections.overview import overview
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.reporting.sections.states import states
-from limbcli.results import open_stage, read_result
+from limbcli.results import open_stage, read_result, sealed
 from limbcli.stages.batching.outcome import keep_error
 from limbcli.stages.report import report
 from limbcli.stages.report_pages.failure import report_failure
@@ -434,7 +434,7 @@ def add_predicted_speeds(out: Path, site: str) -> None:
             "median_kpa": 8.0, "low_kpa": 5.0, "high_kpa": 12.0,
         },
     }  # fmt: skip
-    (folder / "fit.json").write_text(json.dumps(content))
+    (folder / "fit.json").write_text(json.dumps(sealed(content)))
 
 
 @pytest.mark.slow
@@ -588,10 +588,10 @@ def test_a_fit_of_the_very_model_is_not_called_old(tmp_path):
     path = out / "fit" / "p1" / "fit.json"
     content = json.loads(path.read_text())
     content["provenance"]["finished_utc"] = "2001-01-01T00:00:00Z"
-    path.write_text(json.dumps(content))
+    path.write_text(json.dumps(sealed(content)))
     assert any("fit p1" in text and "older" in text for text in gather(case, out=out).notices)
     content["provenance"]["inputs_sha256"]["model"] = "0123"
-    path.write_text(json.dumps(content))
+    path.write_text(json.dumps(sealed(content)))
     assert not any("older" in text for text in gather(case, out=out).notices)
 
 
@@ -723,7 +723,7 @@ def test_a_joint_fit_older_than_its_model_is_told(tmp_path):
     path = out / "fit-joint" / "fit-joint.json"
     content = json.loads(path.read_text())
     content["provenance"]["finished_utc"] = "2020-01-01T00:00:00Z"
-    path.write_text(json.dumps(content))
+    path.write_text(json.dumps(sealed(content)))
     page = Page(report(case, out=out).path("page").read_text(encoding="utf-8"))
     assert "“fit-joint” (2020-01-01T00:00:00Z) is older than that of “build-feb p1”" in page.text
     assert "--objective joint" in page.text
@@ -785,7 +785,9 @@ def test_a_diagnosis_that_cannot_be_shown_whole_does_not_stop_the_page(tmp_path)
     page = report(case, out=out).path("page").read_text()
     assert "The skin is stiff." in page
     path = out / "diagnose" / "p1" / "diagnose.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"data": {"added": ["x"], "shrink": [{}, {}]}}))
+    path.write_text(
+        json.dumps(sealed(json.loads(path.read_text()) | {"data": {"added": ["x"], "shrink": [{}, {}]}}))
+    )
     result = report(case, out=out)
     assert "Its result cannot be shown (KeyError: &#39;verdict&#39;)" in result.path("page").read_text()
 
@@ -799,7 +801,7 @@ def test_the_limit_of_an_interval_is_said_once_and_the_panel_states_the_interval
     content["data"]["steps"]["ogden"]["profiles"] = {
         "m": {"values": [1, 2], "deviance": [3, 0], "limit": 9.98, "extended_to_fit": True}
     }
-    path.write_text(json.dumps(content))
+    path.write_text(json.dumps(sealed(content)))
     page = gather(case, out=out)
     found = profiles(page, page.sites[0])
     assert found.mood == "warning", "f_kappa is open"

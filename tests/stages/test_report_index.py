@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from limbcli.cli.app import app
 from limbcli.errors import CaseError
-from limbcli.results import open_stage, read_result
+from limbcli.results import open_stage, read_result, sealed
 from limbcli.stages.report_pages.failure import report_failure
 from limbcli.stages.report_pages.index import report_index
 
@@ -66,7 +66,7 @@ def test_study_page_gives_every_failure_its_reasons(tmp_path):
         {"stage": "check", "site": None, "error": "CaseError", "what": "3 problems:\n1. fault 0",
          "where": "a", "fix": "all", "problems": problems}
     ]  # fmt: skip
-    path.write_text(json.dumps(content))
+    path.write_text(json.dumps(sealed(content)))
     result = report_index(tmp_path)
     html = result.page.read_text(encoding="utf-8")
     assert result.rows[0].state == "check failed: 3 problems:"
@@ -86,7 +86,7 @@ def test_what_failed_beside_a_fit_does_not_take_its_numbers(tmp_path):
         ("failed", "fit-joint failed: it did"),
     ):
         content["data"]["stages"] = {"fit p1": status}
-        path.write_text(json.dumps(content))
+        path.write_text(json.dumps(sealed(content)))
         (row,) = report_index(tmp_path).rows
         assert row.mood == "failed"
         assert any(text in f"{cell.text} {cell.reason}" for cell in row.cells)
@@ -97,7 +97,7 @@ def test_a_poor_fit_is_called_so_in_the_table(tmp_path):
     path = tmp_path / "A" / "fit" / "p1" / "fit.json"
     content = json.loads(path.read_text())
     content["data"]["agreement"] = {"state": "bad", "force": {"state": "bad", "words": "it differs"}}
-    path.write_text(json.dumps(content))
+    path.write_text(json.dumps(sealed(content)))
     html = report_index(tmp_path).page.read_text(encoding="utf-8")
     assert re.search(r'<span class="pill \w+">poor fit</span>', html)
 
@@ -110,7 +110,7 @@ def test_a_fit_that_its_report_does_not_show_is_told(tmp_path):
     fitted = read_result(tmp_path / "A", "fit", site="p1").provenance["finished_utc"]
     for shown, words in ((fitted, ""), ("2020-01-01T00:00:00Z", "again after its report was made")):
         content["data"]["fitted_utc"] = {"p1": shown}
-        path.write_text(json.dumps(content))
+        path.write_text(json.dumps(sealed(content)))
         result = report_index(tmp_path)
         assert result.rows[0].older.startswith(words)
         assert bool(result.rows[0].older) == bool(words)
@@ -125,7 +125,7 @@ def test_an_interval_without_ends_says_why(tmp_path, why):
     content = json.loads(place.read_text())
     m = content["data"]["steps"]["ogden"]["parameters"]["m"]
     m.update(low=None, high=None, flag="weak", interval_reason=why)
-    place.write_text(json.dumps(content))
+    place.write_text(json.dumps(sealed(content)))
     (row,) = report_index(tmp_path).rows
     assert (row.cells[2].text, row.cells[2].reason) == ("–", why or "not computed")
 
@@ -143,7 +143,7 @@ def test_a_damaged_report_is_a_row_and_stops_no_other(tmp_path, damaged):
     add_subject(tmp_path, "B")
     path = tmp_path / "B" / "report" / "report.json"
     content = json.loads(path.read_text())
-    path.write_text(json.dumps(content | {"data": content["data"] | damaged}))
+    path.write_text(json.dumps(sealed(content | {"data": content["data"] | damaged})))
     (tmp_path / "B" / "mesh" / "p1").mkdir(parents=True)
     (tmp_path / "B" / "mesh" / "p1" / "error.json").write_text('{"what": 3}')
     rows = report_index(tmp_path).rows
@@ -154,7 +154,7 @@ def test_a_damaged_report_is_a_row_and_stops_no_other(tmp_path, damaged):
 def test_another_subjects_fit_is_not_in_the_table(tmp_path):
     add_subject(tmp_path, "A")
     path = tmp_path / "A" / "fit" / "p1" / "fit.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"subject": "B"}))
+    path.write_text(json.dumps(sealed(json.loads(path.read_text()) | {"subject": "B"})))
     result = report_index(tmp_path)
     assert [(row.word, row.state, row.view) for row in result.rows] == [
         ("not fitted", "the fit is of B", None)

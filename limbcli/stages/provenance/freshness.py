@@ -115,7 +115,7 @@ def _remembered(path: Path, subject: str) -> dict[str, Any]:
     """The stored record; empty if the file is absent, damaged, or of another subject."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return {}
     usable = isinstance(found, dict) and isinstance(found.get(_ASKED, {}), dict)
     if not usable or found.get(_SUBJECT, subject) != subject:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from limbcli.atomic_files import sha256
 from limbcli.case import Case
 from limbcli.reporting.outcome import Outcomes
 from limbcli.stages.provenance.chain import BrokenLink, Chain
@@ -19,7 +20,17 @@ def stale_results(case: Case, out: Path, outcomes: Outcomes) -> list[str]:
         broken = chain.broken(outcome.result)
         if broken is not None:
             causes.setdefault(broken.what, []).append((outcome.label, broken))
-    return [_sentence(case, out, what, found) for what, found in causes.items()]
+    return [_sentence(case, out, what, found) for what, found in causes.items()] + _altered_pictures(outcomes)
+
+
+def _altered_pictures(outcomes: Outcomes) -> list[str]:
+    """Sentences on pictures of the page that are no longer what their stage drew."""
+    return [
+        f"{path.name}, drawn by `{result.label}`, was changed since ({path}): the page shows it as it is now"
+        for result in (each.result for each in outcomes.done if each.result is not None)
+        for name, digest in result.provenance.get("pictures_sha256", {}).items()
+        if (path := result.path(name)).is_file() and sha256(path) != digest
+    ]
 
 
 def _sentence(case: Case, out: Path, what: str, found: list[tuple[str, BrokenLink]]) -> str:

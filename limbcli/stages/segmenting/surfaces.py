@@ -14,7 +14,15 @@ from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
 from limbcli.meshing.anatomy import IN_ONE_FRAME, SKIN, bones_outside, limb_problems
 from limbcli.meshing.domain import part_inside
 from limbcli.meshing.facets import divided
-from limbcli.meshing.mending import enclosed, open_rims, skin_and_bones, turned_inward, without_cavities
+from limbcli.meshing.mending import (
+    enclosed,
+    largest_and_fragments,
+    lies_within,
+    open_rims,
+    skin_and_bones,
+    turned_inward,
+    without_cavities,
+)
 from limbcli.meshing.places import triple
 from limbcli.meshing.surfaces import Triangles, join
 from limbcli.results import StageWriter
@@ -28,6 +36,7 @@ from limbcli.surface_frames import mixed_frames, stated_frame
 # divided; those of a scan do so only at its flat ends, and are kept as given.
 AOP_FILE = "skin.aop"
 _LONGEST_EDGE = 25.0  # mm, longest edge of a divided body
+_NAMED = 3  # pieces of a skin's file that a warning names
 _DRAWN_SHARE = 0.5  # share of area in triangles with a longer edge above which a body is taken as drawn
 
 
@@ -36,7 +45,8 @@ def from_surfaces(case: Case, writer: StageWriter, *, accept_bones: bool = False
     assert case.imaging.skin is not None
     writer.data["source"] = "surfaces"
     writer.data["markers"] = []
-    surfaces, paths = read_surfaces(case)
+    surfaces, paths, left_out = read_surfaces(case)
+    writer.warnings.extend(left_out)
     converted, mixed = frames_of(case)
     writer.summary.extend(converted)
     writer.warnings.extend(each.what for each in mixed)
@@ -141,27 +151,63 @@ def _of_aop(path: Path, case: Case) -> list[str]:
     return [f"landmarks of {path.name}, as for position_mm: {', '.join(places)}"] if places else []
 
 
-def read_surfaces(case: Case) -> tuple[dict[str, ClosedSurface], dict[str, Path]]:
-    """Skin and bones by name as given, and the files named by the case.
+def read_surfaces(case: Case) -> tuple[dict[str, ClosedSurface], dict[str, Path], list[str]]:
+    """Skin and bones by name as given, the files named by the case, and what was left out of the skin.
 
     Raises
     ------
     CaseError
-        If one cannot be read, its size is not that of a body in mm, or there is no bone.
+        If one cannot be read, its size is not that of a body in mm, there is no bone, or a bone lies in
+        another piece of the skin's file than the largest.
     """
     assert case.imaging.skin is not None
     names = names_of_files(case.imaging.bones)
     paths = {SKIN: case.imaging.skin, **dict(zip(names, case.imaging.bones, strict=True))}
     surfaces = {name: _in_mm(read_surface(path), name, path) for name, path in paths.items()}
     if not case.imaging.bones:
-        return _bodies(surfaces[SKIN], case.imaging.skin), paths
+        return _bodies(surfaces[SKIN], case.imaging.skin), paths, []
+    bones = {name: surfaces[name] for name in names}
+    surfaces[SKIN], left_out = without_fragments(surfaces[SKIN], case.imaging.skin, triangles_of(bones))
     surfaces |= {name: _whole(surfaces[name]) for name in names}
     if names == numbered(len(names)):  # no file name identifies its bone
         triangles = triangles_of(surfaces)
         bodies = [SKIN, *names_of_bodies(triangles[SKIN], [triangles[each] for each in names])]
         surfaces = dict(zip(bodies, surfaces.values(), strict=True))
         paths = dict(zip(bodies, paths.values(), strict=True))
-    return surfaces, paths
+    return surfaces, paths, left_out
+
+
+def without_fragments(
+    skin: ClosedSurface, path: Path, bones: Mapping[str, Triangles]
+) -> tuple[ClosedSurface, list[str]]:
+    """The largest piece of a skin's file with what lies inside it, and warnings that name the other pieces.
+
+    Raises
+    ------
+    CaseError
+        If a bone lies in one of the other pieces.
+    """
+    body, others = largest_and_fragments(Triangles(skin.points, skin.triangles))
+    for each in others:
+        inside = [name for name, bone in bones.items() if lies_within(each, bone)]
+        if inside:
+            raise CaseError(
+                f"{' and '.join(inside)} lies in {_piece(each)} of the skin's file, which is not its largest",
+                where=str(path),
+                fix="give the skin of one limb, as one connected surface, and its own bones",
+            )
+    if not others:
+        return skin, []
+    named = "; ".join(_piece(each) for each in others[:_NAMED])
+    more = f"; and {len(others) - _NAMED} smaller" if len(others) > _NAMED else ""
+    what = f"{path.name} holds {len(others)} more piece{'s' if len(others) > 1 else ''} outside its largest"
+    return ClosedSurface(body.points, body.faces), [f"{what}, left out: {named}{more}"]
+
+
+def _piece(piece: Triangles) -> str:
+    """Size and place of a piece, in words."""
+    low, high = piece.points.min(axis=0), piece.points.max(axis=0)
+    return f"a piece {np.ptp(piece.points, axis=0).max():.0f} mm across at {triple(0.5 * (low + high))} mm"
 
 
 def _bodies(surface: ClosedSurface, path: Path) -> dict[str, ClosedSurface]:
@@ -220,8 +266,9 @@ def read_body(path: Path) -> tuple[ClosedSurface, list[str]]:
     CaseError
         If it cannot be read, or its size is not that of a limb in mm.
     """
-    surface = _in_mm(read_surface(path), "skin", path)
-    return _turned(surface, "skin", path)
+    surface, left_out = without_fragments(_in_mm(read_surface(path), "skin", path), path, {})
+    turned, warnings = _turned(surface, "skin", path)
+    return turned, [*left_out, *warnings]
 
 
 def _usable(surface: ClosedSurface, name: str, path: Path, writer: StageWriter) -> ClosedSurface:

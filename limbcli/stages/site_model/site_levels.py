@@ -7,6 +7,7 @@ from limbcli.measurement.cycles import CycleStudy, study_cycles
 from limbcli.measurement.elastography import SweMap, read_maps
 from limbcli.measurement.indentation import LayerNoise, Levels, read_levels
 from limbcli.measurement.levels import LAST
+from limbcli.measurement.speed_noise import SpeedNoise
 
 
 def layer_noise(site: Site) -> LayerNoise:
@@ -14,9 +15,14 @@ def layer_noise(site: Site) -> LayerNoise:
     >>> from limbcli.case import StatedNoise
     >>> from types import SimpleNamespace
     >>> layer_noise(SimpleNamespace(noise=StatedNoise(layer=0.1)))
-    LayerNoise(thickness=0.1, depth=0.3)
+    LayerNoise(thickness=0.1, depth=0.3, speed=SpeedNoise(level=0.05, pixel=0.1))
     """
-    return LayerNoise(site.noise.layer, site.noise.depth)
+    return LayerNoise(site.noise.layer, site.noise.depth, speed_noise(site))
+
+
+def speed_noise(site: Site) -> SpeedNoise:
+    """Stated noise of a site's speeds."""
+    return SpeedNoise(site.noise.swe_level_fraction, site.noise.swe_pixel_fraction)
 
 
 def all_levels_of(site: Site) -> Levels:

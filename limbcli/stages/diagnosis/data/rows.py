@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +16,7 @@ from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Protocol, Reading
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
+from limbcli.measurement.speed_noise import SpeedNoise, mean_speed_deviation
 from limbcli.model import Array, IntArray
 from limbcli.stages.diagnosis.data.held_forces import HeldForces
 from limbcli.stages.diagnosis.data.windows import Windows
@@ -127,8 +128,9 @@ def speed_rows(
         return Stacked.of("map", level, means[shown], own, part + 1)
     speeds = levels.swe_mean_m_per_s[keep]
     used = np.flatnonzero(np.isfinite(speeds))
-    pixels = np.maximum(np.nan_to_num(levels.swe_pixels[keep][used], nan=1.0, posinf=1.0), 1.0)
-    own = np.hypot(noise.swe_level_fraction, noise.swe_pixel_fraction / np.sqrt(pixels))
+    counted = replace(levels, swe_pixels=np.nan_to_num(levels.swe_pixels, nan=1.0))
+    stated = SpeedNoise(noise.swe_level_fraction, noise.swe_pixel_fraction)
+    own = mean_speed_deviation(counted, stated, with_scatter=False)[keep][used]
     return Stacked.of("swe", used, np.log(speeds[used]), own, 0)
 
 

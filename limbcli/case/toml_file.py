@@ -1,0 +1,43 @@
+"""Read a TOML file of the user, so that nothing in it can break what reads its values later."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+_MOST_NESTED = 20  # tables and lists within each other
+_LARGEST = 2**63  # TOML 1.0: integers of 64 bits
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The content of a TOML file, with or without a byte-order mark.
+
+    Raises
+    ------
+    ValueError
+        If it is not UTF-8 text (UnicodeDecodeError) or not valid TOML, holds an integer of more than 64 bits,
+        or nests tables and lists too deeply.
+    """
+    text = path.read_text(encoding="utf-8-sig")
+    try:
+        content = tomllib.loads(text)
+    except RecursionError:
+        raise ValueError(_TOO_DEEP) from None
+    level: list[Any] = [content]
+    for _ in range(_MOST_NESTED):
+        level = [inner for each in level for inner in _inside(each)]
+        if any(isinstance(each, int) and not -_LARGEST <= each < _LARGEST for each in level):
+            raise ValueError("an integer has more than 64 bits")
+    if level:
+        raise ValueError(_TOO_DEEP)
+    return content
+
+
+_TOO_DEEP = f"lists and tables are nested more than {_MOST_NESTED} deep"
+
+
+def _inside(value: Any) -> list[Any]:
+    if isinstance(value, dict):
+        return list(value.values())
+    return value if isinstance(value, list) else []

@@ -1,0 +1,97 @@
+"""The limb is the largest piece of the skin's file; others are named with size and place, and left out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from limbcli.errors import CaseError
+from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
+from limbcli.meshing.surfaces import Triangles, join
+from limbcli.stages.check_geometry import geometry_findings
+from limbcli.stages.segment import segment
+from limbcli.stages.segmenting.surfaces import read_body
+from tests.stages.test_segment import case_with
+
+
+def cylinder(radius: float, low: float, high: float, centre: tuple[float, float] = (0.0, 0.0)) -> Triangles:
+    """A closed cylinder along z."""
+    n, rows = 32, 24
+    turn = 2 * np.pi * np.arange(n) / n
+    ring = np.column_stack([radius * np.cos(turn) + centre[0], radius * np.sin(turn) + centre[1]])
+    heights = np.linspace(low, high, rows)
+    points = [np.column_stack([ring, np.full(n, z)]) for z in heights]
+    points += [np.array([[*centre, low], [*centre, high]])]
+    faces = []
+    for k in range(rows - 1):
+        a, b = k * n + np.arange(n), k * n + np.roll(np.arange(n), -1)
+        faces += [np.column_stack([a, b, b + n]), np.column_stack([a, b + n, a + n])]
+    first, last = rows * n, rows * n + 1
+    around, ahead = np.arange(n), np.roll(np.arange(n), -1)
+    faces += [np.column_stack([np.full(n, first), ahead, around])]
+    faces += [np.column_stack([np.full(n, last), around + (rows - 1) * n, ahead + (rows - 1) * n])]
+    return Triangles(np.concatenate(points), np.concatenate(faces))
+
+
+def written(path: Path, *bodies: Triangles) -> Path:
+    whole = join(list(bodies))
+    write_surface(path, ClosedSurface(whole.points, whole.faces))
+    return path
+
+
+LIMB = cylinder(50.0, -100.0, 100.0)
+BONES = (cylinder(10.0, -90.0, 90.0, (-15.0, 0.0)), cylinder(6.0, -90.0, 90.0, (20.0, 5.0)))
+
+
+def case_of(folder: Path, *more: Triangles):
+    files = [
+        written(folder / f"{name}.ply", each) for name, each in zip(("tibia", "fibula"), BONES, strict=True)
+    ]
+    return case_with(folder, skin=written(folder / "skin.ply", LIMB, *more), bones=tuple(files))
+
+
+@pytest.mark.parametrize("size", [3.0, 12.5, 40.0])
+def test_a_closed_fragment_behind_the_skin_is_left_out_and_named(tmp_path: Path, size: float):
+    case = case_of(tmp_path, cylinder(size, -size, size, (0.0, 70.0 + size)))
+    result = segment(case, out=tmp_path / "out")
+    alone = segment(case_of(tmp_path), out=tmp_path / "alone")
+    skin, wanted = (read_surface(each.path("skin")) for each in (result, alone))
+    assert len(skin.triangles) == len(wanted.triangles)
+    assert skin.volume == pytest.approx(wanted.volume)
+    (told,) = [each for each in result.warnings if "left out" in each]
+    assert f"a piece {2 * size:.0f} mm across at" in told
+    assert f"{70 + size:.0f}"[:2] in told
+    assert not any("left out" in each for each in alone.warnings)
+
+
+def test_check_names_the_fragment_too(tmp_path: Path):
+    case = case_of(tmp_path, cylinder(12.5, -12.5, 12.5, (0.0, 82.5)))
+    found, _ = geometry_findings(case, [])
+    assert any("1 more piece outside its largest" in each.what for each in found)
+    assert not any(each.severity == "error" for each in found)
+
+
+def test_a_bone_in_another_piece_than_the_limb_is_an_error_that_names_both(tmp_path: Path):
+    other = cylinder(45.0, -90.0, 90.0, (150.0, 0.0))
+    bone = written(tmp_path / "fibula.ply", cylinder(8.0, -80.0, 80.0, (150.0, 0.0)))
+    case = case_with(
+        tmp_path,
+        skin=written(tmp_path / "skin.ply", LIMB, other),
+        bones=(written(tmp_path / "tibia.ply", BONES[0]), bone),
+    )
+    with pytest.raises(CaseError, match=r"bone_fibula lies in a piece 180 mm across at .*150"):
+        segment(case, out=tmp_path / "out")
+
+
+def test_a_skin_read_alone_leaves_fragments_out_too(tmp_path: Path):
+    path = written(tmp_path / "skin.ply", LIMB, cylinder(12.5, -12.5, 12.5, (0.0, 82.5)))
+    skin, warnings = read_body(path)
+    assert skin.n_parts == 1
+    assert any("left out" in each for each in warnings)
+
+
+def test_a_body_inside_the_skin_stays_in_its_file(tmp_path: Path):
+    path = written(tmp_path / "skin.ply", LIMB, BONES[0], cylinder(5.0, -5.0, 5.0, (0.0, 90.0)))
+    assert read_body(path)[0].n_parts == 2
