@@ -348,6 +348,8 @@ def test_a_map_becomes_squares_with_the_stiffness_of_its_speeds():
     free = map_reading("p1", swe, np.eye(4), PixelNoise(0.1), gain_deviation=0.1)
     tied = map_reading("p1", swe, np.eye(4), PixelNoise(0.1, 2.0, 0.9), gain_deviation=0.1)
     assert len(free.points) <= 60
+    pixels = (2 * 0.1) ** 2 / np.diag(free.covariance)  # ln c has twice the noise of ln speed
+    assert pixels.sum() == pytest.approx(len(swe))
     shallow = free.points[:, 2] > -8
     np.testing.assert_allclose(np.exp(free.log_c[shallow]), 2e-6 * 1000 * 1.5**2, rtol=1e-9)  # 2 rho v^2
     assert (np.diag(tied.covariance) > 3 * np.diag(free.covariance)).all()
