@@ -30,7 +30,7 @@ _DEEP_MM = 30.0  # region of a site without bone below it
 
 
 @dataclass(frozen=True)
-class SiteResults:
+class LimbReadings:
     """All that the results say of the sites; `left_out`: by site, why it gave nothing (or not its map)."""
 
     sites: list[SiteReading] = field(default_factory=list)
@@ -38,7 +38,7 @@ class SiteResults:
     left_out: dict[str, str] = field(default_factory=dict)
 
 
-def site_results(case: Case, chain: Chain, writer: StageWriter | None = None) -> SiteResults:
+def site_results(case: Case, chain: Chain, writer: StageWriter | None = None) -> LimbReadings:
     """The readings of all sites that were meshed, and fitted or diagnosed or have a map at rest.
 
     writer : records the results used
@@ -52,7 +52,7 @@ def site_results(case: Case, chain: Chain, writer: StageWriter | None = None) ->
     FitError
         If a result lacks what every version writes.
     """
-    found = SiteResults()
+    found = LimbReadings()
     for site in case.sites:
         mesh = chain.present("mesh", site=site.name)
         if mesh is None:
@@ -69,7 +69,9 @@ def site_results(case: Case, chain: Chain, writer: StageWriter | None = None) ->
     return found
 
 
-def _add(found: SiteResults, site: Site, mesh: StageResult, chain: Chain, writer: StageWriter | None) -> None:
+def _add(
+    found: LimbReadings, site: Site, mesh: StageResult, chain: Chain, writer: StageWriter | None
+) -> None:
     frame = mesh.data["frame"]
     fit, diagnosis = (chain.present(stage, site=site.name) for stage in ("fit", "diagnose"))
     added = list(diagnosis.data["added"]) if diagnosis is not None else []
