@@ -35,7 +35,7 @@ _CAP_COSINE, _CAP_MM = 0.95, 4.0
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
+class AnatomicalPlaces:
     """Anatomical coordinates of n points: `height` (mm), `around` (n, 2), `depth` (0 to 1), all by point.
 
     around : s (cos angle, sin angle)
@@ -53,13 +53,13 @@ class Places:
         """Angle around the limb (n,), rad, -pi to pi."""
         return np.arctan2(self.around[:, 1], self.around[:, 0])
 
-    def part(self, which: Array | slice) -> Places:
-        return Places(self.height[which], self.around[which], self.depth[which])
+    def part(self, which: Array | slice) -> AnatomicalPlaces:
+        return AnatomicalPlaces(self.height[which], self.around[which], self.depth[which])
 
 
-def joined(several: Sequence[Places]) -> Places:
+def joined(several: Sequence[AnatomicalPlaces]) -> AnatomicalPlaces:
     """Places one after another."""
-    return Places(
+    return AnatomicalPlaces(
         np.concatenate([each.height for each in several]),
         np.concatenate([each.around for each in several]),
         np.concatenate([each.depth for each in several]),
@@ -84,13 +84,13 @@ class LimbCoordinates:
     skin: cKDTree
     bone: cKDTree | None
 
-    def places(self, points: Array | Places) -> Places:
+    def places(self, points: Array | AnatomicalPlaces) -> AnatomicalPlaces:
         """Anatomical coordinates of points (n, 3), mm, in the frame of the surfaces; places as they are.
 
         Points are taken as lying in the soft tissue: the depth of those outside the skin or within a bone is
         that of their distances all the same.
         """
-        if isinstance(points, Places):
+        if isinstance(points, AnatomicalPlaces):
             return points
         points = np.asarray(points, float).reshape(-1, 3)
         height = points @ self.axis - self.distal
@@ -100,7 +100,7 @@ class LimbCoordinates:
         around = offset / np.sqrt(r * r + _CORE**2)[:, None]
         from_skin = self.skin.query(points)[0]
         inner = r if self.bone is None else self.bone.query(points)[0]
-        return Places(height, around, from_skin / np.maximum(from_skin + inner, 1e-9))
+        return AnatomicalPlaces(height, around, from_skin / np.maximum(from_skin + inner, 1e-9))
 
 
 def limb_coordinates(

@@ -26,7 +26,7 @@ from scipy.linalg import cho_solve
 from limbcli.atomic_files import atomic_file
 from limbcli.errors import FitError
 from limbcli.model import Array
-from limbcli.stiffness_field.coordinates import Places
+from limbcli.stiffness_field.coordinates import AnatomicalPlaces
 from limbcli.stiffness_field.field import Conditioned, StiffnessField
 from limbcli.stiffness_field.kernel import Features
 from limbcli.stiffness_field.readings import PARAMETERS
@@ -62,7 +62,7 @@ class Draw:
     weights: Array
     update: Array
 
-    def at(self, points: Array | Places) -> DrawnValues:
+    def at(self, points: Array | AnatomicalPlaces) -> DrawnValues:
         """c, m and f_kappa at points (n, 3), mm in the frame of the surfaces, or at places in the limb.
 
         For several draws at the same points, `field.limb.places(points)` spares the distances.
@@ -79,7 +79,7 @@ class Draw:
             *(np.clip(np.exp(each), p.low, p.high) for each, p in zip(logs.T, priors, strict=True))
         )
 
-    def logs(self, places: Places) -> Array:
+    def logs(self, places: AnatomicalPlaces) -> Array:
         """ln of c, m, f_kappa (n, 3) at places."""
         out = self.level + self.features.at(places) @ self.weights.T
         if len(self.update):

@@ -30,7 +30,7 @@ from scipy.spatial import cKDTree
 from scipy.special import ndtr, ndtri
 
 from limbcli.model import Array
-from limbcli.stiffness_field.coordinates import LimbCoordinates, Places
+from limbcli.stiffness_field.coordinates import AnatomicalPlaces, LimbCoordinates
 from limbcli.stiffness_field.expectation import normal_readings
 from limbcli.stiffness_field.kernel import Between, Lengths
 from limbcli.stiffness_field.likelihood import Bound, Interval, Known, likelihood_of
@@ -48,7 +48,7 @@ _UNKNOWN_GAIN = 3.0  # standard deviation of ln c of a map's common error where 
 
 
 @dataclass(frozen=True)
-class Prior:
+class FieldPrior:
     """Prior of one parameter: ln of the person's mean is normal.
 
     mean : of ln (of MPa for c); deviation : of ln; low, high : possible values, draws are kept within them
@@ -62,19 +62,19 @@ class Prior:
     source: str
 
 
-PRIORS: Mapping[str, Prior] = {
-    "c": Prior(
+PRIORS: Mapping[str, FieldPrior] = {
+    "c": FieldPrior(
         float(np.log(0.008)), 0.7, 1e-5, 1.0,
         "chosen: 2 to 32 kPa (95 %), which holds both sites of the lower legs in MULTIS (`cohort`: 4.9 and "
         "18.8 kPa)",
     ),
-    "m": Prior(float(np.log(3.9)), 0.69, 1.0, 100.0, "that of `diagnose`: 1 to 15 (95 %)"),
-    "f_kappa": Prior(float(np.log(100.0)), 0.9, 0.01, 1000.0, "chosen: 17 to 580 (95 %)"),
+    "m": FieldPrior(float(np.log(3.9)), 0.69, 1.0, 100.0, "that of `diagnose`: 1 to 15 (95 %)"),
+    "f_kappa": FieldPrior(float(np.log(100.0)), 0.9, 0.01, 1000.0, "chosen: 17 to 580 (95 %)"),
 }  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Grid:
+class HypothesisGrid:
     """Values of the quantities that few sites do not tell, all combinations equally probable before the data.
 
     height_mm, around, depth : correlation lengths
@@ -136,7 +136,7 @@ class PointValues:
 
 
 @dataclass(frozen=True, eq=False)
-class Readings:
+class FieldReadings:
     """All readings as linear functionals of the fields.
 
     places : (q,) all points of all regions; average : (n, q) weights, rows sum to 1
@@ -146,7 +146,7 @@ class Readings:
     correlated : (i, j, rho) of two readings of a site
     """
 
-    places: Places
+    places: AnatomicalPlaces
     average: Array
     parameter: NDArray[np.int_]
     values: Array
@@ -183,8 +183,8 @@ class StiffnessField:
     """
 
     limb: LimbCoordinates
-    priors: Mapping[str, Prior]
-    readings: Readings
+    priors: Mapping[str, FieldPrior]
+    readings: FieldReadings
     parts: Sequence[Conditioned]
     shares: Array
     known: Array
@@ -217,7 +217,7 @@ class StiffnessField:
         value, low, high = np.clip(np.exp(out[:3]), prior.low, prior.high)
         return Values(value, low, high, out[3])
 
-    def _moments(self, which: int, places: Places) -> tuple[Array, Array, Array]:
+    def _moments(self, which: int, places: AnatomicalPlaces) -> tuple[Array, Array, Array]:
         """Mean and variance of ln (n_parts, n) at places under each hypothesis; variance far away."""
         prior = self.priors[PARAMETERS[which]]
         shape = (len(self.parts), len(places))
@@ -239,7 +239,9 @@ class StiffnessField:
             far[k] -= away @ away
         return mean, np.maximum(variance, 1e-12), np.maximum(far, 1e-12)
 
-    def to_readings(self, which: int, places: Places, lengths: Iterable[Lengths]) -> dict[Lengths, Array]:
+    def to_readings(
+        self, which: int, places: AnatomicalPlaces, lengths: Iterable[Lengths]
+    ) -> dict[Lengths, Array]:
         """Correlations (n_places, n_readings) of one parameter's variation at places with all readings, for
         each of the lengths."""
         same = self.readings.parameter == which
@@ -278,8 +280,8 @@ def stiffness_field(
     sites: Sequence[SiteReading],
     maps: Sequence[MapReading] = (),
     *,
-    priors: Mapping[str, Prior] = PRIORS,
-    grid: Grid | None = None,
+    priors: Mapping[str, FieldPrior] = PRIORS,
+    grid: HypothesisGrid | None = None,
 ) -> StiffnessField:
     """The field of a limb from the readings of its sites.
 
@@ -292,7 +294,7 @@ def stiffness_field(
     """
     check_readings(sites, maps)
     readings = _gathered(limb, sites, maps)
-    hypotheses = (grid or Grid()).combinations()
+    hypotheses = (grid or HypothesisGrid()).combinations()
     together = _averaged_correlations(readings, {each.lengths for each in hypotheses})
     parts = [_conditioned(readings, each, priors, together[each.lengths]) for each in hypotheses]
     logs = np.array([each.log_evidence for each in parts])
@@ -328,7 +330,9 @@ def quantile(q: float, mean: Array, variance: Array, shares: Array) -> Array:
     return np.asarray(x)
 
 
-def _gathered(limb: LimbCoordinates, sites: Sequence[SiteReading], maps: Sequence[MapReading]) -> Readings:
+def _gathered(
+    limb: LimbCoordinates, sites: Sequence[SiteReading], maps: Sequence[MapReading]
+) -> FieldReadings:
     regions: list[tuple[int, int]] = []  # first point and number of points of each reading
     parameter: list[int] = []
     values: list[float] = []
@@ -383,7 +387,7 @@ def _gathered(limb: LimbCoordinates, sites: Sequence[SiteReading], maps: Sequenc
     names = np.array(owner, dtype=str)
     own = (names[:, None] == names) & (kind[:, None] == kind) if n else np.zeros((0, 0), bool)
     all_points = np.concatenate(points) if points else np.empty((0, 3))
-    return Readings(
+    return FieldReadings(
         limb.places(all_points), average, kind, np.array(values, float), noise, own.astype(float),
         likelihoods, correlated,
     )  # fmt: skip
@@ -393,14 +397,14 @@ def _is_bound(likelihoods: Mapping[int, Known | Bound], *which: int) -> bool:
     return any(isinstance(likelihoods.get(k), Bound) for k in which)
 
 
-def _averaged_correlations(readings: Readings, lengths: Iterable[Lengths]) -> dict[Lengths, Array]:
+def _averaged_correlations(readings: FieldReadings, lengths: Iterable[Lengths]) -> dict[Lengths, Array]:
     """Correlations (n, n) of the readings' regional means, for each of the lengths."""
     between, average = Between(readings.places, readings.places), readings.average
     return {each: average @ between.correlation(each) @ average.T for each in lengths}
 
 
 def _conditioned(
-    readings: Readings, hypothesis: Hypothesis, priors: Mapping[str, Prior], together: Array
+    readings: FieldReadings, hypothesis: Hypothesis, priors: Mapping[str, FieldPrior], together: Array
 ) -> Conditioned:
     n = len(readings)
     if not n:
@@ -441,7 +445,7 @@ def _conditioned(
 
 
 def _prior_covariance(
-    readings: Readings, hypothesis: Hypothesis, priors: Mapping[str, Prior], together: Array
+    readings: FieldReadings, hypothesis: Hypothesis, priors: Mapping[str, FieldPrior], together: Array
 ) -> Array:
     """Covariance (n, n) of the readings before the data, without the noise that they state."""
     same = readings.parameter[:, None] == readings.parameter
@@ -450,7 +454,7 @@ def _prior_covariance(
     return np.asarray(out + 1e-10 * np.eye(len(readings)))
 
 
-def without_site(field: StiffnessField, name: str, grid: Grid | None = None) -> StiffnessField:
+def without_site(field: StiffnessField, name: str, grid: HypothesisGrid | None = None) -> StiffnessField:
     """The field from all other sites."""
     return stiffness_field(
         field.limb,
@@ -461,12 +465,22 @@ def without_site(field: StiffnessField, name: str, grid: Grid | None = None) -> 
     )
 
 
-def prior_of(name: str, *, mean: float, deviation: float, source: str) -> Prior:
+def prior_of(name: str, *, mean: float, deviation: float, source: str) -> FieldPrior:
     """A prior of its own for one parameter, such as that of a population: mean and deviation of ln."""
     return replace(PRIORS[name], mean=mean, deviation=deviation, source=source)
 
 
 __all__ = [
-    "LABELS", "PRIORS", "Grid", "Interval", "PointValues", "Prior", "StiffnessField", "Values",
-    "prior_of", "quantile", "stiffness_field", "without_site",
+    "LABELS",
+    "PRIORS",
+    "FieldPrior",
+    "HypothesisGrid",
+    "Interval",
+    "PointValues",
+    "StiffnessField",
+    "Values",
+    "prior_of",
+    "quantile",
+    "stiffness_field",
+    "without_site",
 ]  # fmt: skip

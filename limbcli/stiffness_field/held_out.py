@@ -10,7 +10,7 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import binom
 
 from limbcli.model import Array
-from limbcli.stiffness_field.field import Grid, StiffnessField, quantile, without_site
+from limbcli.stiffness_field.field import HypothesisGrid, StiffnessField, quantile, without_site
 from limbcli.stiffness_field.likelihood import Known, likelihood_of
 
 _AT_ODDS_Z = 2.58  # two sites of one place at odds: p 0.01
@@ -65,7 +65,7 @@ class HeldOutTest:
         return f"{words} them" + (f"; outside: {', '.join(out)}" if out else "")
 
 
-def held_out(field: StiffnessField, grid: Grid | None = None) -> HeldOutTest:
+def held_out(field: StiffnessField, grid: HypothesisGrid | None = None) -> HeldOutTest:
     """Predict the c of every site from the others.
 
     A site whose c is only bounded, or which has only a map, is skipped with the reason.

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.model import Array
-from limbcli.stiffness_field.coordinates import Places
+from limbcli.stiffness_field.coordinates import AnatomicalPlaces
 
 _T_FREEDOM = 3  # twice the smoothness 3/2
 
@@ -34,7 +34,7 @@ class Lengths:
 class Between:
     """Correlations between two lists of places, for several lengths: each factor is computed once."""
 
-    def __init__(self, a: Places, b: Places):
+    def __init__(self, a: AnatomicalPlaces, b: AnatomicalPlaces):
         self._height = np.abs(a.height[:, None] - b.height)
         self._chord = ((a.around[:, None] - b.around) ** 2).sum(axis=2)
         self._depth = np.abs(a.depth[:, None] - b.depth)
@@ -55,7 +55,7 @@ class Between:
         return self._known[name, length]
 
 
-def correlation(a: Places, b: Places, lengths: Lengths) -> Array:
+def correlation(a: AnatomicalPlaces, b: AnatomicalPlaces, lengths: Lengths) -> Array:
     """Correlation (n_a, n_b) between places."""
     return Between(a, b).correlation(lengths)
 
@@ -78,7 +78,7 @@ class Features:
         depth = rng.standard_t(_T_FREEDOM, n) / lengths.depth
         return cls(np.column_stack([height, around, depth]))
 
-    def at(self, places: Places) -> Array:
+    def at(self, places: AnatomicalPlaces) -> Array:
         """Values (n_places, 2 n) whose products approximate the correlation."""
         phase = np.column_stack([places.height, places.around, places.depth]) @ self.frequencies.T
         return np.concatenate([np.cos(phase), np.sin(phase)], axis=1) / np.sqrt(len(self.frequencies))

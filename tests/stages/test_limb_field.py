@@ -12,7 +12,7 @@ import pytest
 from limbcli.case.parts import StatedNoise
 from limbcli.errors import CaseError, FitError
 from limbcli.measurement.elastography import SweMap, write_map
-from limbcli.results import StageResult, plain
+from limbcli.results import StageResult, open_stage, plain
 from limbcli.stages.limb_field.case_field import case_field, cohort_priors
 from limbcli.stages.limb_field.site_results import of_diagnosis, of_fit, site_results
 from limbcli.stiffness_field import LABELS
@@ -131,6 +131,15 @@ def test_a_map_at_rest_is_placed_on_the_limb_and_says_only_how_c_varies_where_c_
     np.testing.assert_allclose(np.exp(swe.log_c[high]), 2e-6 * 1000 * 2.4**2, rtol=1e-6)
     bare = site_results(measured, Results(mesh=mesh())).maps[0]
     assert bare.gain_deviation == pytest.approx(0.1)
+
+
+def test_what_the_readings_are_made_from_is_recorded(measured, tmp_path):
+    with open_stage(tmp_path / "out", "limb", subject="S1") as writer:
+        site_results(measured, Results(mesh=mesh(), fit=result("fit", FIT)), writer)
+    made = writer.result.provenance["made_from"]
+    assert made["results"]["fit p1"]["data"]["interval_95"] == FIT["interval_95"]
+    assert "frame" in made["results"]["mesh p1"]["data"]
+    assert set(made["files"]) == {"site/p1/swe_maps/level_00.csv", "site/p1/levels"}
 
 
 def test_a_map_is_left_out_where_the_diagnosis_says_that_speeds_are_misread(measured):

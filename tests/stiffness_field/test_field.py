@@ -12,7 +12,7 @@ from limbcli.measurement.map_noise import PixelNoise
 from limbcli.stiffness_field import (
     PRIORS,
     Draws,
-    Grid,
+    HypothesisGrid,
     Interval,
     MapReading,
     SiteReading,
@@ -29,7 +29,7 @@ from limbcli.stiffness_field.kernel import Features, Lengths, correlation
 from limbcli.stiffness_field.likelihood import Bound, Known
 from tests.stiffness_field import synthetic as limb
 
-ONE = Grid((80.0,), (1.0,), (1.0,), (0.3,), (0.0,))  # a single hypothesis: closed forms hold
+ONE = HypothesisGrid((80.0,), (1.0,), (1.0,), (0.3,), (0.0,))  # a single hypothesis: closed forms hold
 
 
 @pytest.fixture(scope="module")
@@ -126,7 +126,7 @@ def test_without_sites_the_field_is_the_prior_and_all_of_it_assumed(coordinates,
 
 
 def test_far_from_every_site_the_field_is_the_persons_mean(coordinates):
-    short = Grid((6.0,), (0.3,), (0.5,), (0.3,), (0.0,))
+    short = HypothesisGrid((6.0,), (0.3,), (0.5,), (0.3,), (0.0,))
     sites = [limb.site(f"p{k}", limb.region(60, a), 0.016, 0.02) for k, a in enumerate((0, 130, 240))]
     found = stiffness_field(coordinates, sites, grid=short).at(np.array([[0.0, 30, 200]]))
     assert found.label[0] == "assumed"
@@ -135,7 +135,7 @@ def test_far_from_every_site_the_field_is_the_persons_mean(coordinates):
 
 
 def test_two_sites_far_apart_each_hold_their_own_value(coordinates):
-    short = Grid((15.0,), (0.4,), (2.0,), (0.6,), (0.0,))
+    short = HypothesisGrid((15.0,), (0.4,), (2.0,), (0.6,), (0.0,))
     regions = [limb.region(50, 0), limb.region(170, 180)]
     sites = [limb.site(n, r, c, 0.02) for n, r, c in zip("ab", regions, (0.005, 0.015), strict=True)]
     field = stiffness_field(coordinates, sites, grid=short)
@@ -348,6 +348,8 @@ def test_a_map_becomes_squares_with_the_stiffness_of_its_speeds():
     free = map_reading("p1", swe, np.eye(4), PixelNoise(0.1), gain_deviation=0.1)
     tied = map_reading("p1", swe, np.eye(4), PixelNoise(0.1, 2.0, 0.9), gain_deviation=0.1)
     assert len(free.points) <= 60
+    pixels = (2 * 0.1) ** 2 / np.diag(free.covariance)  # ln c has twice the noise of ln speed
+    assert pixels.sum() == pytest.approx(len(swe))
     shallow = free.points[:, 2] > -8
     np.testing.assert_allclose(np.exp(free.log_c[shallow]), 2e-6 * 1000 * 1.5**2, rtol=1e-9)  # 2 rho v^2
     assert (np.diag(tied.covariance) > 3 * np.diag(free.covariance)).all()

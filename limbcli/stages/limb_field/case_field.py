@@ -15,12 +15,12 @@ from limbcli.errors import CaseError
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 from limbcli.results import StageWriter
-from limbcli.stages.limb_field.site_results import SiteResults, site_results
+from limbcli.stages.limb_field.site_results import LimbReadings, site_results
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stiffness_field import (
     LABELS,
     PRIORS,
-    Prior,
+    FieldPrior,
     StiffnessField,
     contradictions,
     held_out,
@@ -38,7 +38,7 @@ class CaseField:
     """The field of a case, and the readings that it comes from."""
 
     field: StiffnessField
-    results: SiteResults
+    results: LimbReadings
 
     def element_columns(self, points: Array) -> tuple[Array, Array, Array, Array, Array]:
         """Of points (n, 3), mm, LPS: c, c_low, c_high (MPa), index of the label in `LABELS`, distance (mm,
@@ -131,7 +131,7 @@ def case_field(
     return CaseField(stiffness_field(limb, results.sites, results.maps, priors=priors), results)
 
 
-def cohort_priors(path: Path, location: str | None) -> dict[str, Prior]:
+def cohort_priors(path: Path, location: str | None) -> dict[str, FieldPrior]:
     """Priors of c and m from the population of a cohort's location.
 
     The population's spread between people and the uncertainty of its mean are added. m is left out where it

@@ -24,13 +24,15 @@ from limbcli.stiffness_field import Interval, MapReading, SiteReading, map_readi
 from limbcli.units import mpa_from_kpa
 
 _KEYS = {"c_kpa": "c", "m": "m", "f_kappa": "f_kappa"}
+_OF_FIT = (*_KEYS, "interval_95", "correlation")  # what the readings are made from
+_OF_DIAGNOSIS = ("added", "shrink")
 _OF_SPEEDS = "swe-"  # names of the effects by which speeds are misread
 _MOST_CORRELATED = 0.98
 _DEEP_MM = 30.0  # region of a site without bone below it
 
 
 @dataclass(frozen=True)
-class SiteResults:
+class LimbReadings:
     """All that the results say of the sites; `left_out`: by site, why it gave nothing (or not its map)."""
 
     sites: list[SiteReading] = field(default_factory=list)
@@ -38,7 +40,7 @@ class SiteResults:
     left_out: dict[str, str] = field(default_factory=dict)
 
 
-def site_results(case: Case, chain: Chain, writer: StageWriter | None = None) -> SiteResults:
+def site_results(case: Case, chain: Chain, writer: StageWriter | None = None) -> LimbReadings:
     """The readings of all sites that were meshed, and fitted or diagnosed or have a map at rest.
 
     writer : records the results used
@@ -52,7 +54,7 @@ def site_results(case: Case, chain: Chain, writer: StageWriter | None = None) ->
     FitError
         If a result lacks what every version writes.
     """
-    found = SiteResults()
+    found = LimbReadings()
     for site in case.sites:
         mesh = chain.present("mesh", site=site.name)
         if mesh is None:
@@ -69,7 +71,9 @@ def site_results(case: Case, chain: Chain, writer: StageWriter | None = None) ->
     return found
 
 
-def _add(found: SiteResults, site: Site, mesh: StageResult, chain: Chain, writer: StageWriter | None) -> None:
+def _add(
+    found: LimbReadings, site: Site, mesh: StageResult, chain: Chain, writer: StageWriter | None
+) -> None:
     frame = mesh.data["frame"]
     fit, diagnosis = (chain.present(stage, site=site.name) for stage in ("fit", "diagnose"))
     added = list(diagnosis.data["added"]) if diagnosis is not None else []
@@ -83,13 +87,13 @@ def _add(found: SiteResults, site: Site, mesh: StageResult, chain: Chain, writer
         )  # fmt: skip
         found.sites.append(SiteReading(site.name, region, values, correlation, source))
         if writer is not None:
-            writer.used_result(used, data=list(_KEYS) if used is fit else ["shrink"])
+            writer.used_result(used, data=_OF_FIT if used is fit else _OF_DIAGNOSIS)
             writer.used_result(mesh, data=["frame", "checks/skin_bone_mm"])
     if site.swe_maps is not None:
         misread = [name for name in added if name.startswith(_OF_SPEEDS)]
         if misread:
             found.left_out[f"map of {site.name}"] = f"its diagnosis named {', '.join(misread)}"
-        elif isinstance(read := _map_at_rest(site, mesh, has_c=used is not None), str):
+        elif isinstance(read := _map_at_rest(site, mesh, writer, has_c=used is not None), str):
             found.left_out[f"map of {site.name}"] = read
         else:
             found.maps.append(read)
@@ -137,7 +141,9 @@ def _interval(key: str, value: float, low: float | None, high: float | None) -> 
     return Interval(mpa_from_kpa(value), *ends)
 
 
-def _map_at_rest(site: Site, mesh: StageResult, *, has_c: bool) -> MapReading | str:
+def _map_at_rest(
+    site: Site, mesh: StageResult, writer: StageWriter | None, *, has_c: bool
+) -> MapReading | str:
     """The map of level 0, or why there is none.
 
     Where the site's c is known it comes from the same speeds, so that the map says only how c varies.
@@ -153,6 +159,9 @@ def _map_at_rest(site: Site, mesh: StageResult, *, has_c: bool) -> MapReading | 
     if not len(swe):
         return f"{path.name} has no pixels"
     raise_errors(check_width(swe, site_length(mesh)), MeasurementError)
+    if writer is not None:
+        writer.used(f"swe_map {site.name}", path, role=f"site/{site.name}/swe_maps/{path.name}")
+        writer.used(f"levels {site.name}", site.levels, role=f"site/{site.name}/levels")
     noise = pixel_noise(maps_of(site, levels) or [], usual=site.noise.swe_pixel_fraction)
     noise = PixelNoise(max(noise.deviation, site.noise.swe_pixel_fraction), noise.smoothing, noise.share)
     return map_reading(
