@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
@@ -80,6 +81,7 @@ def limb(
     skin_mm: float | Literal["mri"] | None = None,
     fat_mm: float | Literal["mri"] | None = None,
     c_kpa: float | None = None,
+    draws: Sequence[int] = (),
     templates: PathLike | None = None,
     wait: bool = True,
     progress: Heard = None,
@@ -96,7 +98,9 @@ def limb(
     distal_cut : accept a limb whose distal end was not imaged
     skin_mm, fat_mm : thickness of a layer all over the limb, 0: no layer, "mri": as found by `segment`; None:
         the mean of the case's sites
-    c_kpa : c = 2 mu of the tissue; None: mean of the fitted sites, else from SWE at rest
+    c_kpa : c = 2 mu of the tissue; None: the field through the fitted or diagnosed sites, else from SWE at
+        rest
+    draws : numbers (0 to 49) of draws of the field whose models are written too
     templates : a folder of Jinja templates that take precedence over the built-in ones
 
     Raises
@@ -117,6 +121,7 @@ def limb(
     options = stage.LimbOptions(
         element, nodes, cut_mm, distal_cut, thickness_argument("limb", "skin_mm", skin_mm),
         thickness_argument("limb", "fat_mm", fat_mm), c_kpa, site_size_mm,
+        tuple(draws),
     )  # fmt: skip
     with at_work(case, out, wait=wait, progress=progress, opening=Case.open_images) as work:
         found = stage.limb(

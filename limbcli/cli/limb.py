@@ -68,6 +68,16 @@ FatOpt = Annotated[
 ]
 
 
+DrawOpt = Annotated[
+    list[int] | None,
+    typer.Option(
+        "--draw",
+        help="Also write the model of this draw (0 to 49) of the stiffness field; repeatable.",
+        show_default=False,
+    ),
+]
+
+
 def command(
     case: CaseArg,
     out: OutOpt = None,
@@ -79,6 +89,7 @@ def command(
     skin: SkinOpt = None,
     fat: FatOpt = None,
     c_kpa: CKpaOpt = None,
+    draw: DrawOpt = None,
     templates: TemplatesOpt = None,
     no_wait: NoWaitOpt = False,
     json: JsonOpt = False,
@@ -101,6 +112,7 @@ def command(
         fat_layer=None if fat is None else thickness_of(fat, "--fat-mm"),
         c_kpa=c_kpa,
         site_size=site_size,
+        draws=tuple(draw or ()),
     )
     progress = terminal(quiet=quiet, verbose=verbose)
     with one_writer(target, wait=not no_wait, progress=progress):

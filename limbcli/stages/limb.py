@@ -12,6 +12,7 @@ from limbcli.bodies import Drive, RigidBody
 from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.errors.problems import raise_errors
+from limbcli.feb.write import write_feb
 from limbcli.mesh_bounds import LIMB_NODES
 from limbcli.meshing.anatomy import SKIN, limb_problems
 from limbcli.meshing.layers import Layer, layers_of
@@ -35,13 +36,16 @@ from limbcli.meshing.whole_limb import (
 from limbcli.model import Array, Domain, IntArray, LimbModel, Mesh, Step, Support, Surface
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
+from limbcli.stages.limb_field.case_field import CaseField, case_field
 from limbcli.stages.limb_model.element_values import (
-    LABELS,
     ElementValues,
     LimbStiffness,
     columns_of,
     element_values,
+    field_values,
     limb_stiffness,
+    model_of_draw,
+    sample_of,
     with_element_values,
 )
 from limbcli.stages.limb_model.hand_over import LimbFiles, write_limb
@@ -59,6 +63,8 @@ from limbcli.stages.site_model.site_layers import (
     locking_warning,
     with_layer_laws,
 )
+from limbcli.stiffness_field import LABELS, Draws, write_draws
+from limbcli.stiffness_field.draws import N_DRAWS
 from limbcli.units import kpa_from_mpa
 
 STAGE = "limb"
@@ -72,6 +78,7 @@ class LimbOptions:
     """Options of a limb's model: those of its mesh, and its stiffness (kPa) if given by hand.
 
     site_size : edge length (mm) round the sites, for a probe to be set there; None: as elsewhere
+    draws : numbers of the draws of the stiffness field whose models are written, too
     """
 
     element: str | None = None
@@ -82,6 +89,7 @@ class LimbOptions:
     fat_layer: Thickness | None = None
     c_kpa: float | None = None
     site_size: float | None = None
+    draws: tuple[int, ...] = ()
 
 
 def limb(
@@ -118,7 +126,8 @@ def limb(
         body = mend(skin, list(bones.values()), where=where)
         frame = limb_frame(body, case.limb)
         layers, sources = limb_layers(case, layering, segmented, writer)
-        stiffness = limb_stiffness(case, chain, writer, c_kpa=options.c_kpa)
+        field = _field(case, chain, skin, bones, frame, options, writer)
+        stiffness = limb_stiffness(case, chain, writer, c_kpa=options.c_kpa) if field is None else None
         tube = _is_tube(segmented)
         places = _places(case, segmented, skin, writer)
         mesh_options = LimbMeshOptions(
@@ -135,13 +144,21 @@ def limb(
         check_invariants(found)
         parts, surface = parts_of(found, frame, bones)
         mesh = _with_parts(found.mesh, parts, surface, places)
-        used = [places[name] for name in stiffness.sites if name in places]
         laws = _laws(case, layers)
-        model = with_layer_laws(limb_model(mesh, list(bones), frame, case, stiffness), laws)
         tissue = mesh.block(TISSUE)
-        values = element_values(cell_centroids(mesh, tissue), stiffness, np.array(used).reshape(-1, 3))
-        model = with_element_values(model, tissue, values, stiffness)
+        centroids, sizes = cell_centroids(mesh, tissue), volumes(mesh.points, tissue.cells)
+        if field is not None:
+            values, stiffness = field_values(field, centroids, sizes)
+        else:
+            assert stiffness is not None
+            used = [places[name] for name in stiffness.sites if name in places]
+            values = element_values(centroids, stiffness, np.array(used).reshape(-1, 3))
+        model = with_layer_laws(limb_model(mesh, list(bones), frame, case, stiffness), laws)
+        model = with_element_values(model, tissue, values.c, stiffness)
         _report(writer, found, model, parts, frame, stiffness, values)
+        if field is not None:
+            _report_field(writer, field, values)
+            _write_draws(writer, field, model, centroids, sizes, options.draws, templates, progress)
         _report_layers(writer, layers, sources, laws, mesh_options.element)
         writer.warnings.extend(warnings_of_limb(segmented))
         if tube and DISTAL_CUT in found.planes:
@@ -178,6 +195,52 @@ def named_surfaces(segmented: StageResult) -> tuple[Triangles, dict[str, Triangl
     names = sorted(name for name in segmented.files if name.startswith("bone_"))
     bones = {name: read_surface(segmented.path(name)) for name in names}
     return read_surface(segmented.folder / "skin.ply"), bones
+
+
+def _field(
+    case: Case, chain: Chain, skin: Triangles, bones: Mapping[str, Triangles], frame: LimbFrame,
+    options: LimbOptions, writer: StageWriter,
+) -> CaseField | None:  # fmt: skip
+    """The stiffness field through the case's sites; None if c is given by hand or no site says anything."""
+    field = None
+    if options.c_kpa is None:
+        found = case_field(case, chain, skin, list(bones.values()), frame.axis, writer=writer)
+        field = found if found.results.sites or found.results.maps else None
+    if options.draws and (field is None or not all(0 <= k < N_DRAWS for k in options.draws)):
+        why = f"there are draws 0 to {N_DRAWS - 1}" if field else "one stiffness for all has no draws"
+        raise CaseError(
+            f"draw {options.draws[0]} cannot be written: {why}", where="--draw",
+            fix="fit the sites, or leave --draw out" if field is None else "give their numbers",
+        )  # fmt: skip
+    return field
+
+
+def _report_field(writer: StageWriter, field: CaseField, values: ElementValues) -> None:
+    """The field's readings, how it does at sites left out, and the range of c, in result and summary."""
+    content = writer.data["stiffness"]["field"] = field.to_json()
+    share = [float(np.mean(values.label == k)) for k in range(len(LABELS))]
+    low, high = kpa_from_mpa(np.quantile(values.c, [0.05, 0.95]))
+    words = ", ".join(f"{name} {100 * part:.0f} %" for name, part in zip(LABELS, share, strict=True))
+    writer.summary.append(f"c {low:.2f} to {high:.2f} kPa in nine tenths of the elements; {words}")
+    if content["held_out"]["n"]:
+        writer.summary.append(content["held_out"]["words"])
+    for name, why in content["left_out"].items():
+        writer.warnings.append(f"site {name} says nothing of the field: {why}")
+    writer.warnings.extend(content["contradictions"])
+
+
+def _write_draws(
+    writer: StageWriter, field: CaseField, model: LimbModel, centroids: Array, sizes: Array,
+    numbers: tuple[int, ...], templates: Path | None, progress: Progress,
+) -> None:  # fmt: skip
+    """draws.csv, and the models of some draws."""
+    draws, few = Draws(field.field), sample_of(len(centroids))
+    write_draws(writer.file("draws", "draws.csv"), draws.table(centroids[few], sizes[few]))
+    tissue = model.mesh.block(TISSUE)
+    for n, k in enumerate(dict.fromkeys(numbers)):
+        progress.event("task", name="limb: models of draws", done=n, total=len(numbers))
+        drawn = model_of_draw(model, tissue, draws.draw(k), centroids, sizes)
+        write_feb(drawn, writer.file(f"feb_draw_{k:02d}", f"limb_draw_{k:02d}.feb"), templates)
 
 
 def _is_tube(segmented: StageResult) -> bool:
@@ -361,7 +424,10 @@ def _report(
     )
     for name, why in parts.missing.items():
         writer.summary.append(f"no patch {name.replace('_', ' ')}: {why}")
-    writer.summary.append(f"c = {kpa_from_mpa(stiffness.c):.2f} kPa everywhere (assumed): {stiffness.source}")
+    if np.isnan(values.c_low).all():
+        writer.summary.append(
+            f"c = {kpa_from_mpa(stiffness.c):.2f} kPa everywhere (assumed): {stiffness.source}"
+        )
     writer.warnings.extend(each for each in found.notes if "pushed inside" in each or "shut in" in each)
 
 

@@ -211,7 +211,7 @@ def test_harmless_content_is_left_out_and_listed(changed, punch: Path, tmp_path:
         "RCFx",
         "<plotfile>",
         "<logfile>",
-        "empty <Loads>",
+        "empty <Discrete>",
     ):
         assert words in listed
     assert [each.file for each in read_outline(path).records] == [each.file for each in model.records]
@@ -221,7 +221,7 @@ def test_harmless_content_is_left_out_and_listed(changed, punch: Path, tmp_path:
 
 def test_one_error_tells_all_that_is_refused(changed) -> None:
     path = changed(
-        ("<Boundary>", "<Loads><body_load/></Loads><Boundary>"),
+        ("<Boundary>", '<Loads><body_load type="centrifugal"/></Loads><Boundary>'),
         ('type="Ogden unconstrained"', 'type="Yeoh"'),
         ('type="sliding-elastic"', 'type="sticky"'),
         ("</Boundary>", '<bc type="zero concentration"/><bc type="zero concentration"/></Boundary>'),
@@ -231,7 +231,13 @@ def test_one_error_tells_all_that_is_refused(changed) -> None:
         read_feb(path)
     error = caught.value
     assert len(error.facts["problems"]) == 5
-    for words in ("<Loads>", "'Yeoh'", "'sticky'", "concentration' is not supported (and 1 more", "'tet15'"):
+    for words in (
+        "'centrifugal'",
+        "'Yeoh'",
+        "'sticky'",
+        "concentration' is not supported (and 1 more",
+        "'tet15'",
+    ):
         assert words in error.what
     assert "there is no" not in error.what, "what follows from another refusal is not told"
     assert error.facts["line"] == int(error.facts["problems"][0].split()[1].rstrip(":"))
@@ -393,9 +399,9 @@ def test_what_an_older_format_holds_beyond_the_scope_is_named_with_its_line(
 ) -> None:
     path = tmp_path / "old.feb"
     text = convert(punch.read_text())
-    load = '<Loads><surface_load type="pressure"/></Loads>\n<Material>'
+    load = '<Loads><surface_load type="bearing load"/></Loads>\n<Material>'
     path.write_text(text.replace("<Material>", load, 1).replace('type="sliding-elastic"', 'type="sticky"', 1))
-    with pytest.raises(CaseError, match=r"2 things(.|\n)*<Loads>(.|\n)*'sticky'") as caught:
+    with pytest.raises(CaseError, match=r"2 things(.|\n)*'bearing load'(.|\n)*'sticky'") as caught:
         read_feb(path)
     assert caught.value.facts["line"] == 1 + path.read_text().split("<Loads>")[0].count("\n")
 

@@ -1,8 +1,4 @@
-"""The stiffness of every element of a limb's model: here the values enter.
-
-`element_values` is the one place that a stiffness field replaces: it gets centroids (n, 3) in patient LPS
-(mm) and returns one value per element. Until then every element has one c and says `assumed`.
-"""
+"""The stiffness of every element of a limb's model: of the field through the sites, else one c everywhere."""
 
 from __future__ import annotations
 
@@ -14,16 +10,19 @@ import numpy as np
 from limbcli.case import Case
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.materials.ogden import ogden_type
-from limbcli.model import Array, Block, ElementMap, LimbModel
+from limbcli.model import Array, Block, ElementMap, IntArray, LimbModel
 from limbcli.results import StageResult, StageWriter
 from limbcli.stages.build_feb import tissue_stiffness
+from limbcli.stages.limb_field.case_field import CaseField
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.site_model.indentation_model import C_KPA
 from limbcli.stages.site_model.site_levels import levels_of
+from limbcli.stiffness_field import LABELS
+from limbcli.stiffness_field.draws import Draw
 from limbcli.units import kpa_from_mpa, mpa_from_kpa
 
-IDENTIFIED, INTERPOLATED, ASSUMED = "identified", "interpolated", "assumed"
-LABELS = (IDENTIFIED, INTERPOLATED, ASSUMED)
+ASSUMED = "assumed"
+_SAMPLE = 2000  # elements over which m, f_kappa and draws are averaged
 F_KAPPA, M = 100.0, 2.0  # of the law where no site was fitted
 
 
@@ -119,16 +118,49 @@ def element_values(centroids: Array, stiffness: LimbStiffness, sites: Array) -> 
     )
 
 
+def field_values(found: CaseField, centroids: Array, volumes: Array) -> tuple[ElementValues, LimbStiffness]:
+    """Values of the elements with these centroids (n, 3), LPS, mm, by the field, and the law that they share.
+
+    volumes (n,) mm3 : weights of the means of c, m and f_kappa (geometric) over the limb
+    """
+    values = ElementValues(*found.element_columns(centroids))
+    few = sample_of(len(centroids))
+    m, f_kappa = (
+        float(
+            np.exp(
+                np.average(np.log(found.field.values_of(name, centroids[few]).value), weights=volumes[few])
+            )
+        )
+        for name in ("m", "f_kappa")
+    )
+    c = float(np.exp(np.average(np.log(values.c), weights=volumes)))
+    sites = tuple(each.name for each in found.field.sites)
+    return values, LimbStiffness(c, f_kappa, m, f"field through {_listed(sites)}", sites)
+
+
+def sample_of(n: int) -> IntArray:
+    """Every n-th of n elements, `_SAMPLE` at most: enough for means over a limb."""
+    return np.arange(0, n, max(1, -(-n // _SAMPLE)))
+
+
+def model_of_draw(model: LimbModel, block: Block, draw: Draw, centroids: Array, volumes: Array) -> LimbModel:
+    """The model with c and kappa element by element as one draw has them, and its mean m."""
+    drawn = draw.at(centroids)
+    m = float(np.exp(np.average(np.log(drawn.m), weights=volumes)))
+    shared = LimbStiffness(float(drawn.c.mean()), float(drawn.f_kappa.mean()), m, f"draw {draw.number}")
+    return with_element_values(model, block, drawn.c, shared, f_kappa=drawn.f_kappa)
+
+
 def with_element_values(
-    model: LimbModel, block: Block, values: ElementValues, stiffness: LimbStiffness
+    model: LimbModel, block: Block, c: Array, stiffness: LimbStiffness, *, f_kappa: Array | None = None
 ) -> LimbModel:
-    """The model whose tissue has c1, c2 and kappa element by element."""
+    """The model whose tissue has c1, c2 and kappa element by element.
+
+    c (n_cells,) MPa; f_kappa (n_cells,) : None: that of `stiffness`, as is m
+    """
     law = ogden_type(c=stiffness.c, f_kappa=stiffness.f_kappa, m=stiffness.m)
-    shares = {"c1": 0.5, "c2": 0.5, "kappa": stiffness.f_kappa}
-    maps = {
-        name: ElementMap(f"{block.name}_{name}", block.name, share * values.c)
-        for name, share in shares.items()
-    }
+    by_name = {"c1": 0.5 * c, "c2": 0.5 * c, "kappa": (stiffness.f_kappa if f_kappa is None else f_kappa) * c}
+    maps = {name: ElementMap(f"{block.name}_{name}", block.name, each) for name, each in by_name.items()}
     materials = {**model.materials, block.name: law.with_parameters(**maps)}
     return replace(model, materials=materials)
 

@@ -11,6 +11,7 @@ from typing import Any
 import jinja2
 import numpy as np
 
+from limbcli.abaqus_files import write_abaqus
 from limbcli.config import templates_folder
 from limbcli.feb.write import write_feb
 from limbcli.meshing.export import write_vtu
@@ -19,8 +20,8 @@ from limbcli.meshing.surfaces import Triangles, join
 from limbcli.model import Array, LimbModel
 from limbcli.model_io import save_model
 from limbcli.results import StageResult, StageWriter
-from limbcli.stages.limb_model.element_values import LABELS
 from limbcli.stages.site_model.indentation_model import TISSUE
+from limbcli.stiffness_field import LABELS
 from limbcli.version import __version__
 
 FEB, README = "limb.feb", "README.txt"
@@ -41,6 +42,7 @@ def write_limb(files: LimbFiles, writer: StageWriter, segmented: StageResult, te
     model = files.model
     save_model(model, writer.file("model", "model.npz"))
     write_feb(model, writer.file("feb", FEB), templates)
+    write_abaqus(model, writer.file("inp", "limb.inp"))
     write_vtu(model.mesh, writer.file("mesh", "limb.vtu"), values={TISSUE: files.values})
     write_stl(files.skin, writer.file("skin", "skin.stl"))
     bones = [
