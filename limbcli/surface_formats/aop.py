@@ -231,7 +231,14 @@ def aop_limb(
 def write_aop(path: Path, limb: AopLimb, *, comments: Sequence[str] = ()) -> None:
     """Write a limb as ampscan does: even angles by their step, heights one by one, lines ending with LF."""
     side = next(word for word, own in _SIDES.items() if own == limb.side)
-    lines = [_MAGIC, _MAGIC, *(" ".join(each.split()) for each in comments), _END_OF_COMMENTS, "CYLINDRICAL", side]
+    lines = [
+        _MAGIC,
+        _MAGIC,
+        *(" ".join(each.split()) for each in comments),
+        _END_OF_COMMENTS,
+        "CYLINDRICAL",
+        side,
+    ]
     lines.append(str(len(limb.landmarks)))
     for name, places in limb.landmark_points.items():
         lines += [" ".join(name.split()) or "landmark", str(len(places))]
