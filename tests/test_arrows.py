@@ -27,7 +27,8 @@ ALLOWED: dict[str, set[str]] = {
     "reporting": {"measurement"},
     "phantom": {"imaging", "measurement", "materials", "meshing", "shear_waves"},
     "socket": {"meshing", "materials", "solvers", "feb", "fem"},
-    "stages": SIBLINGS | {"socket", "solvers", "effects", "reporting", "phantom", "materials", "feb", "shear_waves"},
+    "stages": SIBLINGS
+    | {"socket", "solvers", "effects", "reporting", "phantom", "materials", "feb", "shear_waves"},
     "cli": {"stages"},
     "api": {"stages", "solvers", "feb"},
     "__init__": {"api", "solvers", "feb"},
