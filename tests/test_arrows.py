@@ -29,7 +29,8 @@ ALLOWED: dict[str, set[str]] = {
     "phantom": {"imaging", "measurement", "materials", "meshing", "shear_waves"},
     "socket": {"meshing", "materials", "solvers", "feb", "fem"},
     "stages": SIBLINGS
-    | {"solvers", "effects", "reporting", "phantom", "materials", "feb", "shear_waves", "stiffness_field", "socket"},
+    | {"effects", "feb", "materials", "phantom", "reporting", "shear_waves", "socket", "solvers"}
+    | {"stiffness_field"},
     "cli": {"stages"},
     "api": {"stages", "solvers", "feb"},
     "__init__": {"api", "solvers", "feb"},

@@ -8,7 +8,7 @@ import numpy as np
 
 from limbcli.errors import MeshError
 from limbcli.meshing.surfaces import Triangles
-from limbcli.model import Array
+from limbcli.model import Array, IntArray
 from limbcli.socket.centre_line import CentreLine
 from limbcli.socket.nearest import NearestPoints
 from limbcli.units import LENGTH_UNITS_IN_MM
@@ -25,10 +25,10 @@ _DEEPEST = 0.35
 
 @dataclass(frozen=True, eq=False)
 class Clearance:
-    """How a socket fits: distances (n_points,), mm, of the skin's points within its height; below 0: the
+    """How a socket fits: distances (n,), mm, of the skin's points within its height; below 0: the
     skin lies outside the inner face. `points`: which of the skin's points these are."""
 
-    points: Array
+    points: IntArray
     distances: Array
 
     @property

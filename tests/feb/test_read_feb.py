@@ -113,7 +113,7 @@ def test_packed_files_read_the_same(punch: Path, tmp_path: Path) -> None:
         ("<cp>0.05</cp>", '<cp type="math">X</cp>', "cp", "'math' is not supported"),
         ("<cp>0.05</cp>", '<cp type="map">k</cp>', "cp", "no element map"),
         ("<cp>0.05</cp>", "<cp>0.05</cp><cp>0.06</cp>", "cp", "twice"),
-        ("<penalty>", '<penalty lc="1">', "penalty", "attribute lc='1'"),
+        ("<search_tol>", '<search_tol lc="1">', "search_tol", "attribute lc='1'"),
         ("<penalty>", '<penalty type="math">', "penalty", "attribute type='math'"),
         ("<laugon>", '<laugon lc="1">', "laugon", "attribute lc='1'"),
         ("<maxaug>", '<maxaug lc="1">', "maxaug", "attribute lc='1'"),

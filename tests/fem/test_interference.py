@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_models import block, top_facets
 from tubes import LENGTH, OUTER, lame_pressure, tube
 
-from limbcli.bodies import Drive
+from limbcli.bodies import Contact, Drive, RigidBody
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
 from limbcli.fem.analysis import Analysis, Snapshot
@@ -17,7 +18,8 @@ from limbcli.fem.contacts.contact_points import NORMAL, TRACTION
 from limbcli.fem.equilibrium.newton import Settings
 from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.system import System
-from limbcli.model import Curve, LimbModel
+from limbcli.materials import ogden_type
+from limbcli.model import Block, Curve, LimbModel, Mesh, Step, Surface
 
 SMALL = 0.02  # mm: 0.1 % of the radius
 MU, LAME = 0.01, 0.04  # MPa, of the tube's law at rest (c 0.02 MPa, f_kappa 2)
@@ -119,3 +121,45 @@ def test_a_socket_around_a_whole_limb_is_not_eliminated_last() -> None:
     assert 0 < len(few.within_reach()) < 300
     many = System(tube(SMALL, n=(1, 200, 8)), threads=1)
     assert len(many.within_reach()) == 0
+
+
+def test_a_block_between_plates_is_dragged_by_friction_times_the_squeeze() -> None:
+    """Nothing else holds it: what one plate gives, the other takes."""
+    base = block("hex8", (3, 3, 2), (10.0, 10.0, 8.0), material=ogden_type(c=0.02, f_kappa=2.0, m=2.0))
+    cells = base.mesh.block("tissue").cells
+    low = np.isin(cells[:, :4], base.mesh.node_sets["z0"]).all(axis=1)
+    below = {"quad4": cells[low][:, [0, 3, 2, 1]]}
+    n, blocks = len(base.mesh.points), list(base.mesh.blocks)
+    corners, surfaces = [], {"top": Surface("top", top_facets(base)), "below": Surface("below", below)}
+    for name, z, order in (("upper", -0.3, (0, 3, 2, 1)), ("lower", -7.7, (0, 1, 2, 3))):
+        corners += [(x, y, z) for x, y in ((-10.0, -10.0), (20.0, -10.0), (20.0, 20.0), (-10.0, 20.0))]
+        facet = n + np.array([order])
+        n += 4
+        blocks.append(Block(name, "quad4", facet))
+        surfaces[f"{name}_face"] = Surface(f"{name}_face", {"quad4": facet})
+    contacts = tuple(
+        Contact(soft, f"{rigid}_face", name=rigid, penalty=200.0, search_radius=3.0, friction=0.3,
+                symmetric=False, penalty_curve="donning")
+        for soft, rigid in (("top", "upper"), ("below", "lower"))
+    )  # fmt: skip
+    held = tuple(Drive(name, dof, "fixed") for name in ("upper", "lower") for dof in MOVES)
+    drag = Drive("upper", "x", "displacement", 3.0, "pull")
+    squeeze = Step(n_steps=8, step_size=0.125, must_points=(1.0,), drives=held)
+    pull = replace(
+        squeeze, n_steps=6, step_size=0.5, must_points=(3.0,),
+        drives=(*(d for d in held if (d.body, d.dof) != ("upper", "x")), drag),
+    )  # fmt: skip
+    model = replace(
+        base,
+        mesh=Mesh(np.concatenate([base.mesh.points, corners]), tuple(blocks), {}, surfaces),
+        bodies=(RigidBody("upper", (5.0, 5.0, -0.3), ("upper",)),
+                RigidBody("lower", (5.0, 5.0, -7.7), ("lower",))),
+        contacts=contacts,
+        curves={**tube(SMALL, n=(1, 8, 1)).curves, "pull": Curve(((1.0, 0.0), (4.0, 1.0)))},
+        steps=(squeeze, pull),
+    )  # fmt: skip
+    _, end = last(model)
+    upper, lower = end.forces.bodies
+    assert abs(upper[2]) > 0.05
+    assert abs(upper[0]) == pytest.approx(0.3 * abs(upper[2]), rel=0.01)
+    np.testing.assert_allclose(upper[:3] + lower[:3], 0.0, atol=1e-4 * abs(upper[2]))
