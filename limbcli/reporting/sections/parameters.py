@@ -49,7 +49,9 @@ def parameters(page: ReportData) -> Reportlet:
 
 def parameter_warnings(page: ReportData) -> list[str]:
     """Reasons why these numbers may not describe the tissue: locking, noise that was assumed or exceeded."""
-    return _notes(_views(page))[1]
+    views = _views(page)
+    told = {f"Site {site}: {view.poor}." for site, view in views.items()}  # the first sentence of the page
+    return [each for each in _notes(views)[1] if each not in told]
 
 
 def _views(page: ReportData) -> dict[str | None, FitView]:
