@@ -102,7 +102,7 @@ def force_agreement(
     of_noise = f"{short(rms / noise, 2)} times the counted noise of {short(noise, 2)} N"
     return _judged(
         numbers, bad=rms > BEYOND_NOISE * noise or bool(seen),
-        good=f"the force agrees: RMSE {short(rms, 2)} N, {of_noise}",
+        good=f"the force agrees: RMSE {short(rms, 2)} N under load, {of_noise}",
         poor=f"poor fit: {told}, {of_noise}{seen}",
     )  # fmt: skip
 

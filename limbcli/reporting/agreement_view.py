@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from limbcli.reporting.numbers import number
 from limbcli.reporting.reportlet import Mood
 
 _MOODS: Mapping[str, Mood] = {"good": "fine", "doubtful": "warning", "bad": "failed", "untested": "warning"}
@@ -16,10 +17,14 @@ _SILENT = (
 
 @dataclass(frozen=True)
 class AgreementView:
-    """State ("good", "doubtful", "bad", "untested") and the sentence with the numbers that decided it."""
+    """State ("good", "doubtful", "bad", "untested") and the sentence with the numbers that decided it.
+
+    rms : root mean square of the differences under load, in the unit of the quantity
+    """
 
     state: str
     words: str
+    rms: float | None = None
 
     @property
     def mood(self) -> Mood:
@@ -64,4 +69,4 @@ def agreement_view(data: Mapping[str, Any], part: str = "") -> AgreementView:
     told = found.get("words") or next(
         (each["words"] for each in parts if each.get("state") == state), _SILENT
     )
-    return AgreementView(state, str(told))
+    return AgreementView(state, str(told), number(found.get("rms")))

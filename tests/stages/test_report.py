@@ -327,6 +327,7 @@ def test_a_poor_fit_is_told_before_anything_else(tmp_path):
     glance = overview(gather(case, out=out))
     assert glance.sentence.startswith("Poor fit at p1: it differs from the measured force by 3 N")
     assert glance.mood == "failed"
+    assert glance.sites[0].word == "bad"
     assert glance.sites[0].facts[0].remark.startswith("bad")
     assert glance.sites[0].sentence.startswith("Bad: poor fit: it differs")
 
@@ -811,3 +812,17 @@ def test_the_limit_of_an_interval_is_said_once_and_the_panel_states_the_interval
     assert "1.9 times as much" in text
     assert "3 degrees of freedom" in text
     assert "extended to the value of the published fit" in text
+
+
+def test_the_card_leads_with_what_is_known_and_says_once_what_is_open(tmp_path):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    add_fit(out, "p1")
+    (site,) = overview(gather(case, out=out)).sites
+    values = {each.name: (each.value, each.remark) for each in site.facts}
+    shown = [each.replace("\u00a0", " ") for each in values["µ at rest, shear modulus"]]
+    assert shown == ["5.07 kPa", "95 %: 4.55 to 5.60; c/2"], "half of c and of its interval"
+    assert values["E at rest, Young’s modulus"][0].startswith("15.2")
+    assert list(values)[:3] == ["µ at rest, shear modulus", "E at rest, Young’s modulus", "c = 2µ"]
+    assert not any("f_κ" in name or "above" in value for name, (value, _) in values.items())
+    assert "Left open by these data: f_κ above 52.0 (weak)." in site.sentence
+    assert (site.mood, site.word) == ("fine", "good")

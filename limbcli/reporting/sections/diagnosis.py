@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from limbcli.reporting.numbers import DASH
+from limbcli.reporting.fit_view import FitView, read_fit_view
+from limbcli.reporting.numbers import DASH, quantity
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Cell, Mood, PageTable, Picture, Reportlet, head, placeholder
 from limbcli.results import UNLIKE_OURS, StageResult
@@ -24,13 +25,14 @@ def diagnosis(page: ReportData, site: SiteMaterial) -> Reportlet | None:
     if outcome.usable is None:
         return placeholder(key, TITLE, outcome)
     try:
-        return _section(key, site, outcome.usable)
+        fit = page.outcomes.of("fit", site.name).usable
+        return _section(key, site, outcome.usable, read_fit_view(fit) if fit else None)
     except UNLIKE_OURS as error:
         text = f"Its result cannot be shown ({type(error).__name__}: {error}); run it again."
         return Reportlet(key, TITLE, "failed", site.name, warned=(text,), command=outcome.command)
 
 
-def _section(key: str, site: SiteMaterial, result: StageResult) -> Reportlet:
+def _section(key: str, site: SiteMaterial, result: StageResult, fit: FitView | None) -> Reportlet:
     data = result.data
     mood = _MOODS.get(str(data["verdict"]), "warning")
     first, *others = [str(each) for each in data["sentences"]] or [""]
@@ -46,9 +48,24 @@ def _section(key: str, site: SiteMaterial, result: StageResult) -> Reportlet:
         "and that the model with the addition (blue) brings back into it",
         bad="one name where the verdict is ambiguous, a misfit that remains, or a candidate right of "
         "the dashed line in the lower panel: these data cannot detect it",
-        notes=tuple(others),
+        notes=(*others, *_against_the_fit(data, fit)),
         warned=result.warnings,
         answer=first,
+    )
+
+
+def _against_the_fit(data: Mapping[str, Any], fit: FitView | None) -> tuple[str, ...]:
+    """Why c and m of the diagnosis without any effect are not those of the fit."""
+    base, step = next(iter(data["shrink"]), None), fit.last if fit else None
+    m = step.estimate("m") if step else None
+    if base is None or step is None or m is None or "m" not in base["values"]:
+        return ()
+    channels = ", ".join(base["rms"])
+    return (
+        f"Without any effect, the diagnosis finds c {_interval(base, 'c_kpa')} kPa and "
+        f"m {_interval(base, 'm')}; the fit holds c at {quantity(step.c_kpa, 'kPa')} and finds "
+        f"m: {m.headline}. The fit follows the force alone, all levels alike; the diagnosis fits c and m "
+        f"to all channels ({channels}), each weighted by its noise, with a prior for m.",
     )
 
 
@@ -68,15 +85,22 @@ def in_words(data: Mapping[str, Any]) -> str:
     >>> gap = [{"chi2_per_nu": 1.472}, {"chi2_per_nu": 0.92}]
     >>> in_words({"verdict": "named", "added": ["tilt"], "shrink": gap})
     'tilt (named); the misfit between model and measurement (chi2/nu) went from 1.47 to 0.92'
+    >>> open_set = {"verdict": "ambiguous", "confidence_set": [["tilt"], ["skin", "preload"]]}
+    >>> in_words({**open_set, "added": ["tilt"], "shrink": gap}).partition(";")[0]
+    'tilt or skin + preload (ambiguous)'
     >>> in_words({"verdict": "adequate", "added": [], "shrink": gap[:1]})
     'adequate'
     """
     added, shrink = data.get("added"), data.get("shrink", ())  # missing in older results
     if not added or len(shrink) < 2:
         return str(data.get("verdict", DASH))
+    names = " and ".join(added)
+    if data["verdict"] == "ambiguous":  # no member of the set stands for it
+        sets = [" + ".join(each) or "nothing" for each in data.get("confidence_set", ())]
+        names = " or ".join(sets) or "several explanations"
     before, after = (each["chi2_per_nu"] for each in (shrink[0], shrink[-1]))
     return (
-        f"{' and '.join(added)} ({data['verdict']}); the misfit between model and measurement "
+        f"{names} ({data['verdict']}); the misfit between model and measurement "
         f"(chi2/nu) went from {before:.2f} to {after:.2f}"
     )
 

@@ -14,8 +14,8 @@ from limbcli.results import StageResult
 
 TITLE = "Does the shear-wave speed rise with load, as the model predicts?"
 _LOOK = (
-    "speeds that rise steadily with load; the speed at zero load gives the initial stiffness "
-    "c. Against depth the plot hardly depends on the force zero, on skin or on the mesh"
+    "speeds that rise steadily with load; the speed at zero load gives the stiffness "
+    "c = 2µ at rest. Against depth the plot hardly depends on the force zero, on skin or on the mesh"
 )
 _BAD = (
     "a step or scatter larger than the bars, a speed that falls under load, or bars so tall that "

@@ -92,8 +92,8 @@ def _curves(page: ReportData, site: SiteMaterial) -> tuple[tuple[SimulatedCurve,
 
 def _step_notes(view: FitView) -> list[str]:
     return [
-        f"{step.label}: root-mean-square difference {quantity(step.rmse_n, 'N', digits=2)}, "
-        f"R² {quantity(step.r2, '', digits=4)}."
+        f"{step.label}: root-mean-square difference over all levels, first touch included, "
+        f"{quantity(step.rmse_n, 'N', digits=2)}, R² {quantity(step.r2, '', digits=4)}."
         for step in view.steps
     ]
 

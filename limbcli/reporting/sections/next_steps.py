@@ -13,10 +13,15 @@ from limbcli.reporting.report_data import ReportData, SiteMaterial
 def next_steps(page: ReportData, site: SiteMaterial, view: FitView) -> tuple[str, ...]:
     """Sentences, the most informative first; empty if nothing is left to measure."""
     steps = []
-    if view.poor:
+    if view.force.state == "bad":
         steps.append(
             "Check the units, signs and zeros of force and depth, then repeat the measurement: no "
             "curve of the law fits these levels."
+        )
+    elif view.poor:
+        steps.append(
+            "The law fitted to the force does not predict the shear-wave speeds under load: do not use c and "
+            "m together before the diagnosis has named what is missing."
         )
     diagnosed = page.outcomes.maybe("diagnose", site.name)
     if diagnosed is not None and diagnosed.usable is not None:

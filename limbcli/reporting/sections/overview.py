@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from limbcli.reporting.fit_view import EstimateView, FitView, read_fit_view
+from limbcli.reporting.fit_view import EstimateView, FitView, StepView, read_fit_view
 from limbcli.reporting.numbers import quantity, significant
 from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import Mood, worst_mood
+from limbcli.reporting.reportlet import MOOD_WORDS, Mood, worst_mood
 from limbcli.reporting.sections.diagnosis import in_short
 from limbcli.reporting.sections.next_steps import next_steps
 from limbcli.reporting.sections.parameters import parameter_warnings
@@ -46,6 +46,11 @@ class SiteGlance:
     poor: str = ""
     next_steps: tuple[str, ...] = ()
     diagnosis: str = ""
+
+    @property
+    def word(self) -> str:
+        """The state in words."""
+        return "failed" if self.mood == "failed" and not self.facts else MOOD_WORDS[self.mood]
 
 
 @dataclass(frozen=True)
@@ -174,13 +179,38 @@ def _facts(view: FitView) -> tuple[Fact, ...]:
     step = view.last
     if step is None:
         return ()
-    source = view.c_source or "of unknown origin"
-    facts = [Fact("c, initial stiffness", quantity(step.c_kpa, "kPa"), f"{source}; held fixed")]
-    facts += [_estimate(each) for each in step.estimates if each.name in ("m", "f_κ")]
+    facts = [*_at_rest(view, step)]
+    facts += [_estimate(each) for each in step.estimates if each.name in ("m", "f_κ") and each.is_sound]
+    size = step.rmse_n if view.force.rms is None else view.force.rms
+    missed = Fact("force misfit under load (RMS)", quantity(size, "N", digits=2), "")
     remark = f"R² {quantity(step.r2, '', digits=4)}"
-    missed = Fact("misfit, root mean square", quantity(step.rmse_n, "N", digits=2), remark)
     missed = replace(missed, remark=f"{view.force.state}; {remark}", mood=view.force.mood)
     return (missed, *facts) if view.force.state == "bad" else (*facts, missed)
+
+
+def _at_rest(view: FitView, step: StepView) -> list[Fact]:
+    """µ, E and c at rest, each with its interval: what papers quote."""
+    c = step.estimate("c") or EstimateView("c", step.c_kpa, "kPa", None, None, "", "fixed")
+    source = view.c_source or "of unknown origin"
+    named = (
+        ("µ at rest, shear modulus", 0.5, "c/2"),
+        ("E at rest, Young’s modulus", 1.5, "3µ, of nearly incompressible tissue"),
+        ("c = 2µ", 1.0, f"{source}; held fixed"),
+    )
+    facts = []
+    for title, factor, remark in named:
+        own = c.times(factor, title, "kPa") or c
+        reach = ""
+        if own.low is not None and own.high is not None:
+            reach = f"95 %: {significant(own.low)} to {significant(own.high)}; "
+        facts.append(Fact(title, quantity(own.value, "kPa"), reach + remark, "neutral"))
+    return facts
+
+
+def _left_open(step: StepView) -> str:
+    """One sentence on what the data do not determine; "" if all is determined."""
+    open_ones = [f"{each.name} {each.headline} ({each.flag})" for each in step.estimates if not each.is_sound]
+    return f" Left open by these data: {'; '.join(open_ones)}." if open_ones else ""
 
 
 _TITLES = {"m": "m, stiffening", "f_κ": "f_κ, resistance to volume change"}
@@ -202,7 +232,7 @@ def _site_sentence(view: FitView) -> str:
     step = view.last
     told = [each.sentence for each in (view.force, view.speeds) if each is not None]
     return (
-        f"{' '.join(told)} {step.label}, {view.element} elements, {view.solver}."
+        f"{' '.join(told)} {step.label}, {view.element} elements, {view.solver}.{_left_open(step)}"
         if step
         else "The fit produced no parameters."
     )

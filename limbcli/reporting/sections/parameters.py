@@ -8,7 +8,7 @@ from limbcli.reporting.fit_view import MOONEY_RIVLIN, OGDEN, EstimateView, FitVi
 from limbcli.reporting.numbers import DASH, cell, interval, quantity, significant
 from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.report_data import ReportData
-from limbcli.reporting.reportlet import Cell, Mood, PageTable, Reportlet, head
+from limbcli.reporting.reportlet import Cell, Mood, PageTable, Reportlet, head, worst_mood
 from limbcli.reporting.sections.assumed_geometry import geometry_tables
 from limbcli.reporting.sections.model_checks import model_check_tables, noise_alone
 
@@ -49,7 +49,9 @@ def parameters(page: ReportData) -> Reportlet:
 
 def parameter_warnings(page: ReportData) -> list[str]:
     """Reasons why these numbers may not describe the tissue: locking, noise that was assumed or exceeded."""
-    return _notes(_views(page))[1]
+    views = _views(page)
+    told = {f"Site {site}: {view.poor}." for site, view in views.items()}  # the first sentence of the page
+    return [each for each in _notes(views)[1] if each not in told]
 
 
 def _views(page: ReportData) -> dict[str | None, FitView]:
@@ -64,7 +66,8 @@ def _mood(outcomes: list[Outcome], views: dict[str | None, FitView]) -> Mood:
         return "missing"
     steps = [view.last for view in views.values()]
     sound = all(each.is_sound for step in steps if step for each in step.estimates)
-    return "fine" if sound and len(views) == len(outcomes) else "warning"
+    own: Mood = "fine" if sound and len(views) == len(outcomes) else "warning"
+    return worst_mood(own, *(view.whole.mood for view in views.values()))
 
 
 def _paper_table(outcomes: list[Outcome], views: dict[str | None, FitView]) -> PageTable:
