@@ -186,7 +186,7 @@ def test_names_that_hardly_differ_and_more_than_two_sexes_are_doubted(tmp_path):
 @pytest.mark.parametrize(
     ("name", "factor", "words"),
     [
-        ("stiffness_mpa_per_mm", 1000.0, "in kPa per mm"),
+        ("stiffness_mpa_per_mm", 1000.0, "stiffness_mpa_per_mm"),
         ("max_force_n", 1e-3, "max_force_n is"),
         ("face_mm2", 0.01, "the probe's face is"),
     ],
