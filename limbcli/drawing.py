@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from limbcli.model import Array
+from limbcli.plain_text import text_cell
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -142,7 +143,7 @@ def write_data(figure: Figure, path: Path) -> None:
         table = csv.writer(stream)
         table.writerow(COLUMNS)
         for row in figure_data(figure):
-            table.writerow([_cell(each) for each in row])
+            table.writerow([text_cell(_cell(each)) for each in row])
 
 
 def figure_data(figure: Figure) -> Iterator[Row]:

@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "limbcli"
 GROUND = {"abaqus_files", "atomic_files", "background_processes", "bodies", "case", "config", "detached_data",
           "dicom_files", "drawing", "errors",
           "interval_limits", "kernel_folder", "mesh_bounds", "meshlab", "model", "model_io",
-          "monotone_interpolation", "output_lock", "patient_frame", "progress", "results",
+          "monotone_interpolation", "output_lock", "patient_frame", "plain_text", "progress", "results",
           "significant_digits", "surface_formats", "surface_frames", "template_rendering",
           "temporary_folders", "three_mf", "triangle_files", "units", "version"}  # fmt: skip
 SIBLINGS = {"imaging", "measurement", "meshing", "inference", "diagnostics"}

@@ -20,6 +20,7 @@ from limbcli.cli.examples import EXAMPLES
 from limbcli.cli.fixes import for_command_line
 from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
 from limbcli.cli.results_stream import results
+from limbcli.cli.say import say
 from limbcli.config import at_home
 from limbcli.errors import CaseError, LimbError
 from limbcli.errors.file_system import NO_MEMORY, in_words
@@ -60,7 +61,7 @@ def _print_version(value: bool) -> None:
     if value:
         from limbcli.stages.doctor import solver_versions
 
-        print(f"limbcli {__version__}", *solver_versions(), sep="\n")
+        say("\n".join([f"limbcli {__version__}", *solver_versions()]))
         raise typer.Exit
 
 
@@ -111,7 +112,7 @@ def main(arguments: list[str] | None = None) -> None:
         _exit_with(error, arguments)
     except SystemExit as stop:
         if stop.code == INTERRUPTED:
-            print(MESSAGE, file=sys.stderr)
+            say(MESSAGE, to_stderr=True)
         raise
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), results().fileno())
@@ -171,7 +172,7 @@ def _is_no_finite_number(text: str) -> bool:
 
 def report_error(error: LimbError, *, as_json: bool) -> None:
     """Print the message to stderr and, with --json, the error as an object to stdout."""
-    print(f"{type(error).__name__}: {error}", file=sys.stderr)
+    say(f"{type(error).__name__}: {error}", to_stderr=True)
     if as_json:
         report_json(error)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,6 +18,7 @@ from limbcli.cli.options import (
     TemplatesOpt,
     VerboseOpt,
 )
+from limbcli.cli.say import say
 from limbcli.cli.terminal import emit_json, terminal
 from limbcli.errors import LimbError
 
@@ -107,9 +107,9 @@ def command(
         _index(out or default_out(cases[0]).parent, options.templates, progress, as_json=json)
     failed = [each for each in entries if each.code]
     if failed:
-        print(f"{len(failed)} of {len(entries)} cases failed:", file=sys.stderr)
+        say(f"{len(failed)} of {len(entries)} cases failed:", to_stderr=True)
         for each in failed:
-            print("\n".join(f"  {line}" for line in each.lines()), file=sys.stderr)
+            say("\n".join(f"  {line}" for line in each.lines()), to_stderr=True)
         raise typer.Exit(max(each.code for each in failed))
 
 
@@ -125,7 +125,7 @@ def _index(folder: Path, templates: Path | None, progress: Progress, *, as_json:
         report_error(error, as_json=False)
         return
     if not as_json:
-        print(index.page)
+        say(index.page)
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ class _Way:
             content["expected"] = [{**vars(each), "expected": each.expected} for each in found]
             failures += unlike
             if not self.as_json:
-                print("".join(f"{each}\n" for each in found), end="")
+                say("".join(f"{each}\n" for each in found), end="")
         if not self.as_json and outcome.report:
-            print(outcome.report)
+            say(outcome.report)
         return _Entry(content, failures)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import typer
 
 from limbcli.cli.options import CaseArg, JsonOpt, QuietOpt, VerboseOpt
+from limbcli.cli.say import say
 from limbcli.cli.terminal import emit_json, terminal
 
 
@@ -17,12 +18,12 @@ def command(case: CaseArg, json: JsonOpt = False, quiet: QuietOpt = False, verbo
     if json:
         emit_json(result.to_json())
     else:
-        print(f"{case}: looked at {', '.join(result.looked_at)}")
+        say(f"{case}: looked at {', '.join(result.looked_at)}")
         for line in result.shown:
-            print(line)
+            say(line)
         for k, problem in enumerate(result.problems, 1):
-            print(f"{k}. {problem.severity}: {pasted_text(str(problem), case)}")
+            say(f"{k}. {problem.severity}: {pasted_text(str(problem), case)}")
         n_errors = sum(each.severity == "error" for each in result.problems)
         to_correct = f"{n_errors} error{'s' if n_errors > 1 else ''} to correct"
-        print(to_correct if n_errors else "the case is complete")
+        say(to_correct if n_errors else "the case is complete")
     raise typer.Exit(result.exit_code)

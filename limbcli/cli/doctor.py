@@ -7,6 +7,7 @@ import itertools
 import typer
 
 from limbcli.cli.options import FebioOpt, JsonOpt, QuietOpt, VerboseOpt
+from limbcli.cli.say import say
 from limbcli.cli.terminal import emit_json, terminal
 
 _MARKS = {"good": "  ", "note": "- ", "missing": "! "}
@@ -26,11 +27,11 @@ def command(
         emit_json(result.to_json())
     else:
         for topic, findings in itertools.groupby(result.findings, key=lambda each: each.topic):
-            print(topic)
+            say(topic)
             for each in findings:
-                print(f"{_MARKS[each.state]}{each.name}: {each.found}")
+                say(f"{_MARKS[each.state]}{each.name}: {each.found}")
                 if each.fix:
-                    print(f"    fix: {each.fix}")
+                    say(f"    fix: {each.fix}")
         n = len(result.missing)
-        print("all requirements are met" if not n else f"{n} missing or broken, marked with !")
+        say("all requirements are met" if not n else f"{n} missing or broken, marked with !")
     raise typer.Exit(result.exit_code)

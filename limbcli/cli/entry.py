@@ -9,15 +9,19 @@ import io
 import os
 import signal
 import sys
+import warnings
 from types import FrameType
 
 from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
 from limbcli.cli.results_stream import keep_stdout_for_results
+from limbcli.cli.say import say
 
 
 def main() -> None:
     """The installed command `limbcli`."""
     _open_closed_streams()
+    if not sys.warnoptions:  # those of libraries, for developers; -W or PYTHONWARNINGS shows them
+        warnings.simplefilter("ignore")
     _answer_with(_exit_on_signal)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -30,7 +34,7 @@ def main() -> None:
         _answer_with(_interrupt)
         run()
     except KeyboardInterrupt:
-        print(MESSAGE, file=sys.stderr)
+        say(MESSAGE, to_stderr=True)
         sys.exit(_exit_code(_sent[-1]))
     except SystemExit as stop:
         if stop.code == INTERRUPTED:
@@ -38,7 +42,7 @@ def main() -> None:
         raise
     except Exception as error:  # last resort: any other error becomes a message
         if _is_interrupt(error):
-            print(MESSAGE, file=sys.stderr)
+            say(MESSAGE, to_stderr=True)
             sys.exit(_exit_code(_sent[-1]))
         sys.exit(_caught(error))
     finally:
@@ -73,7 +77,7 @@ def _caught(error: Exception) -> int:
     from limbcli.errors.unexpected import unforeseen
 
     shown = unforeseen(error, output_folder(sys.argv[1:]))
-    print(f"{type(shown).__name__}: {shown}", file=sys.stderr)
+    say(f"{type(shown).__name__}: {shown}", to_stderr=True)
     if "--json" in sys.argv:
         from limbcli.cli.app import report_json
 

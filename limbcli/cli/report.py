@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from limbcli.cli.options import JsonOpt, NoWaitOpt, OutOpt, QuietOpt, TemplatesOpt, VerboseOpt
+from limbcli.cli.say import say
 from limbcli.cli.terminal import emit, emit_json, terminal
 from limbcli.output_lock import one_writer
 from limbcli.progress import Progress
@@ -75,5 +76,5 @@ def _index(folder: Path, templates: Path | None, progress: Progress, *, as_json:
     if as_json:
         emit_json(result.to_json())
     else:
-        print(f"index: {result.page} ({result.n_subjects} subject{'s' if result.n_subjects != 1 else ''})")
+        say(f"index: {result.page} ({result.n_subjects} subject{'s' if result.n_subjects != 1 else ''})")
     return result.page

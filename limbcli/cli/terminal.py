@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from limbcli.cli.remaining_time import TimeLeft, keep_alive
 from limbcli.cli.results_stream import results
+from limbcli.cli.say import say
+from limbcli.plain_text import shown
 from limbcli.progress import SILENT, Progress
 
 if TYPE_CHECKING:  # without numpy, which help and messages do not need
@@ -65,7 +67,7 @@ class _Lines:
             self._rewrite(text) if self._live else self._line(text)
 
     def _rewrite(self, text: str) -> None:
-        self._stream.write("\r\x1b[K" + text)
+        self._stream.write("\r\x1b[K" + shown(text))
         self._stream.flush()
         self._open, self._last = True, time.monotonic()
 
@@ -73,7 +75,7 @@ class _Lines:
         if self._open:
             self._stream.write("\r\x1b[K")
             self._open = False
-        self._stream.write(text + "\n")
+        self._stream.write(shown(text) + "\n")
         self._stream.flush()
         self._last = time.monotonic()
 
@@ -152,14 +154,14 @@ def emit(results: StageResult | Sequence[StageResult], *, as_json: bool) -> None
         emit_json(contents if isinstance(results, Sequence) else contents[0])
         return
     for each in several:
-        print(f"{each.stage}{' ' + each.site if each.site else ''}: {each.folder}")
+        say(f"{each.stage}{' ' + each.site if each.site else ''}: {each.folder}")
         emit_lines(each.summary)
         emit_lines(f"warning: {text}" for text in each.warnings)
 
 
 def emit_lines(lines: Iterable[str]) -> None:
     for line in lines:
-        print(f"  {line}")
+        say(f"  {line}")
 
 
 def emit_json(content: object) -> None:

@@ -21,6 +21,7 @@ from limbcli.inference.layered_family import LayeredFamily, layered_family
 from limbcli.inference.layered_solves import FORCE
 from limbcli.measurement.cohort_checks import checked_cohort
 from limbcli.measurement.cohort_table import CohortTable
+from limbcli.plain_text import text_cell
 from limbcli.progress import SILENT, Progress
 from limbcli.results import UNLIKE_OURS, StageResult, check_seal, plain, provenance, sealed
 from limbcli.stages.cohorts.compliance import compliance_left_out
@@ -194,7 +195,7 @@ def _written(
         with (work / ROWS).open("w", newline="", encoding="utf-8") as stream:
             writer = csv.DictWriter(stream, list(content["rows"][0]), lineterminator="\n")
             writer.writeheader()
-            writer.writerows(content["rows"])
+            writer.writerows({k: text_cell(v) for k, v in row.items()} for row in content["rows"])
         content["provenance"]["files_sha256"] = {name: sha256(work / name) for name in _RECORDED}
         content = sealed(content)
         text = json.dumps(content, indent=1, allow_nan=False)

@@ -13,6 +13,7 @@ from scipy.io import savemat
 
 from limbcli.feb.write import render
 from limbcli.model import Array, ElementMap, LimbModel, Material
+from limbcli.plain_text import text_cell
 from limbcli.results import StageWriter
 from limbcli.stages.site_model.indentation_model import TISSUE
 
@@ -60,7 +61,7 @@ def write_parameters(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 def _cell(value: object) -> object:
     if value is None or (isinstance(value, float) and not np.isfinite(value)):
         return ""
-    return f"{value:.8g}" if isinstance(value, float) else value
+    return f"{value:.8g}" if isinstance(value, float) else text_cell(value)
 
 
 def write_mat_file(writer: StageWriter) -> None:
@@ -129,6 +130,4 @@ def write_table(path: Path, columns: Mapping[str, Array | Sequence[object]]) -> 
         rows = csv.writer(stream)
         rows.writerow(columns)
         for row in zip(*columns.values(), strict=True):
-            rows.writerow(
-                [_cell(float(each)) if isinstance(each, float | np.floating) else each for each in row]
-            )
+            rows.writerow([_cell(float(each) if isinstance(each, np.floating) else each) for each in row])

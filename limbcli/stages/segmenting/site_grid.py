@@ -16,6 +16,7 @@ from limbcli.meshing.mending import Limb
 from limbcli.meshing.places import triple
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
+from limbcli.plain_text import text_cell
 
 _STEP_MM, _MOST_ROWS = 20.0, 24
 _ANGLES = 12
@@ -84,5 +85,11 @@ def write_grid(path: Path, grid: Sequence[GridPoint]) -> None:
         for each in grid:
             place = [f"{value:.1f}" for value in each.point]
             rows.writerow(
-                [each.name, f"{each.angle_deg:.0f}", *place, f"{each.skin_bone:.1f}", triple(each.point)]
+                [
+                    text_cell(each.name),
+                    f"{each.angle_deg:.0f}",
+                    *place,
+                    f"{each.skin_bone:.1f}",
+                    triple(each.point),
+                ]
             )
