@@ -61,6 +61,11 @@ class LimbFrame:
         """Anterior offset (n,) from the axis."""
         return np.asarray((points - self.origin) @ self.anterior)
 
+    def upright(self, points: Array) -> Array:
+        """Points (n, 3) as seen in this frame: x to the patient's left, y to the back, z along the axis."""
+        turn = np.stack([np.cross(self.axis, self.anterior), -self.anterior, self.axis])
+        return np.asarray((points - self.origin) @ turn.T)
+
     def to_json(self) -> dict[str, Any]:
         names = ("origin", "axis", "anterior", "lateral")
         lists = {f"{name}_lps": getattr(self, name).tolist() for name in names}

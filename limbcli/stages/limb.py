@@ -171,7 +171,12 @@ def limb(
             sites=places,
             title=f"{case.subject}: the limb",
         )
-        write_limb(LimbFiles(model, surface, parts, columns_of(values)), writer, segmented, templates)
+        write_limb(
+            LimbFiles(model, frame, case.limb, surface, parts, columns_of(values)),
+            writer,
+            segmented,
+            templates,
+        )
     assert writer.result is not None
     return writer.result
 

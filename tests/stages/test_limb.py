@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,8 +20,13 @@ from limbcli.meshing.surfaces import Triangles, read_surface
 from limbcli.model import Curve, ElementMap, Step, Support
 from limbcli.model_io import load_model
 from limbcli.results import read_result
+from limbcli.stages import limb as stage
 from limbcli.stages.limb import LimbOptions, limb
+from limbcli.stages.limb_field.case_field import CaseField
+from limbcli.stages.limb_field.site_results import LimbReadings
 from limbcli.stages.segment import segment
+from limbcli.stiffness_field import Interval, SiteReading, limb_coordinates, stiffness_field
+from limbcli.surface_formats.aop import read_aop_limb
 from tests.meshing.stump import stump
 
 pytestmark = pytest.mark.slow
@@ -120,6 +126,65 @@ def test_files_for_others(made):
         "popliteal",
         "tibial_crest",
     }
+
+
+def with_field(monkeypatch, c_of: dict[str, float]) -> None:
+    """Let sites of these c (MPa), one at the front and one at the back, tell the stiffness."""
+
+    def field_of(case, chain, skin, bones, axis, *, writer):
+        places = {"p1": [0.0, -35.0, 60.0], "p2": [0.0, 35.0, 60.0]}
+        sites = [
+            SiteReading(name, np.array([places[name]]), {"c": Interval(c, 0.9 * c, 1.1 * c)}, source="fit")
+            for name, c in c_of.items()
+        ]
+        field = stiffness_field(limb_coordinates(skin, bones, axis), sites, [])
+        return CaseField(field, LimbReadings(sites))
+
+    monkeypatch.setattr(stage, "case_field", field_of)
+
+
+def test_elements_have_the_values_of_the_field_and_a_draw_its_own_model(made, tmp_path, monkeypatch):
+    case, out, _ = made
+    shutil.copytree(out / "segment", tmp_path / "segment")
+    with_field(monkeypatch, {"p1": 0.004, "p2": 0.012})
+    found = limb(case, out=tmp_path, options=LimbOptions(nodes=6_000, draws=(3,)))
+    grid = meshio.read(found.path("mesh"))
+    c, low, high, label = (grid.cell_data[name][0] for name in ("c_kpa", "c_low_kpa", "c_high_kpa", "label"))
+    middle = grid.points[grid.cells[0].data[:, :4]].mean(axis=1)
+    near = [np.linalg.norm(middle - place, axis=1).argmin() for place in ([0, -35, 60], [0, 35, 60])]
+    assert c[near[0]] == pytest.approx(4.0, rel=0.25)
+    assert c[near[1]] == pytest.approx(12.0, rel=0.25)
+    assert np.all((low < c) & (c < high))
+    assert label[near].tolist() == [0.0, 0.0]
+    assert (label != 0.0).any()
+    model, drawn = read_feb(found.path("feb")), read_feb(found.path("feb_draw_03"))
+    own = model.materials["tissue"].parameters["c1"].values
+    assert own == pytest.approx(c / 2000.0, rel=1e-6)
+    other = drawn.materials["tissue"].parameters["c1"].values
+    assert np.std(np.log(other / own)) > 0.01
+    with found.path("draws").open() as stream:
+        assert len(list(csv.DictReader(stream))) == 50
+    assert "site p2: c = 12 kPa, from fit" in found.path("readme").read_text()
+    assert any("identified" in line for line in found.summary)
+    with pytest.raises(CaseError, match="draws 0 to 49"):
+        limb(case, out=tmp_path, options=LimbOptions(nodes=6_000, draws=(50,)))
+
+
+def test_one_stiffness_for_all_has_no_draws(made, tmp_path):
+    shutil.copytree(made[1] / "segment", tmp_path / "segment")
+    with pytest.raises(CaseError, match="has no draws"):
+        limb(made[0], out=tmp_path, options=replace(OPTIONS, draws=(0,)))
+
+
+def test_abaqus_and_aop_have_the_same_limb(made):
+    result = made[2]
+    text = result.path("inp").read_text()
+    n_nodes = text.upper().partition("*NODE")[2].partition("*ELEMENT")[0].count("\n") - 1
+    assert n_nodes >= result.data["n_nodes"]
+    assert "C3D10H" in text
+    shape = read_aop_limb(result.path("aop"))
+    assert shape.side == "left"
+    assert np.median(shape.radii) == pytest.approx(40.0, abs=10.0)
 
 
 def test_bones_are_fixed_and_the_cut_is_held(made):

@@ -15,11 +15,12 @@ from limbcli.abaqus_files import write_abaqus
 from limbcli.config import templates_folder
 from limbcli.feb.write import write_feb
 from limbcli.meshing.export import write_vtu
-from limbcli.meshing.limb_parts import LimbParts
+from limbcli.meshing.limb_parts import LimbFrame, LimbParts
 from limbcli.meshing.surfaces import Triangles, join
 from limbcli.model import Array, LimbModel
 from limbcli.model_io import save_model
 from limbcli.results import StageResult, StageWriter
+from limbcli.stages.segmenting.surfaces import write_upright_aop
 from limbcli.stages.site_model.indentation_model import TISSUE
 from limbcli.stiffness_field import LABELS
 from limbcli.version import __version__
@@ -29,9 +30,12 @@ FEB, README = "limb.feb", "README.txt"
 
 @dataclass(frozen=True, eq=False)
 class LimbFiles:
-    """A limb's model, its skin's facets, its parts, and the tissue's values by name (n_cells,)."""
+    """A limb's model, frame and side, its skin's facets, its parts, and the tissue's values by name
+    (n_cells,)."""
 
     model: LimbModel
+    frame: LimbFrame
+    side: str
     skin: Triangles
     parts: LimbParts
     values: Mapping[str, Array]
@@ -51,6 +55,14 @@ def write_limb(files: LimbFiles, writer: StageWriter, segmented: StageResult, te
         for name in body.node_sets
     ]
     write_stl(join(bones), writer.file("bones", "bones.stl"))
+    upright = files.frame.upright
+    marks = {
+        name.upper().replace("_", " "): upright(each[None])[0] for name, each in files.parts.landmarks.items()
+    }
+    wall = Triangles(upright(files.skin.points), files.skin.faces)
+    write_upright_aop(
+        wall, marks, files.side, writer, frame="the limb's own frame: left, back, up along its axis"
+    )
     _write_parts(files, writer.file("parts", "parts.csv"))
     writer.file("readme", README).write_text(_readme(files, writer, segmented), encoding="utf-8")
 
@@ -97,6 +109,10 @@ def _readme(files: LimbFiles, writer: StageWriter, segmented: StageResult) -> st
         + (f" ({', '.join(each['assumed'])} assumed)" if each["assumed"] else "")
         for name, each in data["layers"].items()
     ]
+    sites = [
+        f"site {name}: c = {each['c_kpa'][0]:.4g} kPa, from {each['source']}"
+        for name, each in stiffness.get("field", {}).get("sites", {}).items() if "c_kpa" in each
+    ]  # fmt: skip
     return environment.get_template("README.txt.j2").render(
         subject=writer.subject,
         version=__version__,
@@ -115,6 +131,7 @@ def _readme(files: LimbFiles, writer: StageWriter, segmented: StageResult) -> st
         c_source=stiffness["source"],
         labels=", ".join(f"{k} {name}" for k, name in enumerate(LABELS)),
         layers=layers,
+        sites=sites,
         source=segmented.data.get("source", "segment"),
         warnings=list(dict.fromkeys(writer.warnings)),
     )

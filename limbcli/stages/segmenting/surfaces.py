@@ -25,6 +25,7 @@ from limbcli.meshing.mending import (
 )
 from limbcli.meshing.places import triple
 from limbcli.meshing.surfaces import Triangles, join
+from limbcli.model import Array
 from limbcli.results import StageWriter
 from limbcli.stages.segmenting.bone_names import names_of_bodies, names_of_files, numbered
 from limbcli.stages.segmenting.places import report_places
@@ -313,13 +314,22 @@ def write_skin_aop(case: Case, writer: StageWriter) -> None:
     """Write skin.aop of the skin that was written, with the markers as landmarks; warn where it cannot be."""
     skin = read_surface(writer.work / f"{SKIN}.ply")
     marks = {f"MARKER {each['number']}": np.array(each["position_mm"]) for each in writer.data["markers"]}
-    body = _largest(skin)
+    write_upright_aop(_largest(skin), marks, case.limb or "", writer, frame="patient LPS")
+
+
+def write_upright_aop(
+    body: Triangles, marks: Mapping[str, Array], side: str, writer: StageWriter, *, frame: str
+) -> None:
+    """Write skin.aop of a limb that stands upright, or warn why not.
+
+    body, marks (3,) : mm, x to the left, y to the back, z along the limb to proximal; frame : in words
+    """
     try:
-        limb, axis = aop_limb(body.points, body.faces, side=case.limb or "", landmarks=marks)
+        limb, axis = aop_limb(body.points, body.faces, side=side, landmarks=marks)
     except MeshError as error:
         writer.warnings.append(f"{AOP_FILE} was not written: {error.what}; {error.fix}")
         return
-    place = f"height 0 of its axis is at {triple(axis)} mm (patient LPS)"
+    place = f"height 0 of its axis is at {triple(axis)} mm ({frame})"
     write_aop(writer.file("aop", AOP_FILE), limb, comments=("limbcli", place))
     writer.summary.append(
         f"{AOP_FILE}: {len(limb.heights)} slices over {np.ptp(limb.heights):.0f} mm; {place}"
