@@ -29,7 +29,8 @@ OF_THEIR_OWN = {
     "fit": {"objective", "law", "compare_laws", "compare_element"},
     "report": {"index"},
 }
-RENAMED = {"seeds": "seed", "sites": "site", "layers": "layer", "subject": "name", "effects": "effect"}
+RENAMED = {"seeds": "seed", "sites": "site", "layers": "layer", "subject": "name", "effects": "effect",
+           "draws": "draw"}  # fmt: skip
 PYTHON_ONLY = {"wait", "progress"}
 
 
