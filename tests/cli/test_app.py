@@ -142,6 +142,7 @@ def default_signals() -> None:
 
 CLOSED = """
 import sys
+import typer
 from limbcli.cli import check, entry
 import limbcli.stages.check as module
 def held(case, *, progress):
@@ -150,7 +151,7 @@ def held(case, *, progress):
         sys.stderr.write("not meant for the file")
         sys.stderr.flush()
         stream.write(str(stream.fileno() > 2))
-    raise SystemExit(3)
+    raise typer.Exit(3)
 module.check = held
 sys.argv = ["limbcli", "check", sys.argv[1]]
 entry.main()
