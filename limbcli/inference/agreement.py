@@ -76,8 +76,7 @@ def force_agreement(
         and mesh; None: those of this curve and its noise alone
 
     >>> force_agreement(np.array([2.0, -2.0, 2.0]), np.full(3, 0.5), 0.99, n_free=2).words
-    'poor fit: it differs from the measured force by 2 N (RMSE under load), 4 times the counted noise of \
-0.5 N'
+    'it differs from the measured force by 2 N (RMSE under load), 4 times the counted noise of 0.5 N'
     >>> force_agreement(np.full(5, 0.3) * [1, -1, 1, 1, -1], np.full(5, 0.3), 0.99, n_free=2).state
     'good'
     """
@@ -89,7 +88,7 @@ def force_agreement(
     seen = f"; R2 {r2:.2f}" if np.isfinite(r2) and r2 < LEAST_R2 else ""
     if not (deviation > 0).all():
         if seen:
-            return FitAgreement("bad", f"poor fit: {told}{seen}", rms, noise or None)
+            return FitAgreement("bad", f"{told}{seen}", rms, noise or None)
         return FitAgreement(
             "untested",
             "not tested: no noise of force or depth is stated with which to compare the RMSE of "
@@ -103,7 +102,7 @@ def force_agreement(
     return _judged(
         numbers, bad=rms > BEYOND_NOISE * noise or bool(seen),
         good=f"the force agrees: RMSE {short(rms, 2)} N under load, {of_noise}",
-        poor=f"poor fit: {told}, {of_noise}{seen}",
+        poor=f"{told}, {of_noise}{seen}",
     )  # fmt: skip
 
 

@@ -33,8 +33,8 @@ class AgreementView:
     @property
     def sentence(self) -> str:
         """
-        >>> AgreementView("bad", "poor fit: off by 2 N").sentence
-        'Bad: poor fit: off by 2 N.'
+        >>> AgreementView("bad", "off by 2 N").sentence
+        'Bad: off by 2 N.'
         """
         tail = self.words.rstrip(".")
         return (

@@ -149,7 +149,7 @@ def test_a_fit_that_misses_its_data_is_called_poor_first(tmp_path, forces):
     case = block.make_case(tmp_path / "case", tmp_path / "out", DEPTHS, odd, c=TRUTH["c"])
     options = FitOptions(intervals=False, contact_check=False, boundary_check=False, max_iterations=4)
     result = fit(case, out=tmp_path / "out", solver="reference", options=options)[0]
-    assert result.summary[0].startswith("poor fit: it differs from the measured force by ")
+    assert result.summary[0].startswith("bad: it differs from the measured force by ")
     assert result.warnings[0].startswith("poor fit")
     assert result.data["misfit"]["times_noise"] > 2.0
     for name in ("f_kappa", "m"):

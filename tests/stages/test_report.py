@@ -322,14 +322,14 @@ def test_headlines_of_what_is_open_are_words(whole):
 
 def test_a_poor_fit_is_told_before_anything_else(tmp_path):
     case, out = make_case(tmp_path / "case"), tmp_path / "out"
-    words = "poor fit: it differs from the measured force by 3 N (RMSE under load); R2 0.61"
+    words = "it differs from the measured force by 3 N (RMSE under load); R2 0.61"
     add_fit(out, "p1", state="bad", words=words)
     glance = overview(gather(case, out=out))
     assert glance.sentence.startswith("Poor fit at p1: it differs from the measured force by 3 N")
     assert glance.mood == "failed"
     assert glance.sites[0].word == "bad"
     assert glance.sites[0].facts[0].remark.startswith("bad")
-    assert glance.sites[0].sentence.startswith("Bad: poor fit: it differs")
+    assert glance.sites[0].sentence.startswith("Bad: it differs")
 
 
 def test_page_of_a_case_that_cannot_be_read_has_a_paragraph_a_problem(tmp_path):

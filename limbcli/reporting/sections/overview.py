@@ -93,11 +93,6 @@ def overview(page: ReportData) -> Overview:
     )
 
 
-def _bare(words: str) -> str:
-    """The words of a bad agreement without their first "poor fit: "."""
-    return words.removeprefix("poor fit: ")
-
-
 def sentence_of(words: str) -> str:
     """
     >>> sentence_of("geometry assumed, not imaged: a limb")
@@ -119,7 +114,7 @@ def _sentence(sites: tuple[SiteGlance, ...], failures: tuple[Outcome, ...], n_wa
     fitted = [each for each in sites if each.facts]
     weak = [f"{', '.join(each.weak)} at {each.name}" for each in fitted if each.weak]
     poor = [each.name for each in fitted if each.poor]
-    text = "".join(f"Poor fit at {each.name}: {_bare(each.poor)}. " for each in fitted if each.poor)
+    text = "".join(f"Poor fit at {each.name}: {each.poor}. " for each in fitted if each.poor)
     text += (
         f"The tissue was fitted at {len(fitted)} of {len(sites)} {'site' if len(sites) == 1 else 'sites'}."
     )

@@ -50,7 +50,9 @@ def parameters(page: ReportData) -> Reportlet:
 def parameter_warnings(page: ReportData) -> list[str]:
     """Reasons why these numbers may not describe the tissue: locking, noise that was assumed or exceeded."""
     views = _views(page)
-    told = {f"Site {site}: {view.poor}." for site, view in views.items()}  # the first sentence of the page
+    told = {
+        f"Site {site}: poor fit: {view.poor}." for site, view in views.items()
+    }  # the first sentence of the page
     return [each for each in _notes(views)[1] if each not in told]
 
 
@@ -156,7 +158,7 @@ def interval_text(each: EstimateView) -> str:
 def _notes(views: dict[str | None, FitView]) -> tuple[list[str], list[str]]:
     notes, warned = [], []
     for site, view in views.items():
-        warned += [f"Site {site}: {view.poor}."] if view.poor else []
+        warned += [f"Site {site}: poor fit: {view.poor}."] if view.poor else []
         notes.append(f"Site {site}: c is {view.c_source or 'of unknown origin'}.")
         notes += [f"Site {site}, {_effort(step)}" for step in view.steps]
         warned += [f"Site {site}: {text}" for text in _noise_words(view)]

@@ -166,7 +166,7 @@ def summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) -
     met, poor = step_agreement(found, found.steps[-1]), ""
     if met.state == "bad":
         poor = met.words
-        writer.warnings.insert(0, f"{poor}. {_POOR}")
+        writer.warnings.insert(0, f"poor fit: {poor}. {_POOR}")
     writer.data["misfit"] = {
         "poor": bool(poor), "noise_rms_n": met.noise_rms or 0.0, "times_noise": met.times_noise, "words": poor
     }  # fmt: skip
