@@ -510,7 +510,8 @@ def test_weak_parameters_are_named_in_the_first_sentence(tmp_path):
     sentence = overview(gather(case, out=out)).sentence
     assert "Not reliable as tissue properties: f_κ at p1." in sentence
     path = out / "fit" / "p1" / "fit.json"
-    path.write_text(path.read_text().replace('"weak"', '"identified"'))
+    content = json.loads(path.read_text().replace('"weak"', '"identified"'))
+    path.write_text(json.dumps(sealed(content)))
     assert "All fitted parameters are identified." in overview(gather(case, out=out)).sentence
 
 
@@ -534,7 +535,8 @@ def test_a_narrow_f_kappa_of_tet4_is_still_not_the_tissues(tmp_path):
     case, out = make_case(tmp_path / "case"), tmp_path / "out"
     add_fit(out, "p1", element="tet4")
     path = out / "fit" / "p1" / "fit.json"
-    path.write_text(path.read_text().replace('"weak"', '"identified"'))
+    content = json.loads(path.read_text().replace('"weak"', '"identified"'))
+    path.write_text(json.dumps(sealed(content)))
     glance = overview(gather(case, out=out))
     assert "f_κ at p1" in glance.sentence
     assert any("of this tet4 mesh" in fact.remark for fact in glance.sites[0].facts)
