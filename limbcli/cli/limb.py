@@ -66,8 +66,6 @@ FatOpt = Annotated[
         "--fat-mm", metavar="MM|mri", help="The same for a fat layer below the skin.", show_default=False
     ),
 ]
-
-
 DrawOpt = Annotated[
     list[int] | None,
     typer.Option(

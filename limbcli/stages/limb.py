@@ -211,10 +211,11 @@ def _field(
     if options.c_kpa is None:
         found = case_field(case, chain, skin, list(bones.values()), frame.axis, writer=writer)
         field = found if found.results.sites or found.results.maps else None
-    if options.draws and (field is None or not all(0 <= k < N_DRAWS for k in options.draws)):
+    wrong = [k for k in options.draws if field is None or not 0 <= k < N_DRAWS]
+    if wrong:
         why = f"there are draws 0 to {N_DRAWS - 1}" if field else "one stiffness for all has no draws"
         raise CaseError(
-            f"draw {options.draws[0]} cannot be written: {why}", where="--draw",
+            f"draw {wrong[0]} cannot be written: {why}", where="--draw",
             fix="fit the sites, or leave --draw out" if field is None else "give their numbers",
         )  # fmt: skip
     return field
