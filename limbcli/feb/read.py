@@ -35,6 +35,7 @@ from limbcli.feb.read_output import read_output
 from limbcli.feb.rigid_centres import with_centres
 from limbcli.feb.units import scaled, units_scale
 from limbcli.feb.xml import UNITS, Tag, drop_empty, open_model, units_of
+from limbcli.materials import LAWS
 from limbcli.model import FIBRES, Array, Curved, Domain, ElementMap, LimbModel, Material, Mesh, Step, Surface
 
 IGNORED = "ignored"  # key in `info` of what was left out, since it cannot change a result; not written
@@ -218,7 +219,9 @@ def _domain(
     if tag.name == "ShellDomain":
         raise tag.problem("shells of deformable material are not supported", fix="use solid elements")
     _refuse_other_maps(tag, name, materials.materials[material])
-    return [_solid_domain(tag, name, material, mesh.rules.get(name))]
+    law = LAWS.get(materials.materials[material].law)
+    three_field = block.kind in ("hex8", "penta6") and law is not None and law.uncoupled
+    return [_solid_domain(tag, name, material, mesh.rules.get(name), three_field)]
 
 
 def _refuse_other_maps(tag: Tag, block: str, material: Material) -> None:
@@ -233,21 +236,24 @@ def _refuse_other_maps(tag: Tag, block: str, material: Material) -> None:
         _refuse_other_maps(tag, block, part)
 
 
-def _solid_domain(tag: Tag, name: str, material: str, of_elements: str | None) -> Domain:
+def _solid_domain(tag: Tag, name: str, material: str, of_elements: str | None, three_field: bool) -> Domain:
     """A domain, with FEBio's element formulation if `type` or `elem_type` names one.
 
     of_elements : the integration rule that the type of its <Elements> section names
+    three_field : whether FEBio uses its three-field element unless another is named
     """
     rule = tag.optional("type")
     if rule == "ut4-solid":
         tag.allow(attributes=("name", "mat", "type"), children=("alpha", "iso_stab"))
         return Domain(name, material, rule, {each.name: each.number() for each in tag})
     tag.allow(attributes=("name", "mat", "elem_type", "type"))
-    if rule not in (None, "elastic-solid"):
+    if rule not in (None, "elastic-solid") and not (rule == "three-field-solid" and three_field):
         raise tag.problem(f"the domain type {rule!r} is not supported", fix="leave it out, or use ut4-solid")
     element = tag.optional("elem_type")
     element = of_elements if element in (None, "default") else element
-    return Domain(name, material, None if element in DEFAULT_RULES else element)
+    if element in DEFAULT_RULES:
+        element = "elastic-solid" if rule == "elastic-solid" and three_field else None
+    return Domain(name, material, element)
 
 
 def _without_idle_curves(model: LimbModel, must_curves: frozenset[str]) -> LimbModel:

@@ -13,6 +13,7 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.fem.elements import kernels
 from limbcli.fem.elements.element import shape
+from limbcli.fem.elements.mean_dilatation import pressures
 from limbcli.fem.elements.quadrature import rule
 from limbcli.fem.motion.rigid import rotation_vector
 from limbcli.fem.motion.state import Forces, State
@@ -121,6 +122,8 @@ def gauss_fields(system: System, state: State, number: int) -> tuple[Array, Arra
     )
     J = np.linalg.det(F)
     stress = F @ S[..., VOIGT] @ np.swapaxes(F, -1, -2) / J[..., None, None]
+    if o.bulk is not None:
+        stress += pressures(o, J)[:, None, None, None] * np.eye(3)
     return F @ np.linalg.inv(o.base), stress
 
 
@@ -131,7 +134,7 @@ def cell_fields(system: System, state: State, number: int, fields: tuple[str, ..
     x = np.einsum("k,cki->ci", group.shares, (system.X + state.u)[group.cells])
     getters: dict[str, Callable[[], Array]] = {
         "J": lambda: np.linalg.det(F).mean(axis=1),
-        "sed": lambda: energy_density(system.operands[number], F).mean(axis=1),
+        "sed": lambda: energy_density(system.operands[number].complete(), F).mean(axis=1),
     }
     C = np.swapaxes(F, -1, -2) @ F
     tensors = {"s": stress, "E": 0.5 * (C - np.eye(3))}
@@ -179,7 +182,7 @@ def right_stretch(C: Array) -> Array:
 
 def spatial_tangent(system: System, state: State, number: int) -> Array:
     """Spatial tangent c_ijkl = F_iI F_jJ F_kK F_lL CC_IJKL / J as (n_cells, n_gauss, 6, 6), Voigt order."""
-    o = system.operands[number]
+    o = system.operands[number].complete()
     shape = o.weight.shape
     F, S, CC = np.empty((*shape, 3, 3)), np.empty((*shape, 6)), np.empty((*shape, 6, 6))
     args = o.arguments()

@@ -62,7 +62,7 @@ class SessionResult:
     force_gradient : d(force)/d(parameter) at the must-points, by (material, parameter)
     differenced : whether the gradients are central differences of whole solves, because the response is
         path-dependent (viscoelastic law, friction, augmented contact, a step defined relative to the end of
-        the previous one)
+        the previous one), or because pressures are constant in each cell
     field_gradient : d(field)/d(parameter) there, if requested: tables by record file, or by name of the body
     levels : the states at the levels, as initial guesses for other solves
     """
@@ -172,6 +172,7 @@ class ReferenceSession:
             If a level is not reached, or `model2` uses an unsupported feature; the session remains usable.
             `BudgetSpent` if the budget is spent before `required` levels are reached.
         """
+        from limbcli.fem.elements.groups import differs_from_pointwise
         from limbcli.fem.supported import check_supported, refuse_limp
         from limbcli.fem.warm_start import Solved, WarmStart
 
@@ -181,7 +182,7 @@ class ReferenceSession:
             check_supported(model)
             refuse_limp(model)
         check_materials(wrt, model)
-        if wrt and path_dependent(model):
+        if wrt and (path_dependent(model) or differs_from_pointwise(model)):
             return self._differenced(
                 model, wrt, weights or {}, field_gradients, records=records, required=required, last=last,
                 keep_levels=keep_levels, enough_force=enough_force, start_levels=start_levels,

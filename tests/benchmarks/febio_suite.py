@@ -33,7 +33,6 @@ from limbcli.feb.read import read_feb
 from limbcli.feb.read_mesh import TYPES_WITH_RULE
 from limbcli.fem.analysis import Analysis, Snapshot
 from limbcli.fem.motion.rigid import rotation_vector
-from limbcli.materials import LAWS
 from limbcli.model import NODES_PER_CELL, SOLID_KINDS
 from limbcli.solvers.reference import prepare
 
@@ -51,7 +50,7 @@ _RIGID = {
 }  # fmt: skip
 _LOADS = {"pressure", "traction", "nodal_force", "nodal_load", "const", "body force"}
 _RULES = {None, "default", "TET10G8", "TET10G4", "TET4G1", "HEX8G8", "PENTA6G6"}
-_DOMAINS = {None, "elastic-solid"}
+_DOMAINS = {None, "elastic-solid", "three-field-solid"}
 _OF_PARTS = ("solid", "elastic")
 
 
@@ -131,11 +130,6 @@ def _is_known(name: str) -> bool:
     return law is not None and law.law != "biphasic"
 
 
-def _is_uncoupled(material: etree._Element) -> bool:
-    known = [law for name in _laws(material) if (law := tag_of_febio(name)) is not None]
-    return any(each.law in LAWS and LAWS[each.law].uncoupled for each in known)
-
-
 def _parts(root: etree._Element) -> list[str]:
     materials = {each.get("name"): each for each in root.iterfind("Material/material")}
     kinds = {each.get("name"): str(each.get("type")) for each in root.iterfind("Mesh/Elements")}
@@ -152,8 +146,6 @@ def _parts(root: etree._Element) -> list[str]:
             why.append("deformable shells, beams or trusses")
         elif domain.get("type") not in _DOMAINS or domain.get("elem_type") not in _RULES:
             why.append(f"element formulation {domain.get('type') or domain.get('elem_type')}")
-        elif kind in ("hex8", "penta6") and material is not None and _is_uncoupled(material):
-            why.append("three-field hexahedra and wedges (uncoupled laws)")
     return why
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.fem.elements import kernels, simd_kernels
+from limbcli.fem.elements import kernels, mean_dilatation, simd_kernels
 from limbcli.fem.elements.assembly import Pattern, Threads, total
 from limbcli.fem.elements.groups import Group, Operands
 from limbcli.fem.elements.thread_partition import Halves
@@ -42,6 +42,9 @@ class ElementLoops:
             low, cell = min(found)
             if low < worst:
                 worst, place = low, (k, cell)
+            if o.bulk is not None:
+                args = (o.cells, o.grad, o.weight, o.base, *self._mixed(state, k))
+                self._add(kernels.volume_force, state, o, args, parts)
         return total(parts), worst, place
 
     def smallest_mean_volume(self, state: State) -> tuple[float, tuple[int, int]]:
@@ -59,9 +62,11 @@ class ElementLoops:
 
     def linear_volumes(self, state: State, v: Array) -> tuple[Array, ...]:
         """det F of every group (n_cells, n_gauss), plus its linear change along v (n_points, 3)."""
-        out = tuple(np.empty(o.weight.shape) for o in self.operands)
-        for o, J in zip(self.operands, out, strict=True):
-            self._add(kernels.linear_volumes, state, o, (v, o.cells, o.grad, o.base), [J] * self.threads.n)
+        return tuple(self._linear_volumes(state, v, o) for o in self.operands)
+
+    def _linear_volumes(self, state: State, v: Array, o: Operands) -> Array:
+        out = np.empty(o.weight.shape)
+        self._add(kernels.linear_volumes, state, o, (v, o.cells, o.grad, o.base), [out] * self.threads.n)
         return out
 
     def volume_force(self, state: State) -> Array:
@@ -69,6 +74,8 @@ class ElementLoops:
         ratios `state.volumes` instead of det F."""
         parts = [np.zeros_like(self.X) for _ in range(self.threads.n)]
         for o, volumes in zip(self.operands, state.volumes, strict=True):
+            if o.bulk is not None:  # its pressure has a volume ratio of its own
+                continue
             args = (o.cells, o.grad, o.weight, o.base, o.lame, volumes)
             self._add(kernels.volume_force, state, o, args, parts)
         return total(parts)
@@ -88,6 +95,9 @@ class ElementLoops:
             extra = blocks[n_pairs : n_pairs + len(halves.shared)]
             blocks[halves.shared] += extra
             extra[:] = 0.0
+            if o.bulk is not None:
+                factors, b = self._of_volumes(state, o)
+                mean_dilatation.add_stiffness(factors, b, self.pattern.pairs[k], blocks)
         return blocks[:n_pairs]
 
     def tangent_times(self, state: State, v: Array) -> Array:
@@ -96,9 +106,23 @@ class ElementLoops:
         for k, o in enumerate(self.operands):
             args = (*o.sloped().arguments(), *self._mixed(state, k), v)
             self._add(kernels.tangent_times, state, o, args, parts)
+            if o.bulk is not None:
+                factors, b = self._of_volumes(state, o)
+                change = factors * np.einsum("eni,eni->e", b, v[o.cells])
+                np.add.at(parts[0], o.cells, change[:, None, None] * b)
         return total(parts)
 
+    def _of_volumes(self, state: State, o: Operands) -> tuple[Array, Array]:
+        """Stiffness against a change of every cell's volume, and the gradient of its volume."""
+        J = self._linear_volumes(state, np.zeros_like(self.X), o)
+        return mean_dilatation.stiffnesses(o, J), mean_dilatation.volume_gradients(o, state.u)
+
     def _mixed(self, state: State, group: int) -> tuple[Array, Array]:
+        """Stiffness of the pressure against volume ratios, and the independent volume ratios."""
+        o = self.operands[group]
+        if o.bulk is not None:
+            J = self._linear_volumes(state, np.zeros_like(self.X), o)
+            return o.bulk, mean_dilatation.equivalent_volumes(o, J)
         volumes = state.volumes[group] if state.volumes else _NO_VOLUMES
         return self.operands[group].lame, volumes
 

@@ -12,13 +12,14 @@ from limbcli.errors import MeshError, SolveError
 from limbcli.fem.elements.element import reference_gradients, shape
 from limbcli.fem.elements.quadrature import rule
 from limbcli.fem.elements.simd_kernels import WIDTH
-from limbcli.materials import Compiled, Program, compile_material
+from limbcli.materials import LAWS, Compiled, Program, compile_material
 from limbcli.materials.program import CurveAt, jumping
 from limbcli.materials.simd import LANES
 from limbcli.materials.stress import _evaluate
 from limbcli.model import Array, Block, Curved, Domain, IntArray, LimbModel
 
 _NO_HISTORY = np.zeros((0, 1, 6))
+_THREE_FIELD = ("hex8", "penta6")  # kinds in which FEBio keeps the pressure of an uncoupled law constant
 _RULES = {"tet10": ("TET10G8", "TET10G4"), "tet4": ("TET4G1",), "hex8": ("HEX8G8",), "penta6": ("PENTA6G6",)}
 
 
@@ -31,6 +32,7 @@ class Group:
         times Jacobian in the reference configuration
     shares (n_nodes,) : weights of the nodes in the mean position of a cell's integration points
     points (n_gauss, 3) : natural coordinates of the integration points
+    three_field : whether the pressure is constant in a cell (see `mean_dilatation`)
     """
 
     block: str
@@ -42,6 +44,7 @@ class Group:
     material: Compiled
     shares: Array
     points: Array
+    three_field: bool = False
     _cache: dict[str, Any] = field(default_factory=dict)
 
     def at(self, curve: CurveAt, *, scale: float = 1.0, history: Array = _NO_HISTORY) -> Operands:
@@ -50,9 +53,10 @@ class Group:
             self._cache["program"] = self.material.program(len(self.cells), curve)
         program: Program = self._cache["program"]
         grad, weight, base = self._prestrained(curve)
-        return Operands(
+        operands = Operands(
             self.cells, grad, weight, program.ops, program.par, base, scale, history, *self._moduli(program)
         )
+        return operands.with_mean_pressure() if self.three_field else operands
 
     def _moduli(self, program: Program) -> tuple[Array, Array]:
         """Lame's lambda (pressure per volume change) and mu of the complete law at F = 1, (1 or n_cells,)."""
@@ -100,6 +104,7 @@ class Operands:
     base (3, 3) : unit tensor, or prestrain gradient
     scale, history : stress is scale * S + history
     lame, shear (1 or n_cells,) : Lame's constants at F = 1
+    bulk (1 or n_cells,) : bulk modulus of cells with a constant pressure; `par` then has 0 for it
     """
 
     cells: IntArray
@@ -112,6 +117,21 @@ class Operands:
     history: Array
     lame: Array
     shear: Array
+    bulk: Array | None = None
+
+    def with_mean_pressure(self) -> Operands:
+        """The same operands with the bulk modulus, an uncoupled law's first number, taken out of `par`."""
+        par = self.par.copy()
+        par[:, 0] = 0.0
+        return replace(self, par=par, bulk=self.par[:, 0].copy())
+
+    def complete(self) -> Operands:
+        """The same operands with the law's own pressure at every integration point."""
+        if self.bulk is None:
+            return self
+        par = self.par.copy()
+        par[:, 0] = self.bulk
+        return replace(self, par=par, bulk=None)
 
     def arguments(self) -> tuple[Any, ...]:
         return (self.cells, self.grad, self.weight, self.ops, self.par, self.base, self.scale, self.history)
@@ -162,12 +182,6 @@ def _first_cells(blocks: tuple[Block, ...]) -> dict[str, int]:
 
 def _group(model: LimbModel, domain: Domain, block: Block, first: int) -> Group:
     compiled = compile_material(model.materials[domain.material], domain.material)
-    if block.kind in ("hex8", "penta6") and any(leaf.law.uncoupled for leaf in compiled.leaves):
-        raise SolveError(
-            f"an uncoupled law in {block.kind} cells (FEBio's three-field element) is not supported",
-            where=f"block {block.name!r}",
-            fix="use tet10 cells, an unconstrained law, or FEBio",
-        )
     points, weights = rule(_rule(domain, block))
     grad, weight = reference_gradients(model.mesh.points, block.cells, block.kind, (points, weights))
     check_volumes(model, block, first, weight)
@@ -175,11 +189,30 @@ def _group(model: LimbModel, domain: Domain, block: Block, first: int) -> Group:
     if weight.shape[1] > LANES or cells.shape[1] > WIDTH:  # the compiled loops would write out of bounds
         raise NotImplementedError(f"{block.kind} with {cells.shape[1]} nodes and {weight.shape[1]} points")
     shares = shape(block.kind, points)[0].mean(axis=0)
-    return Group(block.name, block.kind, first, cells, grad, weight, compiled, shares, points)
+    mean = has_mean_pressure(model, domain, block)
+    return Group(block.name, block.kind, first, cells, grad, weight, compiled, shares, points, mean)
+
+
+def has_mean_pressure(model: LimbModel, domain: Domain, block: Block) -> bool:
+    """Whether FEBio uses its three-field element in a domain.
+
+    For hexahedra and wedges whose material is itself an uncoupled law, not a mixture or wrapper of one,
+    unless the domain asks for "elastic-solid" (FEBio 4.11, FESolidDomainFactory::CreateDomain).
+    """
+    law = LAWS.get(model.materials[domain.material].law)
+    return block.kind in _THREE_FIELD and law is not None and law.uncoupled and domain.rule != "elastic-solid"
+
+
+def differs_from_pointwise(model: LimbModel) -> bool:
+    """Whether a domain of the model has a pressure that is constant in each cell."""
+    blocks = {block.name: block for block in model.mesh.blocks}
+    return any(has_mean_pressure(model, each, blocks[each.block]) for each in model.domains)
 
 
 def _rule(domain: Domain, block: Block) -> str:
     if domain.rule is None or domain.rule in ("elastic-solid", "solid"):
+        return block.kind
+    if domain.rule == "three-field-solid" and block.kind in _THREE_FIELD:
         return block.kind
     known = _RULES.get(block.kind, ())
     if domain.rule not in known:
