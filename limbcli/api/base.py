@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, SupportsIndex, TypeVar, overload
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, ParamSpec, Self, SupportsIndex, TypeVar, overload
 
-from limbcli.api.call import folder_of
+from limbcli.api.call import folder_of, public
 from limbcli.api.tables import Row, Tabular
 from limbcli.errors import CaseError
 from limbcli.results import StageResult, plain, read_result, stage_folder
@@ -125,6 +126,7 @@ def _refuse_other_site(out: Path, stage: str, site: str | None) -> None:
 
 
 AnyResult = TypeVar("AnyResult", bound=Result)
+_Taken = ParamSpec("_Taken")
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,3 +180,15 @@ class SiteResults(Tabular, Sequence[AnyResult], Generic[AnyResult]):
 def by_site(kind: type[AnyResult], found: Iterable[StageResult]) -> SiteResults[AnyResult]:
     """Results of this class, built from what a stage returned."""
     return SiteResults(tuple(kind.of(each) for each in found))
+
+
+def one(kind: type[AnyResult]) -> Callable[[Callable[_Taken, StageResult]], Callable[_Taken, AnyResult]]:
+    """Decorator of a public function whose stage has one result; see `public`."""
+    return public(kind.of, kind.__name__)
+
+
+def each_site(
+    kind: type[AnyResult],
+) -> Callable[[Callable[_Taken, Iterable[StageResult]]], Callable[_Taken, SiteResults[AnyResult]]]:
+    """Decorator of a public function whose stage has a result of each site; see `public`."""
+    return public(partial(by_site, kind), f"SiteResults[{kind.__name__}]")
