@@ -146,11 +146,6 @@ class CohortResult(Result):
     compliance_left_out: Row = field(repr=False)
 
     @classmethod
-    def of(cls, found: StageResult) -> Self:
-        data = found.data
-        return cls(found, found.path("page"), data["sites"], data["compliance_left_out"])
-
-    @classmethod
     def read(cls, out: PathLike, site: str | None = None) -> Self:
         """The result that an earlier run wrote to `out`; `site` must be None.
 

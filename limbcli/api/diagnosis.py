@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from limbcli.api.base import Result, each_site, one
 from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path, names_of
@@ -51,18 +51,9 @@ class DiagnosisResult(Result):
     reason: str
     added: tuple[str, ...]
     confidence_set: tuple[tuple[str, ...], ...]
-    probability: float
+    probability: float = field(metadata={"from": lambda found: found.data["explanations"][0]["probability"]})
     sentences: tuple[str, ...]
-    next_measurement: str | None
-
-    @classmethod
-    def of(cls, found: StageResult) -> Self:
-        data = found.data
-        return cls(
-            found, data["verdict"], data["reason"], tuple(data["added"]),
-            tuple(tuple(each) for each in data["confidence_set"]), data["explanations"][0]["probability"],
-            tuple(data["sentences"]), data["next_measurement"]["recommended"],
-        )  # fmt: skip
+    next_measurement: str | None = field(metadata={"from": "next_measurement/recommended"})
 
     def rows(self) -> list[dict[str, Any]]:
         return [self._named({name: each[name] for name in _CANDIDATE}) for each in self.data["candidates"]]
@@ -89,10 +80,6 @@ class ReportResult(Result):
     page: Path
     mood: str
     n_warnings: int
-
-    @classmethod
-    def of(cls, found: StageResult) -> Self:
-        return cls(found, found.path("page"), found.data["mood"], found.data["n_warnings"])
 
     def rows(self) -> list[dict[str, Any]]:
         return [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from limbcli.api.base import Result, SiteResults, one
@@ -103,28 +103,22 @@ class MeshResult(Result):
 
     stage: ClassVar[str] = "mesh"
     element: str
-    n_cells: int
-    n_nodes: int
-    edge_under_probe_mm: float
-    min_angle_deg: float
-    min_angle_under_probe_deg: float
-    skin_bone_mm: float | None
-    site_to_skin_mm: float
+    n_cells: int = field(metadata={"from": "quality/n_cells"})
+    n_nodes: int = field(metadata={"from": "quality/n_nodes"})
+    edge_under_probe_mm: float = field(metadata={"from": "quality/edge_under_probe_mm"})
+    min_angle_deg: float = field(metadata={"from": "quality/min_angle_deg"})
+    min_angle_under_probe_deg: float = field(metadata={"from": "quality/min_angle_under_probe_deg"})
+    skin_bone_mm: float | None = field(metadata={"from": "checks/skin_bone_mm"})
+    site_to_skin_mm: float = field(metadata={"from": "frame/site_to_skin_mm"})
     margin_mm: float
-    study: MeshStudyResult | None = None
+    study: MeshStudyResult | None = field(default=None, metadata={"from": lambda found: None})
 
     @classmethod
     def of(cls, found: StageResult, study: MeshStudyResult | None = None) -> Self:
-        quality, data = found.data["quality"], found.data
-        return cls(
-            found, data["element"], quality["n_cells"], quality["n_nodes"], quality["edge_under_probe_mm"],
-            quality["min_angle_deg"], quality["min_angle_under_probe_deg"],
-            data["checks"]["skin_bone_mm"], data["frame"]["site_to_skin_mm"], data["margin_mm"], study,
-        )  # fmt: skip
+        return replace(super().of(found), study=study)
 
     def rows(self) -> list[dict[str, Any]]:
-        names = [each.name for each in fields(self) if each.name not in ("stage_result", "study")]
-        return [self._named({name: getattr(self, name) for name in names})]
+        return [self._named(self._fields("study"))]
 
     def model(self) -> LimbModel:
         """The model: mesh, named sets and probe, without the tissue's parameters."""

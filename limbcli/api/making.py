@@ -30,8 +30,8 @@ SIMULATED_C = Option("c = 2 mu of the known tissue.", (0.1, 200.0))
 SIMULATED_F = Option("kappa' / c of the known tissue.", (0.01, 1000.0))
 SIMULATED_M = Option("Exponent of the law, of the known tissue.", (1.0, 100.0))
 EFFECTS = Option(
-    "Hide this effect in the data (may be repeated). SIZE is the value of its first parameter, as in the list "
-    "of effects, such as skin-layer=2.3; default: its typical one.",
+    "Hide this effect in the data (may be repeated). SIZE is the value of its first parameter, as in the "
+    "list of effects, such as skin-layer=2.3; default: its typical one.",
     flag="--effect", metavar="ID[=SIZE]", kind=list[str],
     python='Effects to hide in the data, each "name" or "name=size", where size is the value of its first '
     "parameter; default: its typical one.",

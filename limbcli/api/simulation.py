@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from limbcli.api.base import Result, each_site, one
 from limbcli.api.call import (
@@ -71,17 +71,8 @@ class BuildFebResult(Result):
     n_nodes: int
     n_elements: int
 
-    @classmethod
-    def of(cls, found: StageResult) -> Self:
-        data = found.data
-        return cls(
-            found, found.path("feb"), data["c_kpa"], data["c_source"], data["f_kappa"], data["m"],
-            data["kappa_kpa"], data["element"], data["n_nodes"], data["n_elements"],
-        )  # fmt: skip
-
     def rows(self) -> list[dict[str, Any]]:
-        names = [each.name for each in fields(self) if each.name not in ("stage_result", "feb")]
-        return [self._named({name: getattr(self, name) for name in names})]
+        return [self._named(self._fields("feb"))]
 
     def model(self) -> LimbModel:
         """The model file, read back."""
@@ -107,17 +98,9 @@ class RunResult(Result):
     solver_version: str
     n_steps: int
     n_iterations: int
-    solve_s: float
+    solve_s: float = field(metadata={"from": "solve_seconds"})
     max_depth_mm: float | None
     max_force_n: float | None
-
-    @classmethod
-    def of(cls, found: StageResult) -> Self:
-        data = found.data
-        return cls(
-            found, data["solver"], data["solver_version"], data["n_steps"], data["n_iterations"],
-            data["solve_seconds"], data.get("max_depth_mm"), data.get("max_force_n"),
-        )  # fmt: skip
 
     def curve(self) -> Table:
         """The force-depth curve: fields time_s, depth_mm, force_n, (n_steps,); empty if there is none."""
@@ -140,8 +123,8 @@ def build_feb(
     layers: Annotated[
         Mapping[str, Mapping[str, Any]] | None,
         Option(
-            "Law of a layer, such as fat:c_kpa=2,f_kappa=100,m=2 or skin:law=neo_hooke,c_kpa=40; default: the "
-            "case's, else assumed values. May be repeated.",
+            "Law of a layer, such as fat:c_kpa=2,f_kappa=100,m=2 or skin:law=neo_hooke,c_kpa=40; default: "
+            "the case's, else assumed values. May be repeated.",
             flag="--layer",
             metavar="NAME:KEY=VALUE,...",
             kind=list[str],
@@ -152,8 +135,8 @@ def build_feb(
     contact_penalty: Annotated[
         float | None,
         Option(
-            "Times the skin's stiffness at rest; default 20, with which FEBio converges. More where fit warns "
-            "that the probe sinks in.",
+            "Times the skin's stiffness at rest; default 20, with which FEBio converges. More where fit "
+            "warns that the probe sinks in.",
             (1, 1000),
         ),
     ] = None,

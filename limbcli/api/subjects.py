@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from limbcli.api.base import Result, each_site, whole_paths
 from limbcli.api.call import (
@@ -75,10 +75,6 @@ class MeasureResult(Result):
 
     stage: ClassVar[str] = "measure"
     levels: Path
-
-    @classmethod
-    def of(cls, found: StageResult) -> Self:
-        return cls(found, found.path("levels"))
 
     def rows(self) -> list[dict[str, Any]]:
         return [self._named(row) for row in plain_rows(read_columns(self.levels))]

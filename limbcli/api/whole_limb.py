@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from limbcli.api.base import Result, one
 from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path
@@ -15,6 +15,11 @@ from limbcli.results import StageResult
 
 if TYPE_CHECKING:
     from limbcli.model import LimbModel
+
+
+def _patches(found: StageResult) -> tuple[str, ...]:
+    known = found.data["surfaces"]
+    return tuple(each.removeprefix("patch_") for each in known if each.startswith("patch_"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,29 +43,17 @@ class LimbResult(Result):
     n_cells: int
     n_nodes: int
     size_mm: float
-    min_angle_deg: float
+    min_angle_deg: float = field(metadata={"from": "quality/min_angle_deg"})
     volume_cm3: float
-    c_kpa: float
-    f_kappa: float
-    m: float
+    c_kpa: float = field(metadata={"from": "stiffness/c_kpa"})
+    f_kappa: float = field(metadata={"from": "stiffness/f_kappa"})
+    m: float = field(metadata={"from": "stiffness/m"})
     bones: tuple[str, ...]
-    patches: tuple[str, ...]
-    missing: dict[str, str]
-
-    @classmethod
-    def of(cls, found: StageResult) -> Self:
-        data, law = found.data, found.data["stiffness"]
-        patches = (name.removeprefix("patch_") for name in data["surfaces"] if name.startswith("patch_"))
-        return cls(
-            found, data["element"], data["n_cells"], data["n_nodes"], data["size_mm"],
-            data["quality"]["min_angle_deg"], data["volume_cm3"], law["c_kpa"], law["f_kappa"], law["m"],
-            tuple(data["bones"]), tuple(patches), dict(data["missing_parts"]),
-        )  # fmt: skip
+    patches: tuple[str, ...] = field(metadata={"from": _patches})
+    missing: dict[str, str] = field(metadata={"from": "missing_parts"})
 
     def rows(self) -> list[dict[str, Any]]:
-        left_out = ("stage_result", "bones", "patches", "missing")
-        names = [each.name for each in fields(self) if each.name not in left_out]
-        return [self._named({name: getattr(self, name) for name in names})]
+        return [self._named(self._fields("bones", "patches", "missing"))]
 
     def model(self) -> LimbModel:
         """The model at rest, with its named surfaces and node sets."""
@@ -100,8 +93,8 @@ def limb(
             "Thickness of a skin layer, 0 for none; default: the sites'.",
             metavar="MM|mri",
             kind=str,
-            python='Thickness of a skin layer all over the limb, 0 for none, "mri": as segmented; default: the '
-            "mean of the sites'.",
+            python='Thickness of a skin layer all over the limb, 0 for none, "mri": as segmented; default: '
+            "the mean of the sites'.",
         ),
     ] = None,
     fat_mm: Annotated[
