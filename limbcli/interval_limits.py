@@ -1,8 +1,22 @@
-"""Limits of 95 % confidence intervals when the noise may be larger than stated."""
+"""95 % confidence intervals: what they say of a parameter, and their limits when the noise is not known."""
 
 from __future__ import annotations
 
+from enum import StrEnum
+
 from scipy.special import chdtr, chdtri, fdtri
+
+
+class Flag(StrEnum):
+    """How far the data determine a parameter; TRADES_OFF is followed by the other parameter's name."""
+
+    IDENTIFIED = "identified"
+    FIXED = "fixed"
+    WEAK = "weak"
+    TRADES_OFF = "trades off with"
+    AT_BOUND = "at bound"
+    NO_INFLUENCE = "no influence"
+
 
 # chi-square limit of the deviance for one parameter, with the noise as stated
 THRESHOLD_95 = float(chdtri(1, 1.0 - 0.95))

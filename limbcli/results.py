@@ -9,17 +9,15 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import math
 import platform
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
-from importlib import metadata
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from limbcli.atomic_files import atomic_folder, sha256
 from limbcli.errors import CaseError, errors_of_site
@@ -292,6 +290,8 @@ def read_result(out: Path, stage: str, *, site: str | None = None) -> StageResul
 
 def provenance() -> dict[str, Any]:
     """Command (or Python call), versions and unit system of this run."""
+    from importlib import metadata  # whose own imports would be a third of those of `limbcli --help`
+
     packages = ("numpy", "scipy", "numba", "pydicom", "scikit-image", "pymeshlab", "tetgen", "meshio")
     versions = {}
     for name in packages:
@@ -311,21 +311,18 @@ def provenance() -> dict[str, Any]:
 def plain(value: Any) -> Any:
     """Plain JSON values: arrays become lists, NaN and infinity become null.
 
+    >>> import numpy as np
     >>> plain({"a": np.array([1.0, np.nan]), "b": np.int64(3), "c": Path("x")})
     {'a': [1.0, None], 'b': 3, 'c': 'x'}
     """
     if isinstance(value, Mapping):
         return {str(key): plain(each) for key, each in value.items()}
-    if isinstance(value, np.ndarray):
+    if hasattr(value, "tolist"):  # an array, or a number of numpy
         return plain(value.tolist())
     if isinstance(value, list | tuple | set | frozenset):
         return [plain(each) for each in value]
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, int | np.integer):
-        return int(value)
-    if isinstance(value, float | np.floating):
-        return float(value) if np.isfinite(value) else None
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
     if isinstance(value, Path):
         return str(value)
     return value

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import Field, dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, SupportsIndex, TypeVar, overload
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, ParamSpec, Self, SupportsIndex, TypeVar, overload
 
-from limbcli.api.call import folder_of
+from limbcli.api.call import folder_of, public
 from limbcli.api.tables import Row, Tabular
 from limbcli.errors import CaseError
 from limbcli.results import StageResult, plain, read_result, stage_folder
@@ -36,8 +37,13 @@ class Result(Tabular):
 
     @classmethod
     def of(cls, found: StageResult) -> Self:
-        """Build from what a stage returned."""
-        return cls(found)
+        """Build from what a stage returned.
+
+        A field is the value of that name in the stage's data, or of the name (nested ones joined by "/") or
+        function in its metadata; a path is a file of that name.
+        """
+        own = [each for each in fields(cls) if each.name != "stage_result" and each.init]
+        return cls(found, **{each.name: _field(each, found) for each in own})
 
     @classmethod
     def read(cls, out: PathLike, site: str | None = None) -> Self:
@@ -98,10 +104,32 @@ class Result(Tabular):
         lines = [*self.summary, *(f"warning: {each}" for each in self.warnings)]
         return "\n  ".join([f"{self.stage_result.label}: {self.folder}", *lines])
 
+    def _fields(self, *left_out: str) -> dict[str, Any]:
+        """The fields other than these, by name."""
+        names = [each.name for each in fields(self) if each.name not in ("stage_result", *left_out)]
+        return {name: getattr(self, name) for name in names}
+
     def _named(self, row: Row) -> dict[str, Any]:
         """The row, preceded by subject and site."""
         site = {"site": self.site} if self.site else {}
         return {"subject": self.subject, **site, **plain(row)}
+
+
+def _field(declared: Field[Any], found: StageResult) -> Any:
+    """The value of a result's field; one that may be None may be missing."""
+    key = declared.metadata.get("from", declared.name)
+    if callable(key):
+        return key(found)
+    if declared.type == "Path":
+        return found.path(key)
+    value: Any = found.data
+    for name in key.split("/"):
+        value = value.get(name) if str(declared.type).endswith("None") else value[name]
+    return _tuples(value)
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(map(_tuples, value)) if isinstance(value, list | tuple) else value
 
 
 def whole_paths(result: Any) -> None:
@@ -125,6 +153,7 @@ def _refuse_other_site(out: Path, stage: str, site: str | None) -> None:
 
 
 AnyResult = TypeVar("AnyResult", bound=Result)
+_Taken = ParamSpec("_Taken")
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,3 +207,15 @@ class SiteResults(Tabular, Sequence[AnyResult], Generic[AnyResult]):
 def by_site(kind: type[AnyResult], found: Iterable[StageResult]) -> SiteResults[AnyResult]:
     """Results of this class, built from what a stage returned."""
     return SiteResults(tuple(kind.of(each) for each in found))
+
+
+def one(kind: type[AnyResult]) -> Callable[[Callable[_Taken, StageResult]], Callable[_Taken, AnyResult]]:
+    """Decorator of a public function whose stage has one result; see `public`."""
+    return public(kind.of, kind.__name__)
+
+
+def each_site(
+    kind: type[AnyResult],
+) -> Callable[[Callable[_Taken, Iterable[StageResult]]], Callable[_Taken, SiteResults[AnyResult]]]:
+    """Decorator of a public function whose stage has a result of each site; see `public`."""
+    return public(partial(by_site, kind), f"SiteResults[{kind.__name__}]")

@@ -9,40 +9,58 @@ import reprlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ParamSpec, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, ParamSpec, TypeAlias, TypeVar, Union
 
-from limbcli.api.limits import flags_and_numbers
-from limbcli.case import Case
+from limbcli.api.limits import check_arguments
 from limbcli.config import at_home, default_out
 from limbcli.errors import CaseError
 from limbcli.errors.file_system import NO_MEMORY, in_words
+from limbcli.options import arguments_of, documented, plain_signature
 from limbcli.output_lock import one_writer
 from limbcli.progress import SILENT, Listener, Progress
 from limbcli.results import CALLED
 
+if TYPE_CHECKING:  # without numpy, which help and messages do not need
+    from limbcli.case import Case
+
 PathLike: TypeAlias = str | os.PathLike[str]
-CaseLike: TypeAlias = Case | str | os.PathLike[str]
+CaseLike: TypeAlias = Union["Case", str, os.PathLike[str]]
 Heard: TypeAlias = Listener | Progress | None
 _Taken = ParamSpec("_Taken")
+_Found = TypeVar("_Found")
 _Given = TypeVar("_Given")
 
 
-def records_call(function: Callable[_Taken, _Given]) -> Callable[_Taken, _Given]:
-    """Decorator of a public function that records the call in its results, as a command records its command
-    line."""
+def public(
+    convert: Callable[[_Found], _Given], returns: str
+) -> Callable[[Callable[_Taken, _Found]], Callable[_Taken, _Given]]:
+    """Decorator of a public function.
 
-    @functools.wraps(function)
-    def calling(*args: _Taken.args, **kwargs: _Taken.kwargs) -> _Given:
-        given = {name: value for name, value in kwargs.items() if name != "progress"}
-        words = [*map(_in_words, args), *(f"{name}={_in_words(value)}" for name, value in given.items())]
-        flags_and_numbers(function, kwargs)
-        before = CALLED.set(f"limbcli.{function.__name__}({', '.join(words)})")
-        try:
-            return function(*args, **kwargs)
-        finally:
-            CALLED.reset(before)
+    Its arguments are checked and listed in its documentation, as their options state. The call is recorded in
+    its results, as a command records its command line. What the stage returned becomes a public result.
 
-    return calling
+    convert : makes the public result, of the type that `returns` names
+    """
+
+    def decorate(function: Callable[_Taken, _Found]) -> Callable[_Taken, _Given]:
+        arguments = arguments_of(function)
+
+        @functools.wraps(function)
+        def calling(*args: _Taken.args, **kwargs: _Taken.kwargs) -> _Given:
+            given = {name: value for name, value in kwargs.items() if name != "progress"}
+            words = [*map(_in_words, args), *(f"{name}={_in_words(value)}" for name, value in given.items())]
+            check_arguments(function.__name__, arguments, kwargs)
+            before = CALLED.set(f"limbcli.{function.__name__}({', '.join(words)})")
+            try:
+                return convert(function(*args, **kwargs))
+            finally:
+                CALLED.reset(before)
+
+        calling.__doc__ = documented(function.__doc__ or "", arguments)
+        calling.__signature__ = plain_signature(function, returns)  # type: ignore[attr-defined]
+        return calling
+
+    return decorate
 
 
 def _in_words(value: object) -> str:
@@ -50,8 +68,9 @@ def _in_words(value: object) -> str:
     >>> _in_words(Path("my limb")), _in_words(2.5)
     ("'my limb'", '2.5')
     """
-    if isinstance(value, Case):
-        value = value.folder
+    from limbcli.case import Case
+
+    value = value.folder if isinstance(value, Case) else value
     return repr(os.fspath(value)) if isinstance(value, os.PathLike) else repr(value)
 
 
@@ -71,11 +90,11 @@ def at_work(
     *,
     wait: bool,
     progress: Heard,
-    opening: Callable[[Path], Case] = Case.open,
+    images_only: bool = False,
 ) -> Iterator[StageCall]:
     """Open the case and lock its output folder for writing.
 
-    opening : opens a case that is given by its folder
+    images_only : of a case that is given by its folder, probe and sites may be missing
 
     Raises
     ------
@@ -84,6 +103,9 @@ def at_work(
     ToolError
         If the disk is full or there is not enough memory.
     """
+    from limbcli.case import Case
+
+    opening = Case.open_images if images_only else Case.open
     with foreseen():
         opened = _still_there(case) if isinstance(case, Case) else opening(folder_of(case, "case"))
         target = default_out(opened.folder) if out is None else folder_of(out)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
-from limbcli.api.base import Result, whole_paths
+from limbcli.api.base import Result, one, whole_paths
 from limbcli.api.call import (
     CaseLike,
     Heard,
@@ -16,14 +16,12 @@ from limbcli.api.call import (
     foreseen,
     listening,
     maybe_path,
-    records_call,
+    public,
 )
-from limbcli.api.limits import one_of, within
-from limbcli.api.simulation import SOLVERS, SolverName
 from limbcli.api.tables import Row, Tabular
-from limbcli.case import Case
 from limbcli.config import default_out
 from limbcli.errors import CaseError, LimbcliError
+from limbcli.options import FEBIO, OUT, PROGRESS, SOLVER, TEMPLATES, WAIT, Option, SolverName
 from limbcli.output_lock import one_writer
 from limbcli.results import StageResult
 
@@ -148,11 +146,6 @@ class CohortResult(Result):
     compliance_left_out: Row = field(repr=False)
 
     @classmethod
-    def of(cls, found: StageResult) -> Self:
-        data = found.data
-        return cls(found, found.path("page"), data["sites"], data["compliance_left_out"])
-
-    @classmethod
     def read(cls, out: PathLike, site: str | None = None) -> Self:
         """The result that an earlier run wrote to `out`; `site` must be None.
 
@@ -176,43 +169,59 @@ class CohortResult(Result):
         return [dict(row) for row in self.data["rows"]]
 
 
-@records_call
+@public(lambda found: found, "BatchResult")
 def batch(
-    cases: CaseLike | Iterable[CaseLike],
+    cases: Annotated[
+        CaseLike | Iterable[CaseLike],
+        Option("Case folders.", metavar="CASE...", kind=list[Path], python="One case or several, each once."),
+    ],
     *,
-    out: PathLike | None = None,
-    element: Literal["tet10", "tet4"] | None = None,
-    solver: SolverName = "auto",
-    febio: PathLike | None = None,
-    templates: PathLike | None = None,
-    force: bool = False,
-    defaults: bool = False,
-    diagnose: bool = False,
-    expect: bool = False,
-    jobs: int | None = None,
-    scheduler: str | None = None,
-    wait: bool = True,
-    progress: Heard = None,
+    out: Annotated[
+        PathLike | None,
+        replace(
+            OUT,
+            python="Output folder of one case; of several, the folder that holds one output folder per case "
+            "and an index page.",
+        ),
+    ] = None,
+    element: Annotated[
+        Literal["tet10", "tet4"] | None, Option("tet10 | tet4; default: the case's own.")
+    ] = None,
+    solver: Annotated[SolverName, SOLVER] = "auto",
+    febio: Annotated[PathLike | None, FEBIO] = None,
+    templates: Annotated[PathLike | None, TEMPLATES] = None,
+    force: Annotated[bool, Option("Redo every stage, even where nothing changed.")] = False,
+    defaults: Annotated[
+        bool,
+        Option("Use default options instead of those that stages were last called with by hand."),
+    ] = False,
+    diagnose: Annotated[bool, Option("Also diagnose every place (minutes each), once it is fitted.")] = False,
+    expect: Annotated[
+        bool,
+        Option(
+            "Compare with the expected.toml of each case that has one.",
+            python="Compare with the expected.toml of each case that has one; a mismatch is a failure.",
+        ),
+    ] = False,
+    jobs: Annotated[
+        int | None,
+        Option(
+            "Number of parallel processes; default for several cases: as many as cores and memory allow.",
+            (1, None),
+            short="-j",
+            metavar="N",
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        Option("Run on an existing Dask cluster, such as tcp://10.0.0.5:8786.", metavar="ADDRESS"),
+    ] = None,
+    wait: Annotated[bool, WAIT] = True,
+    progress: Annotated[Heard, PROGRESS] = None,
 ) -> BatchResult:
     """Run all stages of one or more cases, from images to report; only what changed is redone.
 
-    Parameters
-    ----------
-    cases : one case or several, each given once
-    out : output folder of a single case; for several cases, the folder that holds one output folder per case
-        and an index page
-    element : None: as in each case
-    solver, febio : as for `run`
-    templates : as for `report`
-    force : redo all stages, including those that are up to date
-    defaults : ignore the options with which stages were last called manually
-    diagnose : also diagnose each site once it is fitted
-    expect : compare with the expected.toml of each case that has one; a mismatch counts as a failure
-    jobs : number of parallel processes; None: for several cases, as many as cores and memory allow. More than
-        one needs the call in a script to be below `if __name__ == "__main__":`
-    scheduler : address of a running Dask cluster to use
-    wait, progress : as for `segment`
-
+    More than one process needs the call in a script to be below `if __name__ == "__main__":`.
     A case that fails does not stop the others and raises nothing: check `ok` and `failures`.
 
     Raises
@@ -222,9 +231,6 @@ def batch(
     ToolError
         If Dask is not installed, no scheduler answers, or the connection to it is lost.
     """
-    one_of("batch", SOLVERS, solver=solver)
-    one_of("batch", ("tet10", "tet4"), element=element)
-    within("batch", jobs=jobs)
     from limbcli.stages.batch_cases import n_processes, one_case, output_folders
     from limbcli.stages.batch_cluster import together
     from limbcli.stages.batching.outcome import BatchOptions
@@ -261,6 +267,8 @@ def _folders(cases: CaseLike | Iterable[CaseLike]) -> list[Path]:
     CaseError
         If there is none, or one is not a path.
     """
+    from limbcli.case import Case
+
     one = isinstance(cases, Case | str) or not isinstance(cases, Iterable)
     several = [cases] if one else list(cases)  # type: ignore[arg-type]
     if not several:
@@ -295,26 +303,26 @@ def _index(folder: Path, templates: Path | None, heard: Progress) -> Path | None
         return None
 
 
-@records_call
+@one(CohortResult)
 def cohort(
-    table: PathLike,
+    table: Annotated[
+        PathLike,
+        Option(
+            "One row per person and site.",
+            metavar="TABLE.csv",
+            kind=Path,
+            python="A CSV file with one row per person and site; docs/cohort.md describes its columns.",
+        ),
+    ],
     *,
-    out: PathLike | None = None,
-    seed: int = 7,
-    templates: PathLike | None = None,
-    wait: bool = True,
-    progress: Heard = None,
-) -> CohortResult:
+    out: Annotated[PathLike | None, replace(OUT, help="Output folder; default: out/<name of TABLE>.")] = None,
+    seed: Annotated[int, Option("Random seed of the folds and of the sampling.", (0, None))] = 7,
+    templates: Annotated[PathLike | None, TEMPLATES] = None,
+    wait: Annotated[bool, WAIT] = True,
+    progress: Annotated[Heard, PROGRESS] = None,
+) -> StageResult:
     """Estimate the tissue of many people from layers, force and slope; no limb model, MRI or wave speeds
     needed.
-
-    Parameters
-    ----------
-    table : a CSV file with one row per person and site; docs/cohort.md describes its columns
-    out : output folder; None: out/<name of the table>
-    seed : of the cross-validation folds and the sampling
-    templates : a folder of Jinja templates that take precedence over the built-in ones
-    wait, progress : as for `segment`
 
     Raises
     ------
@@ -323,14 +331,12 @@ def cohort(
     CaseError, ToolError
         If the folder cannot be written, or the simulations shipped with limbcli are missing.
     """
-    within("cohort", seed=seed)
     from limbcli.stages import cohort as stage
 
     with foreseen():
         file, heard = folder_of(table, "table"), listening(progress)
         target = default_out(file.with_suffix("")) if out is None else folder_of(out)
         with one_writer(target, wait=wait, progress=heard):
-            found = stage.cohort(
+            return stage.cohort(
                 file, out=target, seed=seed, templates=maybe_path(templates, "templates"), progress=heard
             )
-    return CohortResult.of(found)

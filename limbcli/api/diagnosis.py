@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from limbcli.api.base import Result, SiteResults, by_site
-from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path, names_of, records_call
-from limbcli.api.limits import one_of, tables, within
-from limbcli.api.simulation import SOLVERS, SolverName
+from limbcli.api.base import Result, each_site, one
+from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path, names_of
+from limbcli.options import (
+    CASE,
+    FEBIO,
+    OUT,
+    PROGRESS,
+    SITES,
+    SOLVER,
+    TEMPLATES,
+    WAIT,
+    Option,
+    SolverName,
+)  # fmt: skip
 from limbcli.results import StageResult
 
 if TYPE_CHECKING:
@@ -41,18 +51,9 @@ class DiagnosisResult(Result):
     reason: str
     added: tuple[str, ...]
     confidence_set: tuple[tuple[str, ...], ...]
-    probability: float
+    probability: float = field(metadata={"from": lambda found: found.data["explanations"][0]["probability"]})
     sentences: tuple[str, ...]
-    next_measurement: str | None
-
-    @classmethod
-    def of(cls, found: StageResult) -> Self:
-        data = found.data
-        return cls(
-            found, data["verdict"], data["reason"], tuple(data["added"]),
-            tuple(tuple(each) for each in data["confidence_set"]), data["explanations"][0]["probability"],
-            tuple(data["sentences"]), data["next_measurement"]["recommended"],
-        )  # fmt: skip
+    next_measurement: str | None = field(metadata={"from": "next_measurement/recommended"})
 
     def rows(self) -> list[dict[str, Any]]:
         return [self._named({name: each[name] for name in _CANDIDATE}) for each in self.data["candidates"]]
@@ -80,55 +81,66 @@ class ReportResult(Result):
     mood: str
     n_warnings: int
 
-    @classmethod
-    def of(cls, found: StageResult) -> Self:
-        return cls(found, found.path("page"), found.data["mood"], found.data["n_warnings"])
-
     def rows(self) -> list[dict[str, Any]]:
         return [
             self._named({"result": label, "status": status}) for label, status in self.data["stages"].items()
         ]
 
 
-@records_call
+@each_site(DiagnosisResult)
 def diagnose(
-    case: CaseLike,
+    case: Annotated[CaseLike, CASE],
     *,
-    out: PathLike | None = None,
-    sites: str | Iterable[str] | None = None,
-    effects: str | Iterable[str] = (),
-    effect_file: PathLike | None = None,
-    max_effects: int = 2,
-    seed: int = 7,
-    size_mm: float | None = None,
-    far_size_mm: float = 14.0,
-    interventions: bool = True,
-    separate: bool = False,
-    solver: SolverName = "auto",
-    febio: PathLike | None = None,
-    measured: Mapping[str, float] | None = None,
-    templates: PathLike | None = None,
-    wait: bool = True,
-    progress: Heard = None,
-) -> SiteResults[DiagnosisResult]:
+    out: Annotated[PathLike | None, OUT] = None,
+    sites: Annotated[str | Iterable[str] | None, SITES] = None,
+    solver: Annotated[SolverName, SOLVER] = "auto",
+    febio: Annotated[PathLike | None, FEBIO] = None,
+    effects: Annotated[
+        str | Iterable[str],
+        Option(
+            "Try only this effect (may be repeated), and that of --effect-file; default: all.",
+            metavar="NAME",
+            kind=list[str],
+            python="Names of the effects to try; none: all.",
+        ),
+    ] = (),
+    effect_file: Annotated[
+        PathLike | None,
+        Option(
+            "An effect of your own.",
+            metavar="FILE",
+            kind=Path,
+            python="A Python file that defines your own `EFFECT`, which is tried too.",
+        ),
+    ] = None,
+    max_effects: Annotated[int, Option("Maximum number of effects missing together.", (1, 2))] = 2,
+    seed: Annotated[int, Option("Of all random draws.", (0, None))] = 7,
+    size_mm: Annotated[
+        float | None,
+        Option("Working mesh under the probe; default: 5, less where tissue is thin.", (1, 20)),
+    ] = None,
+    far_size_mm: Annotated[float, Option("Working mesh far from it.", (2, 50))] = 14.0,
+    interventions: Annotated[bool, Option("Try crop and contact first (a few more simulations).")] = True,
+    separate: Annotated[
+        bool, Option("Diagnose each site separately, also those that share a place.")
+    ] = False,
+    measured: Annotated[
+        Mapping[str, float] | None,
+        Option(
+            "A separately measured number: tare_n, force_gain, first_depth_mm, rate_ratio.",
+            metavar="KEY=VALUE",
+            kind=list[str],
+            example={"tare_n": 0.4},
+        ),
+    ] = None,
+    templates: Annotated[PathLike | None, TEMPLATES] = None,
+    wait: Annotated[bool, WAIT] = True,
+    progress: Annotated[Heard, PROGRESS] = None,
+) -> Iterable[StageResult]:
     """Find where model and measurement disagree, what is missing, and what to measure next. Requires `mesh`.
 
-    Parameters
-    ----------
-    case, out, wait, progress : as for `segment`
-    sites : name or names; None: all
-    effects : names of the effects to try; none: all
-    effect_file : a Python file that defines your own `EFFECT`; it is tried in addition to those named
-    max_effects : maximum number of effects missing together, 1 or 2
-    seed : of all random draws
-    size_mm, far_size_mm : edge lengths of the working mesh under the probe (None: 5, less where the tissue is
-        thin) and far from it
-    interventions : try cut and contact first (a few more simulations)
-    separate : diagnose each site separately, even if several share a place
-    solver, febio : used for draining tissue, which only FEBio can simulate. "auto": if FEBio is found and a
-        force decreases in a recorded hold; "febio": for every record with holds; "reference": never
-    measured : separately measured numbers: tare_n, force_gain, first_depth_mm, rate_ratio
-    templates : a folder of Jinja templates that take precedence over the built-in ones
+    `solver` and `febio` are for draining tissue, which only FEBio can simulate. "auto": if FEBio is found and
+    a force decreases in a recorded hold; "febio": for every record with holds; "reference": never.
 
     Raises
     ------
@@ -143,10 +155,6 @@ def diagnose(
 
     Source: the documentation, "The method and its limits"; each effect cites its own.
     """
-    within("diagnose", max_effects=max_effects, seed=seed, size_mm=size_mm, far_size_mm=far_size_mm)
-    one_of("diagnose", SOLVERS, solver=solver)
-    tables("diagnose", {"tare_n": 0.4}, measured=measured)
-    within("diagnose", **dict(measured or {}))
     from limbcli.stages import diagnose as stage
 
     with at_work(case, out, wait=wait, progress=progress) as work:
@@ -157,27 +165,21 @@ def diagnose(
             interventions=interventions, separate=separate,
             measured=dict(measured or {}), solver=solver, febio=maybe_path(febio, "febio"),
         )  # fmt: skip
-        found = stage.diagnose(
+        return stage.diagnose(
             work.case, out=work.out, sites=names_of(sites), options=options, progress=work.progress
         )
-    return by_site(DiagnosisResult, found)
 
 
-@records_call
+@one(ReportResult)
 def report(
-    case: CaseLike,
+    case: Annotated[CaseLike, CASE],
     *,
-    out: PathLike | None = None,
-    templates: PathLike | None = None,
-    wait: bool = True,
-    progress: Heard = None,
-) -> ReportResult:
+    out: Annotated[PathLike | None, OUT] = None,
+    templates: Annotated[PathLike | None, TEMPLATES] = None,
+    wait: Annotated[bool, WAIT] = True,
+    progress: Annotated[Heard, PROGRESS] = None,
+) -> StageResult:
     """Write one self-contained page of the stages' results, including what is missing or failed.
-
-    Parameters
-    ----------
-    case, out, wait, progress : as for `segment`
-    templates : a folder of Jinja templates that take precedence over the built-in ones
 
     Raises
     ------
@@ -189,7 +191,6 @@ def report(
     from limbcli.stages import report as stage
 
     with at_work(case, out, wait=wait, progress=progress) as work:
-        found = stage.report(
+        return stage.report(
             work.case, out=work.out, templates=maybe_path(templates, "templates"), progress=work.progress
         )
-    return ReportResult.of(found)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from limbcli.api.base import Result
 from limbcli.api.tables import Table, read_columns
@@ -40,11 +40,19 @@ class Estimate:
 def _estimates(tables: Mapping[str, Mapping[str, Any]]) -> tuple[Estimate, ...]:
     return tuple(
         Estimate(
-            name, each["value"], each.get("standard_error"), each.get("low"), each.get("high"),
-            each["flag"], each["words"],
+            parameter=name, value=each["value"], standard_error=each.get("standard_error"),
+            low_95=each.get("low"), high_95=each.get("high"), flag=each["flag"], words=each["words"],
         )
         for name, each in tables.items()
     )  # fmt: skip
+
+
+def _of_last_step(found: StageResult) -> tuple[Estimate, ...]:
+    return _estimates(found.data["steps"]["ogden"]["parameters"])
+
+
+def _of_all(found: StageResult) -> tuple[Estimate, ...]:
+    return _estimates(found.data["parameters"])
 
 
 class _WithParameters(Result):
@@ -85,22 +93,13 @@ class FitResult(_WithParameters):
     f_kappa: float
     kappa_kpa: float
     m: float
-    parameters: tuple[Estimate, ...]
+    parameters: tuple[Estimate, ...] = field(metadata={"from": _of_last_step})
     r2: float
     rmse_n: float
     solver: str
     element: str
     n_solves: int
     n_interval_solves: int
-
-    @classmethod
-    def of(cls, found: StageResult) -> Self:
-        data = found.data
-        return cls(
-            found, data["c_kpa"], data["f_kappa"], data["kappa_kpa"], data["m"],
-            _estimates(data["steps"]["ogden"]["parameters"]), data["r2"], data["rmse_n"],
-            data["solver"], data["element"], data["n_solves"], data["n_interval_solves"],
-        )  # fmt: skip
 
     def curves(self) -> Table:
         """Forces over depth_mm (n_depths,): measured_n (NaN between levels), start_n, and one column per
@@ -130,18 +129,12 @@ class JointFitResult(_WithParameters):
     stage: ClassVar[str] = "fit-joint"
     law: str
     sites: tuple[str, ...]
-    parameters: tuple[Estimate, ...]
+    parameters: tuple[Estimate, ...] = field(metadata={"from": _of_all})
     chi_square: float
     n_freedom: int
-    laws: tuple[dict[str, Any], ...]
-
-    @classmethod
-    def of(cls, found: StageResult) -> Self:
-        data = found.data
-        return cls(
-            found, data["law"], tuple(data["sites"]), _estimates(data["parameters"]), data["chi_square"],
-            data["n_freedom"], tuple(data.get("laws", ())),
-        )  # fmt: skip
+    laws: tuple[dict[str, Any], ...] = field(
+        metadata={"from": lambda found: tuple(found.data.get("laws", ()))}
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,20 +157,12 @@ class StatesFitResult(_WithParameters):
 
     stage: ClassVar[str] = "fit-states"
     law: str
-    parameters: tuple[Estimate, ...]
+    parameters: tuple[Estimate, ...] = field(metadata={"from": _of_all})
     states: dict[str, dict[str, Any]]
     least_stiffness: dict[str, dict[str, Any]]
     undetermined: tuple[str, ...]
     chi_square: float
     n_freedom: int
-
-    @classmethod
-    def of(cls, found: StageResult) -> Self:
-        data = found.data
-        return cls(
-            found, data["law"], _estimates(data["parameters"]), dict(data["states"]),
-            dict(data["least_stiffness"]), tuple(data["undetermined"]), data["chi_square"], data["n_freedom"],
-        )  # fmt: skip
 
     def model(self, state: str) -> LimbModel:
         """The fitted model of a state, prestretched, as in <state>.feb."""
@@ -199,10 +184,6 @@ class ElementComparison(Result):
     stage: ClassVar[str] = "fit-elements"
     c_kpa: float
     force_ratio_tet4_over_tet10: float
-
-    @classmethod
-    def of(cls, found: StageResult) -> Self:
-        return cls(found, found.data["c_kpa"], found.data["force_ratio_tet4_over_tet10"])
 
     def rows(self) -> list[dict[str, Any]]:
         several = self.data["elements"].values()

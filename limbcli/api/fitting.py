@@ -3,61 +3,73 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import Annotated
 
-from limbcli.api.base import SiteResults, by_site
-from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path, names_of, records_call
+from limbcli.api.base import each_site, one
+from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path, names_of
 from limbcli.api.fit_results import ElementComparison, FitResult, JointFitResult, StatesFitResult
-from limbcli.api.limits import one_of, within
-from limbcli.api.simulation import SOLVERS, SolverName
+from limbcli.options import (
+    C_KPA,
+    CASE,
+    FEBIO,
+    OUT,
+    PROGRESS,
+    SITES,
+    SOLVER,
+    TEMPLATES,
+    WAIT,
+    Option,
+    SolverName,
+)  # fmt: skip
+from limbcli.results import StageResult
 
-if TYPE_CHECKING:
-    from limbcli.stages.fitting.options import FitOptions
+C_DEVIATION = Option("Standard deviation of c, relative; default: from the SWE noise.")
+TOLERANCE = Option("Relative tolerance of cost and parameters.")
+MAX_ITERATIONS = Option("Of each step.", (1, None))
+GAIN_DEVIATION = Option(
+    "Numerical error of the force to allow for; default: mesh study, else by element and size."
+)
+CONTACT_CHECK = Option(
+    "Also solve the fitted model with a stiffer contact, to quantify the probe's penetration."
+)
+BOUNDARY_CHECK = Option(
+    "Also solve the fitted model with the cut plane free, and with the limb's far side held; the intervals "
+    "allow for both."
+)
+CYCLE = Option("Loading cycle to fit, if there are several: a number, or last.", kind=str)
+LAW = Option(
+    "Law for joint and states: ogden | mooney-rivlin | neo-hooke | two-term-ogden | holmes-mow | fibres.",
+    before="gain_deviation_fraction",
+)
+COMPARE_LAWS = Option(
+    "Joint only: compare all laws by the error of held-out levels.", before="gain_deviation_fraction"
+)
 
 
-@records_call
+@each_site(FitResult)
 def fit(
-    case: CaseLike,
+    case: Annotated[CaseLike, CASE],
     *,
-    out: PathLike | None = None,
-    sites: str | Iterable[str] | None = None,
-    solver: SolverName = "auto",
-    febio: PathLike | None = None,
-    c_kpa: float | None = None,
-    c_deviation_fraction: float | None = None,
-    stiffness_map: bool = False,
-    tolerance: float = 1e-3,
-    max_iterations: int = 50,
-    intervals: bool = True,
-    gain_deviation_fraction: float | None = None,
-    contact_check: bool = True,
-    boundary_check: bool = True,
-    cycle: int | str = "last",
-    templates: PathLike | None = None,
-    time_limit_s: float | None = None,
-    wait: bool = True,
-    progress: Heard = None,
-) -> SiteResults[FitResult]:
+    out: Annotated[PathLike | None, OUT] = None,
+    sites: Annotated[str | Iterable[str] | None, SITES] = None,
+    solver: Annotated[SolverName, SOLVER] = "auto",
+    febio: Annotated[PathLike | None, FEBIO] = None,
+    c_kpa: Annotated[float | None, C_KPA] = None,
+    c_deviation_fraction: Annotated[float | None, C_DEVIATION] = None,
+    stiffness_map: Annotated[bool, Option("c element by element, from the SWE map of level 0.")] = False,
+    tolerance: Annotated[float, TOLERANCE] = 1e-3,
+    max_iterations: Annotated[int, MAX_ITERATIONS] = 50,
+    intervals: Annotated[bool, Option("95 % intervals by profile likelihood.")] = True,
+    time_limit_s: Annotated[float | None, Option("Time limit of each FEBio run.")] = None,
+    gain_deviation_fraction: Annotated[float | None, GAIN_DEVIATION] = None,
+    contact_check: Annotated[bool, CONTACT_CHECK] = True,
+    boundary_check: Annotated[bool, BOUNDARY_CHECK] = True,
+    cycle: Annotated[int | str, CYCLE] = "last",
+    templates: Annotated[PathLike | None, TEMPLATES] = None,
+    wait: Annotated[bool, WAIT] = True,
+    progress: Annotated[Heard, PROGRESS] = None,
+) -> Iterable[StageResult]:
     """Identify f_kappa and m of each site from its force-depth curve, with c from SWE. Requires `build_feb`.
-
-    Parameters
-    ----------
-    case, out, wait, progress : as for `segment`
-    sites, solver, febio : as for `run`
-    c_kpa : c = 2 mu given directly (None: from the shear-wave speed at level 0)
-    c_deviation_fraction : relative standard deviation of c_kpa (None: that of the shear-wave reading)
-    stiffness_map : c element by element, from the shear-wave map of level 0
-    tolerance : of cost and parameters, relative
-    max_iterations : of each step
-    intervals : 95 % intervals by profile likelihood, which need more simulations
-    gain_deviation_fraction : numerical error of the force to allow for; None: from `mesh(study=True)` if that
-        was run, else by element type and edge length
-    contact_check : solve the fitted model once more with a stiffer contact
-    boundary_check : and with the cut plane free, and with the far side of the limb held; the intervals
-        allow for both
-    cycle : the loading cycle to fit, if there are several: its number, or "last"
-    templates : a folder of Jinja templates that take precedence over the built-in ones
-    time_limit_s : of each FEBio run
 
     Raises
     ------
@@ -71,54 +83,42 @@ def fit(
     Source: Levenberg-Marquardt, Nocedal and Wright, Numerical Optimization, 2nd ed., chapter 10; profile
     likelihood, Venzon and Moolgavkar 1988, doi:10.2307/2347496.
     """
-    one_of("fit", SOLVERS, solver=solver)
     from limbcli.stages import fit as stage
 
     with at_work(case, out, wait=wait, progress=progress) as work:
-        options = _options(
-            c_kpa, c_deviation_fraction, tolerance=tolerance, max_iterations=max_iterations,
-            contact_check=contact_check, boundary_check=boundary_check,
-            time_limit_s=time_limit_s, cycle=cycle, stiffness_map=stiffness_map,
-            intervals=intervals, gain_deviation=gain_deviation_fraction,
-            templates=maybe_path(templates, "templates"),
+        options = stage.FitOptions(
+            c_kpa=c_kpa, c_deviation=c_deviation_fraction, stiffness_map=stiffness_map, tolerance=tolerance,
+            max_iterations=max_iterations, intervals=intervals, gain_deviation=gain_deviation_fraction,
+            contact_check=contact_check, boundary_check=boundary_check, cycle=str(cycle),
+            templates=maybe_path(templates, "templates"), time_limit_s=time_limit_s,
         )  # fmt: skip
-        found = stage.fit(
+        return stage.fit(
             work.case, out=work.out, sites=names_of(sites), solver=solver, febio=maybe_path(febio, "febio"),
             options=options, progress=work.progress,
         )  # fmt: skip
-    return by_site(FitResult, found)
 
 
-@records_call
+@one(JointFitResult)
 def fit_joint(
-    case: CaseLike,
+    case: Annotated[CaseLike, CASE],
     *,
-    out: PathLike | None = None,
-    sites: str | Iterable[str] | None = None,
-    law: str = "ogden",
-    compare_laws: bool = False,
-    c_kpa: float | None = None,
-    c_deviation_fraction: float | None = None,
-    gain_deviation_fraction: float | None = None,
-    contact_check: bool = True,
-    boundary_check: bool = True,
-    cycle: int | str = "last",
-    wait: bool = True,
-    progress: Heard = None,
-) -> JointFitResult:
+    out: Annotated[PathLike | None, OUT] = None,
+    sites: Annotated[str | Iterable[str] | None, SITES] = None,
+    law: Annotated[str, LAW] = "ogden",
+    compare_laws: Annotated[bool, COMPARE_LAWS] = False,
+    c_kpa: Annotated[float | None, C_KPA] = None,
+    c_deviation_fraction: Annotated[float | None, C_DEVIATION] = None,
+    gain_deviation_fraction: Annotated[float | None, GAIN_DEVIATION] = None,
+    contact_check: Annotated[bool, CONTACT_CHECK] = True,
+    boundary_check: Annotated[bool, BOUNDARY_CHECK] = True,
+    cycle: Annotated[int | str, CYCLE] = "last",
+    wait: Annotated[bool, WAIT] = True,
+    progress: Annotated[Heard, PROGRESS] = None,
+) -> StageResult:
     """Identify one set of parameters for several sites by depth and wave speed.
 
-    The command is `limbcli fit --objective joint`.
-
-    Parameters
-    ----------
-    case, out, wait, progress : as for `segment`
-    sites : those that share the tissue; None: all
-    law : "ogden", "mooney-rivlin", "neo-hooke", "two-term-ogden", "holmes-mow" or "fibres"
-    compare_laws : fit each law, and compare them by the error of held-out levels
-    c_kpa, c_deviation_fraction : c is a free parameter; a given value is its initial guess and, if a site has
-        no speeds, the mean of a prior with that standard deviation
-    the others : as for `fit`
+    The command is `limbcli fit --objective joint`. c is a free parameter; a given value is its initial guess
+    and, if a site has no speeds, the mean of a prior with the given standard deviation.
 
     Raises
     ------
@@ -126,42 +126,34 @@ def fit_joint(
         As `fit`.
     """
     from limbcli.stages import fit_joint as stage
+    from limbcli.stages.fitting.options import FitOptions
 
     with at_work(case, out, wait=wait, progress=progress) as work:
-        options = _options(
-            c_kpa, c_deviation_fraction, contact_check=contact_check, boundary_check=boundary_check,
-            cycle=cycle,
+        options = FitOptions(
+            c_kpa=c_kpa, c_deviation=c_deviation_fraction, contact_check=contact_check,
+            boundary_check=boundary_check, cycle=str(cycle),
         )  # fmt: skip
-        within("fit", gain_deviation_fraction=gain_deviation_fraction)
         joint = stage.JointOptions(law=law, compare_laws=compare_laws, gain_deviation=gain_deviation_fraction)
-        found = stage.fit_joint(
+        return stage.fit_joint(
             work.case, out=work.out, sites=names_of(sites), joint=joint, options=options,
             progress=work.progress,
         )  # fmt: skip
-    return JointFitResult.of(found)
 
 
-@records_call
+@each_site(StatesFitResult)
 def fit_states(
-    case: CaseLike,
+    case: Annotated[CaseLike, CASE],
     *,
-    out: PathLike | None = None,
-    sites: str | Iterable[str] | None = None,
-    law: str = "ogden",
-    gain_deviation_fraction: float | None = None,
-    wait: bool = True,
-    progress: Heard = None,
-) -> SiteResults[StatesFitResult]:
+    out: Annotated[PathLike | None, OUT] = None,
+    sites: Annotated[str | Iterable[str] | None, SITES] = None,
+    law: Annotated[str, LAW] = "ogden",
+    gain_deviation_fraction: Annotated[float | None, GAIN_DEVIATION] = None,
+    wait: Annotated[bool, WAIT] = True,
+    progress: Annotated[Heard, PROGRESS] = None,
+) -> Iterable[StageResult]:
     """Identify one law, and the stretch of each state, for each site with states.
 
-    The command is `limbcli fit --objective states`.
-
-    Parameters
-    ----------
-    case, out, wait, progress : as for `segment`
-    sites : sites without states are skipped; None: all
-    law : as for `fit_joint`
-    gain_deviation_fraction : as for `fit`
+    Sites without states are skipped. The command is `limbcli fit --objective states`.
 
     Raises
     ------
@@ -175,33 +167,26 @@ def fit_states(
     from limbcli.stages import fit_states as stage
 
     with at_work(case, out, wait=wait, progress=progress) as work:
-        within("fit", gain_deviation_fraction=gain_deviation_fraction)
         states = stage.StatesOptions(law=law, gain_deviation=gain_deviation_fraction)
-        found = stage.fit_states(
+        return stage.fit_states(
             work.case, out=work.out, sites=names_of(sites), states=states, progress=work.progress
         )
-    return by_site(StatesFitResult, found)
 
 
-@records_call
+@each_site(ElementComparison)
 def compare_elements(
-    case: CaseLike,
+    case: Annotated[CaseLike, CASE],
     *,
-    out: PathLike | None = None,
-    sites: str | Iterable[str] | None = None,
-    c_kpa: float | None = None,
-    tolerance: float = 1e-3,
-    max_iterations: int = 50,
-    cycle: int | str = "last",
-    wait: bool = True,
-    progress: Heard = None,
-) -> SiteResults[ElementComparison]:
+    out: Annotated[PathLike | None, OUT] = None,
+    sites: Annotated[str | Iterable[str] | None, SITES] = None,
+    c_kpa: Annotated[float | None, C_KPA] = None,
+    tolerance: Annotated[float, TOLERANCE] = 1e-3,
+    max_iterations: Annotated[int, MAX_ITERATIONS] = 50,
+    cycle: Annotated[int | str, CYCLE] = "last",
+    wait: Annotated[bool, WAIT] = True,
+    progress: Annotated[Heard, PROGRESS] = None,
+) -> Iterable[StageResult]:
     """Fit each site with tet4 and with tet10 on the same mesh (`limbcli fit --compare-element`).
-
-    Parameters
-    ----------
-    case, out, wait, progress : as for `segment`
-    the others : as for `fit`
 
     Raises
     ------
@@ -209,42 +194,13 @@ def compare_elements(
         As `fit`; MeshError if the mesh does not consist of tetrahedra.
     """
     from limbcli.stages import fit_elements as stage
+    from limbcli.stages.fitting.options import FitOptions
 
     with at_work(case, out, wait=wait, progress=progress) as work:
-        options = _options(
-            c_kpa, None, tolerance=tolerance, max_iterations=max_iterations, contact_check=False,
-            boundary_check=False, cycle=cycle,
+        options = FitOptions(
+            c_kpa=c_kpa, tolerance=tolerance, max_iterations=max_iterations, contact_check=False,
+            boundary_check=False, cycle=str(cycle),
         )  # fmt: skip
-        found = stage.compare_elements(
+        return stage.compare_elements(
             work.case, out=work.out, sites=names_of(sites), options=options, progress=work.progress
         )
-    return by_site(ElementComparison, found)
-
-
-def _options(
-    c_kpa: float | None,
-    c_deviation_fraction: float | None,
-    *,
-    contact_check: bool,
-    boundary_check: bool,
-    cycle: int | str,
-    tolerance: float = 1e-3,
-    max_iterations: int = 50,
-    time_limit_s: float | None = None,
-    **others: Any,
-) -> FitOptions:
-    """The options of the stage, which itself checks the ranges of numbers."""
-    within(
-        "fit", c_kpa=c_kpa, c_deviation_fraction=c_deviation_fraction, tolerance=tolerance,
-        max_iterations=max_iterations, time_limit_s=time_limit_s,
-        gain_deviation_fraction=others.get("gain_deviation"),
-    )  # fmt: skip
-    from limbcli.stages.fitting.options import FitOptions, check_numbers
-
-    options = FitOptions(
-        c_kpa=c_kpa, c_deviation=c_deviation_fraction, tolerance=tolerance, max_iterations=max_iterations,
-        contact_check=contact_check, boundary_check=boundary_check, time_limit_s=time_limit_s,
-        cycle=str(cycle), **others,
-    )  # fmt: skip
-    check_numbers(options)
-    return options

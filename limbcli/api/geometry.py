@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
-from limbcli.api.base import Result, SiteResults
-from limbcli.api.call import CaseLike, Heard, PathLike, at_work, names_of, records_call
-from limbcli.api.limits import one_of, within
-from limbcli.case import Case
+from limbcli.api.base import Result, SiteResults, one
+from limbcli.api.call import CaseLike, Heard, PathLike, at_work, names_of, public
+from limbcli.api.limits import within
 from limbcli.errors import CaseError
+from limbcli.mesh_bounds import FAR_SIZE_MM, SIZE_MM
+from limbcli.options import CASE, ELEMENT, MARGIN, OUT, PROGRESS, SITES, WAIT, Option
 from limbcli.results import StageResult
 
 if TYPE_CHECKING:
     from limbcli.model import LimbModel
 
 Point = tuple[float, float, float]
+SEEDS = Option(
+    "A point (patient LPS, mm) in the marrow of a missed bone (bone=...), or in soft tissue wrongly labelled "
+    "as bone (soft=...). May be repeated.",
+    flag="--seed", metavar="KIND=X,Y,Z", kind=list[str],
+    python='Points (x, y, z) (patient LPS, mm), each with its kind: ("bone", point) in the marrow of a '
+    'missed bone, ("soft", point) in soft tissue wrongly labelled as bone.',
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -95,28 +103,22 @@ class MeshResult(Result):
 
     stage: ClassVar[str] = "mesh"
     element: str
-    n_cells: int
-    n_nodes: int
-    edge_under_probe_mm: float
-    min_angle_deg: float
-    min_angle_under_probe_deg: float
-    skin_bone_mm: float | None
-    site_to_skin_mm: float
+    n_cells: int = field(metadata={"from": "quality/n_cells"})
+    n_nodes: int = field(metadata={"from": "quality/n_nodes"})
+    edge_under_probe_mm: float = field(metadata={"from": "quality/edge_under_probe_mm"})
+    min_angle_deg: float = field(metadata={"from": "quality/min_angle_deg"})
+    min_angle_under_probe_deg: float = field(metadata={"from": "quality/min_angle_under_probe_deg"})
+    skin_bone_mm: float | None = field(metadata={"from": "checks/skin_bone_mm"})
+    site_to_skin_mm: float = field(metadata={"from": "frame/site_to_skin_mm"})
     margin_mm: float
-    study: MeshStudyResult | None = None
+    study: MeshStudyResult | None = field(default=None, metadata={"from": lambda found: None})
 
     @classmethod
     def of(cls, found: StageResult, study: MeshStudyResult | None = None) -> Self:
-        quality, data = found.data["quality"], found.data
-        return cls(
-            found, data["element"], quality["n_cells"], quality["n_nodes"], quality["edge_under_probe_mm"],
-            quality["min_angle_deg"], quality["min_angle_under_probe_deg"],
-            data["checks"]["skin_bone_mm"], data["frame"]["site_to_skin_mm"], data["margin_mm"], study,
-        )  # fmt: skip
+        return replace(super().of(found), study=study)
 
     def rows(self) -> list[dict[str, Any]]:
-        names = [each.name for each in fields(self) if each.name not in ("stage_result", "study")]
-        return [self._named({name: getattr(self, name) for name in names})]
+        return [self._named(self._fields("study"))]
 
     def model(self) -> LimbModel:
         """The model: mesh, named sets and probe, without the tissue's parameters."""
@@ -125,39 +127,36 @@ class MeshResult(Result):
         return load_model(self.files["model"])
 
 
-@records_call
+@one(SegmentResult)
 def segment(
-    case: CaseLike,
+    case: Annotated[CaseLike, CASE],
     *,
-    out: PathLike | None = None,
-    seeds: Sequence[tuple[Literal["bone", "soft"], Point]] = (),
-    smooth_mm: float = 0.7,
-    threshold: float | None = None,
-    limb: Literal["left", "right"] | None = None,
-    accept_bones: bool = False,
-    aop: bool = False,
-    fresh: bool = False,
-    wait: bool = True,
-    progress: Heard = None,
-) -> SegmentResult:
+    out: Annotated[PathLike | None, OUT] = None,
+    seeds: Annotated[Sequence[tuple[Literal["bone", "soft"], Point]], SEEDS] = (),
+    smooth_mm: Annotated[
+        float, Option("Smoothing of the surfaces, mm.", (0.0, 5.0), flag="--smooth", metavar="MM")
+    ] = 0.7,
+    threshold: Annotated[
+        float | None,
+        Option(
+            "Signal between air and skin, in the image's units (HU on CT); default: found.", metavar="SIGNAL"
+        ),
+    ] = None,
+    limb: Annotated[
+        Literal["left", "right"] | None,
+        Option("Which limb, if two are in view; default: the case's.", metavar="left|right"),
+    ] = None,
+    accept_bones: Annotated[
+        bool, Option("Of bones outside the skin, keep what is inside; default: they are an error.")
+    ] = False,
+    aop: Annotated[bool, Option("Also skin.aop, the skin for prosthetic CAD programs.")] = False,
+    fresh: Annotated[bool, Option("Discard a label map that was edited by hand and start anew.")] = False,
+    wait: Annotated[bool, WAIT] = True,
+    progress: Annotated[Heard, PROGRESS] = None,
+) -> StageResult:
     """Segment an MRI or CT series, a label map or surfaces into skin, bones, fat and markers.
 
     A label map edited by hand in the output folder takes precedence over the automatic one.
-
-    Parameters
-    ----------
-    case : a `Case`, or the folder that holds case.toml; its sites and probe may still be missing
-    out : output folder; None: out/<name of the case's folder>
-    seeds : ("bone", (x, y, z)), a point in patient LPS (mm) in the marrow of a bone that was missed; ("soft",
-        ...), a point in soft tissue that was classified as bone
-    smooth_mm : standard deviation of the smoothing of the surfaces, 0 to 5
-    threshold : signal between air and skin, in the image's units (HU for CT); None: automatic
-    limb : which limb to use, if two are in view
-    accept_bones : of bones outside the skin, keep what is inside; otherwise they are an error
-    aop : also write skin.aop, the skin for prosthetic CAD programs
-    fresh : ignore a label map that was edited by hand
-    wait : wait for another process that writes into `out`; False: raise an error at once
-    progress : called with (kind, facts) at each event; None: no calls
 
     Raises
     ------
@@ -166,49 +165,67 @@ def segment(
 
     Source: each step cites its own, in `limbcli.imaging`.
     """
-    within("segment", smooth_mm=smooth_mm, threshold=threshold)
-    one_of("segment", ("left", "right"), limb=limb)
     from limbcli.stages import segment as stage
 
-    with at_work(case, out, wait=wait, progress=progress, opening=Case.open_images) as work:
-        found = stage.segment(
+    with at_work(case, out, wait=wait, progress=progress, images_only=True) as work:
+        return stage.segment(
             work.case, out=work.out, seeds=_seeds(seeds), smooth=smooth_mm, threshold=threshold, limb=limb,
             accept_bones=accept_bones, aop=aop, fresh=fresh, progress=work.progress,
         )  # fmt: skip
-    return SegmentResult.of(found)
 
 
-@records_call
+def _with_studies(found: Sequence[StageResult]) -> SiteResults[MeshResult]:
+    studies = {each.site: MeshStudyResult.of(each) for each in found if each.stage == MeshStudyResult.stage}
+    meshed = (each for each in found if each.stage == MeshResult.stage)
+    return SiteResults(tuple(MeshResult.of(each, studies.get(each.site)) for each in meshed))
+
+
+@public(_with_studies, "SiteResults[MeshResult]")
 def mesh(
-    case: CaseLike,
+    case: Annotated[CaseLike, CASE],
     *,
-    out: PathLike | None = None,
-    sites: str | Iterable[str] | None = None,
-    element: Literal["tet10", "tet4"] | None = None,
-    size_mm: float | None = None,
-    far_size_mm: float | None = None,
-    margin_mm: float | None = None,
-    skin_mm: float | Literal["mri"] | None = None,
-    fat_mm: float | Literal["mri"] | None = None,
-    at: tuple[float, float] | None = None,
-    study: bool = False,
-    wait: bool = True,
-    progress: Heard = None,
-) -> SiteResults[MeshResult]:
+    out: Annotated[PathLike | None, OUT] = None,
+    sites: Annotated[str | Iterable[str] | None, SITES] = None,
+    element: Annotated[Literal["tet10", "tet4"] | None, ELEMENT] = None,
+    size_mm: Annotated[float | None, Option("Edge length under the probe; default 2.5.", SIZE_MM)] = None,
+    far_size_mm: Annotated[
+        float | None, Option("Edge length far from it; default 8, or --size-mm.", FAR_SIZE_MM)
+    ] = None,
+    margin_mm: Annotated[float | None, MARGIN] = None,
+    skin_mm: Annotated[
+        float | Literal["mri"] | None,
+        Option(
+            "Thickness of a skin layer, 0 for none; default: the case's.",
+            metavar="MM|mri",
+            kind=str,
+            python='Thickness of a skin layer, 0 for none, "mri": as segmented; default: the case\'s.',
+        ),
+    ] = None,
+    fat_mm: Annotated[
+        float | Literal["mri"] | None,
+        Option(
+            "Thickness of a fat layer below the skin, 0 for none; mri: as segmented at the site; default: "
+            "the case's.",
+            metavar="MM|mri",
+            kind=str,
+        ),
+    ] = None,
+    at: Annotated[
+        tuple[float, float] | None,
+        Option(
+            "Place the site by angle round the limb (0 anterior, 90 the patient's left) and height above its "
+            "distal end, instead of the case's place.",
+            metavar="ANGLE_DEG HEIGHT_MM",
+            kind=tuple[float, float],
+        ),
+    ] = None,
+    study: Annotated[
+        bool, Option("Also solve finer and coarser meshes and smaller and larger models (minutes).")
+    ] = False,
+    wait: Annotated[bool, WAIT] = True,
+    progress: Annotated[Heard, PROGRESS] = None,
+) -> list[StageResult]:
     """Build the local finite-element model of each site from the surfaces. Requires `segment`.
-
-    Parameters
-    ----------
-    case, out, wait, progress : as for `segment`
-    sites : name or names; None: all
-    element : None: as in the case
-    size_mm, far_size_mm : edge length under the probe (None: 2.5), and far from it (None: 8)
-    margin_mm : width of tissue kept beyond the probe; None: as in the case
-    skin_mm, fat_mm : thickness of a layer, 0: no layer, "mri": as found by `segment`; None: as in the case
-    at : (angle in degrees round the limb, 0 anterior, 90 the patient's left; height in mm above its distal
-        end), replaces the position given in the case; for one site only
-    study : also solve models with finer and coarser meshes and with smaller and larger margins, which takes
-        minutes
 
     Raises
     ------
@@ -220,21 +237,15 @@ def mesh(
     Source: the elements are those of Zienkiewicz, Taylor and Zhu, The Finite Element Method: Its Basis and
     Fundamentals, 7th ed., chapter 6.
     """
-    within("mesh", size_mm=size_mm, far_size_mm=far_size_mm, margin_mm=margin_mm)
-    one_of("mesh", ("tet10", "tet4"), element=element)
     place = _place(at)
     from limbcli.stages import mesh as stage
 
     with at_work(case, out, wait=wait, progress=progress) as work:
-        found = stage.mesh(
+        return stage.mesh(
             work.case, out=work.out, sites=names_of(sites), element=element, size=size_mm,
-            far_size=far_size_mm, margin=margin_mm, skin_layer=thickness_argument("mesh", "skin_mm", skin_mm),
-            fat_layer=thickness_argument("mesh", "fat_mm", fat_mm), place=place, study=study,
-            progress=work.progress,
+            far_size=far_size_mm, margin=margin_mm, skin_layer=thickness(skin_mm, "skin_mm"),
+            fat_layer=thickness(fat_mm, "fat_mm"), place=place, study=study, progress=work.progress,
         )  # fmt: skip
-    studies = {each.site: MeshStudyResult.of(each) for each in found if each.stage == MeshStudyResult.stage}
-    meshed = (each for each in found if each.stage == MeshResult.stage)
-    return SiteResults(tuple(MeshResult.of(each, studies.get(each.site)) for each in meshed))
 
 
 def _place(at: tuple[float, float] | None) -> tuple[float, float] | None:
@@ -242,17 +253,17 @@ def _place(at: tuple[float, float] | None) -> tuple[float, float] | None:
         return None
     if not isinstance(at, Sequence) or isinstance(at, str) or len(at) != 2:
         raise CaseError(f"at is {at!r}", where="mesh(at=...)", fix="give (angle in degrees, height in mm)")
-    within("mesh", angle_deg=at[0], height_mm=at[1])
+    within("mesh", "angle_deg", at[0])
+    within("mesh", "height_mm", at[1])
     return float(at[0]), float(at[1])
 
 
-def thickness_argument(function: str, name: str, value: float | str | None) -> Any:
+def thickness(value: float | str | None, name: str) -> Any:
     """The value in the form that the stage expects."""
     from limbcli.stages.site_model.site_layers import thickness_of
 
     if isinstance(value, str):
         return thickness_of(value, name)
-    within(function, **{name: value})
     return None if value is None else float(value)
 
 

@@ -1,86 +1,89 @@
-"""Ranges of numeric arguments: the bounds of the command-line options of the same names."""
+"""Checks of arguments against their options: kind and range of numbers, known words, True or False."""
 
 from __future__ import annotations
 
-import inspect
 import math
 import numbers
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any, TypeAlias
-
-import numpy as np
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 from limbcli.errors import CaseError
-from limbcli.mesh_bounds import FAR_SIZE_MM, LIMB_CUT_MM, LIMB_NODES, LIMB_SITE_SIZE_MM, MARGIN_MM, SIZE_MM
-
-Bounds: TypeAlias = tuple[float, float]
-
-# (lowest, largest); infinite where an option has no such end. A test holds them against the options.
-_SIZES: dict[str, Bounds] = {"size_mm": SIZE_MM, "far_size_mm": FAR_SIZE_MM, "margin_mm": MARGIN_MM}
-_TISSUE: dict[str, Bounds] = {"c_kpa": (0.1, 200), "f_kappa": (0.01, 1000), "m": (1, 100)}
-_MEASURING: dict[str, Bounds] = {
-    "noise": (0, 20), "step_n": (0.1, 20), "max_force_n": (1, 80), "max_strain": (0.05, 0.6),
-}  # fmt: skip
-_SEED: dict[str, Bounds] = {"seed": (0, math.inf)}
-LIMITS: dict[str, dict[str, Bounds]] = {
-    "segment": {"smooth_mm": (0, 5)},
-    "mesh": _SIZES,
-    "build_feb": {"f_kappa": (0.01, 1000), "m": (1, 100), "contact_penalty": (1, 1000)},
-    "batch": {"jobs": (1, math.inf)},
-    "cohort": {**_SEED},
-    "limb": {"nodes": LIMB_NODES, "cut_mm": LIMB_CUT_MM, "site_size_mm": LIMB_SITE_SIZE_MM},
-    "run": {"time_limit_s": (0, math.inf)},
-    "fit": {"max_iterations": (1, math.inf)},
-    "diagnose": {"max_effects": (1, 2), **_SEED, "size_mm": (1, 20), "far_size_mm": (2, 50)},
-    "synth": {
-        **_SEED, **_TISSUE, **_MEASURING, **_SIZES, "contact_penalty": (1, 1000),
-        "unloaded_stretch_along": (0.5, 2), "unloaded_stretch_around": (0.5, 2),
-    },
-    "phantom": {**_SEED, **_TISSUE, **_MEASURING, **_SIZES},
-}  # fmt: skip
-_WHOLE = ("seed", "max_effects", "max_iterations", "jobs", "nodes")
+from limbcli.options import Argument, Bounds
 
 
-def within(function: str, **values: object) -> None:
-    """Check that the numbers are within their ranges; None stands for a default.
+def check_arguments(function: str, arguments: Mapping[str, Argument], given: Mapping[str, object]) -> None:
+    """Check the arguments of a call; None stands for a default.
+
+    Raises
+    ------
+    CaseError
+        Names the argument and what it may be.
+    """
+    for name, value in given.items():
+        if name in arguments:
+            _check(function, arguments[name], value)
+
+
+def _check(function: str, argument: Argument, value: Any) -> None:
+    import numpy as np  # which help and messages do not need
+
+    name, default, option = argument.name, argument.default, argument.option
+    if isinstance(default, bool):
+        if not (isinstance(value, bool | np.bool_ | int) and value in (0, 1)):
+            raise _wrong(function, name, value, "neither True nor False", "give True or False")
+    elif value is None:
+        if isinstance(default, int | float):
+            raise _wrong(function, name, value, "not a number", f"leave it out: {default:g}")
+    elif argument.words and float not in argument.kinds:
+        one_of(function, argument.words, name, value)
+    elif option.example is not None and not isinstance(value, Mapping):
+        fix = f"give numbers by name, such as {dict(option.example)}"
+        raise _wrong(function, name, value, "not a table", fix)
+    elif argument.words and isinstance(value, str):
+        pass  # its stage checks it
+    elif float in argument.kinds or argument.kinds == (int,):
+        within(function, name, value, option.bounds, whole=argument.kinds == (int,))
+
+
+def within(
+    function: str, name: str, value: Any, bounds: Bounds = (None, None), *, whole: bool = False
+) -> None:
+    """Check that a number is within its range.
 
     Raises
     ------
     CaseError
         Names the argument and the allowed range.
 
-    >>> within("segment", smooth_mm=9.0)
+    >>> within("segment", "smooth_mm", 9.0, (0, 5))
     Traceback (most recent call last):
     limbcli.errors.CaseError: smooth_mm is 9, outside of 0 to 5
       where: segment(smooth_mm=9.0)
       fix:   give a number from 0 to 5
     """
-    for name, value in values.items():
-        if value is None:
-            continue
-        low, high = LIMITS.get(function, {}).get(name, (-math.inf, math.inf))
-        where = f"{function}({name}={value!r})"
-        meant = _meant(low, high)
-        kind = numbers.Integral if name in _WHOLE else numbers.Real
-        if isinstance(value, bool) or not isinstance(value, kind) or not math.isfinite(float(value)):
-            what = "a whole number" if name in _WHOLE else "a finite number"
-            raise CaseError(f"{name} is {value!r}, not {what}", where=where, fix=f"give {meant}")
-        if not low <= float(value) <= high:
-            raise CaseError(
-                f"{name} is {float(value):g}, outside of {low:g} to {high:g}",
-                where=where,
-                fix=f"give {meant}",
-            )
+    low, high = bounds
+    meant = (
+        "a number" if low is None else f"a number from {low:g}" + ("" if high is None else f" to {high:g}")
+    )
+    kind = numbers.Integral if whole else numbers.Real
+    if isinstance(value, bool) or not isinstance(value, kind) or not math.isfinite(float(value)):
+        raise _wrong(
+            function, name, value, f"not {'a whole' if whole else 'a finite'} number", f"give {meant}"
+        )
+    least, most = -math.inf if low is None else low, math.inf if high is None else high
+    if not least <= float(value) <= most:
+        raise _wrong(
+            function,
+            name,
+            value,
+            f"outside of {least:g} to {most:g}",
+            f"give {meant}",
+            shown=f"{float(value):g}",
+        )
 
 
-def _meant(low: float, high: float) -> str:
-    if math.isinf(low):
-        return "a number"
-    return f"a number from {low:g}" + ("" if math.isinf(high) else f" to {high:g}")
-
-
-def one_of(function: str, known: Iterable[str], **values: object) -> None:
-    """Check that the words are known; None stands for a default.
+def one_of(function: str, known: Iterable[str], name: str, value: object) -> None:
+    """Check that a word is known.
 
     Raises
     ------
@@ -88,49 +91,12 @@ def one_of(function: str, known: Iterable[str], **values: object) -> None:
         Names the argument and the known words.
     """
     known = list(known)
-    for name, value in values.items():
-        if value is not None and value not in known:
-            raise CaseError(
-                f"{name} is {value!r}",
-                where=f"{function}({name}={value!r})",
-                fix=f"give {' or '.join(known)}",
-            )
+    if value not in known:
+        raise _wrong(function, name, value, "", f"give {' or '.join(known)}")
 
 
-def flags_and_numbers(function: Callable[..., Any], given: Mapping[str, object]) -> None:
-    """Check that arguments with a default of True or False are given as such, and that no number is given as
-    None.
-
-    Raises
-    ------
-    CaseError
-        Names the argument and the allowed values.
-    """
-    defaults = {name: each.default for name, each in inspect.signature(function).parameters.items()}
-    for name, value in given.items():
-        default = defaults.get(name)
-        if isinstance(default, bool) and not (isinstance(value, bool | np.bool_ | int) and value in (0, 1)):
-            what, fix = "neither True nor False", "give True or False"
-        elif isinstance(default, int | float) and value is None:
-            what, fix = "not a number", f"leave it out: {default:g}"
-        else:
-            continue
-        where = f"{function.__name__}({name}={value!r})"
-        raise CaseError(f"{name} is {value!r}, {what}", where=where, fix=fix)
-
-
-def tables(function: str, example: Mapping[str, object], **values: object) -> None:
-    """Check that numbers by name are given as a mapping like the example; None stands for none.
-
-    Raises
-    ------
-    CaseError
-        Names the argument and the allowed values.
-    """
-    for name, value in values.items():
-        if value is not None and not isinstance(value, Mapping):
-            raise CaseError(
-                f"{name} is {value!r}, not a table",
-                where=f"{function}({name}={value!r})",
-                fix=f"give numbers by name, such as {dict(example)}",
-            )
+def _wrong(
+    function: str, name: str, value: object, what: str, fix: str, *, shown: str | None = None
+) -> CaseError:
+    is_so = f"{name} is {repr(value) if shown is None else shown}" + (f", {what}" if what else "")
+    return CaseError(is_so, where=f"{function}({name}={value!r})", fix=fix)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from limbcli.api.base import Result
+from limbcli.api.base import Result, one
 from limbcli.api.call import (
     CaseLike,
     Heard,
@@ -17,17 +17,34 @@ from limbcli.api.call import (
     foreseen,
     listening,
     names_of,
-    records_call,
 )
-from limbcli.api.limits import one_of, tables, within
-from limbcli.case import Case
-from limbcli.case.toml_file import read_toml
+from limbcli.mesh_bounds import FAR_SIZE_MM, SIZE_MM
+from limbcli.options import CASE, MARGIN, OUT, PROGRESS, SITES, WAIT, Option
 from limbcli.results import StageResult
 
 if TYPE_CHECKING:
+    from limbcli.case import Case
     from limbcli.stages.simulated_subjects.synth_options import SynthOptions
 
-ELEMENTS = ("tet10", "tet4")
+SIMULATED_C = Option("c = 2 mu of the known tissue.", (0.1, 200.0))
+SIMULATED_F = Option("kappa' / c of the known tissue.", (0.01, 1000.0))
+SIMULATED_M = Option("Exponent of the law, of the known tissue.", (1.0, 100.0))
+EFFECTS = Option(
+    "Hide this effect in the data (may be repeated). SIZE is the value of its first parameter, as in the "
+    "list of effects, such as skin-layer=2.3; default: its typical one.",
+    flag="--effect", metavar="ID[=SIZE]", kind=list[str],
+    python='Effects to hide in the data, each "name" or "name=size", where size is the value of its first '
+    "parameter; default: its typical one.",
+)  # fmt: skip
+NOISE = Option("Factor on the stated noise; 0: none.", (0.0, 20.0))
+STEP = Option("Force step, N.", (0.1, 20.0))
+MAX_FORCE = Option("Largest force, N.", (1.0, 80.0))
+MAX_STRAIN = Option("Largest depth over skin-bone distance.", (0.05, 0.6))
+SIMULATED_ELEMENT = Option("Elements of the mesh simulated on: tet10 | tet4; default: the case's.")
+SIMULATED_SIZE = Option("Edge length under the probe, of the mesh simulated on.", SIZE_MM)
+SIMULATED_FAR_SIZE = Option("Edge length far from it, of the mesh simulated on.", FAR_SIZE_MM)
+SAME_MESH = Option("Simulate on the same mesh that is fitted.")
+_STRETCHES = {"metavar": "STATE=STRETCH", "kind": list[str], "example": {"bent": 0.8}}
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +64,9 @@ class MadeCase(Result):
 
     @classmethod
     def of(cls, found: StageResult) -> Self:
+        from limbcli.case import Case
+        from limbcli.case.toml_file import read_toml
+
         path = found.path("truth") if "truth" in found.files else Path(found.data["truth"])
         truth = read_toml(path)
         return cls(found, Case.open(found.folder.absolute()), truth)
@@ -65,60 +85,69 @@ class MadeCase(Result):
         ]
 
 
-@records_call
+@one(MadeCase)
 def synth(
-    case: CaseLike,
-    out_case: PathLike,
+    case: Annotated[CaseLike, CASE],
+    out_case: Annotated[
+        PathLike,
+        Option(
+            "Case folder to create.",
+            flag="--out-case",
+            metavar="DIR",
+            kind=Path,
+            python="Case folder to create; the truth is written to <out_case>.truth.toml beside it.",
+        ),
+    ],
     *,
-    out: PathLike | None = None,
-    sites: str | Iterable[str] | None = None,
-    seed: int = 7,
-    force: bool = False,
-    c_kpa: float = 8.0,
-    f_kappa: float = 80.0,
-    m: float = 6.0,
-    effects: str | Iterable[str] = (),
-    noise: float = 1.0,
-    step_n: float = 2.0,
-    max_force_n: float = 12.0,
-    max_strain: float = 0.45,
-    element: Literal["tet10", "tet4"] | None = None,
-    size_mm: float = 4.0,
-    far_size_mm: float = 12.0,
-    margin_mm: float | None = None,
-    same_mesh: bool = False,
-    contact_penalty: float | None = None,
-    with_layers: bool = False,
-    stretch_along: Mapping[str, float] | None = None,
-    stretch_around: Mapping[str, float] | None = None,
-    unloaded_stretch_along: float | None = None,
-    unloaded_stretch_around: float | None = None,
-    wait: bool = True,
-    progress: Heard = None,
-) -> MadeCase:
+    out: Annotated[PathLike | None, OUT] = None,
+    sites: Annotated[str | Iterable[str] | None, SITES] = None,
+    seed: Annotated[int, Option("Random seed of the measurement noise.", (0, None))] = 7,
+    force: Annotated[
+        bool, Option("Replace DIR if synth made it.", python="Replace `out_case` if synth made it.")
+    ] = False,
+    c_kpa: Annotated[float, SIMULATED_C] = 8.0,
+    f_kappa: Annotated[float, SIMULATED_F] = 80.0,
+    m: Annotated[float, SIMULATED_M] = 6.0,
+    effects: Annotated[str | Iterable[str], EFFECTS] = (),
+    noise: Annotated[float, NOISE] = 1.0,
+    step_n: Annotated[float, STEP] = 2.0,
+    max_force_n: Annotated[float, MAX_FORCE] = 12.0,
+    max_strain: Annotated[float, MAX_STRAIN] = 0.45,
+    element: Annotated[Literal["tet10", "tet4"] | None, SIMULATED_ELEMENT] = None,
+    size_mm: Annotated[float, SIMULATED_SIZE] = 4.0,
+    far_size_mm: Annotated[float, SIMULATED_FAR_SIZE] = 12.0,
+    margin_mm: Annotated[float | None, MARGIN] = None,
+    same_mesh: Annotated[bool, SAME_MESH] = False,
+    with_layers: Annotated[
+        bool, Option("Also simulate readings of the skin, fat and muscle thickness, as in the geometry.")
+    ] = False,
+    contact_penalty: Annotated[
+        float | None,
+        Option(
+            "Times the skin's stiffness at rest; default: 20. With more the probe sinks in less.",
+            (1.0, 1000.0),
+        ),
+    ] = None,
+    stretch_along: Annotated[
+        Mapping[str, float] | None,
+        Option(
+            "Stretch, relative to unloaded tissue, of a state whose stretch the case does not give (may be "
+            "repeated).",
+            **_STRETCHES,
+        ),
+    ] = None,
+    stretch_around: Annotated[
+        Mapping[str, float] | None, Option("The same around the limb.", **_STRETCHES)
+    ] = None,
+    unloaded_stretch_along: Annotated[
+        float | None,
+        Option("Stretch, on the scale of the case, at which the tissue is unloaded.", (0.5, 2.0)),
+    ] = None,
+    unloaded_stretch_around: Annotated[float | None, Option("The same around the limb.", (0.5, 2.0))] = None,
+    wait: Annotated[bool, WAIT] = True,
+    progress: Annotated[Heard, PROGRESS] = None,
+) -> StageResult:
     """Simulate measurements with known parameters on the geometry of a case, as a new case.
-
-    Parameters
-    ----------
-    case, out, wait, progress : as for `segment`
-    out_case : the case folder to create; the truth is written to <out_case>.truth.toml beside it
-    sites : name or names; None: all
-    seed : of the measurement noise
-    force : replace `out_case` if it was created by synth
-    c_kpa, f_kappa, m : parameters of the tissue, kappa' = f_kappa c
-    effects : effects to hide in the data, each "name" or "name=size", where size is the value of its first
-        parameter
-    noise : factor on the noise stated in the case; 0: no noise
-    step_n, max_force_n : force step and largest force
-    max_strain : largest depth over skin-bone distance
-    element, size_mm, far_size_mm, margin_mm : mesh of the simulation (None: as in the case)
-    same_mesh : simulate on the same mesh that is used for fitting
-    contact_penalty : multiple of the skin's stiffness at rest; None: 20
-    with_layers : also record the thickness of skin, fat and muscle, which at first touch is that of the
-        geometry
-    stretch_along, stretch_around : true stretches relative to unloaded tissue, by state, where the case does
-        not give them
-    unloaded_stretch_along, unloaded_stretch_around : stretch of unloaded tissue on the scale of the case
 
     Raises
     ------
@@ -127,11 +156,6 @@ def synth(
     MeshError, SolveError
         If a site cannot be meshed or simulated.
     """
-    within(
-        "synth", contact_penalty=contact_penalty, unloaded_stretch_along=unloaded_stretch_along,
-        unloaded_stretch_around=unloaded_stretch_around,
-    )  # fmt: skip
-    tables("synth", {"bent": 0.8}, stretch_along=stretch_along, stretch_around=stretch_around)
     from limbcli.case.parts import Stretch
     from limbcli.stages import synth as stage
     from limbcli.stages.simulated_subjects.hidden_effects import hide
@@ -142,55 +166,61 @@ def synth(
         stretch_along or {}, stretch_around or {}, Stretch(unloaded_stretch_along, unloaded_stretch_around)
     )
     plan = _plan(
-        "synth", seed=seed, c_kpa=c_kpa, f_kappa=f_kappa, m=m, noise=noise, step_n=step_n,
+        seed=seed, c_kpa=c_kpa, f_kappa=f_kappa, m=m, noise=noise, step_n=step_n,
         max_force_n=max_force_n, max_strain=max_strain, element=element, size_mm=size_mm,
         far_size_mm=far_size_mm, margin_mm=margin_mm, same_mesh=same_mesh, hidden=hidden,
         contact_penalty=contact_penalty, layers=with_layers, stretches=stretches,
     )  # fmt: skip
     with at_work(case, out, wait=wait, progress=progress) as work:
-        found = stage.synth(
+        return stage.synth(
             work.case, out=work.out, out_case=folder_of(out_case, "out_case"), sites=names_of(sites),
             options=plan, force=force, progress=work.progress,
         )  # fmt: skip
-    return MadeCase.of(found)
 
 
-@records_call
+@one(MadeCase)
 def make_phantom(
-    folder: PathLike,
+    folder: Annotated[
+        PathLike,
+        Option(
+            "Case folder to create.",
+            metavar="DIR",
+            kind=Path,
+            python="Case folder to create; the truth is written to <folder>/truth.",
+        ),
+    ],
     *,
-    seed: int = 7,
-    force: bool = False,
-    subject: str = "phantom",
-    sites: str | Iterable[str] | None = None,
-    no_measurement: bool = False,
-    c_kpa: float = 8.0,
-    f_kappa: float = 80.0,
-    m: float = 6.0,
-    effects: str | Iterable[str] = (),
-    noise: float = 1.0,
-    step_n: float = 2.0,
-    max_force_n: float = 12.0,
-    max_strain: float = 0.45,
-    element: Literal["tet10", "tet4"] | None = None,
-    size_mm: float = 4.0,
-    far_size_mm: float = 12.0,
-    margin_mm: float | None = None,
-    same_mesh: bool = False,
-    progress: Heard = None,
-) -> MadeCase:
+    seed: Annotated[int, Option("Random seed; another seed gives another subject.", (0, None))] = 7,
+    force: Annotated[bool, Option("Replace DIR if it is a synthetic subject.")] = False,
+    subject: Annotated[str, Option("The subject's id.", flag="--id", metavar="NAME")] = "phantom",
+    sites: Annotated[
+        str | Iterable[str] | None,
+        Option(
+            "p1: at the back, by marker, across; p2: over the fibula, by position, along. May be repeated; "
+            "default: p1.",
+            flag="--site",
+            short="-s",
+            metavar="NAME",
+            kind=list[str],
+        ),
+    ] = None,
+    no_measurement: Annotated[bool, Option("Geometry only: levels.csv stays empty.")] = False,
+    c_kpa: Annotated[float, SIMULATED_C] = 8.0,
+    f_kappa: Annotated[float, SIMULATED_F] = 80.0,
+    m: Annotated[float, SIMULATED_M] = 6.0,
+    effects: Annotated[str | Iterable[str], EFFECTS] = (),
+    noise: Annotated[float, NOISE] = 1.0,
+    step_n: Annotated[float, STEP] = 2.0,
+    max_force_n: Annotated[float, MAX_FORCE] = 12.0,
+    max_strain: Annotated[float, MAX_STRAIN] = 0.45,
+    element: Annotated[Literal["tet10", "tet4"] | None, SIMULATED_ELEMENT] = None,
+    size_mm: Annotated[float, SIMULATED_SIZE] = 4.0,
+    far_size_mm: Annotated[float, SIMULATED_FAR_SIZE] = 12.0,
+    margin_mm: Annotated[float | None, MARGIN] = None,
+    same_mesh: Annotated[bool, SAME_MESH] = False,
+    progress: Annotated[Heard, PROGRESS] = None,
+) -> StageResult:
     """Create a synthetic subject with known truth: MRI as DICOM, measurements, truth (`limbcli phantom`).
-
-    Parameters
-    ----------
-    folder : the case folder to create; the truth is written to <folder>/truth
-    seed : determines the subject
-    force : replace the folder if it is a synthetic subject
-    subject : its id
-    sites : "p1" (at the back, by marker, across), "p2" (over the fibula, by position, along); None: p1
-    no_measurement : geometry only, levels.csv stays empty
-    progress : called with (kind, facts) at each event; None: no calls
-    the others : as for `synth`; element None: tet10
 
     Raises
     ------
@@ -204,7 +234,7 @@ def make_phantom(
 
     hidden = tuple(hide(each) for each in names_of(effects or None, "effects") or ())
     plan = _plan(
-        "phantom", seed=seed, c_kpa=c_kpa, f_kappa=f_kappa, m=m, noise=noise, step_n=step_n,
+        seed=seed, c_kpa=c_kpa, f_kappa=f_kappa, m=m, noise=noise, step_n=step_n,
         max_force_n=max_force_n, max_strain=max_strain, element=element, size_mm=size_mm,
         far_size_mm=far_size_mm, margin_mm=margin_mm, same_mesh=same_mesh, hidden=hidden,
     )  # fmt: skip
@@ -216,22 +246,15 @@ def make_phantom(
     )  # fmt: skip
     with foreseen():
         target = folder_of(folder, "folder")
-        found = stage.phantom(target, options=options, force=force, progress=listening(progress))
-    return MadeCase.of(found)
+        return stage.phantom(target, options=options, force=force, progress=listening(progress))
 
 
 def _plan(
-    function: str, *, seed: int, c_kpa: float, f_kappa: float, m: float, noise: float, step_n: float,
+    *, seed: int, c_kpa: float, f_kappa: float, m: float, noise: float, step_n: float,
     max_force_n: float, max_strain: float, element: str | None, size_mm: float, far_size_mm: float,
     margin_mm: float | None, same_mesh: bool, **others: Any,
 ) -> SynthOptions:  # fmt: skip
-    """Options of the simulation, after all numbers have been checked."""
-    within(
-        function, seed=seed, c_kpa=c_kpa, f_kappa=f_kappa, m=m, noise=noise, step_n=step_n,
-        max_force_n=max_force_n, max_strain=max_strain, size_mm=size_mm, far_size_mm=far_size_mm,
-        margin_mm=margin_mm,
-    )  # fmt: skip
-    one_of(function, ELEMENTS, element=element)
+    """Options of the simulation."""
     from limbcli.stages.simulated_subjects.indent import KnownTissue
     from limbcli.stages.simulated_subjects.synth_options import LoadingProtocol, SynthOptions
 

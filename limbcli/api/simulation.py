@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from limbcli.api.base import Result, SiteResults, by_site
+from limbcli.api.base import Result, each_site, one
 from limbcli.api.call import (
     CaseLike,
     Heard,
@@ -18,20 +18,32 @@ from limbcli.api.call import (
     listening,
     maybe_path,
     names_of,
-    records_call,
 )
-from limbcli.api.limits import one_of, within
 from limbcli.api.tables import Table, plain_rows, read_columns, structured
 from limbcli.config import default_out
 from limbcli.errors import CaseError
+from limbcli.options import (
+    C_KPA,
+    CASE,
+    FEBIO,
+    OUT,
+    PROGRESS,
+    SITES,
+    SOLVER,
+    TEMPLATES,
+    WAIT,
+    Option,
+    SolverName,
+)  # fmt: skip
 from limbcli.output_lock import one_writer
 from limbcli.results import StageResult
 
 if TYPE_CHECKING:
     from limbcli.model import LimbModel
 
-SolverName = Literal["auto", "febio", "reference"]
-SOLVERS = ("auto", "febio", "reference")
+TIME_LIMIT = Option("Time limit of each simulation; default: by the model's size.", (0, None))
+VTU = Option("Also a time series for ParaView.")
+KEEP_PLOT = Option("Keep FEBio's plot file (model.xplt), for FEBio Studio.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,17 +71,8 @@ class BuildFebResult(Result):
     n_nodes: int
     n_elements: int
 
-    @classmethod
-    def of(cls, found: StageResult) -> Self:
-        data = found.data
-        return cls(
-            found, found.path("feb"), data["c_kpa"], data["c_source"], data["f_kappa"], data["m"],
-            data["kappa_kpa"], data["element"], data["n_nodes"], data["n_elements"],
-        )  # fmt: skip
-
     def rows(self) -> list[dict[str, Any]]:
-        names = [each.name for each in fields(self) if each.name not in ("stage_result", "feb")]
-        return [self._named({name: getattr(self, name) for name in names})]
+        return [self._named(self._fields("feb"))]
 
     def model(self) -> LimbModel:
         """The model file, read back."""
@@ -95,17 +98,9 @@ class RunResult(Result):
     solver_version: str
     n_steps: int
     n_iterations: int
-    solve_s: float
+    solve_s: float = field(metadata={"from": "solve_seconds"})
     max_depth_mm: float | None
     max_force_n: float | None
-
-    @classmethod
-    def of(cls, found: StageResult) -> Self:
-        data = found.data
-        return cls(
-            found, data["solver"], data["solver_version"], data["n_steps"], data["n_iterations"],
-            data["solve_seconds"], data.get("max_depth_mm"), data.get("max_force_n"),
-        )  # fmt: skip
 
     def curve(self) -> Table:
         """The force-depth curve: fields time_s, depth_mm, force_n, (n_steps,); empty if there is none."""
@@ -116,35 +111,41 @@ class RunResult(Result):
         return [self._named(row) for row in plain_rows(self.curve())]
 
 
-@records_call
+@each_site(BuildFebResult)
 def build_feb(
-    case: CaseLike,
+    case: Annotated[CaseLike, CASE],
     *,
-    out: PathLike | None = None,
-    sites: str | Iterable[str] | None = None,
-    c_kpa: float | None = None,
-    f_kappa: float = 100.0,
-    m: float = 2.0,
-    layers: Mapping[str, Mapping[str, Any]] | None = None,
-    contact_penalty: float | None = None,
-    abaqus: bool = False,
-    templates: PathLike | None = None,
-    wait: bool = True,
-    progress: Heard = None,
-) -> SiteResults[BuildFebResult]:
+    out: Annotated[PathLike | None, OUT] = None,
+    sites: Annotated[str | Iterable[str] | None, SITES] = None,
+    c_kpa: Annotated[float | None, C_KPA] = None,
+    f_kappa: Annotated[float, Option("kappa' / c.", (0.01, 1000))] = 100.0,
+    m: Annotated[float, Option("Exponent of the law.", (1, 100))] = 2.0,
+    layers: Annotated[
+        Mapping[str, Mapping[str, Any]] | None,
+        Option(
+            "Law of a layer, such as fat:c_kpa=2,f_kappa=100,m=2 or skin:law=neo_hooke,c_kpa=40; default: "
+            "the case's, else assumed values. May be repeated.",
+            flag="--layer",
+            metavar="NAME:KEY=VALUE,...",
+            kind=list[str],
+            python='By "skin" or "fat" a table of law, c_kpa, f_kappa, m, beta; default: the case\'s, else '
+            "assumed values.",
+        ),
+    ] = None,
+    contact_penalty: Annotated[
+        float | None,
+        Option(
+            "Times the skin's stiffness at rest; default 20, with which FEBio converges. More where fit "
+            "warns that the probe sinks in.",
+            (1, 1000),
+        ),
+    ] = None,
+    abaqus: Annotated[bool, Option("Also model.inp, the same model for Abaqus in its nearest laws.")] = False,
+    templates: Annotated[PathLike | None, TEMPLATES] = None,
+    wait: Annotated[bool, WAIT] = True,
+    progress: Annotated[Heard, PROGRESS] = None,
+) -> Iterable[StageResult]:
     """Write mesh and measurement as a FEBio model of each site. Requires `mesh`.
-
-    Parameters
-    ----------
-    case, out, wait, progress : as for `segment`
-    sites : name or names; None: all
-    c_kpa : c = 2 mu given directly; None: 2 rho v^2 from the shear-wave speed at level 0
-    f_kappa : start value of kappa' / c, 0.01 to 1000
-    m : start value of the law's exponent, 1 to 100
-    layers : by "skin" or "fat" a table of `law`, `c_kpa`, `f_kappa`, `m`, `beta`, which overrides the case
-    contact_penalty : multiple of the skin's stiffness at rest; None: 20, with which FEBio converges
-    abaqus : also write model.inp, the same model for Abaqus in its nearest laws
-    templates : a folder of Jinja templates that take precedence over the built-in ones
 
     Raises
     ------
@@ -155,7 +156,6 @@ def build_feb(
 
     Source: FEBio user manual 4, "Ogden unconstrained".
     """
-    within("build_feb", c_kpa=c_kpa, f_kappa=f_kappa, m=m, contact_penalty=contact_penalty)
     from limbcli.stages import build_feb as stage
 
     with at_work(case, out, wait=wait, progress=progress) as work:
@@ -163,11 +163,10 @@ def build_feb(
             c_kpa=c_kpa, f_kappa=f_kappa, m=m, layers=_laws(layers or {}), contact_penalty=contact_penalty,
             abaqus=abaqus,
         )  # fmt: skip
-        found = stage.build_feb(
+        return stage.build_feb(
             work.case, out=work.out, sites=names_of(sites), options=options,
             templates=maybe_path(templates, "templates"), progress=work.progress,
         )  # fmt: skip
-    return by_site(BuildFebResult, found)
 
 
 def _laws(layers: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -184,31 +183,21 @@ def _laws(layers: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     return dict(map(parse_law, texts))
 
 
-@records_call
+@each_site(RunResult)
 def run(
-    case: CaseLike,
+    case: Annotated[CaseLike, CASE],
     *,
-    out: PathLike | None = None,
-    sites: str | Iterable[str] | None = None,
-    solver: SolverName = "auto",
-    febio: PathLike | None = None,
-    time_limit_s: float | None = None,
-    vtu: bool = False,
-    keep_plot: bool = False,
-    wait: bool = True,
-    progress: Heard = None,
-) -> SiteResults[RunResult]:
+    out: Annotated[PathLike | None, OUT] = None,
+    sites: Annotated[str | Iterable[str] | None, SITES] = None,
+    solver: Annotated[SolverName, SOLVER] = "auto",
+    febio: Annotated[PathLike | None, FEBIO] = None,
+    time_limit_s: Annotated[float | None, TIME_LIMIT] = None,
+    vtu: Annotated[bool, VTU] = False,
+    keep_plot: Annotated[bool, KEEP_PLOT] = False,
+    wait: Annotated[bool, WAIT] = True,
+    progress: Annotated[Heard, PROGRESS] = None,
+) -> Iterable[StageResult]:
     """Simulate the indentation of each site with its start values. Requires `build_feb`.
-
-    Parameters
-    ----------
-    case, out, wait, progress : as for `segment`
-    sites : name or names; None: all
-    solver : "auto": FEBio if it is found, else the bundled reference solver
-    febio : the FEBio binary
-    time_limit_s : of each simulation; None: by the model's size
-    vtu : also write a time series for ParaView
-    keep_plot : keep FEBio's plot file, model.xplt
 
     Raises
     ------
@@ -219,39 +208,30 @@ def run(
     SolveError
         If the end of the load is not reached; the partial results are in <site>-failed.
     """
-    within("run", time_limit_s=time_limit_s)
-    one_of("run", SOLVERS, solver=solver)
     from limbcli.stages import run as stage
 
     with at_work(case, out, wait=wait, progress=progress) as work:
-        found = stage.run(
+        return stage.run(
             work.case, out=work.out, sites=names_of(sites), solver=solver, febio=maybe_path(febio, "febio"),
             options=stage.RunOptions(time_limit_s=time_limit_s, vtu=vtu, keep_plot=keep_plot),
             progress=work.progress,
         )  # fmt: skip
-    return by_site(RunResult, found)
 
 
-@records_call
+@one(RunResult)
 def run_feb(
-    feb: PathLike,
+    feb: Annotated[PathLike, Option("A .feb or .feb.gz file, format 4.0, units mm-N-s.")],
     *,
-    out: PathLike | None = None,
-    solver: SolverName = "auto",
-    febio: PathLike | None = None,
-    time_limit_s: float | None = None,
-    vtu: bool = False,
-    keep_plot: bool = False,
-    wait: bool = True,
-    progress: Heard = None,
-) -> RunResult:
+    out: Annotated[PathLike | None, OUT] = None,
+    solver: Annotated[SolverName, SOLVER] = "auto",
+    febio: Annotated[PathLike | None, FEBIO] = None,
+    time_limit_s: Annotated[float | None, TIME_LIMIT] = None,
+    vtu: Annotated[bool, VTU] = False,
+    keep_plot: Annotated[bool, KEEP_PLOT] = False,
+    wait: Annotated[bool, WAIT] = True,
+    progress: Annotated[Heard, PROGRESS] = None,
+) -> StageResult:
     """Simulate a user-supplied FEBio model.
-
-    Parameters
-    ----------
-    feb : a .feb or .feb.gz file, format 4.0, units mm-N-s
-    out : output folder; None: out/<name of the file>
-    solver, febio, time_limit_s, vtu, keep_plot, wait, progress : as for `run`
 
     Raises
     ------
@@ -262,17 +242,14 @@ def run_feb(
     SolveError
         As `run`, or if the file contains what the reference solver does not support.
     """
-    within("run", time_limit_s=time_limit_s)
-    one_of("run_feb", SOLVERS, solver=solver)
     from limbcli.stages import run as stage
 
     with foreseen():
         file, heard = folder_of(feb, "feb"), listening(progress)
         target = default_out(Path(stage.model_name(file))) if out is None else folder_of(out)
         with one_writer(target, wait=wait, progress=heard):
-            found = stage.run_file(
+            return stage.run_file(
                 file, out=target, solver=solver, febio=maybe_path(febio, "febio"),
                 options=stage.RunOptions(time_limit_s=time_limit_s, vtu=vtu, keep_plot=keep_plot),
                 progress=heard,
             )  # fmt: skip
-    return RunResult.of(found)

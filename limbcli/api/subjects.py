@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from limbcli.api.base import Result, SiteResults, by_site, whole_paths
+from limbcli.api.base import Result, each_site, whole_paths
 from limbcli.api.call import (
     CaseLike,
     Heard,
@@ -17,12 +17,15 @@ from limbcli.api.call import (
     foreseen,
     listening,
     names_of,
-    records_call,
+    public,
 )
 from limbcli.api.tables import Tabular, plain_rows, read_columns
-from limbcli.case import Case
 from limbcli.errors.problems import Problem
+from limbcli.options import CASE, OUT, PROGRESS, SITES, WAIT, Option
 from limbcli.results import StageResult
+
+if TYPE_CHECKING:
+    from limbcli.stages.check import CaseCheck as Checked
 
 
 @dataclass(frozen=True)
@@ -73,50 +76,42 @@ class MeasureResult(Result):
     stage: ClassVar[str] = "measure"
     levels: Path
 
-    @classmethod
-    def of(cls, found: StageResult) -> Self:
-        return cls(found, found.path("levels"))
-
     def rows(self) -> list[dict[str, Any]]:
         return [self._named(row) for row in plain_rows(read_columns(self.levels))]
 
 
-def check(case: CaseLike, *, progress: Heard = None) -> CheckResult:
+def _checked(found: Checked) -> CheckResult:
+    return CheckResult(found.case, found.looked_at, found.problems)
+
+
+@public(_checked, "CheckResult")
+def check(case: Annotated[CaseLike, CASE], *, progress: Annotated[Heard, PROGRESS] = None) -> Checked:
     """Check everything about a case folder that can be known before computing, and return all problems at
     once.
 
-    Parameters
-    ----------
-    case : the folder that holds case.toml, or a `Case`, whose folder is read again
-    progress : called with (kind, facts) at each event; None: no calls
-
     It raises nothing for errors in the case: these are in `problems`.
     """
+    from limbcli.case import Case
     from limbcli.stages import check as stage
 
     with foreseen():
         folder = case.folder if isinstance(case, Case) else folder_of(case, "case")
-        found = stage.check(folder, progress=listening(progress))
-    return CheckResult(found.case, found.looked_at, found.problems)
+        return stage.check(folder, progress=listening(progress))
 
 
-@records_call
+@each_site(MeasureResult)
 def measure(
-    case: CaseLike,
+    case: Annotated[CaseLike, CASE],
     *,
-    out: PathLike | None = None,
-    sites: str | Iterable[str] | None = None,
-    write: bool = False,
-    wait: bool = True,
-    progress: Heard = None,
-) -> SiteResults[MeasureResult]:
+    out: Annotated[PathLike | None, OUT] = None,
+    sites: Annotated[str | Iterable[str] | None, SITES] = None,
+    write: Annotated[
+        bool, Option("Also write levels.csv to the path given in case.toml (if absent).")
+    ] = False,
+    wait: Annotated[bool, WAIT] = True,
+    progress: Annotated[Heard, PROGRESS] = None,
+) -> Iterable[StageResult]:
     """Convert the load-cell record, B-mode and elastography images to the rows of levels.csv.
-
-    Parameters
-    ----------
-    case, out, wait, progress : as for `segment`
-    sites : name or names; None: all
-    write : also write levels.csv where case.toml names it, if it does not exist
 
     Raises
     ------
@@ -128,7 +123,6 @@ def measure(
     from limbcli.stages import measure as stage
 
     with at_work(case, out, wait=wait, progress=progress) as work:
-        found = stage.measure(
+        return stage.measure(
             work.case, out=work.out, sites=names_of(sites), write=write, progress=work.progress
         )
-    return by_site(MeasureResult, found)

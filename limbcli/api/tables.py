@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import csv
-import html
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from limbcli.errors import ToolError
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # which help and messages do not need
+    import numpy as np
     import pandas
+    from numpy.typing import NDArray
 
 Row = Mapping[str, Any]
-Table = NDArray[np.void]
+Table: TypeAlias = "NDArray[np.void]"
 
 
 def structured(rows: Sequence[Row]) -> Table:
@@ -31,6 +29,8 @@ def structured(rows: Sequence[Row]) -> Table:
     >>> structured([]).shape
     (0,)
     """
+    import numpy as np
+
     names = list(dict.fromkeys(name for row in rows for name in row))
     columns = {name: _column([row.get(name) for row in rows]) for name in names}
     table = np.zeros(len(rows), dtype=[(name, each.dtype) for name, each in columns.items()])
@@ -40,6 +40,8 @@ def structured(rows: Sequence[Row]) -> Table:
 
 
 def _column(values: Sequence[Any]) -> NDArray[Any]:
+    import numpy as np
+
     there = [each for each in values if each is not None]
     if any(isinstance(each, str) for each in there):
         return np.array(["" if each is None else str(each) for each in values])
@@ -104,6 +106,8 @@ class Tabular:
 
     def _repr_html_(self) -> str:
         """Notebook representation: the findings with their warnings, as `print` shows them."""
+        import html
+
         return f"<pre>{html.escape(str(self))}</pre>"
 
 

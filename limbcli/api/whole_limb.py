@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from limbcli.api.base import Result
-from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path, records_call
-from limbcli.api.limits import one_of, within
-from limbcli.case import Case
+from limbcli.api.base import Result, one
+from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path
+from limbcli.api.geometry import thickness
+from limbcli.mesh_bounds import LIMB_CUT_MM, LIMB_NODES, LIMB_SITE_SIZE_MM
+from limbcli.options import C_KPA, CASE, ELEMENT, OUT, PROGRESS, TEMPLATES, WAIT, Option
 from limbcli.results import StageResult
 
 if TYPE_CHECKING:
     from limbcli.model import LimbModel
+
+
+def _patches(found: StageResult) -> tuple[str, ...]:
+    known = found.data["surfaces"]
+    return tuple(each.removeprefix("patch_") for each in known if each.startswith("patch_"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,29 +43,17 @@ class LimbResult(Result):
     n_cells: int
     n_nodes: int
     size_mm: float
-    min_angle_deg: float
+    min_angle_deg: float = field(metadata={"from": "quality/min_angle_deg"})
     volume_cm3: float
-    c_kpa: float
-    f_kappa: float
-    m: float
+    c_kpa: float = field(metadata={"from": "stiffness/c_kpa"})
+    f_kappa: float = field(metadata={"from": "stiffness/f_kappa"})
+    m: float = field(metadata={"from": "stiffness/m"})
     bones: tuple[str, ...]
-    patches: tuple[str, ...]
-    missing: dict[str, str]
-
-    @classmethod
-    def of(cls, found: StageResult) -> Self:
-        data, law = found.data, found.data["stiffness"]
-        patches = (name.removeprefix("patch_") for name in data["surfaces"] if name.startswith("patch_"))
-        return cls(
-            found, data["element"], data["n_cells"], data["n_nodes"], data["size_mm"],
-            data["quality"]["min_angle_deg"], data["volume_cm3"], law["c_kpa"], law["f_kappa"], law["m"],
-            tuple(data["bones"]), tuple(patches), dict(data["missing_parts"]),
-        )  # fmt: skip
+    patches: tuple[str, ...] = field(metadata={"from": _patches})
+    missing: dict[str, str] = field(metadata={"from": "missing_parts"})
 
     def rows(self) -> list[dict[str, Any]]:
-        left_out = ("stage_result", "bones", "patches", "missing")
-        names = [each.name for each in fields(self) if each.name not in left_out]
-        return [self._named({name: getattr(self, name) for name in names})]
+        return [self._named(self._fields("bones", "patches", "missing"))]
 
     def model(self) -> LimbModel:
         """The model at rest, with its named surfaces and node sets."""
@@ -68,40 +62,60 @@ class LimbResult(Result):
         return load_model(self.files["model"])
 
 
-@records_call
+@one(LimbResult)
 def limb(
-    case: CaseLike,
+    case: Annotated[CaseLike, CASE],
     *,
-    out: PathLike | None = None,
-    element: Literal["tet10", "tet4"] | None = None,
-    nodes: int = 40_000,
-    site_size_mm: float | None = None,
-    cut_mm: float | None = None,
-    distal_cut: bool = False,
-    skin_mm: float | Literal["mri"] | None = None,
-    fat_mm: float | Literal["mri"] | None = None,
-    c_kpa: float | None = None,
-    draws: Sequence[int] = (),
-    templates: PathLike | None = None,
-    wait: bool = True,
-    progress: Heard = None,
-) -> LimbResult:
+    out: Annotated[PathLike | None, OUT] = None,
+    element: Annotated[Literal["tet10", "tet4"] | None, ELEMENT] = None,
+    nodes: Annotated[
+        int, Option("About this number of nodes; the edges follow from it.", LIMB_NODES)
+    ] = 40_000,
+    site_size_mm: Annotated[
+        float | None,
+        Option(
+            "Edge length round the sites, such as 3 to set a probe there; default: as elsewhere.",
+            LIMB_SITE_SIZE_MM,
+        ),
+    ] = None,
+    cut_mm: Annotated[
+        float | None,
+        Option(
+            "Height of the proximal cut above the distal end; default: where the images end.", LIMB_CUT_MM
+        ),
+    ] = None,
+    distal_cut: Annotated[
+        bool, Option("Accept a limb whose distal end was not imaged: it stays free.")
+    ] = False,
+    skin_mm: Annotated[
+        float | Literal["mri"] | None,
+        Option(
+            "Thickness of a skin layer, 0 for none; default: the sites'.",
+            metavar="MM|mri",
+            kind=str,
+            python='Thickness of a skin layer all over the limb, 0 for none, "mri": as segmented; default: '
+            "the mean of the sites'.",
+        ),
+    ] = None,
+    fat_mm: Annotated[
+        float | Literal["mri"] | None,
+        Option("The same for a fat layer below the skin.", metavar="MM|mri", kind=str),
+    ] = None,
+    c_kpa: Annotated[float | None, C_KPA] = None,
+    draws: Annotated[
+        Sequence[int],
+        Option(
+            "Also write the model of this draw (0 to 49) of the stiffness field; repeatable.",
+            flag="--draw",
+            kind=list[int],
+            python="Numbers (0 to 49) of draws of the stiffness field whose models are written too.",
+        ),
+    ] = (),
+    templates: Annotated[PathLike | None, TEMPLATES] = None,
+    wait: Annotated[bool, WAIT] = True,
+    progress: Annotated[Heard, PROGRESS] = None,
+) -> StageResult:
     """Build the finite-element model of the whole limb, with named parts. Requires `segment`.
-
-    Parameters
-    ----------
-    case, out, wait, progress : as for `segment`
-    element : None: as in the case
-    nodes : about this number of nodes, 3000 to 400000
-    site_size_mm : edge length round the sites, such as 3 to set a probe there; None: as elsewhere
-    cut_mm : height of the proximal cut above the distal end; None: where the images end
-    distal_cut : accept a limb whose distal end was not imaged
-    skin_mm, fat_mm : thickness of a layer all over the limb, 0: no layer, "mri": as found by `segment`; None:
-        the mean of the case's sites
-    c_kpa : c = 2 mu of the tissue; None: the field through the fitted or diagnosed sites, else from SWE at
-        rest
-    draws : numbers (0 to 49) of draws of the field whose models are written too
-    templates : a folder of Jinja templates that take precedence over the built-in ones
 
     Raises
     ------
@@ -113,19 +127,15 @@ def limb(
 
     Source: docs/limb.md has the definition of every named part.
     """
-    within("limb", nodes=nodes, cut_mm=cut_mm, site_size_mm=site_size_mm, c_kpa=c_kpa)
-    one_of("limb", ("tet10", "tet4"), element=element)
-    from limbcli.api.geometry import thickness_argument
     from limbcli.stages import limb as stage
 
     options = stage.LimbOptions(
-        element, nodes, cut_mm, distal_cut, thickness_argument("limb", "skin_mm", skin_mm),
-        thickness_argument("limb", "fat_mm", fat_mm), c_kpa, site_size_mm,
+        element, nodes, cut_mm, distal_cut, thickness(skin_mm, "skin_mm"),
+        thickness(fat_mm, "fat_mm"), c_kpa, site_size_mm,
         tuple(draws),
     )  # fmt: skip
-    with at_work(case, out, wait=wait, progress=progress, opening=Case.open_images) as work:
-        found = stage.limb(
+    with at_work(case, out, wait=wait, progress=progress, images_only=True) as work:
+        return stage.limb(
             work.case, out=work.out, options=options, templates=maybe_path(templates, "templates"),
             progress=work.progress,
         )  # fmt: skip
-    return LimbResult.of(found)

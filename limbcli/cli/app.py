@@ -10,13 +10,13 @@ import math
 import os
 import sys
 from collections.abc import Callable, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
 
-from limbcli.cli.examples import EXAMPLES
+from limbcli.cli.command import command_of
+from limbcli.cli.commands import COMMANDS
 from limbcli.cli.fixes import for_command_line
 from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
 from limbcli.cli.results_stream import results
@@ -35,26 +35,6 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
-
-# In the order in which a new user needs them. Each module defines a function `command`.
-COMMANDS = {
-    "doctor": "doctor",
-    "new": "new",
-    "check": "check",
-    "measure": "measure",
-    "segment": "segment",
-    "mesh": "mesh",
-    "build-feb": "build_feb",
-    "run": "run",
-    "fit": "fit",
-    "diagnose": "diagnose",
-    "limb": "limb",
-    "report": "report",
-    "batch": "batch",
-    "cohort": "cohort",
-    "phantom": "phantom",
-    "synth": "synth",
-}
 
 
 def _print_version(value: bool) -> None:
@@ -93,11 +73,10 @@ def _never_ended(command: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
-for _name, _module in COMMANDS.items():
-    _command = import_module(f"limbcli.cli.{_module}").command
-    _first = inspect.getdoc(_command).partition("\n\n")[0]  # type: ignore[union-attr]
-    app.command(_name, short_help=" ".join(_first.split()), epilog=f"Example: {EXAMPLES[_name]}")(
-        _never_ended(_command)
+for _name, _each in COMMANDS.items():
+    _first = inspect.cleandoc(_each.help).partition("\n\n")[0]
+    app.command(_name, short_help=" ".join(_first.split()), epilog=f"Example: {_each.example}")(
+        _never_ended(command_of(_each.function, _each.help, like=_each.like))
     )
 
 

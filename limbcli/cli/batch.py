@@ -4,78 +4,30 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from limbcli.cli.options import (
-    FebioOpt,
-    JsonOpt,
-    NoWaitOpt,
-    OutOpt,
-    QuietOpt,
-    SolverOpt,
-    TemplatesOpt,
-    VerboseOpt,
-)
 from limbcli.cli.say import say
-from limbcli.cli.terminal import emit_json, terminal
+from limbcli.cli.terminal import emit_json
 from limbcli.errors import LimbError
+from limbcli.progress import Progress
 
 if TYPE_CHECKING:
-    from limbcli.progress import Progress
     from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailure
 
-CasesArg = Annotated[list[Path], typer.Argument(metavar="CASE...", help="Case folders.", show_default=False)]
-ElementOpt = Annotated[
-    str | None, typer.Option("--element", help="tet10 | tet4; default: the case's own.", show_default=False)
-]
-ForceOpt = Annotated[bool, typer.Option("--force", help="Redo every stage, even where nothing changed.")]
-DefaultsOpt = Annotated[
-    bool,
-    typer.Option(
-        "--defaults", help="Use default options instead of those that stages were last called with by hand."
-    ),
-]
-DiagnoseOpt = Annotated[
-    bool, typer.Option("--diagnose", help="Also diagnose every place (minutes each), once it is fitted.")
-]
-ExpectOpt = Annotated[
-    bool, typer.Option("--expect", help="Compare with the expected.toml of each case that has one.")
-]
-JobsOpt = Annotated[
-    int | None,
-    typer.Option(
-        "--jobs", "-j", min=1, metavar="N", show_default=False,
-        help="Number of parallel processes; default for several cases: as many as cores and memory allow.",
-    ),
-]  # fmt: skip
-SchedulerOpt = Annotated[
-    str | None,
-    typer.Option(
-        "--scheduler", metavar="ADDRESS", show_default=False,
-        help="Run on an existing Dask cluster, such as tcp://10.0.0.5:8786.",
-    ),
-]  # fmt: skip
 
-
-def command(
-    cases: CasesArg,
-    out: OutOpt = None,
-    element: ElementOpt = None,
-    solver: SolverOpt = "auto",
-    febio: FebioOpt = None,
-    templates: TemplatesOpt = None,
-    force: ForceOpt = False,
-    defaults: DefaultsOpt = False,
-    diagnose: DiagnoseOpt = False,
-    expect: ExpectOpt = False,
-    jobs: JobsOpt = None,
-    scheduler: SchedulerOpt = None,
-    no_wait: NoWaitOpt = False,
-    json: JsonOpt = False,
-    quiet: QuietOpt = False,
-    verbose: VerboseOpt = 0,
+def batch_cases(
+    cases: list[Path],
+    *,
+    out: Path | None,
+    expect: bool,
+    jobs: int | None,
+    scheduler: str | None,
+    wait: bool,
+    json: bool,
+    progress: Progress,
+    **others: Any,
 ) -> None:
     """Run all stages of one or more cases, from images to report; only what changed is redone.
 
@@ -89,13 +41,9 @@ def command(
     from limbcli.stages.batch_cases import n_processes, output_folders
     from limbcli.stages.batching.outcome import BatchOptions
 
-    options = BatchOptions.of(
-        element=element, solver=solver, febio=febio, templates=templates, force=force, defaults=defaults,
-        diagnose=diagnose,
-    )  # fmt: skip
-    progress = terminal(quiet=quiet, verbose=verbose)
+    options = BatchOptions.of(**others)
     pairs = output_folders(cases, out)
-    way = _Way(options, progress, wait=not no_wait, expect=expect, as_json=json)
+    way = _Way(options, progress, wait=wait, expect=expect, as_json=json)
     n_jobs = n_processes(jobs, scheduler, len(pairs))
     if scheduler is None and n_jobs == 1:
         entries = [way.alone(case, target) for case, target in pairs]

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Annotated
+
 import typer
 
-from limbcli.cli.options import CaseArg, JsonOpt, QuietOpt, VerboseOpt
 from limbcli.cli.say import say
-from limbcli.cli.terminal import emit_json, terminal
+from limbcli.cli.terminal import emit_json
+from limbcli.options import CASE
+from limbcli.progress import Progress
 
 
-def command(case: CaseArg, json: JsonOpt = False, quiet: QuietOpt = False, verbose: VerboseOpt = 0) -> None:
+def check_case(case: Annotated[Path, CASE], *, json: bool, progress: Progress) -> None:
     """Validate a case folder: files, units, ranges, missing pieces; lists every problem."""
     from limbcli.errors.commands import pasted_text
     from limbcli.stages.check import check
 
-    result = check(case, progress=terminal(quiet=quiet, verbose=verbose))
+    result = check(case, progress=progress)
     if json:
         emit_json(result.to_json())
     else:

@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 import itertools
+from pathlib import Path
+from typing import Annotated
 
 import typer
 
-from limbcli.cli.options import FebioOpt, JsonOpt, QuietOpt, VerboseOpt
 from limbcli.cli.say import say
-from limbcli.cli.terminal import emit_json, terminal
+from limbcli.cli.terminal import emit_json
+from limbcli.options import FEBIO
+from limbcli.progress import Progress
 
 _MARKS = {"good": "  ", "note": "- ", "missing": "! "}
 
 
-def command(
-    febio: FebioOpt = None, json: JsonOpt = False, quiet: QuietOpt = False, verbose: VerboseOpt = 0
-) -> None:
+def check_machine(*, febio: Annotated[Path | None, FEBIO] = None, json: bool, progress: Progress) -> None:
     """Check this machine for limbcli's requirements: versions, libraries, solvers with a self test, memory.
 
     Exit code 4 if a requirement is missing; every such line gives the fix.
     """
     from limbcli.stages.doctor import doctor
 
-    result = doctor(febio=febio, progress=terminal(quiet=quiet, verbose=verbose))
+    result = doctor(febio=febio, progress=progress)
     if json:
         emit_json(result.to_json())
     else:

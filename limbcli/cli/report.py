@@ -2,71 +2,55 @@
 
 from __future__ import annotations
 
+import inspect
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from limbcli.cli.options import JsonOpt, NoWaitOpt, OutOpt, QuietOpt, TemplatesOpt, VerboseOpt
+from limbcli.api.diagnosis import report
 from limbcli.cli.say import say
-from limbcli.cli.terminal import emit, emit_json, terminal
-from limbcli.output_lock import one_writer
+from limbcli.cli.terminal import emit, emit_json
+from limbcli.options import Option
 from limbcli.progress import Progress
 
-OptionalCaseArg = Annotated[
-    Path | None,
-    typer.Argument(metavar="CASE", help="Case folder (containing case.toml).", show_default=False),
-]
-IndexOpt = Annotated[
-    Path | None,
-    typer.Option(
-        "--index",
-        metavar="DIR",
-        help="Instead of one subject's page: a page that lists all subjects whose results lie in DIR.",
-        show_default=False,
-    ),
-]
-OpenOpt = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]
 
-
-def command(
-    case: OptionalCaseArg = None,
-    out: OutOpt = None,
-    index: IndexOpt = None,
-    open_page: OpenOpt = False,
-    templates: TemplatesOpt = None,
-    no_wait: NoWaitOpt = False,
-    json: JsonOpt = False,
-    quiet: QuietOpt = False,
-    verbose: VerboseOpt = 0,
+def report_case_or_index(
+    case: Annotated[
+        Path | None, Option("Case folder (containing case.toml).", metavar="CASE", kind=Path)
+    ] = None,
+    *,
+    index: Annotated[
+        Path | None,
+        Option(
+            "Instead of one subject's page: a page that lists all subjects whose results lie in DIR.",
+            metavar="DIR",
+            kind=Path,
+            before="templates",
+        ),
+    ] = None,
+    open_page: Annotated[
+        bool, Option("Open the page in the browser.", flag="--open", before="templates")
+    ] = False,
+    out: Path | None,
+    templates: Path | None,
+    wait: bool,
+    json: bool,
+    progress: Progress,
 ) -> None:
     """Write one self-contained page of the stages' results, or an index of many subjects."""
     if (case is None) == (index is None):
         raise typer.BadParameter("give either CASE or --index DIR")
-    if index is not None and (out is not None or no_wait):
+    if index is not None and (out is not None or not wait):
         raise typer.BadParameter("the index is written into DIR itself: omit --out and --no-wait")
-    progress = terminal(quiet=quiet, verbose=verbose)
     if index is not None:
         page = _index(index, templates, progress, as_json=json)
     else:
-        assert case is not None
-        page = _report(case, out, templates, progress, wait=not no_wait, as_json=json)
+        result = inspect.unwrap(report)(case, out=out, templates=templates, wait=wait, progress=progress)
+        emit(result, as_json=json)
+        page = result.path("page")
     if open_page:
         typer.launch(str(page.resolve()))
-
-
-def _report(
-    case: Path, out: Path | None, templates: Path | None, progress: Progress, *, wait: bool, as_json: bool
-) -> Path:
-    from limbcli.case import Case
-    from limbcli.config import default_out
-    from limbcli.stages.report import report
-
-    opened, target = Case.open(case), out or default_out(case)
-    with one_writer(target, wait=wait, progress=progress):
-        result = report(opened, out=target, templates=templates, progress=progress)
-    emit(result, as_json=as_json)
-    return result.path("page")
 
 
 def _index(folder: Path, templates: Path | None, progress: Progress, *, as_json: bool) -> Path:

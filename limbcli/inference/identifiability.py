@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.profile import Profile
+from limbcli.interval_limits import Flag
 from limbcli.model import Array
 from limbcli.significant_digits import short
 
@@ -111,10 +112,11 @@ def has_influence(sensitivity: Array, prediction: Array) -> Array:
 
 @dataclass(frozen=True)
 class Verdict:
-    """`flag`: identified | weak | trades off with X | at bound | no influence; `words`: why."""
+    """`flag`: a `Flag`, or "trades off with X"; `words`: why; `bound`: "lower" or "upper", if at one."""
 
     flag: str
     words: str
+    bound: str = ""
 
 
 def verdict(
@@ -138,7 +140,7 @@ def verdict(
     name = parameter.name
     if not influence and (profile is None or (profile.open_low and profile.open_high)):
         return Verdict(
-            "no influence",
+            Flag.NO_INFLUENCE,
             f"{name} has no influence on the force here (less than 0.1 % for a doubling): not identifiable.",
         )
     side = parameter.at_bound(value)
@@ -146,7 +148,9 @@ def verdict(
     if side:
         which, bound = ("lower", parameter.low) if side == "low" else ("upper", parameter.high)
         excluded = why_no_profile if profile is None else excluded
-        return Verdict("at bound", f"{name} ended on its {which} bound {bound:g}{unit}; {excluded}.")
+        return Verdict(
+            Flag.AT_BOUND, f"{name} ended on its {which} bound {bound:g}{unit}; {excluded}.", which
+        )
     if profile is None:
         return _without_profile(name, value, log_deviation, why_no_profile)
     wide = profile.is_open or profile.high / profile.low > _WEAK_RATIO
@@ -156,13 +160,13 @@ def verdict(
             f"{name} trades off with {partner[0]} (correlation {partner[1]:+.2f}): the data determine a "
             f"combination"
         )
-        return Verdict(f"trades off with {partner[0]}", f"{text} of the two; {excluded}.")
+        return Verdict(f"{Flag.TRADES_OFF} {partner[0]}", f"{text} of the two; {excluded}.")
     if profile.is_open:
-        return Verdict("weak", f"{name} is not identifiable from these data: {excluded}.")
+        return Verdict(Flag.WEAK, f"{name} is not identifiable from these data: {excluded}.")
     if wide:
-        return Verdict("weak", f"{name} is only weakly identified: {excluded}.")
+        return Verdict(Flag.WEAK, f"{name} is only weakly identified: {excluded}.")
     return Verdict(
-        "identified",
+        Flag.IDENTIFIED,
         f"{name} is identified: {short(profile.low, 4)} to {short(profile.high, 4)}{unit} (95 %).",
     )
 
@@ -170,9 +174,9 @@ def verdict(
 def _without_profile(name: str, value: float, log_deviation: float, why: str) -> Verdict:
     """Verdict from the standard error alone or, without one, a statement that the uncertainty is unknown."""
     if not np.isfinite(log_deviation):
-        return Verdict("weak", f"{name} = {short(value, 4)}; its uncertainty cannot be determined: {why}.")
+        return Verdict(Flag.WEAK, f"{name} = {short(value, 4)}; its uncertainty cannot be determined: {why}.")
     reach = float(np.exp(min(2 * _TWO_SIDED * log_deviation, 50.0)))
-    flag = "identified" if reach <= _WEAK_RATIO else "weak"
+    flag = Flag.IDENTIFIED if reach <= _WEAK_RATIO else Flag.WEAK
     share = 100.0 * log_deviation
     return Verdict(flag, f"{name} = {short(value, 4)}, standard error {short(share, 2)} %; {why}.")
 

@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from limbcli.reporting.figures import cohort as drawn
-from limbcli.reporting.numbers import DASH, cell, significant
+from limbcli.reporting.numbers import DASH, cell
 from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head
+from limbcli.significant_digits import significant
 
 Data = Mapping[str, Any]
 _NAMES = (("c_muscle_kpa", "c of muscle", "kPa"), ("c_fat_kpa", "c of fat", "kPa"), ("m", "m", ""))

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from limbcli.interval_limits import Flag
 from limbcli.reporting.agreement_view import UNTESTED, AgreementView, agreement_view
 from limbcli.reporting.figures.convergence import FitWalk
-from limbcli.reporting.headline import headline
+from limbcli.reporting.headline import Headline, headline
 from limbcli.reporting.numbers import DASH, number
 from limbcli.results import StageResult
 
@@ -31,16 +32,25 @@ class EstimateView:
     flag: str
     words: str = ""
     standard_error: float | None = None
+    bound: str = ""
+    computed: bool = True
 
     @property
     def is_sound(self) -> bool:
-        return self.flag in ("identified", "fixed")
+        return self.flag in (Flag.IDENTIFIED, Flag.FIXED)
 
     @property
-    def headline(self) -> str:
+    def headline(self) -> Headline:
         """The value, or words if the data do not determine one."""
-        computed = not self.interval_why or self.interval_why.startswith(_OPEN)
-        return headline(self.value, self.low, self.high, self.flag, why=self.words, computed=computed)
+        return headline(
+            self.value,
+            self.low,
+            self.high,
+            self.flag,
+            unit=self.unit,
+            bound=self.bound,
+            computed=self.computed,
+        )
 
     def times(self, factor: float | None, name: str, unit: str) -> EstimateView | None:
         """Estimate of the parameter times a quantity that is held fixed (kappa' = f_kappa c)."""
@@ -149,50 +159,53 @@ _UNITS = {"f_kappa": ("f_κ", ""), "m": ("m", ""), "c_kpa": ("c", "kPa"), "kappa
 
 
 def _step(key: str, content: Mapping[str, Any], *, locks: bool) -> StepView:
+    names = ("c_kpa", "m", "f_kappa", "kappa_kpa", "r2", "rmse_n", "seconds", "correlation")
     return StepView(
-        key,
-        STEP_NAMES.get(key, key),
-        number(content.get("c_kpa")),
-        number(content.get("m")),
-        number(content.get("f_kappa")),
-        number(content.get("kappa_kpa")),
-        number(content.get("r2")),
-        number(content.get("rmse_n")),
-        _count(content.get("n_iterations")),
-        _count(content.get("n_solves")),
-        number(content.get("seconds")),
-        str(content.get("reason") or ""),
-        read_estimates(content.get("parameters", {}), locks=locks),
-        number(content.get("correlation")),
+        key=key,
+        label=STEP_NAMES.get(key, key),
+        reason=str(content.get("reason") or ""),
+        estimates=read_estimates(
+            content.get("parameters", {}), locks=locks, computed=content.get("interval_95")
+        ),
+        n_iterations=_count(content.get("n_iterations")),
+        n_solves=_count(content.get("n_solves")),
+        **{name: number(content.get(name)) for name in names},
     )
 
 
-def read_estimates(parameters: Mapping[str, Any], *, locks: bool) -> tuple[EstimateView, ...]:
-    """The table `parameters` of a fit; `locks`: the fit used four-node tetrahedra."""
-    return tuple(_estimate(name, each, locks=locks) for name, each in parameters.items())
+def read_estimates(
+    parameters: Mapping[str, Any], *, locks: bool, computed: Collection[str] | None = None
+) -> tuple[EstimateView, ...]:
+    """The table `parameters` of a fit.
+
+    locks : the fit used four-node tetrahedra
+    computed : names of the parameters with an interval; None: all
+    """
+    return tuple(
+        _estimate(name, each, locks=locks, computed=computed is None or name in computed)
+        for name, each in parameters.items()
+    )
 
 
-_OPEN = "open to both"  # start of the reason of an interval that was computed but is open on both sides
 OF_THE_MESH = "of this tet4 mesh, not of the tissue"
 
 
-def _estimate(name: str, content: Mapping[str, Any], *, locks: bool) -> EstimateView:
+def _estimate(name: str, content: Mapping[str, Any], *, locks: bool, computed: bool) -> EstimateView:
     """`locks`: with four-node tetrahedra even a narrow interval of f_kappa describes the mesh, not the
     tissue."""
     symbol, unit = _UNITS.get(name, (name, ""))
     flag = str(content.get("flag") or DASH)
-    if locks and name == "f_kappa" and flag == "identified":
+    if locks and name == "f_kappa" and flag == Flag.IDENTIFIED:
         flag = OF_THE_MESH
     return EstimateView(
-        symbol,
-        number(content.get("value")),
-        unit,
-        number(content.get("low")),
-        number(content.get("high")),
-        str(content.get("interval_reason", "")),
-        flag,
-        str(content.get("words") or ""),
-        number(content.get("standard_error")),
+        name=symbol,
+        unit=unit,
+        interval_why=str(content.get("interval_reason", "")),
+        flag=flag,
+        words=str(content.get("words") or ""),
+        bound=str(content.get("bound") or ""),
+        computed=computed,
+        **{key: number(content.get(key)) for key in ("value", "low", "high", "standard_error")},
     )
 
 

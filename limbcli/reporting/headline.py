@@ -2,11 +2,30 @@
 
 from __future__ import annotations
 
-from limbcli.reporting.numbers import significant
+from dataclasses import dataclass, replace
 
-NOT_IDENTIFIABLE = "not identifiable"
-_SOUND = ("identified", "fixed")
-_NO_INFLUENCE, _AT_BOUND = "no influence", "at bound"
+from limbcli.interval_limits import Flag
+from limbcli.significant_digits import significant
+
+
+@dataclass(frozen=True)
+class Headline:
+    """A number with its unit, or words.
+
+    is_number : whether `text` is the value or both ends of its interval, rather than one limit or words
+    remark : what else is known of a value that is weakly determined
+    """
+
+    text: str
+    unit: str = ""
+    is_number: bool = False
+    remark: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.text} {self.unit}".rstrip() + (f" ({self.remark})" if self.remark else "")
+
+
+NOT_IDENTIFIABLE = Headline("not identifiable")
 
 
 def headline(
@@ -16,50 +35,45 @@ def headline(
     flag: str,
     *,
     unit: str = "",
-    why: str = "",
+    bound: str = "",
     computed: bool = True,
-) -> str:
+) -> Headline:
     """The value, shown only if the data exclude others on both sides and it is not a bound of the search;
     else words.
 
     low, high : 95 % interval; None where it is open
     computed : False if no interval was computed
-    flag : flag of the verdict (`inference.identifiability`)
-    why : its sentence, which names the bound
+    flag, bound : of the verdict (`inference.identifiability`)
 
-    >>> headline(5.98, 5.5, 6.4, "identified"), headline(1000.0, 3.3, None, "at bound")
+    >>> def shown(*estimate, **more):
+    ...     return str(headline(*estimate, **more))
+    >>> shown(5.98, 5.5, 6.4, "identified"), shown(1000.0, 3.3, None, "at bound")
     ('5.98', 'above 3.30')
-    >>> headline(3.25, None, 6.92, "weak", unit="kPa"), headline(83.0, None, None, "weak")
+    >>> shown(3.25, None, 6.92, "weak", unit="kPa"), shown(83.0, None, None, "weak")
     ('below 6.92 kPa', 'not identifiable')
-    >>> headline(83.8, 2.96, 397.0, "weak"), headline(50.0, 1.0, 90.0, "no influence")
+    >>> shown(83.8, 2.96, 397.0, "weak"), shown(50.0, 1.0, 90.0, "no influence")
     ('83.8 (weakly, 2.96 to 397)', 'not identifiable')
-    >>> headline(150.0, None, None, "weak", computed=False)
+    >>> shown(150.0, None, None, "weak", computed=False)
     '150 (no interval)'
+    >>> shown(1000.0, None, None, "at bound", bound="upper", computed=False)
+    'at the upper bound of the search'
     """
-    tail = f" {unit}" if unit else ""
-    if value is None or flag == _NO_INFLUENCE:
+    if value is None or flag == Flag.NO_INFLUENCE:
         return NOT_IDENTIFIABLE
-    if flag in _SOUND:
-        return f"{significant(value)}{tail}"
+    number = Headline(significant(value), unit, is_number=True)
+    if flag in (Flag.IDENTIFIED, Flag.FIXED):
+        return number
     if low is None and high is None:
         if computed:
             return NOT_IDENTIFIABLE
-        return _bound(why) if flag == _AT_BOUND else f"{significant(value)}{tail} (no interval)"
+        if flag == Flag.AT_BOUND:
+            return Headline(f"at the {bound} bound of the search".replace("  ", " "))
+        return replace(number, remark="no interval")
     if high is None:
-        return f"above {significant(low or 0.0)}{tail}"
+        return Headline(f"above {significant(low or 0.0)}", unit)
     if low is None:
-        return f"below {significant(high)}{tail}"
+        return Headline(f"below {significant(high)}", unit)
     ends = f"{significant(low)} to {significant(high)}"
-    if flag == _AT_BOUND:
-        return f"{ends}{tail}"
-    word = "weakly" if flag == "weak" else flag
-    return f"{significant(value)}{tail} ({word}, {ends})"
-
-
-def _bound(why: str) -> str:
-    """
-    >>> _bound("f_kappa ended on its upper bound 1000; no interval was requested.")
-    'at the upper bound of the search'
-    """
-    side = next((each for each in ("lower ", "upper ") if f"{each}bound" in why), "")
-    return f"at the {side}bound of the search"
+    if flag == Flag.AT_BOUND:
+        return Headline(ends, unit, is_number=True)
+    return replace(number, remark=f"{'weakly' if flag == Flag.WEAK else flag}, {ends}")

@@ -7,26 +7,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from limbcli.reporting.reportlet import Cell
+from limbcli.significant_digits import significant
 
 DASH = "–"
 _MOST_IN_A_ROW = 4
-_SMALLEST_EXPONENT = -4
 _THIN = "\u00a0"  # non-breaking space, keeps a number and its unit on one line
-
-
-def significant(value: float, digits: int = 3) -> str:
-    """
-    >>> significant(5.2034), significant(104.4), significant(0.01234), significant(12345.0), significant(0)
-    ('5.20', '104', '0.0123', '12345', '0')
-    >>> significant(1.0), significant(0.9999), significant(99.96), significant(-0.1), significant(3.21e-7)
-    ('1.00', '1.00', '100', '-0.100', '3.21e-7')
-    """
-    if value == 0:
-        return "0"
-    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-    if int(exponent) < _SMALLEST_EXPONENT:
-        return f"{mantissa}e{int(exponent)}"
-    return f"{value:.{max(digits - 1 - int(exponent), 0)}f}"
 
 
 def signed_percent(share: float) -> str:

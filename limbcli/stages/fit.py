@@ -24,6 +24,7 @@ from limbcli.inference.geometry_uncertainty import no_narrower
 from limbcli.inference.interval import Stiffness, force_intervals
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.two_step_fit import START_F_KAPPA, FittedStep, ForceDepth, two_step
+from limbcli.interval_limits import Flag
 from limbcli.measurement.indentation import Levels, level_warnings
 from limbcli.measurement.speed_noise import mean_speed_deviation
 from limbcli.model import Array, ElementMap, LimbModel
@@ -202,7 +203,7 @@ def _write_checks(
         penalty = fitted.contacts[0].penalty
         write_contact_check(penalty, forces, found.knots, harder, writer, progress=progress)
     if options.boundary_check:
-        free = {k: name for k, name in enumerate(NAMES) if writer.data["flags"][name] == "identified"}
+        free = {k: name for k, name in enumerate(NAMES) if writer.data["flags"][name] == Flag.IDENTIFIED}
         parameters = partial(moved_parameters, found.curve, found.knots, found.data, theta, free)
         write_boundary_check(changed, found.knots, writer, parameters=parameters)
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import limbcli
-from limbcli.api.call import names_of, records_call
+from limbcli.api.call import names_of, public
 from limbcli.errors import CaseError
 from limbcli.results import provenance
 
 
-@records_call
+@public(str, "str")
 def simulate(case: object, *, m: float = 1.0, progress: object = None) -> str:
     return str(provenance()["command"])
 
@@ -31,7 +31,7 @@ def test_a_result_of_a_command_says_it_as_it_can_be_typed_again(monkeypatch: pyt
 
 
 def test_a_call_that_fails_leaves_nothing_behind():
-    @records_call
+    @public(str, "str")
     def fail() -> None:
         raise ValueError
 

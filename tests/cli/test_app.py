@@ -16,7 +16,6 @@ import typer
 
 from limbcli import errors
 from limbcli.cli.app import COMMANDS, app, main
-from limbcli.cli.examples import EXAMPLES
 
 
 def limbcli(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
@@ -73,7 +72,7 @@ def test_help_names_every_option_whole_on_a_narrow_terminal(capsys, monkeypatch,
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_example_below_the_help_is_one_that_the_command_takes(capsys, name: str):
-    program, *words = shlex.split(EXAMPLES[name])
+    program, *words = shlex.split(COMMANDS[name].example)
     assert program == "limbcli"
     assert words[0] == name
     tool = typer.main.get_command(app)
@@ -82,7 +81,7 @@ def test_example_below_the_help_is_one_that_the_command_takes(capsys, name: str)
         assert context.params
     _, shown, _ = in_this_process(capsys, name, "--help")
     plain = re.sub(r"\s+", " ", re.sub(r"\x1b\[[0-9;]*m", "", shown))
-    assert EXAMPLES[name] in plain
+    assert COMMANDS[name].example in plain
 
 
 @pytest.mark.parametrize(

@@ -102,8 +102,8 @@ def test_without_an_interval_the_standard_error_decides_and_without_noise_nothin
 @pytest.mark.parametrize(("value", "which"), [(0.01, "lower"), (1000.0, "upper")])
 def test_a_headline_without_an_interval_names_the_bound(value, which):
     found = verdict(F_KAPPA, value, None, influence=True)
-    message = headline(value, None, None, found.flag, why=found.words, computed=False)
-    assert message == f"at the {which} bound of the search"
+    message = headline(value, None, None, found.flag, bound=found.bound, computed=False)
+    assert str(message) == f"at the {which} bound of the search"
 
 
 def test_the_words_of_a_parameter_with_a_unit_are_in_that_unit():

@@ -7,12 +7,13 @@ from collections.abc import Mapping
 from limbcli.interval_limits import THRESHOLD_95
 from limbcli.reporting.figures.convergence import fit_walk, newton_residuals
 from limbcli.reporting.fit_view import OGDEN, StepView, read_fit_view
-from limbcli.reporting.numbers import number, significant
+from limbcli.reporting.numbers import number
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Picture, Reportlet, placeholder
 from limbcli.reporting.sections.assumed_geometry import SYMBOLS
 from limbcli.reporting.sections.parameters import interval_text
 from limbcli.results import StageResult
+from limbcli.significant_digits import significant
 
 TITLE = "Did the identification converge?"
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from limbcli.reporting.fit_view import EstimateView, FitView, StepView, read_fit_view
-from limbcli.reporting.numbers import quantity, significant
+from limbcli.reporting.numbers import quantity
 from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import MOOD_WORDS, Mood, worst_mood
 from limbcli.reporting.sections.diagnosis import in_short
 from limbcli.reporting.sections.next_steps import next_steps
 from limbcli.reporting.sections.parameters import parameter_warnings
+from limbcli.significant_digits import significant
 
 
 @dataclass(frozen=True)
@@ -219,8 +220,7 @@ def _estimate(each: EstimateView) -> Fact:
     remark = each.flag
     if each.low is not None and each.high is not None:
         remark += f", 95 %: {significant(each.low)} to {significant(each.high)}"
-    value, _, _ = each.headline.partition(" (")
-    return Fact(_TITLES[each.name], value, remark, "fine" if each.is_sound else "warning")
+    return Fact(_TITLES[each.name], each.headline.text, remark, "fine" if each.is_sound else "warning")
 
 
 def _site_sentence(view: FitView) -> str:

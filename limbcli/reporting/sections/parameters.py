@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 from limbcli.reporting.fit_view import MOONEY_RIVLIN, OGDEN, EstimateView, FitView, StepView, read_fit_view
-from limbcli.reporting.numbers import DASH, cell, interval, quantity, significant
+from limbcli.reporting.numbers import DASH, cell, interval, quantity
 from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.report_data import ReportData
 from limbcli.reporting.reportlet import Cell, Mood, PageTable, Reportlet, head, worst_mood
 from limbcli.reporting.sections.assumed_geometry import geometry_tables
 from limbcli.reporting.sections.model_checks import model_check_tables, noise_alone
+from limbcli.significant_digits import significant
 
 KEY, TITLE = "parameters", "Which tissue parameters, and how certain are they?"
 _NOTABLE = 1.5  # ratio of misfit to stated noise above which it is mentioned
@@ -108,7 +109,7 @@ def with_verdict(shown: Cell, estimate: EstimateView | None) -> Cell:
     """Cell of a value; if the data do not determine it, words instead, with the verdict below."""
     if estimate is None or estimate.is_sound:
         return shown
-    return replace(shown, text=estimate.headline.split(" (")[0], reason=f"{estimate.name}: {estimate.flag}")
+    return replace(shown, text=estimate.headline.text, reason=f"{estimate.name}: {estimate.flag}")
 
 
 def _details(site: str, view: FitView) -> PageTable:
@@ -133,11 +134,11 @@ def estimate_cells(each: EstimateView) -> tuple[Cell, ...]:
     >>> [cell.text.replace("\u00a0", " ") for cell in estimate_cells(c)]
     ['c', 'not identifiable', '1.00 to 90.0 kPa', 'no influence']
     """
-    unit, text = f"\u00a0{each.unit}" if each.unit else "", each.headline.split(" (")[0]
+    unit, found = f"\u00a0{each.unit}" if each.unit else "", each.headline
     return (
         Cell(each.name),
         cell(each.value, unit=each.unit) if each.is_sound else Cell(
-            text + unit * any(map(str.isdigit, text))
+            found.text + (unit if found.unit else "")
         ),
         Cell(interval_text(each) + unit) if each.low is not None or each.high is not None else Cell(
             DASH, reason=each.interval_why

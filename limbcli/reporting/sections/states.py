@@ -7,11 +7,12 @@ from typing import Any
 
 from limbcli.reporting.agreement_view import agreement_view
 from limbcli.reporting.fit_view import read_estimates
-from limbcli.reporting.numbers import DASH, cell, quantity, significant
+from limbcli.reporting.numbers import DASH, cell, quantity
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head, placeholder, worst_mood
 from limbcli.reporting.sections.parameters import TET4_WORDS, estimate_cells
 from limbcli.results import StageResult
+from limbcli.significant_digits import significant
 
 TITLE = "In which state is the tissue least stiff, and in which is it unloaded?"
 _WAYS = ("along", "around")

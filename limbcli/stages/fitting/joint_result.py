@@ -14,6 +14,7 @@ from limbcli.inference.agreement import chi_square_agreement
 from limbcli.inference.identifiability import Verdict, are_determined, correlation, verdict
 from limbcli.inference.joint import JointProblem, JointTask, SiteMeasurement, SitePrediction, held_out_error
 from limbcli.inference.parameter import FitParameter
+from limbcli.interval_limits import Flag
 from limbcli.measurement.levels import LAYERS
 from limbcli.model import LimbModel
 from limbcli.reporting.headline import headline
@@ -122,16 +123,13 @@ def parameter_table(problem: EstimationProblem, found: Intervals) -> dict[str, d
             replace(profile, low=unit * profile.low, high=unit * profile.high),
         )
         spoken: Verdict = verdict(own, unit * value, seen, influence=True, correlations=others, unit=named)
-        words = spoken.words
         low = None if profile.open_low else unit * profile.low
         high = None if profile.open_high else unit * profile.high
         table["c_kpa" if k == 0 else parameter.name] = {
             "value": unit * value,
-            "headline": headline(
-                unit * value, low, high, spoken.flag, why=words, unit=named
-            ),
+            "headline": str(headline(unit * value, low, high, spoken.flag, unit=named)),
             "standard_error": unit * value * float(np.sqrt(covariance[k, k])),
-            "low": low, "high": high, "flag": spoken.flag, "words": words,
+            "low": low, "high": high, "flag": spoken.flag, "words": spoken.words,
         }  # fmt: skip
     return table
 
@@ -144,11 +142,9 @@ def judge_given_c(c: dict[str, Any], task: JointTask, scale: float) -> None:
     if task.c_deviation is None or c["standard_error"] < np.sqrt(0.5 * scale) * task.c_deviation * c["value"]:
         return
     given = f"{short(kpa_from_mpa(task.c0), 4)} kPa, one deviation {short(100 * task.c_deviation, 2)} %"
-    c["flag"], c["words"] = (
-        "fixed",
-        (f"c is what was given ({given}): the data determine it less precisely than that."),
-    )
-    c["headline"] = headline(c["value"], c["low"], c["high"], c["flag"], unit="kPa")
+    c["flag"] = Flag.FIXED
+    c["words"] = f"c is what was given ({given}): the data determine it less precisely than that."
+    c["headline"] = str(headline(c["value"], c["low"], c["high"], c["flag"], unit="kPa"))
 
 
 def _in_unit(parameter: FitParameter, unit: float) -> FitParameter:

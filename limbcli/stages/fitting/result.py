@@ -15,8 +15,10 @@ from limbcli.inference.adaptive import Intervals
 from limbcli.inference.agreement import speed_agreement, worst
 from limbcli.inference.geometry_uncertainty import ends
 from limbcli.inference.two_step_fit import MOONEY_RIVLIN, OGDEN
+from limbcli.interval_limits import Flag
 from limbcli.model import LimbModel
 from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth
+from limbcli.reporting.headline import headline
 from limbcli.results import StageWriter
 from limbcli.significant_digits import short
 from limbcli.solvers.base import Simulation
@@ -181,7 +183,8 @@ def summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) -
     }
     writer.summary.append(f"c = {last['c_kpa']:.2f} kPa, held fixed ({found.c_source})")
     for name in NAMES:
-        writer.summary.append(_headline(name, last["parameters"][name]))
+        computed = name in last["interval_95"]
+        writer.summary.append(_estimated(name, last["parameters"][name], computed=computed))
     first = writer.data["steps"][MOONEY_RIVLIN]
     writer.summary.append(
         f"R2 {last['r2']:.4f}, RMSE {last['rmse_n']:.3f} N (with m = 2: f_kappa "
@@ -196,7 +199,7 @@ def summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) -
             "interval is valid for this mesh only; tet10 elements do not lock (--compare-element shows both)"
         )
     for name in NAMES:
-        if last["flags"][name] not in ("identified", "fixed"):
+        if last["flags"][name] not in (Flag.IDENTIFIED, Flag.FIXED):
             writer.warnings.append(last["words"][name])
 
 
@@ -222,21 +225,22 @@ _POOR = (
 )
 
 
-def _headline(name: str, content: Mapping[str, Any]) -> str:
+def _estimated(name: str, estimate: Mapping[str, Any], *, computed: bool) -> str:
     """
-    >>> told = {"headline": "15.2", "low": 14.0, "high": 16.5, "flag": "identified"}
-    >>> _headline("f_kappa", told)
+    >>> estimate = {"value": 15.2, "low": 14.0, "high": 16.5, "flag": "identified", "bound": ""}
+    >>> _estimated("f_kappa", estimate, computed=True)
     'f_kappa = 15.2 (95 %: 14 to 16.5): identified'
-    >>> _headline("m", {"headline": "above 3.30", "low": 3.3, "high": None, "flag": "at bound"})
+    >>> _estimated("m", estimate | {"low": 3.3, "high": None, "flag": "at bound"}, computed=True)
     'm: above 3.30 (95 %): at bound'
     """
-    text, flag, ends = content["headline"], content["flag"], (content["low"], content["high"])
-    if not text[0].isdigit():
-        return f"{name}: {text}{' (95 %)' if ends != (None, None) else ''}: {flag}"
-    if "(" in text:  # the text already contains the interval, or the remark that there is none
-        return f"{name} = {text}: {flag}"
-    interval = "no interval" if None in ends else f"95 %: {short(ends[0])} to {short(ends[1])}"
-    return f"{name} = {text} ({interval}): {flag}"
+    low, high, flag = estimate["low"], estimate["high"], estimate["flag"]
+    found = headline(estimate["value"], low, high, flag, bound=estimate["bound"], computed=computed)
+    if not found.is_number:
+        return f"{name}: {found}{' (95 %)' if (low, high) != (None, None) else ''}: {flag}"
+    if found.remark:
+        return f"{name} = {found}: {flag}"
+    interval = "no interval" if None in (low, high) else f"95 %: {short(low)} to {short(high)}"
+    return f"{name} = {found} ({interval}): {flag}"
 
 
 def _element(model: LimbModel) -> str:

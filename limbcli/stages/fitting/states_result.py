@@ -12,6 +12,7 @@ from limbcli.effects.tissue import fibre_direction
 from limbcli.feb.write import write_feb
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.states import StatesProblem
+from limbcli.interval_limits import Flag
 from limbcli.model import LimbModel
 from limbcli.reporting.headline import headline
 from limbcli.results import StageWriter
@@ -79,9 +80,9 @@ def _with_stretches_judged(table: dict[str, dict[str, Any]], plan: StretchPlan) 
     for parameter in plan.parameters:
         each = table[parameter.name]
         low, high = each["low"], each["high"]
-        if each["flag"] == "identified" and high / low > _WIDE:
-            each["flag"] = "weak"
-            each["headline"] = headline(each["value"], low, high, each["flag"])
+        if each["flag"] == Flag.IDENTIFIED and high / low > _WIDE:
+            each["flag"] = Flag.WEAK
+            each["headline"] = str(headline(each["value"], low, high, each["flag"]))
             each["words"] = f"{parameter.name} is only weakly identified: {low:.3g} to {high:.3g} (95 %)."
     return table
 
@@ -118,7 +119,9 @@ def _undetermined(
     found = [
         f"not determined by these data: {each['words'].rstrip('.')}"
         for name, each in parameters.items()
-        if each["low"] is None or each["high"] is None or (name in stretches and each["flag"] != "identified")
+        if each["low"] is None
+        or each["high"] is None
+        or (name in stretches and each["flag"] != Flag.IDENTIFIED)
     ]
     return found + [each.words() for each in lowest if not each.is_determined]
 

@@ -24,6 +24,7 @@ from limbcli.inference.interval import Stiffness
 from limbcli.inference.prediction import SolvedPoints, slopes_at
 from limbcli.inference.profile import ends_beyond
 from limbcli.inference.two_step_fit import FittedStep, ForceDepth, sensitivities
+from limbcli.interval_limits import Flag
 from limbcli.model import Array
 from limbcli.reporting.headline import headline
 from limbcli.units import kpa_from_mpa
@@ -207,7 +208,7 @@ def _verdicts(found: Identified, k: int, covariance: Array) -> dict[str, Verdict
     assert answer.jacobian is not None
     influence = has_influence(answer.jacobian, answer.values)
     rho = np.nan_to_num(correlation(covariance))
-    verdicts = {"c_kpa": Verdict("fixed", f"c is held fixed: {found.c_source}.")}
+    verdicts = {"c_kpa": Verdict(Flag.FIXED, f"c is held fixed: {found.c_source}.")}
     for parameter, index in zip(step.fit.parameters, step.free, strict=True):
         profile = found.intervals[k].profiles.get(parameter.name) if found.intervals else None
         others = [("c", rho[1 + index, 0])]
@@ -241,11 +242,11 @@ def _parameter(
     reason = "open to both bounds: no value is excluded" if interval else found.why_no_intervals
     return {
         "value": value, "low": low, "high": high, "standard_error": error,
-        "headline": headline(
-            value, low, high, verdict.flag, why=verdict.words, computed=interval is not None
-        ),
+        "headline": str(headline(
+            value, low, high, verdict.flag, bound=verdict.bound, computed=interval is not None
+        )),
         "interval_reason": reason if low is None and high is None else "",
-        "flag": verdict.flag, "words": verdict.words,
+        "flag": verdict.flag, "bound": verdict.bound, "words": verdict.words,
     }  # fmt: skip
 
 
