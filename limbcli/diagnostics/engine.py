@@ -25,15 +25,13 @@ from limbcli.diagnostics.conclusions.blind_spots import BlindSpot, blind_spot
 from limbcli.diagnostics.conclusions.estimates import Estimates, estimates, sizes_95
 from limbcli.diagnostics.conclusions.next_measurement import NextStep, ranked
 from limbcli.diagnostics.conclusions.verdict import Diagnosis, Shrink, Word
-from limbcli.diagnostics.evidence.chance import least_by_chance
 from limbcli.diagnostics.evidence.laplace import Posterior
-from limbcli.diagnostics.evidence.linear_evidence import LinearEvidence
-from limbcli.diagnostics.model.common_errors import CommonError, common_errors
+from limbcli.diagnostics.evidence.linear_evidence import LinearEvidence, least_by_chance
 from limbcli.diagnostics.model.forward_model import Explanation, Facts, Fitted, ForwardModel
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
+from limbcli.diagnostics.model.noise import CommonError, common_errors
+from limbcli.diagnostics.residuals import Roughness, held_out_error, over_shared, roughness
 from limbcli.diagnostics.search import Explained, PriorOdds, Search, containing, credible, named
-from limbcli.diagnostics.statistics.heldout import held_out_error, over_shared
-from limbcli.diagnostics.statistics.roughness import Roughness, roughness
 from limbcli.errors import LimbError
 from limbcli.progress import SILENT, Progress
 

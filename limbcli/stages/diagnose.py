@@ -29,7 +29,7 @@ from limbcli.effects.own_file import effect_of_file
 from limbcli.errors import CaseError, LimbError, errors_of_site
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, open_stage, plain, read_result
-from limbcli.stages.diagnosis.drainage.drained import DrainageSolver
+from limbcli.stages.diagnosis.drainage import DrainageSolver
 from limbcli.stages.diagnosis.forward_model.measurement_menu import known
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves

@@ -29,7 +29,7 @@ from limbcli.effects.curves import Curves
 from limbcli.effects.far_side import FAR_SIDE
 from limbcli.model import Array, IntArray
 from limbcli.progress import SILENT
-from limbcli.stages.diagnosis.curves.exponents import FIRST_M
+from limbcli.stages.diagnosis.curves.curve_plan import FIRST_M
 from limbcli.stages.diagnosis.data import noise
 from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.stages.diagnosis.mesh_error.numerical_checks import (

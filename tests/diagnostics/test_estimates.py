@@ -14,7 +14,7 @@ from limbcli.diagnostics.model.linear import Whitener
 from limbcli.diagnostics.model.noise import Noise, independent
 from limbcli.diagnostics.model.priors import Prior, Priors
 from limbcli.effects import EFFECTS
-from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
+from limbcli.stages.diagnosis.forward_model.predictions import Slot
 from limbcli.stages.diagnosis.sizes import reported_sizes
 from tests.diagnostics import toy
 

@@ -10,7 +10,7 @@ import pytest
 
 from limbcli.case import StatedNoise
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
-from limbcli.diagnostics.statistics.roughness import roughness
+from limbcli.diagnostics.residuals import roughness
 from limbcli.effects import effect
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Protocol, Reading, read

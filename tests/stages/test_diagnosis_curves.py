@@ -16,10 +16,9 @@ from limbcli.fem.equilibrium.solve_times import step_times
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.budget import Budget, BudgetSpent
 from limbcli.stages.diagnosis.curves import site_models
-from limbcli.stages.diagnosis.curves.curve_plan import Reach, Solving
+from limbcli.stages.diagnosis.curves.curve_plan import Reach, SiteWork, Solving
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.curves.site_solver import SiteSolver
-from limbcli.stages.diagnosis.curves.work_budget import SiteWork
 from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.stages.diagnosis.forward_model.changes import Changes
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves

@@ -11,10 +11,10 @@ from limbcli.diagnostics.check import Check
 from limbcli.diagnostics.conclusions.blind_spots import BlindSpot
 from limbcli.diagnostics.conclusions.estimates import Estimates
 from limbcli.diagnostics.conclusions.next_measurement import NextStep
-from limbcli.diagnostics.model.common_errors import CommonError
 from limbcli.diagnostics.model.forward_model import Explanation, Facts, Fitted
+from limbcli.diagnostics.model.noise import CommonError
+from limbcli.diagnostics.residuals import Roughness
 from limbcli.diagnostics.search import Explained
-from limbcli.diagnostics.statistics.roughness import Roughness
 
 Word = Literal["adequate", "named", "ambiguous", "unexplained", "untestable"]
 

@@ -28,8 +28,7 @@ from limbcli.model import LimbModel
 from limbcli.model_io import load_model, save_model
 from limbcli.progress import Progress
 from limbcli.results import plain, read_result
-from limbcli.stages.diagnosis.curves.curve_plan import Reach
-from limbcli.stages.diagnosis.curves.exponents import FIRST_M, where_solved
+from limbcli.stages.diagnosis.curves.curve_plan import FIRST_M, Reach, where_solved
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.data.held_forces import held_forces
 from limbcli.stages.diagnosis.data.layers import BorderLines
@@ -37,8 +36,8 @@ from limbcli.stages.diagnosis.data.noise import deepest, readings
 from limbcli.stages.diagnosis.data.rows import ExtraMeasurement
 from limbcli.stages.diagnosis.data.site_data import SiteData, site_data
 from limbcli.stages.diagnosis.data.windows import Windows
-from limbcli.stages.diagnosis.drainage.drained import NAME as POROELASTICITY
-from limbcli.stages.diagnosis.drainage.drained import DrainageSolver, Drained, drained
+from limbcli.stages.diagnosis.drainage import NAME as POROELASTICITY
+from limbcli.stages.diagnosis.drainage import DrainageSolver, Drained, drained
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.stages.diagnosis.mesh_error.mesh_correction import F_KAPPA, MeshCorrection, own_layers
 from limbcli.stages.diagnosis.mesh_error.model_errors import ModelErrors

@@ -15,14 +15,14 @@ from limbcli.diagnostics import decisions
 from limbcli.diagnostics.check import Check
 from limbcli.diagnostics.conclusions.sentences import recommended
 from limbcli.diagnostics.conclusions.verdict import Diagnosis, Shrink
-from limbcli.diagnostics.model.common_errors import CommonError
+from limbcli.diagnostics.model.noise import CommonError
 from limbcli.diagnostics.search import Explained
 from limbcli.drawing import save_figure
 from limbcli.effects.base import Parameter
 from limbcli.stages.diagnosis.data.joint import slices
 from limbcli.stages.diagnosis.data.noise import COMPRESSIBILITY
 from limbcli.stages.diagnosis.data.site_data import SiteData
-from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
+from limbcli.stages.diagnosis.forward_model.predictions import Slot
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.stages.diagnosis.mesh_error.numerical_checks import f_kappa_at
 from limbcli.stages.diagnosis.sizes import reported_sizes

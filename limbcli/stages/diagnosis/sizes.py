@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from limbcli.effects import poroelasticity
-from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
+from limbcli.stages.diagnosis.forward_model.predictions import Slot
 
 Interval = tuple[float | None, float | None]
 Sizes = dict[str, dict[str, Interval]]

@@ -20,7 +20,7 @@ from limbcli.effects.ingredients import Ingredients, touches_loads
 from limbcli.errors import SolveError
 from limbcli.model import Array, LimbModel
 from limbcli.progress import Progress
-from limbcli.stages.diagnosis.curves.exponents import FIRST_M
+from limbcli.stages.diagnosis.curves.curve_plan import FIRST_M
 from limbcli.stages.diagnosis.data.layers import line_shift
 from limbcli.stages.diagnosis.data.windows import Windows
 

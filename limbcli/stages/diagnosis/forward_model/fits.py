@@ -16,8 +16,7 @@ from limbcli.diagnostics.model.priors import Priors
 from limbcli.effects.base import Theta
 from limbcli.errors import FitError, SolveError
 from limbcli.model import Array
-from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
-from limbcli.stages.diagnosis.forward_model.predictions import Predictions
+from limbcli.stages.diagnosis.forward_model.predictions import Predictions, Slot
 from limbcli.stages.diagnosis.forward_model.surrogate import label
 from limbcli.units import kpa_from_mpa
 

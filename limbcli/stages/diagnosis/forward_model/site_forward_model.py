@@ -26,17 +26,16 @@ from limbcli.diagnostics.model.priors import Prior
 from limbcli.effects.base import Effect, Theta, point_name
 from limbcli.errors import LimbError, SolveError
 from limbcli.model import Array
-from limbcli.stages.diagnosis.curves.exponents import FIRST_M
+from limbcli.stages.diagnosis.curves.curve_plan import FIRST_M
 from limbcli.stages.diagnosis.data.noise import (
     BESIDE,
     IN_MAPS,
     LEAST_BESIDE,
     LEAST_IN_MAPS,
 )
-from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
 from limbcli.stages.diagnosis.forward_model.fits import Fits
 from limbcli.stages.diagnosis.forward_model.measurement_menu import menu
-from limbcli.stages.diagnosis.forward_model.predictions import Predictions, held_points
+from limbcli.stages.diagnosis.forward_model.predictions import Predictions, Slot, held_points
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves, label
 
 _SETTLED, _BEYOND = 0.1, 0.1  # largest distance in ln m from the nearest solved m, and beyond all of them

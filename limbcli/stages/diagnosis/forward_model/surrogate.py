@@ -21,7 +21,7 @@ from limbcli.effects.reading import Reading
 from limbcli.errors import LimbError
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
-from limbcli.stages.diagnosis.curves.exponents import bend, where_solved
+from limbcli.stages.diagnosis.curves.curve_plan import bend, where_solved
 from limbcli.stages.diagnosis.data.site_data import SiteData
 from limbcli.stages.diagnosis.forward_model.changes import Changes, CurveSource, logs, without_spikes
 from limbcli.stages.diagnosis.mesh_error.mesh_correction import MeshCorrection

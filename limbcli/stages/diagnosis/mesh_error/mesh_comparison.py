@@ -16,7 +16,7 @@ from limbcli.model import Array
 from limbcli.model_io import load_model
 from limbcli.progress import Progress
 from limbcli.results import read_result
-from limbcli.stages.diagnosis.curves.exponents import bend
+from limbcli.stages.diagnosis.curves.curve_plan import bend
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.mesh_error.mesh_correction import MeshCorrection, own_curves, own_layers
 

@@ -22,7 +22,7 @@ from limbcli.errors import CaseError, LimbError
 from limbcli.feb.settings import USUAL_PENALTY
 from limbcli.model import Array, LimbModel
 from limbcli.results import read_result
-from limbcli.stages.diagnosis.curves.exponents import bend, where_solved
+from limbcli.stages.diagnosis.curves.curve_plan import bend, where_solved
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.units import mpa_from_kpa
 

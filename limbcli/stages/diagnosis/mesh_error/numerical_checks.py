@@ -25,7 +25,7 @@ from limbcli.errors import LimbError
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, LimbModel
 from limbcli.progress import Progress
-from limbcli.stages.diagnosis.curves.exponents import FIRST_M, where_solved
+from limbcli.stages.diagnosis.curves.curve_plan import FIRST_M, where_solved
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.data.noise import COMPRESSIBILITY, FEWEST_SMOOTH, SmoothDepth, readings
 from limbcli.stages.diagnosis.mesh_error.mesh_comparison import (
