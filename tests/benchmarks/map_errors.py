@@ -32,6 +32,7 @@ from limbcli.progress import SILENT
 from limbcli.stages.diagnosis.curves.curve_plan import FIRST_M
 from limbcli.stages.diagnosis.data import noise
 from limbcli.stages.diagnosis.data.windows import Windows
+from limbcli.stages.diagnosis.forward_model.surrogate import AtPoints
 from limbcli.stages.diagnosis.mesh_error.numerical_checks import (
     _FAR_SIDE_LEFT,
     INCOMPRESSIBILITY,
@@ -89,7 +90,7 @@ def measured(site: str, truth: dict, folder: Path) -> tuple[str, Off]:
     prepared = prepared_site(site, folder)
     try:
         prepared.curves.solve_nodes(FIRST_M)
-        curves = prepared.curves.curves(truth["c_kpa"] / 1e3, truth["m"], (), {}, [])
+        curves = prepared.curves.curves(truth["c_kpa"] / 1e3, truth["m"], AtPoints(), {})
         near = min(FIRST_M, key=lambda m: abs(np.log(m / truth["m"])))
         free, held, stiffer = (
             prepared.simulations.curves(near, changes)

@@ -90,9 +90,11 @@ class Diagnosis:
         return self.shrink[-1].estimates
 
     @property
+    def fits(self) -> dict[Explanation, Fitted]:
+        """The fits of the explanations that were fitted."""
+        return {each.explanation: each.posterior.fitted for each in self.explanations if each.posterior}
+
+    @property
     def final(self) -> Fitted:
         """The fit of the chosen explanation."""
-        for each in self.explanations:
-            if each.explanation == self.chosen and each.posterior is not None:
-                return each.posterior.fitted
-        return self.base
+        return self.fits.get(self.chosen, self.base)

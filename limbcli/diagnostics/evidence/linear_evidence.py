@@ -63,8 +63,8 @@ class Added:
         """Both effects together."""
         a, b = self.direction, other.direction
         both = Direction(
-            np.hstack([a.columns, b.columns]), (*a.signs, *b.signs),
-            ", ".join(filter(None, (a.point, b.point))), (*a.names, *b.names), {**a.at, **b.at},
+            np.hstack([a.columns, b.columns]), (*a.names, *b.names),
+            ", ".join(filter(None, (a.point, b.point))), {**a.at, **b.at},
         )  # fmt: skip
         return Added(
             both, np.hstack([self.columns, other.columns]), np.hstack([self.seen, other.seen]),

@@ -10,13 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from limbcli.effects.ingredients import (
-    Ingredients,
-    has_fitted_size,
-    is_numerical,
-    is_of_law_alone,
-    names_of,
-)
+from limbcli.effects.ingredients import Ingredients, has_fitted_size, is_numerical, is_of_law_alone, names_of
 from limbcli.errors import SolveError
 from limbcli.model import Array, IntArray, LimbModel
 from limbcli.progress import Progress

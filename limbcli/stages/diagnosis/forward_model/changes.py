@@ -6,7 +6,8 @@ The change by an effect of the material law is evaluated at the stored deformati
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol as Typed
 
@@ -47,45 +48,51 @@ class CurveSource(Typed):
 
 
 @dataclass(frozen=True, eq=False)
-class TwoSided:
-    """Odd and even parts of the change by a two-sided parameter, at its start value.
+class Change:
+    """Change of ln force and ln speed by an effect at one point of its grid, as a sum over its parameters.
 
-    Both are proportional to the distance from null; the even part, caused by whichever edge touches first, is
-    smoothed about null.
+    parts : by parameter, the change at a value of it
+    """
+
+    parts: Mapping[str, Callable[[float], Array]]
+
+    def at(self, theta: Theta) -> Array:
+        total: Array | float = 0.0
+        for name, part in self.parts.items():
+            total = total + part(theta[name])
+        return np.asarray(total)
+
+
+def _two_sided(p: Parameter, there: Array, other: Array) -> Callable[[float], Array]:
+    """Change by a two-sided parameter from those at its start value and as far on the other side of null.
+
+    Their odd and even parts are proportional to the distance from null; the even part, caused by whichever
+    edge touches first, is smoothed about null.
 
     On a limb (m 4, tilted about the probe's long axis by 5, -5 and 10 degrees) ln force at 7 of 39 mm changes
     by -0.038, -0.010 and -0.079: in proportion -5 would be +0.038, and 10 by a parabola -0.100.
     """
+    odd, even = 0.5 * (there - other), 0.5 * (there + other)
 
-    odd: Array
-    even: Array
-
-    def at(self, x: float) -> Array:
-        """x : distance from null in units of that of the start value"""
+    def at(value: float) -> Array:
+        x = (value - p.null) / (p.start - p.null)
         size = (np.hypot(x, _ROUNDED) - _ROUNDED) / (np.hypot(1.0, _ROUNDED) - _ROUNDED)
-        return np.asarray(x * self.odd + size * self.even)
+        return np.asarray(x * odd + size * even)
+
+    return at
 
 
-@dataclass(frozen=True, eq=False)
-class Change:
-    """Change of ln force and ln speed by an effect at one point of its grid, as a sum over its parameters.
+def _between(p: Parameter, times: Array, table: Array) -> Callable[[float], Array]:
+    """Spline through changes at distances from null, in units of that of the start value; linear beyond
+    them."""
+    spline = CubicSpline(times, table)
 
-    By parameter: a spline over the distance from null in units of that of the start value, a `TwoSided`, or
-    the change at the start value, scaled in proportion.
-    """
+    def at(value: float) -> Array:
+        x = (value - p.null) / (p.start - p.null)
+        inside = float(np.clip(x, spline.x[0], spline.x[-1]))
+        return np.asarray(spline(inside) + (x - inside) * spline(inside, 1))
 
-    parts: Mapping[Parameter, CubicSpline | TwoSided | Array]
-
-    def at(self, theta: Theta) -> Array:
-        total: Array | float = 0.0
-        for p, part in self.parts.items():
-            if isinstance(part, CubicSpline):
-                total = total + _within(part, (theta[p.name] - p.null) / (p.start - p.null))
-            elif isinstance(part, TwoSided):
-                total = total + part.at((theta[p.name] - p.null) / (p.start - p.null))
-            else:
-                total = total + p.proportional(theta[p.name]) / p.proportional(p.start) * part
-        return np.asarray(total)
+    return at
 
 
 class FieldChange:
@@ -117,12 +124,6 @@ class FieldChange:
         if self.missed is not None:
             moved = moved + (theta[size.name] - size.null) / (size.start - size.null) * self.missed
         return moved
-
-
-def _within(spline: CubicSpline, x: float) -> Array:
-    """The spline between its end knots, extrapolated linearly beyond them."""
-    inside = float(np.clip(x, spline.x[0], spline.x[-1]))
-    return np.asarray(spline(inside) + (x - inside) * spline(inside, 1))
 
 
 class Changes:
@@ -163,21 +164,17 @@ class Changes:
                 field.missed = self._missed(effect, point, effect.sizes[0])
             return field
         of_solves = effect.new_mesh or touches_loads(effect, self.simulations.model)
-        if of_solves:
-            return Change({p: self._by_solving(effect, point, p) for p in effect.parameters})
-        return Change({p: self._by_shifting(effect, point, p) for p in effect.parameters})
+        of = self._by_solving if of_solves else self._by_shifting
+        return Change({p.name: of(effect, point, p) for p in effect.parameters})
 
-    def _by_solving(self, effect: Effect, point: Theta, p: Parameter) -> TwoSided | Array:
-        """Change from a simulation at the start value and, for a two-sided parameter, one on the other side
-        of null if it has a solution."""
+    def _by_solving(self, effect: Effect, point: Theta, p: Parameter) -> Callable[[float], Array]:
+        """In proportion to a simulation at the start value; for a two-sided parameter from one more, on the
+        other side of null, if it has a solution."""
         there = self._solved_at(effect, point, p, p.start)
-        if not p.both_sides:
-            return there
-        try:
-            other = self._solved_at(effect, point, p, 2.0 * p.null - p.start)
-        except SolveError:
-            return there
-        return TwoSided(0.5 * (there - other), 0.5 * (there + other))
+        if p.both_sides:
+            with contextlib.suppress(SolveError):
+                return _two_sided(p, there, self._solved_at(effect, point, p, 2.0 * p.null - p.start))
+        return lambda value: p.proportional(value) / p.proportional(p.start) * there
 
     def _solved_at(self, effect: Effect, point: Theta, p: Parameter, value: float) -> Array:
         """Change of `logs` by one value of a parameter, from a simulation."""
@@ -190,7 +187,7 @@ class Changes:
             change = without_spikes(self.simulations, change)
         return change
 
-    def _by_shifting(self, effect: Effect, point: Theta, p: Parameter) -> CubicSpline:
+    def _by_shifting(self, effect: Effect, point: Theta, p: Parameter) -> Callable[[float], Array]:
         step = p.start - p.null
         known = np.isfinite(logs(self.simulations.curves(self.m)))
         places, values, problem = [0.0], [np.zeros(known.shape)], None
@@ -219,7 +216,7 @@ class Changes:
         table = np.array(values)[order]
         if effect.spreads:
             table += np.multiply.outer(np.array(places)[order], self._missed(effect, point, p))
-        return CubicSpline(np.array(places)[order], table)
+        return _between(p, np.array(places)[order], table)
 
     def _missed(self, effect: Effect, point: Theta, p: Parameter) -> Array:
         """Error of the change from the stored deformation, from one simulation at the start value."""

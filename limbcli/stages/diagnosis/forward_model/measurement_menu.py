@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limbcli.diagnostics.model.forward_model import Fitted, Proposal
+from limbcli.diagnostics.model.forward_model import Explanation, Fitted, Proposal
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Protocol, Reading, read, true_depth
 from limbcli.errors import CaseError, LimbError
@@ -189,33 +189,36 @@ def _unloaded(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
 
 
 def _proposal(predictions: Predictions, fits: Sequence[Fitted], item: Item) -> Proposal:
-    predicted, jacobians = {}, {}
-    for fitted in fits:
-        value, jacobian = _seen(predictions, fitted, predictions.sites[0], item.see)
-        predicted[fitted.explanation], jacobians[fitted.explanation] = value, jacobian
-    size = len(next(iter(predicted.values())))
-    covariance = np.diag(item.deviation(predictions.site.protocol, size) ** 2)
+    site = predictions.sites[0]
+    seen = {fitted.explanation: _seen(predictions, fitted, site, item.see) for fitted in fits}
+    size = len(next(iter(seen.values()))[0])
+    covariance = np.diag(item.deviation(site.site.protocol, size) ** 2)
     if item.model_error is not None:
-        covariance = covariance + item.model_error(predictions.sites[0])
-    return Proposal(item.name, item.sentence, predicted, jacobians, covariance)
+        covariance = covariance + item.model_error(site)
+    return _proposed(item.name, item.sentence, seen, covariance)
+
+
+def _proposed(
+    name: str, sentence: str, seen: Mapping[Explanation, tuple[Array, Array]], covariance: Array
+) -> Proposal:
+    predicted, jacobians = ({key: pair[k] for key, pair in seen.items()} for k in (0, 1))
+    return Proposal(name, sentence, predicted, jacobians, covariance)
 
 
 def _seen(predictions: Predictions, fitted: Fitted, where: SiteCurves, see: See) -> tuple[Array, Array]:
     """Prediction of the proposed measurement at a fit, and its Jacobian with the columns of the fit's."""
-    points, center = predictions.points(fitted), predictions.x_of(fitted)
+    model, center = predictions.model_of(fitted), predictions.x_of(fitted)
 
     def at(x: Array) -> Array:
         values = dict(zip(fitted.effect_names, x[2:].tolist(), strict=True))
         theta, (c, m) = predictions.theta(values, fitted.explanation, 0), np.exp(x[:2]).tolist()
-        return see(*where.read(c, m, fitted.explanation, theta, points), where.site.protocol)
+        return see(*where.read(c, m, model, theta), where.site.protocol)
 
     columns = []
     for k in range(len(center)):
-        step = 1e-3 * max(abs(center[k]), 0.1)
-        up, down = center.copy(), center.copy()
-        up[k] += step
-        down[k] -= step
-        columns.append((at(up) - at(down)) / (2 * step))
+        step = np.zeros(len(center))
+        step[k] = 1e-3 * max(abs(center[k]), 0.1)
+        columns.append((at(center + step) - at(center - step)) / (2 * step[k]))
     return at(center), np.stack(columns, axis=1)
 
 
@@ -232,26 +235,17 @@ def _rotated(
         other = turned()
     except LimbError:
         return []
-    predicted, jacobians = {}, {}
-    unknown = np.zeros((len(other.site.data),) * 2)
+    seen, unknown = {}, np.zeros((len(other.site.data),) * 2)
     for fitted in fits:
-        value, jacobian = _turned(predictions, fitted, other)
-        first = jacobian.shape[1] - len(fitted.effect_names)
-        for k, slot in enumerate(predictions.slots(fitted.explanation)):
+        slots = predictions.slots(fitted.explanation)
+        null = {slot.name: slot.parameter.null for slot in slots if slot.each_time}
+        absent = replace(fitted, values={**fitted.values, **null})
+        value, jacobian = _seen(predictions, absent, other, lambda c, r, p: other.site.predict(c, r))
+        for k, slot in enumerate(slots, jacobian.shape[1] - len(slots)):
             if slot.each_time:  # its size differs in every measurement and is unknown in the next
                 size = slot.parameter.typical - slot.parameter.null
-                unknown += np.outer(jacobian[:, first + k], jacobian[:, first + k]) * size**2
-                jacobian[:, first + k] = 0.0
-        predicted[fitted.explanation], jacobians[fitted.explanation] = value, jacobian
-    covariance = other.site.data.noise.covariance + unknown
+                unknown += np.outer(jacobian[:, k], jacobian[:, k]) * size**2
+                jacobian[:, k] = 0.0
+        seen[fitted.explanation] = value, jacobian
     sentence = "measure the same place again with the probe turned by 90 degrees"
-    return [Proposal(ROTATE, sentence, predicted, jacobians, covariance)]
-
-
-def _turned(predictions: Predictions, fitted: Fitted, turned: SiteCurves) -> tuple[Array, Array]:
-    """Prediction of the turned measurement by a fit, without effects whose size differs in every
-    measurement."""
-    slots = predictions.slots(fitted.explanation)
-    null = {slot.name: slot.parameter.null for slot in slots if slot.each_time}
-    absent = replace(fitted, values={**fitted.values, **null})
-    return _seen(predictions, absent, turned, lambda c, r, p: turned.site.predict(c, r))
+    return [_proposed(ROTATE, sentence, seen, other.site.data.noise.covariance + unknown)]

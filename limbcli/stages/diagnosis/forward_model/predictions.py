@@ -23,8 +23,9 @@ from limbcli.model import Array
 from limbcli.stages.diagnosis.data.joint import joined
 from limbcli.stages.diagnosis.data.site_data import SiteData
 from limbcli.stages.diagnosis.forward_model.changes import CurveSource, only_febio
-from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
+from limbcli.stages.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
 
+NOTHING = AtPoints()
 M_BOUNDS = (1.0, 20.0)
 _DIFFERENCE = 1e-3
 _ON_BOUND = 1e-3  # distance from a bound, as a fraction of the range, within which a parameter is on it
@@ -131,14 +132,14 @@ class Predictions:
             for slot in self.slots(explanation) if slot.site in (None, site)
         }  # fmt: skip
 
-    def points(self, fitted: Fitted) -> list[Theta]:
-        """The point of each effect's grid that was chosen."""
+    def model_of(self, fitted: Fitted) -> AtPoints:
+        """The effects of a fit, at the points of their grids that were chosen."""
         chosen: list[Theta] = []
         for effect in (self.effects[name] for name in fitted.explanation):
             held = held_points(effect)
             match = [q for q in held if all(fitted.values.get(k) == v for k, v in q.items())]
             chosen.append(match[0] if match else held[0])
-        return chosen
+        return AtPoints(fitted.explanation, tuple(chosen))
 
     def x_of(self, fitted: Fitted) -> Array:
         """Parameter vector of a fit, as for `predict`."""
@@ -146,7 +147,7 @@ class Predictions:
         sizes = [values[slot.name] for slot in self.slots(fitted.explanation)]
         return np.array([np.log(values["c_kpa"] / 1e3), np.log(values["m"]), *sizes])
 
-    def predict(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
+    def predict(self, x: Array, model: AtPoints = NOTHING) -> Array:
         """Prediction (n,) for x: ln c, ln m, then the effects' parameters in order.
 
         Raises
@@ -154,12 +155,10 @@ class Predictions:
         SolveError
             If there is no solution, or it is not finite.
         """
-        values = dict(zip([s.name for s in self.slots(explanation)], x[2:].tolist(), strict=True))
+        names = model.explanation
+        values = dict(zip([s.name for s in self.slots(names)], x[2:].tolist(), strict=True))
         c, m = float(np.exp(x[0])), float(np.exp(x[1]))
-        parts = [
-            each.predict(c, m, explanation, self.theta(values, explanation, k), points)
-            for k, each in enumerate(self.sites)
-        ]
+        parts = [each.predict(c, m, model, self.theta(values, names, k)) for k, each in enumerate(self.sites)]
         found = parts[0] if len(parts) == 1 else np.concatenate(parts)
         if not np.isfinite(found).all():
             raise SolveError("the prediction is not a number", where="diagnose", fix="look at levels.csv")
@@ -169,15 +168,14 @@ class Predictions:
         """The fitted curves of a site, and the reading model applied to them."""
         theta = self.theta(fitted.values, fitted.explanation, site)
         c, m = fitted.values["c_kpa"] / 1e3, fitted.values["m"]
-        return self.sites[site].read(c, m, fitted.explanation, theta, self.points(fitted))
+        return self.sites[site].read(c, m, self.model_of(fitted), theta)
 
-    def jacobian(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
-        sizes = [1.0, 1.0, *(slot.parameter.step for slot in self.slots(explanation))]
+    def jacobian(self, x: Array, model: AtPoints) -> Array:
+        sizes = [1.0, 1.0, *(slot.parameter.step for slot in self.slots(model.explanation))]
         steps = np.diag(_DIFFERENCE * np.array(sizes))
-        columns = [self._slope(x, step, explanation, points) / step[k] for k, step in enumerate(steps)]
-        return np.stack(columns, axis=1)
+        return np.stack([self._slope(x, step, model) / step[k] for k, step in enumerate(steps)], axis=1)
 
-    def _slope(self, x: Array, step: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
+    def _slope(self, x: Array, step: Array, model: AtPoints) -> Array:
         """Change over this step by central differences, or by a one-sided difference if one side has no
         solution.
 
@@ -189,13 +187,13 @@ class Predictions:
         sides, problem = {}, None
         for sign in (1.0, -1.0):
             try:
-                sides[sign] = self.predict(x + sign * step, explanation, points)
+                sides[sign] = self.predict(x + sign * step, model)
             except SolveError as error:
                 problem = error
         if not sides and problem is not None:
             raise problem
         if len(sides) < 2:
-            sides[0.0] = self.predict(x, explanation, points)
+            sides[0.0] = self.predict(x, model)
         upper, lower = max(sides), min(sides)
         return np.asarray((sides[upper] - sides[lower]) / (upper - lower))
 
