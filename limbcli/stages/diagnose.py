@@ -158,25 +158,27 @@ def chosen_effects(options: DiagnoseOptions) -> tuple[Effect, ...]:
     return (*named, *(each for each in own if each not in named))
 
 
+@dataclass(frozen=True)
 class _Diagnosed:
     """Diagnosis of the measurements of one place, from preparation to results."""
 
-    def __init__(
-        self, case: Case, sites: Sequence[Site], out: Path, effects: Sequence[Effect],
-        options: DiagnoseOptions, draining: DrainageSolver | None, progress: Progress,
-    ):  # fmt: skip
-        self.case, self.sites, self.out, self.draining = case, sites, out, draining
-        self.options, self.progress = options, progress
-        self.effects = {each.name: each for each in effects if each.kind != NUMERICAL}
+    case: Case
+    sites: Sequence[Site]
+    out: Path
+    effects: Sequence[Effect]
+    options: DiagnoseOptions
+    draining: DrainageSolver | None
+    progress: Progress
 
     def all(self) -> list[StageResult]:
         prepared: list[Prepared] = []
         extras, options = known(self.options.measured), self.options
+        effects = {each.name: each for each in self.effects if each.kind != NUMERICAL}
         with ExitStack() as opened:
             for site in self.sites:
                 with errors_of_site(site.name):
                     one = prepare(
-                        self.case, site, self.effects, out=self.out, mesh=options.mesh,
+                        self.case, site, effects, out=self.out, mesh=options.mesh,
                         extras=[] if prepared else extras, draining=self.draining, progress=self.progress,
                     )  # fmt: skip
                 opened.callback(one.close)

@@ -12,10 +12,10 @@ import pytest
 from limbcli.effects.curves import Curves
 from limbcli.measurement.levels import Levels
 from limbcli.results import open_stage
+from limbcli.stages.diagnosis.mesh_error.mesh_comparison import Notes
 from limbcli.stages.diagnosis.mesh_error.mesh_correction import MeshCorrection
 from limbcli.stages.diagnosis.mesh_error.model_errors import ModelErrors
 from limbcli.stages.diagnosis.mesh_error.numerical_checks import Intervention
-from limbcli.stages.diagnosis.prepare import Notes
 
 DEPTH = np.array([0.0, 2.0, np.nan, 8.0])
 N = len(DEPTH)

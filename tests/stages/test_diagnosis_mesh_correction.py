@@ -20,9 +20,8 @@ from limbcli.stages.build_feb import TissueOptions, build_feb
 from limbcli.stages.diagnosis import written_model as written
 from limbcli.stages.diagnosis.curves.curve_plan import Solving
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
-from limbcli.stages.diagnosis.mesh_error.mesh_comparison import MeshComparison
+from limbcli.stages.diagnosis.mesh_error.mesh_comparison import MeshComparison, Notes
 from limbcli.stages.diagnosis.mesh_error.mesh_correction import MeshCorrection, own_curves, own_run
-from limbcli.stages.diagnosis.prepare import Notes
 from limbcli.stages.run import run
 from limbcli.stages.site_model.site_layers import LayerLaw, with_layer_laws
 from tests.stages import block_case as block
@@ -115,7 +114,8 @@ def test_a_layer_beside_the_tissue_is_no_error_of_a_mesh(ran, tmp_path):
         save_model(soft, writer.file("model", "model.npz"))
     notes, simulations = Notes(), _simulations(tmp_path)
     comparison = MeshComparison(
-        site, DEPTHS, simulations, out=layered, size=5.0, several=[4.0], notes=notes, progress=SILENT
+        site=site, depth=DEPTHS, simulations=simulations, out=layered, size=5.0, several=[4.0],
+        notes=notes, progress=SILENT,
     )  # fmt: skip
     correction = comparison.correction(freed={}, held={})
     simulations.close()
@@ -132,8 +132,8 @@ def test_a_layer_beside_the_tissue_is_no_error_of_a_mesh(ran, tmp_path):
 def _comparison(out: Path, curves: dict[float, Curves], depth: np.ndarray, size: float) -> MeshComparison:
     simulations = SimpleNamespace(curves=curves.__getitem__)
     return MeshComparison(
-        SimpleNamespace(name="p1"), depth, simulations, out=out, size=size, several=list(curves),
-        notes=Notes(), progress=SILENT,
+        site=SimpleNamespace(name="p1"), depth=depth, simulations=simulations, out=out, size=size,
+        several=list(curves), notes=Notes(), progress=SILENT,
     )  # fmt: skip
 
 

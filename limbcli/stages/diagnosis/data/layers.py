@@ -87,6 +87,7 @@ class BorderLines:
     """
 
     def __init__(self, layers: LayerReadings):
+        self.layers = layers
         self.rest = np.asarray(layers.rest[: layers.n_counted])
 
     def record(self, model: LimbModel) -> LogRecord:

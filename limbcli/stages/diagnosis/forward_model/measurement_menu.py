@@ -71,11 +71,12 @@ def items() -> tuple[Item, ...]:
         Item("hold", "hold the deepest level for 60 s, record force and depth", _relaxation, _each(0.03),
              instead_of="hold"),
         Item("unload", "also read the levels during unloading", _unloaded, _of_force),
-        Item("B-mode thickness", "measure skin to bone at first touch", _first_thickness, _each(0.5),
-             instead_of="skin-bone"),
+        Item("B-mode thickness", "measure skin to bone at first touch",
+             lambda c, r, p: np.array([read(c, p, r).thickness]), _each(0.5), instead_of="skin-bone"),
         Item("probe travel", "record the probe's absolute travel",
              lambda c, r, p: read(c, p, r).travel, _each(0.1), instead_of="travel"),
-        Item("wave speeds", "take a shear-wave mean at every level", _mean, _each(0.05), instead_of="swe"),
+        Item("wave speeds", "take a shear-wave mean at every level",
+             lambda c, r, p: read(c, p, r).log_speed[:, 0], _each(0.05), instead_of="swe"),
         Item("speed maps", "export the maps, not only their means",
              lambda c, r, p: _contrast(read(c, p, r).log_speed), _each(0.035), instead_of="map",
              model_error=_error_of_contrast),
@@ -115,9 +116,8 @@ def menu(
     turned : gives the curves with the probe turned by 90 degrees
     """
     has = {channel for each in predictions.sites for channel in _there(each.site)}
+    has |= {"unload"} if any(predictions.site.protocol.unloading) else set()
     open_items = [item for item in items() if item.instead_of not in has and item.name not in has]
-    if any(predictions.site.protocol.unloading):
-        open_items = [item for item in open_items if item.name != "unload"]
     found = [_proposal(predictions, fits, item) for item in open_items]
     # Only for single effects: combinations would each need a simulation of the turned model.
     if len(predictions.sites) == 1 and any(fit.explanation == (name,) for fit in fits for name in _TURNS):
@@ -130,14 +130,6 @@ def _there(site: SiteData) -> set[str]:
     n_speeds = site.rows.among("swe").sum()
     in_part = "map" not in site.channels and 2 * n_speeds < len(site.protocol)
     return set(site.channels) - ({"swe"} if in_part else set())
-
-
-def _first_thickness(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
-    return np.array([read(curves, protocol, reading).thickness])
-
-
-def _mean(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
-    return read(curves, protocol, reading).log_speed[:, 0]
 
 
 def _contrast(log_speed: Array) -> Array:
@@ -158,21 +150,21 @@ def _error_of_contrast(site: SiteCurves) -> Array:
 
 def _relaxation(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
     """ln of the force over that at the start of a hold at the deepest level, after 1, 10 and 60 s."""
-    deepest, lost = protocol.deepest, []
-    for seconds in (1.0, 10.0, 60.0):
-        held = replace(deepest, hold=np.array([seconds]))
-        start, end = read(curves, deepest, reading).force[0], read(curves, held, reading).force[0]
-        lost.append(float(np.log(max(end, 1e-6) / max(start, 1e-6))))
-    return np.array(lost)
+    start = protocol.deepest
+    held = [replace(start, hold=np.array([seconds])) for seconds in (1.0, 10.0, 60.0)]
+    return np.array([_ln_ratio(curves, reading, each, start) for each in held])
 
 
 def _two_rates(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
     """ln of the force after a fast ramp over that after a slow one (1,)."""
-    fast, slow = (
-        read(curves, replace(protocol.deepest, ramp=seconds), reading).force[0]
-        for seconds in (_FAST_S, _SLOW_S)
-    )
-    return np.array([float(np.log(max(fast, 1e-6) / max(slow, 1e-6)))])
+    fast, slow = (replace(protocol.deepest, ramp=seconds) for seconds in (_FAST_S, _SLOW_S))
+    return np.array([_ln_ratio(curves, reading, fast, slow)])
+
+
+def _ln_ratio(curves: Curves, reading: Reading, one: Protocol, other: Protocol) -> float:
+    """ln of the force at the first level of one protocol over that of another."""
+    force, beside = (max(read(curves, each, reading).force[0], 1e-6) for each in (one, other))
+    return float(np.log(force / beside))
 
 
 def _unloaded(curves: Curves, reading: Reading, protocol: Protocol) -> Array:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -31,14 +31,16 @@ _HELD = 0.5  # position of the limb between a free (0) and a held (1) far side, 
 _UNCORRECTED = 1.2  # factor on the model error in maps if the working mesh is not corrected
 
 
-class ResultNotes(Protocol):
-    """Collector of results and warnings."""
+@dataclass
+class Notes:
+    """Data, warnings and inputs collected while preparing a site, to be written with its results."""
 
-    data: dict[str, Any]
-    warnings: list[str]
+    data: dict[str, Any] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    inputs: dict[str, Path] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class MeshComparison:
     """Comparison of one site's working mesh, with edges of `size` mm, with the site's own mesh.
 
@@ -51,7 +53,7 @@ class MeshComparison:
     out: Path
     size: float
     several: Sequence[float]
-    notes: ResultNotes
+    notes: Notes
     progress: Progress
 
     def correction(
@@ -99,24 +101,19 @@ class MeshComparison:
         try:
             meshed = read_result(self.out, "mesh", site=self.site.name)
             if meshed.data.get("element") != "tet10":
-                self.notes.warnings.append(
-                    "the working mesh is not corrected to the site's own, of linear elements"
-                )
-                return None
+                return self._uncorrected(", of linear elements")
             if layers := own_layers(self.site, self.out):
-                self.notes.warnings.append(
-                    f"the working mesh is not corrected to the site's own, which has layers ({layers}) as"
-                    " well as the tissue: the diagnosis treats them as one tissue, and a layer as an effect"
+                return self._uncorrected(
+                    f", which has layers ({layers}) as well as the tissue: the diagnosis treats them as one "
+                    "tissue, and a layer as an effect"
                 )
-                return None
             model = load_model(meshed.folder / "model.npz")
             h = float(meshed.data.get("size_under_probe_mm", _USUAL_EDGE))
             words = " and ".join(f"m {m:g}" for m in self.several)
             self.progress.event("note", text=f"{words} on the site's own mesh")
             found = own_curves(model, self.simulations, self.several, size_ratio=h / self.size)
         except LimbError as error:
-            self.notes.warnings.append(f"the working mesh is not corrected to the site's own: {error.what}")
-            return None
+            return self._uncorrected(f": {error.what}")
         apart = {m: self._apart(m, own) for m, own in found.items()}
         likely = self.several[0]
         own, working = found[likely], self.simulations.curves(likely)
@@ -132,6 +129,9 @@ class MeshComparison:
             np.array(sorted(found)), log_force, log_speed, _ratio(own.thickness, working.thickness),
             np.maximum(off, _LEAST_ERROR), in_mean,
         )  # fmt: skip
+
+    def _uncorrected(self, why: str) -> None:
+        self.notes.warnings.append(f"the working mesh is not corrected to the site's own{why}")
 
     def _apart(self, m: float, own: Curves) -> tuple[Array, Array]:
         """Difference, own minus working mesh, of ln force (n_own - 1,) and ln speeds (n_own, n_parts)."""

@@ -30,7 +30,7 @@ from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.data.noise import COMPRESSIBILITY, FEWEST_SMOOTH, SmoothDepth, readings
 from limbcli.stages.diagnosis.mesh_error.mesh_comparison import (
     MeshComparison,
-    ResultNotes,
+    Notes,
     at_depths,
     change_of,
 )
@@ -108,17 +108,31 @@ class Intervention:
     left: float = 1.0
 
 
+@dataclass(eq=False)
 class NumericalChecks:
-    """The numerical checks of one site on its simulations."""
+    """The numerical checks of one site on its simulations.
 
-    def __init__(
-        self, case: Case, site: Site, levels: Levels, simulations: SiteSimulations, *, out: Path, size: float,
-        notes: ResultNotes, progress: Progress,
-    ):  # fmt: skip
-        self.case, self.site, self.levels, self.simulations = case, site, levels, simulations
-        self.out, self.size, self.notes, self.progress = out, size, notes, progress
-        self.depth = smooth_depth(levels)
-        self.penetration: Penetration | None = None  # of the simulated contact; set by `interventions`
+    size : mm, of the working mesh's edges; penetration : of the simulated contact, set by `interventions`
+    """
+
+    case: Case
+    site: Site
+    levels: Levels
+    simulations: SiteSimulations
+    out: Path
+    size: float
+    notes: Notes
+    progress: Progress
+    penetration: Penetration | None = None
+
+    @cached_property
+    def depth(self) -> Array:
+        """Depth (n_levels,) in mm of a smooth curve through the readings; as read if these are too few."""
+        protocol = readings(self.levels)
+        if len(protocol) < FEWEST_SMOOTH:
+            return self.levels.depth
+        smooth = np.maximum(SmoothDepth.through(protocol).at(self.levels.force), 0.0)
+        return np.where(np.isfinite(self.levels.depth), smooth, np.nan)
 
     def correction(self, *, solves: bool = True) -> MeshCorrection:
         """Correction to the site's own mesh, and to a limb that is not cut and rests on something; `solves`:
@@ -129,8 +143,8 @@ class NumericalChecks:
             for each in (self._positions() if solves else ())
         }
         comparison = MeshComparison(
-            self.site, self.depth, self.simulations, out=self.out, size=self.size, several=several,
-            notes=self.notes, progress=self.progress,
+            site=self.site, depth=self.depth, simulations=self.simulations, out=self.out, size=self.size,
+            several=several, notes=self.notes, progress=self.progress,
         )  # fmt: skip
         freed, held = (changed.get(name, {}) for name in ("crop", FAR_SIDE.name))
         return comparison.correction(solves=solves, freed=freed, held=held)
@@ -255,12 +269,3 @@ def depth_scatter(simulations: SiteSimulations, levels: Levels) -> dict[float, f
         off = [depth[rising] - depth_at(curves, force[rising] / times) for times in _STIFFNESSES]
         found[m] = min(float(np.mean(each**2)) for each in off)
     return found
-
-
-def smooth_depth(levels: Levels) -> Array:
-    """Depth (n_levels,) in mm of a smooth curve through the readings; as read if these are too few."""
-    protocol = readings(levels)
-    if len(protocol) < FEWEST_SMOOTH:
-        return levels.depth
-    smooth = np.maximum(SmoothDepth.through(protocol).at(levels.force), 0.0)
-    return np.where(np.isfinite(levels.depth), smooth, np.nan)
