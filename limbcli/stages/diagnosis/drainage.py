@@ -7,7 +7,6 @@ every third of a decade. Runs at a few depths give a site's drainage; they are c
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -17,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.atomic_files import atomic_file
 from limbcli.config import available_cores, shares
 from limbcli.diagnostics import decisions
 from limbcli.effects import poroelasticity
@@ -33,6 +31,7 @@ from limbcli.solvers.base import Simulation, Solver
 from limbcli.solvers.febio import FebioSolver
 from limbcli.stages.diagnosis.curves.curve_plan import USUAL_M
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
+from limbcli.stages.diagnosis.curves.solve_memo import SolveMemo
 from limbcli.stages.diagnosis.data.held_forces import HeldForces
 from limbcli.stages.site_model.indentation_model import (
     TRAVEL,
@@ -104,16 +103,18 @@ def drained(
     keep : cache folder of the simulations
     """
     if held is None:
-        return Drained(refused=_no_holds(why_not_held))
+        why = f"it requires data that were not measured: hold{f' ({why_not_held})' if why_not_held else ''}"
+        return Drained(refused=_refused(why, fix="record force and depth in holds (trace)"))
     if not solver.always:
         try:
             fallen = held.fallen(simulations.curves(USUAL_M))
         except LimbError as error:
             return Drained(refused=error)
         if fallen < decisions.FALLEN_SD:
-            return Drained(refused=_nothing_falls(fallen))
+            why = f"no force decrease in the holds ({fallen:.1f} deviations over all of them)"
+            return Drained(refused=_refused(why, fix="--solver febio evaluates it anyway"))
     depths = [round(share * deepest, 2) for share in SHARES_OF_DEPTH]
-    runs = _Runs(solver.solver, simulations.model, simulations.c, USUAL_M, keep, progress)
+    runs = _Runs(solver.solver, simulations, SolveMemo(keep), progress)
     facts: dict[str, Any] = {}
     try:
         found = runs.all(depths)
@@ -142,10 +143,8 @@ class _Runs:
     """Parallel simulations on the available cores, each in a separate folder; results are cached."""
 
     solver: Solver
-    model: LimbModel
-    c: float
-    m: float
-    keep: Path
+    simulations: SiteSimulations
+    memo: SolveMemo
     progress: Progress
     version: str = ""
 
@@ -165,7 +164,8 @@ class _Runs:
         return [known[depth] or fresh[depth] for depth in depths]
 
     def _held(self, depth: float, ramp_step: float = RAMP_STEPS[0]) -> LimbModel:
-        return held_model(self.model, depth, c=self.c, m=self.m, ramp_step=ramp_step)
+        known = self.simulations
+        return held_model(known.model, depth, c=known.c, m=USUAL_M, ramp_step=ramp_step)
 
     def _run(self, depth: float) -> _Run:
         """Simulate one depth, with shorter steps if FEBio fails with longer ones."""
@@ -182,28 +182,21 @@ class _Runs:
             except LimbError as error:  # shorter steps would not help
                 problem = error.what
                 break
-        if hold is None:
-            return _Run(depth, None, problem, time.monotonic() - started)
-        found = _Run(depth, hold, "", time.monotonic() - started)
-        content = {"spread_mm2": hold.spread.tolist(), "force_n": hold.force.tolist(), "ramp_mm2": hold.ramp,
-                   "seconds": found.seconds}  # fmt: skip
-        self.keep.mkdir(parents=True, exist_ok=True)
-        with atomic_file(self._path(depth)) as path:
-            path.write_text(json.dumps(content), encoding="utf-8")
+        found = _Run(depth, hold, "" if hold else problem, time.monotonic() - started)
+        if hold is not None:
+            content = {"spread_mm2": hold.spread, "force_n": hold.force, "ramp_mm2": hold.ramp}
+            self.memo.write(self._key(depth), {**content, "seconds": found.seconds})
         return found
 
     def _kept(self, depth: float) -> _Run | None:
-        try:
-            content = json.loads(self._path(depth).read_text(encoding="utf-8"))
-            spread, force = (np.array(content[key], dtype=float) for key in ("spread_mm2", "force_n"))
-            return _Run(
-                depth, HeldIndentation(depth, content["ramp_mm2"], spread, force), "", content["seconds"]
-            )
-        except (OSError, ValueError, KeyError, TypeError):
-            return None
+        def run_of(stored: Any) -> _Run:
+            hold = HeldIndentation(depth, float(stored["ramp_mm2"]), stored["spread_mm2"], stored["force_n"])
+            return _Run(depth, hold, "", float(stored["seconds"]))
 
-    def _path(self, depth: float) -> Path:
-        return self.keep / f"drainage-{model_hash(self._held(depth))[:16]}-{self.version}.json"
+        return self.memo.read(self._key(depth), run_of)
+
+    def _key(self, depth: float) -> str:
+        return f"drainage-{model_hash(self._held(depth))[:16]}-{self.version}"
 
 
 def _enough(found: Sequence[_Run]) -> list[HeldIndentation]:
@@ -234,18 +227,8 @@ def _not_run(each: _Run) -> str:
     return f"{NAME} was evaluated without FEBio's run at {each.depth:g} mm: {_first_line(each.problem)}"
 
 
-def _no_holds(why: str) -> FitError:
-    return FitError(
-        f"it requires data that were not measured: hold{f' ({why})' if why else ''}",
-        where=f"effect {NAME}", fix="record force and depth in holds (trace)",
-    )  # fmt: skip
-
-
-def _nothing_falls(fallen: float) -> FitError:
-    return FitError(
-        f"no force decrease in the holds ({fallen:.1f} deviations over all of them)",
-        where=f"effect {NAME}", fix="--solver febio evaluates it anyway",
-    )  # fmt: skip
+def _refused(why: str, *, fix: str) -> FitError:
+    return FitError(why, where=f"effect {NAME}", fix=fix)
 
 
 def held_model(

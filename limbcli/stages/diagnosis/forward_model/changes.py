@@ -223,7 +223,10 @@ class Changes:
         m, theta = self.m, {**effect.null, **point, p.name: p.start}
         try:
             if self.simulations.spent:
-                raise _spent(effect)
+                raise SolveError(
+                    "the simulations used up the diagnosis's work budget",
+                    where=f"effect {effect.name}", fix=f"name it: `--effects {effect.name}`",
+                )  # fmt: skip
             true = logs(self.simulations.curves(m, ((effect, theta),))) - logs(self.simulations.curves(m))
             missed = true - shifted(self.simulations, m, ((effect, theta),))
         except SolveError as error:
@@ -231,13 +234,6 @@ class Changes:
             return np.zeros_like(logs(self.simulations.curves(m)))
         missed[0, 0] = 0.0
         return gaps_filled(missed)
-
-
-def _spent(effect: Effect) -> SolveError:
-    return SolveError(
-        "the simulations used up the diagnosis's work budget",
-        where=f"effect {effect.name}", fix=f"name it: `--effects {effect.name}`",
-    )  # fmt: skip
 
 
 def only_febio(effect: Effect) -> SolveError:

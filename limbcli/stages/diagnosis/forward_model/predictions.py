@@ -88,10 +88,11 @@ class Predictions:
         }
         self._join()
 
-    def allow_for(self, name: str, share: float) -> None:
-        """Scale the noise part `name` to this fraction of its assumed size, at every site."""
+    def allow_for(self, shares: Mapping[str, float]) -> None:
+        """Scale the noise parts of these names to fractions of their assumed sizes, at every site."""
         for each in self.sites:
-            each.site = each.site.with_share(name, share)
+            for name, share in shares.items():
+                each.site = each.site.with_share(name, share)
         self._join()
 
     def strain_along(self, fitted: Fitted) -> None:

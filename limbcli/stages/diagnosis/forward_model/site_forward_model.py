@@ -48,11 +48,10 @@ class SiteForwardModel:
     shares : by noise part, the estimated fraction of its assumed size (`settle_noise`)
     """
 
-    def __init__(self, sites: Sequence[SiteCurves], *, verify: bool = True):
-        """sites : with the same candidate effects; verify : simulate fitted models"""
+    def __init__(self, sites: Sequence[SiteCurves]):
+        """sites : with the same candidate effects"""
         self.predictions = Predictions(sites)
         self.fits = Fits(self.predictions)
-        self.verify = verify
         self.turned: Callable[[], SiteCurves] | None = None
         self.not_simulated: set[Explanation] = set()
         self.shares: dict[str, float] = {}
@@ -69,8 +68,7 @@ class SiteForwardModel:
         self.predictions.strain_along(self.fit((), {}))
         found = posterior(self.fit((), {}), self.data.y, self.data.noise, self.scalable)
         self.shares = dict(found.shares)
-        for name, share in self.shares.items():
-            self.predictions.allow_for(name, share)
+        self.predictions.allow_for(self.shares)
 
     # ------------------------------------------------------------ the contract
 
@@ -137,7 +135,7 @@ class SiteForwardModel:
         simulated parameters are then returned.
         """
         explanation, predict = fitted.explanation, self.predictions
-        if not self.verify or not any(predict.effects[name].solves for name in explanation):
+        if not any(predict.effects[name].solves for name in explanation):
             return fitted
         if any(each.simulations.spent for each in predict.sites):
             self.not_simulated.add(explanation)
