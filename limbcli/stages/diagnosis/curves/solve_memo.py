@@ -1,4 +1,4 @@
-"""Memo of a site's solves on disk: curves, deformations, levels and held forces, by the key of their model."""
+"""Memo of a site's solves on disk: curves, deformations, levels, held forces, by the key of their model."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ _CUT_LEFT = 0.3
 _FAR_SIDE_LEFT = 0.5
 _STIFFNESSES = np.geomspace(0.1, 10.0, 81)  # trial values of c, as multiples of the reference c
 _DOUBTFUL = 0.15  # uncertainty in ln force, as it enters the noise, from which a warning is given
-_STIFFER = 4.0  # factor on f_kappa, towards the incompressible limit
+STIFFER = 4.0  # factor on f_kappa, towards the incompressible limit
 
 
 def _stiffened(model: LimbModel, theta: Theta) -> LimbModel:
@@ -63,7 +63,7 @@ INCOMPRESSIBILITY = Effect(
     sentence="the compressibility assumed by the diagnosis is not the tissue's",
     kind="numerical",
     source="nearly incompressible limit",
-    parameters=(Parameter("kappa_factor", null=1.0, start=_STIFFER, low=1.0, high=10.0, typical=_STIFFER),),
+    parameters=(Parameter("kappa_factor", null=1.0, start=STIFFER, low=1.0, high=10.0, typical=STIFFER),),
     apply=_stiffened,
     solves=True,
 )
@@ -73,23 +73,14 @@ def f_kappa_at(deviations: float) -> float:
     """f_kappa that is this many standard deviations of its prior from the value in the models; inf beyond the
     incompressible limit.
 
-    A deviation is the change to `_STIFFER` times the value, and to first order the change by compressibility
+    A deviation is the change to `STIFFER` times the value, and to first order the change by compressibility
     is proportional to that of 1 / f_kappa.
 
     >>> f_kappa_at(0.0), f_kappa_at(1.0), f_kappa_at(2.0)
     (100.0, 400.0, inf)
     """
-    per = 1.0 - deviations * (1.0 - 1.0 / _STIFFER)
+    per = 1.0 - deviations * (1.0 - 1.0 / STIFFER)
     return F_KAPPA / per if per > 0 else float("inf")
-
-
-def deviations_of(f_kappa: float) -> float:
-    """The inverse of `f_kappa_at`.
-
-    >>> deviations_of(400.0)
-    1.0
-    """
-    return (1.0 - F_KAPPA / f_kappa) / (1.0 - 1.0 / _STIFFER)
 
 
 @dataclass(frozen=True, eq=False)
