@@ -466,7 +466,7 @@ def test_curves_between_solved_exponents_are_those_of_a_simulation(rng):
         one.solve_node(m)
     for m in (1.0, 1.5, 3.0, 4.0, 7.0, 9.0):
         c = one.simulations.c
-        true, between = one.simulations.curves(m), one.curves(c, m, (), {}, ())
+        true, between = one.simulations.curves(m), one.curves(c, m, AtPoints(), {})
         assert between.force[1:] == pytest.approx(true.force[1:], rel=5e-3)
         seen = np.isfinite(true.log_speed)
         assert between.log_speed[seen] == pytest.approx(true.log_speed[seen], abs=8e-3)
