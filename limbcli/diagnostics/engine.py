@@ -196,7 +196,8 @@ class _Run:
             state = self._state(each.fitted, whiten, as_it_stands=True)
             z = (data.y - each.fitted.prediction) / data.deviation
             rms = {name: float(np.sqrt(np.mean(z[mask] ** 2))) for name, mask in data.channels().items()}
-            found.append(Shrink(each.fitted.explanation, state.chi2, state.nu, rms, held, own))
+            one = each.fitted.explanation
+            found.append(Shrink(one, chi2=state.chi2, nu=state.nu, rms=rms, held_out=held, estimates=own))
         return tuple(found)
 
     def _averaged(self, mine: Posterior, *, imaged: bool) -> Estimates:

@@ -114,7 +114,10 @@ def diagnose(
         together = " + ".join(site.name for site in group)
         progress.event("stage", name=STAGE, site=together)
         with errors_of_site(together), one_blas_thread():
-            results += _Diagnosed(case, group, out, effects, options, draining, progress).all()
+            results += _Diagnosed(
+                case=case, sites=group, out=out, effects=effects, options=options, draining=draining,
+                progress=progress,
+            ).all()  # fmt: skip
     return results
 
 

@@ -54,8 +54,10 @@ def with_voxels(out: Path, spacing: list[float]) -> None:
 
 
 def every(errors: ModelErrors):
-    correction = MeshCorrection(np.ones(1), np.zeros((1, 6)), np.zeros((1, 6, 3)), 1.0, np.full(N, 0.02),
-                                np.full(N, 0.004))  # fmt: skip
+    correction = MeshCorrection(
+        m=np.ones(1), log_force=np.zeros((1, 6)), log_speed=np.zeros((1, 6, 3)), thickness_ratio=1.0,
+        mesh_error=np.full(N, 0.02), speed_error=np.full(N, 0.004),
+    )  # fmt: skip
     change = np.full(N, 0.3)
     crop = Intervention("crop", change, np.zeros((N, 3)), 4.0, left=0.3)
     locking = Intervention("locking", change, np.zeros((N, 3)), 4.0)

@@ -197,8 +197,9 @@ def test_an_error_of_quadratic_elements_goes_as_the_square_of_their_edge(tmp_pat
 def _correction(several: list[float], force: list[float], speed: list[float]) -> MeshCorrection:
     """Of two depths and one part; the same at both depths."""
     return MeshCorrection(
-        np.array(several), np.repeat(np.array(force)[:, None], 2, axis=1),
-        np.repeat(np.array(speed)[:, None, None], 2, axis=1), 1.0, np.zeros(1), np.zeros(1),
+        m=np.array(several), log_force=np.repeat(np.array(force)[:, None], 2, axis=1),
+        log_speed=np.repeat(np.array(speed)[:, None, None], 2, axis=1), thickness_ratio=1.0,
+        mesh_error=np.zeros(1), speed_error=np.zeros(1),
     )  # fmt: skip
 
 

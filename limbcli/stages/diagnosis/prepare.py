@@ -212,7 +212,10 @@ class _Preparation:
             data, simulations, effects, correction=correction, penetration=numerics.penetration,
             refused=refused, progress=self.progress,
         )  # fmt: skip
-        return Prepared(self.site, self.size, simulations, curves, interventions, self.notes)
+        return Prepared(
+            site=self.site, size=self.size, simulations=simulations, curves=curves,
+            interventions=interventions, notes=self.notes,
+        )  # fmt: skip
 
     def simulations(self) -> SiteSimulations:
         """Simulations down to the deepest reading and beyond, as far as the solver converges.

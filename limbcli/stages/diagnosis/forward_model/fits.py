@@ -116,8 +116,8 @@ class Fits:
         values |= {slot.name: size for slot, size in zip(slots, sizes, strict=True)}
         values |= {k: float(v) for point in model.points for k, v in point.items()}
         return Fitted(
-            explanation, predict.predict(x, model), predict.jacobian(x, model), ("c", "m"), values,
-            tuple(s.name for s in slots),
+            explanation, predict.predict(x, model), predict.jacobian(x, model), base_names=("c", "m"),
+            values=values, effect_names=tuple(s.name for s in slots),
             at_bound=tuple(m for s, v in zip(slots, sizes, strict=True) if (m := s.on_bound(v))),
             point=label, without=self._without_approximate(x, model),
             priors=Priors.about(x, predict.priors(explanation)),

@@ -91,29 +91,36 @@ class MeshComparison:
         nothing = np.zeros_like(self.simulations.curves(several[0]).log_speed)
         usual = np.full(len(self.depth), _USUAL_ERROR * (self.size / _USUAL_EDGE) ** 2)
         return MeshCorrection(
-            np.array(several), np.array([nothing[:, 0]] * len(several)), np.array([nothing] * len(several)),
-            1.0, usual, np.zeros(len(self.depth)), map_share=_UNCORRECTED,
+            m=np.array(several), log_force=np.array([nothing[:, 0]] * len(several)),
+            log_speed=np.array([nothing] * len(several)), thickness_ratio=1.0, mesh_error=usual,
+            speed_error=np.zeros(len(self.depth)), map_share=_UNCORRECTED,
         )  # fmt: skip
 
     def _solved_correction(self) -> MeshCorrection | None:
         """Correction from simulations with these m on the site's own mesh; None, with a warning, if
         impossible."""
+        found: dict[float, Curves] = {}
+        why, h = "", _USUAL_EDGE
         try:
             meshed = read_result(self.out, "mesh", site=self.site.name)
             if meshed.data.get("element") != "tet10":
-                return self._uncorrected(", of linear elements")
-            if layers := own_layers(self.site, self.out):
-                return self._uncorrected(
+                why = ", of linear elements"
+            elif layers := own_layers(self.site, self.out):
+                why = (
                     f", which has layers ({layers}) as well as the tissue: the diagnosis treats them as one "
                     "tissue, and a layer as an effect"
                 )
-            model = load_model(meshed.folder / "model.npz")
-            h = float(meshed.data.get("size_under_probe_mm", _USUAL_EDGE))
-            words = " and ".join(f"m {m:g}" for m in self.several)
-            self.progress.event("note", text=f"{words} on the site's own mesh")
-            found = own_curves(model, self.simulations, self.several, size_ratio=h / self.size)
+            else:
+                model = load_model(meshed.folder / "model.npz")
+                h = float(meshed.data.get("size_under_probe_mm", _USUAL_EDGE))
+                words = " and ".join(f"m {m:g}" for m in self.several)
+                self.progress.event("note", text=f"{words} on the site's own mesh")
+                found = own_curves(model, self.simulations, self.several, size_ratio=h / self.size)
         except LimbError as error:
-            return self._uncorrected(f": {error.what}")
+            why = f": {error.what}"
+        if why:
+            self.notes.warnings.append(f"the working mesh is not corrected to the site's own{why}")
+            return None
         apart = {m: self._apart(m, own) for m, own in found.items()}
         likely = self.several[0]
         own, working = found[likely], self.simulations.curves(likely)
@@ -126,12 +133,10 @@ class MeshComparison:
         )
         log_force, log_speed = (np.array(each) for each in zip(*tables.values(), strict=True))
         return MeshCorrection(
-            np.array(sorted(found)), log_force, log_speed, _ratio(own.thickness, working.thickness),
-            np.maximum(off, _LEAST_ERROR), in_mean,
+            m=np.array(sorted(found)), log_force=log_force, log_speed=log_speed,
+            thickness_ratio=_ratio(own.thickness, working.thickness),
+            mesh_error=np.maximum(off, _LEAST_ERROR), speed_error=in_mean,
         )  # fmt: skip
-
-    def _uncorrected(self, why: str) -> None:
-        self.notes.warnings.append(f"the working mesh is not corrected to the site's own{why}")
 
     def _apart(self, m: float, own: Curves) -> tuple[Array, Array]:
         """Difference, own minus working mesh, of ln force (n_own - 1,) and ln speeds (n_own, n_parts)."""

@@ -36,7 +36,7 @@ _FOLLOWED = 0.2  # range of extrapolation beyond the last m, as a fraction of th
 _SHARES, _ENOUGH = tuple(k / 6 for k in range(1, 7)), 0.6
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class MeshCorrection:
     """Additive correction of the working mesh's curves at increasing `m` (n_m,): ln force (n_m, n), ln speeds
     (n_m, n, n_parts); ratio of the thicknesses.
