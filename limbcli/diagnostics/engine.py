@@ -62,6 +62,7 @@ class _Run:
     rough: Roughness | None = None
     limit: float = 0.0
     several: list[Explained] = field(default_factory=list)
+    checks: dict[Explanation, Check] = field(default_factory=dict)
 
     def all(self) -> Diagnosis:
         model = self.forward_model
@@ -152,9 +153,12 @@ class _Run:
         return self._checked(max(known, key=lambda one: (len(one.fitted.explanation), one.ln_evidence)))
 
     def _checked(self, found: Posterior) -> Check:
-        whiten = self.search.whitener(found)
-        state = self._state(found.fitted, whiten, as_it_stands=True)
-        return checked(self.forward_model.data, state, whiten, self._rng(2))
+        key = found.fitted.explanation
+        if key not in self.checks:
+            whiten = self.search.whitener(found)
+            state = self._state(found.fitted, whiten, as_it_stands=True)
+            self.checks[key] = checked(self.forward_model.data, state, whiten, self._rng(2))
+        return self.checks[key]
 
     # ------------------------------------------------------------ what is reported
 

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Protocol as Typed
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,32 +18,17 @@ from limbcli.effects.base import Effect, Parameter, Theta, point_name
 from limbcli.effects.curves import Curves, gaps_filled
 from limbcli.effects.ingredients import Ingredients, touches_loads
 from limbcli.errors import SolveError
-from limbcli.model import Array, LimbModel
+from limbcli.model import Array
 from limbcli.progress import Progress
 from limbcli.stages.diagnosis.curves.curve_plan import FIRST_M
+from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.data.layers import line_shift
-from limbcli.stages.diagnosis.data.windows import Windows
 
 _REMEMBERED = 8  # number of parameter values cached
 _STEPS_ONE = (0.5, 1.0, 2.0, 4.0)  # spline knots of a one-sided parameter, in units of its start value
 _STEPS_TWO = (-2.0, -1.0, 1.0, 2.0)  # the same for a two-sided parameter
 _MOST_SHOWN = 2 / 3  # fraction of the speeds shown without an effect that must be shown with it
 _ROUNDED = 0.2  # smoothing width of |x| about 0, in units of the start value: a degree of tilt
-
-
-class CurveSource(Typed):
-    """Source of curves: simulated ones, and first-order changes of them."""
-
-    c: float
-    model: LimbModel
-    windows: Windows
-
-    @property
-    def spent(self) -> bool: ...
-
-    def curves(self, m: float, ingredients: Ingredients = ()) -> Curves: ...
-
-    def shift(self, m: float, ingredients: Ingredients) -> tuple[Array, Array]: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +79,7 @@ def _between(p: Parameter, times: Array, table: Array) -> Callable[[float], Arra
     return at
 
 
+@dataclass(eq=False)
 class FieldChange:
     """The same for an effect that is a factor on all stiffnesses, at any values of its parameters.
 
@@ -102,10 +87,12 @@ class FieldChange:
     proportion to the effect's first parameter; None if there was no simulation
     """
 
-    def __init__(self, simulations: CurveSource, effect: Effect, point: Theta, m: float):
-        self.simulations, self.effect, self.point, self.m = simulations, effect, point, m
-        self.missed: Array | None = None
-        self._last: list[tuple[tuple[float, ...], Array]] = []
+    simulations: SiteSimulations
+    effect: Effect
+    point: Theta
+    m: float
+    missed: Array | None = None
+    _last: list[tuple[tuple[float, ...], Array]] = field(default_factory=list)
 
     def at(self, theta: Theta) -> Array:
         names = [p.name for p in self.effect.parameters]
@@ -133,7 +120,7 @@ class Changes:
     not_simulated : effects that redistribute the load -> why the simulation that shows this has no solution
     """
 
-    def __init__(self, simulations: CurveSource, *, progress: Progress):
+    def __init__(self, simulations: SiteSimulations, *, progress: Progress):
         self.simulations, self.progress = simulations, progress
         self.m = 2.0
         self.not_simulated: dict[str, str] = {}
@@ -243,7 +230,7 @@ def only_febio(effect: Effect) -> SolveError:
     )  # fmt: skip
 
 
-def shifted(simulations: CurveSource, m: float, ingredients: Ingredients) -> Array:
+def shifted(simulations: SiteSimulations, m: float, ingredients: Ingredients) -> Array:
     """First-order change of `logs` by effects: (n, 1 + n_parts + n_lines)."""
     moved, curves = np.column_stack(simulations.shift(m, ingredients)), simulations.curves(m)
     if curves.log_line is None:
@@ -259,7 +246,7 @@ def logs(curves: Curves) -> Array:
     return np.column_stack([log_force, curves.columns])
 
 
-def without_spikes(simulations: CurveSource, change: Array) -> Array:
+def without_spikes(simulations: SiteSimulations, change: Array) -> Array:
     """A change of `logs` between meshes, with the speeds median-filtered over neighbouring parts."""
     speeds = slice(1, 2 + simulations.windows.n_parts)
     out = change.copy()

@@ -20,9 +20,10 @@ from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Reading
 from limbcli.errors import FitError, SolveError
 from limbcli.model import Array
+from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.data.joint import joined
 from limbcli.stages.diagnosis.data.site_data import SiteData
-from limbcli.stages.diagnosis.forward_model.changes import CurveSource, only_febio
+from limbcli.stages.diagnosis.forward_model.changes import only_febio
 from limbcli.stages.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
 
 NOTHING = AtPoints()
@@ -111,7 +112,7 @@ class Predictions:
         return self.sites[0].site
 
     @property
-    def simulations(self) -> CurveSource:
+    def simulations(self) -> SiteSimulations:
         return self.sites[0].simulations
 
     def slots(self, explanation: Explanation) -> list[Slot]:

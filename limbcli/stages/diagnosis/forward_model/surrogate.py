@@ -23,8 +23,9 @@ from limbcli.errors import LimbError
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.diagnosis.curves.curve_plan import bend, where_solved
+from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.data.site_data import SiteData
-from limbcli.stages.diagnosis.forward_model.changes import Changes, CurveSource, logs, without_spikes
+from limbcli.stages.diagnosis.forward_model.changes import Changes, logs, without_spikes
 from limbcli.stages.diagnosis.mesh_error.mesh_correction import MeshCorrection
 from limbcli.stages.diagnosis.mesh_error.penetration import Penetration
 
@@ -122,7 +123,7 @@ class SiteCurves:
     """
 
     def __init__(
-        self, site: SiteData, simulations: CurveSource, effects: Mapping[str, Effect], *,
+        self, site: SiteData, simulations: SiteSimulations, effects: Mapping[str, Effect], *,
         correction: MeshCorrection | None = None, penetration: Penetration | None = None,
         refused: Mapping[str, LimbError] = _NONE, progress: Progress = SILENT,
     ):  # fmt: skip

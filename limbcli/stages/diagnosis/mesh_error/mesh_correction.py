@@ -82,16 +82,6 @@ def _beyond(at: float, end: float, inner: float) -> float:
     return beyond**2 / (2 * _FOLLOWED) - beyond
 
 
-@dataclass(frozen=True, eq=False)
-class SiteMeshRun:
-    """The site's own run at the start values: element type; depths (mm) and forces (N, at the reference c) of
-    the levels that are deeper than the previous one."""
-
-    element: str
-    depth: Array
-    force: Array
-
-
 def own_curves(
     meshed: LimbModel, simulations: SiteSimulations, several: Sequence[float], *, size_ratio: float
 ) -> dict[float, Curves]:
@@ -135,8 +125,10 @@ def own_layers(site: Site, out: Path) -> str:
     return " and ".join(name.removesuffix("_mm") for name in layers)
 
 
-def own_run(site: Site, out: Path, *, c: float) -> SiteMeshRun:
-    """The site's finished run, its forces scaled to the stiffness c (MPa).
+def own_run(site: Site, out: Path, *, c: float) -> tuple[str, Curves]:
+    """Element type and curve, without speeds, of the site's finished run at the start values.
+
+    The forces are scaled to the stiffness c (MPa); levels no deeper than the previous one are left out.
 
     Raises
     ------
@@ -165,7 +157,8 @@ def own_run(site: Site, out: Path, *, c: float) -> SiteMeshRun:
             fix="run `limbcli run` again",
         )  # fmt: skip
     scale = c / mpa_from_kpa(float(built.data["c_kpa"]))
-    return SiteMeshRun(str(built.data.get("element")), depth[rising], force[rising] * scale)
+    curve = np.r_[0.0, depth[rising]], np.r_[0.0, force[rising] * scale]
+    return str(built.data.get("element")), Curves(*curve, np.zeros((len(rising) + 1, 0)), np.zeros(0))
 
 
 def contact_penalty(site: Site, out: Path) -> float:

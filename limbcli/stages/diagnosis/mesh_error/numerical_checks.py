@@ -198,17 +198,15 @@ class NumericalChecks:
         """Locking check if the site's own run has linear elements: its force compared with the working
         tet10."""
         try:
-            own = own_run(self.site, self.out, c=self.simulations.c)
+            element, own = own_run(self.site, self.out, c=self.simulations.c)
         except LimbError as error:
             if self.case.model.element == "tet4":
                 self.notes.data.setdefault("numerical_not_evaluated", {})["locking"] = error.what
             return []
-        if own.element != "tet4":
+        if element != "tet4":
             return []
         working = self.simulations.curves(START_M)
-        nothing = np.zeros((len(own.depth) + 1, 0))
-        theirs = Curves(np.r_[0.0, own.depth], np.r_[0.0, own.force], nothing, np.zeros(0))
-        linear = replace(working, force=np.r_[0.0, np.exp(log_force_at(theirs, working.depth[1:]))])
+        linear = replace(working, force=np.r_[0.0, np.exp(log_force_at(own, working.depth[1:]))])
         judged = self._judged("locking", linear, working, "tet4 against tet10")
         if judged.deviations > decisions.MATTERS_SD:
             self.notes.warnings.append(
