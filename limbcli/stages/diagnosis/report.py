@@ -211,14 +211,9 @@ def candidates_picture(found: Diagnosis, path: Path) -> None:
 
 def sizes_of(forward_model: SiteForwardModel, site: SiteData) -> dict[str, list[Slot]]:
     """Size parameters of every effect; those of this site where each measurement has a separate parameter."""
-    here = [each.site.name for each in forward_model.predictions.sites].index(site.name)
-    return {
-        name: [
-            slot for slot in forward_model.predictions.slots((name,))
-            if not slot.parameter.shape and slot.site in (None, here)
-        ]
-        for name in forward_model.predictions.effects
-    }  # fmt: skip
+    known = forward_model.predictions
+    here = [each.site.name for each in known.sites].index(site.name)
+    return {name: [slot for slot in known.sizes(name) if slot.site in (None, here)] for name in known.effects}
 
 
 def sizes_picture(found: Diagnosis, sizes: Mapping[str, Sequence[Slot]], path: Path) -> None:

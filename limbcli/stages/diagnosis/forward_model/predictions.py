@@ -127,6 +127,10 @@ class Predictions:
                     found.append(Slot(p.name, p, each_time=effect.each_time))
         return found
 
+    def sizes(self, name: str) -> list[Slot]:
+        """The size parameters of an effect."""
+        return [slot for slot in self.slots((name,)) if not slot.parameter.shape]
+
     def theta(self, values: Mapping[str, float], explanation: Explanation, site: int) -> dict[str, float]:
         """Effect parameters of one site, by their own names."""
         return {

@@ -78,14 +78,11 @@ class SiteForwardModel:
 
     @property
     def candidates(self) -> Sequence[Facts]:
+        sizes = self.predictions.sizes
         return [
             Facts(
-                e.name, e.sentence, e.kind,
-                {
-                    s.name: s.parameter.typical - s.parameter.null
-                    for s in self.predictions.slots((e.name,)) if not s.parameter.shape
-                },
-                simulated=e.solves,
+                e.name, e.sentence, e.kind, simulated=e.solves,
+                typical={s.name: s.parameter.typical - s.parameter.null for s in sizes(e.name)},
             )
             for e in self.predictions.effects.values()
         ]  # fmt: skip
@@ -99,7 +96,7 @@ class SiteForwardModel:
         ]
 
     def size_priors(self, name: str) -> Mapping[str, Prior]:
-        return {slot.name: slot.prior for slot in self.predictions.slots((name,)) if not slot.parameter.shape}
+        return {slot.name: slot.prior for slot in self.predictions.sizes(name)}
 
     def fit(self, explanation: Explanation, start: Mapping[str, float]) -> Fitted:
         """Fit of c, m and the effects' parameters; the best over the effects' grid points."""
@@ -157,7 +154,7 @@ class SiteForwardModel:
     def directions(self, fitted: Fitted, name: str) -> Sequence[Direction]:
         effect = self.predictions.effects[name]
         self.predictions.check_channels((name,))
-        slots = [slot for slot in self.predictions.slots((name,)) if not slot.parameter.shape]
+        slots = self.predictions.sizes(name)
         found, problem = [], None
         for point in effect.grid:
             try:
