@@ -27,7 +27,7 @@ from limbcli.model import LimbModel
 from limbcli.model_io import load_model, save_model
 from limbcli.progress import Progress
 from limbcli.results import plain, read_result
-from limbcli.stages.diagnosis.curves.curve_plan import FIRST_M, Reach, where_solved
+from limbcli.stages.diagnosis.curves.curve_plan import FIRST_M, Reach, nearest_m, where_solved
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.data.held_forces import held_forces
 from limbcli.stages.diagnosis.data.layers import BorderLines
@@ -135,7 +135,7 @@ def turned_by_90(
     nearest = sorted(known.nodes, key=lambda m: abs(np.log(m / known.changes.m)))
     try:
         curves.solve_nodes(nearest[:2])
-        curves.changes.m = min(curves.nodes, key=lambda m: abs(np.log(m / known.changes.m)))
+        curves.changes.m = nearest_m(curves.nodes, known.changes.m)
     finally:
         simulations.close()
     return curves

@@ -46,6 +46,14 @@ def bend(m: Any) -> Any:
     return np.sqrt(_BEND**2 + np.square(m))
 
 
+def nearest_m(several: Iterable[float], m: float) -> float:
+    """
+    >>> nearest_m((8.0, 4.0), 5.0)
+    4.0
+    """
+    return min(several, key=lambda each: abs(np.log(each / m)))
+
+
 def where_solved(of: Callable[[float], T], several: Iterable[float]) -> dict[float, T]:
     """What a function that simulates gives at these m, without those at which it raises SolveError."""
     found: dict[float, T] = {}

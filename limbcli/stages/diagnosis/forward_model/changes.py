@@ -20,7 +20,7 @@ from limbcli.effects.ingredients import Ingredients, touches_loads
 from limbcli.errors import SolveError
 from limbcli.model import Array
 from limbcli.progress import Progress
-from limbcli.stages.diagnosis.curves.curve_plan import FIRST_M
+from limbcli.stages.diagnosis.curves.curve_plan import FIRST_M, nearest_m
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.data.layers import line_shift
 
@@ -167,7 +167,7 @@ class Changes:
         """Change of `logs` by one value of a parameter, from a simulation."""
         theta = {**effect.null, **point, p.name: value}
         # the change hardly depends on m, and at one of these values it can be reused for other measurements
-        m = min(FIRST_M, key=lambda each: abs(np.log(each / self.m)))
+        m = nearest_m(FIRST_M, self.m)
         moved = logs(self.simulations.curves(m, ((effect, theta),)))
         change = gaps_filled(moved - logs(self.simulations.curves(m)))
         if effect.new_mesh:

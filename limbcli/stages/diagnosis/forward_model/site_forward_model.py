@@ -26,7 +26,7 @@ from limbcli.diagnostics.model.priors import Prior
 from limbcli.effects.base import Effect, Theta, point_name
 from limbcli.errors import LimbError, SolveError
 from limbcli.model import Array
-from limbcli.stages.diagnosis.curves.curve_plan import FIRST_M
+from limbcli.stages.diagnosis.curves.curve_plan import FIRST_M, nearest_m
 from limbcli.stages.diagnosis.data.noise import BESIDE, IN_MAPS, LEAST_BESIDE, LEAST_IN_MAPS
 from limbcli.stages.diagnosis.forward_model.fits import Fits
 from limbcli.stages.diagnosis.forward_model.measurement_menu import menu
@@ -196,14 +196,14 @@ class SiteForwardModel:
             each.solve_nodes(FIRST_M)
         for _ in range(_MAX_NODES):
             fitted = self.fits.best(NOTHING, {})[1]
-            m = fitted.values["m"]
-            solved = self._nodes()
-            if abs(np.log(self._nearest(m) / m)) < _SETTLED or len(solved) >= _MAX_NODES:
+            m, solved = fitted.values["m"], self._nodes()
+            nearest = nearest_m(solved or FIRST_M[:1], m)
+            if abs(np.log(nearest / m)) < _SETTLED or len(solved) >= _MAX_NODES:
                 break
             if not self._solve_node(float(round(m, 3))):
                 break
         for each in sites:
-            each.changes.m = min(each.nodes, key=lambda node: abs(np.log(node / fitted.values["m"])))
+            each.changes.m = nearest_m(each.nodes, fitted.values["m"])
         self.fits.tissue = (fitted.values["c_kpa"] / 1e3, fitted.values["m"])
         return fitted
 
@@ -221,9 +221,6 @@ class SiteForwardModel:
 
     def _nodes(self) -> set[float]:
         return set.intersection(*(set(each.nodes) for each in self.predictions.sites))
-
-    def _nearest(self, m: float) -> float:
-        return min(self._nodes() or {FIRST_M[0]}, key=lambda node: abs(np.log(node / m)))
 
     def _each(
         self, several: Sequence[AtPoints], start: Mapping[str, float], *, thorough: bool
