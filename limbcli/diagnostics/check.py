@@ -52,10 +52,6 @@ class Check:
     parts: tuple[Part, ...]
 
     @property
-    def whole(self) -> Part:
-        return self.parts[0]
-
-    @property
     def p(self) -> float:
         """The smallest adjusted p."""
         return min((each.p_adjusted for each in self.parts), default=1.0)

@@ -25,15 +25,13 @@ from limbcli.diagnostics.conclusions.blind_spots import BlindSpot, blind_spot
 from limbcli.diagnostics.conclusions.estimates import Estimates, estimates, sizes_95
 from limbcli.diagnostics.conclusions.next_measurement import NextStep, ranked
 from limbcli.diagnostics.conclusions.verdict import Diagnosis, Shrink, Word
-from limbcli.diagnostics.evidence.chance import least_by_chance
 from limbcli.diagnostics.evidence.laplace import Posterior
-from limbcli.diagnostics.evidence.linear_evidence import LinearEvidence
-from limbcli.diagnostics.model.common_errors import CommonError, common_errors
+from limbcli.diagnostics.evidence.linear_evidence import LinearEvidence, least_by_chance
 from limbcli.diagnostics.model.forward_model import Explanation, Facts, Fitted, ForwardModel
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
+from limbcli.diagnostics.model.noise import CommonError, common_errors
+from limbcli.diagnostics.residuals import Roughness, held_out_error, over_shared, roughness
 from limbcli.diagnostics.search import Explained, PriorOdds, Search, containing, credible, named
-from limbcli.diagnostics.statistics.heldout import held_out_error, over_shared
-from limbcli.diagnostics.statistics.roughness import Roughness, roughness
 from limbcli.errors import LimbError
 from limbcli.progress import SILENT, Progress
 
@@ -64,6 +62,7 @@ class _Run:
     rough: Roughness | None = None
     limit: float = 0.0
     several: list[Explained] = field(default_factory=list)
+    checks: dict[Explanation, Check] = field(default_factory=dict)
 
     def all(self) -> Diagnosis:
         model = self.forward_model
@@ -154,9 +153,12 @@ class _Run:
         return self._checked(max(known, key=lambda one: (len(one.fitted.explanation), one.ln_evidence)))
 
     def _checked(self, found: Posterior) -> Check:
-        whiten = self.search.whitener(found)
-        state = self._state(found.fitted, whiten, as_it_stands=True)
-        return checked(self.forward_model.data, state, whiten, self._rng(2))
+        key = found.fitted.explanation
+        if key not in self.checks:
+            whiten = self.search.whitener(found)
+            state = self._state(found.fitted, whiten, as_it_stands=True)
+            self.checks[key] = checked(self.forward_model.data, state, whiten, self._rng(2))
+        return self.checks[key]
 
     # ------------------------------------------------------------ what is reported
 
@@ -198,7 +200,8 @@ class _Run:
             state = self._state(each.fitted, whiten, as_it_stands=True)
             z = (data.y - each.fitted.prediction) / data.deviation
             rms = {name: float(np.sqrt(np.mean(z[mask] ** 2))) for name, mask in data.channels().items()}
-            found.append(Shrink(each.fitted.explanation, state.chi2, state.nu, rms, held, own))
+            one = each.fitted.explanation
+            found.append(Shrink(one, chi2=state.chi2, nu=state.nu, rms=rms, held_out=held, estimates=own))
         return tuple(found)
 
     def _averaged(self, mine: Posterior, *, imaged: bool) -> Estimates:

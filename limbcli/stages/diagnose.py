@@ -29,7 +29,7 @@ from limbcli.effects.own_file import effect_of_file
 from limbcli.errors import CaseError, LimbError, errors_of_site
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, open_stage, plain, read_result
-from limbcli.stages.diagnosis.drainage.drained import DrainageSolver
+from limbcli.stages.diagnosis.drainage import DrainageSolver
 from limbcli.stages.diagnosis.forward_model.measurement_menu import known
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
@@ -114,7 +114,10 @@ def diagnose(
         together = " + ".join(site.name for site in group)
         progress.event("stage", name=STAGE, site=together)
         with errors_of_site(together), one_blas_thread():
-            results += _Diagnosed(case, group, out, effects, options, draining, progress).all()
+            results += _Diagnosed(
+                case=case, sites=group, out=out, effects=effects, options=options, draining=draining,
+                progress=progress,
+            ).all()  # fmt: skip
     return results
 
 
@@ -158,25 +161,27 @@ def chosen_effects(options: DiagnoseOptions) -> tuple[Effect, ...]:
     return (*named, *(each for each in own if each not in named))
 
 
+@dataclass(frozen=True)
 class _Diagnosed:
     """Diagnosis of the measurements of one place, from preparation to results."""
 
-    def __init__(
-        self, case: Case, sites: Sequence[Site], out: Path, effects: Sequence[Effect],
-        options: DiagnoseOptions, draining: DrainageSolver | None, progress: Progress,
-    ):  # fmt: skip
-        self.case, self.sites, self.out, self.draining = case, sites, out, draining
-        self.options, self.progress = options, progress
-        self.effects = {each.name: each for each in effects if each.kind != NUMERICAL}
+    case: Case
+    sites: Sequence[Site]
+    out: Path
+    effects: Sequence[Effect]
+    options: DiagnoseOptions
+    draining: DrainageSolver | None
+    progress: Progress
 
     def all(self) -> list[StageResult]:
         prepared: list[Prepared] = []
         extras, options = known(self.options.measured), self.options
+        effects = {each.name: each for each in self.effects if each.kind != NUMERICAL}
         with ExitStack() as opened:
             for site in self.sites:
                 with errors_of_site(site.name):
                     one = prepare(
-                        self.case, site, self.effects, out=self.out, mesh=options.mesh,
+                        self.case, site, effects, out=self.out, mesh=options.mesh,
                         extras=[] if prepared else extras, draining=self.draining, progress=self.progress,
                     )  # fmt: skip
                 opened.callback(one.close)

@@ -29,13 +29,15 @@ from limbcli.effects.curves import Curves
 from limbcli.effects.far_side import FAR_SIDE
 from limbcli.model import Array, IntArray
 from limbcli.progress import SILENT
-from limbcli.stages.diagnosis.curves.exponents import FIRST_M
+from limbcli.stages.diagnosis.curves.curve_plan import FIRST_M
 from limbcli.stages.diagnosis.data import noise
 from limbcli.stages.diagnosis.data.windows import Windows
+from limbcli.stages.diagnosis.forward_model.surrogate import AtPoints
+from limbcli.stages.diagnosis.mesh_error.mesh_correction import F_KAPPA
 from limbcli.stages.diagnosis.mesh_error.numerical_checks import (
     _FAR_SIDE_LEFT,
     INCOMPRESSIBILITY,
-    deviations_of,
+    STIFFER,
 )
 from limbcli.stages.diagnosis.prepare import Prepared, WorkingMesh, prepare
 from limbcli.stages.mesh import mesh
@@ -89,7 +91,7 @@ def measured(site: str, truth: dict, folder: Path) -> tuple[str, Off]:
     prepared = prepared_site(site, folder)
     try:
         prepared.curves.solve_nodes(FIRST_M)
-        curves = prepared.curves.curves(truth["c_kpa"] / 1e3, truth["m"], (), {}, [])
+        curves = prepared.curves.curves(truth["c_kpa"] / 1e3, truth["m"], AtPoints(), {})
         near = min(FIRST_M, key=lambda m: abs(np.log(m / truth["m"])))
         free, held, stiffer = (
             prepared.simulations.curves(near, changes)
@@ -107,7 +109,7 @@ def measured(site: str, truth: dict, folder: Path) -> tuple[str, Off]:
     per_c = force * prepared.simulations.c / (truth["c_kpa"] / 1e3)
     plain = at_force(free, free.log_speed, per_c)
     far = np.nan_to_num(at_force(held, held.log_speed, per_c) - plain)
-    softer = deviations_of(truth["fk"])
+    softer = (1.0 - F_KAPPA / truth["fk"]) / (1.0 - 1.0 / STIFFER)  # deviations of its prior
     off = ours + softer * (at_force(stiffer, stiffer.log_speed, per_c) - plain) - theirs[:, 1:]
     level, part = np.nonzero(np.isfinite(off))
     spread = " ".join(f"{100 * each:.1f}" for each in np.nanstd(off, axis=1))

@@ -53,7 +53,7 @@ from limbcli.stages.diagnosis.data.noise import SmoothDepth
 from limbcli.stages.diagnosis.data.site_data import SiteData
 from limbcli.stages.diagnosis.data.windows import Windows, pitch_of
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
-from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
+from limbcli.stages.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
 from limbcli.stages.diagnosis.prepare import Prepared, WorkingMesh, _Preparation, prepare
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment
@@ -171,7 +171,7 @@ class RawReadings:
         noise = self.prepared.site.noise
         shared[np.arange(len(level)), n + level] = noise.swe_level_fraction
         change = self._speed_change(effect, point)[level, pixel]
-        other = self._speeds((self.m * np.exp(_STEP_LN_M), (), {}, [])) - self._speeds(self._plain)
+        other = self._speeds((self.m * np.exp(_STEP_LN_M), AtPoints(), {})) - self._speeds(self._plain)
         base = np.column_stack([np.full(len(level), 0.5), (other / _STEP_LN_M)[level, pixel]])
         own = np.full(len(level), noise.swe_pixel_fraction * np.sqrt(self._pixels_alike))
         known = np.isfinite(change) & np.isfinite(base).all(axis=1) & np.isfinite(shared).all(axis=1)
@@ -191,8 +191,8 @@ class RawReadings:
         return 1.0 + found.share * (sums[0] * sums[1] - 1.0)
 
     @property
-    def _plain(self) -> tuple[float, tuple[str, ...], Theta, list[Theta]]:
-        return self.m, (), {}, []
+    def _plain(self) -> tuple[float, AtPoints, Theta]:
+        return self.m, AtPoints(), {}
 
     @property
     def _seen(self) -> tuple[IntArray, IntArray]:
@@ -204,19 +204,15 @@ class RawReadings:
         pixel = np.concatenate(numbers)
         return level[pixel >= 0], pixel[pixel >= 0]
 
-    def _speeds(
-        self, model: tuple[float, tuple[str, ...], Theta, Sequence[Theta]], further: float = 0.0
-    ) -> Array:
-        """ln speed (n_levels, n_pixels) of a model: m, explanation, parameters, points of its grids."""
+    def _speeds(self, model: tuple[float, AtPoints, Theta], further: float = 0.0) -> Array:
+        """ln speed (n_levels, n_pixels) of a model: m, effects at points of their grids, parameters."""
         assert self.pixels is not None
-        m, explanation, theta, points = model
-        curves = self.pixels.curves(self.c, m, explanation, theta, points)
-        reading = self.pixels.reading(self.c, explanation, theta, points)
+        curves, reading = self.pixels.read(self.c, *model)
         protocol = replace(self.smooth, depth=self.smooth.depth + further)
         return read(curves, protocol, reading).log_speed[:, 1:]
 
     def _speed_change(self, effect: Effect, point: Theta) -> Array:
-        moved = self._speeds((self.m, (effect.name,), plausible(effect, point), [effect.held(point)]))
+        moved = self._speeds((self.m, _alone(effect, point), plausible(effect, point)))
         return _from_onset(moved - self._speeds(self._plain), effect, point)
 
     # -------------------------------------------------------------- holds
@@ -236,17 +232,14 @@ class RawReadings:
             depth[a:b] = depth[a:b].mean()
         steady = replace(held, depth=depth)
 
-        def ln_force(c: float, m: float, names: tuple[str, ...], theta: Theta, points: list[Theta]) -> Array:
-            found = curves.curves(c, m, names, theta, points)
-            forces = steady.force(found, curves.reading(c, names, theta, points))
+        def ln_force(c: float, m: float, model: AtPoints, theta: Theta) -> Array:
+            forces = steady.force(*curves.read(c, m, model, theta))
             return np.concatenate([_about_mean(np.log(np.maximum(forces[a:b], 1e-6))) for a, b in holds])
 
-        plain = ln_force(self.c, self.m, (), {}, [])
-        more_c = ln_force(self.c * np.exp(_STEP_LN_M), self.m, (), {}, [])
-        more_m = ln_force(self.c, self.m * np.exp(_STEP_LN_M), (), {}, [])
-        change = (
-            ln_force(self.c, self.m, (effect.name,), plausible(effect, point), [effect.held(point)]) - plain
-        )
+        plain = ln_force(self.c, self.m, AtPoints(), {})
+        more_c = ln_force(self.c * np.exp(_STEP_LN_M), self.m, AtPoints(), {})
+        more_m = ln_force(self.c, self.m * np.exp(_STEP_LN_M), AtPoints(), {})
+        change = ln_force(self.c, self.m, _alone(effect, point), plausible(effect, point)) - plain
         base = np.column_stack([more_c - plain, more_m - plain]) / _STEP_LN_M
         own = np.concatenate([np.full(b - a, self._of_sample(held, a, b)) for a, b in holds])
         return Block("hold", change, base, own, np.zeros((len(change), self.n_shared)))
@@ -257,7 +250,7 @@ class RawReadings:
         assert self.prepared.site.trace is not None
         trace = read_trace(self.prepared.site.trace)
         n_samples = max(held_forces.STEP_S / float(np.median(np.diff(trace.time))), 1.0)
-        curves = self.prepared.curves.curves(self.c, self.m, (), {}, [])
+        curves = self.prepared.curves.curves(self.c, self.m, AtPoints(), {})
         depth = float(held.depth[a:b].mean())
         force = force_at(curves, np.array([depth - _STEP_MM, depth, depth + _STEP_MM]))
         stiffness = (force[2] - force[0]) / (2 * _STEP_MM)
@@ -372,6 +365,10 @@ def of_site(case: Case, site: Site, out: Path) -> Iterator[dict[str, Any]]:
             pixels.simulations.close()
 
 
+def _alone(effect: Effect, point: Theta) -> AtPoints:
+    return AtPoints((effect.name,), (effect.held(point),))
+
+
 def _line(
     forward_model: SiteForwardModel, fitted: Fitted, raw: RawReadings, effect: Effect, point: Theta
 ) -> dict[str, Any]:
@@ -382,9 +379,7 @@ def _line(
         np.log(raw.m),
         *(theta[slot.name] for slot in forward_model.predictions.slots(explanation)),
     ]
-    change = (
-        forward_model.predictions.predict(np.array(x), explanation, [effect.held(point)]) - fitted.prediction
-    )
+    change = forward_model.predictions.predict(np.array(x), _alone(effect, point)) - fitted.prediction
     blocks = raw.blocks(change, effect, point)
     return {
         "point": point_name(point),

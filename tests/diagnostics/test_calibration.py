@@ -10,11 +10,10 @@ from scipy.stats import binom
 
 from limbcli.diagnostics import decisions
 from limbcli.diagnostics.engine import diagnose
-from limbcli.diagnostics.evidence import chance
-from limbcli.diagnostics.evidence.chance import least_by_chance
 from limbcli.diagnostics.evidence.laplace import posterior
-from limbcli.diagnostics.evidence.linear_evidence import LinearEvidence
+from limbcli.diagnostics.evidence.linear_evidence import LinearEvidence, least_by_chance
 from limbcli.diagnostics.model.linear import Whitener
+from limbcli.diagnostics.model.noise import unit_errors
 from limbcli.diagnostics.search import PriorOdds
 from tests.diagnostics import toy
 
@@ -46,7 +45,7 @@ def test_the_adequate_level_is_missed_by_five_per_cent_of_the_data_with_nothing_
     limit = least_by_chance(linear_of(toy.make(rng)), ODDS.ln_single, rng)
     below = 0
     for _ in range(400):
-        errors = chance.unit_errors(rng, (toy.N_FORCE + toy.N_SPEED,))
+        errors = unit_errors(rng, (toy.N_FORCE + toy.N_SPEED,))
         below += nothing(linear_of(toy.Toy(toy.BASE @ toy.TISSUE + root @ errors))) < limit
     assert is_share(below, 400, decisions.FALSE_ALARMS)
     assert limit < 1 - decisions.SOMETHING_MISSING

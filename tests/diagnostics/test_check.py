@@ -52,12 +52,12 @@ def test_the_whole_comes_first_with_its_own_chi2(rng):
     found = of(data, y)
     whiten = Whitener.of(data.noise.covariance)
     left = LinearFit.of(whiten(y), whiten(toy.BASE))
-    assert found.whole is found.parts[0]
-    assert (found.whole.name, found.whole.nu) == (check.WHOLE, len(data) - 3)
-    assert found.whole.chi2 == pytest.approx(left.chi2)
+    whole = found.parts[0]
+    assert (whole.name, whole.nu) == (check.WHOLE, len(data) - 3)
+    assert whole.chi2 == pytest.approx(left.chi2)
     assert [each.name for each in found.parts[1:]] == list(data.groups)
     # heavier tails than normal ones: a little above the p of chi2
-    assert 0.0 <= found.whole.p - chi2.sf(left.chi2, left.nu) < 0.15 or found.whole.p > 0.3
+    assert 0.0 <= whole.p - chi2.sf(left.chi2, left.nu) < 0.15 or whole.p > 0.3
     assert all(each.p <= each.p_adjusted <= 1.0 for each in found.parts)
     assert found.p == min(each.p_adjusted for each in found.parts)
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.diagnostics.model.common_errors import CommonError, common_errors
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
-from limbcli.diagnostics.model.noise import Noise, common, correlated, independent
+from limbcli.diagnostics.model.noise import CommonError, Noise, common, common_errors, correlated, independent
 from limbcli.stages.diagnosis import report
 from limbcli.stages.diagnosis.data.noise import COMPRESSIBILITY
 

@@ -14,7 +14,7 @@ from limbcli.diagnostics.model.linear import Whitener
 from limbcli.diagnostics.model.noise import Noise, independent
 from limbcli.diagnostics.model.priors import Prior, Priors
 from limbcli.effects import EFFECTS
-from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
+from limbcli.stages.diagnosis.forward_model.predictions import Slot
 from limbcli.stages.diagnosis.sizes import reported_sizes
 from tests.diagnostics import toy
 
@@ -107,9 +107,7 @@ def test_the_interval_of_a_size_alone_is_over_its_grid(rng):
     n, columns = 30, 2.0 * np.linalg.qr(rng.standard_normal((30, 3)))[0]
     y = 0.8 * columns[:, 1] + 0.8 * columns[:, 2] + 0.3 * rng.standard_normal(n)
     noise, prior = Noise((independent("own", np.ones(n), source="spec"),)), Prior(1.0, 4.0)
-    directions = {
-        "a": [Direction(each[:, None], (0,), f"at {k}", ("size",)) for k, each in enumerate(columns.T)]
-    }
+    directions = {"a": [Direction(each[:, None], ("size",), f"at {k}") for k, each in enumerate(columns.T)]}
     fitted = Fitted((), np.zeros(n), np.zeros((n, 0)), (), {})
     linear = LinearEvidence.about(
         fitted, y, Whitener.of(noise.covariance), directions, {"a": {"size": prior}}

@@ -9,7 +9,7 @@ import pytest
 
 from limbcli.diagnostics.model.forward_model import Data, Fitted
 from limbcli.diagnostics.model.noise import Noise, NoisePart
-from limbcli.diagnostics.statistics.heldout import held_out_error, over_shared
+from limbcli.diagnostics.residuals import held_out_error, over_shared
 
 N = 30  # data in each of two blocks, of deviation 1
 

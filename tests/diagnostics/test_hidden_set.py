@@ -92,13 +92,13 @@ def test_noise_stated_too_small_is_noticed():
 def test_two_effects_fit_no_worse_than_one_of_them():
     """Fits go on from those of their parts: from their usual starts these two ended five worse."""
     case = cases.Case("preload", {"preload": ONCE["preload"]}, 10, cases.COARSE)
-    bench = cases.SiteForwardModel([case.curves(case.levels)], verify=False)
+    bench = cases.SiteForwardModel([case.curves(case.levels)])
     bench.fit((), {})
 
     def deviance(explanation):
         fitted = bench.fit(explanation, {})
-        points, x = bench.predictions.points(fitted), bench.predictions.x_of(fitted)
-        return float(np.sum(bench.fits.off(x, explanation, points) ** 2))
+        model, x = bench.predictions.model_of(fitted), bench.predictions.x_of(fitted)
+        return float(np.sum(bench.fits.off(x, model) ** 2))
 
     one = {name: deviance((name,)) for name in ("anisotropy", "preload", "contraction")}
     for other in ("preload", "contraction"):

@@ -97,7 +97,7 @@ def test_an_error_of_depth_moves_the_layers_as_the_noise_has_it(rng):
     the_bench.predictions.sites[0].solve_nodes((4.0, 8.0))
     x = np.log([0.0065, 4.0])
     fat = np.array([row.channel == "layer" and row.part == 1 for row in the_bench.predictions.site.rows])
-    exact = the_bench.predictions.predict(x, (), ())[fat]
+    exact = the_bench.predictions.predict(x)[fat]
     expected = np.array(
         [row.level for row, is_fat in zip(the_bench.predictions.site.rows, fat, strict=True) if is_fat]
     )
@@ -180,16 +180,16 @@ def test_fat_in_a_finer_mesh_is_recovered_by_its_layers(layered_block, rng):
     the_bench = SiteForwardModel([SiteCurves(site, simulations, {"adipose-layer": effect("adipose-layer")})])
     base = the_bench.fit((), {})
     found = the_bench.verified(the_bench.fit(("adipose-layer",), {}))
-    points, true = the_bench.predictions.points(found), {"log_fat_softness": 1.1, "fat_thickness_mm": 6.0}
-    ended = the_bench.fits.off(the_bench.predictions.x_of(found), found.explanation, points)
-    the_bench.predictions.sites[0].repair(4.0, found.explanation, true, points)
+    model, true = the_bench.predictions.model_of(found), {"log_fat_softness": 1.1, "fat_thickness_mm": 6.0}
+    ended = the_bench.fits.off(the_bench.predictions.x_of(found), model)
+    the_bench.predictions.sites[0].repair(4.0, model, true)
     x = np.array(
         [
             *np.log([0.0065, 4.0]),
             *(true[slot.name] for slot in the_bench.predictions.slots(found.explanation)),
         ]
     )
-    at_truth = the_bench.fits.off(x, found.explanation, points)
+    at_truth = the_bench.fits.off(x, model)
     simulations.close()
     assert ended @ ended < at_truth @ at_truth
     left = [the_bench.predictions.whiten(the_bench.data.y - each.prediction) for each in (base, found)]

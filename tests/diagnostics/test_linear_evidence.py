@@ -41,12 +41,9 @@ class Linear:
         priors = Priors.about(theta, (OF_TISSUE,) * 2)
         fitted = Fitted((), self.base @ theta, self.base, ("c", "m"), {}, priors=priors)
         directions = {
-            name: [
-                Direction(each, (0,) * each.shape[1], f"at {k}", tuple(SIZES[name]))
-                for k, each in enumerate(several)
-            ]
+            name: [Direction(each, tuple(SIZES[name]), f"at {k}") for k, each in enumerate(several)]
             for name, several in self.columns.items()
-        }  # fmt: skip
+        }
         return LinearEvidence.about(fitted, self.y, Whitener.of(self.covariance), directions, SIZES)
 
     def ln_likelihood(self, *effects: tuple[str, int], y=None) -> float:

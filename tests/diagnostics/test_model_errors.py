@@ -12,10 +12,10 @@ import pytest
 from limbcli.effects.curves import Curves
 from limbcli.measurement.levels import Levels
 from limbcli.results import open_stage
+from limbcli.stages.diagnosis.mesh_error.mesh_comparison import Notes
 from limbcli.stages.diagnosis.mesh_error.mesh_correction import MeshCorrection
 from limbcli.stages.diagnosis.mesh_error.model_errors import ModelErrors
 from limbcli.stages.diagnosis.mesh_error.numerical_checks import Intervention
-from limbcli.stages.diagnosis.prepare import Notes
 
 DEPTH = np.array([0.0, 2.0, np.nan, 8.0])
 N = len(DEPTH)
@@ -54,8 +54,10 @@ def with_voxels(out: Path, spacing: list[float]) -> None:
 
 
 def every(errors: ModelErrors):
-    correction = MeshCorrection(np.ones(1), np.zeros((1, 6)), np.zeros((1, 6, 3)), 1.0, np.full(N, 0.02),
-                                np.full(N, 0.004))  # fmt: skip
+    correction = MeshCorrection(
+        m=np.ones(1), log_force=np.zeros((1, 6)), log_speed=np.zeros((1, 6, 3)), thickness_ratio=1.0,
+        mesh_error=np.full(N, 0.02), speed_error=np.full(N, 0.004),
+    )  # fmt: skip
     change = np.full(N, 0.3)
     crop = Intervention("crop", change, np.zeros((N, 3)), 4.0, left=0.3)
     locking = Intervention("locking", change, np.zeros((N, 3)), 4.0)

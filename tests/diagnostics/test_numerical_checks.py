@@ -12,7 +12,7 @@ import pytest
 from limbcli.case import StatedNoise
 from limbcli.effects.curves import Curves, continued, log_force_at
 from limbcli.measurement.indentation import Levels
-from limbcli.stages.diagnosis.curves.exponents import FIRST_M
+from limbcli.stages.diagnosis.curves.curve_plan import FIRST_M
 from limbcli.stages.diagnosis.mesh_error.numerical_checks import (
     Intervention,
     NumericalChecks,

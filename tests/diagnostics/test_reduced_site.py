@@ -21,7 +21,7 @@ from limbcli.stages.diagnosis.data.noise import IN_MAPS, LEAST_IN_MAPS, STRAIN, 
 from limbcli.stages.diagnosis.data.site_data import site_data
 from limbcli.stages.diagnosis.forward_model.changes import logs
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
-from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
+from limbcli.stages.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
 from limbcli.stages.diagnosis.report import candidates_picture, diagnosis_json, gap_picture
 from tests.diagnostics import reduced
 
@@ -152,9 +152,10 @@ def test_what_sets_in_late_changes_only_the_levels_from_there_on(rng):
     for m in (2.0, 5.0):
         the_bench.predictions.sites[0].solve_node(m)
     onset = "tensed_after_share_of_levels"
-    plain = the_bench.predictions.predict(x[:2], (), ())
+    plain = the_bench.predictions.predict(x[:2])
     whole, late = (
-        the_bench.predictions.predict(x, ("contraction",), ({onset: share},)) for share in (0.0, 0.5)
+        the_bench.predictions.predict(x, AtPoints(("contraction",), ({onset: share},)))
+        for share in (0.0, 0.5)
     )
     level = np.array([row.level for row in the_bench.predictions.site.rows])
     early = level < 0.5 * len(the_bench.predictions.site.protocol)
@@ -167,16 +168,16 @@ def test_a_pair_starts_from_what_was_solved_of_its_parts(rng):
     one = bench(levels(rng), names=("skin-layer", "contraction")).predictions.sites[0]
     for m in (2.0, 5.0):
         one.solve_node(m)
-    pair, points = ("contraction", "skin-layer"), ({"tensed_after_share_of_levels": 0.0},
-                                                  {"skin_thickness_mm": 1.5})  # fmt: skip
+    points = ({"tensed_after_share_of_levels": 0.0}, {"skin_thickness_mm": 1.5})
+    pair = AtPoints(("contraction", "skin-layer"), points)
     theta = {"active_stress_per_c": 1.0, "log_skin_ratio": 3.0}
-    before = one.predict(0.0065, 4.0, pair, theta, points)
-    one.repair(4.0, ("skin-layer",), {"log_skin_ratio": 3.0}, points[1:])
-    one.repair(4.0, ("contraction",), {"active_stress_per_c": 1.0}, points[:1])
-    one.inherit_parts(pair, points)
-    started = one.predict(0.0065, 4.0, pair, theta, points)
-    one.repair(4.0, pair, theta, points)
-    true = one.predict(0.0065, 4.0, pair, theta, points)
+    before = one.predict(0.0065, 4.0, pair, theta)
+    one.repair(4.0, pair.only([1]), {"log_skin_ratio": 3.0})
+    one.repair(4.0, pair.only([0]), {"active_stress_per_c": 1.0})
+    one.inherit_parts(pair)
+    started = one.predict(0.0065, 4.0, pair, theta)
+    one.repair(4.0, pair, theta)
+    true = one.predict(0.0065, 4.0, pair, theta)
     assert np.abs(started - true).max() < 0.5 * np.abs(before - true).max()
 
 
@@ -185,13 +186,13 @@ def test_what_a_simulation_mends_goes_with_the_effects_size(rng):
     one = bench(levels(rng), names=("skin-layer",)).predictions.sites[0]
     for m in (2.0, 5.0):
         one.solve_node(m)
-    skin, point = ("skin-layer",), ({"skin_thickness_mm": 1.5},)
+    skin = AtPoints(("skin-layer",), ({"skin_thickness_mm": 1.5},))
 
     def force(log_ratio):
-        return one.curves(0.0065, 4.0, skin, {"log_skin_ratio": log_ratio}, point).force[1:]
+        return one.curves(0.0065, 4.0, skin, {"log_skin_ratio": log_ratio}).force[1:]
 
-    plain, before = one.curves(0.0065, 4.0, (), {}, ()).force[1:], force(3.0)
-    one.repair(4.0, skin, {"log_skin_ratio": 3.0}, point)
+    plain, before = one.curves(0.0065, 4.0, AtPoints(), {}).force[1:], force(3.0)
+    one.repair(4.0, skin, {"log_skin_ratio": 3.0})
     simulations = one.simulations.curves(
         4.0, ((effect("skin-layer"), {"log_skin_ratio": 3.0, "skin_thickness_mm": 1.5}),)
     )
@@ -206,14 +207,14 @@ def test_every_model_that_was_simulated_is_kept_as_it_is(rng):
     one = bench(levels(rng), names=("skin-layer",)).predictions.sites[0]
     for m in (2.0, 5.0):
         one.solve_node(m)
-    skin, point = ("skin-layer",), ({"skin_thickness_mm": 1.5},)
+    skin = AtPoints(("skin-layer",), ({"skin_thickness_mm": 1.5},))
     solved = [(4.0, 1.0), (4.0, 3.0), (2.5, 2.0)]
     for m, log_ratio in solved:
-        one.repair(m, skin, {"log_skin_ratio": log_ratio}, point)
+        one.repair(m, skin, {"log_skin_ratio": log_ratio})
     for m, log_ratio in solved:
         theta = {"log_skin_ratio": log_ratio}
-        true = one.simulations.curves(m, ((effect("skin-layer"), {**theta, **point[0]}),))
-        found = one.curves(one.simulations.c, m, skin, theta, point)
+        true = one.simulations.curves(m, ((effect("skin-layer"), {**theta, **skin.points[0]}),))
+        found = one.curves(one.simulations.c, m, skin, theta)
         assert found.force[1:] == pytest.approx(true.force[1:], rel=1e-6)
         shown = np.isfinite(true.log_speed)
         assert found.log_speed[shown] == pytest.approx(true.log_speed[shown], abs=1e-6)
@@ -223,20 +224,20 @@ def test_a_fit_that_does_not_stay_ends_at_the_best_that_was_simulated(rng, monke
     the_bench = bench(levels(rng), names=("skin-layer",))
     the_bench.fit((), {})
     drafted = the_bench.fit(("skin-layer",), {})
-    points, x, visited = the_bench.predictions.points(drafted), the_bench.predictions.x_of(drafted), []
+    skin, x, visited = the_bench.predictions.model_of(drafted), the_bench.predictions.x_of(drafted), []
     wandering = iter([1.1, 4.0, 0.2, 3.0])
 
-    def best_fit(explanation, points, start, *, besides=(), **how):
-        return 0.0, the_bench.fits.fitted(np.array([*x[:2], next(wandering)]), explanation, points)
+    def best_fit(model, start, *, besides=(), **how):
+        return 0.0, the_bench.fits.fitted(np.array([*x[:2], next(wandering)]), model)
 
-    def off(at, explanation, points):
+    def off(at, model):
         visited.append(at[2])
         return np.array([at[2] - 1.0])
 
     monkeypatch.setattr(the_bench.predictions.sites[0], "repair", lambda *model: None)
     monkeypatch.setattr(the_bench.fits, "best", best_fit)
     monkeypatch.setattr(the_bench.fits, "off", off)
-    found = the_bench.verified(the_bench.fits.fitted(np.array([*x[:2], 5.0]), ("skin-layer",), points))
+    found = the_bench.verified(the_bench.fits.fitted(np.array([*x[:2], 5.0]), skin))
     assert visited == [5.0, 1.1, 4.0, 0.2]
     assert found.values["log_skin_ratio"] == pytest.approx(1.1)
 
@@ -245,38 +246,39 @@ def test_a_fit_keeps_away_from_what_has_no_answer(rng, monkeypatch):
     the_bench = bench(levels(rng), names=("skin-layer",))
     the_bench.fit((), {})
     predict, beyond = the_bench.predictions.predict, 0.5
+    skin = AtPoints(("skin-layer",), ({"skin_thickness_mm": 1.5},))
 
-    def refused(x, explanation, points):
+    def refused(x, *model):
         if len(x) > 2 and x[2] > beyond:
             raise SolveError("no answer", where="here", fix="none")
-        return predict(x, explanation, points)
+        return predict(x, *model)
 
     monkeypatch.setattr(the_bench.predictions, "predict", refused)
-    deviance, fitted = the_bench.fits.best(("skin-layer",), ({"skin_thickness_mm": 1.5},), {})
+    deviance, fitted = the_bench.fits.best(skin, {})
     assert fitted.values["log_skin_ratio"] < beyond
     assert deviance < 1e4
     beyond = -10.0
     with pytest.raises(SolveError, match="no answer"):
-        the_bench.fits.best(("skin-layer",), ({"skin_thickness_mm": 1.5},), {})
+        the_bench.fits.best(skin, {})
 
 
 def test_a_fit_with_one_effect_is_no_worse_than_without_it(rng, monkeypatch):
     """Also where it begins at a large size, whose simulation was a surprise."""
     the_bench = bench(levels(rng), names=("skin-layer",))
     without = the_bench.fit((), {})
-    one, skin, point = the_bench.predictions.sites[0], ("skin-layer",), ({"skin_thickness_mm": 1.5},)
+    one, skin = the_bench.predictions.sites[0], AtPoints(("skin-layer",), ({"skin_thickness_mm": 1.5},))
     solved = one.simulations.curves
 
     def stiffer(m, ingredients=()):
         found = solved(m, ingredients)
         return replace(found, force=20.0 * found.force) if ingredients else found
 
-    (begun,) = the_bench.fits._ends_of_parts(skin, point)
+    (begun,) = the_bench.fits._ends_of_parts(skin)
     assert np.exp(begun[:2]) == pytest.approx([without.values["c_kpa"] / 1e3, without.values["m"]])
     monkeypatch.setattr(one.simulations, "curves", stiffer)
-    one.repair(4.0, skin, {"log_skin_ratio": 4.9}, point)
-    deviance, fitted = the_bench.fits.best(skin, point, {"log_skin_ratio": 4.9})
-    off = the_bench.fits.off(the_bench.predictions.x_of(without), (), ())
+    one.repair(4.0, skin, {"log_skin_ratio": 4.9})
+    deviance, fitted = the_bench.fits.best(skin, {"log_skin_ratio": 4.9})
+    off = the_bench.fits.off(the_bench.predictions.x_of(without), AtPoints())
     assert deviance <= float(off @ off) + 0.1, fitted.values
 
 
@@ -337,9 +339,7 @@ def test_jacobian_is_that_of_the_prediction(rng):
     for k in range(2):
         up, down = x.copy(), x.copy()
         up[k], down[k] = x[k] + step, x[k] - step
-        slope = (the_bench.predictions.predict(up, (), ()) - the_bench.predictions.predict(down, (), ())) / (
-            2 * step
-        )
+        slope = (the_bench.predictions.predict(up) - the_bench.predictions.predict(down)) / (2 * step)
         assert fitted.jacobian[:, k] == pytest.approx(slope, abs=2e-3 * np.abs(slope).max())
 
 
@@ -466,7 +466,7 @@ def test_curves_between_solved_exponents_are_those_of_a_simulation(rng):
         one.solve_node(m)
     for m in (1.0, 1.5, 3.0, 4.0, 7.0, 9.0):
         c = one.simulations.c
-        true, between = one.simulations.curves(m), one.curves(c, m, (), {}, ())
+        true, between = one.simulations.curves(m), one.curves(c, m, AtPoints(), {})
         assert between.force[1:] == pytest.approx(true.force[1:], rel=5e-3)
         seen = np.isfinite(true.log_speed)
         assert between.log_speed[seen] == pytest.approx(true.log_speed[seen], abs=8e-3)

@@ -8,7 +8,7 @@ import pytest
 from limbcli.diagnostics.model.forward_model import Data
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
 from limbcli.diagnostics.model.noise import Noise, independent
-from limbcli.diagnostics.statistics.roughness import roughness
+from limbcli.diagnostics.residuals import roughness
 
 N_LEVELS, PARTS = 9, 4
 

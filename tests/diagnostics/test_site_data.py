@@ -10,7 +10,7 @@ import pytest
 
 from limbcli.case import StatedNoise
 from limbcli.diagnostics.model.linear import LinearFit, Whitener
-from limbcli.diagnostics.statistics.roughness import roughness
+from limbcli.diagnostics.residuals import roughness
 from limbcli.effects import effect
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Protocol, Reading, read
@@ -21,7 +21,7 @@ from limbcli.stages.diagnosis.data.noise import ModelError, deepest, depth_slope
 from limbcli.stages.diagnosis.data.site_data import site_data
 from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.stages.diagnosis.forward_model.predictions import Predictions
-from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
+from limbcli.stages.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
 
 N = 6
 
@@ -190,7 +190,7 @@ def test_a_part_that_one_exponents_model_does_not_show_is_continued_there():
     curves.nodes = {
         m: Curves(depth, depth**1.2, table, MAPPED.depths, 28.0) for m, table in ((4.0, speeds), (8.0, gap))
     }
-    found = curves.curves(0.01, 6.0, (), {}, []).log_speed
+    found = curves.curves(0.01, 6.0, AtPoints(), {}).log_speed
     assert found == pytest.approx(speeds, abs=1e-12)
 
 

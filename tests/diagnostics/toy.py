@@ -125,7 +125,7 @@ class Toy:
         names = ("stiffness", "bend", "toe-in")
         return Fitted(
             explanation, J @ theta, J, names, dict(zip([*names, *explanation], theta.tolist(), strict=True)),
-            explanation, points={"grid": ", ".join(point for point, _ in points if point)},
+            explanation, point=", ".join(point for point, _ in points if point),
             priors=Priors.about(theta, priors),
             ln_points=float(np.log(np.mean([np.exp(-0.5 * (each[0] - cost)) for each in fits]))),
         )  # fmt: skip
@@ -136,8 +136,7 @@ class Toy:
         return fitted
 
     def directions(self, fitted: Fitted, name: str) -> Sequence[Direction]:
-        sign = (1,) if name in ONE_SIDED else (0,)
-        return [Direction(column[:, None], sign, point, (name,)) for point, column in SIGNATURES[name]]
+        return [Direction(column[:, None], (name,), point) for point, column in SIGNATURES[name]]
 
     def proposals(self, fits: Sequence[Fitted]) -> Sequence[Proposal]:
         """A thermometer that sees `toe` alone, and one that sees nothing."""

@@ -18,7 +18,7 @@ from limbcli.materials.ogden import ogden_type
 from limbcli.model import Array, Block, Curve, Domain, LimbModel, LogRecord, Mesh, Step, Support
 from limbcli.progress import SILENT
 from limbcli.solvers.febio import FebioSolver
-from limbcli.stages.diagnosis.drainage.held_model import held_model, hold_of
+from limbcli.stages.diagnosis.drainage import held_model, hold_of
 from tests.stages.block_case import block_model
 from tests.stages.draining_case import Staircase
 

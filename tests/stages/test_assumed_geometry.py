@@ -18,7 +18,7 @@ from limbcli.phantom.protocol import LoadingProtocol
 from limbcli.results import read_result
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.check import check
-from limbcli.stages.diagnosis.mesh_error.geometry_gain import USUAL, assumed_gain
+from limbcli.stages.diagnosis.mesh_error.model_errors import USUAL_GAIN, assumed_gain
 from limbcli.stages.fit import FitOptions, fit
 from limbcli.stages.fit_joint import JointOptions, fit_joint
 from limbcli.stages.fitting.geometry import NOT_ALLOWED_FOR
@@ -143,7 +143,7 @@ def test_changed_numbers_break_the_chain(chain, tmp_path):
 def test_a_diagnosis_takes_the_fits_doubt_or_says_that_there_is_none(chain):
     case, out = chain
     gain, reported = assumed_gain(case, case.sites[0], out)
-    assert gain == USUAL
+    assert gain == USUAL_GAIN
     assert "No fit has varied it" in reported
 
 

@@ -20,7 +20,7 @@ from limbcli.solvers.base import Simulation, Table
 from limbcli.solvers.febio import FebioSolver
 from limbcli.stages.diagnose import DiagnoseOptions, diagnose
 from limbcli.stages.diagnosis.data.held_forces import HeldForces
-from limbcli.stages.diagnosis.drainage.drained import DrainageSolver, Drained, drained
+from limbcli.stages.diagnosis.drainage import DrainageSolver, Drained, drained
 from tests.stages import block_case as block
 from tests.stages import draining_case
 

@@ -16,13 +16,12 @@ from limbcli.fem.equilibrium.solve_times import step_times
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.budget import Budget, BudgetSpent
 from limbcli.stages.diagnosis.curves import site_models
-from limbcli.stages.diagnosis.curves.curve_plan import Reach, Solving
+from limbcli.stages.diagnosis.curves.curve_plan import Reach, SiteWork, Solving
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.curves.site_solver import SiteSolver
-from limbcli.stages.diagnosis.curves.work_budget import SiteWork
 from limbcli.stages.diagnosis.data.windows import Windows
 from limbcli.stages.diagnosis.forward_model.changes import Changes
-from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
+from limbcli.stages.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
 from limbcli.stages.diagnosis.mesh_error.penetration import Penetration
 from limbcli.stages.site_model.model_simplification import fewer_steps
 from tests.stages import block_case
@@ -396,9 +395,9 @@ def test_an_effect_that_moves_the_mesh_changes_parts_that_are_side_by_side_alike
     site = SiteCurves(None, simulations, {"thickness": thickness})
     site.solve_nodes((4.0, 8.0))
     site.changes.m = 4.0
-    theta = {"thickness_change": -0.1}
-    site.repair(4.0, ("thickness",), theta, [{}])
-    assert site.curves(simulations.c, 4.0, ("thickness",), theta, [{}]).log_speed == pytest.approx(
+    theta, thicker = {"thickness_change": -0.1}, AtPoints(("thickness",), ({},))
+    site.repair(4.0, thicker, theta)
+    assert site.curves(simulations.c, 4.0, thicker, theta).log_speed == pytest.approx(
         np.full((3, 61), 0.8), abs=1e-9
     )
 
@@ -446,7 +445,7 @@ def test_a_trial_far_beyond_what_an_effect_can_be_still_gives_numbers():
     site.solve_nodes((4.0, 8.0))
     site.changes.m = 4.0
     for change in (-1e4, 1e4):
-        found = site.curves(simulations.c, 4.0, ("thickness",), {"thickness_change": change}, [{}])
+        found = site.curves(simulations.c, 4.0, AtPoints(("thickness",), ({},)), {"thickness_change": change})
         assert np.isfinite(found.log_speed).all()
         assert np.isfinite(force_at(found, np.array([0.5, 5.0]))).all()
 

@@ -20,9 +20,8 @@ from limbcli.stages.build_feb import TissueOptions, build_feb
 from limbcli.stages.diagnosis import written_model as written
 from limbcli.stages.diagnosis.curves.curve_plan import Solving
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
-from limbcli.stages.diagnosis.mesh_error.mesh_comparison import MeshComparison
+from limbcli.stages.diagnosis.mesh_error.mesh_comparison import MeshComparison, Notes
 from limbcli.stages.diagnosis.mesh_error.mesh_correction import MeshCorrection, own_curves, own_run
-from limbcli.stages.diagnosis.prepare import Notes
 from limbcli.stages.run import run
 from limbcli.stages.site_model.site_layers import LayerLaw, with_layer_laws
 from tests.stages import block_case as block
@@ -51,12 +50,12 @@ def _simulations(folder: Path, **counts) -> SiteSimulations:
 def test_run_is_scaled_to_the_reference_stiffness(ran):
     case, out = ran
     site = case.sites[0]
-    own, twice = own_run(site, out, c=C), own_run(site, out, c=2 * C)
-    assert own.element == "tet4"
-    assert own.depth == pytest.approx(DEPTHS, abs=1e-6)
+    (element, own), (_, twice) = own_run(site, out, c=C), own_run(site, out, c=2 * C)
+    assert element == "tet4"
+    assert own.depth == pytest.approx(np.r_[0.0, DEPTHS], abs=1e-6)
     assert twice.force == pytest.approx(2 * own.force, rel=1e-12)
     true = block.true_curve("tet4", DEPTHS, c=C, f_kappa=100.0, m=2.0)
-    assert own.force == pytest.approx(true, rel=1e-3)
+    assert own.force[1:] == pytest.approx(true, rel=1e-3)
 
 
 def test_run_with_other_start_values_ties_nothing(ran, tmp_path):
@@ -115,7 +114,8 @@ def test_a_layer_beside_the_tissue_is_no_error_of_a_mesh(ran, tmp_path):
         save_model(soft, writer.file("model", "model.npz"))
     notes, simulations = Notes(), _simulations(tmp_path)
     comparison = MeshComparison(
-        site, DEPTHS, simulations, out=layered, size=5.0, several=[4.0], notes=notes, progress=SILENT
+        site=site, depth=DEPTHS, simulations=simulations, out=layered, size=5.0, several=[4.0],
+        notes=notes, progress=SILENT,
     )  # fmt: skip
     correction = comparison.correction(freed={}, held={})
     simulations.close()
@@ -132,8 +132,8 @@ def test_a_layer_beside_the_tissue_is_no_error_of_a_mesh(ran, tmp_path):
 def _comparison(out: Path, curves: dict[float, Curves], depth: np.ndarray, size: float) -> MeshComparison:
     simulations = SimpleNamespace(curves=curves.__getitem__)
     return MeshComparison(
-        SimpleNamespace(name="p1"), depth, simulations, out=out, size=size, several=list(curves),
-        notes=Notes(), progress=SILENT,
+        site=SimpleNamespace(name="p1"), depth=depth, simulations=simulations, out=out, size=size,
+        several=list(curves), notes=Notes(), progress=SILENT,
     )  # fmt: skip
 
 
@@ -197,8 +197,9 @@ def test_an_error_of_quadratic_elements_goes_as_the_square_of_their_edge(tmp_pat
 def _correction(several: list[float], force: list[float], speed: list[float]) -> MeshCorrection:
     """Of two depths and one part; the same at both depths."""
     return MeshCorrection(
-        np.array(several), np.repeat(np.array(force)[:, None], 2, axis=1),
-        np.repeat(np.array(speed)[:, None, None], 2, axis=1), 1.0, np.zeros(1), np.zeros(1),
+        m=np.array(several), log_force=np.repeat(np.array(force)[:, None], 2, axis=1),
+        log_speed=np.repeat(np.array(speed)[:, None, None], 2, axis=1), thickness_ratio=1.0,
+        mesh_error=np.zeros(1), speed_error=np.zeros(1),
     )  # fmt: skip
 
 

@@ -15,6 +15,7 @@ from limbcli.effects.reading import Protocol, Reading
 from limbcli.feb.read import read_feb
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.diagnosis import written_model as written
+from limbcli.stages.diagnosis.forward_model.surrogate import AtPoints
 from limbcli.stages.diagnosis.mesh_error.mesh_correction import F_KAPPA
 from tests.stages import block_case as block
 
@@ -79,7 +80,7 @@ def test_on_a_bone_that_gives_way_the_probe_goes_to_the_depths_in_the_tissue(tmp
     predictions = SimpleNamespace(
         curves_of=lambda fitted, number: (curves, added.observe(Reading(), theta)),
         theta=lambda values, explanation, number: theta,
-        points=lambda fitted: [{}],
+        model_of=lambda fitted: AtPoints(fitted.explanation, ({},)),
         effects={added.name: added},
     )
     forward_model = SimpleNamespace(predictions=predictions)

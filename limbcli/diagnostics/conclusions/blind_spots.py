@@ -18,7 +18,7 @@ from limbcli.model import Array
 _Z = float(ndtri(decisions.POWER))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BlindSpot:
     """Detectability of one effect at its typical (a plausible) size.
 
@@ -66,10 +66,12 @@ def blind_spot(
     bias = {key: float(moved_by / max(deviation, 1e-300)) for key, moved_by, deviation in of_base}
     percent = {key: float(100 * np.expm1(np.clip(moved_by, -5, 5))) for key, moved_by, _ in of_base}
     prior = float(np.min((typical / added.deviation)[typical != 0] ** 2)) if np.any(typical) else 0.0
-    one_sided = any(added.direction.signs)
+    one_sided = bool(np.any((added.low >= 0.0) | (added.high <= 0.0)))
+    needed = ln_factor - (math.log(2.0) if one_sided else 0.0)
     return BlindSpot(
-        name, added.direction.point, math.sqrt(max(information, 0.0)) / size if size > 0 else 0.0,
-        _detectable(information, prior, ln_factor - (math.log(2.0) if one_sided else 0.0)), bias, percent,
+        name=name, point=added.direction.point,
+        visible_fraction=math.sqrt(max(information, 0.0)) / size if size > 0 else 0.0,
+        detectable_times_typical=_detectable(information, prior, needed), bias_sd=bias, bias_percent=percent,
     )  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from limbcli.model import Array
 _DRAWS = 300  # of measurements, for each explanation
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class NextStep:
     """One proposal.
 
@@ -75,8 +75,8 @@ def _expected(several: Sequence[Explained], proposal: Proposal, rng: np.random.G
     before = float(-np.sum(weights * np.log(weights)))
     to_bits = 1.0 / math.log(2.0)
     return NextStep(
-        proposal.name, proposal.sentence, max(before - after, 0.0) * to_bits, before * to_bits, left,
-        float(np.sum(weights**2)),
+        name=proposal.name, sentence=proposal.sentence, information_bits=max(before - after, 0.0) * to_bits,
+        entropy_bits=before * to_bits, expected_probability=left, before=float(np.sum(weights**2)),
     )  # fmt: skip
 
 

@@ -58,22 +58,15 @@ def sentences(found: Diagnosis) -> list[str]:
 
 
 def _verdict(found: Diagnosis) -> str:
-    text = _WORDS[found.verdict]
-    return (
-        text.replace("one missing effect explains", "two missing effects explain")
-        if len(found.chosen) > 1
-        else text
-    )
+    two = found.verdict == "named" and len(found.chosen) > 1
+    return "NAMED: two missing effects explain the misfit." if two else _WORDS[found.verdict]
 
 
 def _fit(found: Diagnosis) -> str:
-    base = found.shrink[0]
-    values = found.base.values
+    base, values = found.shrink[0], found.base.values
     level = "of unknown level" if found.relative else "as stated"
-    text = (
-        f"Without any effect: c {values['c_kpa']:.2f} kPa, m {values['m']:.2f}; " if "c_kpa" in values else ""
-    )
-    return f"{text}chi2 {base.chi2:.1f} on {base.nu} degrees of freedom, noise {level}."
+    tissue = "Without any effect: c {c_kpa:.2f} kPa, m {m:.2f}; " if "c_kpa" in values else ""
+    return f"{tissue.format(**values)}chi2 {base.chi2:.1f} on {base.nu} degrees of freedom, noise {level}."
 
 
 def _where(found: Diagnosis) -> str:
@@ -88,10 +81,8 @@ def _where(found: Diagnosis) -> str:
 
 def _what(found: Diagnosis) -> str:
     ranked = sorted(found.effects.items(), key=lambda item: -item[1])
-    listed = [f"{name} {percent(p)}" for name, p in ranked[:3] if p > _LEAST_LISTED]
-    if not listed:
-        return ""
-    return f"Probability that it is missing, alone or with another: {', '.join(listed)}."
+    listed = ", ".join(f"{name} {percent(p)}" for name, p in ranked[:3] if p > _LEAST_LISTED)
+    return f"Probability that it is missing, alone or with another: {listed}." if listed else ""
 
 
 def _set(found: Diagnosis) -> str:
@@ -129,9 +120,7 @@ def _whichever(estimates: Estimates) -> str:
     """
     if "c_kpa" not in estimates.intervals or "m" not in estimates.intervals:
         return ""
-    return (
-        f" Averaged over these: c {_reach(estimates, 'c', 'c_kpa', ' kPa')}, m {_reach(estimates, 'm', 'm')}."
-    )
+    return f" Averaged over these: c {_reach(estimates, 'c_kpa', ' kPa')}, m {_reach(estimates, 'm')}."
 
 
 def _tissue(estimates: Estimates) -> str:
@@ -142,18 +131,17 @@ def _tissue(estimates: Estimates) -> str:
     """
     if "c_kpa" not in estimates.intervals or "m" not in estimates.intervals:
         return ""
-    c, m = _reach(estimates, "c", "c_kpa"), _reach(estimates, "m", "m")
-    values = estimates.values
+    c, m, values = _reach(estimates, "c_kpa"), _reach(estimates, "m"), estimates.values
     return f"; then c {values['c_kpa']:.2f} kPa ({c}), m {values['m']:.2f} ({m})"
 
 
-def _reach(estimates: Estimates, symbol: str, name: str, unit: str = "") -> str:
+def _reach(estimates: Estimates, name: str, unit: str = "") -> str:
     """An interval in words, with the sides that the data leave open.
 
-    >>> _reach(Estimates({}, {"c_kpa": (0.4, 9.0)}, ("c below", "c above")), "c", "c_kpa")
+    >>> _reach(Estimates({}, {"c_kpa": (0.4, 9.0)}, ("c below", "c above")), "c_kpa")
     'not determined by the data'
     """
-    low, high = estimates.intervals[name]
+    (low, high), symbol = estimates.intervals[name], name.partition("_")[0]
     below, above = f"{symbol} below" in estimates.open, f"{symbol} above" in estimates.open
     if below and above:
         return "not determined by the data"

@@ -11,10 +11,10 @@ from limbcli.diagnostics.check import Check
 from limbcli.diagnostics.conclusions.blind_spots import BlindSpot
 from limbcli.diagnostics.conclusions.estimates import Estimates
 from limbcli.diagnostics.conclusions.next_measurement import NextStep
-from limbcli.diagnostics.model.common_errors import CommonError
 from limbcli.diagnostics.model.forward_model import Explanation, Facts, Fitted
+from limbcli.diagnostics.model.noise import CommonError
+from limbcli.diagnostics.residuals import Roughness
 from limbcli.diagnostics.search import Explained
-from limbcli.diagnostics.statistics.roughness import Roughness
 
 Word = Literal["adequate", "named", "ambiguous", "unexplained", "untestable"]
 
@@ -90,9 +90,11 @@ class Diagnosis:
         return self.shrink[-1].estimates
 
     @property
+    def fits(self) -> dict[Explanation, Fitted]:
+        """The fits of the explanations that were fitted."""
+        return {each.explanation: each.posterior.fitted for each in self.explanations if each.posterior}
+
+    @property
     def final(self) -> Fitted:
         """The fit of the chosen explanation."""
-        for each in self.explanations:
-            if each.explanation == self.chosen and each.posterior is not None:
-                return each.posterior.fitted
-        return self.base
+        return self.fits.get(self.chosen, self.base)

@@ -157,7 +157,10 @@ def gaussian(
     ln = -0.5 * float(r @ r) + 0.5 * float(pull @ step) - 0.5 * ln_det + ln_prior - ln_root
     ln += float(ln_probability(step[None], inverse, priors.low, priors.high)[0])
     ln -= ln_prior_inside(fitted)
-    return Posterior(fitted, ln + fitted.ln_points, step, inverse, float(r @ r), dict(shares), level)
+    return Posterior(
+        fitted, ln_evidence=ln + fitted.ln_points, step=step, covariance=inverse, chi2=float(r @ r),
+        shares=dict(shares), level=level,
+    )  # fmt: skip
 
 
 def ln_prior_inside(fitted: Fitted) -> float:

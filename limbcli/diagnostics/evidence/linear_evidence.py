@@ -1,4 +1,7 @@
-"""Evidence of one effect more, to first order about a fit: linear algebra alone, for data or for draws."""
+"""Evidence of one effect more, to first order about a fit: linear algebra alone, for data or for draws.
+
+The draws show what probability of "nothing" occurs by chance where nothing is missing.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +12,11 @@ from functools import cached_property
 
 import numpy as np
 
+from limbcli.diagnostics import decisions
 from limbcli.diagnostics.evidence.truncated import ln_probability
 from limbcli.diagnostics.model.forward_model import Direction, Explanation, Fitted
 from limbcli.diagnostics.model.linear import Whitener
+from limbcli.diagnostics.model.noise import unit_errors
 from limbcli.diagnostics.model.priors import Prior
 from limbcli.model import Array
 
@@ -58,8 +63,8 @@ class Added:
         """Both effects together."""
         a, b = self.direction, other.direction
         both = Direction(
-            np.hstack([a.columns, b.columns]), (*a.signs, *b.signs),
-            ", ".join(filter(None, (a.point, b.point))), (*a.names, *b.names), {**a.at, **b.at},
+            np.hstack([a.columns, b.columns]), (*a.names, *b.names),
+            ", ".join(filter(None, (a.point, b.point))), {**a.at, **b.at},
         )  # fmt: skip
         return Added(
             both, np.hstack([self.columns, other.columns]), np.hstack([self.seen, other.seen]),
@@ -128,3 +133,19 @@ class LinearEvidence:
             (a, b): float(few[a].beside(few[b]).ln_factor(self.residual[None])[0]) + lost[a] + lost[b]
             for a, b in itertools.combinations(few, 2)
         }
+
+
+def least_by_chance(linear: LinearEvidence, ln_odds: float, rng: np.random.Generator) -> float:
+    """Probability of "nothing" against all single effects, below which a share `FALSE_ALARMS` of draws lies.
+
+    The draws are of the noise about the fit without effects, in the linear model that each effect is to first
+    order: no simulation is needed. 0 if there are no effects.
+
+    ln_odds : prior odds of a single effect over nothing
+    """
+    if not linear.added:
+        return 0.0
+    drawn = unit_errors(rng, (decisions.N_DRAWS, len(linear.residual)))
+    table = np.array([linear.ln_factor(name, drawn) for name in linear.added]) + ln_odds
+    ln_something = np.logaddexp.reduce(table, axis=0)
+    return float(np.quantile(1.0 / (1.0 + np.exp(ln_something)), decisions.FALSE_ALARMS))

@@ -20,16 +20,14 @@ Explanation = tuple[str, ...]
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """Sensitivities `columns` (n, q) to an effect at its null value; `signs` (q,): +1 up only, -1 down only,
-    0 either. `ForwardModel.directions` gives them unwhitened; the tests take them whitened.
+    """Sensitivities `columns` (n, q), not whitened, to the sizes `names` of an effect at its null value.
 
     `point` names the point of the effect's grid; `at` : initial values of the fitted grid parameters there.
     """
 
     columns: Array
-    signs: tuple[int, ...]
+    names: tuple[str, ...]
     point: str = ""
-    names: tuple[str, ...] = ()
     at: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -89,6 +87,7 @@ class Fitted:
     first (in logs), then the effects' in the order of the explanation
     values : of all parameters by name; at_bound : messages for parameters that ended on a bound, or outside
     the physically possible range
+    point : of the effects' grids
     without : (n,) prediction without the effects whose form is only approximate; None if there are none
     priors : of the parameters, in the order of the Jacobian's columns
     ln_points : ln of the mean likelihood over the effects' grid points, relative to that of the chosen one
@@ -101,7 +100,7 @@ class Fitted:
     values: Mapping[str, float]
     effect_names: tuple[str, ...] = ()
     at_bound: tuple[str, ...] = ()
-    points: Mapping[str, str] = field(default_factory=dict)
+    point: str = ""
     without: Array | None = None
     priors: Priors = field(default_factory=lambda: Priors.about(np.zeros(0), ()))
     ln_points: float = 0.0

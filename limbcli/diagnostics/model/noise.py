@@ -5,8 +5,13 @@ standard deviations far more often than under a normal distribution, and a true 
 because of one outlier: every test draws from Student's t with `TAILS` degrees of freedom, scaled to the
 stated standard deviation.
 
+A part that is a single unknown (a gain, a calibration, the compressibility) is in the covariance, but
+generalised least squares gives the same parameters and chi2 as a fit in which it is one more parameter with
+its prior; `common_errors` gives that fit's estimates.
+
 Source: Lange, Little & Taylor 1989, J Am Stat Assoc 84:881 (t with few degrees of freedom for measured data);
-Jeffreys 1961, Theory of Probability, section 5.7 (5 to 9 of them in long series of readings).
+Jeffreys 1961, Theory of Probability, section 5.7 (5 to 9 of them in long series of readings);
+Robinson 1991, Stat Sci 6:15 (best linear unbiased prediction of the common unknowns).
 """
 
 from __future__ import annotations
@@ -16,6 +21,7 @@ from functools import cached_property
 
 import numpy as np
 
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
 from limbcli.model import Array, IntArray
 
 ASSUMED = "assumed"
@@ -132,3 +138,30 @@ def correlated(
     kernel[np.isnan(distance)] = 0.0
     np.fill_diagonal(kernel, 1.0)
     return NoisePart(name, deviation[:, None] * kernel * deviation[None, :], source)
+
+
+@dataclass(frozen=True)
+class CommonError:
+    """One unknown that many data have in common, in standard deviations of its prior.
+
+    value : its estimate, 0 where the data do not determine it; deviation : its standard deviation, then 1
+    """
+
+    name: str
+    value: float
+    deviation: float
+
+
+def common_errors(noise: Noise, whiten: Whitener, state: LinearFit) -> tuple[CommonError, ...]:
+    """Estimates of all noise parts that are a single unknown, at a fit.
+
+    whiten : of the whole noise; state : of the fit, whitened
+    """
+    found = []
+    for part in noise.parts:
+        if part.direction is None or not part.direction.any():
+            continue
+        seen = state.project(whiten(part.direction))
+        left = max(1.0 - float(seen @ seen), 0.0)
+        found.append(CommonError(part.name, float(seen @ state.residual), left**0.5))
+    return tuple(found)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from limbcli.reporting.fit_view import FitView, read_fit_view
@@ -118,30 +118,35 @@ def _pictures(result: StageResult, name: str) -> tuple[Picture, ...]:
     )
 
 
+def _table(
+    title: str, titles: Sequence[str], rows: Sequence[Sequence[str]], *, numeric: bool = True
+) -> PageTable:
+    """A table whose first column names its rows."""
+    cells = tuple(tuple(Cell(text, lead=k == 0) for k, text in enumerate(row)) for row in rows)
+    return PageTable(title, (head(*titles),), cells, numeric=numeric)
+
+
 def _candidates(data: Mapping[str, Any]) -> PageTable:
     rows = []
     for each in data["candidates"]:
         size = ", ".join(f"{name} {short(value)}" for name, value in each["estimate"].items())
-        texts = (each["name"], each["sentence"], f"{each['probability']:.3f}", size or DASH)
-        rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
-    for name, why in data["not_evaluated"].items():
-        rows.append((Cell(name, lead=True), Cell(f"not evaluated: {why}"), Cell(DASH), Cell(DASH)))
-    titles = head("candidate", "interpretation", "probability", "estimate when it alone is added")
-    return PageTable("Candidates, the most probable first", (titles,), tuple(rows), numeric=False)
+        rows.append((each["name"], each["sentence"], f"{each['probability']:.3f}", size or DASH))
+    rows += [(name, f"not evaluated: {why}", DASH, DASH) for name, why in data["not_evaluated"].items()]
+    titles = ("candidate", "interpretation", "probability", "estimate when it alone is added")
+    return _table("Candidates, the most probable first", titles, rows, numeric=False)
 
 
 def _explanations(data: Mapping[str, Any]) -> PageTable:
     rows = []
     for each in data["explanations"][: len(data["confidence_set"])]:
         values = each["values"]
-        texts = (
+        rows.append((
             " + ".join(each["explanation"]) or "nothing is missing", f"{each['probability']:.3f}",
             *(f"{values[name]:.2f}" if name in values else DASH for name in ("c_kpa", "m")),
             "simulated" if each["simulated"] else "fitted" if each["fitted"] else "estimated",
-        )  # fmt: skip
-        rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
-    titles = head("explanation", "probability", "c (kPa)", "m", "by")
-    return PageTable("Explanations that together have 95 %", (titles,), tuple(rows))
+        ))  # fmt: skip
+    titles = ("explanation", "probability", "c (kPa)", "m", "by")
+    return _table("Explanations that together have 95 %", titles, rows)
 
 
 def _shrunk(data: Mapping[str, Any]) -> PageTable:
@@ -151,16 +156,12 @@ def _shrunk(data: Mapping[str, Any]) -> PageTable:
         label = " + ".join(stage["explanation"]) or "base model"
         if stage.get("c_and_m_over", 1) > 1:
             label += f" (c, m: averaged over {stage['c_and_m_over']} explanations)"
-        texts = (
-            label,
-            f"{stage['chi2_per_nu']:.2f}",
-            DASH if held is None else f"{held:.2f}",
-            _interval(stage, "c_kpa"),
-            _interval(stage, "m"),
-        )
-        rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
-    titles = head("model", "chi2/nu", "held-out error (deviations)", "c (kPa), 95 %", "m, 95 %")
-    return PageTable("How the misfit decreased", (titles,), tuple(rows))
+        rows.append((
+            label, f"{stage['chi2_per_nu']:.2f}", DASH if held is None else f"{held:.2f}",
+            _interval(stage, "c_kpa"), _interval(stage, "m"),
+        ))  # fmt: skip
+    titles = ("model", "chi2/nu", "held-out error (deviations)", "c (kPa), 95 %", "m, 95 %")
+    return _table("How the misfit decreased", titles, rows)
 
 
 def _interval(stage: Mapping[str, Any], name: str) -> str:
@@ -184,41 +185,33 @@ def _interval(stage: Mapping[str, Any], name: str) -> str:
 def _blind(data: Mapping[str, Any]) -> PageTable:
     rows = []
     for spot in data["blind_spots"]:
+        size = spot["detectable_times_typical"]
         bias = ", ".join(f"{name} {value:+.1f}" for name, value in spot["bias_sd"].items())
-        texts = (
-            spot["name"],
-            f"{spot['visible_fraction']:.2f}",
-            _number(spot["detectable_times_typical"]),
-            bias,
-        )
-        rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
-    titles = head(
-        "effect", "visible share", "detectable size (plausible sizes)", "bias if undetected (deviations)"
-    )
-    return PageTable("What these data can detect", (titles,), tuple(rows))
+        shown = DASH if size is None else short(size)
+        rows.append((spot["name"], f"{spot['visible_fraction']:.2f}", shown, bias))
+    titles = (
+        "effect", "visible share", "detectable size (plausible sizes)", "bias if undetected (deviations)",
+    )  # fmt: skip
+    return _table("What these data can detect", titles, rows)
 
 
 def _sizes(data: Mapping[str, Any]) -> tuple[PageTable, ...]:
     """Possible size of each effect if it alone is added; empty for an older result without them."""
-    rows = []
-    for effect, sizes in data.get("sizes_95", {}).items():
-        for name, (low, high) in sizes.items():
-            texts = (effect, name, *("open" if end is None else short(end) for end in (low, high)))
-            rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
-    titles = head("effect", "size", "from", "to (95 %)")
-    return (PageTable("Size of each effect when it alone is added", (titles,), tuple(rows)),) if rows else ()
+    rows = [
+        (effect, name, *("open" if end is None else short(end) for end in ends))
+        for effect, sizes in data.get("sizes_95", {}).items() for name, ends in sizes.items()
+    ]  # fmt: skip
+    titles = ("effect", "size", "from", "to (95 %)")
+    return (_table("Size of each effect when it alone is added", titles, rows),) if rows else ()
 
 
 def _common(data: Mapping[str, Any]) -> tuple[PageTable, ...]:
     """Estimates of the errors that many readings have in common; empty for an older result without them."""
-    rows = []
-    for each in data.get("common_errors", ()):
-        texts = (each["name"].removeprefix("model: "), f"{each['value']:+z.1f}", f"{each['deviation']:.1f}")
-        rows.append(tuple(Cell(text, lead=k == 0) for k, text in enumerate(texts)))
-    titles = head("error", "estimate (prior deviations)", "left of the prior's deviation")
-    title = "Errors of model and instruments, fitted with their priors"
-    return (PageTable(title, (titles,), tuple(rows)),) if rows else ()
-
-
-def _number(value: float | None) -> str:
-    return DASH if value is None else short(value)
+    rows = [
+        (each["name"].removeprefix("model: "), f"{each['value']:+z.1f}", f"{each['deviation']:.1f}")
+        for each in data.get("common_errors", ())
+    ]
+    titles = ("error", "estimate (prior deviations)", "left of the prior's deviation")
+    return (
+        (_table("Errors of model and instruments, fitted with their priors", titles, rows),) if rows else ()
+    )

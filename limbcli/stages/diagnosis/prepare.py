@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -28,8 +27,7 @@ from limbcli.model import LimbModel
 from limbcli.model_io import load_model, save_model
 from limbcli.progress import Progress
 from limbcli.results import plain, read_result
-from limbcli.stages.diagnosis.curves.curve_plan import Reach
-from limbcli.stages.diagnosis.curves.exponents import FIRST_M, where_solved
+from limbcli.stages.diagnosis.curves.curve_plan import FIRST_M, Reach, nearest_m, where_solved
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.data.held_forces import held_forces
 from limbcli.stages.diagnosis.data.layers import BorderLines
@@ -37,15 +35,16 @@ from limbcli.stages.diagnosis.data.noise import deepest, readings
 from limbcli.stages.diagnosis.data.rows import ExtraMeasurement
 from limbcli.stages.diagnosis.data.site_data import SiteData, site_data
 from limbcli.stages.diagnosis.data.windows import Windows
-from limbcli.stages.diagnosis.drainage.drained import NAME as POROELASTICITY
-from limbcli.stages.diagnosis.drainage.drained import DrainageSolver, Drained, drained
+from limbcli.stages.diagnosis.drainage import NAME as POROELASTICITY
+from limbcli.stages.diagnosis.drainage import DrainageSolver, Drained, drained
 from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
+from limbcli.stages.diagnosis.mesh_error.mesh_comparison import Notes
 from limbcli.stages.diagnosis.mesh_error.mesh_correction import F_KAPPA, MeshCorrection, own_layers
 from limbcli.stages.diagnosis.mesh_error.model_errors import ModelErrors
 from limbcli.stages.diagnosis.mesh_error.numerical_checks import USUAL_C, Intervention, NumericalChecks
 from limbcli.stages.mesh import read_limb, site_position
 from limbcli.stages.site_model.fibres import with_fibres
-from limbcli.stages.site_model.layer_readings import LayerReadings, layer_readings
+from limbcli.stages.site_model.layer_readings import layer_readings
 from limbcli.stages.site_model.mesh_checks import check_within_tissue, measured_skin_bone
 from limbcli.stages.site_model.site_levels import levels_of, maps_of
 from limbcli.stages.site_model.site_states import one_state
@@ -62,15 +61,6 @@ _TIMES_FORCE = 4.0  # simulated force over the largest reading: tissue may be so
 # A bone near the end of a face may not be met (28 % less force), until corrected to the site's own mesh.
 _BENDS, _THIN = 8.0, 6.0
 _LAYERS, _FINEST, _COARSEST = 3.0, 2.5, 5.0  # elements between skin and bone; mm, limits of their edge length
-
-
-@dataclass
-class Notes:
-    """Data, warnings and inputs collected while preparing a site, to be written with its results."""
-
-    data: dict[str, Any] = field(default_factory=dict)
-    warnings: list[str] = field(default_factory=list)
-    inputs: dict[str, Path] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -145,7 +135,7 @@ def turned_by_90(
     nearest = sorted(known.nodes, key=lambda m: abs(np.log(m / known.changes.m)))
     try:
         curves.solve_nodes(nearest[:2])
-        curves.changes.m = min(curves.nodes, key=lambda m: abs(np.log(m / known.changes.m)))
+        curves.changes.m = nearest_m(curves.nodes, known.changes.m)
     finally:
         simulations.close()
     return curves
@@ -188,8 +178,7 @@ class _Preparation:
         self.skin_bone = self._skin_bone()
         check_within_tissue(float(np.max(self.levels.depth)), self.skin_bone, site)
         self.size = size_for(self.skin_bone) if mesh.size is None else mesh.size
-        self.layers: LayerReadings | None = None
-        self.borders: BorderLines | None = None
+        self.borders: BorderLines | None = None  # in the working mesh, once it is made
         self.notes = Notes()
         self.notes.inputs["levels"] = site.levels
         if site.states:
@@ -203,8 +192,8 @@ class _Preparation:
         try:
             where_solved(simulations.curves, FIRST_M)  # failures are reported where the curves are used
             numerics = NumericalChecks(
-                self.case, self.site, self.levels, simulations, out=self.out, size=self.size,
-                notes=self.notes, progress=self.progress,
+                case=self.case, site=self.site, levels=self.levels, simulations=simulations, out=self.out,
+                size=self.size, notes=self.notes, progress=self.progress,
             )  # fmt: skip
             correction = numerics.correction(solves=self.mesh.interventions)
             interventions = numerics.interventions() if self.mesh.interventions else []
@@ -223,7 +212,10 @@ class _Preparation:
             data, simulations, effects, correction=correction, penetration=numerics.penetration,
             refused=refused, progress=self.progress,
         )  # fmt: skip
-        return Prepared(self.site, self.size, simulations, curves, interventions, self.notes)
+        return Prepared(
+            site=self.site, size=self.size, simulations=simulations, curves=curves,
+            interventions=interventions, notes=self.notes,
+        )  # fmt: skip
 
     def simulations(self) -> SiteSimulations:
         """Simulations down to the deepest reading and beyond, as far as the solver converges.
@@ -237,7 +229,7 @@ class _Preparation:
         further = _FURTHER if thick is None else min(_FURTHER, _FURTHER_SHARE * thick)
         meshed, fibres = with_fibres(self.case, self.site, self._working_mesh())
         self.notes.data["fibres"] = fibres.source
-        self._mark_layers(meshed)
+        self.borders = self._borders_in(meshed)
         return SiteSimulations(
             meshed, [*depths.tolist(), needed + further], c=USUAL_C, f_kappa=F_KAPPA,
             windows=self.windows, keep=self.work, density_kg_per_m3=self.site.density_kg_per_m3,
@@ -256,19 +248,18 @@ class _Preparation:
         at_usual = _TIMES_FORCE * largest * USUAL_C / (2.0 * float(modulus[0]))
         return float(2.0 ** np.ceil(np.log2(at_usual)))
 
-    def _mark_layers(self, meshed: LimbModel) -> None:
-        """Place the layers' borders in the working mesh; layers that do not fit are excluded with a
-        warning."""
+    def _borders_in(self, meshed: LimbModel) -> BorderLines | None:
+        """The layers' borders in the working mesh; layers that do not fit are excluded with a warning."""
         layers = layer_readings(self.levels, self.site)
         if layers is None or not layers.n_counted:
-            return
+            return None
         borders = BorderLines(layers)
         try:
             borders.check(meshed)
         except MeasurementError as error:
             self.notes.warnings.append(f"the layers are not used: {error.what}")
-            return
-        self.layers, self.borders = layers, borders
+            return None
+        return borders
 
     def _skin_bone(self) -> float | None:
         """Tissue thickness in mm under the probe's centre, from the site's own mesh, else as measured."""
@@ -340,7 +331,7 @@ class _Preparation:
             self.site.name, levels, self.site.noise, windows=self.windows, maps=self.maps,
             model_error=errors.all(correction, interventions), held=held, extras=extras,
             usable=errors.parts_seen(), thickness=errors.thickness, map_share=correction.map_share,
-            map_slopes=errors.map_slopes(), layers=self.layers,
+            map_slopes=errors.map_slopes(), layers=None if self.borders is None else self.borders.layers,
             bone_as_shown=bool(self.case.imaging.assumed),
         )  # fmt: skip
 

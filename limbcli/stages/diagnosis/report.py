@@ -15,14 +15,14 @@ from limbcli.diagnostics import decisions
 from limbcli.diagnostics.check import Check
 from limbcli.diagnostics.conclusions.sentences import recommended
 from limbcli.diagnostics.conclusions.verdict import Diagnosis, Shrink
-from limbcli.diagnostics.model.common_errors import CommonError
+from limbcli.diagnostics.model.noise import CommonError
 from limbcli.diagnostics.search import Explained
 from limbcli.drawing import save_figure
 from limbcli.effects.base import Parameter
 from limbcli.stages.diagnosis.data.joint import slices
 from limbcli.stages.diagnosis.data.noise import COMPRESSIBILITY
 from limbcli.stages.diagnosis.data.site_data import SiteData
-from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
+from limbcli.stages.diagnosis.forward_model.predictions import Slot
 from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.stages.diagnosis.mesh_error.numerical_checks import f_kappa_at
 from limbcli.stages.diagnosis.sizes import reported_sizes
@@ -84,19 +84,18 @@ def _candidates(found: Diagnosis) -> list[dict[str, Any]]:
     alone = {each.explanation: each for each in found.explanations if len(each.explanation) < 2}
     nothing, rows = alone[()].ln_evidence, []
     for name, probability in sorted(found.effects.items(), key=lambda item: -item[1]):
-        one = alone.get((name,))
-        fitted = one.posterior.fitted if one and one.posterior else None
+        one, fitted = alone.get((name,)), found.fits.get((name,))
         rows.append({
             "name": name, "sentence": found.facts[name].sentence, "kind": found.facts[name].kind,
             "probability": probability, "ln_bayes_factor": one.ln_evidence - nothing if one else None,
             "estimate": {size: fitted.values[size] for size in fitted.effect_names} if fitted else {},
-            "at": fitted.points.get("grid", "") if fitted else "",
+            "at": fitted.point if fitted else "",
         })  # fmt: skip
     return rows
 
 
 def _explained(each: Explained, found: Diagnosis) -> dict[str, Any]:
-    fitted = each.posterior.fitted if each.posterior else None
+    fitted = found.fits.get(each.explanation)
     return {
         "explanation": list(each.explanation), "probability": each.probability,
         "ln_evidence": each.ln_evidence,
@@ -173,9 +172,8 @@ def gap_picture(found: Diagnosis, sites: Sequence[SiteData], path: Path) -> None
 def _gap(ax: Any, found: Diagnosis, site: SiteData, inside: slice, channel: str) -> None:
     stages = [(found.base, "base model", "#7a7a7a", "o")]
     last = found.shrink[-1].explanation
-    for each in found.explanations:
-        if last and each.explanation == last and each.posterior is not None:
-            stages.append((each.posterior.fitted, "with " + " + ".join(last), "#0072b2", "s"))
+    if last and last in found.fits:
+        stages.append((found.fits[last], "with " + " + ".join(last), "#0072b2", "s"))
     mask = np.array([row.channel == channel for row in site.rows])
     at = np.arange(int(mask.sum()), dtype=float)
     if channel != "hold":
@@ -213,14 +211,9 @@ def candidates_picture(found: Diagnosis, path: Path) -> None:
 
 def sizes_of(forward_model: SiteForwardModel, site: SiteData) -> dict[str, list[Slot]]:
     """Size parameters of every effect; those of this site where each measurement has a separate parameter."""
-    here = [each.site.name for each in forward_model.predictions.sites].index(site.name)
-    return {
-        name: [
-            slot for slot in forward_model.predictions.slots((name,))
-            if not slot.parameter.shape and slot.site in (None, here)
-        ]
-        for name in forward_model.predictions.effects
-    }  # fmt: skip
+    known = forward_model.predictions
+    here = [each.site.name for each in known.sites].index(site.name)
+    return {name: [slot for slot in known.sizes(name) if slot.site in (None, here)] for name in known.effects}
 
 
 def sizes_picture(found: Diagnosis, sizes: Mapping[str, Sequence[Slot]], path: Path) -> None:

@@ -10,58 +10,45 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from limbcli.effects import poroelasticity
-from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
+from limbcli.stages.diagnosis.forward_model.predictions import Slot
 
 Interval = tuple[float | None, float | None]
 Sizes = dict[str, dict[str, Interval]]
 _Turn = Callable[[float, float], float]
 _ON_BOUND = 0.01  # distance from a bound, as a fraction of the range, from which an interval is open there
-
-
-def _same(value: float, c_kpa: float) -> float:
-    return value
-
-
-def _of_c(value: float, c_kpa: float) -> float:
-    return value * c_kpa
-
-
-def _permeability(value: float, c_kpa: float) -> float:
-    return poroelasticity.permeability({poroelasticity.PERMEABILITY.name: value})
-
-
-def _inverse(value: float, c_kpa: float) -> float:
-    return float("inf") if value <= 0 else 1.0 / value
-
-
-def _cut_off(value: float, c_kpa: float) -> float:
-    return float("inf") if value <= 0 else 100.0 / float(np.sqrt(value))
-
-
-# Fitted parameter: name of the reported quantity, and conversion to it.
+# Fitted parameter: name of the reported quantity, and conversion to it from the value and c in kPa.
+_SAME: _Turn = lambda value, c_kpa: value  # noqa: E731
+_OF_C: _Turn = lambda value, c_kpa: value * c_kpa  # noqa: E731
 _REPORTED: Mapping[str, tuple[str, _Turn]] = {
-    "force_zero_n": ("f0_n", _same),
-    "depth_zero_mm": ("d0_mm", _same),
-    "preload_n": ("f0_n", _same),
-    "thickness_change": ("epsilon", _same),
-    "tilt_about_short_axis_deg": ("about_short_axis_deg", _same),
-    "tilt_about_long_axis_deg": ("about_long_axis_deg", _same),
+    "force_zero_n": ("f0_n", _SAME),
+    "depth_zero_mm": ("d0_mm", _SAME),
+    "preload_n": ("f0_n", _SAME),
+    "thickness_change": ("epsilon", _SAME),
+    "tilt_about_short_axis_deg": ("about_short_axis_deg", _SAME),
+    "tilt_about_long_axis_deg": ("about_long_axis_deg", _SAME),
     "log_inclusion_ratio": ("stiffness_ratio", lambda value, c_kpa: float(np.exp(value))),
     "log_fat_softness": ("stiffness_ratio", lambda value, c_kpa: float(np.exp(-value))),
     "log_skin_ratio": ("c_kpa", lambda value, c_kpa: float(np.exp(value)) * c_kpa),
-    "weight_q": ("q", _same),
-    "fibre_shear_per_c": ("mu_f_kpa", _of_c),
-    "fibre_tension_per_c": ("ksi_kpa", _of_c),
-    "active_stress_per_c": ("t0_kpa", _of_c),
-    "relaxing_share": ("g1", _same),
-    "second_relaxing_share": ("g2", _same),
-    "friction_coefficient": ("coefficient", _same),
-    "support_compliance_mm_per_n": ("k_n_per_mm", _inverse),
-    "swe_modulus_scale": ("s_t", _same),
-    "swe_loss_per_mm": ("beta_per_mm", _same),
-    "log_permeability_ratio": ("permeability_mm4_per_n_s", _permeability),
-    "guided_1e4_per_hz2": ("f_c_hz", _cut_off),
+    "weight_q": ("q", _SAME),
+    "fibre_shear_per_c": ("mu_f_kpa", _OF_C),
+    "fibre_tension_per_c": ("ksi_kpa", _OF_C),
+    "active_stress_per_c": ("t0_kpa", _OF_C),
+    "relaxing_share": ("g1", _SAME),
+    "second_relaxing_share": ("g2", _SAME),
+    "friction_coefficient": ("coefficient", _SAME),
+    "support_compliance_mm_per_n": ("k_n_per_mm", lambda value, c_kpa: _over(1.0, value)),
+    "swe_modulus_scale": ("s_t", _SAME),
+    "swe_loss_per_mm": ("beta_per_mm", _SAME),
+    "log_permeability_ratio": (
+        "permeability_mm4_per_n_s",
+        lambda value, c_kpa: poroelasticity.permeability({poroelasticity.PERMEABILITY.name: value}),
+    ),
+    "guided_1e4_per_hz2": ("f_c_hz", lambda value, c_kpa: _over(100.0, np.sqrt(max(value, 0.0)))),
 }
+
+
+def _over(one: float, value: float) -> float:
+    return one / float(value) if value > 0 else float("inf")
 
 
 def reported_sizes(
@@ -84,7 +71,7 @@ def reported_sizes(
                 ends[0] <= p.low + near and p.null > p.low,
                 ends[1] >= p.high - near and p.null < p.high,
             )
-            label, turn = _REPORTED.get(p.name, (p.name, _same))
+            label, turn = _REPORTED.get(p.name, (p.name, _SAME))
             values: list[float | None] = [
                 None if is_open or not np.isfinite(turned := turn(each, c_kpa)) else turned
                 for each, is_open in zip(ends, open_ends, strict=True)

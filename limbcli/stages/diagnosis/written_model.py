@@ -57,7 +57,7 @@ def write_diagnosed(
     model = with_penalty(model, penalty)
     theta = forward_model.predictions.theta(fitted.values, fitted.explanation, number)
     added = []
-    for name, point in zip(fitted.explanation, forward_model.predictions.points(fitted), strict=True):
+    for name, point in forward_model.predictions.model_of(fitted):
         each = forward_model.predictions.effects[name]
         added.append((each, {**each.null, **theta, **each.without_onset(point)}))
         if point.get(each.onset, 0.0) > 0.0:

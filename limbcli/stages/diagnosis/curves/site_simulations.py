@@ -21,8 +21,7 @@ from limbcli.errors import SolveError
 from limbcli.feb.settings import schedule
 from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
-from limbcli.stages.diagnosis.curves.curve_plan import Reach, Solving
-from limbcli.stages.diagnosis.curves.exponents import FIRST_M, bend, where_solved
+from limbcli.stages.diagnosis.curves.curve_plan import FIRST_M, Reach, Solving, bend, where_solved
 from limbcli.stages.diagnosis.curves.node_table import NodeTable
 from limbcli.stages.diagnosis.curves.site_models import SiteModels, fingerprint
 from limbcli.stages.diagnosis.curves.site_solver import SiteSolver

@@ -10,23 +10,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from limbcli.effects.ingredients import (
-    Ingredients,
-    has_fitted_size,
-    is_numerical,
-    is_of_law_alone,
-    names_of,
-)
+from limbcli.effects.ingredients import Ingredients, has_fitted_size, is_numerical, is_of_law_alone, names_of
 from limbcli.errors import SolveError
 from limbcli.model import Array, IntArray, LimbModel
 from limbcli.progress import Progress
 from limbcli.solvers.budget import Budget, BudgetSpent
 from limbcli.solvers.session import ReferenceSession, SessionResult
-from limbcli.stages.diagnosis.curves.curve_plan import Reach, Solving
-from limbcli.stages.diagnosis.curves.exponents import USUAL_M
+from limbcli.stages.diagnosis.curves.curve_plan import USUAL_M, Reach, SiteWork, Solving
 from limbcli.stages.diagnosis.curves.site_models import SiteModels
 from limbcli.stages.diagnosis.curves.solve_memo import SolveMemo
-from limbcli.stages.diagnosis.curves.work_budget import SiteWork
 
 if TYPE_CHECKING:
     from limbcli.solvers.restart import Solved

@@ -1,4 +1,4 @@
-"""Memo of a site's solves on disk: curves, deformations and converged levels, by the key of their model."""
+"""Memo of a site's solves on disk: curves, deformations, levels, held forces, by the key of their model."""
 
 from __future__ import annotations
 
@@ -52,30 +52,30 @@ class SolveMemo:
 
     def curves(self, key: str, *, n_depths: int) -> SolvedCurves | None:
         """None if there are none, or they have another number of depths."""
-        found = self._read(key, SolvedCurves.of)
+        found = self.read(key, SolvedCurves.of)
         return found if found is not None and len(found.curves.depth) == n_depths + 1 else None
 
     def keep_curves(self, key: str, solved: SolvedCurves) -> None:
-        self._write(key, solved.arrays())
+        self.write(key, solved.arrays())
 
     def displacements(self, key: str) -> Array | None:
         """Displacements (n_depths, n_nodes, 3) of the tissue's nodes in mm, stored in single precision."""
-        return self._read(f"{key}-nodes", lambda stored: np.asarray(stored["values"], dtype=float))
+        return self.read(f"{key}-nodes", lambda stored: np.asarray(stored["values"], dtype=float))
 
     def keep_displacements(self, key: str, values: Array) -> None:
-        self._write(f"{key}-nodes", {"values": values.astype(np.float32)})
+        self.write(f"{key}-nodes", {"values": values.astype(np.float32)})
 
     def levels(self, key: str) -> Solved | None:
         """Converged levels, used as initial guesses of later solves."""
-        if key not in self._levels and (found := self._read(f"{key}-levels", solved_of)) is not None:
+        if key not in self._levels and (found := self.read(f"{key}-levels", solved_of)) is not None:
             self._levels[key] = found
         return self._levels.get(key)
 
     def keep_levels(self, key: str, solved: Solved) -> None:
         self._levels[key] = solved
-        self._write(f"{key}-levels", solved_arrays(solved))
+        self.write(f"{key}-levels", solved_arrays(solved))
 
-    def _read(self, name: str, parse: Callable[[Any], T]) -> T | None:
+    def read(self, name: str, parse: Callable[[Any], T]) -> T | None:
         if self.folder is None:
             return None
         try:
@@ -84,7 +84,8 @@ class SolveMemo:
         except _UNREADABLE:
             return None
 
-    def _write(self, name: str, arrays: dict[str, Any]) -> None:
+    def write(self, name: str, arrays: dict[str, Any]) -> None:
         if self.folder is not None:
+            self.folder.mkdir(parents=True, exist_ok=True)
             with atomic_file(self.folder / f"{name}.npz") as path:
                 np.savez(path, **arrays)

@@ -27,10 +27,11 @@ def joined(sites: Sequence[SiteData]) -> Data:
         for field in ("channel", "series")
     )
     place = [np.full((len(data), 2), np.nan) if data.place is None else data.place for data in several]
+    groups, blocks = _groups_and_blocks(sites)
     return Data(
         np.concatenate([data.y for data in several]), channel,
-        np.concatenate([data.order for data in several]), _noise(several), *_groups_and_blocks(sites),
-        series, np.concatenate(place),
+        np.concatenate([data.order for data in several]), _noise(several), groups=groups, blocks=blocks,
+        series=series, place=np.concatenate(place),
     )  # fmt: skip
 
 
@@ -43,21 +44,18 @@ def slices(sites: Sequence[SiteData]) -> list[slice]:
 def _noise(several: Sequence[Data]) -> Noise:
     parts = []
     for name in dict.fromkeys(part.name for data in several for part in data.noise.parts):
-        found = [next((part for part in data.noise.parts if part.name == name), None) for data in several]
-        sources = [part.source for part in found if part is not None]
+        absent = [NoisePart(name, np.zeros((n, n)), "", np.zeros(n)) for n in map(len, several)]
+        found = [
+            next((part for part in data.noise.parts if part.name == name), none)
+            for data, none in zip(several, absent, strict=True)
+        ]
+        sources = [part.source for part in found if part.source]
         source = ASSUMED if ASSUMED in sources else sources[0]  # the least known
         if name == GAIN_OF_SPEEDS:
-            directions = [
-                np.zeros(len(data)) if part is None or part.direction is None else part.direction
-                for part, data in zip(found, several, strict=True)
-            ]
+            directions = [part.direction for part in found if part.direction is not None]
             parts.append(common(name, np.concatenate(directions), source=source))
-            continue
-        blocks = [
-            np.zeros((len(data), len(data))) if part is None else part.covariance
-            for part, data in zip(found, several, strict=True)
-        ]
-        parts.append(NoisePart(name, block_diag(*blocks), source))
+        else:
+            parts.append(NoisePart(name, block_diag(*(part.covariance for part in found)), source))
     return Noise(tuple(parts))
 
 

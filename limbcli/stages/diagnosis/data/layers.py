@@ -19,11 +19,10 @@ from limbcli.effects.reading import Protocol
 from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.solvers.base import Simulation
 from limbcli.solvers.material_lines import FILE, material_lines
-from limbcli.stages.diagnosis.data.rows import SiteRows, Stacked
+from limbcli.stages.diagnosis.data.rows import LAYER, SiteRows
 from limbcli.stages.site_model.indentation_model import tissue_nodes
 from limbcli.stages.site_model.layer_readings import LayerReadings
 
-CHANNEL = "layer"
 FIRST_TOUCH = "measurement: layers at first touch"
 # Standard deviation of a thickness from the model error: fractions of the layer's thinning and of the depth.
 # On a block 16 mm thick, indented by 4 mm, tet10 meshes with edges of 5 to 9 mm and of 3 to 6 mm differ by
@@ -33,15 +32,6 @@ _LEAST_LINE = 1e-3  # mm, smallest depth of a line below the skin
 _SAMPLES = 240  # number of sampling points along the beam
 _LEFT = 0.03  # smallest depth of a line under load, as a fraction of its depth at rest
 _BEYOND = 2.0  # length of the compressed column where no bone is known, as a multiple of the deepest border
-
-
-def layer_rows(layers: LayerReadings | None, keep: IntArray) -> Stacked:
-    """Layer thicknesses under load; keep (n_levels used,) : indices of the levels in the protocol."""
-    if layers is None:
-        return Stacked.of(CHANNEL, [], [], 0.0)
-    table = layers.thickness[keep, : layers.n_counted].T
-    layer, level = np.nonzero(np.isfinite(table) & (keep > 0))
-    return Stacked.of(CHANNEL, level, table[layer, level], layers.deviation, layer)
 
 
 def layer_slopes(
@@ -86,7 +76,7 @@ def layer_noise(
 
 def _members(rows: SiteRows) -> list[tuple[int, IntArray]]:
     """Indices of the data of each layer."""
-    mine = rows.among(CHANNEL)
+    mine = rows.among(LAYER)
     return [(k, np.flatnonzero(mine & (rows.part == k))) for k in np.unique(rows.part[mine]).tolist()]
 
 
@@ -97,6 +87,7 @@ class BorderLines:
     """
 
     def __init__(self, layers: LayerReadings):
+        self.layers = layers
         self.rest = np.asarray(layers.rest[: layers.n_counted])
 
     def record(self, model: LimbModel) -> LogRecord:

@@ -18,7 +18,10 @@ from limbcli.effects.reading import Protocol
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.map_noise import PixelNoise
 from limbcli.model import Array, IntArray
-from limbcli.stages.diagnosis.data.rows import SiteRows, within
+from limbcli.stages.diagnosis.data.held_forces import HeldForces
+from limbcli.stages.diagnosis.data.layers import layer_noise
+from limbcli.stages.diagnosis.data.rows import TRAVEL_DEVIATION, ExtraMeasurement, SiteRows, Stacked, within
+from limbcli.stages.site_model.layer_readings import LayerReadings
 
 GAIN_OF_SPEEDS = "gain of all speeds"
 COMPRESSIBILITY = "model: f-kappa"
@@ -148,16 +151,17 @@ def _side_correlation(noise: PixelNoise, apart: Array, size: float, pitch: float
 
 
 def noise_parts(
-    protocol: Protocol, rows: SiteRows, y: Array, own: Array, slope: Array, noise: StatedNoise,
-    keep: IntArray,
-    model_error: Sequence[ModelError], maps: MapNoise | None = None, map_share: float = 1.0,
+    protocol: Protocol, stacked: Stacked, slope: Array, noise: StatedNoise, keep: IntArray, *,
+    model_error: Sequence[ModelError], maps: MapNoise | None, map_share: float, travel_from: int,
+    layers: LayerReadings | None, held: HeldForces | None, extras: Sequence[ExtraMeasurement],
 ) -> list[NoisePart]:  # fmt: skip
-    """All noise parts of a site's rows, except those of layers, holds, travel and extra measurements.
+    """All noise parts of a site's data.
 
-    slope (n,) : change of each datum with depth
+    slope (n,) : change of each datum with depth; travel_from : reference level of the probe's travel
     maps : noise of the parts of maps, if there are any; map_share : fraction of the model's usual error in
     them
     """
+    rows, y, own = stacked.rows, stacked.y, stacked.own
     source, is_map = noise.source, rows.among("map")
     level = np.minimum(rows.level, len(protocol) - 1)
     exact = (protocol.force == 0.0) & (protocol.depth == 0.0)
@@ -188,6 +192,17 @@ def noise_parts(
         else:
             along, alike = rows.level.astype(float), each.correlation
             parts.append(correlated(each.name, direction, along, correlation=alike, source="computed"))
+    parts += layer_noise(layers, protocol, rows, y, source)
+    if held is not None:
+        parts.append(within("measurement: forces in holds", rows.among("hold"), held.covariance, source))
+    parts += [
+        within(f"model: {each.name}", rows.among(each.name), each.model_error, "computed")
+        for each in extras if each.model_error is not None
+    ]  # fmt: skip
+    if (travels := rows.among("travel")).any():
+        # of the travel reading and the depth at the reference level; a depth of 0 is zero by definition
+        zero = np.hypot(TRAVEL_DEVIATION, noise.depth if protocol.depth[travel_from] != 0.0 else 0.0)
+        parts.append(common("measurement: zero of the travel", zero * travels, source=source))
     return parts
 
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from limbcli.case import StatedNoise
 from limbcli.diagnostics.model.forward_model import Mask
-from limbcli.diagnostics.model.noise import NoisePart, common
+from limbcli.diagnostics.model.noise import NoisePart
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Protocol, Reading
 from limbcli.measurement.elastography import SweMap
@@ -20,7 +20,9 @@ from limbcli.measurement.speed_noise import SpeedNoise, mean_speed_deviation
 from limbcli.model import Array, IntArray
 from limbcli.stages.diagnosis.data.held_forces import HeldForces
 from limbcli.stages.diagnosis.data.windows import Windows
+from limbcli.stages.site_model.layer_readings import LayerReadings
 
+LAYER = "layer"  # channel of the layers' thicknesses
 TRAVEL_DEVIATION = 0.1  # mm, standard deviation of a travel read on a guide's scale
 THICKNESS_DEVIATION = 1.0  # mm, standard deviation of skin-bone distance: MRI voxel size and posture
 
@@ -105,13 +107,28 @@ class ExtraMeasurement:
     model_error: Array | None = None
 
 
-def force_rows(protocol: Protocol, noise: StatedNoise) -> Stacked:
+def measured_rows(
+    levels: Levels, keep: IntArray, protocol: Protocol, noise: StatedNoise, *, windows: Windows,
+    maps: Sequence[SweMap] | None, usable: Mask | None, layers: LayerReadings | None,
+    held: HeldForces | None, extras: Sequence[ExtraMeasurement],
+) -> Stacked:  # fmt: skip
+    """The data of all channels that a measurement has; keep (n_levels used,) : indices of the levels in the
+    protocol, usable : see `site_data`."""
+    return Stacked.together([
+        _force_rows(protocol, noise), _speed_rows(levels, keep, noise, windows, maps, usable),
+        _travel_rows(levels, keep), _thickness_rows(levels, keep), _layer_rows(layers, keep),
+        _hold_rows(held),
+        *(Stacked.of(each.name, np.arange(len(each.y)), each.y, each.deviation) for each in extras),
+    ])  # fmt: skip
+
+
+def _force_rows(protocol: Protocol, noise: StatedNoise) -> Stacked:
     """Every level except those at 0 N and 0 mm, which are zero by definition."""
     used = np.flatnonzero((protocol.force != 0.0) | (protocol.depth != 0.0))
     return Stacked.of("force", used, protocol.force[used], noise.force)
 
 
-def speed_rows(
+def _speed_rows(
     levels: Levels, keep: IntArray, noise: StatedNoise, windows: Windows, maps: Sequence[SweMap] | None,
     usable: Mask | None = None,
 ) -> Stacked:  # fmt: skip
@@ -140,57 +157,37 @@ def travel_zero(levels: Levels, keep: IntArray) -> int:
     return int(known[0]) if len(known) else 0
 
 
-def travel_rows(levels: Levels, keep: IntArray) -> Stacked:
+def _travel_rows(levels: Levels, keep: IntArray) -> Stacked:
     """Travel relative to the level `travel_zero`, which itself yields no datum."""
     travel, zero = levels.probe_travel[keep], travel_zero(levels, keep)
     used = np.flatnonzero(np.isfinite(travel) & (np.arange(len(travel)) != zero))
     return Stacked.of("travel", used, travel[used] - travel[zero : zero + 1], TRAVEL_DEVIATION)
 
 
-def travel_noise(protocol: Protocol, rows: SiteRows, zero: int, noise: StatedNoise) -> list[NoisePart]:
-    """Common error of all travels: of the travel reading and the depth at the reference level; a depth of 0
-    has no error, as it is zero by definition."""
-    mine = rows.among("travel")
-    if not mine.any():
-        return []
-    deviation = np.hypot(TRAVEL_DEVIATION, noise.depth if protocol.depth[zero] != 0.0 else 0.0)
-    return [common("measurement: zero of the travel", deviation * mine, source=noise.source)]
-
-
-def thickness_rows(levels: Levels, keep: IntArray) -> Stacked:
+def _thickness_rows(levels: Levels, keep: IntArray) -> Stacked:
     """The skin-bone distance at the first level."""
     first = levels.skin_bone[keep[:1]]
     first = first[np.isfinite(first)]
     return Stacked.of("skin-bone", np.arange(len(first)), first, THICKNESS_DEVIATION)
 
 
-def hold_rows(held: HeldForces | None) -> Stacked:
+def _layer_rows(layers: LayerReadings | None, keep: IntArray) -> Stacked:
+    """Layer thicknesses under load; keep (n_levels used,) : indices of the levels in the protocol."""
+    if layers is None:
+        return Stacked.of(LAYER, [], [], 0.0)
+    table = layers.thickness[keep, : layers.n_counted].T
+    layer, level = np.nonzero(np.isfinite(table) & (keep > 0))
+    return Stacked.of(LAYER, level, table[layer, level], layers.deviation, layer)
+
+
+def _hold_rows(held: HeldForces | None) -> Stacked:
     """The force ratios of each hold, numbered within it (the part); each part is a series.
 
-    Their covariance is given by `hold_noise`, as the ratios of one hold are correlated.
+    Their covariance is that of `HeldForces`, as the ratios of one hold are correlated.
     """
     if held is None:
         return Stacked.of("hold", [], [], 0.0)
     return Stacked.of("hold", np.arange(len(held)), held.y, 0.0, held.place)
-
-
-def extra_rows(extras: Sequence[ExtraMeasurement]) -> list[Stacked]:
-    return [Stacked.of(each.name, np.arange(len(each.y)), each.y, each.deviation) for each in extras]
-
-
-def hold_noise(held: HeldForces | None, rows: SiteRows, source: str) -> list[NoisePart]:
-    """Noise of the force ratios in holds, over all rows."""
-    if held is None:
-        return []
-    return [within("measurement: forces in holds", rows.among("hold"), held.covariance, source)]
-
-
-def extra_noise(extras: Sequence[ExtraMeasurement], rows: SiteRows) -> list[NoisePart]:
-    """Model error in the extra measurements, over all rows."""
-    return [
-        within(f"model: {each.name}", rows.among(each.name), each.model_error, "computed")
-        for each in extras if each.model_error is not None
-    ]  # fmt: skip
 
 
 def within(name: str, mask: Mask, covariance: Array, source: str) -> NoisePart:

@@ -18,7 +18,7 @@ from limbcli.measurement.indentation import Levels
 from limbcli.measurement.map_noise import pixel_noise
 from limbcli.model import Array, IntArray
 from limbcli.stages.diagnosis.data.held_forces import HeldForces
-from limbcli.stages.diagnosis.data.layers import CHANNEL, layer_noise, layer_rows, layer_slopes
+from limbcli.stages.diagnosis.data.layers import layer_slopes
 from limbcli.stages.diagnosis.data.noise import (
     FEWEST_SMOOTH,
     STRAIN,
@@ -30,18 +30,10 @@ from limbcli.stages.diagnosis.data.noise import (
     readings,
 )
 from limbcli.stages.diagnosis.data.rows import (
+    LAYER,
     ExtraMeasurement,
     SiteRows,
-    Stacked,
-    extra_noise,
-    extra_rows,
-    force_rows,
-    hold_noise,
-    hold_rows,
-    speed_rows,
-    thickness_rows,
-    travel_noise,
-    travel_rows,
+    measured_rows,
     travel_zero,
 )
 from limbcli.stages.diagnosis.data.windows import Windows, pitch_of
@@ -59,7 +51,7 @@ _CHANNELS = {
 _BY_LEVELS = ("force", "swe", "map")  # channels that are divided into thirds, and held out as blocks
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class SiteData:
     """The data of one site, and the layout of a prediction for them.
 
@@ -192,7 +184,7 @@ class SiteData:
         for channel, (places, levels, parts) in self._places.items():
             if channel in ("swe", "map"):
                 out[places] = shown.log_speed[levels, parts]
-            elif channel == CHANNEL:
+            elif channel == LAYER:
                 out[places] = shown.layers[levels, parts]
             else:
                 out[places] = seen[channel][levels]
@@ -223,30 +215,29 @@ def site_data(
     keep = np.asarray(np.flatnonzero(np.isfinite(levels.force) & np.isfinite(levels.depth)), dtype=np.int64)
     protocol = readings(levels)
     smooth, zero = SmoothDepth.through(protocol), travel_zero(levels, keep)
-    stacked = Stacked.together([
-        force_rows(protocol, noise), speed_rows(levels, keep, noise, windows, maps, usable),
-        travel_rows(levels, keep), thickness_rows(levels, keep), layer_rows(layers, keep), hold_rows(held),
-        *extra_rows(extras),
-    ])  # fmt: skip
+    stacked = measured_rows(
+        levels, keep, protocol, noise, windows=windows, maps=maps, usable=usable, layers=layers, held=held,
+        extras=extras,
+    )  # fmt: skip
     rows, y = stacked.rows, stacked.y
     slope = depth_slopes(protocol, rows, y, map_slopes)
     slope = slope + layer_slopes(layers, protocol, smooth.place(protocol.force), rows, y)
     of_maps = None if maps is None else map_noise(windows, maps, noise, smooth.at(protocol.force) / thickness)
-    parts = [
-        *noise_parts(protocol, rows, y, stacked.own, slope, noise, keep, model_error, of_maps, map_share),
-        *layer_noise(layers, protocol, rows, y, noise.source), *hold_noise(held, rows, noise.source),
-        *extra_noise(extras, rows), *travel_noise(protocol, rows, zero, noise),
-    ]  # fmt: skip
+    parts = noise_parts(
+        protocol, stacked, slope, noise, keep, model_error=model_error, maps=of_maps, map_share=map_share,
+        travel_from=zero, layers=layers, held=held, extras=extras,
+    )  # fmt: skip
     data = Data(
         y, tuple(rows.channel.tolist()), rows.level.astype(float), Noise(tuple(parts)),
-        _groups(rows, protocol, windows), _blocks(rows),
-        tuple(f"{row.channel} {row.part}" if row.part >= 0 else row.channel for row in rows),
-        _place(rows, windows),
+        groups=_groups(rows, protocol, windows), blocks=_blocks(rows),
+        series=tuple(f"{row.channel} {row.part}" if row.part >= 0 else row.channel for row in rows),
+        place=_place(rows, windows),
     )  # fmt: skip
     channels = (*rows.channels(), *(("swe",) if "map" in rows.channels() else ()))
     return SiteData(
-        name, protocol, rows, data, channels, tuple(each for each in _CHANNELS if each not in channels),
-        held=held, extras=tuple(extras), slope=slope, depth_error=noise.depth, travel_from=zero,
+        name=name, protocol=protocol, rows=rows, data=data, channels=channels,
+        missing=tuple(each for each in _CHANNELS if each not in channels), held=held, extras=tuple(extras),
+        slope=slope, depth_error=noise.depth, travel_from=zero,
         strain_deviation=next((each.strain for each in model_error if each.name == STRAIN), 0.0),
         bone_as_shown=bone_as_shown,
     )  # fmt: skip

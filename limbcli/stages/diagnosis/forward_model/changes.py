@@ -6,9 +6,9 @@ The change by an effect of the material law is evaluated at the stored deformati
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Protocol as Typed
+import contextlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +18,11 @@ from limbcli.effects.base import Effect, Parameter, Theta, point_name
 from limbcli.effects.curves import Curves, gaps_filled
 from limbcli.effects.ingredients import Ingredients, touches_loads
 from limbcli.errors import SolveError
-from limbcli.model import Array, LimbModel
+from limbcli.model import Array
 from limbcli.progress import Progress
-from limbcli.stages.diagnosis.curves.exponents import FIRST_M
+from limbcli.stages.diagnosis.curves.curve_plan import FIRST_M, nearest_m
+from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.data.layers import line_shift
-from limbcli.stages.diagnosis.data.windows import Windows
 
 _REMEMBERED = 8  # number of parameter values cached
 _STEPS_ONE = (0.5, 1.0, 2.0, 4.0)  # spline knots of a one-sided parameter, in units of its start value
@@ -31,63 +31,55 @@ _MOST_SHOWN = 2 / 3  # fraction of the speeds shown without an effect that must 
 _ROUNDED = 0.2  # smoothing width of |x| about 0, in units of the start value: a degree of tilt
 
 
-class CurveSource(Typed):
-    """Source of curves: simulated ones, and first-order changes of them."""
-
-    c: float
-    model: LimbModel
-    windows: Windows
-
-    @property
-    def spent(self) -> bool: ...
-
-    def curves(self, m: float, ingredients: Ingredients = ()) -> Curves: ...
-
-    def shift(self, m: float, ingredients: Ingredients) -> tuple[Array, Array]: ...
-
-
-@dataclass(frozen=True, eq=False)
-class TwoSided:
-    """Odd and even parts of the change by a two-sided parameter, at its start value.
-
-    Both are proportional to the distance from null; the even part, caused by whichever edge touches first, is
-    smoothed about null.
-
-    On a limb (m 4, tilted about the probe's long axis by 5, -5 and 10 degrees) ln force at 7 of 39 mm changes
-    by -0.038, -0.010 and -0.079: in proportion -5 would be +0.038, and 10 by a parabola -0.100.
-    """
-
-    odd: Array
-    even: Array
-
-    def at(self, x: float) -> Array:
-        """x : distance from null in units of that of the start value"""
-        size = (np.hypot(x, _ROUNDED) - _ROUNDED) / (np.hypot(1.0, _ROUNDED) - _ROUNDED)
-        return np.asarray(x * self.odd + size * self.even)
-
-
 @dataclass(frozen=True, eq=False)
 class Change:
     """Change of ln force and ln speed by an effect at one point of its grid, as a sum over its parameters.
 
-    By parameter: a spline over the distance from null in units of that of the start value, a `TwoSided`, or
-    the change at the start value, scaled in proportion.
+    parts : by parameter, the change at a value of it
     """
 
-    parts: Mapping[Parameter, CubicSpline | TwoSided | Array]
+    parts: Mapping[str, Callable[[float], Array]]
 
     def at(self, theta: Theta) -> Array:
         total: Array | float = 0.0
-        for p, part in self.parts.items():
-            if isinstance(part, CubicSpline):
-                total = total + _within(part, (theta[p.name] - p.null) / (p.start - p.null))
-            elif isinstance(part, TwoSided):
-                total = total + part.at((theta[p.name] - p.null) / (p.start - p.null))
-            else:
-                total = total + p.proportional(theta[p.name]) / p.proportional(p.start) * part
+        for name, part in self.parts.items():
+            total = total + part(theta[name])
         return np.asarray(total)
 
 
+def _two_sided(p: Parameter, there: Array, other: Array) -> Callable[[float], Array]:
+    """Change by a two-sided parameter from those at its start value and as far on the other side of null.
+
+    Their odd and even parts are proportional to the distance from null; the even part, caused by whichever
+    edge touches first, is smoothed about null.
+
+    On a limb (m 4, tilted about the probe's long axis by 5, -5 and 10 degrees) ln force at 7 of 39 mm changes
+    by -0.038, -0.010 and -0.079: in proportion -5 would be +0.038, and 10 by a parabola -0.100.
+    """
+    odd, even = 0.5 * (there - other), 0.5 * (there + other)
+
+    def at(value: float) -> Array:
+        x = (value - p.null) / (p.start - p.null)
+        size = (np.hypot(x, _ROUNDED) - _ROUNDED) / (np.hypot(1.0, _ROUNDED) - _ROUNDED)
+        return np.asarray(x * odd + size * even)
+
+    return at
+
+
+def _between(p: Parameter, times: Array, table: Array) -> Callable[[float], Array]:
+    """Spline through changes at distances from null, in units of that of the start value; linear beyond
+    them."""
+    spline = CubicSpline(times, table)
+
+    def at(value: float) -> Array:
+        x = (value - p.null) / (p.start - p.null)
+        inside = float(np.clip(x, spline.x[0], spline.x[-1]))
+        return np.asarray(spline(inside) + (x - inside) * spline(inside, 1))
+
+    return at
+
+
+@dataclass(eq=False)
 class FieldChange:
     """The same for an effect that is a factor on all stiffnesses, at any values of its parameters.
 
@@ -95,10 +87,12 @@ class FieldChange:
     proportion to the effect's first parameter; None if there was no simulation
     """
 
-    def __init__(self, simulations: CurveSource, effect: Effect, point: Theta, m: float):
-        self.simulations, self.effect, self.point, self.m = simulations, effect, point, m
-        self.missed: Array | None = None
-        self._last: list[tuple[tuple[float, ...], Array]] = []
+    simulations: SiteSimulations
+    effect: Effect
+    point: Theta
+    m: float
+    missed: Array | None = None
+    _last: list[tuple[tuple[float, ...], Array]] = field(default_factory=list)
 
     def at(self, theta: Theta) -> Array:
         names = [p.name for p in self.effect.parameters]
@@ -119,12 +113,6 @@ class FieldChange:
         return moved
 
 
-def _within(spline: CubicSpline, x: float) -> Array:
-    """The spline between its end knots, extrapolated linearly beyond them."""
-    inside = float(np.clip(x, spline.x[0], spline.x[-1]))
-    return np.asarray(spline(inside) + (x - inside) * spline(inside, 1))
-
-
 class Changes:
     """Changes by effects in one site's simulations.
 
@@ -132,7 +120,7 @@ class Changes:
     not_simulated : effects that redistribute the load -> why the simulation that shows this has no solution
     """
 
-    def __init__(self, simulations: CurveSource, *, progress: Progress):
+    def __init__(self, simulations: SiteSimulations, *, progress: Progress):
         self.simulations, self.progress = simulations, progress
         self.m = 2.0
         self.not_simulated: dict[str, str] = {}
@@ -163,34 +151,30 @@ class Changes:
                 field.missed = self._missed(effect, point, effect.sizes[0])
             return field
         of_solves = effect.new_mesh or touches_loads(effect, self.simulations.model)
-        if of_solves:
-            return Change({p: self._by_solving(effect, point, p) for p in effect.parameters})
-        return Change({p: self._by_shifting(effect, point, p) for p in effect.parameters})
+        of = self._by_solving if of_solves else self._by_shifting
+        return Change({p.name: of(effect, point, p) for p in effect.parameters})
 
-    def _by_solving(self, effect: Effect, point: Theta, p: Parameter) -> TwoSided | Array:
-        """Change from a simulation at the start value and, for a two-sided parameter, one on the other side
-        of null if it has a solution."""
+    def _by_solving(self, effect: Effect, point: Theta, p: Parameter) -> Callable[[float], Array]:
+        """In proportion to a simulation at the start value; for a two-sided parameter from one more, on the
+        other side of null, if it has a solution."""
         there = self._solved_at(effect, point, p, p.start)
-        if not p.both_sides:
-            return there
-        try:
-            other = self._solved_at(effect, point, p, 2.0 * p.null - p.start)
-        except SolveError:
-            return there
-        return TwoSided(0.5 * (there - other), 0.5 * (there + other))
+        if p.both_sides:
+            with contextlib.suppress(SolveError):
+                return _two_sided(p, there, self._solved_at(effect, point, p, 2.0 * p.null - p.start))
+        return lambda value: p.proportional(value) / p.proportional(p.start) * there
 
     def _solved_at(self, effect: Effect, point: Theta, p: Parameter, value: float) -> Array:
         """Change of `logs` by one value of a parameter, from a simulation."""
         theta = {**effect.null, **point, p.name: value}
         # the change hardly depends on m, and at one of these values it can be reused for other measurements
-        m = min(FIRST_M, key=lambda each: abs(np.log(each / self.m)))
+        m = nearest_m(FIRST_M, self.m)
         moved = logs(self.simulations.curves(m, ((effect, theta),)))
         change = gaps_filled(moved - logs(self.simulations.curves(m)))
         if effect.new_mesh:
             change = without_spikes(self.simulations, change)
         return change
 
-    def _by_shifting(self, effect: Effect, point: Theta, p: Parameter) -> CubicSpline:
+    def _by_shifting(self, effect: Effect, point: Theta, p: Parameter) -> Callable[[float], Array]:
         step = p.start - p.null
         known = np.isfinite(logs(self.simulations.curves(self.m)))
         places, values, problem = [0.0], [np.zeros(known.shape)], None
@@ -219,14 +203,17 @@ class Changes:
         table = np.array(values)[order]
         if effect.spreads:
             table += np.multiply.outer(np.array(places)[order], self._missed(effect, point, p))
-        return CubicSpline(np.array(places)[order], table)
+        return _between(p, np.array(places)[order], table)
 
     def _missed(self, effect: Effect, point: Theta, p: Parameter) -> Array:
         """Error of the change from the stored deformation, from one simulation at the start value."""
         m, theta = self.m, {**effect.null, **point, p.name: p.start}
         try:
             if self.simulations.spent:
-                raise _spent(effect)
+                raise SolveError(
+                    "the simulations used up the diagnosis's work budget",
+                    where=f"effect {effect.name}", fix=f"name it: `--effects {effect.name}`",
+                )  # fmt: skip
             true = logs(self.simulations.curves(m, ((effect, theta),))) - logs(self.simulations.curves(m))
             missed = true - shifted(self.simulations, m, ((effect, theta),))
         except SolveError as error:
@@ -236,13 +223,6 @@ class Changes:
         return gaps_filled(missed)
 
 
-def _spent(effect: Effect) -> SolveError:
-    return SolveError(
-        "the simulations used up the diagnosis's work budget",
-        where=f"effect {effect.name}", fix=f"name it: `--effects {effect.name}`",
-    )  # fmt: skip
-
-
 def only_febio(effect: Effect) -> SolveError:
     return SolveError(
         "only FEBio can run it, and the diagnosis was made without it",
@@ -250,7 +230,7 @@ def only_febio(effect: Effect) -> SolveError:
     )  # fmt: skip
 
 
-def shifted(simulations: CurveSource, m: float, ingredients: Ingredients) -> Array:
+def shifted(simulations: SiteSimulations, m: float, ingredients: Ingredients) -> Array:
     """First-order change of `logs` by effects: (n, 1 + n_parts + n_lines)."""
     moved, curves = np.column_stack(simulations.shift(m, ingredients)), simulations.curves(m)
     if curves.log_line is None:
@@ -266,7 +246,7 @@ def logs(curves: Curves) -> Array:
     return np.column_stack([log_force, curves.columns])
 
 
-def without_spikes(simulations: CurveSource, change: Array) -> Array:
+def without_spikes(simulations: SiteSimulations, change: Array) -> Array:
     """A change of `logs` between meshes, with the speeds median-filtered over neighbouring parts."""
     speeds = slice(1, 2 + simulations.windows.n_parts)
     out = change.copy()

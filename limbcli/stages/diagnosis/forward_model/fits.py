@@ -13,12 +13,10 @@ from scipy.optimize import least_squares
 
 from limbcli.diagnostics.model.forward_model import Explanation, Fitted
 from limbcli.diagnostics.model.priors import Priors
-from limbcli.effects.base import Theta
 from limbcli.errors import FitError, SolveError
 from limbcli.model import Array
-from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
-from limbcli.stages.diagnosis.forward_model.predictions import Predictions
-from limbcli.stages.diagnosis.forward_model.surrogate import label
+from limbcli.stages.diagnosis.forward_model.predictions import Predictions, Slot
+from limbcli.stages.diagnosis.forward_model.surrogate import AtPoints
 from limbcli.units import kpa_from_mpa
 
 _QUICK, _FULL = 12, 60  # largest number of evaluations of a quick and of a full fit
@@ -34,27 +32,6 @@ def _guess(slot: Slot, start: Mapping[str, float]) -> float:
     return p.null + start.get(slot.name, 0.0) or p.start
 
 
-class _Trials:
-    """Residuals (n,) of a fit's trial parameters; large where there is no solution, so that fits avoid
-    these."""
-
-    def __init__(self, off: Callable[[Array], Array], n: int):
-        self.off, self.n = off, n
-        self.problems: list[SolveError] = []
-
-    def __call__(self, x: Array) -> Array:
-        try:
-            return self.off(x)
-        except SolveError as error:
-            self.problems.append(error)
-            return np.full(self.n, _NO_ANSWER)
-
-    def has_answer(self, x: Array) -> bool:
-        known = len(self.problems)
-        self(x)
-        return len(self.problems) == known
-
-
 class Fits:
     """Fits by predictions.
 
@@ -67,10 +44,11 @@ class Fits:
         self._ends: dict[tuple[Explanation, str], Array] = {}  # where fits ended: ln c, ln m, parameters
 
     def best(
-        self, explanation: Explanation, points: Sequence[Theta], start: Mapping[str, float], *,
-        thorough: bool = True, besides: Sequence[Array] = (),
+        self, model: AtPoints, start: Mapping[str, float], *, thorough: bool = True,
+        besides: Sequence[Array] = (),
     ) -> tuple[float, Fitted]:  # fmt: skip
-        """The fit from several initial guesses; returns (deviance, fit).
+        """The fit from several initial guesses; returns (deviance, fit). Trial parameters without a solution
+        have large residuals, so that fits avoid these.
 
         start : initial sizes as distances from null, and grid values; besides : further initial guesses, as x
         of `predict`
@@ -83,12 +61,24 @@ class Fits:
             If the prediction is not finite.
         """
         predict = self.predictions
-        slots, (low, high) = predict.slots(explanation), predict.bounds(explanation)
+        slots, (low, high) = predict.slots(model.explanation), predict.bounds(model.explanation)
         scale = np.array([0.1, 0.3, *(slot.parameter.step for slot in slots)])
         for each in predict.sites:
-            each.inherit_parts(explanation, points)
-        n_far = sum(np.isfinite(each.deviation) for each in predict.priors(explanation))
-        off = _Trials(lambda x: self.off(x, explanation, points), len(predict.data) + n_far)
+            each.inherit_parts(model)
+        n_far = sum(np.isfinite(each.deviation) for each in predict.priors(model.explanation))
+        problems: list[SolveError] = []
+
+        def off(x: Array) -> Array:
+            try:
+                return self.off(x, model)
+            except SolveError as error:
+                problems.append(error)
+                return np.full(len(predict.data) + n_far, _NO_ANSWER)
+
+        def has_answer(x: Array) -> bool:
+            known = len(problems)
+            off(np.clip(x, low + 1e-6, high - 1e-6))
+            return len(problems) == known
 
         def descended(x0: Array, n_most: int) -> Any:
             inside = np.clip(x0, low + 1e-6, high - 1e-6)
@@ -97,88 +87,79 @@ class Fits:
                 max_nfev=n_most,
             )  # fmt: skip
 
-        known = self._ends_of_parts(explanation, points)
-        guesses = [*besides, *known, *self._starts(explanation, points, start)]
-        seeds = [x for x in guesses if off.has_answer(np.clip(x, low + 1e-6, high - 1e-6))]
+        guesses = [*besides, *self._ends_of_parts(model), *self._starts(model, start)]
+        seeds = [x for x in guesses if has_answer(x)]
         if not seeds:
-            raise off.problems[0]
+            raise problems[0]
         best = _deepest(descended, seeds) if thorough else descended(seeds[0], _QUICK)
         if not np.isfinite(best.cost):
             raise FitError("the prediction is not a number", where="diagnose", fix="look at levels.csv")
         if thorough:
-            self._ends[explanation, label(points)] = best.x
-        return 2 * float(best.cost), self.fitted(best.x, explanation, points)
+            self._ends[model.key] = best.x
+        return 2 * float(best.cost), self.fitted(best.x, model)
 
-    def off(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
+    def off(self, x: Array, model: AtPoints) -> Array:
         """Residuals that a fit minimises: whitened residuals, and those of the normal priors."""
         predict = self.predictions
         far = [
             (value - each.mean) / each.deviation
-            for value, each in zip(x, predict.priors(explanation), strict=True) if np.isfinite(each.deviation)
-        ]  # fmt: skip
-        return np.concatenate([predict.whiten(predict.data.y - predict.predict(x, explanation, points)), far])
+            for value, each in zip(x, predict.priors(model.explanation), strict=True)
+            if np.isfinite(each.deviation)
+        ]
+        return np.concatenate([predict.whiten(predict.data.y - predict.predict(x, model)), far])
 
-    def fitted(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Fitted:
+    def fitted(self, x: Array, model: AtPoints) -> Fitted:
         """The fit at these parameters: ln c, ln m, and the effects'."""
-        predict = self.predictions
+        predict, (explanation, label) = self.predictions, model.key
         slots, sizes = predict.slots(explanation), x[2:].tolist()
         values = {"c_kpa": float(kpa_from_mpa(float(np.exp(x[0])))), "m": float(np.exp(x[1]))}
         values |= {slot.name: size for slot, size in zip(slots, sizes, strict=True)}
-        values |= {k: float(v) for point in points for k, v in point.items()}
+        values |= {k: float(v) for point in model.points for k, v in point.items()}
         return Fitted(
-            explanation, predict.predict(x, explanation, points), predict.jacobian(x, explanation, points),
-            ("c", "m"), values, tuple(s.name for s in slots),
+            explanation, predict.predict(x, model), predict.jacobian(x, model), base_names=("c", "m"),
+            values=values, effect_names=tuple(s.name for s in slots),
             at_bound=tuple(m for s, v in zip(slots, sizes, strict=True) if (m := s.on_bound(v))),
-            points={"grid": label(points)}, without=self._without_approximate(x, explanation, points),
+            point=label, without=self._without_approximate(x, model),
             priors=Priors.about(x, predict.priors(explanation)),
         )  # fmt: skip
 
-    def _without_approximate(
-        self, x: Array, explanation: Explanation, points: Sequence[Theta]
-    ) -> Array | None:
+    def _without_approximate(self, x: Array, model: AtPoints) -> Array | None:
         """Prediction without the effects of the tissue and those that are simulated, whose form is never
         exactly that of a limb; None without such effects. An instrument's zero or scale has no other form."""
         predict = self.predictions
-        effects = [predict.effects[name] for name in explanation]
-        kept = [k for k, each in enumerate(effects) if each.kind != "tissue" and not each.solves]
-        if len(kept) == len(explanation):
+        effects = [predict.effects[name] for name in model.explanation]
+        kept = model.only(k for k, each in enumerate(effects) if each.kind != "tissue" and not each.solves)
+        if len(kept.explanation) == len(effects):
             return None
-        names = tuple(explanation[k] for k in kept)
-        known = dict(zip([s.name for s in predict.slots(explanation)], x[2:].tolist(), strict=True))
-        sizes = [known[s.name] for s in predict.slots(names)]
-        return predict.predict(np.array([*x[:2], *sizes]), names, [points[k] for k in kept])
+        known = dict(zip([s.name for s in predict.slots(model.explanation)], x[2:].tolist(), strict=True))
+        sizes = [known[s.name] for s in predict.slots(kept.explanation)]
+        return predict.predict(np.array([*x[:2], *sizes]), kept)
 
-    def _starts(
-        self, explanation: Explanation, points: Sequence[Theta], start: Mapping[str, float]
-    ) -> list[Array]:
+    def _starts(self, model: AtPoints, start: Mapping[str, float]) -> list[Array]:
         """Usual initial guesses; none if these were tried before."""
-        if (explanation, label(points)) in self._ends and not start:
+        if model.key in self._ends and not start:
             return []
-        slots, tissues = self.predictions.slots(explanation), self._tissues()
+        slots, tissues = self.predictions.slots(model.explanation), self._tissues()
         guesses = [[_guess(s, start) for s in slots]]
         if not any(s.parameter.shape and s.name in start for s in slots):
             guesses.append([s.parameter.start for s in slots])
         pairs = list(zip(guesses, tissues, strict=False)) if slots else [([], each) for each in tissues]
         return [np.array([np.log(c), np.log(m), *guess]) for guess, (c, m) in pairs]
 
-    def _ends_of_parts(self, explanation: Explanation, points: Sequence[Theta]) -> list[Array]:
-        """Initial guesses from earlier fits: of this explanation, and of those with one effect less.
+    def _ends_of_parts(self, model: AtPoints) -> list[Array]:
+        """Initial guesses from earlier fits: of this model, and of those with one effect less.
 
         The fit must be at least as good as the latter; the missing effect starts at a tenth of the way from
         its null value to its start value.
         """
-        own = self._ends.get((explanation, label(points)))
-        found = [] if own is None else [own]
-        for k in range(len(explanation)):
-            rest = explanation[:k] + explanation[k + 1 :]
-            end = self._ends.get((rest, label([*points[:k], *points[k + 1 :]])))
-            if end is None:
+        found = [self._ends[model.key]] if model.key in self._ends else []
+        for k in range(len(model.explanation)):
+            rest = model.without(k)
+            if (end := self._ends.get(rest.key)) is None:
                 continue
-            known = dict(zip([s.name for s in self.predictions.slots(rest)], end[2:], strict=True))
-            sizes = [
-                known.get(s.name, 0.9 * s.parameter.null + 0.1 * s.parameter.start)
-                for s in self.predictions.slots(explanation)
-            ]
+            slots, of_rest = (self.predictions.slots(each.explanation) for each in (model, rest))
+            known = dict(zip([s.name for s in of_rest], end[2:], strict=True))
+            sizes = [known.get(s.name, 0.9 * s.parameter.null + 0.1 * s.parameter.start) for s in slots]
             found.append(np.array([*end[:2], *sizes]))
         return found
 

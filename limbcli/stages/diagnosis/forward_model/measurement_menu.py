@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limbcli.diagnostics.model.forward_model import Fitted, Proposal
+from limbcli.diagnostics.model.forward_model import Explanation, Fitted, Proposal
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Protocol, Reading, read, true_depth
 from limbcli.errors import CaseError, LimbError
@@ -71,11 +71,12 @@ def items() -> tuple[Item, ...]:
         Item("hold", "hold the deepest level for 60 s, record force and depth", _relaxation, _each(0.03),
              instead_of="hold"),
         Item("unload", "also read the levels during unloading", _unloaded, _of_force),
-        Item("B-mode thickness", "measure skin to bone at first touch", _first_thickness, _each(0.5),
-             instead_of="skin-bone"),
+        Item("B-mode thickness", "measure skin to bone at first touch",
+             lambda c, r, p: np.array([read(c, p, r).thickness]), _each(0.5), instead_of="skin-bone"),
         Item("probe travel", "record the probe's absolute travel",
              lambda c, r, p: read(c, p, r).travel, _each(0.1), instead_of="travel"),
-        Item("wave speeds", "take a shear-wave mean at every level", _mean, _each(0.05), instead_of="swe"),
+        Item("wave speeds", "take a shear-wave mean at every level",
+             lambda c, r, p: read(c, p, r).log_speed[:, 0], _each(0.05), instead_of="swe"),
         Item("speed maps", "export the maps, not only their means",
              lambda c, r, p: _contrast(read(c, p, r).log_speed), _each(0.035), instead_of="map",
              model_error=_error_of_contrast),
@@ -115,9 +116,8 @@ def menu(
     turned : gives the curves with the probe turned by 90 degrees
     """
     has = {channel for each in predictions.sites for channel in _there(each.site)}
+    has |= {"unload"} if any(predictions.site.protocol.unloading) else set()
     open_items = [item for item in items() if item.instead_of not in has and item.name not in has]
-    if any(predictions.site.protocol.unloading):
-        open_items = [item for item in open_items if item.name != "unload"]
     found = [_proposal(predictions, fits, item) for item in open_items]
     # Only for single effects: combinations would each need a simulation of the turned model.
     if len(predictions.sites) == 1 and any(fit.explanation == (name,) for fit in fits for name in _TURNS):
@@ -130,14 +130,6 @@ def _there(site: SiteData) -> set[str]:
     n_speeds = site.rows.among("swe").sum()
     in_part = "map" not in site.channels and 2 * n_speeds < len(site.protocol)
     return set(site.channels) - ({"swe"} if in_part else set())
-
-
-def _first_thickness(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
-    return np.array([read(curves, protocol, reading).thickness])
-
-
-def _mean(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
-    return read(curves, protocol, reading).log_speed[:, 0]
 
 
 def _contrast(log_speed: Array) -> Array:
@@ -158,21 +150,21 @@ def _error_of_contrast(site: SiteCurves) -> Array:
 
 def _relaxation(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
     """ln of the force over that at the start of a hold at the deepest level, after 1, 10 and 60 s."""
-    deepest, lost = protocol.deepest, []
-    for seconds in (1.0, 10.0, 60.0):
-        held = replace(deepest, hold=np.array([seconds]))
-        start, end = read(curves, deepest, reading).force[0], read(curves, held, reading).force[0]
-        lost.append(float(np.log(max(end, 1e-6) / max(start, 1e-6))))
-    return np.array(lost)
+    start = protocol.deepest
+    held = [replace(start, hold=np.array([seconds])) for seconds in (1.0, 10.0, 60.0)]
+    return np.array([_ln_ratio(curves, reading, each, start) for each in held])
 
 
 def _two_rates(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
     """ln of the force after a fast ramp over that after a slow one (1,)."""
-    fast, slow = (
-        read(curves, replace(protocol.deepest, ramp=seconds), reading).force[0]
-        for seconds in (_FAST_S, _SLOW_S)
-    )
-    return np.array([float(np.log(max(fast, 1e-6) / max(slow, 1e-6)))])
+    fast, slow = (replace(protocol.deepest, ramp=seconds) for seconds in (_FAST_S, _SLOW_S))
+    return np.array([_ln_ratio(curves, reading, fast, slow)])
+
+
+def _ln_ratio(curves: Curves, reading: Reading, one: Protocol, other: Protocol) -> float:
+    """ln of the force at the first level of one protocol over that of another."""
+    force, beside = (max(read(curves, each, reading).force[0], 1e-6) for each in (one, other))
+    return float(np.log(force / beside))
 
 
 def _unloaded(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
@@ -189,33 +181,36 @@ def _unloaded(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
 
 
 def _proposal(predictions: Predictions, fits: Sequence[Fitted], item: Item) -> Proposal:
-    predicted, jacobians = {}, {}
-    for fitted in fits:
-        value, jacobian = _seen(predictions, fitted, predictions.sites[0], item.see)
-        predicted[fitted.explanation], jacobians[fitted.explanation] = value, jacobian
-    size = len(next(iter(predicted.values())))
-    covariance = np.diag(item.deviation(predictions.site.protocol, size) ** 2)
+    site = predictions.sites[0]
+    seen = {fitted.explanation: _seen(predictions, fitted, site, item.see) for fitted in fits}
+    size = len(next(iter(seen.values()))[0])
+    covariance = np.diag(item.deviation(site.site.protocol, size) ** 2)
     if item.model_error is not None:
-        covariance = covariance + item.model_error(predictions.sites[0])
-    return Proposal(item.name, item.sentence, predicted, jacobians, covariance)
+        covariance = covariance + item.model_error(site)
+    return _proposed(item.name, item.sentence, seen, covariance)
+
+
+def _proposed(
+    name: str, sentence: str, seen: Mapping[Explanation, tuple[Array, Array]], covariance: Array
+) -> Proposal:
+    predicted, jacobians = ({key: pair[k] for key, pair in seen.items()} for k in (0, 1))
+    return Proposal(name, sentence, predicted, jacobians, covariance)
 
 
 def _seen(predictions: Predictions, fitted: Fitted, where: SiteCurves, see: See) -> tuple[Array, Array]:
     """Prediction of the proposed measurement at a fit, and its Jacobian with the columns of the fit's."""
-    points, center = predictions.points(fitted), predictions.x_of(fitted)
+    model, center = predictions.model_of(fitted), predictions.x_of(fitted)
 
     def at(x: Array) -> Array:
         values = dict(zip(fitted.effect_names, x[2:].tolist(), strict=True))
         theta, (c, m) = predictions.theta(values, fitted.explanation, 0), np.exp(x[:2]).tolist()
-        return see(*where.read(c, m, fitted.explanation, theta, points), where.site.protocol)
+        return see(*where.read(c, m, model, theta), where.site.protocol)
 
     columns = []
     for k in range(len(center)):
-        step = 1e-3 * max(abs(center[k]), 0.1)
-        up, down = center.copy(), center.copy()
-        up[k] += step
-        down[k] -= step
-        columns.append((at(up) - at(down)) / (2 * step))
+        step = np.zeros(len(center))
+        step[k] = 1e-3 * max(abs(center[k]), 0.1)
+        columns.append((at(center + step) - at(center - step)) / (2 * step[k]))
     return at(center), np.stack(columns, axis=1)
 
 
@@ -232,26 +227,17 @@ def _rotated(
         other = turned()
     except LimbError:
         return []
-    predicted, jacobians = {}, {}
-    unknown = np.zeros((len(other.site.data),) * 2)
+    seen, unknown = {}, np.zeros((len(other.site.data),) * 2)
     for fitted in fits:
-        value, jacobian = _turned(predictions, fitted, other)
-        first = jacobian.shape[1] - len(fitted.effect_names)
-        for k, slot in enumerate(predictions.slots(fitted.explanation)):
+        slots = predictions.slots(fitted.explanation)
+        null = {slot.name: slot.parameter.null for slot in slots if slot.each_time}
+        absent = replace(fitted, values={**fitted.values, **null})
+        value, jacobian = _seen(predictions, absent, other, lambda c, r, p: other.site.predict(c, r))
+        for k, slot in enumerate(slots, jacobian.shape[1] - len(slots)):
             if slot.each_time:  # its size differs in every measurement and is unknown in the next
                 size = slot.parameter.typical - slot.parameter.null
-                unknown += np.outer(jacobian[:, first + k], jacobian[:, first + k]) * size**2
-                jacobian[:, first + k] = 0.0
-        predicted[fitted.explanation], jacobians[fitted.explanation] = value, jacobian
-    covariance = other.site.data.noise.covariance + unknown
+                unknown += np.outer(jacobian[:, k], jacobian[:, k]) * size**2
+                jacobian[:, k] = 0.0
+        seen[fitted.explanation] = value, jacobian
     sentence = "measure the same place again with the probe turned by 90 degrees"
-    return [Proposal(ROTATE, sentence, predicted, jacobians, covariance)]
-
-
-def _turned(predictions: Predictions, fitted: Fitted, turned: SiteCurves) -> tuple[Array, Array]:
-    """Prediction of the turned measurement by a fit, without effects whose size differs in every
-    measurement."""
-    slots = predictions.slots(fitted.explanation)
-    null = {slot.name: slot.parameter.null for slot in slots if slot.each_time}
-    absent = replace(fitted, values={**fitted.values, **null})
-    return _seen(predictions, absent, turned, lambda c, r, p: turned.site.predict(c, r))
+    return [_proposed(ROTATE, sentence, seen, other.site.data.noise.covariance + unknown)]

@@ -7,6 +7,7 @@ grids.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,19 +15,54 @@ from limbcli.diagnostics.conclusions.estimates import LN_M_DEVIATION, USUAL_M
 from limbcli.diagnostics.model.forward_model import Explanation, Fitted
 from limbcli.diagnostics.model.linear import Whitener
 from limbcli.diagnostics.model.priors import Prior
-from limbcli.effects.base import Effect, Theta
+from limbcli.effects.base import Effect, Parameter, Theta
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Reading
 from limbcli.errors import FitError, SolveError
 from limbcli.model import Array
+from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.data.joint import joined
 from limbcli.stages.diagnosis.data.site_data import SiteData
-from limbcli.stages.diagnosis.forward_model.changes import CurveSource, only_febio
-from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
-from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
+from limbcli.stages.diagnosis.forward_model.changes import only_febio
+from limbcli.stages.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
 
+NOTHING = AtPoints()
 M_BOUNDS = (1.0, 20.0)
 _DIFFERENCE = 1e-3
+_ON_BOUND = 1e-3  # distance from a bound, as a fraction of the range, within which a parameter is on it
+_ROOMY = 1.5  # standard deviation of the prior of a size, in plausible sizes
+
+
+@dataclass(frozen=True)
+class Slot:
+    """A parameter of an explanation: its name in the fit, and the site it applies to (None: all).
+
+    each_time : its size differs between measurements
+    """
+
+    name: str
+    parameter: Parameter
+    site: int | None = None
+    each_time: bool = False
+
+    @property
+    def prior(self) -> Prior:
+        """Normal about null, as wide as `_ROOMY` plausible sizes; uniform for a shape."""
+        p = self.parameter
+        if p.shape:
+            return Prior.uniform(p.low, p.high)
+        return Prior(p.null, _ROOMY * max(abs(p.typical - p.null), 1e-9), p.low, p.high)
+
+    def on_bound(self, value: float) -> str:
+        """Message where the value ended on a bound; empty elsewhere, and where it is null or a natural
+        bound."""
+        p = self.parameter
+        near = _ON_BOUND * (p.high - p.low)
+        if p.natural_bounds or (not p.shape and abs(value - p.null) <= near):
+            return ""
+        side = "lower" if value - p.low < near else "higher" if p.high - value < near else ""
+        bound = p.low if side == "lower" else p.high
+        return f"{self.name} ended on its {side} bound {bound:g}" if side else ""
 
 
 def held_points(effect: Effect) -> list[Theta]:
@@ -53,10 +89,11 @@ class Predictions:
         }
         self._join()
 
-    def allow_for(self, name: str, share: float) -> None:
-        """Scale the noise part `name` to this fraction of its assumed size, at every site."""
+    def allow_for(self, shares: Mapping[str, float]) -> None:
+        """Scale the noise parts of these names to fractions of their assumed sizes, at every site."""
         for each in self.sites:
-            each.site = each.site.with_share(name, share)
+            for name, share in shares.items():
+                each.site = each.site.with_share(name, share)
         self._join()
 
     def strain_along(self, fitted: Fitted) -> None:
@@ -75,7 +112,7 @@ class Predictions:
         return self.sites[0].site
 
     @property
-    def simulations(self) -> CurveSource:
+    def simulations(self) -> SiteSimulations:
         return self.sites[0].simulations
 
     def slots(self, explanation: Explanation) -> list[Slot]:
@@ -90,6 +127,10 @@ class Predictions:
                     found.append(Slot(p.name, p, each_time=effect.each_time))
         return found
 
+    def sizes(self, name: str) -> list[Slot]:
+        """The size parameters of an effect."""
+        return [slot for slot in self.slots((name,)) if not slot.parameter.shape]
+
     def theta(self, values: Mapping[str, float], explanation: Explanation, site: int) -> dict[str, float]:
         """Effect parameters of one site, by their own names."""
         return {
@@ -97,14 +138,14 @@ class Predictions:
             for slot in self.slots(explanation) if slot.site in (None, site)
         }  # fmt: skip
 
-    def points(self, fitted: Fitted) -> list[Theta]:
-        """The point of each effect's grid that was chosen."""
+    def model_of(self, fitted: Fitted) -> AtPoints:
+        """The effects of a fit, at the points of their grids that were chosen."""
         chosen: list[Theta] = []
         for effect in (self.effects[name] for name in fitted.explanation):
             held = held_points(effect)
             match = [q for q in held if all(fitted.values.get(k) == v for k, v in q.items())]
             chosen.append(match[0] if match else held[0])
-        return chosen
+        return AtPoints(fitted.explanation, tuple(chosen))
 
     def x_of(self, fitted: Fitted) -> Array:
         """Parameter vector of a fit, as for `predict`."""
@@ -112,7 +153,7 @@ class Predictions:
         sizes = [values[slot.name] for slot in self.slots(fitted.explanation)]
         return np.array([np.log(values["c_kpa"] / 1e3), np.log(values["m"]), *sizes])
 
-    def predict(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
+    def predict(self, x: Array, model: AtPoints = NOTHING) -> Array:
         """Prediction (n,) for x: ln c, ln m, then the effects' parameters in order.
 
         Raises
@@ -120,12 +161,10 @@ class Predictions:
         SolveError
             If there is no solution, or it is not finite.
         """
-        values = dict(zip([s.name for s in self.slots(explanation)], x[2:].tolist(), strict=True))
+        names = model.explanation
+        values = dict(zip([s.name for s in self.slots(names)], x[2:].tolist(), strict=True))
         c, m = float(np.exp(x[0])), float(np.exp(x[1]))
-        parts = [
-            each.predict(c, m, explanation, self.theta(values, explanation, k), points)
-            for k, each in enumerate(self.sites)
-        ]
+        parts = [each.predict(c, m, model, self.theta(values, names, k)) for k, each in enumerate(self.sites)]
         found = parts[0] if len(parts) == 1 else np.concatenate(parts)
         if not np.isfinite(found).all():
             raise SolveError("the prediction is not a number", where="diagnose", fix="look at levels.csv")
@@ -135,15 +174,14 @@ class Predictions:
         """The fitted curves of a site, and the reading model applied to them."""
         theta = self.theta(fitted.values, fitted.explanation, site)
         c, m = fitted.values["c_kpa"] / 1e3, fitted.values["m"]
-        return self.sites[site].read(c, m, fitted.explanation, theta, self.points(fitted))
+        return self.sites[site].read(c, m, self.model_of(fitted), theta)
 
-    def jacobian(self, x: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
-        sizes = [1.0, 1.0, *(slot.parameter.step for slot in self.slots(explanation))]
+    def jacobian(self, x: Array, model: AtPoints) -> Array:
+        sizes = [1.0, 1.0, *(slot.parameter.step for slot in self.slots(model.explanation))]
         steps = np.diag(_DIFFERENCE * np.array(sizes))
-        columns = [self._slope(x, step, explanation, points) / step[k] for k, step in enumerate(steps)]
-        return np.stack(columns, axis=1)
+        return np.stack([self._slope(x, step, model) / step[k] for k, step in enumerate(steps)], axis=1)
 
-    def _slope(self, x: Array, step: Array, explanation: Explanation, points: Sequence[Theta]) -> Array:
+    def _slope(self, x: Array, step: Array, model: AtPoints) -> Array:
         """Change over this step by central differences, or by a one-sided difference if one side has no
         solution.
 
@@ -155,13 +193,13 @@ class Predictions:
         sides, problem = {}, None
         for sign in (1.0, -1.0):
             try:
-                sides[sign] = self.predict(x + sign * step, explanation, points)
+                sides[sign] = self.predict(x + sign * step, model)
             except SolveError as error:
                 problem = error
         if not sides and problem is not None:
             raise problem
         if len(sides) < 2:
-            sides[0.0] = self.predict(x, explanation, points)
+            sides[0.0] = self.predict(x, model)
         upper, lower = max(sides), min(sides)
         return np.asarray((sides[upper] - sides[lower]) / (upper - lower))
 

@@ -26,18 +26,12 @@ from limbcli.diagnostics.model.priors import Prior
 from limbcli.effects.base import Effect, Theta, point_name
 from limbcli.errors import LimbError, SolveError
 from limbcli.model import Array
-from limbcli.stages.diagnosis.curves.exponents import FIRST_M
-from limbcli.stages.diagnosis.data.noise import (
-    BESIDE,
-    IN_MAPS,
-    LEAST_BESIDE,
-    LEAST_IN_MAPS,
-)
-from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
+from limbcli.stages.diagnosis.curves.curve_plan import FIRST_M, nearest_m
+from limbcli.stages.diagnosis.data.noise import BESIDE, IN_MAPS, LEAST_BESIDE, LEAST_IN_MAPS
 from limbcli.stages.diagnosis.forward_model.fits import Fits
 from limbcli.stages.diagnosis.forward_model.measurement_menu import menu
-from limbcli.stages.diagnosis.forward_model.predictions import Predictions, held_points
-from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves, label
+from limbcli.stages.diagnosis.forward_model.predictions import NOTHING, Predictions, Slot, held_points
+from limbcli.stages.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
 
 _SETTLED, _BEYOND = 0.1, 0.1  # largest distance in ln m from the nearest solved m, and beyond all of them
 _MAX_NODES = 5  # largest number of solved values of m
@@ -54,11 +48,10 @@ class SiteForwardModel:
     shares : by noise part, the estimated fraction of its assumed size (`settle_noise`)
     """
 
-    def __init__(self, sites: Sequence[SiteCurves], *, verify: bool = True):
-        """sites : with the same candidate effects; verify : simulate fitted models"""
+    def __init__(self, sites: Sequence[SiteCurves]):
+        """sites : with the same candidate effects"""
         self.predictions = Predictions(sites)
         self.fits = Fits(self.predictions)
-        self.verify = verify
         self.turned: Callable[[], SiteCurves] | None = None
         self.not_simulated: set[Explanation] = set()
         self.shares: dict[str, float] = {}
@@ -75,8 +68,7 @@ class SiteForwardModel:
         self.predictions.strain_along(self.fit((), {}))
         found = posterior(self.fit((), {}), self.data.y, self.data.noise, self.scalable)
         self.shares = dict(found.shares)
-        for name, share in self.shares.items():
-            self.predictions.allow_for(name, share)
+        self.predictions.allow_for(self.shares)
 
     # ------------------------------------------------------------ the contract
 
@@ -86,14 +78,11 @@ class SiteForwardModel:
 
     @property
     def candidates(self) -> Sequence[Facts]:
+        sizes = self.predictions.sizes
         return [
             Facts(
-                e.name, e.sentence, e.kind,
-                {
-                    s.name: s.parameter.typical - s.parameter.null
-                    for s in self.predictions.slots((e.name,)) if not s.parameter.shape
-                },
-                simulated=e.solves,
+                e.name, e.sentence, e.kind, simulated=e.solves,
+                typical={s.name: s.parameter.typical - s.parameter.null for s in sizes(e.name)},
             )
             for e in self.predictions.effects.values()
         ]  # fmt: skip
@@ -107,7 +96,7 @@ class SiteForwardModel:
         ]
 
     def size_priors(self, name: str) -> Mapping[str, Prior]:
-        return {slot.name: slot.prior for slot in self.predictions.slots((name,)) if not slot.parameter.shape}
+        return {slot.name: slot.prior for slot in self.predictions.sizes(name)}
 
     def fit(self, explanation: Explanation, start: Mapping[str, float]) -> Fitted:
         """Fit of c, m and the effects' parameters; the best over the effects' grid points."""
@@ -118,17 +107,20 @@ class SiteForwardModel:
         # With several effects none has a late onset: a free step and another effect can fit almost any
         # residual.
         grids = [held_points(e)[:1] if e.onset and len(effects) > 1 else held_points(e) for e in effects]
-        combinations: list[Sequence[Theta]] = list(itertools.islice(itertools.product(*grids), _MOST_POINTS))
+        several = [
+            AtPoints(explanation, points)
+            for points in itertools.islice(itertools.product(*grids), _MOST_POINTS)
+        ]
         deviances: dict[str, float] = {}
-        if len(combinations) > _TRIED_FULLY:
-            quick = self._each(explanation, combinations, start, thorough=False)
-            deviances = {label(points): deviance for deviance, points, _ in quick}
-            combinations = [points for _, points, _ in quick[:_TRIED_FULLY]]
-        found = self._each(explanation, combinations, start, thorough=True)
-        deviance, points, fitted = found[0]
+        if len(several) > _TRIED_FULLY:
+            quick = self._each(several, start, thorough=False)
+            deviances = {fitted.point: deviance for deviance, _, fitted in quick}
+            several = [model for _, model, _ in quick[:_TRIED_FULLY]]
+        found = self._each(several, start, thorough=True)
+        deviance, model, fitted = found[0]
         if self._reaches(fitted.values["m"]):
-            deviance, fitted = self.fits.best(explanation, points, start)
-        deviances |= {label(each): value for value, each, _ in found}
+            deviance, fitted = self.fits.best(model, start)
+        deviances |= {each.point: value for value, _, each in found}
         likely = np.mean(np.exp(-0.5 * np.maximum(np.array(list(deviances.values())) - deviance, 0.0)))
         return replace(fitted, ln_points=float(np.log(likely)))
 
@@ -140,31 +132,29 @@ class SiteForwardModel:
         simulated parameters are then returned.
         """
         explanation, predict = fitted.explanation, self.predictions
-        if not self.verify or not any(predict.effects[name].solves for name in explanation):
+        if not any(predict.effects[name].solves for name in explanation):
             return fitted
         if any(each.simulations.spent for each in predict.sites):
             self.not_simulated.add(explanation)
             return fitted
-        points, solved, ln_points = predict.points(fitted), [], fitted.ln_points
+        model, solved, ln_points = predict.model_of(fitted), [], fitted.ln_points
         for _ in range(_MOST_REPAIRS if len(explanation) == 1 else 2):
             x = predict.x_of(fitted)
             x[1] = np.log(round(fitted.values["m"], 4))
             for k, each in enumerate(predict.sites):
-                each.repair(
-                    float(np.exp(x[1])), explanation, predict.theta(fitted.values, explanation, k), points
-                )
-            before = predict.predict(x, explanation, points)
-            solved.append((float(np.sum(self.fits.off(x, explanation, points) ** 2)), x))
+                each.repair(float(np.exp(x[1])), model, predict.theta(fitted.values, explanation, k))
+            before = predict.predict(x, model)
+            solved.append((float(np.sum(self.fits.off(x, model) ** 2)), x))
             best = min(solved, key=lambda each: each[0])
-            _, fitted = self.fits.best(explanation, points, {}, besides=[best[1]])
+            _, fitted = self.fits.best(model, {}, besides=[best[1]])
             if np.max(np.abs(fitted.prediction - before) / self.data.deviation) < _STAYS:
                 return replace(fitted, ln_points=ln_points)
-        return replace(self.fits.fitted(best[1], explanation, points), ln_points=ln_points)
+        return replace(self.fits.fitted(best[1], model), ln_points=ln_points)
 
     def directions(self, fitted: Fitted, name: str) -> Sequence[Direction]:
         effect = self.predictions.effects[name]
         self.predictions.check_channels((name,))
-        slots = [slot for slot in self.predictions.slots((name,)) if not slot.parameter.shape]
+        slots = self.predictions.sizes(name)
         found, problem = [], None
         for point in effect.grid:
             try:
@@ -172,10 +162,8 @@ class SiteForwardModel:
             except SolveError as error:  # other points may have a solution
                 problem = error
                 continue
-            signs, names = zip(*((slot.parameter.sign, slot.name) for slot in slots), strict=True)
-            found.append(
-                Direction(np.stack(columns, axis=1), signs, point_name(point), names, effect.free(point))
-            )
+            names = tuple(slot.name for slot in slots)
+            found.append(Direction(np.stack(columns, axis=1), names, point_name(point), effect.free(point)))
         if not found and problem is not None:
             raise problem
         return found
@@ -188,36 +176,34 @@ class SiteForwardModel:
     def _column(self, fitted: Fitted, effect: Effect, slot: Slot, point: Theta) -> Array:
         """Sensitivity at the effect's null value by finite differences of the surrogate about the fitted
         model."""
-        predict, p, old = self.predictions, slot.parameter, fitted.explanation
-        points = [*predict.points(fitted), effect.held(point)]
-        explanation = (*old, effect.name)
-        slots = predict.slots(explanation)
+        predict, p, old = self.predictions, slot.parameter, self.predictions.model_of(fitted)
+        new = old.added(effect.name, effect.held(point))
+        slots = predict.slots(new.explanation)
         values = {s.name: s.parameter.null for s in slots} | effect.free(point) | dict(fitted.values)
-        up = predict.x_of(replace(fitted, explanation=explanation, values=values))
+        up = predict.x_of(replace(fitted, explanation=new.explanation, values=values))
         down, k = up.copy(), 2 + slots.index(slot)
         step = p.looked_at * (p.start - p.null)
         up[k] += step
         if not p.sign:
             down[k] -= step
         for each in predict.sites:
-            each.inherit(old, points[:-1], explanation, points)
-        moved = predict.predict(up, explanation, points) - predict.predict(down, explanation, points)
-        return np.asarray(moved / (up[k] - down[k]))
+            each.inherit(old, new)
+        return np.asarray((predict.predict(up, new) - predict.predict(down, new)) / (up[k] - down[k]))
 
     def _fit_base(self) -> Fitted:
         sites = self.predictions.sites
         for each in sites:
             each.solve_nodes(FIRST_M)
         for _ in range(_MAX_NODES):
-            fitted = self.fits.best((), (), {})[1]
-            m = fitted.values["m"]
-            solved = self._nodes()
-            if abs(np.log(self._nearest(m) / m)) < _SETTLED or len(solved) >= _MAX_NODES:
+            fitted = self.fits.best(NOTHING, {})[1]
+            m, solved = fitted.values["m"], self._nodes()
+            nearest = nearest_m(solved or FIRST_M[:1], m)
+            if abs(np.log(nearest / m)) < _SETTLED or len(solved) >= _MAX_NODES:
                 break
             if not self._solve_node(float(round(m, 3))):
                 break
         for each in sites:
-            each.changes.m = min(each.nodes, key=lambda node: abs(np.log(node / fitted.values["m"])))
+            each.changes.m = nearest_m(each.nodes, fitted.values["m"])
         self.fits.tissue = (fitted.values["c_kpa"] / 1e3, fitted.values["m"])
         return fitted
 
@@ -236,23 +222,18 @@ class SiteForwardModel:
     def _nodes(self) -> set[float]:
         return set.intersection(*(set(each.nodes) for each in self.predictions.sites))
 
-    def _nearest(self, m: float) -> float:
-        return min(self._nodes() or {FIRST_M[0]}, key=lambda node: abs(np.log(node / m)))
-
     def _each(
-        self, explanation: Explanation, combinations: Sequence[Sequence[Theta]], start: Mapping[str, float],
-        *, thorough: bool,
-    ) -> list[tuple[float, Sequence[Theta], Fitted]]:  # fmt: skip
-        """Fits at these points of the effects' grids, the best first; points without a solution are left
-        out."""
+        self, several: Sequence[AtPoints], start: Mapping[str, float], *, thorough: bool
+    ) -> list[tuple[float, AtPoints, Fitted]]:
+        """Fits of these models, the best first; those without a solution are left out."""
         found, problem = [], None
-        for points in combinations:
+        for model in several:
             try:
-                cost, fitted = self.fits.best(explanation, points, start, thorough=thorough)
+                cost, fitted = self.fits.best(model, start, thorough=thorough)
             except LimbError as error:
                 problem = error
                 continue
-            found.append((cost, points, fitted))
+            found.append((cost, model, fitted))
         if not found and problem is not None:
             raise problem
         return sorted(found, key=lambda each: each[0])

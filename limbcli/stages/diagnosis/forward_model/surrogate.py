@@ -8,8 +8,9 @@ effect is simulated, and the surrogate is corrected by the difference.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +22,10 @@ from limbcli.effects.reading import Reading
 from limbcli.errors import LimbError
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
-from limbcli.stages.diagnosis.curves.exponents import bend, where_solved
+from limbcli.stages.diagnosis.curves.curve_plan import bend, where_solved
+from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.data.site_data import SiteData
-from limbcli.stages.diagnosis.forward_model.changes import Changes, CurveSource, logs, without_spikes
+from limbcli.stages.diagnosis.forward_model.changes import Changes, logs, without_spikes
 from limbcli.stages.diagnosis.mesh_error.mesh_correction import MeshCorrection
 from limbcli.stages.diagnosis.mesh_error.penetration import Penetration
 
@@ -36,6 +38,33 @@ _MOST_CHANGE = 10.0
 _OF_NO_EFFECT = 0.1  # size, in units of the start value, below which a correction is not due to the effect
 _FAR_IN_M = 0.3  # distance in ln m that counts as much as an effect's start value
 _SAME = 1e-9  # squared distance below which two models are the same
+
+
+@dataclass(frozen=True, eq=False)
+class AtPoints:
+    """A model with the effects of an explanation, each at a point of its grid."""
+
+    explanation: Explanation = ()
+    points: tuple[Theta, ...] = ()
+
+    def __iter__(self) -> Iterator[tuple[str, Theta]]:
+        return zip(self.explanation, self.points, strict=True)
+
+    @cached_property
+    def key(self) -> tuple[Explanation, str]:
+        """The explanation, and the label of the points."""
+        return self.explanation, "; ".join(point_name(point) for point in self.points if point)
+
+    def only(self, kept: Iterable[int]) -> AtPoints:
+        """With the effects of these numbers."""
+        several = list(kept)
+        return AtPoints(tuple(self.explanation[k] for k in several), tuple(self.points[k] for k in several))
+
+    def without(self, k: int) -> AtPoints:
+        return self.only(n for n in range(len(self.points)) if n != k)
+
+    def added(self, name: str, point: Theta) -> AtPoints:
+        return AtPoints((*self.explanation, name), (*self.points, point))
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +123,7 @@ class SiteCurves:
     """
 
     def __init__(
-        self, site: SiteData, simulations: CurveSource, effects: Mapping[str, Effect], *,
+        self, site: SiteData, simulations: SiteSimulations, effects: Mapping[str, Effect], *,
         correction: MeshCorrection | None = None, penetration: Penetration | None = None,
         refused: Mapping[str, LimbError] = _NONE, progress: Progress = SILENT,
     ):  # fmt: skip
@@ -103,7 +132,7 @@ class SiteCurves:
         self.changes = Changes(simulations, progress=progress)
         self.nodes: dict[float, Curves] = {}
         self._last_base: tuple[tuple[float, int], tuple[Array, Array, Curves]] | None = None
-        self._repairs: dict[tuple[Explanation, str], Repairs] = {}
+        self._repairs: dict[tuple[Explanation, str], Repairs] = {}  # by the key of the model
 
     def solve_nodes(self, values: Sequence[float]) -> None:
         """Solve at these m, the stiffest law first; failures are left out unless all fail.
@@ -134,17 +163,13 @@ class SiteCurves:
         """Whether the beam meets bone in the model."""
         return self.thickness > 0
 
-    def predict(
-        self, c: float, m: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]
-    ) -> Array:
+    def predict(self, c: float, m: float, model: AtPoints, theta: Theta) -> Array:
         """Prediction of this site's data (n,)."""
-        found = self.site.predict(*self.read(c, m, explanation, theta, points))
-        for k, (name, point) in enumerate(zip(explanation, points, strict=True)):
+        found = self.site.predict(*self.read(c, m, model, theta))
+        for k, (name, point) in enumerate(model):
             share = point.get(self.effects[name].onset, 0.0)
             if share > 0.0:
-                rest = [each for n, each in enumerate(points) if n != k]
-                without = self.predict(c, m, (*explanation[:k], *explanation[k + 1 :]), theta, rest)
-                found = np.where(self._before(share), without, found)
+                found = np.where(self._before(share), self.predict(c, m, model.without(k), theta), found)
         return found
 
     def _before(self, share: float) -> NDArray[np.bool_]:
@@ -152,23 +177,23 @@ class SiteCurves:
         first = share * len(self.site.protocol)
         return np.asarray(self.site.rows.among(*_OF_LEVELS) & (self.site.rows.level < first))
 
-    def curves(
-        self, c: float, m: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]
-    ) -> Curves:
-        """The surrogate's curves at these parameter values."""
+    def read(self, c: float, m: float, model: AtPoints, theta: Theta) -> tuple[Curves, Reading]:
+        """The surrogate's curves at these parameter values, and the reading model applied to them."""
+        return self.curves(c, m, model, theta), self.reading(c, model, theta)
+
+    def curves(self, c: float, m: float, model: AtPoints, theta: Theta) -> Curves:
         depth, base, plain = self._base(m)
         values = base
-        known = self._repairs.get((explanation, label(points)))
-        if known is not None:
-            values = values + known.at(self._sizes(explanation, theta), float(np.log(m)))
-        for name, point in zip(explanation, points, strict=True):
+        if model.key in self._repairs:
+            values = values + self._repairs[model.key].at(self._sizes(model, theta), float(np.log(m)))
+        for name, point in model:
             if self.effects[name].solves:
                 values = values + self.changes.of(self.effects[name], point).at(theta)
         values = base + np.clip(values - base, -_MOST_CHANGE, _MOST_CHANGE)
-        log_force, others = values[:, 0], plain.with_columns(values[:, 1:])
+        others = plain.with_columns(values[:, 1:])
         log_speed = others["log_speed"]
         assert log_speed is not None
-        force = np.concatenate([[0.0], np.exp(log_force[1:])])
+        force = np.concatenate([[0.0], np.exp(values[1:, 0])])
         times = c / self.simulations.c
         taller = 1.0 if self.correction is None else self.correction.thickness_ratio
         thickness = plain.thickness * taller * (1.0 + theta.get("thickness_change", 0.0))
@@ -176,19 +201,13 @@ class SiteCurves:
         found = Curves(depth, force * times, log_speed, plain.window_depth, thickness, others["log_line"])
         return found if self.penetration is None else self.penetration.without(found, force)
 
-    def read(
-        self, c: float, m: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]
-    ) -> tuple[Curves, Reading]:
-        """The curves, and the reading model applied to them."""
-        return self.curves(c, m, explanation, theta, points), self.reading(c, explanation, theta, points)
-
-    def reading(self, c: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]) -> Reading:
+    def reading(self, c: float, model: AtPoints, theta: Theta) -> Reading:
         reading = Reading(c=c)
-        for name, point in zip(explanation, points, strict=True):
+        for name, point in model:
             reading = self.effects[name].observe(reading, {**point, **theta})
         return reading
 
-    def repair(self, m: float, explanation: Explanation, theta: Theta, points: Sequence[Theta]) -> None:
+    def repair(self, m: float, model: AtPoints, theta: Theta) -> None:
         """Simulate the model with these effects, and correct the surrogate to the result.
 
         Raises
@@ -196,56 +215,51 @@ class SiteCurves:
         SolveError
             If the simulation fails.
         """
-        effects = [self.effects[name] for name in explanation]
+        effects = [(self.effects[name], point) for name, point in model]
         solving = tuple(
             (e, {**e.null, **{k: v for k, v in theta.items() if k in e.null}, **e.without_onset(q)})
-            for e, q in zip(effects, points, strict=True)
-            if e.solves
-        )
+            for e, q in effects if e.solves
+        )  # fmt: skip
         true = logs(self.simulations.curves(m, solving))
         true = true + self._corrected(m, true.shape[1])
-        key = (explanation, label(points))
-        known = self._repairs.get(key, Repairs())
-        self._repairs[key] = replace(known, solved=())
-        missed = true - logs(self.curves(self.simulations.c, m, explanation, theta, points))
+        known = self._repairs.get(model.key, Repairs())
+        self._repairs[model.key] = replace(known, solved=())
+        missed = true - logs(self.curves(self.simulations.c, m, model, theta))
         missed[0, 0] = 0.0
         if any(effect.new_mesh for effect, _ in solving):
             missed = without_spikes(self.simulations, missed)
-        made = Repair(gaps_filled(missed), self._sizes(explanation, theta), float(np.log(m)))
-        self._repairs[key] = replace(known, solved=(*known.solved, made))
+        made = Repair(gaps_filled(missed), self._sizes(model, theta), float(np.log(m)))
+        self._repairs[model.key] = replace(known, solved=(*known.solved, made))
 
-    def inherit(
-        self, old: Explanation, old_points: Sequence[Theta], new: Explanation, points: Sequence[Theta]
-    ) -> None:
-        """Initialise the correction of a larger explanation with that of the one it extends."""
-        known = self._repairs.get((old, label(old_points)))
-        if known is not None:
-            self._repairs.setdefault((new, label(points)), Repairs((known,)))
+    def inherit(self, old: AtPoints, new: AtPoints) -> None:
+        """Initialise the correction of a larger model with that of the one it extends."""
+        if old.key in self._repairs:
+            self._repairs.setdefault(new.key, Repairs((self._repairs[old.key],)))
 
-    def inherit_parts(self, explanation: Explanation, points: Sequence[Theta]) -> None:
-        """Initialise the correction of a larger explanation not simulated yet with those of its parts: of the
+    def inherit_parts(self, model: AtPoints) -> None:
+        """Initialise the correction of a larger model not simulated yet with those of its parts: of the
         largest simulated part, and then of parts of the remainder."""
-        n = len(explanation)
-        if n < 2 or (explanation, label(points)) in self._repairs:
+        n = len(model.explanation)
+        if n < 2 or model.key in self._repairs:
             return
         left = set(range(n))
         total: tuple[Repairs, ...] = ()
         for size in range(n - 1, 0, -1):
             for part in itertools.permutations(range(n), size):
-                key = (tuple(explanation[k] for k in part), label([points[k] for k in part]))
+                key = model.only(part).key
                 if left.issuperset(part) and key in self._repairs:
                     total += (self._repairs[key],)
                     left -= set(part)
         if total:
-            self._repairs[(explanation, label(points))] = Repairs(total)
+            self._repairs[model.key] = Repairs(total)
 
     # ------------------------------------------------------------
 
-    def _sizes(self, explanation: Explanation, theta: Theta) -> dict[str, float]:
+    def _sizes(self, model: AtPoints, theta: Theta) -> dict[str, float]:
         """Sizes of the simulated effects, in units of their start values."""
         return {
             p.name: p.proportional(theta[p.name]) / p.proportional(p.start)
-            for name in explanation if self.effects[name].solves for p in self.effects[name].sizes
+            for name, _ in model if self.effects[name].solves for p in self.effects[name].sizes
         }  # fmt: skip
 
     def _corrected(self, m: float, width: int) -> Array | float:
@@ -303,8 +317,3 @@ def _weights(known: Array, at: float) -> Array:
     step = 1e-3 * span
     slope = (polynomial(inside + step) - polynomial(inside - step)) / (2 * step) if span > 0 else 0.0
     return np.asarray(polynomial(inside) + (at - inside) * slope)
-
-
-def label(points: Sequence[Theta]) -> str:
-    """Label of the points of the effects' grids."""
-    return "; ".join(point_name(point) for point in points if point)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from limbcli.model import Array
 from limbcli.model_io import load_model
 from limbcli.progress import Progress
 from limbcli.results import read_result
-from limbcli.stages.diagnosis.curves.exponents import bend
+from limbcli.stages.diagnosis.curves.curve_plan import bend
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.mesh_error.mesh_correction import MeshCorrection, own_curves, own_layers
 
@@ -31,14 +31,16 @@ _HELD = 0.5  # position of the limb between a free (0) and a held (1) far side, 
 _UNCORRECTED = 1.2  # factor on the model error in maps if the working mesh is not corrected
 
 
-class ResultNotes(Protocol):
-    """Collector of results and warnings."""
+@dataclass
+class Notes:
+    """Data, warnings and inputs collected while preparing a site, to be written with its results."""
 
-    data: dict[str, Any]
-    warnings: list[str]
+    data: dict[str, Any] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    inputs: dict[str, Path] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class MeshComparison:
     """Comparison of one site's working mesh, with edges of `size` mm, with the site's own mesh.
 
@@ -51,7 +53,7 @@ class MeshComparison:
     out: Path
     size: float
     several: Sequence[float]
-    notes: ResultNotes
+    notes: Notes
     progress: Progress
 
     def correction(
@@ -89,33 +91,35 @@ class MeshComparison:
         nothing = np.zeros_like(self.simulations.curves(several[0]).log_speed)
         usual = np.full(len(self.depth), _USUAL_ERROR * (self.size / _USUAL_EDGE) ** 2)
         return MeshCorrection(
-            np.array(several), np.array([nothing[:, 0]] * len(several)), np.array([nothing] * len(several)),
-            1.0, usual, np.zeros(len(self.depth)), map_share=_UNCORRECTED,
+            m=np.array(several), log_force=np.array([nothing[:, 0]] * len(several)),
+            log_speed=np.array([nothing] * len(several)), thickness_ratio=1.0, mesh_error=usual,
+            speed_error=np.zeros(len(self.depth)), map_share=_UNCORRECTED,
         )  # fmt: skip
 
     def _solved_correction(self) -> MeshCorrection | None:
         """Correction from simulations with these m on the site's own mesh; None, with a warning, if
         impossible."""
+        found: dict[float, Curves] = {}
+        why, h = "", _USUAL_EDGE
         try:
             meshed = read_result(self.out, "mesh", site=self.site.name)
             if meshed.data.get("element") != "tet10":
-                self.notes.warnings.append(
-                    "the working mesh is not corrected to the site's own, of linear elements"
+                why = ", of linear elements"
+            elif layers := own_layers(self.site, self.out):
+                why = (
+                    f", which has layers ({layers}) as well as the tissue: the diagnosis treats them as one "
+                    "tissue, and a layer as an effect"
                 )
-                return None
-            if layers := own_layers(self.site, self.out):
-                self.notes.warnings.append(
-                    f"the working mesh is not corrected to the site's own, which has layers ({layers}) as"
-                    " well as the tissue: the diagnosis treats them as one tissue, and a layer as an effect"
-                )
-                return None
-            model = load_model(meshed.folder / "model.npz")
-            h = float(meshed.data.get("size_under_probe_mm", _USUAL_EDGE))
-            words = " and ".join(f"m {m:g}" for m in self.several)
-            self.progress.event("note", text=f"{words} on the site's own mesh")
-            found = own_curves(model, self.simulations, self.several, size_ratio=h / self.size)
+            else:
+                model = load_model(meshed.folder / "model.npz")
+                h = float(meshed.data.get("size_under_probe_mm", _USUAL_EDGE))
+                words = " and ".join(f"m {m:g}" for m in self.several)
+                self.progress.event("note", text=f"{words} on the site's own mesh")
+                found = own_curves(model, self.simulations, self.several, size_ratio=h / self.size)
         except LimbError as error:
-            self.notes.warnings.append(f"the working mesh is not corrected to the site's own: {error.what}")
+            why = f": {error.what}"
+        if why:
+            self.notes.warnings.append(f"the working mesh is not corrected to the site's own{why}")
             return None
         apart = {m: self._apart(m, own) for m, own in found.items()}
         likely = self.several[0]
@@ -129,8 +133,9 @@ class MeshComparison:
         )
         log_force, log_speed = (np.array(each) for each in zip(*tables.values(), strict=True))
         return MeshCorrection(
-            np.array(sorted(found)), log_force, log_speed, _ratio(own.thickness, working.thickness),
-            np.maximum(off, _LEAST_ERROR), in_mean,
+            m=np.array(sorted(found)), log_force=log_force, log_speed=log_speed,
+            thickness_ratio=_ratio(own.thickness, working.thickness),
+            mesh_error=np.maximum(off, _LEAST_ERROR), speed_error=in_mean,
         )  # fmt: skip
 
     def _apart(self, m: float, own: Curves) -> tuple[Array, Array]:

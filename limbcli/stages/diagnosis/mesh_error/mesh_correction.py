@@ -22,7 +22,7 @@ from limbcli.errors import CaseError, LimbError
 from limbcli.feb.settings import USUAL_PENALTY
 from limbcli.model import Array, LimbModel
 from limbcli.results import read_result
-from limbcli.stages.diagnosis.curves.exponents import bend, where_solved
+from limbcli.stages.diagnosis.curves.curve_plan import bend, where_solved
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.units import mpa_from_kpa
 
@@ -36,7 +36,7 @@ _FOLLOWED = 0.2  # range of extrapolation beyond the last m, as a fraction of th
 _SHARES, _ENOUGH = tuple(k / 6 for k in range(1, 7)), 0.6
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class MeshCorrection:
     """Additive correction of the working mesh's curves at increasing `m` (n_m,): ln force (n_m, n), ln speeds
     (n_m, n, n_parts); ratio of the thicknesses.
@@ -82,16 +82,6 @@ def _beyond(at: float, end: float, inner: float) -> float:
     return beyond**2 / (2 * _FOLLOWED) - beyond
 
 
-@dataclass(frozen=True, eq=False)
-class SiteMeshRun:
-    """The site's own run at the start values: element type; depths (mm) and forces (N, at the reference c) of
-    the levels that are deeper than the previous one."""
-
-    element: str
-    depth: Array
-    force: Array
-
-
 def own_curves(
     meshed: LimbModel, simulations: SiteSimulations, several: Sequence[float], *, size_ratio: float
 ) -> dict[float, Curves]:
@@ -135,8 +125,10 @@ def own_layers(site: Site, out: Path) -> str:
     return " and ".join(name.removesuffix("_mm") for name in layers)
 
 
-def own_run(site: Site, out: Path, *, c: float) -> SiteMeshRun:
-    """The site's finished run, its forces scaled to the stiffness c (MPa).
+def own_run(site: Site, out: Path, *, c: float) -> tuple[str, Curves]:
+    """Element type and curve, without speeds, of the site's finished run at the start values.
+
+    The forces are scaled to the stiffness c (MPa); levels no deeper than the previous one are left out.
 
     Raises
     ------
@@ -165,7 +157,8 @@ def own_run(site: Site, out: Path, *, c: float) -> SiteMeshRun:
             fix="run `limbcli run` again",
         )  # fmt: skip
     scale = c / mpa_from_kpa(float(built.data["c_kpa"]))
-    return SiteMeshRun(str(built.data.get("element")), depth[rising], force[rising] * scale)
+    curve = np.r_[0.0, depth[rising]], np.r_[0.0, force[rising] * scale]
+    return str(built.data.get("element")), Curves(*curve, np.zeros((len(rising) + 1, 0)), np.zeros(0))
 
 
 def contact_penalty(site: Site, out: Path) -> float:

@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from limbcli.case import Case, Site
 from limbcli.effects.curves import Curves, gaps_filled
 from limbcli.errors import LimbError
 from limbcli.model import Array
 from limbcli.results import read_result
-from limbcli.stages.diagnosis.curves.exponents import FIRST_M, where_solved
+from limbcli.significant_digits import short
+from limbcli.stages.diagnosis.curves.curve_plan import FIRST_M, where_solved
 from limbcli.stages.diagnosis.data.noise import IN_MEAN, STRAIN, ModelError
 from limbcli.stages.diagnosis.data.site_data import USUAL_THICKNESS
-from limbcli.stages.diagnosis.mesh_error.geometry_gain import assumed_gain
 from limbcli.stages.diagnosis.mesh_error.mesh_comparison import at_depths
 from limbcli.stages.diagnosis.mesh_error.mesh_correction import MeshCorrection
 from limbcli.stages.diagnosis.mesh_error.numerical_checks import Intervention, NumericalChecks
@@ -30,6 +31,8 @@ _TOUCH_VOXELS, _TOUCH_MM = 0.5, 0.2
 # thirteen sites) in the first 60 % of the depth, by 7 and 13 % at strains of 0.27 and 0.35
 # (`tests/benchmarks/map_errors.py`).
 _GAIN = 0.07
+# Relative standard deviation of the force if no fit varied an assumed geometry: as of parametric limbs.
+USUAL_GAIN = 0.15
 _STRAIN = 0.02  # relative standard deviation of all strains: posture, the scanner's scale of depths
 
 
@@ -135,3 +138,26 @@ def read_spacing(out: Path) -> list[float] | None:
         return None
     found = image.get("spacing_mm") if isinstance(image, dict) else None
     return [float(each) for each in found] if found else None
+
+
+def assumed_gain(case: Case, site: Site, out: Path) -> tuple[float, str]:
+    """Standard deviation of ln force from an assumed geometry, and a warning; 0 if the geometry was
+    imaged."""
+    words = case.imaging.assumed
+    if not words:
+        return 0.0, ""
+    try:
+        uncertainty = read_result(out, "fit", site=site.name).data.get("geometry_uncertainty") or {}
+    except LimbError:
+        uncertainty = {}
+    found = uncertainty.get("gain_fraction")
+    if uncertainty.get("words") != words or found is None:
+        return USUAL_GAIN, (
+            f"{words}. No fit has varied it: its uncertainty is taken as {100 * USUAL_GAIN:g} % of the force "
+            f"at site {site.name}; run `limbcli fit`, then diagnose again"
+        )
+    return float(found), (
+        f"{words}. From the fit's geometry variations, {short(100 * float(found), 2)} % of "
+        f"the force at site {site.name} is uncertain, treated as one common factor; a change with depth is "
+        "not allowed for"
+    )

@@ -25,12 +25,12 @@ from limbcli.errors import LimbError
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, LimbModel
 from limbcli.progress import Progress
-from limbcli.stages.diagnosis.curves.exponents import FIRST_M, where_solved
+from limbcli.stages.diagnosis.curves.curve_plan import FIRST_M, where_solved
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.data.noise import COMPRESSIBILITY, FEWEST_SMOOTH, SmoothDepth, readings
 from limbcli.stages.diagnosis.mesh_error.mesh_comparison import (
     MeshComparison,
-    ResultNotes,
+    Notes,
     at_depths,
     change_of,
 )
@@ -48,7 +48,7 @@ _CUT_LEFT = 0.3
 _FAR_SIDE_LEFT = 0.5
 _STIFFNESSES = np.geomspace(0.1, 10.0, 81)  # trial values of c, as multiples of the reference c
 _DOUBTFUL = 0.15  # uncertainty in ln force, as it enters the noise, from which a warning is given
-_STIFFER = 4.0  # factor on f_kappa, towards the incompressible limit
+STIFFER = 4.0  # factor on f_kappa, towards the incompressible limit
 
 
 def _stiffened(model: LimbModel, theta: Theta) -> LimbModel:
@@ -63,7 +63,7 @@ INCOMPRESSIBILITY = Effect(
     sentence="the compressibility assumed by the diagnosis is not the tissue's",
     kind="numerical",
     source="nearly incompressible limit",
-    parameters=(Parameter("kappa_factor", null=1.0, start=_STIFFER, low=1.0, high=10.0, typical=_STIFFER),),
+    parameters=(Parameter("kappa_factor", null=1.0, start=STIFFER, low=1.0, high=10.0, typical=STIFFER),),
     apply=_stiffened,
     solves=True,
 )
@@ -73,23 +73,14 @@ def f_kappa_at(deviations: float) -> float:
     """f_kappa that is this many standard deviations of its prior from the value in the models; inf beyond the
     incompressible limit.
 
-    A deviation is the change to `_STIFFER` times the value, and to first order the change by compressibility
+    A deviation is the change to `STIFFER` times the value, and to first order the change by compressibility
     is proportional to that of 1 / f_kappa.
 
     >>> f_kappa_at(0.0), f_kappa_at(1.0), f_kappa_at(2.0)
     (100.0, 400.0, inf)
     """
-    per = 1.0 - deviations * (1.0 - 1.0 / _STIFFER)
+    per = 1.0 - deviations * (1.0 - 1.0 / STIFFER)
     return F_KAPPA / per if per > 0 else float("inf")
-
-
-def deviations_of(f_kappa: float) -> float:
-    """The inverse of `f_kappa_at`.
-
-    >>> deviations_of(400.0)
-    1.0
-    """
-    return (1.0 - F_KAPPA / f_kappa) / (1.0 - 1.0 / _STIFFER)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,17 +99,31 @@ class Intervention:
     left: float = 1.0
 
 
+@dataclass(eq=False)
 class NumericalChecks:
-    """The numerical checks of one site on its simulations."""
+    """The numerical checks of one site on its simulations.
 
-    def __init__(
-        self, case: Case, site: Site, levels: Levels, simulations: SiteSimulations, *, out: Path, size: float,
-        notes: ResultNotes, progress: Progress,
-    ):  # fmt: skip
-        self.case, self.site, self.levels, self.simulations = case, site, levels, simulations
-        self.out, self.size, self.notes, self.progress = out, size, notes, progress
-        self.depth = smooth_depth(levels)
-        self.penetration: Penetration | None = None  # of the simulated contact; set by `interventions`
+    size : mm, of the working mesh's edges; penetration : of the simulated contact, set by `interventions`
+    """
+
+    case: Case
+    site: Site
+    levels: Levels
+    simulations: SiteSimulations
+    out: Path
+    size: float
+    notes: Notes
+    progress: Progress
+    penetration: Penetration | None = None
+
+    @cached_property
+    def depth(self) -> Array:
+        """Depth (n_levels,) in mm of a smooth curve through the readings; as read if these are too few."""
+        protocol = readings(self.levels)
+        if len(protocol) < FEWEST_SMOOTH:
+            return self.levels.depth
+        smooth = np.maximum(SmoothDepth.through(protocol).at(self.levels.force), 0.0)
+        return np.where(np.isfinite(self.levels.depth), smooth, np.nan)
 
     def correction(self, *, solves: bool = True) -> MeshCorrection:
         """Correction to the site's own mesh, and to a limb that is not cut and rests on something; `solves`:
@@ -129,8 +134,8 @@ class NumericalChecks:
             for each in (self._positions() if solves else ())
         }
         comparison = MeshComparison(
-            self.site, self.depth, self.simulations, out=self.out, size=self.size, several=several,
-            notes=self.notes, progress=self.progress,
+            site=self.site, depth=self.depth, simulations=self.simulations, out=self.out, size=self.size,
+            several=several, notes=self.notes, progress=self.progress,
         )  # fmt: skip
         freed, held = (changed.get(name, {}) for name in ("crop", FAR_SIDE.name))
         return comparison.correction(solves=solves, freed=freed, held=held)
@@ -193,17 +198,15 @@ class NumericalChecks:
         """Locking check if the site's own run has linear elements: its force compared with the working
         tet10."""
         try:
-            own = own_run(self.site, self.out, c=self.simulations.c)
+            element, own = own_run(self.site, self.out, c=self.simulations.c)
         except LimbError as error:
             if self.case.model.element == "tet4":
                 self.notes.data.setdefault("numerical_not_evaluated", {})["locking"] = error.what
             return []
-        if own.element != "tet4":
+        if element != "tet4":
             return []
         working = self.simulations.curves(START_M)
-        nothing = np.zeros((len(own.depth) + 1, 0))
-        theirs = Curves(np.r_[0.0, own.depth], np.r_[0.0, own.force], nothing, np.zeros(0))
-        linear = replace(working, force=np.r_[0.0, np.exp(log_force_at(theirs, working.depth[1:]))])
+        linear = replace(working, force=np.r_[0.0, np.exp(log_force_at(own, working.depth[1:]))])
         judged = self._judged("locking", linear, working, "tet4 against tet10")
         if judged.deviations > decisions.MATTERS_SD:
             self.notes.warnings.append(
@@ -255,12 +258,3 @@ def depth_scatter(simulations: SiteSimulations, levels: Levels) -> dict[float, f
         off = [depth[rising] - depth_at(curves, force[rising] / times) for times in _STIFFNESSES]
         found[m] = min(float(np.mean(each**2)) for each in off)
     return found
-
-
-def smooth_depth(levels: Levels) -> Array:
-    """Depth (n_levels,) in mm of a smooth curve through the readings; as read if these are too few."""
-    protocol = readings(levels)
-    if len(protocol) < FEWEST_SMOOTH:
-        return levels.depth
-    smooth = np.maximum(SmoothDepth.through(protocol).at(levels.force), 0.0)
-    return np.where(np.isfinite(levels.depth), smooth, np.nan)

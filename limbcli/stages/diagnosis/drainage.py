@@ -1,8 +1,12 @@
-"""Whether poroelasticity can be tested at a site, and its drainage from a few cached FEBio runs."""
+"""Drainage of fluid from a site's tissue, from held indentations simulated by FEBio.
+
+Each run is a fast ramp, and a hold while the biphasic tissue drains. Permeability times c is 1 mm^2/s, so
+that the simulated time in s equals k c t in mm^2; the largest time step grows with the time since the ramp,
+every third of a decade. Runs at a few depths give a site's drainage; they are cached.
+"""
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -12,29 +16,46 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.atomic_files import atomic_file
 from limbcli.config import available_cores, shares
 from limbcli.diagnostics import decisions
 from limbcli.effects import poroelasticity
 from limbcli.effects.base import Effect
-from limbcli.effects.drainage import Drainage, HeldIndentation
+from limbcli.effects.drainage import SPREADS, Drainage, HeldIndentation
 from limbcli.errors import FitError, LimbError, SolveError
-from limbcli.model import LimbModel
+from limbcli.feb.settings import USUAL_PENALTY, schedule
+from limbcli.model import Curve, LimbModel
 from limbcli.model_io import model_hash
 from limbcli.progress import Progress
 from limbcli.solvers import choose
-from limbcli.solvers.base import Solver
+from limbcli.solvers.base import Simulation, Solver
 from limbcli.solvers.febio import FebioSolver
-from limbcli.stages.diagnosis.curves.exponents import USUAL_M
+from limbcli.stages.diagnosis.curves.curve_plan import USUAL_M
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
+from limbcli.stages.diagnosis.curves.solve_memo import SolveMemo
 from limbcli.stages.diagnosis.data.held_forces import HeldForces
-from limbcli.stages.diagnosis.drainage.held_model import RAMP_STEPS, held_model, hold_of
+from limbcli.stages.site_model.indentation_model import (
+    TRAVEL,
+    indentation_model,
+    starting_depth,
+    with_penalty,
+)
 from limbcli.temporary_folders import scratch_folder
 
 NAME = poroelasticity.EFFECT.name
 SHARES_OF_DEPTH = (1.0, 0.5, 0.25)
 _LEAST_DEPTHS = 2
 _TIME_LIMIT_S = 3600.0  # time limit of one simulation; a limb of 6,000 nodes takes a few minutes
+RAMP = 0.2 * float(SPREADS[0])  # mm^2, duration of the ramp as k c t
+END = float(SPREADS[-1])  # mm^2, end of the hold as k c t
+_PER_DECADE = 3  # intervals of the largest time step per decade
+# mm, largest indentation per step of the ramp: a larger fraction of an element inverts tet10. Failed
+# simulations are repeated with the smaller step.
+RAMP_STEPS = (0.5, 0.1)
+_LEAST_STEP = 1e-2  # smallest time step, as a fraction of the first
+LONGEST_STEP = "longest_step"
+# Tolerances of `robust_step` except that of the residual; with these, holds of a limb of 6,000 nodes
+# completed.
+_CONTROL = {"dtol": 0.01, "etol": 0.01}
 
 
 @dataclass(frozen=True)
@@ -82,16 +103,18 @@ def drained(
     keep : cache folder of the simulations
     """
     if held is None:
-        return Drained(refused=_no_holds(why_not_held))
+        why = f"it requires data that were not measured: hold{f' ({why_not_held})' if why_not_held else ''}"
+        return Drained(refused=_refused(why, fix="record force and depth in holds (trace)"))
     if not solver.always:
         try:
             fallen = held.fallen(simulations.curves(USUAL_M))
         except LimbError as error:
             return Drained(refused=error)
         if fallen < decisions.FALLEN_SD:
-            return Drained(refused=_nothing_falls(fallen))
+            why = f"no force decrease in the holds ({fallen:.1f} deviations over all of them)"
+            return Drained(refused=_refused(why, fix="--solver febio evaluates it anyway"))
     depths = [round(share * deepest, 2) for share in SHARES_OF_DEPTH]
-    runs = _Runs(solver.solver, simulations.model, simulations.c, USUAL_M, keep, progress)
+    runs = _Runs(solver.solver, simulations, SolveMemo(keep), progress)
     facts: dict[str, Any] = {}
     try:
         found = runs.all(depths)
@@ -120,10 +143,8 @@ class _Runs:
     """Parallel simulations on the available cores, each in a separate folder; results are cached."""
 
     solver: Solver
-    model: LimbModel
-    c: float
-    m: float
-    keep: Path
+    simulations: SiteSimulations
+    memo: SolveMemo
     progress: Progress
     version: str = ""
 
@@ -143,7 +164,8 @@ class _Runs:
         return [known[depth] or fresh[depth] for depth in depths]
 
     def _held(self, depth: float, ramp_step: float = RAMP_STEPS[0]) -> LimbModel:
-        return held_model(self.model, depth, c=self.c, m=self.m, ramp_step=ramp_step)
+        known = self.simulations
+        return held_model(known.model, depth, c=known.c, m=USUAL_M, ramp_step=ramp_step)
 
     def _run(self, depth: float) -> _Run:
         """Simulate one depth, with shorter steps if FEBio fails with longer ones."""
@@ -160,28 +182,21 @@ class _Runs:
             except LimbError as error:  # shorter steps would not help
                 problem = error.what
                 break
-        if hold is None:
-            return _Run(depth, None, problem, time.monotonic() - started)
-        found = _Run(depth, hold, "", time.monotonic() - started)
-        content = {"spread_mm2": hold.spread.tolist(), "force_n": hold.force.tolist(), "ramp_mm2": hold.ramp,
-                   "seconds": found.seconds}  # fmt: skip
-        self.keep.mkdir(parents=True, exist_ok=True)
-        with atomic_file(self._path(depth)) as path:
-            path.write_text(json.dumps(content), encoding="utf-8")
+        found = _Run(depth, hold, "" if hold else problem, time.monotonic() - started)
+        if hold is not None:
+            content = {"spread_mm2": hold.spread, "force_n": hold.force, "ramp_mm2": hold.ramp}
+            self.memo.write(self._key(depth), {**content, "seconds": found.seconds})
         return found
 
     def _kept(self, depth: float) -> _Run | None:
-        try:
-            content = json.loads(self._path(depth).read_text(encoding="utf-8"))
-            spread, force = (np.array(content[key], dtype=float) for key in ("spread_mm2", "force_n"))
-            return _Run(
-                depth, HeldIndentation(depth, content["ramp_mm2"], spread, force), "", content["seconds"]
-            )
-        except (OSError, ValueError, KeyError, TypeError):
-            return None
+        def run_of(stored: Any) -> _Run:
+            hold = HeldIndentation(depth, float(stored["ramp_mm2"]), stored["spread_mm2"], stored["force_n"])
+            return _Run(depth, hold, "", float(stored["seconds"]))
 
-    def _path(self, depth: float) -> Path:
-        return self.keep / f"drainage-{model_hash(self._held(depth))[:16]}-{self.version}.json"
+        return self.memo.read(self._key(depth), run_of)
+
+    def _key(self, depth: float) -> str:
+        return f"drainage-{model_hash(self._held(depth))[:16]}-{self.version}"
 
 
 def _enough(found: Sequence[_Run]) -> list[HeldIndentation]:
@@ -212,15 +227,39 @@ def _not_run(each: _Run) -> str:
     return f"{NAME} was evaluated without FEBio's run at {each.depth:g} mm: {_first_line(each.problem)}"
 
 
-def _no_holds(why: str) -> FitError:
-    return FitError(
-        f"it requires data that were not measured: hold{f' ({why})' if why else ''}",
-        where=f"effect {NAME}", fix="record force and depth in holds (trace)",
-    )  # fmt: skip
+def _refused(why: str, *, fix: str) -> FitError:
+    return FitError(why, where=f"effect {NAME}", fix=fix)
 
 
-def _nothing_falls(fallen: float) -> FitError:
-    return FitError(
-        f"no force decrease in the holds ({fallen:.1f} deviations over all of them)",
-        where=f"effect {NAME}", fix="--solver febio evaluates it anyway",
+def held_model(
+    meshed: LimbModel, depth: float, *, c: float, m: float, ramp_step: float = RAMP_STEPS[0]
+) -> LimbModel:
+    """Held model of a site at one depth (mm); c in MPa; drained f_kappa as in the effect.
+
+    meshed : the site's model as `mesh` makes it; ramp_step : mm, largest step of the ramp
+    """
+    start = starting_depth(meshed, depth)
+    model = indentation_model(meshed, schedule([depth], start=start), c=c, f_kappa=100.0, m=m)
+    theta = {**poroelasticity.with_permeability(1.0 / c), **poroelasticity.EFFECT.grid[0]}
+    biphasic = poroelasticity.apply(with_penalty(model, USUAL_PENALTY), theta)
+    first = RAMP / np.ceil((depth - start) / ramp_step)
+    edges = np.geomspace(RAMP, END, round(_PER_DECADE * np.log10(END / RAMP)) + 1)
+    times = [0.0, *(float(f"{each:.4g}") for each in edges)]
+    largest = [first, *(np.diff(edges).tolist()), float(edges[-1] - edges[-2])]
+    n_steps = int(np.ceil(times[-1] / first))
+    step = replace(
+        biphasic.steps[0], n_steps=n_steps, step_size=times[-1] / n_steps, dt_min=_LEAST_STEP * first,
+        must_points=(), dt_max_curve=LONGEST_STEP, control={**biphasic.steps[0].control, **_CONTROL},
     )  # fmt: skip
+    travel = depth - start
+    curves = {
+        TRAVEL: Curve(((0.0, 0.0), (times[1], travel), (times[-1], travel))),
+        LONGEST_STEP: Curve(tuple(zip(times, largest, strict=True)), interpolate="step"),
+    }
+    return replace(biphasic, curves=curves, steps=(step,), records=biphasic.records[:1])
+
+
+def hold_of(simulation: Simulation, depth: float) -> HeldIndentation:
+    """Force over time of a finished simulation of `held_model`."""
+    later = simulation.times > 0
+    return HeldIndentation(depth, RAMP, simulation.times[later], simulation.probe_force()[later])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from limbcli.effects import EFFECTS, effect
-from limbcli.stages.diagnosis.forward_model.fit_parameters import Slot
+from limbcli.stages.diagnosis.forward_model.predictions import Slot
 
 CASES = [
     ("nonlinearity", "weight_q", 0.0, ""),  # a law with one of its two terms

@@ -1,19 +1,65 @@
-"""Cross-validation: does an explanation predict held-out data?"""
+"""Descriptions of residuals: scatter about smooth curves, and prediction of held-out data.
+
+The scatter about smooth curves checks the stated noise; cross-validation shows whether an explanation
+predicts data that it was not fitted to.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.special import chdtrc
 
 from limbcli.diagnostics.model.forward_model import Data, Fitted, Mask
-from limbcli.diagnostics.model.linear import Whitener
+from limbcli.diagnostics.model.linear import LinearFit, Whitener
+from limbcli.diagnostics.model.noise import EXCESS
 from limbcli.model import Array
 
-_TOO_WIDE = (
-    1.0  # ratio of a prediction's standard deviation to that of its reading, above which a block is skipped
-)
+# Degree of the smooth curves; least degrees of freedom of their scatter; ratio of a prediction's standard
+# deviation to that of its reading, above which a held-out block is skipped.
+_DEGREE, _LEAST_NU, _TOO_WIDE = 4, 5, 1.0
+
+
+@dataclass(frozen=True)
+class Roughness:
+    """Scatter about a quartic along each series: ratio = chi2/nu (1: as stated), p of this much or more."""
+
+    ratio: float
+    nu: int
+    p: float
+
+
+def roughness(
+    state: LinearFit, whiten: Whitener, *, series: Mapping[str, Mask], order: Array
+) -> Roughness | None:
+    """Compare the rough part of the residual with the stated noise; None if fewer than `_LEAST_NU` degrees of
+    freedom remain."""
+    n = len(order)
+    columns = [state.jacobian]
+    for mask in series.values():
+        x = order[mask]
+        t = 2 * (x - x.min()) / max(float(np.ptp(x)), 1e-12) - 1
+        degree = min(_DEGREE, len(np.unique(t)) - 1)
+        smooth = np.zeros((n, degree + 1))
+        smooth[mask] = np.polynomial.legendre.legvander(t, degree)
+        columns.append(whiten(smooth))
+    wide = LinearFit.of(state.residual, np.hstack(columns))
+    if wide.nu < _LEAST_NU:
+        return None
+    return Roughness(wide.chi2 / wide.nu, wide.nu, _p(wide))
+
+
+def _p(fit: LinearFit) -> float:
+    """p of the sum of squares of heavy-tailed errors, approximated by a scaled chi2 (Satterthwaite).
+
+    Mean nu, variance 2 nu + excess sum P_ii^2.
+    """
+    own = 1.0 - np.sum(fit.basis**2, axis=1)
+    scale = 1.0 + EXCESS * float(own @ own) / (2.0 * fit.nu)
+    return float(chdtrc(fit.nu / scale, fit.chi2 / scale))
 
 
 def held_out_error(data: Data, fitted: Fitted) -> dict[str, float]:

@@ -1,1 +1,0 @@
-"""Descriptions of residuals: scatter about smooth curves, prediction of held-out data."""

@@ -1,1 +1,0 @@
-"""Drainage of fluid from a site's tissue, from held indentations simulated by FEBio."""
