@@ -99,7 +99,7 @@ class RunFiles:
         self._records(analysis, 0, 0.0, None)
 
     def _records(self, analysis: Analysis, step: int, time: float, snapshot: Snapshot | None) -> None:
-        from limbcli.fem.record_fields import record_rows
+        from limbcli.fem.record_fields import STRESS_FIELDS, record_rows
 
         system = analysis.system
         if snapshot is None:
@@ -107,10 +107,14 @@ class RunFiles:
             now = system.time
             system.at(0.0)
             forces = _unloaded(system.forces(state))
+            # FEBio has not applied a prestrain then, nor evaluated any stress
+            system.operands = [replace(each, base=np.eye(3)) for each in system.operands]
         else:
             state, forces = snapshot.state, snapshot.forces
         for record in self.model.records:
             ids, values = record_rows(system, state, forces, record)
+            if snapshot is None:
+                values = np.where([name in STRESS_FIELDS for name in record.fields], 0.0, values)
             self._write(record, step, time, ids, values)
         if snapshot is None:
             system.at(now)
