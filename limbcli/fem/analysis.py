@@ -19,7 +19,7 @@ from limbcli.fem.equilibrium.history import Histories
 from limbcli.fem.equilibrium.load_stepping import LoadStepping, is_timed
 from limbcli.fem.equilibrium.newton import Counts, LoadStep, Newton, Settings
 from limbcli.fem.equilibrium.settings import WorkLimit
-from limbcli.fem.equilibrium.solve_times import step_times
+from limbcli.fem.equilibrium.solve_times import counts_every_step, listed_times, step_times
 from limbcli.fem.motion import load_curves
 from limbcli.fem.motion.state import Forces, State
 from limbcli.fem.system import System
@@ -29,12 +29,18 @@ from limbcli.progress import SILENT, Progress
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """One converged time. must : whether it is a must-point or the end of a step."""
+    """One converged time.
 
+    part, step : number of its analysis step (from 0), and of the time step within it (from 1)
+    must, listed : whether it is a must-point or the end of an analysis step; a must-point
+    """
+
+    part: int
     step: int
     state: State
     forces: Forces
     must: bool
+    listed: bool
 
 
 Visitor = Callable[["Analysis", Snapshot], None]
@@ -93,17 +99,17 @@ class Analysis:
         times = self.times()
         n_steps = sum(map(len, times))
         number = 0
-        for step, targets in zip(self.model.steps, times, strict=True):
+        for part, (step, targets) in enumerate(zip(self.model.steps, times, strict=True)):
             newton = self._prepare(step, state)
             newton.charge_to(limit)
             state = newton.system.start
-            musts = set(step_times(step, begin=begin))
+            musts, listed = set(step_times(step, begin=begin)), listed_times(step, begin)
             if histories is not None:
                 histories.system = newton.system
             elif self.remembers:
                 histories = Histories(newton.system)
             self._stepping.begin(self.model, step, newton, histories)
-            for target in targets:
+            for within, target in enumerate(targets, start=1):
                 if last is not None and n_must >= last:
                     return snapshots
                 number += 1
@@ -119,7 +125,7 @@ class Analysis:
                     raise
                 must = target in musts
                 n_must += must
-                snapshot = Snapshot(len(snapshots) + 1, state, forces, must)
+                snapshot = Snapshot(part, within, state, forces, must, target in listed)
                 snapshots.append(snapshot)
                 if visit is not None:
                     visit(self, snapshot)
@@ -141,7 +147,8 @@ class Analysis:
         for step in self.model.steps:
             curve = self.model.curves.get(step.dt_max_curve or "")
             largest = None if curve is None else partial(load_curves.value, curve)
-            found.append(step_times(step, begin=begin, every=self.remembers, largest=largest))
+            every = self.remembers or counts_every_step(step)
+            found.append(step_times(step, begin=begin, every=every, largest=largest))
             begin = found[-1][-1]
         return found
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from limbcli.config import at_most
 from limbcli.errors import SolveError
 from limbcli.feb.log_identity import marked
-from limbcli.feb.outline import read_outline
+from limbcli.feb.outline import check_output_levels, read_outline
 from limbcli.feb.read import IGNORED, read_feb
 from limbcli.feb.write import write_feb
 from limbcli.model import IntArray, LimbModel
@@ -80,8 +80,11 @@ class ReferenceSolver:
         if left_out:
             progress.event("note", text=f"left out of {feb.name}: {left_out}")
         outline, mark = read_outline(feb), marked(feb, ".feb")
+        check_output_levels(outline, feb)
         with RunFiles(model, feb.parent, outline=outline, version=self.version(), mark=mark) as files:
             files.note(f"left out: {left_out}" if left_out else "")
+            if fewer := _only_must_points(model):
+                files.note(fewer) if outline.has_touch_frame else files.warning(fewer)
             self._compute(model, files, Restart(feb, self._settings), progress, time_limit_s)
 
     @property
@@ -128,6 +131,18 @@ class ReferenceSolver:
     def read(self, feb: Path) -> Simulation:
         """The results of a finished run, from the files next to its model file."""
         return read_finished(self.name, feb)
+
+
+def _only_must_points(model: LimbModel) -> str:
+    """What is left out of the records of a model with must-points; "" if nothing."""
+    from limbcli.fem.equilibrium.load_stepping import is_timed
+    from limbcli.fem.equilibrium.solve_times import counts_every_step
+
+    every = is_timed(model) or model.has_friction
+    left_out = [step for step in model.steps if step.must_points and not counts_every_step(step)]
+    if every or not left_out:
+        return ""
+    return "only must-points and ends of steps are solved for and written; FEBio writes every time step"
 
 
 def prepare(

@@ -1,4 +1,7 @@
-"""Small models whose every logged variable is compared with FEBio's: one of every law, one turning body."""
+"""Small models whose records are compared with FEBio's.
+
+Every logged variable: one of every law, one turning body. The rows that are written: one of every way to ask.
+"""
 
 from __future__ import annotations
 
@@ -90,4 +93,53 @@ def turning() -> LimbModel:
         curves={"ramp": Curve(((0.0, 0.0), (3.5, 1.0))), "later": Curve(((3.5, 0.0), (4.5, 1.0)))},
         steps=(replace(step, drives=(*held, *turned)), replace(step, n_steps=4, drives=(*held, *on))),
         records=(LogRecord("rigid_body", BODY_FIELDS, "plate.csv", "plate"),),
+    )
+
+
+def _step(n_steps: int = 10, size: float = 0.1, *, adaptive: bool = True, **more: object) -> Step:
+    keys = {"dtforce", "output_level", "output_stride"}
+    asked = {name: value for name, value in more.items() if name in keys}
+    rest = {name: value for name, value in more.items() if name not in keys}
+    stepper = {"dt_max": 0.3, "dt_min": 0.0, "max_retries": 5, "opt_iterations": 11} if adaptive else {}
+    return Step(
+        n_steps=n_steps,
+        step_size=size,
+        adaptive=adaptive,
+        control={**_TIGHT, **_NEWTON, **asked},
+        **{**stepper, **rest},  # type: ignore[arg-type]
+    )
+
+
+_MUST = {"must_points": (0.35, 0.7), "dt_max": 0.2}
+OUTPUT = {
+    "growing": (_step(),),
+    "forced": (_step(dtforce=1),),
+    "forced by a curve": (_step(dtforce=1, dt_max_curve="sizes", must_points=(0.4, 1.0)),),
+    "forced, must-points": (_step(dtforce=1, output_stride=2, **_MUST),),
+    "stride": (_step(adaptive=False, output_stride=3),),
+    "stride that meets the end": (_step(adaptive=False, output_stride=5),),
+    "stride, two steps": (_step(adaptive=False, output_stride=4), _step(6, adaptive=False, output_stride=4)),
+    "must-points": (_step(output_level="OUTPUT_MUST_POINTS", **_MUST),),
+    "must-point at the end": (
+        _step(output_level="OUTPUT_MUST_POINTS", must_points=(0.35, 1.0), dt_max=0.2),
+    ),
+    "final": (_step(output_level="OUTPUT_FINAL"),),
+    "final, two steps": (_step(output_level="4"), _step(4, output_level="OUTPUT_FINAL")),
+    "never, then every": (_step(output_level="OUTPUT_NEVER"), _step(4, adaptive=False)),
+}
+
+
+def of_output(name: str, *, law: str = "ogden") -> LimbModel:
+    """A block whose top is pulled, with the steps of `OUTPUT`."""
+    model = of_law(law)
+    curves = {
+        "way": Curve(((0.0, 0.0), (1.0, 1.0), (2.0, 1.4))),
+        "sizes": Curve(((0.0, 0.1), (0.4, 0.3), (1.0, 0.05))),
+    }
+    return replace(
+        model,
+        supports=tuple(each for each in model.supports if each.node_set == "z0" or each.dofs == ("z",)),
+        curves=curves,
+        steps=OUTPUT[name],
+        records=(LogRecord("node", ("uz", "Rz"), "nodes.csv", np.array([NODE, 20])),),
     )

@@ -27,7 +27,7 @@ def step_times(
     Automatic time steps grow towards the largest step size as in FEBio when every step converges easily;
     where this solver does not, it subdivides the step. A must-point is met by a shortened step, after which
     steps continue at the previous size. Without automatic stepping, the steps between two must-points are
-    of equal length. Steps are added up one by one as in FEBio, since the round-off of the sum decides on
+    of equal length. With `dtforce` every time step is the largest one. Steps are added up one by one as in FEBio, since the round-off of the sum decides on
     which side of a jump of a load curve a time lies.
 
     begin : time (s) at which the step begins
@@ -56,21 +56,39 @@ def step_times(
     inner = sorted({_from_start(begin, t) for t in step.must_points if 0 < t < length - near})
     if step.must_points and not every:
         return [*inner, end]
-    dt = step.step_size
+    dt, forced = step.step_size, bool(step.control.get("dtforce"))
     if step.adaptive:
         most = largest(begin) if largest else step.dt_max
-        dt = min(max(dt, step.dt_min), most or math.inf)
+        dt = most if forced and most else min(max(dt, step.dt_min), most or math.inf)
     elif inner:
         return [time for ends in itertools.pairwise([begin, *inner, end]) for time in _evenly(*ends, dt)]
     goals, times = [*inner, end], [begin]
     while end - times[-1] > near:
         if len(times) > 1 and step.adaptive:
             most = largest(times[-1]) if largest else step.dt_max or dt
-            dt = min(dt + _GROWTH * max(most - dt, 0.0), _MOST * dt, max(most, step.dt_min))
+            dt = most if forced else min(dt + _GROWTH * max(most - dt, 0.0), _MOST * dt, max(most, step.dt_min))
         goal = next(each for each in goals if each > times[-1])
         meets = goal <= times[-1] + dt + (near if inner else 0.0)
         times.append(goal if meets and step.adaptive else times[-1] + dt)
     return times[1:]
+
+
+def counts_every_step(step: Step) -> bool:
+    """Whether all of its time steps have to be solved for: their size is given, or records count them."""
+    level, stride = (step.control.get(name) for name in ("output_level", "output_stride"))
+    chosen = level not in (None, "OUTPUT_MAJOR_ITRS", "1") or stride not in (None, 1)
+    return chosen or bool(step.control.get("dtforce"))
+
+
+def listed_times(step: Step, begin: float) -> set[float]:
+    """Those of the step's times that are must-points; its end is one only if it is listed.
+
+    >>> listed_times(Step(n_steps=4, step_size=0.25, must_points=(0.5,)), 0.0)
+    {0.5}
+    """
+    near = _NEAR * step.n_steps * step.step_size
+    points = [_from_start(begin, t) for t in step.must_points]
+    return {t for t in step_times(step, begin=begin) if any(abs(t - each) <= near for each in points)}
 
 
 def _from_start(begin: float, time: float) -> float:
