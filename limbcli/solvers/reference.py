@@ -22,6 +22,7 @@ from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Simulation
 from limbcli.solvers.reference_files import RunFiles
 from limbcli.solvers.restart import Restart
 from limbcli.solvers.tables import read_finished
+from limbcli.solvers.untouched import without_force
 from limbcli.version import __version__
 
 if TYPE_CHECKING:
@@ -106,11 +107,14 @@ class ReferenceSolver:
         if restart.n_stored:
             progress.event("note", text=f"resuming from level {restart.n_stored} of the stopped run")
 
+        names, touched, poses = [body.name for body in model.bodies], [False], []
         end = sum(step.n_steps * step.step_size for step in model.steps)
 
         def visit(running: Analysis, snapshot: Snapshot) -> None:
             files.step(running, snapshot)
             restart.keep(snapshot.state)
+            touched[0] |= snapshot.forces.n_touching > 0
+            poses.append(dict(zip(names, snapshot.state.bodies, strict=True)))
             reached = snapshot.state.time
             late = time_limit_s is not None and time.monotonic() - started > time_limit_s
             if late and reached < end * (1.0 - _AT_THE_END):
@@ -123,6 +127,9 @@ class ReferenceSolver:
 
         try:
             analysis.run(visit, guesses=restart.guess)
+            for sentence in () if touched[0] else without_force(model, poses):
+                files.warning(sentence)
+                progress.event("note", text=sentence)
             files.finish(analysis, time.monotonic() - started)
             restart.finished()
         finally:

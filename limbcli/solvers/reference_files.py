@@ -10,6 +10,7 @@ from typing import IO, TYPE_CHECKING
 
 import numpy as np
 
+from limbcli.feb.log import warning_box
 from limbcli.feb.outline import Outline
 from limbcli.feb.read_control import FINAL, MAJOR, MUST_POINTS, output_level
 from limbcli.model import Array, IntArray, LimbModel, LogRecord, Step
@@ -93,7 +94,7 @@ class RunFiles:
 
     def warning(self, text: str) -> None:
         """Write a warning, in the form of FEBio's, which makes it one of the run."""
-        self._write_log(f" {_STARS}\n *{'WARNING':^71}*\n * {text}\n {_STARS}\n")
+        self._write_log(warning_box(text))
 
     def note(self, text: str) -> None:
         """Write one line to the log."""
@@ -116,9 +117,7 @@ class RunFiles:
 
     def _first(self, analysis: Analysis) -> None:
         self._said_solver = True
-        self._write_log(
-            f" {_STARS}\n * Selecting linear solver {analysis.newton.linear_name}\n {_STARS}\n"
-        )
+        self._write_log(f" {_STARS}\n * Selecting linear solver {analysis.newton.linear_name}\n {_STARS}\n")
         self._write_log(f"\tNumber of equations ............ : {analysis.system.n_unknowns}\n")
         if self._output[0][0] == MAJOR:
             self._records(analysis, 0, 0.0, None)

@@ -36,9 +36,7 @@ LAWS = {
     "viscoelastic": Material("viscoelastic", _ONE_TERM, (_SOFT,)),
     "viscoelastic_weak": Material("viscoelastic", {**_ONE_TERM, "g0": 0.4}, (_SOFT,)),
     "viscoelastic_two": Material("viscoelastic", {**_ONE_TERM, "g2": 0.3, "t2": 6.0}, (_SOFT,)),
-    "viscoelastic_fibres": Material(
-        "viscoelastic", _ONE_TERM, (Material("mixture", {}, (_SOFT, _FIBRES)),)
-    ),
+    "viscoelastic_fibres": Material("viscoelastic", _ONE_TERM, (Material("mixture", {}, (_SOFT, _FIBRES)),)),
     "viscoelastic_prestrain": Material(
         "prestrain", {"ramp": 1.0, "F0": _STRETCH}, (Material("viscoelastic", _ONE_TERM, (_SOFT,)),)
     ),
@@ -50,7 +48,7 @@ _NEWTON = {"qn_method": "BFGS", "max_ups": 0}
 
 
 def of_law(name: str) -> LimbModel:
-    """A block of ten-node tetrahedra: its top moves to t = 1, is held to t = 2, moves back and on to t = 3."""
+    """A block of ten-node tetrahedra: its top moves until 1 s, is held until 2 s, and moves back."""
     ways = {"x": 0.15, "y": -0.08, "z": 0.22}
     step = Step(n_steps=8, step_size=0.25, adaptive=False, control={**_TIGHT, **_NEWTON})
     base = tuple(Support("z0", (axis,), 0.0) for axis in "xyz")
@@ -120,9 +118,7 @@ OUTPUT = {
     "stride that meets the end": (_step(adaptive=False, output_stride=5),),
     "stride, two steps": (_step(adaptive=False, output_stride=4), _step(6, adaptive=False, output_stride=4)),
     "must-points": (_step(output_level="OUTPUT_MUST_POINTS", **_MUST),),
-    "must-point at the end": (
-        _step(output_level="OUTPUT_MUST_POINTS", must_points=(0.35, 1.0), dt_max=0.2),
-    ),
+    "must-point at the end": (_step(output_level="OUTPUT_MUST_POINTS", must_points=(0.35, 1.0), dt_max=0.2),),
     "final": (_step(output_level="OUTPUT_FINAL"),),
     "final, two steps": (_step(output_level="4"), _step(4, output_level="OUTPUT_FINAL")),
     "never, then every": (_step(output_level="OUTPUT_NEVER"), _step(4, adaptive=False)),

@@ -39,7 +39,9 @@ def test_every_logged_variable_of_a_law_is_febio_s(tmp_path: Path, law: str) -> 
         names = next(each.fields for each in model.records if each.kind == kind)
         families = np.array([n if n in ("J", "sed") else n[0] for n in names])  # the tensor it belongs to
         size = np.array([abs(febio[:, families == each]).max() + 1e-9 for each in families])
-        wrong = [n for n, off in zip(names, (abs(mine - febio) / size).max(axis=0), strict=True) if off > 1e-6]
+        wrong = [
+            n for n, off in zip(names, (abs(mine - febio) / size).max(axis=0), strict=True) if off > 1e-6
+        ]
         assert not wrong, {n: (mine[:, names.index(n)], febio[:, names.index(n)]) for n in wrong}
 
 

@@ -1,6 +1,6 @@
 """The rows of a record: when they are written, and their step numbers, against those of FEBio 4.11.
 
-tests/data/febio-output.json holds [step, time, values ...] that FEBio wrote for the models of `logged_models`.
+tests/data/febio-output.json holds [step, time, values ...] that FEBio wrote for `logged_models`.
 """
 
 from __future__ import annotations

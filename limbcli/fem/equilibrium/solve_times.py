@@ -25,10 +25,10 @@ def step_times(
     """Times (s, of the whole analysis) to solve for: must-points and the end, else all time steps.
 
     Automatic time steps grow towards the largest step size as in FEBio when every step converges easily;
-    where this solver does not, it subdivides the step. A must-point is met by a shortened step, after which
-    steps continue at the previous size. Without automatic stepping, the steps between two must-points are
-    of equal length. With `dtforce` every time step is the largest one. Steps are added up one by one as in FEBio, since the round-off of the sum decides on
-    which side of a jump of a load curve a time lies.
+    where this solver does not, it subdivides the step. With `dtforce` every step has the largest size. A
+    must-point is met by a shortened step, after which steps continue at the previous size. Without automatic
+    stepping, the steps between two must-points are of equal length. Steps are added up one by one as in
+    FEBio, since the round-off of the sum decides on which side of a jump of a load curve a time lies.
 
     begin : time (s) at which the step begins
     every : include the time steps between must-points, for a path-dependent response
@@ -66,7 +66,11 @@ def step_times(
     while end - times[-1] > near:
         if len(times) > 1 and step.adaptive:
             most = largest(times[-1]) if largest else step.dt_max or dt
-            dt = most if forced else min(dt + _GROWTH * max(most - dt, 0.0), _MOST * dt, max(most, step.dt_min))
+            dt = (
+                most
+                if forced
+                else min(dt + _GROWTH * max(most - dt, 0.0), _MOST * dt, max(most, step.dt_min))
+            )
         goal = next(each for each in goals if each > times[-1])
         meets = goal <= times[-1] + dt + (near if inner else 0.0)
         times.append(goal if meets and step.adaptive else times[-1] + dt)
