@@ -29,6 +29,16 @@ _SECONDS = re.compile(r"\(([\d.eE+-]+) sec\)")
 _BOX_EDGE = re.compile(r"^ \*{20,}$")
 
 
+def warning_box(text: str) -> str:
+    """A warning in the form of FEBio's, which `read_log` finds again.
+
+    >>> read_lines(warning_box("nothing was touched").splitlines()).warnings
+    ('nothing was touched',)
+    """
+    edge = f" {'*' * 73}"
+    return f"\n{edge}\n *{'WARNING':^71}*\n * {text}\n{edge}\n"
+
+
 @dataclass(frozen=True)
 class Iteration:
     """One equilibrium iteration; `norms` are (current, required) by name."""

@@ -14,17 +14,14 @@ import numpy as np
 
 from limbcli.errors import CaseError
 from limbcli.feb.info import read_info
+from limbcli.feb.read_control import MAJOR, OUTPUT_LEVELS, output_level
 from limbcli.feb.read_mesh import Numbering
 from limbcli.feb.read_output import check_form, is_read, listed_cells, listed_nodes, logged_body
 from limbcli.feb.rigid_primary import contacts_without_force
 from limbcli.feb.xml import LARGEST_ID, UNITS, VERSION, Tag, is_native, open_model, units_of
 from limbcli.model import IntArray, LogRecord
 
-# FEBio's numbering of output levels (FEAnalysis, FE_Output_Level).
-_OUTPUT_LEVELS = (
-    "OUTPUT_NEVER", "OUTPUT_MAJOR_ITRS", "OUTPUT_MINOR_ITRS", "OUTPUT_MUST_POINTS", "OUTPUT_FINAL",
-)  # fmt: skip
-_NEVER, _MAJOR, _MINOR = 0, 1, 2
+_NEVER, _MINOR = 0, 2  # output levels
 _KINDS = {"rigid_body_data": "rigid_body", "node_data": "node", "element_data": "element"}
 
 
@@ -118,23 +115,26 @@ def check_output(outline: Outline, path: Path) -> None:
             where=str(path),
             fix="make the soft surface the primary one, or give <auto_penalty>0</auto_penalty> and a penalty",
         )
+    check_output_levels(outline, path)
+
+
+def check_output_levels(outline: Outline, path: Path) -> None:
+    """Check that the model's records are written, and at converged times only; CaseError if not."""
     levels = outline.output_levels
     if not outline.records or not levels or (_MINOR not in levels and set(levels) != {_NEVER}):
         return
     what = "writes what has not converged" if _MINOR in levels else "leaves the record files empty"
     raise CaseError(
-        f"<output_level>: {_OUTPUT_LEVELS[_MINOR if _MINOR in levels else _NEVER]} {what}",
+        f"<output_level>: {OUTPUT_LEVELS[_MINOR if _MINOR in levels else _NEVER]} {what}",
         where=str(path),
-        fix=f"give {_OUTPUT_LEVELS[_MAJOR]}, or omit it",
+        fix=f"give {OUTPUT_LEVELS[MAJOR]}, or omit it",
     )
 
 
 def _output_level(tag: Tag | None) -> int:
     """The level, given by name or number; FEBio itself rejects anything else."""
-    text = tag.text.upper() if tag is not None else _OUTPUT_LEVELS[_MAJOR]
-    if text in _OUTPUT_LEVELS:
-        return _OUTPUT_LEVELS.index(text)
-    return int(text) if text.isascii() and text.isdigit() else _MAJOR
+    found = output_level(tag.text) if tag is not None else None
+    return MAJOR if found is None else found
 
 
 def _end_time(controls: list[Tag]) -> float | None:

@@ -31,6 +31,11 @@ OUTPUT_CONTROL = {
     "plot_level": _TEXT, "plot_range": _TEXT, "plot_zero_state": _WHOLE, "plot_stride": _WHOLE,
     "output_level": _TEXT, "output_stride": _WHOLE, "adaptor_re_solve": _WHOLE,
 }  # fmt: skip
+# FEBio's numbering of output levels (FEAnalysis, FE_Output_Level).
+OUTPUT_LEVELS = (
+    "OUTPUT_NEVER", "OUTPUT_MAJOR_ITRS", "OUTPUT_MINOR_ITRS", "OUTPUT_MUST_POINTS", "OUTPUT_FINAL",
+)  # fmt: skip
+MAJOR, MUST_POINTS, FINAL = 1, 3, 4  # the first is the default: every time step
 _OF_STEP = ("Control", "Boundary", "Loads", "Rigid")
 _TIME_DIGITS = 12
 
@@ -80,7 +85,8 @@ def _step(tag: Tag, owner: Tag | None, context: _Context) -> Step:
     tag.allow(children=("analysis", "time_steps", "step_size", "time_stepper", "solver", *OUTPUT_CONTROL))
     analysis = tag.child("analysis")
     stepper = tag.child("time_stepper")
-    control = _solver(tag.child("solver")) | _settings(tag, OUTPUT_CONTROL)
+    control = _solver(tag.need("solver")) | _settings(tag, OUTPUT_CONTROL)
+    _check_output(tag)
     fields: dict[str, Any] = {"adaptive": False}
     if stepper is not None:
         fields, more = _stepper(stepper, context)
@@ -96,6 +102,27 @@ def _step(tag: Tag, owner: Tag | None, context: _Context) -> Step:
         **loads,
         **fields,
     )
+
+
+def output_level(text: str) -> int | None:
+    """The number of an output level, which FEBio takes by name or number; None: it has no such level.
+
+    >>> output_level("OUTPUT_FINAL"), output_level("3"), output_level("ALWAYS")
+    (4, 3, None)
+    """
+    names = [*OUTPUT_LEVELS, *map(str, range(len(OUTPUT_LEVELS)))]
+    return names.index(text.upper()) % len(OUTPUT_LEVELS) if text.upper() in names else None
+
+
+def _check_output(tag: Tag) -> None:
+    """Refuse what FEBio refuses: another output level, an output stride that is not positive."""
+    level, stride = tag.child("output_level"), tag.child("output_stride")
+    if level is not None and output_level(level.text) is None:
+        raise level.problem(
+            f"{level.text!r} is not an output level", fix=f"use one of: {', '.join(OUTPUT_LEVELS)}"
+        )
+    if stride is not None:
+        _positive(stride)
 
 
 def _positive(tag: Tag) -> Tag:
@@ -130,7 +157,12 @@ def _stepper(tag: Tag, context: _Context) -> tuple[dict[str, Any], dict[str, Any
         "dt_min": values["dtmin"],
         **_largest_step(tag.child("dtmax"), context),
     }
-    return fields, _settings(tag, STEPPER_MORE)
+    more = _settings(tag, STEPPER_MORE)
+    if more.get("dtforce") and not fields["dt_max"] > 0:
+        raise tag.need("dtmax").problem(
+            "<dtforce> makes it every time step, but it is not positive", fix="give a number above 0"
+        )
+    return fields, more
 
 
 def _largest_step(tag: Tag | None, context: _Context) -> dict[str, Any]:
@@ -162,9 +194,7 @@ def _largest_step(tag: Tag | None, context: _Context) -> dict[str, Any]:
     return found
 
 
-def _solver(tag: Tag | None) -> dict[str, Any]:
-    if tag is None:
-        return {}
+def _solver(tag: Tag) -> dict[str, Any]:
     if tag.optional("type") not in (None, "solid", "biphasic"):
         raise tag.problem(f"solver type {tag.optional('type')!r} is not supported", fix='use type="solid"')
     tag.allow(attributes=("type",), children=(*SOLVER, "qn_method", "linear_solver"))

@@ -19,22 +19,28 @@ from limbcli.fem.equilibrium.history import Histories
 from limbcli.fem.equilibrium.load_stepping import LoadStepping, is_timed
 from limbcli.fem.equilibrium.newton import Counts, LoadStep, Newton, Settings
 from limbcli.fem.equilibrium.settings import WorkLimit
-from limbcli.fem.equilibrium.solve_times import step_times
+from limbcli.fem.equilibrium.solve_times import counts_every_step, listed_times, step_times
 from limbcli.fem.motion import load_curves
 from limbcli.fem.motion.state import Forces, State
 from limbcli.fem.system import System
-from limbcli.model import Curve, LimbModel, Step, Support
+from limbcli.model import LimbModel, Step, Support
 from limbcli.progress import SILENT, Progress
 
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """One converged time. must : whether it is a must-point or the end of a step."""
+    """One converged time.
 
+    part, step : number of its analysis step (from 0), and of the time step within it (from 1)
+    must, listed : whether it is a must-point or the end of an analysis step; a must-point
+    """
+
+    part: int
     step: int
     state: State
     forces: Forces
     must: bool
+    listed: bool
 
 
 Visitor = Callable[["Analysis", Snapshot], None]
@@ -93,39 +99,39 @@ class Analysis:
         times = self.times()
         n_steps = sum(map(len, times))
         number = 0
-        for step, targets in zip(self.model.steps, times, strict=True):
+        for part, (step, targets) in enumerate(zip(self.model.steps, times, strict=True)):
             newton = self._prepare(step, state)
             newton.charge_to(limit)
             state = newton.system.start
-            musts = {begin + t for t in step_times(step)}
+            musts, listed = set(step_times(step, begin=begin)), listed_times(step, begin)
             if histories is not None:
                 histories.system = newton.system
             elif self.remembers:
                 histories = Histories(newton.system)
             self._stepping.begin(self.model, step, newton, histories)
-            for target in targets:
+            for within, target in enumerate(targets, start=1):
                 if last is not None and n_must >= last:
                     return snapshots
                 number += 1
-                load_step = LoadStep(number, n_steps, newton.depth_at(begin + target))
-                known = guesses(newton.system, begin + target) if guesses else None
+                load_step = LoadStep(number, n_steps, newton.depth_at(target))
+                known = guesses(newton.system, target) if guesses else None
                 newton.system.remember(state)
                 brief = full_effort is not None and n_must >= full_effort
                 try:
-                    state, forces = self._stepping.advance_to(begin + target, load_step, known, brief=brief)
+                    state, forces = self._stepping.advance_to(target, load_step, known, brief=brief)
                 except SolveError:
                     if required is not None and n_must >= required:
                         return snapshots
                     raise
-                must = begin + target in musts
+                must = target in musts
                 n_must += must
-                snapshot = Snapshot(len(snapshots) + 1, state, forces, must)
+                snapshot = Snapshot(part, within, state, forces, must, target in listed)
                 snapshots.append(snapshot)
                 if visit is not None:
                     visit(self, snapshot)
                 if must and ends is not None and ends():
                     return snapshots
-            begin += step.n_steps * step.step_size
+            begin = targets[-1]
         return snapshots
 
     def forget(self) -> None:
@@ -136,13 +142,14 @@ class Analysis:
             self._newton.linearised.forget()
 
     def times(self) -> list[list[float]]:
-        """The times to solve for in each step, measured from the start of the step."""
+        """The times (s, of the whole analysis) to solve for in each step."""
         found, begin = [], 0.0
         for step in self.model.steps:
             curve = self.model.curves.get(step.dt_max_curve or "")
-            largest = None if curve is None else partial(_shifted, curve, begin)
-            found.append(step_times(step, every=self.remembers, largest=largest))
-            begin += step.n_steps * step.step_size
+            largest = None if curve is None else partial(load_curves.value, curve)
+            every = self.remembers or counts_every_step(step)
+            found.append(step_times(step, begin=begin, every=every, largest=largest))
+            begin = found[-1][-1]
         return found
 
     def _prepare(self, step: Step, state: State | None) -> Newton:
@@ -194,7 +201,3 @@ def _from_rest(model: LimbModel) -> tuple[tuple[Support, ...], tuple[Drive, ...]
     """The model's supports and drives, made absolute: relative ones start from the unloaded state."""
     supports = tuple(replace(each, relative=False) for each in model.supports)
     return supports, tuple(replace(each, relative=False) for each in model.drives)
-
-
-def _shifted(curve: Curve, begin: float, time: float) -> float:
-    return load_curves.value(curve, begin + time)

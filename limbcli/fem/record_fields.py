@@ -15,10 +15,10 @@ from limbcli.fem.elements import kernels
 from limbcli.fem.elements.element import shape
 from limbcli.fem.elements.mean_dilatation import pressures
 from limbcli.fem.elements.quadrature import rule
-from limbcli.fem.motion.rigid import rotation_vector
+from limbcli.fem.equilibrium.history import elastic_stress
 from limbcli.fem.motion.state import Forces, State
 from limbcli.fem.system import System
-from limbcli.materials.energy import energy_density
+from limbcli.materials.energy import energy_density, viscoelastic_energy
 from limbcli.materials.tensors import FIRST, SECOND, VOIGT
 from limbcli.model import Array, IntArray, LogRecord
 
@@ -38,6 +38,7 @@ _PRINCIPAL = tuple(f"{letter}{k}" for letter in "sEU" for k in (1, 2, 3))
 CELL_FIELDS = (
     "J", "sed", *_PRINCIPAL, *_CENTER, *_STRESS, *_STRAIN, *_STRETCH, *_F, *TANGENT_FIELDS
 )  # fmt: skip
+STRESS_FIELDS = (*_STRESS, "s1", "s2", "s3")
 _ONES_AT_REST = ("J", "Ux", "Uy", "Uz", "U1", "U2", "U3")
 NODE_FIELDS = ("x", "y", "z", "ux", "uy", "uz", "Rx", "Ry", "Rz")
 BODY_FIELDS = ("x", "y", "z", "thx", "thy", "thz", "Fx", "Fy", "Fz", "Mx", "My", "Mz")
@@ -74,7 +75,7 @@ def _body_rows(system: System, state: State, forces: Forces, record: LogRecord) 
         )
     b = names.index(str(record.items))
     at = state.bodies[b]
-    values = np.concatenate([system.bodies[b].center + at.shift, rotation_vector(at.turn), forces.bodies[b]])
+    values = np.concatenate([system.bodies[b].center + at.shift, at.rotation, forces.bodies[b]])
     columns = [BODY_FIELDS.index(name) for name in record.fields]
     return np.array([b], dtype=np.int64), values[None, columns]
 
@@ -134,7 +135,7 @@ def cell_fields(system: System, state: State, number: int, fields: tuple[str, ..
     x = np.einsum("k,cki->ci", group.shares, (system.X + state.u)[group.cells])
     getters: dict[str, Callable[[], Array]] = {
         "J": lambda: np.linalg.det(F).mean(axis=1),
-        "sed": lambda: energy_density(system.operands[number].complete(), F).mean(axis=1),
+        "sed": lambda: _energy(system, state, number, F, stress).mean(axis=1),
     }
     C = np.swapaxes(F, -1, -2) @ F
     tensors = {"s": stress, "E": 0.5 * (C - np.eye(3))}
@@ -168,6 +169,19 @@ def cell_fields(system: System, state: State, number: int, fields: tuple[str, ..
         else:
             columns.append(principal[name[0]][:, 3 - int(name[1])])
     return np.stack(columns, axis=1)
+
+
+def _energy(system: System, state: State, number: int, F: Array, stress: Array) -> Array:
+    """Energy density (n_cells, n_gauss) as FEBio logs it: that of a law with prestrain is 0."""
+    material = system.groups[number].material
+    if material.prestrain is not None:
+        return np.zeros(F.shape[:2])
+    if material.prony is None:
+        return energy_density(system.operands[number], F)
+    inverse = np.linalg.inv(F)
+    S = np.linalg.det(F)[..., None, None] * (inverse @ stress @ np.swapaxes(inverse, -1, -2))
+    elastic = elastic_stress(system, state, number)[..., VOIGT]
+    return viscoelastic_energy(system.operands[number].complete(), F, material.prony, S - elastic)
 
 
 def right_stretch(C: Array) -> Array:

@@ -8,14 +8,14 @@ import shutil
 import signal
 import subprocess
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import TextIO
 
 from limbcli.atomic_files import sha256
-from limbcli.errors import CaseError, SolveError, ToolError
-from limbcli.feb.log import LogReader, check_complete, quote, read_log
+from limbcli.errors import CaseError, LimbError, SolveError, ToolError
+from limbcli.feb.log import LogReader, check_complete, quote, read_log, warning_box
 from limbcli.feb.log_identity import check_belongs, marked
 from limbcli.feb.outline import Outline, check_output, read_outline
 from limbcli.feb.read import read_feb
@@ -25,7 +25,8 @@ from limbcli.progress import Progress
 from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Simulation
 from limbcli.solvers.febio_watch import HEARTBEAT_S, LogWatcher, default_limit_s
 from limbcli.solvers.law_check import can_be_checked, check_first_step
-from limbcli.solvers.tables import read_finished
+from limbcli.solvers.tables import read_finished, read_tables
+from limbcli.solvers.untouched import is_without_force, logged_poses, without_force
 from limbcli.temporary_folders import ends_with_this_process
 
 BINARIES = ("febio4", "febio")
@@ -160,6 +161,7 @@ class FebioSolver:
             _judge(log, outline, process.returncode, screen)
         check_belongs(log, feb, outline, by_mark=True)
         shown.unlink()
+        _say_untouched(feb, outline, log, progress)
 
     def read(self, feb: Path) -> Simulation:
         """The results of a finished run, whose stresses must agree with the model's laws (`law_check`)."""
@@ -211,6 +213,20 @@ def plot_file(feb: Path) -> str:
     'model.xplt'
     """
     return feb.stem + _LEFTOVERS[0]
+
+
+def _say_untouched(feb: Path, outline: Outline, log: Path, progress: Progress) -> None:
+    """Add a warning to FEBio's log if no rigid body of a model with contact had a force in any step."""
+    rigid = tuple(each for each in outline.records if each.kind == "rigid_body")
+    with contextlib.suppress(LimbError):  # what limbcli cannot read is not examined
+        tables = read_tables(replace(outline, records=rigid), feb.parent).rigid
+        if not is_without_force(tables):
+            return
+        model = read_feb(feb)
+        for sentence in without_force(model, logged_poses(model, tables)):
+            progress.event("note", text=sentence)
+            with log.open("a") as stream:
+                stream.write(warning_box(sentence))
 
 
 @cache

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from limbcli.config import at_most
 from limbcli.errors import SolveError
 from limbcli.feb.log_identity import marked
-from limbcli.feb.outline import read_outline
+from limbcli.feb.outline import check_output_levels, read_outline
 from limbcli.feb.read import IGNORED, read_feb
 from limbcli.feb.write import write_feb
 from limbcli.model import IntArray, LimbModel
@@ -22,6 +22,7 @@ from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Simulation
 from limbcli.solvers.reference_files import RunFiles
 from limbcli.solvers.restart import Restart
 from limbcli.solvers.tables import read_finished
+from limbcli.solvers.untouched import without_force
 from limbcli.version import __version__
 
 if TYPE_CHECKING:
@@ -80,8 +81,11 @@ class ReferenceSolver:
         if left_out:
             progress.event("note", text=f"left out of {feb.name}: {left_out}")
         outline, mark = read_outline(feb), marked(feb, ".feb")
+        check_output_levels(outline, feb)
         with RunFiles(model, feb.parent, outline=outline, version=self.version(), mark=mark) as files:
             files.note(f"left out: {left_out}" if left_out else "")
+            if fewer := _only_must_points(model):
+                files.note(fewer) if outline.has_touch_frame else files.warning(fewer)
             self._compute(model, files, Restart(feb, self._settings), progress, time_limit_s)
 
     @property
@@ -103,11 +107,14 @@ class ReferenceSolver:
         if restart.n_stored:
             progress.event("note", text=f"resuming from level {restart.n_stored} of the stopped run")
 
+        names, touched, poses = [body.name for body in model.bodies], [False], []
         end = sum(step.n_steps * step.step_size for step in model.steps)
 
         def visit(running: Analysis, snapshot: Snapshot) -> None:
             files.step(running, snapshot)
             restart.keep(snapshot.state)
+            touched[0] |= snapshot.forces.n_touching > 0
+            poses.append(dict(zip(names, snapshot.state.bodies, strict=True)))
             reached = snapshot.state.time
             late = time_limit_s is not None and time.monotonic() - started > time_limit_s
             if late and reached < end * (1.0 - _AT_THE_END):
@@ -120,6 +127,9 @@ class ReferenceSolver:
 
         try:
             analysis.run(visit, guesses=restart.guess)
+            for sentence in () if touched[0] else without_force(model, poses):
+                files.warning(sentence)
+                progress.event("note", text=sentence)
             files.finish(analysis, time.monotonic() - started)
             restart.finished()
         finally:
@@ -128,6 +138,18 @@ class ReferenceSolver:
     def read(self, feb: Path) -> Simulation:
         """The results of a finished run, from the files next to its model file."""
         return read_finished(self.name, feb)
+
+
+def _only_must_points(model: LimbModel) -> str:
+    """What is left out of the records of a model with must-points; "" if nothing."""
+    from limbcli.fem.equilibrium.load_stepping import is_timed
+    from limbcli.fem.equilibrium.solve_times import counts_every_step
+
+    every = is_timed(model) or model.has_friction
+    left_out = [step for step in model.steps if step.must_points and not counts_every_step(step)]
+    if every or not left_out:
+        return ""
+    return "only must-points and ends of steps are solved for and written; FEBio writes every time step"
 
 
 def prepare(

@@ -10,8 +10,10 @@ from typing import IO, TYPE_CHECKING
 
 import numpy as np
 
+from limbcli.feb.log import warning_box
 from limbcli.feb.outline import Outline
-from limbcli.model import Array, IntArray, LimbModel, LogRecord
+from limbcli.feb.read_control import FINAL, MAJOR, MUST_POINTS, output_level
+from limbcli.model import Array, IntArray, LimbModel, LogRecord, Step
 from limbcli.solvers.base import LOG_FILE
 
 if TYPE_CHECKING:
@@ -19,6 +21,16 @@ if TYPE_CHECKING:
     from limbcli.fem.motion.state import Forces
 
 _RULE = "=" * 75
+_STARS = "*" * 73
+
+
+def output_of(step: Step) -> tuple[int, int]:
+    """(output level, stride) of the records of an analysis step.
+
+    Source: FEBio 4.11, FEBioModel::WriteData.
+    """
+    level = output_level(str(step.control.get("output_level", MAJOR)))
+    return MAJOR if level is None else level, int(step.control.get("output_stride", 1))
 
 
 def _unloaded(forces: Forces) -> Forces:
@@ -43,6 +55,8 @@ class RunFiles:
         self._files: dict[str, IO[str]] = {}
         self._finished = False
         self._said_solver = False
+        self._unwritten: Snapshot | None = None
+        self._output = [output_of(step) for step in model.steps]
         self._write_log(f"{_RULE}\n  limbcli reference solver\n  version {version}\n{_RULE}\n")
         self._write_log(f" FILES USED\n{_RULE}\n\tModel file : {mark}\n")
 
@@ -53,9 +67,8 @@ class RunFiles:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if error is not None:
-            stars = " *" * 37
             lines = "\n".join(f" * {line}" for line in str(error).splitlines())
-            self._write_log(f"{stars}\n * ERROR\n{lines}\n{stars}\n".replace(stars, " " + "*" * 73))
+            self._write_log(f" {_STARS}\n * ERROR\n{lines}\n {_STARS}\n")
         if not self._finished:
             self._write_log("\n E R R O R   T E R M I N A T I O N\n")
         self._stack.close()
@@ -72,8 +85,16 @@ class RunFiles:
             f" iterations so far {counts.iterations}, factorisations {counts.factorisations}"
         )
         self._write_log(f"------- converged at time : {time:.12g}\n")
-        self._records(analysis, snapshot.step, time, snapshot)
+        level, stride = self._output[snapshot.part]
+        due = snapshot.step % stride == 0 if level == MAJOR else level == MUST_POINTS and snapshot.listed
+        if due:
+            self._records(analysis, snapshot.step, time, snapshot)
+        self._unwritten = None if due else snapshot
         self._log.flush()
+
+    def warning(self, text: str) -> None:
+        """Write a warning, in the form of FEBio's, which makes it one of the run."""
+        self._write_log(warning_box(text))
 
     def note(self, text: str) -> None:
         """Write one line to the log."""
@@ -81,7 +102,10 @@ class RunFiles:
             self._write_log(f" {text}\n")
 
     def finish(self, analysis: Analysis, seconds: float) -> None:
-        """Write the totals and the line that marks a finished run."""
+        """Write the last step if it has not been, the totals, and the line that marks a finished run."""
+        last = self._unwritten
+        if last is not None and self._output[last.part][0] in (MAJOR, FINAL):
+            self._records(analysis, last.step, last.state.time, last)
         counts = analysis.totals()
         self._write_log(" N O N L I N E A R   I T E R A T I O N   S U M M A R Y\n")
         self._write_log(f"\tTotal number of equilibrium iterations ............ : {counts.iterations}\n")
@@ -93,13 +117,13 @@ class RunFiles:
 
     def _first(self, analysis: Analysis) -> None:
         self._said_solver = True
-        box = " " + "*" * 73
-        self._write_log(f"{box}\n * Selecting linear solver {analysis.newton.linear_name}\n{box}\n")
+        self._write_log(f" {_STARS}\n * Selecting linear solver {analysis.newton.linear_name}\n {_STARS}\n")
         self._write_log(f"\tNumber of equations ............ : {analysis.system.n_unknowns}\n")
-        self._records(analysis, 0, 0.0, None)
+        if self._output[0][0] == MAJOR:
+            self._records(analysis, 0, 0.0, None)
 
     def _records(self, analysis: Analysis, step: int, time: float, snapshot: Snapshot | None) -> None:
-        from limbcli.fem.record_fields import record_rows
+        from limbcli.fem.record_fields import STRESS_FIELDS, record_rows
 
         system = analysis.system
         if snapshot is None:
@@ -107,10 +131,14 @@ class RunFiles:
             now = system.time
             system.at(0.0)
             forces = _unloaded(system.forces(state))
+            # FEBio has not applied a prestrain then, nor evaluated any stress
+            system.operands = [replace(each, base=np.eye(3)) for each in system.operands]
         else:
             state, forces = snapshot.state, snapshot.forces
         for record in self.model.records:
             ids, values = record_rows(system, state, forces, record)
+            if snapshot is None:
+                values = np.where([name in STRESS_FIELDS for name in record.fields], 0.0, values)
             self._write(record, step, time, ids, values)
         if snapshot is None:
             system.at(now)

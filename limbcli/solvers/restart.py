@@ -91,7 +91,7 @@ def level_arrays(states: Mapping[float, State]) -> dict[str, Any]:
     for k, each in enumerate(states.values()):
         arrays[f"u{k}"] = each.u
         arrays[f"shift{k}"] = np.array([body.shift for body in each.bodies])
-        arrays[f"turn{k}"] = np.array([body.turn for body in each.bodies])
+        arrays[f"rotation{k}"] = np.array([body.rotation for body in each.bodies])
         arrays |= {f"hints{k}_{j}": part for j, part in enumerate(each.hints)}
     return arrays
 
@@ -108,7 +108,6 @@ def _state(stored: Any, k: int, time: float) -> State:
 
     keys = [key for key in stored.files if key.startswith(f"hints{k}_")]
     hints = tuple(stored[f"hints{k}_{j}"] for j in range(len(keys)))
-    bodies = tuple(
-        BodyState(shift, turn) for shift, turn in zip(stored[f"shift{k}"], stored[f"turn{k}"], strict=True)
-    )
+    motions = zip(stored[f"shift{k}"], stored[f"rotation{k}"], strict=True)
+    bodies = tuple(BodyState(shift, rotation) for shift, rotation in motions)
     return State(time, stored[f"u{k}"], bodies, hints)

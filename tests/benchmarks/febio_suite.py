@@ -32,7 +32,7 @@ from limbcli.feb.law_tags import tag_of_febio
 from limbcli.feb.read import read_feb
 from limbcli.feb.read_mesh import TYPES_WITH_RULE
 from limbcli.fem.analysis import Analysis, Snapshot
-from limbcli.fem.motion.rigid import rotation_vector
+from limbcli.fem.motion.rigid import whole_rotation
 from limbcli.model import NODES_PER_CELL, SOLID_KINDS
 from limbcli.solvers.reference import prepare
 
@@ -259,7 +259,7 @@ def solution_norm(analysis: Analysis, last: Snapshot) -> float:
     parts = [last.state.u[system.free]]
     for b, dof in system.rigid:
         now, begin = last.state.bodies[b], system.start.bodies[b]
-        turn = rotation_vector(now.turn @ begin.turn.T)
+        turn = whole_rotation(now.rotation, -begin.rotation)
         parts.append(np.atleast_1d(np.concatenate([now.shift - begin.shift, turn])[dof]))
     return float(np.linalg.norm(np.concatenate(parts)))
 

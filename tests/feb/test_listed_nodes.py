@@ -25,7 +25,7 @@ def cube(folder: Path, record: str, *, first_node: int = FIRST_NODE) -> Path:
     path = folder / "model.feb"
     path.write_text(
         f"""<febio_spec version="4.0"><Module type="solid"/>
-<Control><time_steps>1</time_steps><step_size>1</step_size></Control>
+<Control><time_steps>1</time_steps><step_size>1</step_size><solver/></Control>
 <Material><material id="1" name="m" type="neo-Hookean"><E>1</E><v>0.3</v></material></Material>
 <Mesh><Nodes name="all">{nodes}</Nodes>
 <Elements type="hex8" name="cube"><elem id="{FIRST_CELL}">{",".join(map(str, ids))}</elem></Elements>

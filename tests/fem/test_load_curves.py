@@ -1,12 +1,19 @@
-"""Load curves as FEBio reads them."""
+"""Load curves as FEBio reads them.
+
+tests/data/febio-load-curves.json holds the displacements of cubes that FEBio 4.11 moved along such curves.
+"""
 
 from __future__ import annotations
+
+import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from limbcli.fem.equilibrium.solve_times import step_times
 from limbcli.fem.motion.load_curves import value
-from limbcli.model import Curve
+from limbcli.model import Curve, Step
 
 POINTS = ((0.0, 0.0), (1.0, 2.0), (2.0, 3.0), (4.0, 1.0))
 
@@ -49,3 +56,25 @@ def test_extensions() -> None:
     assert value(Curve(POINTS, extend="repeat offset"), -0.5) == pytest.approx(0.5)
     slope = value(Curve(((0.0, 0.0), (1.0, 1.0), (2.0, 4.0)), "smooth", "extrapolate"), 3.0)
     assert slope == pytest.approx(8.0, abs=0.01)  # 2 t at t = 2
+
+
+FEBIO = json.loads((Path(__file__).parents[1] / "data/febio-load-curves.json").read_text())
+
+
+@pytest.mark.parametrize("extend", ["constant", "extrapolate", "repeat", "repeat offset"])
+def test_curves_have_febio_s_values_at_its_own_times(extend: str) -> None:
+    """A period of 0.7 s ends after seven steps of 0.1 s, one of 0.3 s begins anew after three: round-off."""
+    times: list[float] = []
+    for n_steps, size in FEBIO["steps"]:
+        step = Step(n_steps=n_steps, step_size=size, adaptive=False)
+        times += step_times(step, begin=times[-1] if times else 0.0)
+    mine = [each for each in FEBIO["curves"] if each["extend"] == extend]
+    assert len(mine) == 18
+    for each in mine:
+        curve = Curve(tuple(map(tuple, each["points"])), each["interpolate"], extend)
+        found = [value(curve, time) for time in times]
+        assert found == pytest.approx(each["values"], abs=2e-9), (each["interpolate"], each["points"])
+
+
+def test_a_curve_of_very_many_periods_is_not_counted_through() -> None:
+    assert value(Curve(((0.0, 0.0), (1e-9, 1.0)), extend="repeat offset"), 1.0) == pytest.approx(1e9)

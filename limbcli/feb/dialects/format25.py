@@ -125,8 +125,6 @@ def _control(control: etree._Element, root: Tag) -> None:
             each.text = _ANALYSES.get(kind, kind)
         elif each.tag in _OF_SOLVER and each.tag not in _OF_STEP:
             solver.append(each)
-    if not len(solver):
-        control.remove(solver)
 
 
 def _conditions(section: etree._Element, owner: etree._Element) -> None:

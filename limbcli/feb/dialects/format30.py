@@ -58,7 +58,9 @@ def _control(control: etree._Element, root: Tag) -> None:
             root.ignore(f"<{name}>, which only deformable shells use")
             control.remove(each)
     solver = control.find("solver")
-    if solver is not None:
+    if solver is None:  # FEBio makes one in this format, but not in 4.0
+        new("solver", control)
+    else:
         _quasi_newton(solver)
 
 

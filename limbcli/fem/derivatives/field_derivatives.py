@@ -12,7 +12,6 @@ import numpy as np
 from limbcli.fem.derivatives.parameters import BodyMotion, Parameter, ShapeParameter
 from limbcli.fem.derivatives.point_changes import PointChanges, point_changes
 from limbcli.fem.derivatives.sensitivity import Sensitivity, reaction_changes
-from limbcli.fem.motion.rigid import rotation_vector
 from limbcli.fem.motion.state import State
 from limbcli.fem.record_fields import (
     _CENTER,
@@ -205,7 +204,7 @@ def body_field_derivatives(
     shift, spin = sensitivity.motions[b, :3], sensitivity.motions[b, 3:]
     if isinstance(parameter, BodyMotion) and parameter.body == system.bodies[b].name:
         shift = shift + np.asarray(parameter.motion[:3])
-    turn = _vector_change(rotation_vector(state.bodies[b].turn), spin)
+    turn = _vector_change(state.bodies[b].rotation, spin)
     values = np.concatenate([shift, turn, sensitivity.bodies[b]])
     return np.asarray(values[[BODY_FIELDS.index(name) for name in fields]])
 

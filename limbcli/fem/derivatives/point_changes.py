@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from limbcli.errors import SolveError
 from limbcli.fem.derivatives.parameters import (
     LawParameter,
     Parameter,
@@ -30,6 +31,7 @@ from limbcli.fem.elements.groups import Group, Operands
 from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
 from limbcli.materials.energy import program_energy_change, stored
+from limbcli.materials.program import Compiled
 from limbcli.materials.tangent_change import tangent_change
 from limbcli.materials.tensors import VOIGT
 from limbcli.model import Array
@@ -44,6 +46,7 @@ class PointChanges:
     dpar (1 or n_cells, n_numbers) : derivative of the law's numbers
     """
 
+    material: Compiled
     operands: Operands
     F: Array
     dF: Array
@@ -80,8 +83,16 @@ class PointChanges:
 
     @property
     def d_energy(self) -> Array:
-        """Derivative (n_cells, n_gauss) of the logged strain energy density."""
+        """Derivative (n_cells, n_gauss) of the logged strain energy density, which is 0 with a prestrain."""
         o = self.operands
+        if self.material.prestrain is not None:
+            return np.zeros(o.weight.shape)
+        if self.material.prony is not None:
+            raise SolveError(
+                "the logged energy of a viscoelastic law has no derivative here",
+                where=f"material {self.material.name!r}, record 'sed'",
+                fix="do not log sed, or difference whole solves",
+            )
         return program_energy_change(stored(o.ops), o.par, self.law_F, self.law_dF, self.dpar)
 
     @property
@@ -120,7 +131,8 @@ def point_changes(
     if tangent and o.jumps:
         args = o.arguments()
         kernels.stress_state(0, len(o.cells), state.u, *args, law_F, S, CC)
-    return PointChanges(o, F, dF, law_F, law_dF, S[..., VOIGT], (dS + direct)[..., VOIGT], CC, dpar)
+    stresses = S[..., VOIGT], (dS + direct)[..., VOIGT]
+    return PointChanges(group.material, o, F, dF, law_F, law_dF, *stresses, CC, dpar)
 
 
 def _of_the_law(system: System, state: State, number: int, parameter: Parameter) -> tuple[Array, Array]:

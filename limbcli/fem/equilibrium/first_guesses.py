@@ -56,7 +56,7 @@ def _coordinate(system: System, states: list[State], time: float) -> list[float]
     places = np.array([[body.shift for body in each.bodies] for each in (*states, aim)])
     ways = np.diff(places.reshape(len(places), -1), axis=0)
     lengths = np.linalg.norm(ways, axis=1)
-    turned = any((a.turn != b.turn).any() for a, b in zip(states[-1].bodies, aim.bodies, strict=True))
+    turned = any((a.rotation != b.rotation).any() for a, b in zip(states[-1].bodies, aim.bodies, strict=True))
     straight = (ways @ ways.sum(axis=0)) >= _STRAIGHT * lengths * lengths.sum()
     if turned or not lengths.all() or not straight.all():
         return [*(s.time for s in states), time]

@@ -13,8 +13,7 @@ from limbcli.fem.motion.rigid import (
     Body,
     BodyState,
     make_bodies,
-    rotation_matrix,
-    rotation_vector,
+    whole_rotation,
 )
 from limbcli.fem.motion.state import State
 from limbcli.model import Array, IntArray, LimbModel, NodeMap, Support
@@ -173,10 +172,10 @@ class Kinematics:
                 shift[k] = held + value
             else:
                 vector[k - 3] = value
-        return BodyState(shift, self._turn(body, now, begin, vector))
+        return BodyState(shift, self._rotation(body, now, begin, vector))
 
-    def _turn(self, body: Body, now: BodyState, begin: BodyState, vector: Array) -> Array:
-        """The body's rotation.
+    def _rotation(self, body: Body, now: BodyState, begin: BodyState, vector: Array) -> Array:
+        """The body's rotation vector.
 
         If all three components are given and at least one is prescribed, `vector` is the rotation vector,
         with 0 for fixed components; relative rotations are added to the rotation vector at the start of the
@@ -188,21 +187,22 @@ class Kinematics:
             given = [body.drives[dof] for dof in "uvw" if body.given(dof)]
             relative = {drive.relative for drive in given if drive.kind != "fixed"}
             if not relative:
-                return begin.turn
+                return begin.rotation
             if len(relative) > 1:
                 raise SolveError(
                     f"body {body.name!r} has relative and absolute rotations together",
                     where="rigid bodies",
                     fix="make all of its rotations relative, or none",
                 )
-            return rotation_matrix(vector + rotation_vector(begin.turn) if True in relative else vector)
+            given_vector = vector + begin.rotation if True in relative else vector
+            return whole_rotation(given_vector, np.zeros(3))
         if vector.any():
             raise SolveError(
                 f"body {body.name!r} has given and free rotations together",
                 where="rigid bodies",
                 fix="give all three rotations, or fix those that are not free",
             )
-        return now.turn
+        return now.rotation
 
     def followed(self, state: State) -> State:
         """Place the tied nodes and the bodies' own nodes according to the bodies' motion (in place)."""

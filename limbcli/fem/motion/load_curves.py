@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from limbcli.model import Array, Curve
 
+_MANY_TURNS = 10_000  # number of periods above which their number is divided, not counted
 _NEAR = 1e-3  # distance over which FEBio evaluates the end slope of a smooth curve, per length of the curve
 
 
@@ -33,11 +36,27 @@ def value(curve: Curve, time: float) -> float:
         return float(values[0] if time < first else values[-1])
     if curve.extend == "extrapolate":
         return _beyond(curve.interpolate, times, values, time)
-    turns = np.floor((time - first) / (last - first))
-    if time > last and time == first + turns * (last - first):
-        turns -= 1  # the end of a period is its last point, not the first point of the next period
+    turns, inside = _turns(times, time)
     offset = turns * (values[-1] - values[0]) if curve.extend == "repeat offset" else 0.0
-    return float(_inside(curve.interpolate, times, values, time - turns * (last - first)) + offset)
+    return float(_inside(curve.interpolate, times, values, inside) + offset)
+
+
+def _turns(times: Array, time: float) -> tuple[int, float]:
+    """(number of periods to the time, the time within the period).
+
+    Periods are taken off one by one, as FEBio does, so that the round-off of a time that ends a period puts
+    it on the same side of the jump; the end of a period is its last point.
+    """
+    first, last = float(times[0]), float(times[-1])
+    period, turns = last - first, 0
+    if abs(time - first) > _MANY_TURNS * period:
+        turns = math.floor((time - first) / period)
+        time -= turns * period
+    while time > last:
+        time, turns = time - period, turns + 1
+    while time < first:
+        time, turns = time + period, turns - 1
+    return turns, min(time, last)
 
 
 def _inside(kind: str, times: Array, values: Array, time: float) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -28,30 +29,52 @@ def rotation_matrix(vector: Array) -> Array:
     return np.eye(3) + np.sin(angle) / angle * cross + (1 - np.cos(angle)) / angle**2 * cross @ cross
 
 
-def rotation_vector(R: Array) -> Array:
-    """The inverse of `rotation_matrix`, for angles below pi."""
-    w = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    sine, cosine = float(np.linalg.norm(w)), 0.5 * (np.trace(R) - 1)
-    return w if sine < 1e-12 else w * (np.arctan2(sine, cosine) / sine)
+def whole_rotation(vector: Array, before: Array) -> Array:
+    """Rotation vector of a rotation `vector` after a rotation `before`, as FEBio holds it.
+
+    FEBio multiplies unit quaternions, which return after two full turns; a rotation beyond one full turn is
+    logged as one about the opposite axis.
+
+    Source: FEBio 4.11, quatd::GetRotationVector; Shoemake 1985, SIGGRAPH Comput Graph 19:245.
+
+    >>> whole_rotation(np.array([0.0, 0.0, 0.6]), np.array([0.0, 0.0, 3.0])).round(12)
+    array([0. , 0. , 3.6])
+    >>> whole_rotation(np.array([0.0, 0.0, 7.0]), np.zeros(3)).round(3)
+    array([ 0.   ,  0.   , -5.566])
+    """
+    (a, u), (b, v) = _quaternion(vector), _quaternion(before)
+    cosine, w = a * b - u @ v, a * v + b * u + np.cross(u, v)
+    sine = float(np.linalg.norm(w))
+    return w * (2 * np.arctan2(sine, cosine) / sine) if sine > 0 else np.zeros(3)
+
+
+def _quaternion(vector: Array) -> tuple[float, Array]:
+    half = 0.5 * float(np.linalg.norm(vector))
+    return float(np.cos(half)), 0.5 * vector * np.sinc(half / np.pi)
 
 
 @dataclass(frozen=True, eq=False)
 class BodyState:
-    """Position of a body: translation of its centre (mm) and rotation matrix."""
+    """Position of a body: translation of its centre (mm) and rotation vector (rad, see `whole_rotation`)."""
 
     shift: Array
-    turn: Array
+    rotation: Array
+
+    @cached_property
+    def turn(self) -> Array:
+        """The rotation's matrix (3, 3)."""
+        return rotation_matrix(self.rotation)
 
     def moved(self, step: Array) -> BodyState:
         """The position after a further translation and rotation vector, `step` (6)."""
-        return BodyState(self.shift + step[:3], rotation_matrix(step[3:]) @ self.turn)
+        return BodyState(self.shift + step[:3], whole_rotation(step[3:], self.rotation))
 
     def place(self, points: Array, center: Array) -> Array:
         """Current positions of points of the body, given their reference positions."""
         return (points - center) @ self.turn.T + center + self.shift
 
 
-AT_REST = BodyState(np.zeros(3), np.eye(3))
+AT_REST = BodyState(np.zeros(3), np.zeros(3))
 
 
 @dataclass(frozen=True, eq=False)
