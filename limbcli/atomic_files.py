@@ -7,9 +7,7 @@ the previous result or nothing, and never a partial one.
 from __future__ import annotations
 
 import contextlib
-import gzip
 import hashlib
-import io
 import os
 import platform
 import secrets
@@ -164,24 +162,6 @@ def _is_alive(pid: int) -> bool:
     except PermissionError:
         return True
     return True
-
-
-def gunzip(content: bytes, *, limit: int) -> bytes:
-    """Decompressed content of at most `limit` bytes: a few compressed kilobytes may expand to many gigabytes.
-
-    Raises
-    ------
-    OSError, EOFError, zlib.error
-        If the content is corrupt, or decompresses to more.
-
-    >>> gunzip(gzip.compress(b"whole"), limit=100)
-    b'whole'
-    """
-    with gzip.GzipFile(fileobj=io.BytesIO(content)) as stream:
-        unpacked = stream.read(limit + 1)
-    if len(unpacked) > limit:
-        raise OSError(f"it unpacks to more than {limit / 1e6:.0f} MB")
-    return unpacked
 
 
 # files that file managers create in a folder; not part of its hash
