@@ -36,9 +36,9 @@ class Budget:
     OSError: it unpacks to more than 0.0001 MB
     """
 
-    def __init__(self, most: int = MOST_UNPACKED) -> None:
-        self.most = most
-        self.left = most
+    def __init__(self, most: int | None = None) -> None:
+        self.most = MOST_UNPACKED if most is None else most
+        self.left = self.most
 
     def spend(self, n_bytes: int) -> None:
         """Count bytes that are about to be unpacked.

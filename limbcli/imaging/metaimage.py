@@ -131,7 +131,7 @@ def _affine(fields: dict[str, str]) -> Array:
     """
     spacing = np.array(fields.get("ElementSpacing", fields.get("ElementSize", "")).split(), dtype=float)
     place = next(fields[key] for key in _PLACES if key in fields)
-    if spacing.shape != (3,) or not (spacing >= 0).all():
+    if spacing.shape != (3,) or (spacing < 0).any():
         raise ValueError("no ElementSpacing of three positive numbers")
     affine = np.eye(4)
     affine[:3, :3] = _directions(fields).T * spacing
