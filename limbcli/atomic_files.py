@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from limbcli.detached_data import detached_data
+from limbcli.errors import CaseError
 from limbcli.errors.file_system import PARTIAL, file_system_errors
 
 _OLD = "-old-"
@@ -48,11 +49,18 @@ def atomic_file(target: Path) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def atomic_folder(target: Path) -> Iterator[Path]:
+def atomic_folder(target: Path, *, is_new: bool = False) -> Iterator[Path]:
     """An empty folder to fill; it replaces `target` when the block ends without an error.
 
     Remains of interrupted earlier runs are removed first. If `target` is a symbolic link to a folder, that
     folder is replaced and the link is kept.
+
+    is_new : `target` is not to be replaced, even if another program makes it while the block runs
+
+    Raises
+    ------
+    CaseError
+        If it was made meanwhile, or for a full disk and the like.
     """
     with file_system_errors(target):
         target = Path(os.path.realpath(target)) if target.is_symlink() else target
@@ -62,7 +70,10 @@ def atomic_folder(target: Path) -> Iterator[Path]:
         partial.mkdir()
         try:
             yield partial
-            _put_in_place(partial, target)
+            if is_new:
+                _put_where_nothing_is(partial, target)
+            else:
+                _put_in_place(partial, target)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
 
@@ -110,6 +121,19 @@ def _put_in_place(partial: Path, target: Path) -> None:
             os.replace(retired, target)
         raise
     shutil.rmtree(retired, ignore_errors=True)
+
+
+def _put_where_nothing_is(partial: Path, target: Path) -> None:
+    try:
+        os.rename(partial, target)  # fails where a folder with anything in it, or a file, is
+    except OSError as error:
+        if not target.exists():
+            raise
+        raise CaseError(
+            f"{target.name} was made by another program meanwhile, and is not replaced",
+            where=str(target),
+            fix="give another folder, or look at what was made there",
+        ) from error
 
 
 def clear_partial(folder: Path) -> None:
