@@ -49,7 +49,10 @@ def read_dicom(path: Path) -> FileDataset:
         warnings.simplefilter("ignore")
         if has_preamble(path):
             _measure_deflated(path)
-        dataset = pydicom.dcmread(path, force=True)
+        try:
+            dataset = pydicom.dcmread(path, force=True)
+        except zlib.error as error:
+            raise OSError(f"its deflated content is damaged ({error})") from error
         plain = "SOPClassUID" in dataset or ("Modality" in dataset and "Rows" in dataset)
     if not has_preamble(path) and not plain:
         raise InvalidDicomError(f"{path.name} has neither the DICOM preamble nor the tags of an image")

@@ -90,6 +90,8 @@ class Budget:
         while content:
             self.spend(len(packer.decompress(content, _CHUNK)))
             content = packer.unconsumed_tail
+        if not packer.eof:
+            raise zlib.error("it ends early")
 
     def part(self, package: zipfile.ZipFile, name: str) -> bytes:
         """One part of a ZIP file.

@@ -6,6 +6,8 @@ files; no format that is read here has one. It is refused before anything in it 
 
 from __future__ import annotations
 
+from typing import Any
+
 from lxml import etree
 
 LARGEST = 1_000_000_000  # bytes of a document
@@ -41,7 +43,7 @@ def parsed_xml(content: bytes, *, recover: bool = False, remove_pis: bool = Fals
     try:
         root = _parse(content, recover=recover, remove_pis=remove_pis, huge_tree=False)
     except etree.XMLSyntaxError as error:
-        if error.code != _RESOURCE_LIMIT:
+        if error.code != _RESOURCE_LIMIT:  # type: ignore[attr-defined]
             raise XmlError(str(error)) from error
         root = _long_texts(content, remove_pis=remove_pis)
     if root is None:
@@ -64,9 +66,9 @@ def mixed_text(root: etree._Element) -> tuple[etree._Element, str] | None:
     if not isinstance(found, list) or not found:
         return None
     text = found[0]
-    beside = text.getparent()  # type: ignore[union-attr]
+    beside: etree._Element = text.getparent()  # type: ignore[union-attr,assignment]
     owner = beside.getparent() if text.is_tail else beside  # type: ignore[union-attr]
-    return owner, str(text).strip()
+    return (beside if owner is None else owner), str(text).strip()
 
 
 def _parse(content: bytes, *, recover: bool, remove_pis: bool, huge_tree: bool) -> etree._Element | None:
@@ -107,7 +109,8 @@ class _Start:
 
 
 def _refuse_document_type(content: bytes) -> None:
-    parser = etree.XMLParser(target=_Start(), resolve_entities=False, no_network=True, load_dtd=False)
+    target: Any = _Start()
+    parser = etree.XMLParser(target=target, resolve_entities=False, no_network=True, load_dtd=False)
     try:
         for at in range(0, len(content), _STEP):
             parser.feed(content[at : at + _STEP])
