@@ -12,6 +12,7 @@ from pathlib import Path
 import nibabel as nib
 import numpy as np
 from nibabel.filebasedimages import ImageFileError
+from nibabel.imageglobals import LoggingOutputSuppressor
 from nibabel.spatialimages import HeaderDataError
 from nibabel.wrapstruct import WrapStructError
 from pydicom.errors import InvalidDicomError
@@ -78,9 +79,16 @@ def open_nifti(path: Path) -> nib.Nifti1Image:
     One of `NIFTI_DAMAGED`
         If it is none, damaged, too large, or its packed content is not as long as its header says.
     """
-    if not path.name.lower().endswith(".gz"):
-        with path.open("rb") as stream:
-            return _kind(stream.read(_HEADER)).from_filename(path)
+    with LoggingOutputSuppressor():  # it writes damaged headers to the terminal
+        return _packed(path) if path.name.lower().endswith(".gz") else _plain(path)
+
+
+def _plain(path: Path) -> nib.Nifti1Image:
+    with path.open("rb") as stream:
+        return _kind(stream.read(_HEADER)).from_filename(path)
+
+
+def _packed(path: Path) -> nib.Nifti1Image:
     content = path.read_bytes()
     head = Budget().gunzip(content, first=_HEADER)
     kind = _kind(head).header_class

@@ -162,3 +162,16 @@ def test_a_sheared_grid_is_placed() -> None:
     """A gantry's tilt of 30 degrees."""
     tilted = bad(lambda affine: affine.__setitem__((1, 2), 4 * np.tan(np.radians(30))))
     assert require_placed(tilted, "a", noun="image") is not None
+
+
+def test_a_damaged_header_is_not_written_to_the_terminal(
+    tmp_path: Path, capfd: pytest.CaptureFixture
+) -> None:
+    path = write_nifti(tmp_path, GOOD)
+    content = bytearray(path.read_bytes())
+    content[344:348] = b"\xc0\x07\x1b["
+    path.write_bytes(bytes(content))
+    for read in (read_image, read_label_file, read_fibre_map):
+        with pytest.raises(CaseError):
+            read(path)
+    assert capfd.readouterr() == ("", "")
