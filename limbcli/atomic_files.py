@@ -7,9 +7,7 @@ the previous result or nothing, and never a partial one.
 from __future__ import annotations
 
 import contextlib
-import gzip
 import hashlib
-import io
 import os
 import platform
 import secrets
@@ -19,6 +17,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from limbcli.detached_data import detached_data
+from limbcli.errors import CaseError
 from limbcli.errors.file_system import PARTIAL, file_system_errors
 
 _OLD = "-old-"
@@ -50,11 +49,18 @@ def atomic_file(target: Path) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def atomic_folder(target: Path) -> Iterator[Path]:
+def atomic_folder(target: Path, *, is_new: bool = False) -> Iterator[Path]:
     """An empty folder to fill; it replaces `target` when the block ends without an error.
 
     Remains of interrupted earlier runs are removed first. If `target` is a symbolic link to a folder, that
     folder is replaced and the link is kept.
+
+    is_new : `target` is not to be replaced, even if another program makes it while the block runs
+
+    Raises
+    ------
+    CaseError
+        If it was made meanwhile, or for a full disk and the like.
     """
     with file_system_errors(target):
         target = Path(os.path.realpath(target)) if target.is_symlink() else target
@@ -64,7 +70,10 @@ def atomic_folder(target: Path) -> Iterator[Path]:
         partial.mkdir()
         try:
             yield partial
-            _put_in_place(partial, target)
+            if is_new:
+                _put_where_nothing_is(partial, target)
+            else:
+                _put_in_place(partial, target)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
 
@@ -112,6 +121,19 @@ def _put_in_place(partial: Path, target: Path) -> None:
             os.replace(retired, target)
         raise
     shutil.rmtree(retired, ignore_errors=True)
+
+
+def _put_where_nothing_is(partial: Path, target: Path) -> None:
+    try:
+        os.rename(partial, target)  # fails where a folder with anything in it, or a file, is
+    except OSError as error:
+        if not target.exists():
+            raise
+        raise CaseError(
+            f"{target.name} was made by another program meanwhile, and is not replaced",
+            where=str(target),
+            fix="give another folder, or look at what was made there",
+        ) from error
 
 
 def clear_partial(folder: Path) -> None:
@@ -164,24 +186,6 @@ def _is_alive(pid: int) -> bool:
     except PermissionError:
         return True
     return True
-
-
-def gunzip(content: bytes, *, limit: int) -> bytes:
-    """Decompressed content of at most `limit` bytes: a few compressed kilobytes may expand to many gigabytes.
-
-    Raises
-    ------
-    OSError, EOFError, zlib.error
-        If the content is corrupt, or decompresses to more.
-
-    >>> gunzip(gzip.compress(b"whole"), limit=100)
-    b'whole'
-    """
-    with gzip.GzipFile(fileobj=io.BytesIO(content)) as stream:
-        unpacked = stream.read(limit + 1)
-    if len(unpacked) > limit:
-        raise OSError(f"it unpacks to more than {limit / 1e6:.0f} MB")
-    return unpacked
 
 
 # files that file managers create in a folder; not part of its hash

@@ -8,9 +8,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import struct
-import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -24,6 +21,7 @@ from limbcli.atomic_files import atomic_file
 from limbcli.errors import CaseError
 from limbcli.model import LimbModel
 from limbcli.results import plain
+from limbcli.unpacking import DAMAGED, Budget, read_npz
 
 FORMAT = 1
 _TYPES = {
@@ -35,8 +33,7 @@ _TYPES = {
 _TEXT = "model_json"
 _LARGEST = 2_000_000_000  # upper limit of the size of a model's arrays, bytes
 _DAMAGED = (
-    ValueError, LookupError, TypeError, AttributeError, OSError, EOFError, ArithmeticError, AssertionError,
-    NotImplementedError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error, struct.error,
+    *DAMAGED, LookupError, TypeError, AttributeError, ArithmeticError, AssertionError, MemoryError,
 )  # fmt: skip
 
 
@@ -96,11 +93,7 @@ def load_model(path: Path) -> LimbModel:
             f"the model {path.name} is missing", where=str(path.parent), fix="run `limbcli mesh CASE` first"
         )
     try:
-        with zipfile.ZipFile(path) as packed:
-            if sum(each.file_size for each in packed.infolist()) > _LARGEST:
-                raise ValueError(f"it unpacks to more than {_LARGEST / 1e9:g} GB")
-        with np.load(path, allow_pickle=False) as content:
-            arrays = {name: content[name] for name in content.files}
+        arrays = read_npz(path, budget=Budget(_LARGEST))
         described = json.loads(arrays.pop(_TEXT).tobytes().decode("utf-8"))
         if described["format"] != FORMAT:
             raise ValueError(f"format {described['format']} where {FORMAT} was expected")

@@ -143,6 +143,7 @@ class StageWriter:
         self.summary: list[str] = []
         self.warnings: list[str] = []
         self.inputs: dict[str, str] = {}
+        self._paths: dict[str, Path] = {}
         self.made_from: dict[str, dict[str, Any]] = {"case": {}, "files": {}, "results": {}}
         self.extra_provenance: dict[str, Any] = {}
         self.result: StageResult | None = None
@@ -162,6 +163,7 @@ class StageWriter:
             later stages check whether the input has changed
         """
         self.inputs[label] = sha256(path)
+        self._paths[label] = path
         if role:
             self.made_from["files"][role] = self.inputs[label]
 
@@ -174,7 +176,19 @@ class StageWriter:
         link["files"].update({name: known.get(name) for name in files})
         link["data"].update({key: result.value(key) for key in data})
 
+    def _refuse_changed(self) -> None:
+        """Refuse a result of inputs that another program changed in the meantime: it may be of both."""
+        for label, path in self._paths.items():
+            if path.exists() and sha256(path) != self.inputs[label]:
+                raise CaseError(
+                    f"{path.name} was changed while `{self.stage}` was at work, which may have read it "
+                    "before or after",
+                    where=str(path),
+                    fix="run the command again, once no other program writes there",
+                )
+
     def finish(self) -> StageResult:
+        self._refuse_changed()
         result = StageResult(
             stage=self.stage,
             subject=self.subject,

@@ -7,9 +7,7 @@ Extension (objects in other parts of the package, as PrusaSlicer and Bambu Studi
 from __future__ import annotations
 
 import posixpath
-import struct
 import zipfile
-import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,16 +15,13 @@ import numpy as np
 from lxml import etree
 
 from limbcli.model import Array, IntArray
+from limbcli.unpacking import DAMAGED, Budget
+from limbcli.xml_files import parsed_xml
 
 _RELATIONS = "_rels/.rels"
 _MODEL = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
-_LARGEST = 1_000_000_000  # bytes, largest part of the package
-_DEEPEST = 20  # objects made of objects
+_DEEPEST, _MOST_PLACED = 20, 20_000  # objects made of objects; objects in all places
 _DEFAULT_UNIT = "millimeter"
-_DAMAGED = (
-    zipfile.BadZipFile, zlib.error, struct.error, etree.XMLSyntaxError, KeyError, ValueError, EOFError,
-    NotImplementedError, RuntimeError,
-)  # fmt: skip
 
 
 def read_3mf(path: Path) -> tuple[Array, list[IntArray]]:
@@ -43,7 +38,7 @@ def read_3mf(path: Path) -> tuple[Array, list[IntArray]]:
             root, build = parts.root, parts.part(parts.root).find("{*}build")
             for item in build.iterfind("{*}item") if build is not None else ():
                 parts.add(_path(item, root), item.get("objectid", ""), _transform(item), 0)
-    except _DAMAGED as error:
+    except DAMAGED as error:
         raise OSError(f"it is not a 3MF file, or damaged ({error})") from error
     if not parts.points:
         return np.zeros((0, 3)), []
@@ -62,7 +57,7 @@ def unit_of_3mf(path: Path) -> str:
         with zipfile.ZipFile(path) as package:
             parts = _Package(package)
             return str(parts.part(parts.root).get("unit", _DEFAULT_UNIT))
-    except _DAMAGED as error:
+    except DAMAGED as error:
         raise OSError(f"it is not a 3MF file, or damaged ({error})") from error
 
 
@@ -71,6 +66,8 @@ class _Package:
     """The open package, its parts as far as they were read, and the bodies found."""
 
     package: zipfile.ZipFile
+    budget: Budget = field(default_factory=Budget)
+    n_placed: int = 0
     read: dict[str, etree._Element] = field(default_factory=dict)
     points: list[Array] = field(default_factory=list)
     faces: list[IntArray] = field(default_factory=list)
@@ -85,10 +82,7 @@ class _Package:
 
     def part(self, name: str) -> etree._Element:
         if name not in self.read:
-            if self.package.getinfo(name).file_size > _LARGEST:
-                raise OSError(f"its part {name} is larger than {_LARGEST / 1e9:g} GB")
-            parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True)
-            self.read[name] = etree.fromstring(self.package.read(name), parser)
+            self.read[name] = parsed_xml(self.budget.part(self.package, name))
         return self.read[name]
 
     def add(self, part: str, number: str, place: Array, depth: int) -> None:
@@ -97,6 +91,9 @@ class _Package:
         found = next((each for each in objects if each.get("id") == number), None)
         if found is None or depth > _DEEPEST:
             raise OSError(f"it refers to object {number}, which does not exist or is made of itself")
+        self.n_placed += 1
+        if self.n_placed > _MOST_PLACED:
+            raise OSError(f"it places more than {_MOST_PLACED} objects")
         mesh = found.find("{*}mesh")
         if mesh is not None and found.get("type", "model") in ("model", "surface"):
             self._add_mesh(mesh, place)
@@ -120,6 +117,7 @@ class _Package:
         faces = np.array(corners or np.zeros((0, 3)), dtype=np.int64)
         if len(faces) and not 0 <= faces.min() <= faces.max() < len(points):
             raise OSError(f"a triangle refers to a point that does not exist (of {len(points)})")
+        self.budget.spend(points.nbytes + faces.nbytes)  # a mesh may be placed many times
         if np.linalg.det(place[:3]) < 0:
             faces = faces[:, ::-1]
         self.faces.append(faces + sum(map(len, self.points)))

@@ -14,7 +14,8 @@ GROUND = {"abaqus_files", "atomic_files", "background_processes", "bodies", "cas
           "interval_limits", "kernel_folder", "mesh_bounds", "meshlab", "model", "model_io", "options",
           "monotone_interpolation", "output_lock", "patient_frame", "plain_text", "progress", "results",
           "significant_digits", "surface_formats", "surface_frames", "template_rendering",
-          "temporary_folders", "three_mf", "triangle_files", "units", "version"}  # fmt: skip
+          "temporary_folders", "three_mf", "triangle_files", "units", "unpacking", "version",
+          "xml_files"}  # fmt: skip
 SIBLINGS = {"imaging", "measurement", "meshing", "inference", "diagnostics"}
 ALLOWED: dict[str, set[str]] = {
     **{room: set() for room in SIBLINGS},

@@ -12,7 +12,7 @@ import pytest
 
 from limbcli import atomic_files
 from limbcli.atomic_files import atomic_file, atomic_folder, atomic_set, clear_partial, sha256
-from limbcli.errors import MeshError
+from limbcli.errors import CaseError, MeshError
 from limbcli.results import open_stage, read_result
 
 
@@ -48,6 +48,46 @@ def test_a_link_to_a_folder_elsewhere_stays_one(tmp_path: Path):
         assert (tmp_path / "large" / "stage" / "a").read_text() == content
         assert target.is_symlink()
         assert os.listdir(tmp_path / "out") == os.listdir(tmp_path / "large") == ["stage"]
+
+
+def test_a_folder_that_another_program_made_meanwhile_is_not_replaced(tmp_path: Path):
+    target = tmp_path / "subject"
+    with (  # noqa: PT012
+        pytest.raises(CaseError, match="meanwhile") as caught,
+        atomic_folder(target, is_new=True) as work,
+    ):
+        (work / "case.toml").write_text("ours")
+        target.mkdir()
+        (target / "case.toml").write_text("theirs")
+    assert caught.value.fix
+    assert (target / "case.toml").read_text() == "theirs"
+    assert os.listdir(tmp_path) == ["subject"]
+
+
+@pytest.mark.parametrize("is_empty", [False, True])
+def test_a_new_folder_is_put_where_nothing_is(tmp_path: Path, is_empty: bool):
+    if is_empty:
+        (tmp_path / "subject").mkdir()
+    with atomic_folder(tmp_path / "subject", is_new=True) as work:
+        (work / "case.toml").write_text("ours")
+    assert (tmp_path / "subject" / "case.toml").read_text() == "ours"
+
+
+def test_an_input_changed_while_a_stage_works_is_noticed(tmp_path: Path):
+    """Its hash would be of another content than the one that was read."""
+    levels = tmp_path / "levels.csv"
+    levels.write_text("before")
+    with open_stage(tmp_path / "out", "fit", subject="S1", site="p1") as writer:
+        writer.used("levels", levels)
+    assert read_result(tmp_path / "out", "fit", site="p1").subject == "S1"
+    with (  # noqa: PT012
+        pytest.raises(CaseError, match=r"levels\.csv was changed while `fit`") as caught,
+        open_stage(tmp_path / "out", "fit", subject="S2", site="p1") as writer,
+    ):
+        writer.used("levels", levels)
+        levels.write_text("after!")
+    assert caught.value.fix
+    assert read_result(tmp_path / "out", "fit", site="p1").subject == "S1"
 
 
 def test_folder_is_replaced_whole(tmp_path: Path):

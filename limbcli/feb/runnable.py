@@ -13,6 +13,7 @@ from limbcli.feb.read import read_feb
 from limbcli.feb.write import encoded, render
 from limbcli.feb.xml import UNITS, VERSION, is_native, model_text, open_model, units_of
 from limbcli.model import LimbModel
+from limbcli.xml_files import parsed_xml
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ def runnable(source: Path) -> Runnable:
     led = root.element.findall("Output/*[@file]")
     if not led:
         return Runnable(text)
-    tree = etree.fromstring(text, etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True))
+    tree = parsed_xml(text)
     for each in tree.findall("Output/*[@file]"):
         del each.attrib["file"]
     names = " and ".join(f"<{each.tag}>" for each in led)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import re
-import zlib
 from collections.abc import Collection, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
@@ -14,10 +13,11 @@ from typing import cast
 import numpy as np
 from lxml import etree
 
-from limbcli.atomic_files import gunzip
 from limbcli.errors import CaseError
 from limbcli.feb.notes import ReadingNotes
 from limbcli.model import Array, IntArray
+from limbcli.unpacking import DAMAGED, Budget
+from limbcli.xml_files import mixed_text, parsed_xml
 
 UNITS = "mm-N-s"
 VERSION, OLDER_VERSIONS = "4.0", ("3.0", "2.5")  # format of model files, and those converted to it
@@ -293,21 +293,21 @@ def open_model(path: Path, notes: ReadingNotes | None = None) -> Tag:
     """
     if not path.is_file():
         raise CaseError(f"the model file {path} does not exist", where=str(path), fix="check the path")
-    parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True, remove_pis=True)
     try:
-        root = etree.fromstring(model_text(path), parser)
-    except (etree.XMLSyntaxError, OSError, EOFError, zlib.error, ValueError) as error:
+        root = parsed_xml(model_text(path), remove_pis=True)
+    except DAMAGED as error:
         raise CaseError(
             f"this is not a readable XML file ({error})", where=str(path), fix="write or copy the file again"
         ) from error
-    if root is None or root.tag != "febio_spec":
+    if root.tag != "febio_spec":
         raise CaseError("this is not a FEBio model file", where=str(path), fix="give a .feb file")
     tag = Tag(root, path, notes)
-    if next(root.iter(etree.Entity), None) is not None:
-        raise tag.problem(
-            "limbcli and FEBio do not support entities defined in a file", fix="write out their content"
-        )
     _take_out_comments(root)
+    if (mixed := mixed_text(root)) is not None:
+        raise tag.of(mixed[0]).problem(
+            f"it contains the text {mixed[1][:40]!r} beside other tags, where nothing reads it",
+            fix="remove this text, or put it into the tag that it belongs to",
+        )
     version = tag.optional("version") or ""
     if version not in (VERSION, *OLDER_VERSIONS):
         raise tag.problem(
@@ -370,7 +370,7 @@ def model_text(path: Path) -> bytes:
     if path.stat().st_size > _LARGEST:
         raise OSError(f"it is larger than {_LARGEST / 1e6:.0f} MB")
     content = path.read_bytes()
-    return gunzip(content, limit=_LARGEST) if content.startswith(_GZIP_MAGIC) else content
+    return Budget(_LARGEST).gunzip(content) if content.startswith(_GZIP_MAGIC) else content
 
 
 def _check_file_names(root: Tag) -> None:

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydicom.dataset import Dataset
 
-from limbcli.dicom_files import read_dicom
+from limbcli.dicom_files import read_dicom, require_affordable
 from limbcli.errors import CaseError
 from limbcli.imaging.frames import DICOM_DAMAGED
-from limbcli.imaging.volume import MOST_VOXELS
+from limbcli.imaging.volume import MOST_VOXELS, require_placed, require_unit_directions
 from limbcli.model import Array
 
 # fractions of the slice spacing: frames closer than the first are one slice; the second is the tolerance of
@@ -86,6 +86,7 @@ def _slice_step(heights: Array, stated: float) -> float:
 def _masks(dataset: Dataset, path: Path) -> NamedMasks:
     shared = dataset.SharedFunctionalGroupsSequence[0]
     frames = dataset.PerFrameFunctionalGroupsSequence
+    require_affordable(dataset)
     pixels = np.asarray(dataset.pixel_array)
     pixels = pixels[None] if pixels.ndim == 2 else pixels
     first = frames[0]
@@ -93,7 +94,9 @@ def _masks(dataset: Dataset, path: Path) -> NamedMasks:
         [_group(each, shared, "PlaneOrientationSequence").ImageOrientationPatient for each in frames], float
     )
     cosines = turned[0]
-    if np.abs(turned - cosines).max() > _PARALLEL:
+    what = "the DICOM SEG's Image Orientation (0020,0037)"
+    require_unit_directions(cosines.reshape(2, 3), where=str(path), what=what, fix=_FIX)
+    if not np.abs(turned - cosines).max() <= _PARALLEL:
         raise CaseError("the DICOM SEG's slices are not parallel", where=str(path), fix=_FIX)
     measures = _group(first, shared, "PixelMeasuresSequence")
     normal = np.cross(cosines[:3], cosines[3:])
@@ -138,6 +141,7 @@ def _masks(dataset: Dataset, path: Path) -> NamedMasks:
     affine[:3, 1] = cosines[3:] * float(measures.PixelSpacing[0])
     affine[:3, 2] = _from_slice_to_slice(positions, index, normal * step)
     affine[:3, 3] = positions[np.argmin(heights)]
+    affine = require_placed(affine, path, noun="DICOM SEG")
     beside = positions - affine[:3, 3] - np.outer(index, affine[:3, 2])
     if np.linalg.norm(beside, axis=1).max() > _BESIDE * float(min(measures.PixelSpacing)) + _UNEVEN * step:
         what = "the DICOM SEG's slices do not lie on one line, one behind the other"

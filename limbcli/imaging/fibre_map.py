@@ -12,19 +12,16 @@ orientation convention).
 from __future__ import annotations
 
 import math
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
 import nibabel as nib
 import numpy as np
-from nibabel.filebasedimages import ImageFileError
-from nibabel.spatialimages import HeaderDataError
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from limbcli.errors import CaseError
-from limbcli.imaging.nifti import one_geometry
-from limbcli.imaging.volume import DAMAGED, MOST_VOXELS, RAS_FROM_LPS, Volume
+from limbcli.imaging.nifti import NIFTI_DAMAGED, one_geometry, open_nifti
+from limbcli.imaging.volume import MOST_VOXELS, RAS_FROM_LPS, Volume
 from limbcli.model import Array
 
 REACH = 6.0  # mm: outside the map's directions, the nearest one within this distance is used
@@ -104,16 +101,16 @@ def read_fibre_map(path: Path, *, frame: str = "ras") -> FibreMap:
         space, or contains no direction.
     """
     try:
-        image = nib.load(path)
-    except (ImageFileError, HeaderDataError, *DAMAGED, zlib.error) as error:
+        image = open_nifti(path)
+    except NIFTI_DAMAGED as error:
         raise CaseError(f"the fibre map cannot be read ({error})", where=str(path), fix=_SAVE) from error
-    if not isinstance(image, nib.Nifti1Image) or image.get_data_dtype().kind not in "fiu":
+    if image.get_data_dtype().kind not in "fiu":
         raise CaseError("the fibre map is not a numeric NIfTI file", where=str(path), fix=_SAVE)
     shape = _shape(tuple(image.shape), path)
     _check_place(image, path)
     try:
         values = np.asarray(image.dataobj, dtype=np.float64).reshape(*shape, 3)
-    except (*DAMAGED, zlib.error) as error:
+    except NIFTI_DAMAGED as error:
         raise CaseError(f"the fibre map cannot be read ({error})", where=str(path), fix=_SAVE) from error
     if not np.isfinite(values).all():
         values = np.where(np.isfinite(values).all(axis=-1, keepdims=True), values, 0.0)
@@ -154,8 +151,6 @@ def _check_place(image: nib.Nifti1Image, path: Path) -> None:
         what = f"the fibre map lies in another frame: {_TEMPLATES[code]}, not the patient's"
         raise CaseError(what, where=str(path), fix=fix)
     one_geometry(image, path, noun="fibre map")
-    if abs(np.linalg.det(np.asarray(image.affine)[:3, :3])) < _NO_LENGTH:
-        raise CaseError("the fibre map's affine is singular", where=str(path), fix=_SAVE)
 
 
 def _to_lps(frame: str, affine: Array) -> Array:

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from pydicom.dataset import Dataset
 from pydicom.errors import BytesLengthException, InvalidDicomError
 
+from limbcli.dicom_files import require_affordable
 from limbcli.errors import CaseError
-from limbcli.imaging.volume import DAMAGED
+from limbcli.imaging.volume import DAMAGED, require_unit_directions
 from limbcli.model import Array
 
 DICOM_DAMAGED = (*DAMAGED, BytesLengthException, InvalidDicomError)
@@ -116,13 +117,9 @@ def _plane(
     place = _numbers(position, "ImagePositionPatient", 3, name)
     spacing = _numbers(measures, "PixelSpacing", 2, name)
     along_row, along_column = cosines[:3], cosines[3:]
+    what = "Image Orientation (0020,0037)"
+    require_unit_directions(cosines.reshape(2, 3), where=name, what=what, fix=_EXPORT)
     lengths = np.linalg.norm(along_row), np.linalg.norm(along_column)
-    if abs(lengths[0] - 1) > 0.01 or abs(lengths[1] - 1) > 0.01 or abs(along_row @ along_column) > 0.01:
-        raise CaseError(
-            "Image Orientation (0020,0037) is not a pair of perpendicular unit vectors",
-            where=name,
-            fix=_EXPORT,
-        )
     if min(spacing) <= 0:
         raise CaseError(
             f"Pixel Spacing (0028,0030) is {spacing[0]:g}, {spacing[1]:g} mm", where=name, fix=_EXPORT
@@ -172,6 +169,7 @@ def _decoded(dataset: Dataset, name: str) -> NDArray:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
+            require_affordable(dataset)
             return _from_high_bit(dataset)
     except (ValueError, AttributeError, RuntimeError, NotImplementedError, KeyError, TypeError) as error:
         syntax = getattr(getattr(dataset, "file_meta", None), "TransferSyntaxUID", None)

@@ -12,7 +12,7 @@ from limbcli.imaging.dicom import PIXEL_MM, STEP_MM, Series, read_series
 from limbcli.imaging.metaimage import read_metaimage
 from limbcli.imaging.nifti import read_nifti
 from limbcli.imaging.nrrd import read_nrrd_image
-from limbcli.imaging.volume import Volume
+from limbcli.imaging.volume import Volume, require_placed
 from limbcli.progress import SILENT, Progress
 
 _READERS = {".ni": read_nifti, ".nr": read_nrrd_image, ".nh": read_nrrd_image, ".mh": read_metaimage}
@@ -70,11 +70,7 @@ def _plausible(volume: Volume, path: Path) -> Volume:
     if min(volume.shape) < _LEAST:
         what = f"the image has {' x '.join(map(str, volume.shape))} voxels; a volume needs {_LEAST} each way"
         raise CaseError(what, where=str(path), fix="use the whole volume")
-    sides = volume.affine[:3, :3]
-    if not np.isfinite(volume.affine).all() or abs(np.linalg.det(sides)) < 1e-9:
-        what = "the image's voxels have no volume: its affine is singular"
-        raise CaseError(what, where=str(path), fix="export it again with its geometry")
-    units = sides / volume.spacing
+    units = require_placed(volume.affine, path, noun="image")[:3, :3] / volume.spacing
     if np.abs(units.T @ units - np.eye(3)).max() > _RIGHT_ANGLE:
         what = "the image's axes are not at right angles (a gantry tilt, or a registration with shear)"
         raise CaseError(what, where=str(path), fix="resample it to a straight grid, in 3D Slicer")

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import math
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
 
 import nibabel as nib
 import numpy as np
-from nibabel.filebasedimages import ImageFileError
-from nibabel.spatialimages import HeaderDataError
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -18,10 +15,16 @@ from limbcli.atomic_files import atomic_file
 from limbcli.errors import CaseError
 from limbcli.imaging.limbs import Side
 from limbcli.imaging.markers import MarkerCapsule, number_markers
-from limbcli.imaging.nifti import label_names_of, one_geometry, require_placement
+from limbcli.imaging.nifti import (
+    NIFTI_DAMAGED,
+    label_names_of,
+    one_geometry,
+    open_nifti,
+    require_placement,
+)
 from limbcli.imaging.segmentation import BONE, FAT, MARKER, SOFT_TISSUE, Segmentation
 from limbcli.imaging.signed_distance import filled_by_slice, largest
-from limbcli.imaging.volume import DAMAGED, MOST_VOXELS, RAS_FROM_LPS, Volume
+from limbcli.imaging.volume import MOST_VOXELS, RAS_FROM_LPS, Volume, require_placed
 from limbcli.model import Array
 
 _LIMB = (SOFT_TISSUE, BONE, FAT)
@@ -74,13 +77,13 @@ def read_nifti_labels(path: Path) -> tuple[Volume, dict[int, str]]:
         If the file cannot be read, or lacks its position in the patient frame.
     """
     try:
-        image = nib.load(path)
-        shape = tuple(image.shape)  # type: ignore[attr-defined]
+        image = open_nifti(path)
+        shape = tuple(image.shape)
         if math.prod(shape) > MOST_VOXELS:
             raise ValueError(f"its shape is {shape}")
-        values = np.array(image.dataobj)  # type: ignore[attr-defined]
-        affine = np.array(image.affine, dtype=np.float64)  # type: ignore[attr-defined]
-    except (ImageFileError, HeaderDataError, *DAMAGED, zlib.error) as error:
+        values = np.array(image.dataobj)
+        affine = np.array(image.affine, dtype=np.float64)
+    except NIFTI_DAMAGED as error:
         raise CaseError(
             f"the label map cannot be read ({error})",
             where=str(path),
@@ -100,10 +103,7 @@ def checked_labels(labels: Volume, path: Path, *, is_whole: bool = True) -> Volu
     is_whole : whether soft tissue is required
     """
     require_three_dimensions(labels, path)
-    if not np.isfinite(labels.affine).all() or abs(np.linalg.det(labels.affine[:3, :3])) < 1e-9:
-        raise CaseError(
-            "the label map's affine is singular", where=str(path), fix="export it again with its geometry"
-        )
+    require_placed(labels.affine, path, noun="label map")
     found = np.unique(labels.values)
     unknown = [each for each in found if each not in _KNOWN]
     if unknown:

@@ -7,7 +7,6 @@ TransformMatrix is the direction of one axis.
 from __future__ import annotations
 
 import math
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +14,16 @@ from numpy.typing import NDArray
 
 from limbcli.errors import CaseError
 from limbcli.imaging.nrrd import read_beside
-from limbcli.imaging.volume import MOST_VOXELS, Volume
+from limbcli.imaging.volume import MOST_VOXELS, Volume, require_placed, require_unit_directions
 from limbcli.model import Array
+from limbcli.unpacking import DAMAGED, Budget
 
 _TYPES = {
     "MET_CHAR": "i1", "MET_UCHAR": "u1", "MET_SHORT": "i2", "MET_USHORT": "u2", "MET_INT": "i4",
     "MET_UINT": "u4", "MET_LONG_LONG": "i8", "MET_ULONG_LONG": "u8", "MET_FLOAT": "f4", "MET_DOUBLE": "f8",
 }  # fmt: skip
 _LAST_KEY = "ElementDataFile"
+_PLACES = ("Offset", "Position", "Origin")
 _LONGEST = 65536  # bytes of a header
 _SAVE = "save it again from 3D Slicer as NIfTI (.nii.gz) or .nrrd"
 
@@ -50,13 +51,20 @@ def read_metaimage(path: Path, *, noun: str = "image") -> Volume:
     if _matrix_key(fields) is None:
         what = f"the {noun} does not define its orientation in the patient (no field `TransformMatrix`)"
         raise CaseError(what, where=str(path), fix=_SAVE)
+    if not any(key in fields for key in _PLACES):
+        what = f"the {noun} does not define its position in the patient (no field `Offset`)"
+        fix = f"{_SAVE}; or, where no other file shares its position, add the line Offset = 0 0 0"
+        raise CaseError(what, where=str(path), fix=fix)
     name = fields[_LAST_KEY]
     if name.upper() != "LOCAL":
         data = read_beside(path, name, noun=noun)
     try:
-        return Volume(_values(data, fields), _affine(fields))
-    except (KeyError, ValueError, zlib.error) as error:
+        values, affine, directions = _values(data, fields), _affine(fields), _directions(fields)
+    except DAMAGED as error:
         raise _refusal(path, f"cannot be read ({error})", noun) from error
+    affine = require_placed(affine, path, noun=noun)
+    require_unit_directions(directions, where=str(path), what="TransformMatrix", fix=_SAVE)
+    return Volume(values, affine)
 
 
 def _refusal(path: Path, what: str, noun: str) -> CaseError:
@@ -93,7 +101,7 @@ def _values(data: bytes, fields: dict[str, str]) -> NDArray:
     skip = int(fields.get("HeaderSize", "0"))
     data = data[max(len(data) - n_bytes, 0) if skip == -1 else skip :]
     if _is_true(fields, "CompressedData"):
-        data = zlib.decompressobj().decompress(data, n_bytes)
+        data = Budget().inflate(data, n_bytes)
     if len(data) < n_bytes:
         raise ValueError(f"{len(data)} of {n_bytes} bytes of data")
     return np.frombuffer(data, dtype=dtype, count=math.prod(sizes)).reshape(sizes, order="F")
@@ -107,6 +115,12 @@ def _matrix_key(fields: dict[str, str]) -> str | None:
     return next((key for key in ("TransformMatrix", "Rotation", "Orientation") if key in fields), None)
 
 
+def _directions(fields: dict[str, str]) -> Array:
+    """The directions of the axes, one in each row (3, 3)."""
+    words = fields[_matrix_key(fields) or "TransformMatrix"].split()
+    return np.array(words, dtype=float).reshape(3, 3)
+
+
 def _affine(fields: dict[str, str]) -> Array:
     """
     >>> fields = {"TransformMatrix": "0 1 0 -1 0 0 0 0 1", "Offset": "5 6 7", "ElementSpacing": "2 3 4"}
@@ -115,12 +129,11 @@ def _affine(fields: dict[str, str]) -> Array:
            [ 2.,  0.,  0.,  6.],
            [ 0.,  0.,  4.,  7.]])
     """
-    directions = np.array(fields[_matrix_key(fields) or "TransformMatrix"].split(), dtype=float).reshape(3, 3)
     spacing = np.array(fields.get("ElementSpacing", fields.get("ElementSize", "")).split(), dtype=float)
-    place = next((fields[key] for key in ("Offset", "Position", "Origin") if key in fields), "0 0 0")
-    if spacing.shape != (3,):
-        raise ValueError("no ElementSpacing of three numbers")
+    place = next(fields[key] for key in _PLACES if key in fields)
+    if spacing.shape != (3,) or (spacing < 0).any():
+        raise ValueError("no ElementSpacing of three positive numbers")
     affine = np.eye(4)
-    affine[:3, :3] = directions.T * spacing
+    affine[:3, :3] = _directions(fields).T * spacing
     affine[:3, 3] = np.array(place.split(), dtype=float).reshape(3)
     return affine

@@ -7,18 +7,22 @@ from __future__ import annotations
 
 import math
 import re
-import zlib
 from pathlib import Path
 
 import nibabel as nib
 import numpy as np
-from lxml import etree
 from nibabel.filebasedimages import ImageFileError
+from nibabel.imageglobals import LoggingOutputSuppressor
 from nibabel.spatialimages import HeaderDataError
+from nibabel.wrapstruct import WrapStructError
+from pydicom.errors import InvalidDicomError
 
 from limbcli.detached_data import beside
 from limbcli.errors import CaseError
-from limbcli.imaging.volume import DAMAGED, MOST_VOXELS, RAS_FROM_LPS, Volume
+from limbcli.imaging.volume import DAMAGED, MOST_VOXELS, RAS_FROM_LPS, Volume, require_placed
+from limbcli.unpacking import DAMAGED as NOT_UNPACKED
+from limbcli.unpacking import Budget
+from limbcli.xml_files import own_text, parsed_xml
 
 # Fraction of the smallest side of a voxel: grids whose corners are this close are the same.
 SAME_PLACE = 0.5
@@ -26,6 +30,11 @@ _FRAMES = {
     1: "the scanner's", 2: "aligned to another image", 3: "the Talairach atlas's",
     4: "the MNI 152 template's", 5: "another template's",
 }  # fmt: skip
+_HEADER = 540  # bytes, of NIfTI-2; NIfTI-1 has 348
+_MOST_BEFORE, _MOST_AFTER = 100_000_000, 1_000_000  # bytes of a packed file before and after its values
+NIFTI_DAMAGED = (
+    ImageFileError, HeaderDataError, WrapStructError, InvalidDicomError, *DAMAGED, *NOT_UNPACKED,
+)  # fmt: skip
 _INTENT_LABEL = 1002  # NIFTI_INTENT_LABEL: values are numbers of labels
 _ZOOM = 0.02  # largest relative difference of voxel sizes within one header
 _SAVE = "save it again from 3D Slicer as NIfTI (.nii.gz)"
@@ -57,15 +66,54 @@ def read_nifti(path: Path) -> Volume:
     one_geometry(image, path, noun="image")
     try:
         values = np.asarray(image.dataobj, dtype=np.float32).reshape(shape)
-    except (*DAMAGED, zlib.error) as error:
+    except NIFTI_DAMAGED as error:
         raise _unreadable(path, error) from error
     return Volume(values, RAS_FROM_LPS @ np.asarray(image.affine, dtype=np.float64))
 
 
+def open_nifti(path: Path) -> nib.Nifti1Image:
+    """A NIfTI-1 or NIfTI-2 file, packed or not, whose values are not yet read; nothing else is tried.
+
+    Raises
+    ------
+    One of `NIFTI_DAMAGED`
+        If it is none, damaged, too large, or its packed content is not as long as its header says.
+    """
+    with LoggingOutputSuppressor():  # it writes damaged headers to the terminal
+        return _packed(path) if path.name.lower().endswith(".gz") else _plain(path)
+
+
+def _plain(path: Path) -> nib.Nifti1Image:
+    with path.open("rb") as stream:
+        return _kind(stream.read(_HEADER)).from_filename(path)
+
+
+def _packed(path: Path) -> nib.Nifti1Image:
+    content = path.read_bytes()
+    head = Budget().gunzip(content, first=_HEADER)
+    kind = _kind(head).header_class
+    header = kind(head[: kind.sizeof_hdr], check=False)
+    begin, n_values = float(header["vox_offset"]), math.prod(max(1, int(n)) for n in header["dim"][1:])
+    if not 0 <= begin <= _MOST_BEFORE or n_values > 3 * MOST_VOXELS:
+        raise ValueError(f"its data begin at byte {begin:g}, and are {n_values} values")
+    n_bytes = int(begin) + n_values * header.get_data_dtype().itemsize
+    return _kind(head).from_bytes(Budget(n_bytes + _MOST_AFTER).gunzip(content))
+
+
+def _kind(head: bytes) -> type[nib.Nifti1Image]:
+    """The class for a file that begins like this: by the size of its header, in either order of bytes."""
+    sizes = {int.from_bytes(head[:4], order) for order in ("little", "big")}  # type: ignore[arg-type]
+    found = {348: nib.Nifti1Image, 540: nib.Nifti2Image}
+    kind = next((found[size] for size in sizes if size in found), None)
+    if kind is None:
+        raise ImageFileError("it is not a NIfTI file")
+    return kind
+
+
 def _opened(path: Path) -> object:
     try:
-        return nib.load(path)
-    except (ImageFileError, HeaderDataError, *DAMAGED, zlib.error) as error:
+        return open_nifti(path)
+    except NIFTI_DAMAGED as error:
         raise _unreadable(path, error) from error
 
 
@@ -142,7 +190,7 @@ def one_geometry(image: object, path: Path, *, noun: str) -> None:
         unit = "not one that the format knows"
     if unit not in ("mm", "unknown"):
         raise CaseError(f"the {noun}'s unit of length is {unit}, not mm", where=str(path), fix=fix)
-    affine = np.asarray(image.affine, dtype=np.float64)  # type: ignore[attr-defined]
+    affine = require_placed(image.affine, path, noun=noun)  # type: ignore[attr-defined]
     sides = np.linalg.norm(affine[:3, :3], axis=0)
     zooms = np.array(header.get_zooms()[:3], dtype=np.float64)
     if np.abs(zooms / np.maximum(sides, 1e-9) - 1).max() > _ZOOM:
@@ -187,7 +235,12 @@ def label_names_of(image: object, path: Path) -> dict[int, str]:
         content = extension.get_content()
         content = content if isinstance(content, bytes) else str(content).encode()
         if b"LabelTable" in content:
-            return _label_table(content)
+            try:
+                return _label_table(content)
+            except ValueError as error:
+                raise CaseError(
+                    f"the label map's table of names cannot be read ({error})", where=str(path), fix=_SAVE
+                ) from error
     name = bytes(header["aux_file"]).rstrip(b"\0").decode("utf-8", "replace").strip()
     found = beside(path, name) if name and int(header["intent_code"]) == _INTENT_LABEL else None
     return _names_in(found.read_text(encoding="utf-8", errors="replace")) if found else {}
@@ -198,14 +251,11 @@ def _label_table(content: bytes) -> dict[int, str]:
     >>> _label_table(b'<a><LabelTable><Label Key="2"><![CDATA[tibia]]></Label></LabelTable></a>')
     {2: 'tibia'}
     """
-    parser = etree.XMLParser(resolve_entities=False, recover=True)
-    root = etree.fromstring(content.strip(b"\0 \r\n\t"), parser)
-    labels = [] if root is None else root.iter("Label")
     found = {}
-    for each in labels:
+    for each in parsed_xml(content.strip(b"\0 \r\n\t"), recover=True).iter("Label"):
         key = str(each.get("Key", ""))
-        if key.lstrip("-").isdigit() and (each.text or "").strip():
-            found[int(key)] = str(each.text).strip()
+        if key.lstrip("-").isdecimal() and own_text(each).strip():
+            found[int(key)] = own_text(each).strip()
     return found
 
 

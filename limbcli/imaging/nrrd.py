@@ -7,18 +7,17 @@ beside it, encodings raw, gzip and ascii).
 from __future__ import annotations
 
 import math
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from limbcli.atomic_files import gunzip
 from limbcli.detached_data import beside
 from limbcli.errors import CaseError
-from limbcli.imaging.volume import MOST_VOXELS, RAS_FROM_LPS, Volume
+from limbcli.imaging.volume import MOST_VOXELS, RAS_FROM_LPS, Volume, require_placed
 from limbcli.model import Array
+from limbcli.unpacking import DAMAGED, Budget
 
 _TYPES = {
     "u1": ("uchar", "unsigned char", "uint8", "uint8_t"),
@@ -35,6 +34,7 @@ _TYPES = {
 _TEXT = ("ascii", "text", "txt")
 _LPS = ("left-posterior-superior", "lps")
 _RAS = ("right-anterior-superior", "ras")
+_MOST_SKIPPED = 1_000_000  # bytes of another format's header before packed data
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,9 +63,11 @@ def read_nrrd(path: Path, *, noun: str = "label map") -> Nrrd:
         layers = [n for n, each in enumerate(_directions(fields)) if each is None]
         if len(layers) > 1 or values.ndim != 3 + len(layers):
             raise ValueError(f"sizes {fields['sizes']} with space directions {fields['space directions']}")
-        return Nrrd(np.moveaxis(values, layers, [0] * len(layers)), _affine(fields), pairs)
-    except (KeyError, ValueError, OSError, EOFError, zlib.error) as error:
+        affine = _affine(fields)
+    except DAMAGED as error:
         raise _refusal(path, f"cannot be read ({error})", noun) from error
+    affine = require_placed(affine, path, noun=noun)
+    return Nrrd(np.moveaxis(values, layers, [0] * len(layers)), affine, pairs)
 
 
 def read_nrrd_image(path: Path) -> Volume:
@@ -104,6 +106,13 @@ def _check_geometry(fields: dict[str, str], path: Path, noun: str) -> None:
             f"the {noun} does not define its orientation in the patient (no field `{lacking}`)",
             where=str(path),
             fix="save it again from 3D Slicer" + (", or give the DICOM folder itself" * (noun == "image")),
+        )
+    if "none" in fields.get("space origin", "none").lower():
+        raise CaseError(
+            f"the {noun} does not define its position in the patient (no field `space origin`)",
+            where=str(path),
+            fix="save it again from 3D Slicer; or, where no other file shares its position, add the line "
+            "space origin: (0,0,0) to its header",
         )
     units = {each.strip('" ').lower() for each in fields.get("space units", "mm").split()}
     if not units <= {"mm", "millimeter", "millimeters"}:
@@ -189,7 +198,9 @@ def _values(data: bytes, fields: dict[str, str]) -> NDArray:
     if encoding in _TEXT:
         return np.array(data.split(), dtype=float).reshape(sizes, order="F")
     if encoding in ("gzip", "gz"):
-        data = gunzip(data, limit=8 * count + skip)
+        if skip > _MOST_SKIPPED:
+            raise ValueError(f"byte skip {skip} in packed data")
+        data = Budget(8 * count + skip).gunzip(data)
     elif encoding != "raw":
         raise ValueError(f"encoding {encoding}")
     order = ">" if fields.get("endian", "little").lower() == "big" else "<"
@@ -222,7 +233,7 @@ def _affine(fields: dict[str, str]) -> Array:
         raise ValueError("space directions of three axes are needed")
     affine = np.eye(4)
     affine[:3, :3] = np.array(columns).T
-    affine[:3, 3] = _vector(fields.get("space origin", "(0,0,0)"))
+    affine[:3, 3] = _vector(fields["space origin"])
     space = fields["space"].lower()
     if space in _RAS:
         affine = RAS_FROM_LPS @ affine

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from limbcli.errors import CaseError
 from limbcli.model import Array
 
 # Exceptions that image libraries raise on corrupt files.
@@ -18,6 +20,9 @@ DAMAGED = (
 # largest number of voxels of an image: a whole leg at 0.4 mm; more would not be a limb, nor fit into memory
 MOST_VOXELS = 300_000_000
 RAS_FROM_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
+_FLAT = 0.1  # volume of a cell with axes of length 1, below which they are (nearly) in one plane: 6 degrees
+_UNIT = 0.01  # largest error of the length of a unit vector, and cosine of perpendicular ones
+_AXES = "ijk"
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +100,50 @@ class Volume:
             affine[:3, 2] *= -1
             values = values[:, :, ::-1]
         return Volume(values, affine), order, flipped
+
+
+def require_placed(affine: Array, path: Path | str, *, noun: str) -> Array:
+    """The affine (4, 4) from voxels to patient, mm, of an image or label map: checked for every format.
+
+    noun : what the file is, for the messages ("image", "label map")
+
+    Raises
+    ------
+    CaseError
+        If position or directions are no finite numbers, a direction has no length, or the three lie in one
+        plane.
+    """
+    affine = np.asarray(affine, dtype=np.float64)
+    fix = "export it again with its geometry, from 3D Slicer or the DICOM series"
+    if affine.shape != (4, 4) or not np.isfinite(affine).all():
+        what = f"the {noun}'s position or directions are not finite numbers"
+        raise CaseError(what, where=str(path), fix=fix)
+    lengths = np.linalg.norm(affine[:3, :3], axis=0)
+    if not (lengths > 0).all():
+        axis = _AXES[int(np.argmin(lengths))]
+        what = f"the {noun}'s voxels have no size along {axis}: its direction has length 0"
+        raise CaseError(what, where=str(path), fix=fix)
+    if abs(np.linalg.det(affine[:3, :3] / lengths)) < _FLAT:
+        what = f"the {noun}'s three directions are parallel, or lie in one plane: its affine is singular"
+        raise CaseError(what, where=str(path), fix=fix)
+    return affine
+
+
+def require_unit_directions(directions: Array, *, where: str, what: str, fix: str) -> None:
+    """Check that directions (n, 3) that are to be unit vectors are, and perpendicular to each other.
+
+    what : what they are, for the message
+
+    Raises
+    ------
+    CaseError
+        If they are not.
+    """
+    directions = np.asarray(directions, dtype=np.float64)
+    if not np.abs(directions @ directions.T - np.eye(len(directions))).max() <= _UNIT:  # also of NaN
+        listed = " ".join(f"{each:.6g}" for each in directions.ravel())
+        what = f"{what} does not have perpendicular directions of length 1: {listed}"
+        raise CaseError(what, where=where, fix=fix)
 
 
 def back(values: NDArray, order: tuple[int, ...], flipped: bool) -> NDArray:

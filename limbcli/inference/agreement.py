@@ -10,7 +10,7 @@ that of the counted noise, and R2. Runs: the chance of so few changes of sign al
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -30,6 +30,7 @@ TOO_CLOSE_CHANCE = 0.01
 # Ratio of RMSE to counted noise above which a fit is bad; with six residuals chance alone exceeds 1.5 in one
 # case of forty. Below the other, the order of signs says nothing.
 BEYOND_NOISE, WITHIN_NOISE = 2.0, 0.5
+LEAST_POISSON = 0.4  # Poisson's ratio below which a tissue is none
 LEAST_R2 = 0.9  # R2 below which a fit is bad; any curve that increases with the force has more
 
 
@@ -142,6 +143,38 @@ chi2/nu 12.9, chance 0.033 %'
     # speeds of one image series share their errors: too close, and runs of one sign, say nothing
     numbers = _numbers(root_mean_square(gap), noise, chi_square, len(gap))
     return _judged(numbers, bad=False, good=told, poor=told)
+
+
+def tissue_agreement(f_kappa_below: float | None, at_lower_bound: Sequence[str]) -> FitAgreement | None:
+    """What speaks against a fit with parameters of no soft tissue, however well it agrees; None if nothing.
+
+    f_kappa_below : its upper 95 % limit, None if open. With kappa' = f_kappa c the ratio of bulk to shear
+    modulus is 2 f_kappa + 2/3, which gives Poisson's ratio; that of soft tissue is 0.45 to 0.5.
+    at_lower_bound : names of the parameters that ended there
+
+    >>> tissue_agreement(20.0, []) is None
+    True
+    >>> tissue_agreement(1.95, ["f_kappa"]).state, tissue_agreement(9.0, ["m"]).state
+    ('bad', 'doubtful')
+    """
+    ratio = 2.0 * (np.inf if f_kappa_below is None else f_kappa_below) + 2.0 / 3.0
+    poisson = (3.0 - 2.0 / ratio) / (6.0 + 2.0 / ratio)
+    if poisson < LEAST_POISSON:
+        return FitAgreement(
+            "bad",
+            "the forces are too low for the shear-wave speed at rest: only tissue with f_kappa below "
+            f"{short(f_kappa_below or 0.0)} gives them (Poisson's ratio below {poisson:.2f}; soft tissue has "
+            "0.45 to 0.5). Is force_n in another unit (lbf: multiply by 4.448), or the speed that of a stiff "
+            "layer?",
+        )
+    if at_lower_bound:
+        return FitAgreement(
+            "doubtful",
+            f"{' and '.join(at_lower_bound)} ended on the lower bound: the force grows with the depth more "
+            "slowly than that of soft tissue with this speed. Check depth_mm (unit, first touch) and force_n "
+            "(unit, tare)",
+        )
+    return None
 
 
 def chi_square_agreement(chi_square: float, n_freedom: int) -> FitAgreement:

@@ -6,8 +6,10 @@ Properties of channels (National Instruments, "The NI TDMS File Format", and wha
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -41,7 +43,7 @@ def tdms_sheet(path: Path, is_wanted: Callable[[str], bool]) -> Sheet:
     ToolError
         If npTDMS is not installed.
     MeasurementError
-        If the file is damaged, or has no wanted channel or no values in it.
+        If the file is damaged or cut short, or has no wanted channel or no values in it.
     """
     try:
         from nptdms import TdmsFile
@@ -52,7 +54,7 @@ def tdms_sheet(path: Path, is_wanted: Callable[[str], bool]) -> Sheet:
             fix=f"pip install 'limbcli[{EXTRA}]' (or npTDMS), or export the record as text: .lvm or CSV",
         ) from error
     try:
-        with TdmsFile.open(path) as file:
+        with _warnings() as warned, TdmsFile.open(path) as file:
             channels = [each for group in file.groups() for each in group.channels()]
             names = Counter(each.name for each in channels)
             titled = [
@@ -68,6 +70,12 @@ def tdms_sheet(path: Path, is_wanted: Callable[[str], bool]) -> Sheet:
             where=str(path),
             fix="copy it again from the machine that wrote it, or export it as text: .lvm or CSV",
         ) from error
+    if warned:
+        raise MeasurementError(
+            "the TDMS file is damaged, or was cut short while it was written",
+            where=str(path),
+            fix="copy it again from the machine that wrote it, or export what it holds as text: .lvm or CSV",
+        )
     if n_samples > _MOST:
         raise MeasurementError(
             f"the TDMS file has {n_samples} samples; at most {_MOST} are read",
@@ -84,6 +92,27 @@ def tdms_sheet(path: Path, is_wanted: Callable[[str], bool]) -> Sheet:
     flat = [column for own in columns for column in own]
     rows = [list(row) for row in zip_longest(*(cells for _, _, cells in flat), fillvalue="")]
     return Sheet([title for title, _, _ in flat], rows, "\t", [unit for _, unit, _ in flat])
+
+
+@contextmanager
+def _warnings() -> Iterator[list[str]]:
+    """Collect what npTDMS warns of: it writes it to the terminal, with the bytes of a damaged file."""
+    from nptdms.log import log_manager
+
+    found: list[str] = []
+
+    def keep(record: logging.LogRecord) -> bool:
+        found.append(record.levelname)
+        return False
+
+    loggers = list(log_manager.loggers.values())
+    for each in loggers:
+        each.addFilter(keep)
+    try:
+        yield found
+    finally:
+        for each in loggers:
+            each.removeFilter(keep)
 
 
 _Column = tuple[str, str, list[str]]  # title, unit, cells

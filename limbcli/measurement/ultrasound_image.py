@@ -271,9 +271,10 @@ def _read_dicom(path: Path, frame: int | None) -> _Frame:
 def _dicom_frame(path: Path, frame: int | None) -> _Frame:
     from pydicom.pixels import apply_color_lut, pixel_array
 
-    from limbcli.dicom_files import read_dicom
+    from limbcli.dicom_files import read_dicom, require_affordable
 
     dataset = read_dicom(path)
+    require_affordable(dataset)
     number = _frame_of(path, int(dataset.get("NumberOfFrames", 1) or 1), frame)
     # already converted to RGB if the file stores YBR
     pixels = pixel_array(dataset, index=(number or 1) - 1)

@@ -60,7 +60,8 @@ def agreement_view(data: Mapping[str, Any], part: str = "") -> AgreementView:
     found = data.get("agreement")
     if not isinstance(found, Mapping):
         return UNTESTED
-    parts = [each for each in (found.get("force"), found.get("speeds")) if isinstance(each, Mapping)]
+    parts = [found.get(name) for name in ("tissue", "force", "speeds")]
+    parts = [each for each in parts if isinstance(each, Mapping)]
     if part:
         found = found.get(part)
     if not isinstance(found, Mapping) or found.get("state") not in _MOODS:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from limbcli.atomic_files import atomic_file
+from limbcli.unpacking import DAMAGED, read_npz
 from limbcli.version import __version__
 
 if TYPE_CHECKING:
@@ -61,8 +61,8 @@ class Restart:
 
     def _read(self) -> dict[float, State]:
         """The levels in the file; none if it belongs to another model or is damaged."""
-        unusable = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
-        with contextlib.suppress(*unusable), np.load(self.path, allow_pickle=False) as stored:
+        with contextlib.suppress(*DAMAGED):
+            stored = read_npz(self.path)
             if str(stored["key"]) == self.key:
                 return levels_of(stored)
         return {}
@@ -106,7 +106,7 @@ def _state(stored: Any, k: int, time: float) -> State:
     from limbcli.fem.motion.rigid import BodyState
     from limbcli.fem.motion.state import State
 
-    keys = [key for key in stored.files if key.startswith(f"hints{k}_")]
+    keys = [key for key in stored if key.startswith(f"hints{k}_")]
     hints = tuple(stored[f"hints{k}_{j}"] for j in range(len(keys)))
     motions = zip(stored[f"shift{k}"], stored[f"rotation{k}"], strict=True)
     bodies = tuple(BodyState(shift, rotation) for shift, rotation in motions)

@@ -218,7 +218,7 @@ def _write_maps(site: Site, result: StageResult) -> None:
     """Write the decoded maps to the folder that case.toml names, unless it exists."""
     if site.swe_maps is None or site.swe_maps.exists() or not (result.folder / "swe").is_dir():
         return
-    with atomic_folder(site.swe_maps) as folder:
+    with atomic_folder(site.swe_maps, is_new=True) as folder:
         for each in sorted((result.folder / "swe").glob("level_*.csv")):
             shutil.copy2(each, folder / each.name)
 

@@ -32,6 +32,7 @@ from limbcli.stages.provenance.requested_options import requested_of
 from limbcli.stages.segmenting.places import warnings_of_limb
 from limbcli.stages.site_model.fibres import note_fibres, with_fibres, write_fibres
 from limbcli.stages.site_model.mesh_checks import (
+    across_warnings,
     geometry_warnings,
     layer_warnings,
     measured_skin_bone,
@@ -286,6 +287,7 @@ def _report(
         )
     )
     writer.warnings.extend(moved_warnings(frame.moved, site))
+    writer.warnings.extend(across_warnings(frame.proximal, site.long_axis))
     if abs(frame.slope_deg) > LARGEST_SLOPE_DEG:
         writer.warnings.append(
             f"long_axis leaves the skin by {abs(frame.slope_deg):.0f} degrees, more than a probe is "

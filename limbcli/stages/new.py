@@ -104,7 +104,7 @@ def _texts(subject: str, sites: tuple[str, ...]) -> dict[str, str]:
 
 
 def _fill_absent(folder: Path, fill: Callable[[Path], None]) -> None:
-    with atomic_folder(folder) as work:
+    with atomic_folder(folder, is_new=True) as work:
         fill(work)
 
 

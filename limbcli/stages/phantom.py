@@ -104,7 +104,7 @@ def phantom(
     progress.event("stage", name="phantom", site=None)
     if options.synth is not None:
         compile_ahead()
-    with atomic_folder(folder) as work:
+    with atomic_folder(folder, is_new=not force) as work:
         volume = _write_image(subject, work, options, rng_image, progress)
         _write_geometry(subject, volume, work)
         _write_case(subject, work, options, options.noise, measured=False)
@@ -113,6 +113,7 @@ def phantom(
             _write_case(subject, work, options, measured[0].law, measured=True)
         _write_truth(subject, work, options, measured)
         keep_expected(folder, work)
+        _check_target(folder, force=force)  # another program may have made it meanwhile
     return _result(folder, subject, volume, measured, options)
 
 

@@ -89,6 +89,7 @@ def synth(
             table = case_table(case, {each.site: each.law for each in measured}, layers=options.layers)
             (work / CASE_FILE).write_text(toml(table), encoding="utf-8")
             keep_expected(out_case, work)
+            _check_target(case, out_case, force=force)  # another program may have made it meanwhile
             if (before := truth_file(out_case)).exists():
                 os.truncate(before, 0)  # if killed from here on, an empty truth file rather than a wrong one
     return _result(case, out_case, measured)

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from limbcli.unpacking import DAMAGED
+
 _HEAD = 1 << 20  # bytes that are searched for a declaration
 _OF_TEXT = {
     ".ply": re.compile(rb"^property\s+\w+\s+(?:diffuse_)?red\b", re.MULTILINE),
@@ -68,5 +70,5 @@ def _parts(path: Path) -> bytes:
                 with package.open(name) as part:
                     heads.append(part.read(_HEAD))
             return b"".join(heads)
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError):
+    except DAMAGED:
         return b""

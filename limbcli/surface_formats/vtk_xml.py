@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import base64
 import binascii
-import lzma
-import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -19,13 +17,14 @@ from lxml import etree
 from limbcli.model import Array, IntArray
 from limbcli.surface_formats import lz4
 from limbcli.surface_formats.polygons import by_length, from_cells, from_strips
+from limbcli.unpacking import DAMAGED, Budget
+from limbcli.xml_files import own_text, parsed_xml
 
 _TYPES = {"Int8": "i1", "UInt8": "u1", "Int16": "i2", "UInt16": "u2", "Int32": "i4", "UInt32": "u4",
           "Int64": "i8", "UInt64": "u8", "Float32": "f4", "Float64": "f8", "String": "u1"}  # fmt: skip
 _APPENDED = b"<AppendedData"
-_LARGEST = 1 << 33  # bytes, largest unpacked array
-_DAMAGED = (ValueError, KeyError, IndexError, TypeError, binascii.Error, zlib.error, lzma.LZMAError,
-            etree.XMLSyntaxError)  # fmt: skip
+_LARGEST = 1 << 33  # bytes, largest size of an array
+_DAMAGED = (*DAMAGED, IndexError, TypeError, binascii.Error)
 
 
 def read_vtk_xml(path: Path) -> tuple[Array, list[IntArray]]:
@@ -91,6 +90,7 @@ class _File:
     is_base64: bool
     order: str
     packer: str
+    budget: Budget = field(default_factory=Budget)
 
     @property
     def header(self) -> np.dtype[np.unsignedinteger]:
@@ -108,7 +108,7 @@ class _File:
     def array(self, element: etree._Element) -> Array | IntArray:
         """The values (n,) of a DataArray in any of the encodings."""
         form = np.dtype(self.order + _TYPES[element.get("type", "")])
-        text = (element.text or "").strip().encode("latin-1")
+        text = own_text(element).strip().encode("latin-1")
         if element.get("format") == "ascii":
             return np.array(text.split(), np.float64 if form.kind == "f" else np.int64).astype(form)
         if element.get("format") == "appended":
@@ -129,9 +129,17 @@ class _File:
         content, found, begin = body(sum(packed)), [], 0
         for k, n_packed in enumerate(packed):
             size = last if k == n_blocks - 1 and last else full
-            found.append(_unpacked(content[begin : begin + n_packed], size, self.packer))
+            found.append(self._unpacked(content[begin : begin + n_packed], size))
             begin += n_packed
         return b"".join(found)
+
+    def _unpacked(self, block: bytes, size: int) -> bytes:
+        if "ZLib" in self.packer or "LZMA" in self.packer:
+            return _checked(self.budget.inflate(block, size, is_lzma="LZMA" in self.packer), size)
+        if "LZ4" in self.packer:
+            self.budget.spend(size)
+            return lz4.unpacked(block, size)
+        raise ValueError(f"its compressor {self.packer!r} is not known")
 
     def _head(self, data: bytes, at: int, count: int, is_base64: bool, *, is_apart: bool = False):  # type: ignore[no-untyped-def]
         """The numbers before the bytes of an array, and a function that gives so many bytes behind them.
@@ -167,16 +175,6 @@ def _checked(content: bytes, size: int) -> bytes:
     return content
 
 
-def _unpacked(block: bytes, size: int, packer: str) -> bytes:
-    if "ZLib" in packer:
-        return _checked(zlib.decompressobj().decompress(block, size), size)
-    if "LZMA" in packer:
-        return _checked(lzma.LZMADecompressor().decompress(block, size), size)
-    if "LZ4" in packer:
-        return lz4.unpacked(block, size)
-    raise ValueError(f"its compressor {packer!r} is not known")
-
-
 def _open(path: Path) -> _File:
     content = path.read_bytes()
     begin = content.find(_APPENDED)
@@ -186,8 +184,7 @@ def _open(path: Path) -> _File:
         is_base64 = b"base64" in content[begin:tag_end]
         text = content[:begin] + b"</VTKFile>"
         appended = content[content.index(b"_", tag_end) + 1 :]
-    parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True)
-    root = etree.fromstring(text, parser)
+    root = parsed_xml(text)
     if root.tag != "VTKFile":
         raise ValueError(f"its root is {root.tag}")
     order = "<" if root.get("byte_order", "LittleEndian") == "LittleEndian" else ">"

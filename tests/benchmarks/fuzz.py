@@ -16,6 +16,7 @@ import resource
 import subprocess
 import sys
 import tempfile
+from importlib.util import find_spec
 from pathlib import Path
 
 from tests.fuzz.targets import TARGETS, Target
@@ -90,6 +91,9 @@ def main() -> None:
     faults = []
     print("| input | tried | refused | read | faults |\n|---|---|---|---|---|")
     for target in chosen:
+        if target.needs and find_spec(target.needs) is None:
+            print(f"| {target.name} | 0: {target.needs} is not installed | | | |", flush=True)
+            continue
         rows = run(target, each_n, options)
         counts = collections.Counter(str(row["outcome"]) for row in rows)
         bad = [row for row in rows if row["outcome"] not in GOOD]

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import gzip
+import json
 import shutil
 import zipfile
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +18,7 @@ import numpy as np
 import pydicom
 import pydicom.data
 from PIL import Image
+from pydicom.uid import DeflatedExplicitVRLittleEndian
 
 from limbcli.case import read_case
 from limbcli.errors.problems import errors_of
@@ -22,19 +26,27 @@ from limbcli.feb.log import check_complete, read_log
 from limbcli.feb.outline import read_outline
 from limbcli.feb.read import read_feb
 from limbcli.feb.records import read_records
+from limbcli.feb.runnable import runnable
 from limbcli.imaging.dicom import read_series
 from limbcli.imaging.image_files import read_image as read_image_file
 from limbcli.imaging.label_files import read_label_file
 from limbcli.imaging.surface import read_surface
+from limbcli.imaging.volume import Volume
+from limbcli.measurement.cohort_checks import checked_cohort
 from limbcli.measurement.elastography import check_maps
 from limbcli.measurement.indentation import check_levels, check_trace
 from limbcli.measurement.recording import read_recording
 from limbcli.measurement.ultrasound_image import read_image
 from limbcli.meshing import surfaces
 from limbcli.model_io import load_model, save_model
+from limbcli.results import open_stage, read_result, stage_folder
+from limbcli.surface_formats.aop import AopLimb, write_aop
+from tests.cohort_rows import HEADER, row
+from tests.imaging.limb_images import dicom_seg
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "feb"
 DICOM = Path(pydicom.data.__file__).parent / "test_files"
+VTK = Path(__file__).resolve().parents[1] / "data" / "vtk"
 CASES = Path(__file__).resolve().parents[2] / "cases"
 
 
@@ -42,6 +54,7 @@ CASES = Path(__file__).resolve().parents[2] / "cases"
 class Target:
     """name : of the kind of input; file : the one that is damaged, in the folder that `make` fills
 
+    needs : a package that is not always installed
     sound : of what `read` gave: whether nothing impossible came through
     """
 
@@ -51,6 +64,7 @@ class Target:
     make: Callable[[Path], None]
     read: Callable[[Path], Any]
     sound: Callable[[Any], bool] = lambda found: True
+    needs: str = ""
 
 
 def finite(values: Any) -> bool:
@@ -200,6 +214,125 @@ def make_model(folder: Path) -> None:
     save_model(read_feb(DATA / "punch.feb"), folder / "model.npz")
 
 
+def make_tdms(folder: Path) -> None:
+    import nptdms
+
+    force = np.r_[np.zeros(40), np.linspace(0, 6, 80), np.full(80, 6.0)]
+    with nptdms.TdmsWriter(folder / "record.tdms") as writer:
+        wave = {"wf_increment": 1 / 60, "wf_start_offset": 0.0, "wf_samples": 1}
+        channels = (("force_n", force, {"unit_string": "N"}), ("depth_mm", force / 2, {}))
+        writer.write_segment(
+            [nptdms.ChannelObject("rig", name, values, {**wave, **more}) for name, values, more in channels]
+        )
+
+
+def make_off(folder: Path) -> None:
+    make_surface("a.ply", binary=False)(folder)
+    found = read_surface(folder / "a.ply")
+    rows = [" ".join(f"{each:.6g}" for each in point) for point in found.points]
+    rows += ["3 " + " ".join(map(str, face)) for face in found.triangles]
+    head = f"OFF\n{len(found.points)} {len(found.triangles)} 0\n"
+    (folder / "a.off").write_text(head + "\n".join(rows) + "\n")
+
+
+def make_aop(folder: Path) -> None:
+    angles, heights = np.arange(0.0, 360.0, 30.0), np.arange(0.0, 60.0, 10.0)
+    limb = AopLimb(angles, heights, np.full((6, 12), 30.0), "left", {"TIB": np.array([[0.0, 20.0]])})
+    write_aop(folder / "a.aop", limb)
+
+
+def make_mha(folder: Path) -> None:
+    head = (
+        "ObjectType = Image\nNDims = 3\nDimSize = 24 20 10\nElementType = MET_UCHAR\nBinaryData = True\n"
+        "TransformMatrix = 1 0 0 0 1 0 0 0 1\nElementSpacing = 2 2 4\nOffset = 0 0 0\n"
+        "CompressedData = True\nElementDataFile = LOCAL\n"
+    )
+    (folder / "labels.mha").write_bytes(head.encode() + zlib.compress(_labels().tobytes(order="F")))
+
+
+def make_packed_nrrd(folder: Path) -> None:
+    make_nrrd(folder)
+    head, _, values = (folder / "labels.nrrd").read_bytes().partition(b"\n\n")
+    head = head.replace(b"encoding: raw", b"encoding: gzip\nbyte skip: 16")
+    (folder / "labels.nrrd").write_bytes(head + b"\n\n" + gzip.compress(bytes(16) + values))
+
+
+def make_dicom_seg(folder: Path) -> None:
+    truth = Volume(_labels(), np.diag([2.0, 2.0, 4.0, 1.0]))
+    dicom_seg(folder / "labels.dcm", truth, {"Soft tissue": 1, "Bone": 2})
+
+
+def make_deflated(folder: Path) -> None:
+    make_dicom("MR_small.dcm")(folder)
+    dataset = pydicom.dcmread(folder / "slice2.dcm")
+    dataset.file_meta.TransferSyntaxUID = DeflatedExplicitVRLittleEndian
+    dataset.save_as(folder / "slice2.dcm")
+
+
+_LOADS = """<Loads><surface_load name="a" type="pressure" surface="skin"><pressure lc="1">0.001</pressure>
+<linear>1</linear></surface_load><nodal_load type="nodal_load" node_set="skin"><dof>y</dof>
+<scale lc="1">3</scale></nodal_load><body_load type="body force"><force>0,0,9.81</force></body_load></Loads>
+"""
+
+
+def make_loaded_feb(folder: Path) -> None:
+    text = (DATA / "punch.feb").read_text().replace("<Boundary>", f"{_LOADS}<Boundary>", 1)
+    (folder / "model.feb").write_text(text)
+
+
+def make_packed_feb(folder: Path) -> None:
+    (folder / "model.feb.gz").write_bytes(gzip.compress((DATA / "punch.feb").read_bytes()))
+
+
+def copied(name: str) -> Callable[[Path], None]:
+    def make(folder: Path) -> None:
+        shutil.copy(VTK / name, folder / name)
+
+    return make
+
+
+RESULT = {
+    "c_kpa": 8.5,
+    "f_kappa": 21.0,
+    "m": None,
+    "interval_95": {"c_kpa": [7.1, 10.2]},
+    "words": ["a", "b"],
+}
+
+
+def make_result(folder: Path) -> None:
+    """A result of `fit` in the folder that `read_result` expects, and a copy of its record."""
+    with open_stage(folder, "fit", subject="S1", site="p1") as writer:
+        writer.data.update(RESULT)
+        writer.summary.append("c 8.5 kPa")
+        writer.file("curves", "curves.csv").write_text("depth_mm,force_n\n0,0\n1,0.5\n")
+    shutil.copy(stage_folder(folder, "fit", "p1") / "fit.json", folder / "fit.json")
+
+
+def read_own_result(path: Path) -> Any:
+    shutil.copy(path, stage_folder(path.parent, "fit", "p1") / "fit.json")
+    return read_result(path.parent, "fit", site="p1")
+
+
+def make_cohort(folder: Path) -> None:
+    rng = np.random.default_rng(7)
+    rows = [
+        row(f"P{k:03d}", "LL_P", 8.0 + rng.normal(), np.array([1.5, 7.0, 30.0]) * rng.uniform(0.9, 1.1, 3),
+            np.array([0.1, 1.5, 5.0]), 0.0018)
+        for k in range(8)
+    ]  # fmt: skip
+    lines = [",".join(HEADER), *(",".join(each[name] for name in HEADER) for each in rows)]
+    (folder / "cohort.csv").write_text("\n".join(lines) + "\n")
+
+
+def make_seg_nrrd(folder: Path) -> None:
+    make_nrrd(folder)
+    head, _, values = (folder / "labels.nrrd").read_bytes().partition(b"\n\n")
+    names = (("Segment0", "Muscle", 1), ("Segment1", "Tibia", 2))
+    pairs = "".join(f"{key}_Name:={name}\n{key}_LabelValue:={n}\n{key}_Layer:=0\n" for key, name, n in names)
+    (folder / "labels.seg.nrrd").write_bytes(head + b"\n" + pairs.encode() + b"\n" + values)
+
+
 # ---------------------------------------------------------------- what must hold of what was read
 
 
@@ -238,6 +371,16 @@ def sound_feb(model: Any) -> bool:
     cells = [block.cells for block in model.mesh.blocks]
     inside = all((each >= 0).all() and (each < len(model.mesh.points)).all() for each in cells)
     return finite(model.mesh.points) and inside
+
+
+def sound_result(result: Any) -> bool:
+    """A record that was changed and not noticed would be shown as it stands."""
+    return dict(result.data) == json.loads(json.dumps(RESULT)) and result.summary == ("c 8.5 kPa",)
+
+
+def sound_cohort(found: Any) -> bool:
+    table, problems = found
+    return table is None or bool(errors_of(problems)) or finite(table.force)
 
 
 def read_whole_log(path: Path) -> Any:
@@ -289,4 +432,28 @@ TARGETS = (
     Target("records", "nodes.csv", True, make_records, lambda path: read_records(path, n_columns=3),
            lambda found: finite(found.values) and finite(found.times)),
     Target("model.npz", "model.npz", False, make_model, load_model, sound_feb),
+    Target("TDMS record", "record.tdms", False, make_tdms, read_recording,
+           lambda found: finite(found.time) and bool((np.diff(found.time) > 0).all()), needs="nptdms"),
+    *(
+        Target(f"surface {name}", name, text, make, read_surface,
+               lambda found: sound_faces(found.points, found.triangles))
+        for name, text, make in (
+            ("a.off", True, make_off), ("a.aop", True, make_aop), ("text.vtk", True, copied("text.vtk")),
+            ("grid-binary.vtk", False, copied("grid-binary.vtk")), ("text.vtp", True, copied("text.vtp")),
+            ("raw.vtp", False, copied("raw.vtp")), ("zlib.vtp", True, copied("zlib.vtp")),
+            ("lz4.vtu", True, copied("lz4.vtu")), ("lzma.vtu", True, copied("lzma.vtu")),
+        )
+    ),
+    Target("MetaImage", "labels.mha", False, make_mha, read_label_file, sound_labels),
+    Target("MetaImage image", "labels.mha", False, make_mha, read_image_file, sound_volume),
+    Target("NRRD, packed", "labels.nrrd", False, make_packed_nrrd, read_label_file, sound_labels),
+    Target("segments NRRD", "labels.seg.nrrd", True, make_seg_nrrd, read_label_file, sound_labels),
+    Target("DICOM SEG", "labels.dcm", False, make_dicom_seg, read_label_file, sound_labels),
+    Target("DICOM, deflated", "slice2.dcm", False, make_deflated, lambda path: read_series(path.parent),
+           sound_volume),
+    Target(".feb, loads", "model.feb", True, make_loaded_feb, read_feb, sound_feb),
+    Target(".feb, run", "model.feb", True, make_loaded_feb, runnable),
+    Target(".feb.gz", "model.feb.gz", False, make_packed_feb, read_feb, sound_feb),
+    Target("result", "fit.json", True, make_result, read_own_result, sound_result),
+    Target("cohort table", "cohort.csv", True, make_cohort, checked_cohort, sound_cohort),
 )  # fmt: skip

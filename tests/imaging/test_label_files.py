@@ -7,9 +7,7 @@ import gzip
 import numpy as np
 import pydicom
 import pytest
-from limb_images import Limb, without_meta
-from pydicom.dataset import FileDataset, FileMetaDataset
-from pydicom.uid import ExplicitVRLittleEndian, SegmentationStorage
+from limb_images import Limb, dicom_seg, without_meta
 from scipy.spatial.transform import Rotation
 
 from limbcli.errors import CaseError
@@ -143,47 +141,6 @@ def test_a_nrrd_label_map_that_does_not_say_how_it_lies_or_in_what_unit_is_refus
     in_cm = nrrd(tmp_path / "b.nrrd", truth, extra='space units: "cm" "cm" "cm"\n')
     with pytest.raises(CaseError, match="the label map's unit of length is cm"):
         read_label_file(in_cm)
-
-
-def dicom_seg(path, truth, names):
-    meta = FileMetaDataset()
-    meta.MediaStorageSOPClassUID, meta.MediaStorageSOPInstanceUID = SegmentationStorage, "1.2.3.4"
-    meta.TransferSyntaxUID = ExplicitVRLittleEndian
-    dataset = FileDataset(str(path), {}, file_meta=meta, preamble=b"\0" * 128)
-    dataset.SOPClassUID, dataset.SOPInstanceUID, dataset.Modality = SegmentationStorage, "1.2.3.4", "SEG"
-    dataset.Rows, dataset.Columns, dataset.SegmentationType = truth.shape[1], truth.shape[0], "BINARY"
-    dataset.SamplesPerPixel, dataset.PhotometricInterpretation = 1, "MONOCHROME2"
-    dataset.BitsAllocated = dataset.BitsStored = 1
-    dataset.HighBit = dataset.PixelRepresentation = 0
-    orientation, measures, shared = pydicom.Dataset(), pydicom.Dataset(), pydicom.Dataset()
-    directions = truth.affine[:3, :3] / truth.spacing
-    orientation.ImageOrientationPatient = [f"{x:.9g}" for x in directions[:, :2].T.ravel()]
-    measures.PixelSpacing, measures.SliceThickness = [truth.spacing[1], truth.spacing[0]], truth.spacing[2]
-    shared.PlaneOrientationSequence, shared.PixelMeasuresSequence = [orientation], [measures]
-    dataset.SharedFunctionalGroupsSequence = [shared]
-    planes, groups, segments = [], [], []
-    for number, (name, value) in enumerate(names.items(), 1):
-        segment = pydicom.Dataset()
-        segment.SegmentNumber, segment.SegmentLabel = number, name
-        segments.append(segment)
-        for k in range(truth.shape[2]):
-            mask = truth.values[:, :, k] == value
-            if not mask.any():
-                continue
-            position, identity, group = pydicom.Dataset(), pydicom.Dataset(), pydicom.Dataset()
-            place = truth.to_patient(np.array([[0.0, 0.0, k]]))[0]
-            position.ImagePositionPatient = [f"{x:.10g}" for x in place]
-            identity.ReferencedSegmentNumber = number
-            group.PlanePositionSequence, group.SegmentIdentificationSequence = [position], [identity]
-            planes.append(mask.T)
-            groups.append(group)
-    dataset.SegmentSequence, dataset.PerFrameFunctionalGroupsSequence = segments, groups
-    dataset.NumberOfFrames = len(planes)
-    bits = np.packbits(np.stack(planes).ravel(), bitorder="little").tobytes()
-    dataset.PixelData = bits + b"\0" * (len(bits) % 2)
-    dataset["PixelData"].VR = "OB"
-    dataset.save_as(path, enforce_file_format=True)
-    return path
 
 
 def test_a_dicom_seg_is_brought_to_our_labels_by_its_names(truth, tmp_path):

@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.inference.agreement import chi_square_agreement, force_agreement, speed_agreement
+from limbcli.inference.agreement import (
+    chi_square_agreement,
+    force_agreement,
+    speed_agreement,
+    tissue_agreement,
+)
 from limbcli.reporting.agreement_view import agreement_view
 
 ZIGZAG = np.array([1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, -1.0])  # in noise deviations
@@ -74,3 +79,18 @@ def test_the_page_shows_the_state_of_the_result(name):
     view = agreement_view(told, "force")
     assert (view.state, view.words) == (found.state, found.words)
     assert (view.mood == "fine") == (state == "good"), "green only where a test has said so"
+
+
+@pytest.mark.parametrize(("below", "is_bad"), [(0.5, True), (1.95, True), (2.5, False), (50.0, False)])
+def test_forces_that_no_soft_tissue_of_this_speed_gives_are_bad(below: float, is_bad: bool):
+    """Forces in lbf, read as N, fit well with f_kappa near 0."""
+    found = tissue_agreement(below, [])
+    assert (found is not None and found.state == "bad" and "lbf" in found.words) == is_bad
+
+
+def test_the_page_says_first_what_contradicts_itself():
+    tissue = tissue_agreement(1.0, ["f_kappa"])
+    assert tissue is not None
+    good = force(ZIGZAG).to_json()
+    view = agreement_view({"agreement": {"state": "bad", "force": good, "tissue": tissue.to_json()}})
+    assert view.words == tissue.words

@@ -109,3 +109,16 @@ def test_without_nptdms_the_message_says_what_to_install(tmp_path, monkeypatch):
     (tmp_path / "a.tdms").write_bytes(b"TDSm" + bytes(99))
     with pytest.raises(ToolError, match=r"limbcli\[tdms\]"):
         read_recording(tmp_path / "a.tdms")
+
+
+def test_a_file_that_was_cut_short_is_refused_and_its_bytes_are_not_shown(tmp_path, capfd):
+    path = write(tmp_path / "a.tdms", ("Load", "Force", FORCE, wave(0.01, unit_string="N")))
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-200])
+    with pytest.raises(MeasurementError, match="cut short") as caught:
+        read_recording(path, NAMED)
+    assert caught.value.fix
+    path.write_bytes(whole.replace(b"Force", b"For\xffe"))
+    with pytest.raises(MeasurementError):
+        read_recording(path, NAMED)
+    assert capfd.readouterr() == ("", "")

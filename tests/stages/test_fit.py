@@ -289,3 +289,14 @@ def test_a_contact_that_the_fit_makes_up_for_is_warned_of(forces, tmp_path):
     options = FitOptions(intervals=False)
     result = fit(case, out=tmp_path / "out", solver="reference", options=options)[0]
     assert any("--contact-penalty 8 and fit again" in line for line in result.warnings)
+
+
+@pytest.mark.slow
+def test_forces_in_pounds_do_not_pass_as_a_good_fit(tmp_path, forces):
+    """They are fitted well by tissue without resistance to a change of volume, which no tissue is."""
+    pounds = forces / 4.448 / 3.0
+    case = block.make_case(tmp_path / "case", tmp_path / "out", DEPTHS, pounds, c=TRUTH["c"])
+    options = FitOptions(max_interval_solves=3)
+    found = fit(case, out=tmp_path / "out", solver="reference", options=options)[0]
+    assert found.data["agreement"]["state"] == "bad"
+    assert found.summary[0].startswith("bad: the forces are too low for the shear-wave speed at rest")

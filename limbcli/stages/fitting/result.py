@@ -12,8 +12,9 @@ import numpy as np
 from limbcli.case import Site
 from limbcli.drawing import save_figure
 from limbcli.inference.adaptive import Intervals
-from limbcli.inference.agreement import speed_agreement, worst
+from limbcli.inference.agreement import speed_agreement, tissue_agreement, worst
 from limbcli.inference.geometry_uncertainty import ends
+from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS
 from limbcli.inference.two_step_fit import MOONEY_RIVLIN, OGDEN
 from limbcli.interval_limits import Flag
 from limbcli.model import LimbModel
@@ -181,6 +182,11 @@ def summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) -
             "counted_noise_n": counted_deviation(found, found.steps[-1]),
         },
     }
+    tissue = tissue_agreement(last["parameters"]["f_kappa"]["high"], _at_lower_bound(last))
+    if tissue is not None:
+        writer.data["agreement"]["tissue"] = tissue.to_json()
+        if tissue.state == "bad":
+            writer.warnings.insert(0, f"poor fit: {tissue.words}")
     writer.summary.append(f"c = {last['c_kpa']:.2f} kPa, held fixed ({found.c_source})")
     for name in NAMES:
         computed = name in last["interval_95"]
@@ -214,9 +220,16 @@ def write_agreement(found: Identified, writer: StageWriter) -> None:
             c_deviation=found.stiffness.force_deviation,
         )  # fmt: skip
         told["speeds"] = met.to_json()
-    parts = [told[name] for name in ("force", "speeds") if name in told]
+    parts = [told[name] for name in ("tissue", "force", "speeds") if name in told]
     told["state"] = worst(each["state"] for each in parts)
     writer.summary[:0] = [f"{each['state']}: {each['words']}" for each in parts]
+
+
+def _at_lower_bound(last: Mapping[str, Any]) -> list[str]:
+    """Names of the parameters of a step that ended on their lower bound."""
+    lowest = {"f_kappa": F_KAPPA_BOUNDS[0], "m": M_BOUNDS[0]}
+    at_bound = [name for name in NAMES if last["flags"][name] == "at bound"]
+    return [name for name in at_bound if last["parameters"][name]["value"] <= 1.01 * lowest[name]]
 
 
 _POOR = (

@@ -9,6 +9,8 @@ import numpy as np
 from limbcli.case import Site
 from limbcli.errors import MeasurementError
 from limbcli.measurement.indentation import read_levels
+from limbcli.model import Array
+from limbcli.patient_frame import HEAD
 from limbcli.results import StageResult
 
 if TYPE_CHECKING:  # `check` asks for distances only, without the mesher
@@ -17,6 +19,7 @@ if TYPE_CHECKING:  # `check` asks for distances only, without the mesher
 OVER_TISSUE = 0.95  # least share of the probe's face that should be over skin
 SKIN_BONE_TOLERANCE = 0.10  # tolerance of the skin-bone distance, as a fraction of the measured one
 _CLOSE_TO_CUT = 0.9  # least margin of tissue around the probe, as a fraction of the requested one
+_ACROSS_DEG = 15.0  # largest angle of a limb to the plane across the body at which its ends are in doubt
 _LAYERS_KEPT = 0.9  # least thickness of layers in the model, as a fraction of the requested one
 
 
@@ -115,6 +118,21 @@ def moved_warnings(moved: float, site: Site) -> list[str]:
     if site.marker is not None or moved <= MOVED_MM:
         return []
     return [f"the site was {moved:.1f} mm from the skin and was moved onto it"]
+
+
+def across_warnings(proximal: Array, long_axis: str | tuple[float, float, float]) -> list[str]:
+    """Warn if a limb lies across the head-foot direction, by which its proximal end is told.
+
+    proximal : (3,), unit vector in LPS along the limb; long_axis : of the site, as in case.toml
+    """
+    degrees = float(np.degrees(np.arcsin(min(1.0, abs(float(proximal @ HEAD))))))
+    if not isinstance(long_axis, str) or degrees > _ACROSS_DEG:
+        return []
+    return [
+        f"the limb lies across the head-foot direction, z of LPS (within {degrees:.0f} degrees): which end "
+        f'is proximal is not certain: long_axis = "{long_axis}" may be reversed, and with it lateral_mm of '
+        "shear-wave maps; give long_axis as a vector, or turn the surfaces"
+    ]
 
 
 def layer_warnings(kept: LayersKept, total: float) -> list[str]:

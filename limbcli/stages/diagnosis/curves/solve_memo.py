@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
-from zipfile import BadZipFile
 
 import numpy as np
 
@@ -14,12 +13,12 @@ from limbcli.atomic_files import atomic_file
 from limbcli.effects.curves import Curves
 from limbcli.model import Array
 from limbcli.solvers.restart import solved_arrays, solved_of
+from limbcli.unpacking import DAMAGED, read_npz
 
 if TYPE_CHECKING:
     from limbcli.solvers.restart import Solved
 
 T = TypeVar("T")
-_UNREADABLE = (OSError, ValueError, KeyError, EOFError, BadZipFile)  # treated as missing and solved again
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +78,8 @@ class SolveMemo:
         if self.folder is None:
             return None
         try:
-            with np.load(self.folder / f"{name}.npz", allow_pickle=False) as stored:
-                return parse(stored)
-        except _UNREADABLE:
+            return parse(read_npz(self.folder / f"{name}.npz"))
+        except DAMAGED:  # treated as missing, and solved again
             return None
 
     def write(self, name: str, arrays: dict[str, Any]) -> None:
