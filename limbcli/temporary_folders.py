@@ -64,7 +64,9 @@ def _made() -> tuple[Path, int | None]:
             held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         except FileNotFoundError:
             continue
-        with contextlib.suppress(portalocker.LockException):  # without locks, no other process gets one either
+        with contextlib.suppress(
+            portalocker.LockException
+        ):  # without locks, no other process gets one either
             portalocker.lock(held, portalocker.LockFlags.EXCLUSIVE)
         if folder.exists():
             return folder, held
@@ -77,7 +79,9 @@ def _drop_abandoned(parent: Path) -> None:
         return
     wish = portalocker.LockFlags.EXCLUSIVE | portalocker.LockFlags.NON_BLOCKING
     for path in parent.glob(f"{SCRATCH}*"):
-        with contextlib.suppress(OSError, portalocker.LockException):  # owned by another user, locked, or removed in the meantime
+        with contextlib.suppress(
+            OSError, portalocker.LockException
+        ):  # owned by another user, locked, or removed in the meantime
             handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
             try:
                 portalocker.lock(handle, wish)

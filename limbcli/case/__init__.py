@@ -114,7 +114,9 @@ def read_case(folder: Path) -> tuple[Case | None, list[Problem]]:
     parts, found = _read_tables(raw, tables, file)
     problems += found
     files = CaseFiles.of(raw, folder)
-    imaging, found = read_imaging(parts["imaging"], files, present="imaging" in raw)
+    imaging, found = read_imaging(
+        parts["imaging"], files, present="imaging" in raw, limb=parts["subject"].get("limb")
+    )
     sites, of_sites = _read_sites(raw.get("site"), files, imaging)
     problems += of_sites + found
     if any(each.severity == "error" for each in problems):
@@ -173,7 +175,9 @@ def _read_images(raw: Mapping[str, Any], folder: Path) -> tuple[Case | None, lis
     found = schema.check_table(stated, schema.TOP, name="case.toml", file=file)[1]
     found += _without_format(raw, file)
     tables, wrong = _read_tables(raw, {"subject": schema.SUBJECT, "imaging": schema.IMAGING}, file)
-    imaging, missing = read_imaging(tables["imaging"], files, present="imaging" in raw)
+    imaging, missing = read_imaging(
+        tables["imaging"], files, present="imaging" in raw, limb=tables["subject"].get("limb")
+    )
     found += [*wrong, *missing]
     if errors_of(found):
         return None, found

@@ -251,6 +251,12 @@ IMAGING = {
     "labels": Key("file or folder, or a table with it, or a list of such tables", label_sources),
     "skin": Key("file", text),
     "bones": Key("list of files", texts),
+    "bodies": Key("file that holds the skin and all bones", text),
+    "unit": Key(
+        "unit of length of the surfaces", one_of(*LENGTH_UNITS_IN_MM)
+    ),  # none: as they state it, else mm
+    "scale": Key("mm per length 1 in the surfaces", number(1e-6, 1e6, "")),  # instead of `unit`
+    "limb": Key("left | right", one_of("left", "right")),  # that the surfaces show; none: the subject's
     "bone": Key("from-ultrasound", one_of("from-ultrasound")),
     "bone_radius_mm": Key("mm", number(3.0, 40.0, "mm")),  # with `bone`; none: BONE_RADIUS_MM
     "skin_scale_fraction": Key("1", number(0.0, 0.3, "")),  # with `bone`; none: SKIN_SCALE
