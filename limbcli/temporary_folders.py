@@ -55,7 +55,10 @@ def _is_full(folder: Path) -> bool:
 
 
 def _made() -> tuple[Path, int | None]:
-    """A folder and the handle that holds its lock, where folders can be held; retried if another process has removed it as abandoned."""
+    """A folder, and the handle that holds its lock where folders can be held.
+
+    Retried if another process has removed it as abandoned.
+    """
     while True:
         folder = Path(tempfile.mkdtemp(prefix=SCRATCH))
         if not _CAN_HOLD_FOLDERS:
@@ -64,9 +67,7 @@ def _made() -> tuple[Path, int | None]:
             held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         except FileNotFoundError:
             continue
-        with contextlib.suppress(
-            portalocker.LockException
-        ):  # without locks, no other process gets one either
+        with contextlib.suppress(portalocker.LockException):  # without locks, nobody gets one
             portalocker.lock(held, portalocker.LockFlags.EXCLUSIVE)
         if folder.exists():
             return folder, held
@@ -79,9 +80,8 @@ def _drop_abandoned(parent: Path) -> None:
         return
     wish = portalocker.LockFlags.EXCLUSIVE | portalocker.LockFlags.NON_BLOCKING
     for path in parent.glob(f"{SCRATCH}*"):
-        with contextlib.suppress(
-            OSError, portalocker.LockException
-        ):  # owned by another user, locked, or removed in the meantime
+        # It may be owned by another user, locked, or removed in the meantime.
+        with contextlib.suppress(OSError, portalocker.LockException):
             handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
             try:
                 portalocker.lock(handle, wish)

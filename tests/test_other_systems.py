@@ -1,4 +1,4 @@
-"""What only POSIX systems have is not needed: Windows lacks it, and the same calls end there in other errors."""
+"""What only POSIX systems have is not needed."""
 
 from __future__ import annotations
 

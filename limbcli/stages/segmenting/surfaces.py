@@ -276,7 +276,7 @@ def _by_case(imaging: Imaging) -> list[str]:
         lines.append(f"lengths of the surfaces: 1 is {imaging.mm_per_unit:g} mm{unit}, as case.toml says")
     if imaging.mirrored:
         lines.append(
-            "the surfaces show the other limb, as case.toml says: they were mirrored (x to -x), and positions "
+            "the surfaces show the other limb, as case.toml says: they were mirrored (x to -x); positions "
             "of sites are those of the mirrored limb"
         )
     return lines
@@ -290,7 +290,7 @@ def _in_mm(surface: ClosedSurface, name: str, path: Path) -> ClosedSurface:
         raise CaseError(
             f"the surface `{name}` is {size:.3g} mm across" + (f" ({converted})" if converted else ""),
             where=str(path),
-            fix="save it in mm (patient LPS frame), or give its `unit` or `scale` (mm per length 1) in [imaging]",
+            fix="save it in mm (patient LPS frame), or give its `unit` or `scale` in [imaging]",
             size_mm=float(size),
         )
     if not _is_drawn(surface):
