@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from limbcli.cli.choices import ELEMENTS, among
 from limbcli.cli.options import (
     FebioOpt,
     JsonOpt,
@@ -28,7 +29,10 @@ if TYPE_CHECKING:
 
 CasesArg = Annotated[list[Path], typer.Argument(metavar="CASE...", help="Case folders.", show_default=False)]
 ElementOpt = Annotated[
-    str | None, typer.Option("--element", help="tet10 | tet4; default: the case's own.", show_default=False)
+    str | None,
+    typer.Option(
+        "--element", help="tet10 | tet4; default: the case's own.", show_default=False, **among(*ELEMENTS)
+    ),
 ]
 ForceOpt = Annotated[bool, typer.Option("--force", help="Redo every stage, even where nothing changed.")]
 DefaultsOpt = Annotated[

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from limbcli.cli.choices import such_as
 from limbcli.cli.options import (
     CaseArg,
     CKpaOpt,
@@ -35,6 +36,7 @@ def command(
             metavar="NAME:KEY=VALUE,...",
             help="Law of a layer, such as fat:c_kpa=2,f_kappa=100,m=2 or skin:law=neo_hooke,c_kpa=40; "
             "default: the case's, else assumed values. May be repeated.",
+            **such_as(lambda: ["fat:", "skin:"]),
         ),
     ] = None,
     contact_penalty: Annotated[

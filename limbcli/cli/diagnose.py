@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from limbcli.cli.choices import MEASURED, effect_names, such_as
 from limbcli.cli.options import (
     CaseArg,
     FebioOpt,
@@ -35,6 +36,7 @@ def command(
             "--effects",
             metavar="NAME",
             help="Try only this effect (may be repeated), and that of --effect-file; default: all.",
+            **such_as(effect_names),
         ),
     ] = None,
     effect_file: Annotated[
@@ -69,6 +71,7 @@ def command(
             "--measured",
             metavar="KEY=VALUE",
             help="A separately measured number: tare_n, force_gain, first_depth_mm, rate_ratio.",
+            **such_as(lambda: [f"{each}=" for each in MEASURED]),
         ),
     ] = None,
     templates: TemplatesOpt = None,

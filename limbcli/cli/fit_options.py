@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+from limbcli.cli.choices import LAWS, OBJECTIVES, among, such_as
+
 CDeviationOpt = Annotated[
     float | None,
     typer.Option(
@@ -27,14 +29,16 @@ ObjectiveOpt = Annotated[
     str,
     typer.Option(
         help="force: the paper's, site by site. joint: depth and SWE; sites share the tissue. states: "
-        "the same for the states of one site."
+        "the same for the states of one site.",
+        **among(*OBJECTIVES),
     ),
 ]
 LawOpt = Annotated[
     str,
     typer.Option(
         help="Law for joint and states: ogden | mooney-rivlin | neo-hooke | two-term-ogden | holmes-mow | "
-        "fibres."
+        "fibres.",
+        **among(*LAWS),
     ),
 ]
 CompareLawsOpt = Annotated[
@@ -49,7 +53,12 @@ GainDeviationOpt = Annotated[
     ),
 ]
 CycleOpt = Annotated[
-    str, typer.Option("--cycle", help="Loading cycle to fit, if there are several: a number, or last.")
+    str,
+    typer.Option(
+        "--cycle",
+        help="Loading cycle to fit, if there are several: a number, or last.",
+        **such_as(lambda: ["last"]),
+    ),
 ]
 ContactCheckOpt = Annotated[
     bool,

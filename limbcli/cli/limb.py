@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from limbcli.cli.choices import such_as
 from limbcli.cli.mesh import ElementOpt
 from limbcli.cli.options import (
     CaseArg,
@@ -57,13 +58,17 @@ SkinOpt = Annotated[
     str | None,
     typer.Option(
         "--skin-mm", metavar="MM|mri", help="Thickness of a skin layer, 0 for none; default: the sites'.",
-        show_default=False,
+        show_default=False, **such_as(lambda: ["mri"]),
     ),
 ]  # fmt: skip
 FatOpt = Annotated[
     str | None,
     typer.Option(
-        "--fat-mm", metavar="MM|mri", help="The same for a fat layer below the skin.", show_default=False
+        "--fat-mm",
+        metavar="MM|mri",
+        help="The same for a fat layer below the skin.",
+        show_default=False,
+        **such_as(lambda: ["mri"]),
     ),
 ]
 DrawOpt = Annotated[

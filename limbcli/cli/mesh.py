@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from limbcli.cli.choices import ELEMENTS, among, such_as
 from limbcli.cli.options import CaseArg, JsonOpt, NoWaitOpt, OutOpt, QuietOpt, SiteOpt, VerboseOpt
 from limbcli.cli.terminal import emit, terminal
 from limbcli.mesh_bounds import FAR_SIZE_MM, MARGIN_MM, SIZE_MM
@@ -32,7 +33,10 @@ FarSizeOpt = Annotated[
     ),
 ]
 ElementOpt = Annotated[
-    str | None, typer.Option("--element", help="tet10 | tet4; default: the case's.", show_default=False)
+    str | None,
+    typer.Option(
+        "--element", help="tet10 | tet4; default: the case's.", show_default=False, **among(*ELEMENTS)
+    ),
 ]
 MarginOpt = Annotated[
     float | None,
@@ -48,7 +52,7 @@ SkinOpt = Annotated[
     str | None,
     typer.Option(
         "--skin-mm", metavar="MM|mri", help="Thickness of a skin layer, 0 for none; default: the case's.",
-        show_default=False,
+        show_default=False, **such_as(lambda: ["mri"]),
     ),
 ]  # fmt: skip
 FatOpt = Annotated[
@@ -57,7 +61,7 @@ FatOpt = Annotated[
         "--fat-mm", metavar="MM|mri",
         help="Thickness of a fat layer below the skin, 0 for none; mri: as segmented at the site; "
         "default: the case's.",
-        show_default=False,
+        show_default=False, **such_as(lambda: ["mri"]),
     ),
 ]  # fmt: skip
 AtOpt = Annotated[

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from limbcli.cli.choices import SOLVERS, among, sites
+
 CaseArg = Annotated[
     Path, typer.Argument(metavar="CASE", help="Case folder (containing case.toml).", show_default=False)
 ]
@@ -18,7 +20,13 @@ OutOpt = Annotated[
 ]
 SiteOpt = Annotated[
     list[str] | None,
-    typer.Option("--site", "-s", metavar="NAME", help="Only this site (may be repeated); default: all."),
+    typer.Option(
+        "--site",
+        "-s",
+        metavar="NAME",
+        help="Only this site (may be repeated); default: all.",
+        autocompletion=sites,
+    ),
 ]
 NoWaitOpt = Annotated[
     bool,
@@ -29,7 +37,7 @@ QuietOpt = Annotated[bool, typer.Option("--quiet", "-q", help="No progress; only
 VerboseOpt = Annotated[
     int, typer.Option("--verbose", "-v", count=True, help="More output; twice: all of it.")
 ]
-SolverOpt = Annotated[str, typer.Option("--solver", help="auto | febio | reference")]
+SolverOpt = Annotated[str, typer.Option("--solver", help="auto | febio | reference", **among(*SOLVERS))]
 FebioOpt = Annotated[
     Path | None, typer.Option("--febio", metavar="FILE", help="The FEBio binary.", show_default=False)
 ]

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from limbcli.cli.choices import LIMBS, among, such_as
 from limbcli.cli.options import CaseArg, JsonOpt, NoWaitOpt, OutOpt, QuietOpt, VerboseOpt
 from limbcli.cli.terminal import emit, terminal
 from limbcli.output_lock import one_writer
@@ -17,6 +18,7 @@ SeedOpt = Annotated[
         metavar="KIND=X,Y,Z",
         help="A point (patient LPS, mm) in the marrow of a missed bone (bone=...), "
         "or in soft tissue wrongly labelled as bone (soft=...). May be repeated.",
+        **such_as(lambda: ["bone=", "soft="]),
     ),
 ]
 SmoothOpt = Annotated[
@@ -38,6 +40,7 @@ LimbOpt = Annotated[
         metavar="left|right",
         help="Which limb, if two are in view; default: the case's.",
         show_default=False,
+        **among(*LIMBS),
     ),
 ]
 AcceptBonesOpt = Annotated[
@@ -73,8 +76,6 @@ def command(
     A label map edited by hand in the output folder (labels.nii.gz) takes precedence over the automatic one.
     If a site is not on the skin, the command ends with an error after everything is written.
     """
-    if limb not in (None, "left", "right"):
-        raise typer.BadParameter("left or right", param_hint="--limb")
     seeds = [_seed(each) for each in seed or []]
     from limbcli.case import Case
     from limbcli.config import default_out

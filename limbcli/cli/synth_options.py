@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
+from limbcli.cli.choices import ELEMENTS, among, effect_names, such_as
 from limbcli.mesh_bounds import FAR_SIZE_MM, MARGIN_MM, SIZE_MM
 
 if TYPE_CHECKING:
@@ -35,6 +36,7 @@ EffectOpt = Annotated[
         help="Hide this effect in the data (may be repeated). SIZE is the value of its first "
         "parameter, as in the list of effects, such as skin-layer=2.3; default: its typical one.",
         show_default=False,
+        **such_as(effect_names),
     ),
 ]
 NoiseOpt = Annotated[
@@ -61,6 +63,7 @@ SynthElementOpt = Annotated[
         "--element",
         help="Elements of the mesh simulated on: tet10 | tet4; default: the case's.",
         show_default=False,
+        **among(*ELEMENTS),
     ),
 ]
 SynthSizeOpt = Annotated[
