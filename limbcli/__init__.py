@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from limbcli.api.making import MadeCase as MadeCase
     from limbcli.api.making import make_phantom as make_phantom
     from limbcli.api.making import synth as synth
+    from limbcli.api.notebook import ShownProgress as ShownProgress
     from limbcli.api.simulation import BuildFebResult as BuildFebResult
     from limbcli.api.simulation import RunResult as RunResult
     from limbcli.api.simulation import build_feb as build_feb
@@ -84,6 +85,7 @@ _PUBLIC = {
     "api.fit_results": ("ElementComparison", "Estimate", "FitResult", "JointFitResult", "StatesFitResult"),
     "api.fitting": ("compare_elements", "fit", "fit_joint", "fit_states"),
     "api.geometry": ("Marker", "MeshResult", "MeshStudyResult", "SegmentResult", "mesh", "segment"),
+    "api.notebook": ("ShownProgress",),
     "api.simulation": ("BuildFebResult", "RunResult", "build_feb", "run", "run_feb"),
     "api.making": ("MadeCase", "make_phantom", "synth"),
     "api.whole_limb": ("LimbResult", "limb"),

@@ -165,7 +165,7 @@ def _computer() -> str:
 
 def _is_in_work(partial: Path) -> bool:
     number, _, computer = partial.name.removeprefix(PARTIAL).split("-")[0].partition("@")
-    if computer in ("", _computer()):
+    if computer in ("", _computer()) and os.name == "posix":  # elsewhere, asking would end the process
         return number.isdigit() and _is_alive(int(number))
     try:
         return time.time() - _last_touched(partial) < _ABANDONED_S

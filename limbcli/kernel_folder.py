@@ -77,9 +77,13 @@ def _places(name: str) -> Iterator[Path]:
         yield cache / "limbcli" / name
     with suppress(OSError):  # there may be no temporary folder
         temporary = Path(tempfile.gettempdir())
-        own = temporary / f"{name}-{os.getuid()}"
+        user = (
+            os.getuid() if hasattr(os, "getuid") else None
+        )  # none on Windows, whose folder is the user's own
+        own = temporary / f"{name}-{user}"
         with suppress(FileExistsError):
             own.mkdir(mode=0o700)
         status = own.lstat()
-        is_ours = own.is_dir() and not own.is_symlink() and status.st_uid == os.getuid()
-        yield own if is_ours and not status.st_mode & _OTHERS else Path(tempfile.mkdtemp(prefix=f"{name}-"))
+        is_ours = own.is_dir() and not own.is_symlink() and status.st_uid == user
+        is_private = user is None or (is_ours and not status.st_mode & _OTHERS)
+        yield own if is_private else Path(tempfile.mkdtemp(prefix=f"{name}-"))

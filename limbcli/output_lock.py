@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import os
 import platform
 import sys
@@ -17,6 +16,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
+
+import portalocker
 
 from limbcli.errors import CaseError
 from limbcli.errors.commands import command_line
@@ -26,6 +27,7 @@ from limbcli.progress import SILENT, Progress
 LOCK = ".writing"
 _LOOK_S = 0.2  # s between two attempts while another process holds the lock
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+_SOMEBODY = "another limbcli"
 
 
 @contextlib.contextmanager
@@ -109,8 +111,7 @@ def _locked(folder: Path, name: str, *, wait: bool, progress: Progress, alone: b
                 return stream
             stream.close()
             continue
-        stream.seek(0)
-        holder = stream.read().strip() or "another limbcli"
+        holder = _holder(stream)
         stream.close()
         if not wait:
             raise CaseError(
@@ -124,14 +125,26 @@ def _locked(folder: Path, name: str, *, wait: bool, progress: Progress, alone: b
         time.sleep(_LOOK_S)
 
 
+def _holder(stream: TextIO) -> str:
+    """Who holds the file, in words; Windows does not let a locked file be read."""
+    with contextlib.suppress(OSError):
+        stream.seek(0)
+        return stream.read().strip() or _SOMEBODY
+    return _SOMEBODY
+
+
 def _try(stream: TextIO, *, alone: bool = True) -> bool:
+    kind = portalocker.LockFlags.EXCLUSIVE if alone else portalocker.LockFlags.SHARED
     try:
-        fcntl.flock(stream, (fcntl.LOCK_EX if alone else fcntl.LOCK_SH) | fcntl.LOCK_NB)
-    except BlockingIOError:
+        portalocker.lock(stream, kind | portalocker.LockFlags.NON_BLOCKING)
+    except portalocker.AlreadyLocked:
         return False
-    except OSError as error:
-        if error.errno not in _NO_LOCKS:  # on a file system without locks, continue without a lock
+    except portalocker.LockException as error:
+        cause = error.__cause__
+        if not isinstance(cause, OSError):
             raise
+        if cause.errno not in _NO_LOCKS:  # on a file system without locks, continue without a lock
+            raise cause from error
     return True
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import errno
-import fcntl
 import os
 import shutil
 import signal
@@ -14,11 +13,14 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import portalocker
+
 from limbcli.errors.file_system import SCRATCH
 
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
 _ROOM_BYTES = 1_000_000  # free space (bytes) below which a disk counts as full
 _PR_SET_PDEATHSIG = 1  # prctl(2)
+_CAN_HOLD_FOLDERS = hasattr(os, "O_DIRECTORY")  # not on Windows, where nobody else may remove a folder in use
 _CAN_TELL_CHILDREN = sys.platform.startswith("linux")
 
 
@@ -44,23 +46,29 @@ def scratch_folder() -> Iterator[Path]:
         raise
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-        os.close(held)
+        if held is not None:
+            os.close(held)
 
 
 def _is_full(folder: Path) -> bool:
     return shutil.disk_usage(folder).free < _ROOM_BYTES
 
 
-def _made() -> tuple[Path, int]:
-    """A folder and the handle that holds its lock; retried if another process has removed it as abandoned."""
+def _made() -> tuple[Path, int | None]:
+    """A folder, and the handle that holds its lock where folders can be held.
+
+    Retried if another process has removed it as abandoned.
+    """
     while True:
         folder = Path(tempfile.mkdtemp(prefix=SCRATCH))
+        if not _CAN_HOLD_FOLDERS:
+            return folder, None
         try:
             held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         except FileNotFoundError:
             continue
-        with contextlib.suppress(OSError):  # on a file system without locks, no other process gets one either
-            fcntl.flock(held, fcntl.LOCK_EX)
+        with contextlib.suppress(portalocker.LockException):  # without locks, nobody gets one
+            portalocker.lock(held, portalocker.LockFlags.EXCLUSIVE)
         if folder.exists():
             return folder, held
         os.close(held)
@@ -68,11 +76,15 @@ def _made() -> tuple[Path, int]:
 
 def _drop_abandoned(parent: Path) -> None:
     """Remove our temporary folders whose lock nobody holds."""
+    if not _CAN_HOLD_FOLDERS:
+        return
+    wish = portalocker.LockFlags.EXCLUSIVE | portalocker.LockFlags.NON_BLOCKING
     for path in parent.glob(f"{SCRATCH}*"):
-        with contextlib.suppress(OSError):  # owned by another user, locked, or removed in the meantime
+        # It may be owned by another user, locked, or removed in the meantime.
+        with contextlib.suppress(OSError, portalocker.LockException):
             handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
             try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                portalocker.lock(handle, wish)
                 if os.fstat(handle).st_uid == os.getuid():
                     shutil.rmtree(path, ignore_errors=True)
             finally:

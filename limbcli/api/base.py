@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import Field, dataclass, field, fields, replace
 from functools import partial
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, ParamSpec, Self, SupportsIndex, TypeVar, overload
 
 from limbcli.api.call import folder_of, public
+from limbcli.api.notebook import findings, html_picture, html_table
 from limbcli.api.tables import Row, Tabular
 from limbcli.errors import CaseError
 from limbcli.results import StageResult, plain, read_result, stage_folder
@@ -99,6 +101,12 @@ class Result(Tabular):
     def to_json(self) -> dict[str, Any]:
         """The result as the command line's --json prints it."""
         return {**self.stage_result.to_json(), "folder": str(self.folder)}
+
+    def _repr_html_(self) -> str:
+        """Notebook representation: findings, warnings, rows, and the result's picture."""
+        head = f"<b>{html.escape(self.stage_result.label)}</b>: {html.escape(str(self.folder))}"
+        found = findings(self.summary, self.warnings)
+        return f"<div>{head}{found}{html_table(self.rows())}{html_picture(self.files)}</div>"
 
     def __str__(self) -> str:
         lines = [*self.summary, *(f"warning: {each}" for each in self.warnings)]
@@ -199,6 +207,9 @@ class SiteResults(Tabular, Sequence[AnyResult], Generic[AnyResult]):
     def rows(self) -> list[dict[str, Any]]:
         """The rows of all results, concatenated."""
         return [row for each in self.results for row in each.rows()]
+
+    def _repr_html_(self) -> str:
+        return "".join(each._repr_html_() for each in self.results)
 
     def __str__(self) -> str:
         return "\n".join(map(str, self.results))

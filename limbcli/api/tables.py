@@ -110,6 +110,10 @@ class Tabular:
 
         return f"<pre>{html.escape(str(self))}</pre>"
 
+    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
+        """Terminal representation in IPython: the same as `print`."""
+        printer.text("..." if cycle else str(self))
+
 
 def read_columns(path: Path) -> Table:
     """Read a CSV file of numbers with one header row; empty cells become NaN."""

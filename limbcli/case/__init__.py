@@ -10,6 +10,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from html import escape
 from math import nan
 from pathlib import Path
 from typing import Any, Literal
@@ -49,6 +50,29 @@ class Case:
     def file(self) -> Path:
         """case.toml itself."""
         return self.folder / CASE_FILE
+
+    def __str__(self) -> str:
+        sites = ", ".join(each.name for each in self.sites) or "none"
+        return f"{self.subject}, {self.limb} limb: {self.folder}; sites: {sites}"
+
+    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
+        """Terminal representation in IPython."""
+        printer.text("..." if cycle else str(self))
+
+    def _repr_html_(self) -> str:
+        """Notebook representation: the subject, and a row for each site."""
+        rows = "".join(
+            f"<tr><td>{escape(each.name)}</td><td>{escape(_place(each))}</td>"
+            f"<td>{escape(str(each.long_axis))}</td><td>{escape(each.levels.name)}</td></tr>"
+            for each in self.sites
+        )
+        probe = f"{self.probe.name}, {self.probe.length:g} x {self.probe.width:g} mm"
+        return (
+            f"<div><b>{escape(self.subject)}</b>, {self.limb} limb: {escape(str(self.folder))}"
+            f"<div>probe: {escape(probe)}</div>"
+            "<table><tr><th>site</th><th>place (patient LPS, mm)</th><th>long axis</th><th>levels</th></tr>"
+            f"{rows}</table></div>"
+        )
 
     @staticmethod
     def open(folder: Path | str) -> Case:
@@ -99,6 +123,10 @@ class Case:
         return tuple(self.site(name) for name in dict.fromkeys(names)) if names else self.sites
 
 
+def _place(site: Site) -> str:
+    return f"marker {site.marker}" if site.position is None else ", ".join(f"{x:.1f}" for x in site.position)
+
+
 def read_case(folder: Path) -> tuple[Case | None, list[Problem]]:
     """The case (None if there are errors), and every problem found."""
     raw, problems = _read_toml(folder)
@@ -114,7 +142,9 @@ def read_case(folder: Path) -> tuple[Case | None, list[Problem]]:
     parts, found = _read_tables(raw, tables, file)
     problems += found
     files = CaseFiles.of(raw, folder)
-    imaging, found = read_imaging(parts["imaging"], files, present="imaging" in raw)
+    imaging, found = read_imaging(
+        parts["imaging"], files, present="imaging" in raw, limb=parts["subject"].get("limb")
+    )
     sites, of_sites = _read_sites(raw.get("site"), files, imaging)
     problems += of_sites + found
     if any(each.severity == "error" for each in problems):
@@ -173,7 +203,9 @@ def _read_images(raw: Mapping[str, Any], folder: Path) -> tuple[Case | None, lis
     found = schema.check_table(stated, schema.TOP, name="case.toml", file=file)[1]
     found += _without_format(raw, file)
     tables, wrong = _read_tables(raw, {"subject": schema.SUBJECT, "imaging": schema.IMAGING}, file)
-    imaging, missing = read_imaging(tables["imaging"], files, present="imaging" in raw)
+    imaging, missing = read_imaging(
+        tables["imaging"], files, present="imaging" in raw, limb=tables["subject"].get("limb")
+    )
     found += [*wrong, *missing]
     if errors_of(found):
         return None, found

@@ -13,6 +13,7 @@ from limbcli.case.label_sources import read_label_sources
 from limbcli.case.parts import SKIN_SCALE, Imaging, Shape
 from limbcli.case.schema import BONE_RADIUS_MM, Key, number
 from limbcli.errors.problems import Problem
+from limbcli.units import LENGTH_UNITS_IN_MM
 
 SHAPE = {
     "circumference_mm": Key("mm", number(80.0, 1000.0, "mm"), required=True),
@@ -23,20 +24,23 @@ SHAPE = {
 }
 _LEAST_DEPTH, _LEAST_BEHIND = 3.0, 2.0  # smallest thickness of tissue in front of the bone and behind it, mm
 _FAULTY = Shape(nan, nan, nan, nan, nan)
-_WAYS = ("mri", "labels", "skin", "shape")
+_WAYS = ("mri", "labels", "skin", "bodies", "shape")
 
 
 def read_imaging(
-    table: Mapping[str, Any], files: CaseFiles, *, present: bool
+    table: Mapping[str, Any], files: CaseFiles, *, present: bool, limb: str | None = None
 ) -> tuple[Imaging, list[Problem]]:
-    """The sources of the geometry, and their problems; `present`: whether case.toml has the table at all."""
+    """The sources of the geometry, and their problems.
+
+    present : whether case.toml has the table at all; limb : the subject's
+    """
     file = str(files.folder / "case.toml")
     problems = _contradictions(table, file)
     if present and not any(table.get(key) for key in _WAYS):
-        fix = 'add `mri = "folder or file"`, `labels = "file"`, `skin` and `bones`, or `shape`'
+        fix = 'add `mri = "folder or file"`, `labels = "file"`, `skin` and `bones`, `bodies`, or `shape`'
         problems.append(Problem("[imaging] specifies no geometry", file, fix))
     paths: dict[str, Path | None] = {}
-    for key, is_folder in (("mri", None), ("skin", False), ("fibres", False)):
+    for key, is_folder in (("mri", None), ("skin", False), ("bodies", False), ("fibres", False)):
         paths[key], found = files.existing(table.get(key), f"imaging.{key}", is_folder=is_folder)
         problems += found
     labels, found = read_label_sources(table.get("labels"), files)
@@ -62,10 +66,15 @@ def read_imaging(
     if fibres is not None and not fibres.name.lower().endswith((".nii", ".nii.gz")):
         what = f"imaging.fibres: {fibres.name!r} is not a NIfTI file"
         problems.append(Problem(what, file, "save the principal directions as .nii or .nii.gz"))
-    sources = (paths["mri"], labels, paths["skin"], tuple(bones), radius, shape)
+    sources = (paths["mri"], labels, paths["skin"] or paths["bodies"], tuple(bones), radius, shape)
     stated = table.get("skin_scale_fraction")
     scale = SKIN_SCALE if stated is None else float(stated)
-    imaging = Imaging(*sources, fibres, frame, scale)
+    unit, mm_per_unit = table.get("unit") or "", table.get("scale")
+    if unit:
+        mm_per_unit = LENGTH_UNITS_IN_MM[unit]
+    mirrored = table.get("limb") is not None and limb is not None and table["limb"] != limb
+    length = None if mm_per_unit is None else float(mm_per_unit)
+    imaging = Imaging(*sources, fibres, frame, scale, length, unit, mirrored)
     return imaging, problems + found
 
 
@@ -90,7 +99,19 @@ def _contradictions(table: Mapping[str, Any], file: str) -> list[Problem]:
     if table.get("bone") and table.get("bones"):
         what = "[imaging] has both `bones` and a bone from ultrasound"
         found.append(Problem(what, file, "keep `bones` where they were imaged, else `bone`"))
-    others = [key for key in ("mri", "labels", "skin", "bones", "bone") if table.get(key)]
+    if table.get("unit") and table.get("scale") is not None:
+        found.append(Problem("[imaging] has both `unit` and `scale`", file, "keep one of the two"))
+    for key in ("unit", "scale", "limb"):
+        if table.get(key) is not None and not (table.get("skin") or table.get("bodies")):
+            what = f"[imaging] has `{key}`, which applies to surfaces only"
+            found.append(
+                Problem(what, file, "remove it, or give the surfaces: `skin` and `bones`, or `bodies`")
+            )
+    rivals = [key for key in ("mri", "labels", "skin", "bones", "bone") if table.get(key)]
+    if table.get("bodies") and rivals:
+        what = f"[imaging] has both `bodies` and `{rivals[0]}`"
+        found.append(Problem(what, file, "keep `bodies` where one file holds the skin and all bones"))
+    others = [key for key in ("mri", "labels", "skin", "bodies", "bones", "bone") if table.get(key)]
     if table.get("shape") is not None and others:
         what = f"[imaging] has both `shape` and `{others[0]}`"
         found.append(Problem(what, file, "keep what was imaged; `shape` is only for a limb given in numbers"))

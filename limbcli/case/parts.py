@@ -66,6 +66,9 @@ class Imaging:
     bone_radius : mm, of a bone that no file contains, at the depth seen by ultrasound; None: a file contains
         it
     shape : for a limb given only by numbers
+    mm_per_unit : mm of length 1 in the surfaces, as case.toml gives it; None: as the files state it, else 1
+    unit : name of that length; empty if it is given as a number
+    mirrored : whether the surfaces show the limb of the other side
     skin_scale : standard deviation of the scale of a scanned skin, as a fraction
     fibres : NIfTI of fibre directions of the whole limb; fibre_frame : frame of its components, None means
         "ras"
@@ -80,6 +83,9 @@ class Imaging:
     fibres: Path | None = None
     fibre_frame: str | None = None
     skin_scale: float = SKIN_SCALE
+    mm_per_unit: float | None = None
+    unit: str = ""
+    mirrored: bool = False
 
     @property
     def label_maps(self) -> tuple[LabelSource, ...]:

@@ -21,6 +21,29 @@ _LONGEST_NAME = 100
 FAILED = "-failed"  # suffix, after the site's name, of the folder of a failed run
 Check = Callable[[Any], str | None]
 """Returns what is wrong with a value, or None."""
+JSON: dict[Check, dict[str, Any]] = {}
+"""The same as a JSON Schema, for editors; a check that is not listed takes anything."""
+
+
+def _told(json: dict[str, Any]) -> Callable[[Check], Check]:
+    """Decorator: list a check with its JSON Schema."""
+
+    def keep(check: Check) -> Check:
+        JSON[check] = json
+        return check
+
+    return keep
+
+
+_TEXT = {"type": "string", "pattern": r"\S"}
+
+
+def _numbers(count: int) -> dict[str, Any]:
+    return {"type": "array", "items": {"type": "number"}, "minItems": count, "maxItems": count}
+
+
+def _or_list(one: dict[str, Any]) -> dict[str, Any]:
+    return {"anyOf": [one, {"type": "array", "items": one, "minItems": 1}]}
 
 
 @dataclass(frozen=True)
@@ -40,6 +63,7 @@ def _is_number(value: object) -> bool:
 def number(low: float, high: float, unit: str) -> Check:
     """A number within plausible limits."""
 
+    @_told({"type": "number", "minimum": low, "maximum": high})
     def check(value: object) -> str | None:
         if not _is_number(value):
             return f"is {value!r}, not a number"
@@ -51,6 +75,7 @@ def number(low: float, high: float, unit: str) -> Check:
     return check
 
 
+@_told({"const": 1})
 def format_one(value: object) -> str | None:
     """
     >>> format_one(1), format_one(True)
@@ -60,16 +85,19 @@ def format_one(value: object) -> str | None:
     return None if good else f"is {value!r}; this program reads format 1"
 
 
+@_told(_TEXT)
 def text(value: object) -> str | None:
     return None if isinstance(value, str) and value.strip() else f"is {value!r}, not text"
 
 
+@_told({"type": "string", "minLength": 1, "maxLength": 1})
 def one_mark(value: object) -> str | None:
     """A column separator: one character, neither a quotation mark nor a line end."""
     good = isinstance(value, str) and len(value) == 1 and value not in '"\r\n'
     return None if good else f'is {value!r}, not a single character such as ";", "," or "\\t"'
 
 
+@_told({"type": "string", "pattern": r"^[\w-][\w.-]*$"})
 def plain_name(value: object) -> str | None:
     """A name that is also valid as a folder name."""
     wrong = text(value)
@@ -91,6 +119,7 @@ def folder_key(name: str) -> str:
     return unicodedata.normalize("NFC", name).casefold().rstrip(".")
 
 
+@_told({"type": "string", "pattern": r"^[\w-][\w.-]*$"})
 def site_name(value: object) -> str | None:
     """
     >>> site_name("p1"), site_name("p1-failed")
@@ -103,6 +132,7 @@ def site_name(value: object) -> str | None:
 
 
 def one_of(*choices: str) -> Check:
+    @_told({"enum": list(choices)})
     def check(value: object) -> str | None:
         if value in choices:
             return None
@@ -112,6 +142,7 @@ def one_of(*choices: str) -> Check:
     return check
 
 
+@_told({"type": "array", "items": _TEXT, "minItems": 1})
 def texts(value: object) -> str | None:
     good = isinstance(value, list) and value and all(text(each) is None for each in value)
     return None if good else f"is {value!r}, not a list of strings"
@@ -136,11 +167,13 @@ def label_sources(value: object) -> str | None:
     return f"has {wrong_key} = {value[wrong_key]!r}, which is not text" if wrong_key is not None else None
 
 
+@_told(_numbers(3))
 def vector(value: object) -> str | None:
     good = isinstance(value, list) and len(value) == 3 and all(map(_is_number, value))
     return None if good else f"is {value!r}, not three numbers [x, y, z]"
 
 
+@_told({"anyOf": [{"enum": ["transverse", "axial"]}, _numbers(3)]})
 def axis(value: object) -> str | None:
     if isinstance(value, str):
         return one_of("transverse", "axial")(value)
@@ -150,6 +183,7 @@ def axis(value: object) -> str | None:
     return wrong
 
 
+@_told(_numbers(3))
 def direction(value: object) -> str | None:
     """A vector of non-zero length.
 
@@ -168,6 +202,7 @@ def tables(value: object) -> str | None:
 
 
 def whole(low: int, high: int) -> Check:
+    @_told({"type": "integer", "minimum": low, "maximum": high})
     def check(value: object) -> str | None:
         good = isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
         return None if good else f"is {value!r}, not a whole number from {low} to {high}"
@@ -175,6 +210,7 @@ def whole(low: int, high: int) -> Check:
     return check
 
 
+@_told({"type": "boolean"})
 def truth(value: object) -> str | None:
     return None if isinstance(value, bool) else f"is {value!r}, neither true nor false"
 
@@ -183,12 +219,14 @@ def table(value: object) -> str | None:
     return None if isinstance(value, dict) else f"is {value!r}, not a table"
 
 
+@_told({"type": "object", "additionalProperties": _TEXT})
 def table_of_texts(value: object) -> str | None:
     good = isinstance(value, dict) and all(text(each) is None for each in value.values())
     return None if good else f"is {value!r}, not a table of strings"
 
 
 def numbers(count: int) -> Check:
+    @_told(_numbers(count))
     def check(value: object) -> str | None:
         good = isinstance(value, list) and len(value) == count and all(map(_is_number, value))
         return None if good else f"is {value!r}, not a list of {count} numbers"
@@ -200,6 +238,7 @@ def lengths(low: float, high: float) -> Check:
     """A length in mm (at level 0), or one for every level."""
     one = number(low, high, "mm")
 
+    @_told(_or_list(JSON[one]))
     def check(value: object) -> str | None:
         if isinstance(value, list) and value:
             return next((wrong for each in value if (wrong := one(each))), None)
@@ -208,6 +247,7 @@ def lengths(low: float, high: float) -> Check:
     return check
 
 
+@_told(_or_list({"type": "integer", "minimum": 1, "maximum": 100_000}))
 def frames(value: object) -> str | None:
     """The number of a frame in a multi-frame file, from 1, or one for every level."""
     one = whole(1, 100_000)
@@ -216,14 +256,10 @@ def frames(value: object) -> str | None:
     return one(value)
 
 
+@_told({"anyOf": [{"const": "mri"}, {"type": "number", "minimum": 0.2, "maximum": 40.0}]})
 def thickness(value: object) -> str | None:
     """A thickness in mm, or "mri" to take it from the images."""
     return None if value == "mri" else number(0.2, 40.0, "mm")(value)
-
-
-def stretch(value: object) -> str | None:
-    """A ratio of lengths, or "unknown"."""
-    return None if value == "unknown" else number(*STRETCHES, "")(value)
 
 
 # Default radius of the bone. The tibia's section in OpenLimb's mean residual limb has the area of a circle of
@@ -233,6 +269,14 @@ BONE_RADIUS_MM = 14.0
 # Permitted stretch ratios. Sarcomeres bear force at 0.6 to 1.7 of their optimal length (Gordon et al. 1966, J
 # Physiol 184:170).
 STRETCHES = (0.5, 2.0)
+
+
+@_told({"anyOf": [{"const": "unknown"}, JSON[number(*STRETCHES, "")]]})
+def stretch(value: object) -> str | None:
+    """A ratio of lengths, or "unknown"."""
+    return None if value == "unknown" else number(*STRETCHES, "")(value)
+
+
 VOLUME_ENDINGS = (
     ".nii",
     ".nii.gz",
@@ -251,6 +295,12 @@ IMAGING = {
     "labels": Key("file or folder, or a table with it, or a list of such tables", label_sources),
     "skin": Key("file", text),
     "bones": Key("list of files", texts),
+    "bodies": Key("file that holds the skin and all bones", text),
+    "unit": Key(
+        "unit of length of the surfaces", one_of(*LENGTH_UNITS_IN_MM)
+    ),  # none: as they state it, else mm
+    "scale": Key("mm per length 1 in the surfaces", number(1e-6, 1e6, "")),  # instead of `unit`
+    "limb": Key("left | right", one_of("left", "right")),  # that the surfaces show; none: the subject's
     "bone": Key("from-ultrasound", one_of("from-ultrasound")),
     "bone_radius_mm": Key("mm", number(3.0, 40.0, "mm")),  # with `bone`; none: BONE_RADIUS_MM
     "skin_scale_fraction": Key("1", number(0.0, 0.3, "")),  # with `bone`; none: SKIN_SCALE

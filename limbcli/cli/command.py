@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from limbcli.cli import choices
 from limbcli.cli.terminal import emit, terminal
 from limbcli.cli.values import VALUE_OF
 from limbcli.options import Argument, arguments_of
@@ -87,7 +88,15 @@ def _hint(argument: Argument) -> Any:
     option = argument.option
     declare = typer.Option if argument.flags else typer.Argument
     low, high = option.bounds
-    declared = declare(*argument.flags, help=option.help, metavar=option.metavar, min=low, max=high)  # type: ignore[operator]
+    few = choices.of(argument) if argument.flags else {}
+    declared = declare(
+        *argument.flags,
+        help=option.help,
+        metavar=option.metavar,
+        min=low,
+        max=high,
+        **few,  # type: ignore[operator]
+    )
     return Annotated[argument.kind, declared]
 
 

@@ -8,12 +8,6 @@ from typing import Any
 import typer
 
 
-def _side(text: str, flag: str) -> str:
-    if text not in ("left", "right"):
-        raise typer.BadParameter("left or right", param_hint=flag)
-    return text
-
-
 def _seeds(texts: list[str], flag: str) -> list[tuple[str, tuple[float, ...]]]:
     """
     >>> _seeds(["bone=1,-2.5,30"], "--seed")
@@ -67,6 +61,6 @@ def _numbers(texts: list[str], flag: str) -> dict[str, float]:
 
 
 VALUE_OF: dict[str, Callable[[Any, str], Any]] = {
-    "limb": _side, "seeds": _seeds, "skin_mm": _thickness, "fat_mm": _thickness, "layers": _laws,
+    "seeds": _seeds, "skin_mm": _thickness, "fat_mm": _thickness, "layers": _laws,
     "stretch_along": _stretches, "stretch_around": _stretches, "measured": _numbers,
 }  # fmt: skip

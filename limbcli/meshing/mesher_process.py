@@ -46,7 +46,7 @@ def in_process(
         command = [sys.executable, "-m", __name__, mesher, str(folder), str(os.getpid())]
         status = _run(mesher, command, folder, time_limit_s)
         # Not the mesher's fault; falling back to another method would silently produce another mesh.
-        if status == -signal.SIGKILL:
+        if status == -getattr(signal, "SIGKILL", 9):
             status = _run(mesher, command, folder, time_limit_s)
         message = folder / "error.txt"
         if message.is_file():

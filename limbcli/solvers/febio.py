@@ -93,8 +93,13 @@ class FebioSolver:
         except OSError as error:
             raise _not_startable(binary, error) from error
         timer = time.monotonic() + _VERSION_TIMEOUT_S
-        reader = LogReader()
         assert process.stdout is not None
+        if not hasattr(os, "set_blocking"):  # Windows before Python 3.12
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(_VERSION_TIMEOUT_S)
+            _stop(process)
+            with process.stdout:
+                return _version_in(process.stdout.read(_VERSION_BYTES))
         os.set_blocking(process.stdout.fileno(), False)
         seen = b""
         while len(seen) < _VERSION_BYTES and time.monotonic() < timer:
@@ -105,9 +110,7 @@ class FebioSolver:
             time.sleep(_POLL_S / 4)
         _stop(process)
         process.stdout.close()
-        for line in seen[:_VERSION_BYTES].decode(errors="replace").splitlines():
-            reader.feed(line)
-        return reader.version or "unknown"
+        return _version_in(seen[:_VERSION_BYTES])
 
     def identity(self) -> str:
         """Hash of the binary and the version it reports; the latter because its libraries are separate files.
@@ -206,6 +209,13 @@ class FebioSolver:
             raise _not_startable(binary, error) from error
 
 
+def _version_in(printed: bytes) -> str:
+    reader = LogReader()
+    for line in printed.decode(errors="replace").splitlines():
+        reader.feed(line)
+    return reader.version or "unknown"
+
+
 def plot_file(feb: Path) -> str:
     """Name of the plot file that is kept.
 
@@ -249,8 +259,12 @@ def _not_startable(binary: Path, error: OSError) -> ToolError:
 
 
 def _stop(process: subprocess.Popen[bytes]) -> None:
-    """Stop the process group, if still running: SIGTERM first, then SIGKILL."""
+    """Stop the process group, if still running: SIGTERM first, then SIGKILL; the process alone on Windows."""
     if process.poll() is not None:
+        return
+    if not hasattr(os, "killpg"):
+        process.kill()
+        process.wait(timeout=_GRACE_S)
         return
     for wish in (signal.SIGTERM, signal.SIGKILL):
         with contextlib.suppress(ProcessLookupError):

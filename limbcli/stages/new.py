@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -10,6 +11,8 @@ import jinja2
 
 from limbcli.atomic_files import atomic_folder
 from limbcli.case import CASE_FILE
+from limbcli.case.json_schema import FILE as SCHEMA_FILE
+from limbcli.case.json_schema import case_schema
 from limbcli.case.schema import FILL_IN, plain_name, site_name
 from limbcli.config import templates_folder
 from limbcli.errors import CaseError
@@ -58,7 +61,7 @@ def new(folder: Path, *, sites: Sequence[str] = ("p1",)) -> StageResult:
             f"{CASE_FILE}: enter a value at every {FILL_IN!r}",
             f"{MRI}/: the DICOM files of one series",
             *(f"{site}/{LEVELS}: force and depth of every level" for site in names),
-            f"{README}: where everything else goes",
+            f"{README}: where everything else goes; {SCHEMA_FILE}: for editors that complete keys",
             f"next: limbcli check {typed(folder)}",
         ),
         provenance=provenance(),
@@ -71,6 +74,7 @@ def _checked(sites: Sequence[str]) -> tuple[str, ...]:
             MRI: "is reserved for the folder of the images",
             README: f"is {README}",
             CASE_FILE: f"is {CASE_FILE}",
+            SCHEMA_FILE: f"is {SCHEMA_FILE}",
         }
         wrong = site_name(site) or taken.get(site)
         if wrong or list(sites).count(site) > 1:
@@ -94,11 +98,12 @@ def _texts(subject: str, sites: tuple[str, ...]) -> dict[str, str]:
     environment = jinja2.Environment(
         loader=loader, undefined=jinja2.StrictUndefined, trim_blocks=True, keep_trailing_newline=True
     )
-    facts = {"subject": subject, "sites": sites, "fill_in": FILL_IN}
+    facts = {"schema": SCHEMA_FILE, "subject": subject, "sites": sites, "fill_in": FILL_IN}
     levels = environment.get_template(f"{LEVELS}.j2")
     return {
         README: environment.get_template(f"{README}.j2").render(facts),
         **{f"{site}/{LEVELS}": levels.render(site=site) for site in sites},
+        SCHEMA_FILE: json.dumps(case_schema(), indent=1) + "\n",
         CASE_FILE: environment.get_template(f"{CASE_FILE}.j2").render(facts),
     }
 

@@ -13,6 +13,8 @@ from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.page import embed, render, save_pictures
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.sections.groups import groups
+from limbcli.reporting.sections.methods import FILE as METHODS_FILE
+from limbcli.reporting.sections.methods import methods_text
 from limbcli.reporting.sections.overview import Overview, overview
 from limbcli.results import StageResult, StageWriter, open_stage, provenance
 from limbcli.stages.provenance.requested_options import requested_of
@@ -78,6 +80,7 @@ def _write_page(
     }  # fmt: skip
     html = render("report.html.j2", facts, templates=templates)
     writer.file("page", PAGE_FILE).write_text(html, encoding="utf-8")
+    writer.file("methods", METHODS_FILE).write_text(methods_text(page, own), encoding="utf-8")
     progress.event("task", name="report: drawing", done=1, total=1)
 
 

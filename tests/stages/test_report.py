@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from limbcli.case import Case
 from limbcli.errors import CaseError, ToolError
 from limbcli.inference.agreement import chi_square_agreement
+from limbcli.reporting.numbers import significant
 from limbcli.reporting.page import render
 from limbcli.reporting.sections.convergence import profiles
 from limbcli.reporting.sections.joint import joint, laws
@@ -28,6 +29,7 @@ from limbcli.stages.batching.outcome import keep_error
 from limbcli.stages.report import report
 from limbcli.stages.report_pages.failure import report_failure
 from limbcli.stages.report_pages.material import gather
+from limbcli.version import __version__
 from tests.stages import test_report_state
 
 CASE_TOML = """\
@@ -828,3 +830,30 @@ def test_the_card_leads_with_what_is_known_and_says_once_what_is_open(tmp_path):
     assert not any("f_κ" in name or "above" in value for name, (value, _) in values.items())
     assert "Left open by these data: f_κ above 52.0 (weak)." in site.sentence
     assert (site.mood, site.word) == ("fine", "good")
+
+
+def test_the_methods_of_a_run_are_told_with_its_numbers_versions_and_citations(whole):
+    out, _ = whole
+    told = (out / "report" / "methods.txt").read_text(encoding="utf-8")
+    data = read_result(out, "fit", site="p1").data
+    c_kpa = data["steps"]["ogden"]["c_kpa"]
+    mu = significant(0.5 * c_kpa)
+    assert f"mu = c/2 = {mu} kPa" in told
+    assert "identified as published [Ranger 2023]" in told
+    assert "10.1016/j.jmbbm.2022.105541" in told
+    assert f"limbcli {__version__}" in told
+    assert f"agreement with the data: {data.get('agreement', {}).get('state', 'untested')}" in told
+    for key in re.findall(r"\[([A-Z][a-z]+ \d{4})\]", told):
+        assert f"[{key}] {key.split()[0]} " in told  # each citation has its reference
+    html = (out / "report/report.html").read_text(encoding="utf-8")
+    assert "What could a paper say of the methods?" in html
+    assert f"E = 3 mu = {significant(1.5 * c_kpa)} kPa" in html
+
+
+def test_the_methods_cite_only_what_was_run(tmp_path: Path):
+    case = make_case(tmp_path / "case")
+    report(case, out=tmp_path / "out")
+    told = (tmp_path / "out" / "report" / "methods.txt").read_text(encoding="utf-8")
+    assert told.startswith("Computed by limbcli")
+    assert "Ranger" not in told
+    assert "TetGen" not in told

@@ -19,6 +19,7 @@ from limbcli.reporting.sections.force_depth import force_over_depth
 from limbcli.reporting.sections.joint import joint, laws
 from limbcli.reporting.sections.layers import layers
 from limbcli.reporting.sections.mesh import mesh
+from limbcli.reporting.sections.methods import methods
 from limbcli.reporting.sections.numerics import elements, mesh_study
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.reporting.sections.provenance import provenance
@@ -49,7 +50,7 @@ def groups(page: ReportData, own: Mapping[str, Any]) -> tuple[SectionGroup, ...]
         SectionGroup("chapter-parameters", "Parameters", (parameters(page), *together)),
         *sites,
         SectionGroup("chapter-segmentation", "Segmentation", (segmentation(page),)),
-        SectionGroup("chapter-provenance", "Provenance", (provenance(page, own),)),
+        SectionGroup("chapter-provenance", "Provenance", (methods(page, own), provenance(page, own))),
     )
 
 

@@ -196,7 +196,7 @@ def _of_a_scan(case: Case) -> AssumedLimb:
     path, radius = case.imaging.skin, case.imaging.bone_radius
     assert path is not None
     assert radius is not None
-    skin, warnings = read_body(path)
+    skin, warnings = read_body(path, case.imaging)
     pieces = skin_and_bones(Triangles(skin.points, skin.triangles))
     notes = [f"{len(pieces) - 1} smaller bodies of {path.name} are excluded"] if len(pieces) > 1 else []
     limb = mend(pieces[0], [], where=str(path))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from limbcli.case import Case
+from limbcli.case import Case, Imaging
 from limbcli.errors import CaseError, MeshError
 from limbcli.errors.problems import Problem, raise_errors
 from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
@@ -124,7 +124,7 @@ def frames_of(case: Case) -> tuple[list[str], list[Problem]]:
     stated = [stated_frame(path) for path in paths]
     mixed = mixed_frames(stated)
     found = [Problem(mixed, str(paths[0]), IN_ONE_FRAME, severity="warning")] if mixed else []
-    lines = [each.converted for each in stated if each.converted]
+    lines = [*(each.converted for each in stated if each.converted), *_by_case(case.imaging)]
     coloured = [path.name for path in paths if has_colours(path)]
     if coloured:
         lines.append(
@@ -142,13 +142,15 @@ def _of_aop(path: Path, case: Case) -> list[str]:
         limb = read_aop_limb(path)
     except OSError:
         return []  # reported where its surface is read
-    if limb.side and limb.side != case.limb:
+    shown = ("right" if case.limb == "left" else "left") if case.imaging.mirrored else case.limb
+    if limb.side and limb.side != shown:
         raise CaseError(
-            f"{path.name} states that it is the {limb.side} limb, but case.toml says {case.limb}",
+            f"{path.name} states that it is the {limb.side} limb, but case.toml says {shown}",
             where=str(path),
             fix='correct limb = "left" or "right" under [subject], or give the file of this limb',
         )
-    places = [f"{name} {triple(each)}" for name, rows in limb.landmark_points.items() for each in rows]
+    side = (-1.0, 1.0, 1.0) if case.imaging.mirrored else (1.0, 1.0, 1.0)
+    places = [f"{name} {triple(each * side)}" for name, rows in limb.landmark_points.items() for each in rows]
     return [f"landmarks of {path.name}, as for position_mm: {', '.join(places)}"] if places else []
 
 
@@ -164,7 +166,7 @@ def read_surfaces(case: Case) -> tuple[dict[str, ClosedSurface], dict[str, Path]
     assert case.imaging.skin is not None
     names = names_of_files(case.imaging.bones)
     paths = {SKIN: case.imaging.skin, **dict(zip(names, case.imaging.bones, strict=True))}
-    surfaces = {name: _in_mm(read_surface(path), name, path) for name, path in paths.items()}
+    surfaces = {name: _in_mm(_read(path, case.imaging), name, path) for name, path in paths.items()}
     if not case.imaging.bones:
         return _bodies(surfaces[SKIN], case.imaging.skin), paths, []
     bones = {name: surfaces[name] for name in names}
@@ -234,6 +236,52 @@ def _whole(bone: ClosedSurface) -> ClosedSurface:
     return ClosedSurface(outer.points, outer.faces)
 
 
+def _read(path: Path, imaging: Imaging) -> ClosedSurface:
+    """The surface of a file, converted as the file states and as case.toml says.
+
+    Raises
+    ------
+    CaseError
+        If it cannot be read, or file and case give different units.
+    """
+    surface = read_surface(path)
+    factor = _factor(path, imaging)
+    points = surface.points * factor * ((-1.0, 1.0, 1.0) if imaging.mirrored else (1.0, 1.0, 1.0))
+    return ClosedSurface(points, surface.triangles[:, ::-1].copy() if imaging.mirrored else surface.triangles)
+
+
+def _factor(path: Path, imaging: Imaging) -> float:
+    """By how much the lengths of a file, as it was read, are to be multiplied."""
+    if imaging.mm_per_unit is None:
+        return 1.0
+    stated = stated_frame(path)
+    contradicts = stated.mm_per_unit != 1.0 or (imaging.unit and stated.unit)
+    if not contradicts:
+        return imaging.mm_per_unit
+    if stated.mm_per_unit == imaging.mm_per_unit:
+        return 1.0
+    key = f'unit = "{imaging.unit}"' if imaging.unit else f"scale = {imaging.mm_per_unit:g}"
+    raise CaseError(
+        f"{path.name} states its lengths in units of {stated.unit}, but case.toml says {key}",
+        where=str(path),
+        fix="remove the key from [imaging], or correct the header of the file",
+    )
+
+
+def _by_case(imaging: Imaging) -> list[str]:
+    """What case.toml says of the surfaces, as lines."""
+    lines = []
+    if imaging.mm_per_unit not in (None, 1.0):
+        unit = f" ({imaging.unit})" if imaging.unit else ""
+        lines.append(f"lengths of the surfaces: 1 is {imaging.mm_per_unit:g} mm{unit}, as case.toml says")
+    if imaging.mirrored:
+        lines.append(
+            "the surfaces show the other limb, as case.toml says: they were mirrored (x to -x); positions "
+            "of sites are those of the mirrored limb"
+        )
+    return lines
+
+
 def _in_mm(surface: ClosedSurface, name: str, path: Path) -> ClosedSurface:
     """Check a surface's size, and return it with the triangles of a drawn body divided."""
     size = np.ptp(surface.points, axis=0).max()
@@ -242,7 +290,7 @@ def _in_mm(surface: ClosedSurface, name: str, path: Path) -> ClosedSurface:
         raise CaseError(
             f"the surface `{name}` is {size:.3g} mm across" + (f" ({converted})" if converted else ""),
             where=str(path),
-            fix="save it in mm (patient LPS frame)",
+            fix="save it in mm (patient LPS frame), or give its `unit` or `scale` in [imaging]",
             size_mm=float(size),
         )
     if not _is_drawn(surface):
@@ -259,15 +307,15 @@ def _is_drawn(surface: ClosedSurface) -> bool:
     return bool(area[long].sum() > _DRAWN_SHARE * area.sum())
 
 
-def read_body(path: Path) -> tuple[ClosedSurface, list[str]]:
-    """The skin of a file as given, with outward normals, and warnings.
+def read_body(path: Path, imaging: Imaging) -> tuple[ClosedSurface, list[str]]:
+    """The skin of a file as given, with outward normals, and warnings; imaging : its unit and side.
 
     Raises
     ------
     CaseError
         If it cannot be read, or its size is not that of a limb in mm.
     """
-    surface, left_out = without_fragments(_in_mm(read_surface(path), "skin", path), path, {})
+    surface, left_out = without_fragments(_in_mm(_read(path, imaging), "skin", path), path, {})
     turned, warnings = _turned(surface, "skin", path)
     return turned, [*left_out, *warnings]
 
