@@ -26,7 +26,7 @@ _VIEWS = (
     ("from the patient's right", (1, -1.0), (0, -1.0)),
 )
 _LETTERS = ("x", "y", "z")
-_NEAR = 10.0  # mm, skin-bone distance below which a point is drawn in another colour
+_NEAR = 10.0  # mm, distance to the nearest bone below which a point is drawn in another colour
 _SLICE = 15.0  # mm, half-length of the section whose centre determines on which side of the limb a point is
 _ROUND = 12.0  # mm, margin around the limb
 _MOST_ACROSS, _MOST_DOWN = 16.0, 9.0  # inches, largest size of all views together, which share one scale
@@ -71,10 +71,10 @@ def _report_marks(
     figure: Figure, grid: Sequence[GridPoint], markers: Mapping[str, Array], sites: Mapping[str, Array]
 ) -> None:
     """Draw a legend of the marks that are present."""
-    thin = [each for each in grid if each.skin_bone < _NEAR]
+    thin = [each for each in grid if each.nearest_bone < _NEAR]
     marks = (
         (len(thin) < len(grid), ".", _THICK, "point of the grid"),
-        (bool(thin), ".", _THIN, f"the same, less than {_NEAR:g} mm from skin to bone"),
+        (bool(thin), ".", _THIN, f"the same, less than {_NEAR:g} mm to the nearest bone"),
         (bool(markers), "D", _MARKER, "skin marker"),
         (bool(sites), "X", _SITE, "site of the case"),
     )
@@ -124,8 +124,8 @@ def _draw_points(
 
     seen = [each for each in grid if visible(each.point)]
     for colour, shown in (
-        (_THIN, [each for each in seen if each.skin_bone < _NEAR]),
-        (_THICK, [each for each in seen if not each.skin_bone < _NEAR]),
+        (_THIN, [each for each in seen if each.nearest_bone < _NEAR]),
+        (_THICK, [each for each in seen if not each.nearest_bone < _NEAR]),
     ):
         places = np.array([each.point[[across[0], 2]] for each in shown]).reshape(-1, 2)
         axes.plot(*places.T, ".", color=colour, markersize=4)
