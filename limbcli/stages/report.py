@@ -63,7 +63,7 @@ def _write_page(
     page: ReportData, glance: Overview, writer: StageWriter, templates: Path | None, progress: Progress
 ) -> None:
     own = {**provenance(), "inputs_sha256": writer.inputs}
-    chapters = groups(page, own)
+    chapters = groups(page, own, told={each.text for each in glance.warnings})
     reportlets = [each for chapter in chapters for each in chapter.reportlets]
     progress.event("task", name="report: drawing", done=0, total=1)
     files = save_pictures(reportlets, writer.work / "figures")

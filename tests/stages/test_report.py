@@ -6,6 +6,7 @@ import base64
 import csv
 import json
 import re
+from html import escape
 from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
@@ -23,8 +24,10 @@ from limbcli.reporting.sections.joint import joint, laws
 from limbcli.reporting.sections.overview import overview
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.reporting.sections.states import states
+from limbcli.reporting.sections.warning_box import CHANGES, SourcedWarning, warning_groups
 from limbcli.results import open_stage, read_result, sealed
 from limbcli.stages.batching.outcome import keep_error
+from limbcli.stages.fitting.laws import LOCKING
 from limbcli.stages.report import report
 from limbcli.stages.report_pages.failure import report_failure
 from limbcli.stages.report_pages.material import gather
@@ -144,6 +147,8 @@ def add_fit(
         writer.file("curves", "curves.csv").write_text("\n".join(rows) + "\n")
         small_png(writer.file("profiles", "profiles.png"))
         writer.warnings.append("f_kappa trades off <with> c")
+        if element == "tet4":
+            writer.warnings.append(LOCKING)
 
 
 class Page(HTMLParser):
@@ -518,7 +523,6 @@ def test_weak_parameters_are_named_in_the_first_sentence(tmp_path):
 @pytest.mark.parametrize(
     ("kind", "words"),
     [
-        ({"element": "tet4"}, "It is a property of this mesh, not of the tissue"),
         ({"noise": "assumed"}, "noise is assumed, not measured"),
         ({"scale": 2.3}, "2.3 times as large"),
     ],
@@ -529,6 +533,44 @@ def test_what_a_parameter_rests_on_is_warned_of(tmp_path, kind, words):
     assert any(words in text for text in parameters(gather(case, out=out)).warned)
     add_fit(out, "p1")
     assert not any(words in text for text in parameters(gather(case, out=out)).warned)
+
+
+def test_locking_is_warned_of_once_however_many_fits_it_touches(tmp_path):
+    case, out = make_case(tmp_path / "case", sites=("p1", "p2")), tmp_path / "out"
+    for site in ("p1", "p2"):
+        add_fit(out, site, element="tet4")
+    told = [each.text for each in overview(gather(case, out=out)).warnings]
+    assert sum("lock" in text for text in told) == 1
+    html = report(case, out=out).path("page").read_text(encoding="utf-8")
+    assert html.count("is valid for this mesh only") == 1
+
+
+def test_warnings_are_ranked_by_what_they_can_change_and_told_once(tmp_path):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    add_segment(out)
+    add_mesh(out, "p1")
+    add_fit(out, "p1", scale=2.3)
+    path = out / "fit" / "p1" / "fit.json"
+    content = json.loads(path.read_text())
+    content["data"]["boundary_check"] = {"cut_free": {"force_change_fraction": [-0.07, -0.1]}}
+    path.write_text(json.dumps(sealed(content)))
+    glance = overview(gather(case, out=out))
+    kinds = [each.kind for each in glance.warnings]
+    assert kinds == sorted(kinds, key=list(CHANGES).index)
+    assert len({each.text for each in glance.warnings}) == len(glance.warnings)
+    (model,) = [each for each in glance.warning_groups if each.changes == CHANGES["model"]]
+    assert "cut plane free, not held: force -10.0 to -7.0 %" in model.size
+    html = report(case, out=out).path("page").read_text(encoding="utf-8")
+    for each in glance.warnings:
+        assert html.count(escape(each.text)) <= 1, "a section repeats what stands at the top"
+    assert "about this, at the top of the page" in html
+
+
+def test_many_warnings_fold_those_that_change_no_parameter_directly(tmp_path):
+    page = gather(make_case(tmp_path / "case"), out=tmp_path / "out")
+    told = [SourcedWarning(source, f"w{n}") for n, source in enumerate(("fit p1", *["mesh p1"] * 4))]
+    assert [each.folded for each in warning_groups(told, page)] == [False, True]
+    assert [each.folded for each in warning_groups(told[:3], page)] == [False, False]
 
 
 def test_a_narrow_f_kappa_of_tet4_is_still_not_the_tissues(tmp_path):

@@ -12,6 +12,7 @@ from limbcli.reporting.reportlet import MOOD_WORDS, Mood, worst_mood
 from limbcli.reporting.sections.diagnosis import in_short
 from limbcli.reporting.sections.next_steps import next_steps
 from limbcli.reporting.sections.parameters import parameter_warnings
+from limbcli.reporting.sections.warning_box import SourcedWarning, WarningGroup, warning_groups
 
 
 @dataclass(frozen=True)
@@ -54,18 +55,13 @@ class SiteGlance:
 
 
 @dataclass(frozen=True)
-class SourcedWarning:
-    source: str
-    text: str
-
-
-@dataclass(frozen=True)
 class Overview:
     mood: Mood
     sentence: str
     sites: tuple[SiteGlance, ...]
     failures: tuple[Outcome, ...]
     warnings: tuple[SourcedWarning, ...]
+    warning_groups: tuple[WarningGroup, ...] = ()
 
 
 _PILL_WORDS: dict[str, tuple[Mood, str]] = {
@@ -78,18 +74,26 @@ _PILL_WORDS: dict[str, tuple[Mood, str]] = {
 def overview(page: ReportData) -> Overview:
     """Cards, stage badges and warnings for the top of the page."""
     sites = tuple(_site(page, site) for site in page.sites)
-    warnings = [SourcedWarning("report", text) for text in page.notices]
-    warnings += [SourcedWarning(label, text) for label, text in page.outcomes.warnings()]
-    warnings += [SourcedWarning("parameters", text) for text in parameter_warnings(page)]
-    reported = {each.text for each in warnings}
-    of_levels = [(site.name, text) for site in page.sites for text in site.warnings]
-    warnings += [SourcedWarning(f"levels {name}", text) for name, text in of_levels if text not in reported]
+    every = [("report", text) for text in page.notices]
+    every += [(f"levels {site.name}", text) for site in page.sites for text in site.warnings]
+    every += page.outcomes.warnings()
+    every += [("parameters", text) for text in parameter_warnings(page)]
+    first: dict[str, str] = {}
+    for source, text in every:
+        first.setdefault(text, source)
+    ranked = warning_groups([SourcedWarning(source, text) for text, source in first.items()], page)
+    warnings = [each for group in ranked for each in group.warnings]
     failures = page.outcomes.failed
     sentence = _sentence(sites, failures, len(warnings))
     if page.case.imaging.assumed:
         sentence = f"{sentence_of(page.case.imaging.assumed)} {sentence}"
     return Overview(
-        _overall(sites, bool(failures), bool(warnings)), sentence, sites, failures, tuple(warnings)
+        _overall(sites, bool(failures), bool(warnings)),
+        sentence,
+        sites,
+        failures,
+        tuple(warnings),
+        ranked,
     )
 
 

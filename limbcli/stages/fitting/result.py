@@ -21,6 +21,7 @@ from limbcli.results import StageWriter
 from limbcli.significant_digits import short
 from limbcli.solvers.base import Simulation
 from limbcli.stages.fitting.exports import parameter_rows, write_exports
+from limbcli.stages.fitting.laws import LOCKING
 from limbcli.stages.fitting.table import NAMES, Identified, counted_deviation, step_agreement, step_table
 from limbcli.units import kpa_from_mpa
 
@@ -191,10 +192,7 @@ def summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) -
     error = 100 * found.stiffness.gain_deviation
     writer.summary.append(f"counted as uncertainty of the simulated force: {short(error, 2)} % from the mesh")
     if "tet4" in writer.data["element"]:
-        writer.warnings.append(
-            "linear tetrahedra lock: f_kappa is a property of this mesh as much as of the tissue, and its "
-            "interval is valid for this mesh only; tet10 elements do not lock (--compare-element shows both)"
-        )
+        writer.warnings.append(LOCKING)
     for name in NAMES:
         if last["flags"][name] not in ("identified", "fixed"):
             writer.warnings.append(last["words"][name])
