@@ -509,6 +509,28 @@ def test_a_report_of_nothing_is_a_page_of_gaps(tmp_path):
         assert re.search(rf"limbcli {command} \S+( --site p1)? --out", page.text), command
 
 
+def test_the_page_shows_the_limb_with_the_site_on_it(tmp_path):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    corners = [(x, y, z) for x in (-40, 40) for y in (-30, 30) for z in (0, 200)]
+    faces = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1), (2, 3, 7), (2, 7, 6),
+             (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]  # fmt: skip
+    with open_stage(out, "segment", subject="S1") as writer:
+        rows = [
+            "ply", "format ascii 1.0", "element vertex 8", "property float x", "property float y",
+            "property float z", "element face 12", "property list uchar int vertex_indices", "end_header",
+            *(" ".join(map(str, each)) for each in corners), *(f"3 {a} {b} {c}" for a, b, c in faces),
+        ]  # fmt: skip
+        writer.file("skin", "skin.ply").write_text("\n".join(rows) + "\n")
+    add_fit(out, "p1")
+    page = Page(report(case, out=out).path("page").read_text(encoding="utf-8"))
+    shown = [each for tag, each in page.tags if tag == "img" and "probe's face at site p1" in each["alt"]]
+    assert len(shown) == 1
+    assert "above the lower end of the limb in the images; " in page.text
+    (out / "segment" / "skin.ply").write_text("not a surface")
+    page = Page(report(case, out=out).path("page").read_text(encoding="utf-8"))
+    assert "above the lower end" not in page.text
+
+
 def test_weak_parameters_are_named_in_the_first_sentence(tmp_path):
     case, out = make_case(tmp_path / "case"), tmp_path / "out"
     add_fit(out, "p1")

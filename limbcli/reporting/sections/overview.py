@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from limbcli.reporting.figures.limb_views import limb_place_figure
 from limbcli.reporting.fit_view import EstimateView, FitView, StepView, read_fit_view
 from limbcli.reporting.numbers import quantity, significant
 from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import MOOD_WORDS, Mood, worst_mood
+from limbcli.reporting.reportlet import MOOD_WORDS, Mood, Picture, worst_mood
 from limbcli.reporting.sections.diagnosis import in_short
 from limbcli.reporting.sections.next_steps import next_steps
 from limbcli.reporting.sections.parameters import parameter_warnings
@@ -47,6 +48,7 @@ class SiteGlance:
     poor: str = ""
     next_steps: tuple[str, ...] = ()
     diagnosis: str = ""
+    picture: Picture | None = None
 
     @property
     def word(self) -> str:
@@ -73,7 +75,7 @@ _PILL_WORDS: dict[str, tuple[Mood, str]] = {
 
 def overview(page: ReportData) -> Overview:
     """Cards, stage badges and warnings for the top of the page."""
-    sites = tuple(_site(page, site) for site in page.sites)
+    sites = tuple(_on_limb(_site(page, site), site) for site in page.sites)
     every = [("report", text) for text in page.notices]
     every += [(f"levels {site.name}", text) for site in page.sites for text in site.warnings]
     every += page.outcomes.warnings()
@@ -166,6 +168,16 @@ def _site(page: ReportData, site: SiteMaterial) -> SiteGlance:
         next_steps=next_steps(page, site, view),
         diagnosis=in_short(page, site) or "",
     )
+
+
+def _on_limb(glance: SiteGlance, site: SiteMaterial) -> SiteGlance:
+    """With the picture of the limb, and the place in words before its coordinates."""
+    limb = site.on_limb
+    if limb is None:
+        return glance
+    alt = f"The limb {limb.view.name}, with the probe's face at site {site.name}: {limb.words}."
+    picture = Picture(f"place-{site.name}", alt, limb_place_figure(limb), vector=False)
+    return replace(glance, place=f"{limb.words}; {glance.place}", picture=picture)
 
 
 def _pill(outcome: Outcome) -> StageBadge:
