@@ -196,6 +196,8 @@ def batch(
 ) -> BatchResult:
     """Run all stages of one or more cases, from images to report; only what changed is redone.
 
+    A case that fails does not stop the others and raises nothing: check `ok` and `failures`.
+
     Parameters
     ----------
     cases : one case or several, each given once
@@ -212,8 +214,6 @@ def batch(
         one needs the call in a script to be below `if __name__ == "__main__":`
     scheduler : address of a running Dask cluster to use
     wait, progress : as for `segment`
-
-    A case that fails does not stop the others and raises nothing: check `ok` and `failures`.
 
     Raises
     ------

@@ -22,12 +22,11 @@ from limbcli.api.call import (
 from limbcli.api.limits import one_of, tables, within
 from limbcli.case import Case
 from limbcli.case.toml_file import read_toml
+from limbcli.mesh_bounds import ELEMENTS
 from limbcli.results import StageResult
 
 if TYPE_CHECKING:
     from limbcli.stages.simulated_subjects.synth_options import SynthOptions
-
-ELEMENTS = ("tet10", "tet4")
 
 
 @dataclass(frozen=True, eq=False)

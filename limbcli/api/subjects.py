@@ -83,14 +83,12 @@ class MeasureResult(Result):
 
 def check(case: CaseLike, *, progress: Heard = None) -> CheckResult:
     """Check everything about a case folder that can be known before computing, and return all problems at
-    once.
+    once. Errors in the case raise nothing; they are in `problems`.
 
     Parameters
     ----------
     case : the folder that holds case.toml, or a `Case`, whose folder is read again
     progress : called with (kind, facts) at each event; None: no calls
-
-    It raises nothing for errors in the case: these are in `problems`.
     """
     from limbcli.stages import check as stage
 

@@ -102,6 +102,10 @@ class Tabular:
         """
         return to_frame(self.table())
 
+    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
+        """Representation in IPython's terminal: as `print` shows it."""
+        printer.text(str(self))
+
     def _repr_html_(self) -> str:
         """Notebook representation: the findings with their warnings, as `print` shows them."""
         return f"<pre>{html.escape(str(self))}</pre>"

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from limbcli.cli.options import (
+    ElementOpt,
     FebioOpt,
     JsonOpt,
     NoWaitOpt,
@@ -27,9 +28,6 @@ if TYPE_CHECKING:
     from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailure
 
 CasesArg = Annotated[list[Path], typer.Argument(metavar="CASE...", help="Case folders.", show_default=False)]
-ElementOpt = Annotated[
-    str | None, typer.Option("--element", help="tet10 | tet4; default: the case's own.", show_default=False)
-]
 ForceOpt = Annotated[bool, typer.Option("--force", help="Redo every stage, even where nothing changed.")]
 DefaultsOpt = Annotated[
     bool,

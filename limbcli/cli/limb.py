@@ -6,10 +6,10 @@ from typing import Annotated
 
 import typer
 
-from limbcli.cli.mesh import ElementOpt
 from limbcli.cli.options import (
     CaseArg,
     CKpaOpt,
+    ElementOpt,
     JsonOpt,
     NoWaitOpt,
     OutOpt,

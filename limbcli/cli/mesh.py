@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from limbcli.cli.options import CaseArg, JsonOpt, NoWaitOpt, OutOpt, QuietOpt, SiteOpt, VerboseOpt
+from limbcli.cli.options import CaseArg, ElementOpt, JsonOpt, NoWaitOpt, OutOpt, QuietOpt, SiteOpt, VerboseOpt
 from limbcli.cli.terminal import emit, terminal
 from limbcli.mesh_bounds import FAR_SIZE_MM, MARGIN_MM, SIZE_MM
 from limbcli.output_lock import one_writer
@@ -30,9 +30,6 @@ FarSizeOpt = Annotated[
         help="Edge length far from it; default 8, or --size-mm.",
         show_default=False,
     ),
-]
-ElementOpt = Annotated[
-    str | None, typer.Option("--element", help="tet10 | tet4; default: the case's.", show_default=False)
 ]
 MarginOpt = Annotated[
     float | None,

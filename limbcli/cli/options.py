@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from limbcli.mesh_bounds import ELEMENTS
+
 CaseArg = Annotated[
     Path, typer.Argument(metavar="CASE", help="Case folder (containing case.toml).", show_default=False)
 ]
@@ -28,6 +30,26 @@ JsonOpt = Annotated[bool, typer.Option("--json", help="Print the result as JSON.
 QuietOpt = Annotated[bool, typer.Option("--quiet", "-q", help="No progress; only the result.")]
 VerboseOpt = Annotated[
     int, typer.Option("--verbose", "-v", count=True, help="More output; twice: all of it.")
+]
+
+
+def one_of_the_elements(value: str) -> str:
+    """The name of an element, refused before any file is read."""
+    if value not in ELEMENTS:
+        raise typer.BadParameter(f"{value!r} is not one of {', '.join(ELEMENTS)}")
+    return value
+
+
+ElementOpt = Annotated[
+    str | None,
+    typer.Option(
+        "--element",
+        metavar="|".join(ELEMENTS),
+        parser=one_of_the_elements,
+        autocompletion=lambda: list(ELEMENTS),
+        help="Elements of the tissue's mesh; default: the case's.",
+        show_default=False,
+    ),
 ]
 SolverOpt = Annotated[str, typer.Option("--solver", help="auto | febio | reference")]
 FebioOpt = Annotated[

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
+from limbcli.cli.options import ElementOpt
 from limbcli.mesh_bounds import FAR_SIZE_MM, MARGIN_MM, SIZE_MM
 
 if TYPE_CHECKING:
@@ -53,14 +54,6 @@ MaxStrainOpt = Annotated[
         min=0.05,
         max=0.6,
         help="Largest depth over skin-bone distance.",
-    ),
-]
-SynthElementOpt = Annotated[
-    str | None,
-    typer.Option(
-        "--element",
-        help="Elements of the mesh simulated on: tet10 | tet4; default: the case's.",
-        show_default=False,
     ),
 ]
 SynthSizeOpt = Annotated[
@@ -116,7 +109,7 @@ def _plan(
     step_n: StepOpt = 2.0,
     max_force_n: MaxForceOpt = 12.0,
     max_strain: MaxStrainOpt = 0.45,
-    element: SynthElementOpt = None,
+    element: ElementOpt = None,
     size_mm: SynthSizeOpt = 4.0,
     far_size_mm: SynthFarSizeOpt = 12.0,
     margin_mm: SynthMarginOpt = None,

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 import typer
+from typer.testing import CliRunner
 
 from limbcli import errors
 from limbcli.cli.app import COMMANDS, app, main
@@ -245,3 +246,10 @@ def test_interruption_at_the_first_and_the_last_moment_is_quiet(moment: str, sen
     assert done.returncode == code
     assert "interrupted" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("command", ["mesh", "batch", "synth", "limb"])
+def test_an_unknown_element_is_refused_before_any_file_is_read(command, tmp_path):
+    shown = CliRunner().invoke(app, [command, str(tmp_path / "nowhere"), "--element", "hex8"])
+    assert shown.exit_code == 2
+    assert "'hex8' is not one of tet10, tet4" in shown.output
