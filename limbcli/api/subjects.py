@@ -83,7 +83,7 @@ class MeasureResult(Result):
 
 def check(case: CaseLike, *, progress: Heard = None) -> CheckResult:
     """Check everything about a case folder that can be known before computing, and return all problems at
-    once. Errors in the case raise nothing; they are in `problems`.
+    once. An error in the case raises nothing: it is in `problems`.
 
     Parameters
     ----------
