@@ -1,6 +1,6 @@
 """What `limbcli cohort` cannot know, and how far it moves c_fat: the slab with other bonds, skin and fascia.
 
-    python tests/benchmarks/cohort_structure.py             # a table for two shapes, half a minute
+    python tests/benchmarks/cohort_structure.py             # a table for two shapes, 2 minutes
 
 The table of a cohort holds thickness and shortening of each layer, but not whether muscle slides on the
 bone, how stiff skin and the fascia over the muscle are, or how near the limb's flanks are. Each lowers fat's
@@ -25,15 +25,14 @@ from limbcli.stages.cohorts import family
 STRAINS = (0.05, 0.12, 0.2)
 RATIOS = (0.5, 1.0, 4.0, 15.0)
 FASCIA_SHARE = 0.02  # thickness of the fascia over that of all tissue
-# thickness, fat share and skin (as in `family.Member`), and a ratio of strains, fat over muscle, when the whole
-# is shortened by 0.2
+# thickness, fat share and skin (as in `family.Member`); a ratio of strains, fat over muscle, at STRAINS[-1]
 SHAPES = {"thin, 0.38": ((1.24, 0.147, 0.041), 0.38), "thick, 0.55": ((2.2, 0.136, 0.053), 0.55)}
 
 
 @dataclass(frozen=True)
 class Structure:
-    """slides : muscle moves freely along the bone; flank : width beside the face over the root of its area, None
-    as in the family; skin, fascia : c over that of muscle (fascia None: there is none)
+    """slides : muscle moves freely along the bone; skin, fascia : c over that of muscle (None: no fascia);
+    flank : width of tissue beside the face over the root of its area (None: as in the family)
     """
 
     slides: bool = False
