@@ -62,7 +62,7 @@ def slice_axes(image: Volume, window: Sequence[slice]) -> tuple[SliceAxis, Slice
         lost = np.abs(directions[axis] - sign * (np.arange(3) == n))
         if float(0.5 * lost @ spans) > _OBLIQUE_MM:
             return tuple(  # type: ignore[return-value]
-                SliceAxis(0.0, 1.0, f"mm along {name} of the oblique slice, not LPS") for name in "ij"
+                SliceAxis(0.0, 1.0, f"mm along {name} (not LPS)") for name in "ij"
             )
         first = image.to_patient(middle)[0, axis] - sign * middle[0, n] * image.spacing[n]
         found.append(SliceAxis(float(first), sign, f"{'xyz'[axis]} (LPS), mm"))

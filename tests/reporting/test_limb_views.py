@@ -16,16 +16,16 @@ def placed(outward: tuple[float, float, float], place: tuple[float, float, float
     along = np.cross([0.0, 0.0, 1.0], outward)
     face = np.array(place) + np.array([-20.0, 20.0, 20.0, -20.0])[:, None] * along
     face[:, 2] += [-5.0, -5.0, 5.0, 5.0]
-    return LimbPlace("p1", BOX, SIDES, np.array(place), np.array(outward), face)
+    return LimbPlace("p1", "left", BOX, SIDES, np.array(place), np.array(outward), face)
 
 
 @pytest.mark.parametrize(
     ("outward", "place", "view", "side"),
     [
         ((0.0, -1.0, 0.0), (0.0, -30.0, 150.0), "from the front (anterior)", "anterior"),
-        ((1.0, 0.0, 0.0), (40.0, 0.0, 150.0), "from the patient's left", "left"),
+        ((1.0, 0.0, 0.0), (40.0, 0.0, 150.0), "from the patient's left", "lateral"),
         ((0.0, 1.0, 0.0), (0.0, 30.0, 150.0), "from the back (posterior)", "posterior"),
-        ((-0.9, 0.3, 0.3), (-40.0, 0.0, 150.0), "from the patient's right", "right"),
+        ((-0.9, 0.3, 0.3), (-40.0, 0.0, 150.0), "from the patient's right", "medial"),
     ],
 )
 def test_a_limb_is_seen_from_the_side_of_its_site(outward, place, view, side):
@@ -51,5 +51,5 @@ def test_the_probes_face_is_drawn_at_its_place_and_left_is_where_the_viewer_sees
 
 def test_a_site_without_a_mesh_is_marked_by_a_cross():
     limb = placed((0.0, -1.0, 0.0), (0.0, -30.0, 50.0))
-    figure = limb_place_figure(LimbPlace("p1", BOX, SIDES, limb.place, limb.outward))
+    figure = limb_place_figure(LimbPlace("p1", "left", BOX, SIDES, limb.place, limb.outward))
     assert [row[6:8] for row in figure_data(figure) if row[4] == "p1"] == [(0.0, 50.0)]

@@ -45,7 +45,7 @@ VIEWS = (
 
 @dataclass(frozen=True, eq=False)
 class LimbPlace:
-    """A site on its limb; mm, patient LPS.
+    """A site on its limb, "left" or "right"; mm, patient LPS.
 
     points (n, 3), triangles (k, 3) : the skin
     place (3,), outward (3,) : the site, and the direction away from the limb there
@@ -53,6 +53,7 @@ class LimbPlace:
     """
 
     name: str
+    limb: str
     points: Array
     triangles: IntArray
     place: Array
@@ -68,11 +69,13 @@ class LimbPlace:
     def words(self) -> str:
         """
         >>> skin = np.array([[0.0, 0, -50], [9, 0, 10], [0, 9, 10]])
-        >>> LimbPlace("p1", skin, np.array([[0, 1, 2]]), np.zeros(3), np.array([0.1, 1.0, 0.4])).words
-        'posterior, 50 mm above the lower end of the limb in the images'
+        >>> LimbPlace("p1", "left", skin, np.array([[0, 1, 2]]), np.zeros(3), np.array([0.6, 1.0, 0.4])).words
+        'posterior and lateral, 50 mm above the lower end of the limb in the images'
         """
         height = float(self.place[2] - self.points[:, 2].min())
         side = side_of(self.outward * [1.0, 1.0, 0.0])
+        for name in ("left", "right"):
+            side = side.replace(name, "lateral" if name == self.limb else "medial")
         return f"{side}, {height:.0f} mm above the lower end of the limb in the images"
 
 

@@ -32,7 +32,7 @@ def limb_place(case: Case, site: Site, skin: Triangles | None, outcomes: Outcome
         return None
     try:
         framed = _framed(case, site, skin, outcomes.of("mesh", site.name).usable)
-        return framed or _unframed(site, skin, outcomes.of("segment").usable)
+        return framed or _unframed(case, site, skin, outcomes.of("segment").usable)
     except UNLIKE_OURS:
         return None
 
@@ -46,11 +46,17 @@ def _framed(case: Case, site: Site, skin: Triangles, meshed: StageResult | None)
     across = np.cross(outward, along)
     half = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * [case.probe.length / 2, case.probe.width / 2]
     return LimbPlace(
-        site.name, skin.points, skin.faces, place, outward, place + half @ np.stack([along, across])
+        site.name,
+        case.limb,
+        skin.points,
+        skin.faces,
+        place,
+        outward,
+        place + half @ np.stack([along, across]),
     )
 
 
-def _unframed(site: Site, skin: Triangles, segmented: StageResult | None) -> LimbPlace | None:
+def _unframed(case: Case, site: Site, skin: Triangles, segmented: StageResult | None) -> LimbPlace | None:
     """The place that the case states or a marker has, before `mesh`."""
     place = site.position
     if place is None and segmented is not None:
@@ -59,7 +65,7 @@ def _unframed(site: Site, skin: Triangles, segmented: StageResult | None) -> Lim
     if place is None:
         return None
     point = np.array(place, float)
-    return LimbPlace(site.name, skin.points, skin.faces, point, point - _middle(skin, point))
+    return LimbPlace(site.name, case.limb, skin.points, skin.faces, point, point - _middle(skin, point))
 
 
 def _middle(skin: Triangles, point: Array) -> Array:
