@@ -203,13 +203,15 @@ def _lines(axes: Axes) -> Iterator[Row]:
 
 
 def _collections(axes: Axes) -> Iterator[Row]:
-    from matplotlib.collections import LineCollection
+    from matplotlib.collections import LineCollection, TriMesh
     from matplotlib.container import ErrorbarContainer
 
     error_bars = [each for each in axes.containers if isinstance(each, ErrorbarContainer)]
     of: dict[Any, Any] = {bars: each for each in error_bars for bars in each.lines[2]}
     for k, each in enumerate(axes.collections):
         array = each.get_array()
+        if array is None and isinstance(each, TriMesh):
+            continue  # a shaded surface: a picture, not data
         values = np.zeros(0) if array is None else _plain(array).ravel()
         name = _name(of.get(each, each), k)
         if isinstance(each, LineCollection):

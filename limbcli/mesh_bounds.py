@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 # edge length under the probe: finer takes hours, coarser does not resolve the probe's edge
+ELEMENTS = ("tet10", "tet4")  # of the tissue
 SIZE_MM: Final = (0.8, 10.0)
 FAR_SIZE_MM: Final = (0.8, 25.0)  # edge length far from the probe
 MARGIN_MM: Final = (5.0, 150.0)  # width of the tissue kept beyond the probe

@@ -16,7 +16,7 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, Union, get_args, get_origin
 
-from limbcli.mesh_bounds import MARGIN_MM
+from limbcli.mesh_bounds import ELEMENTS, MARGIN_MM
 
 Bounds: TypeAlias = tuple[float | None, float | None]
 SolverName = Literal["auto", "febio", "reference"]
@@ -173,8 +173,6 @@ FEBIO = Option("The FEBio binary.", metavar="FILE", kind=Path)
 TEMPLATES = Option(
     "Folder of your own templates, which take precedence over limbcli's.", metavar="DIR", kind=Path
 )
-ELEMENT = Option(
-    "tet10 | tet4; default: the case's.",
-)
+ELEMENT = Option("Elements of the tissue's mesh; default: the case's.", metavar="|".join(ELEMENTS))
 MARGIN = Option("Tissue kept beyond the probe; default: the case's.", MARGIN_MM)
 C_KPA = Option("c = 2 mu, entered by hand; default: from SWE at level 0.")

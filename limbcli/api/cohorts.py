@@ -21,7 +21,7 @@ from limbcli.api.call import (
 from limbcli.api.tables import Row, Tabular
 from limbcli.config import default_out
 from limbcli.errors import CaseError, LimbcliError
-from limbcli.options import FEBIO, OUT, PROGRESS, SOLVER, TEMPLATES, WAIT, Option, SolverName
+from limbcli.options import ELEMENT, FEBIO, OUT, PROGRESS, SOLVER, TEMPLATES, WAIT, Option, SolverName
 from limbcli.output_lock import one_writer
 from limbcli.results import StageResult
 
@@ -184,9 +184,7 @@ def batch(
             "and an index page.",
         ),
     ] = None,
-    element: Annotated[
-        Literal["tet10", "tet4"] | None, Option("tet10 | tet4; default: the case's own.")
-    ] = None,
+    element: Annotated[Literal["tet10", "tet4"] | None, ELEMENT] = None,
     solver: Annotated[SolverName, SOLVER] = "auto",
     febio: Annotated[PathLike | None, FEBIO] = None,
     templates: Annotated[PathLike | None, TEMPLATES] = None,

@@ -87,9 +87,7 @@ def _checked(found: Checked) -> CheckResult:
 @public(_checked, "CheckResult")
 def check(case: Annotated[CaseLike, CASE], *, progress: Annotated[Heard, PROGRESS] = None) -> Checked:
     """Check everything about a case folder that can be known before computing, and return all problems at
-    once.
-
-    It raises nothing for errors in the case: these are in `problems`.
+    once. An error in the case raises nothing: it is in `problems`.
     """
     from limbcli.case import Case
     from limbcli.stages import check as stage

@@ -46,6 +46,12 @@ class Case:
     sites: tuple[Site, ...]
     raw: Mapping[str, Any]
 
+    def __repr__(self) -> str:
+        names = ", ".join(site.name for site in self.sites)
+        return (
+            f"Case({str(self.folder)!r}: subject {self.subject}, {self.limb} limb, sites {names or 'none'})"
+        )
+
     @property
     def file(self) -> Path:
         """case.toml itself."""

@@ -11,6 +11,7 @@ from typing import Protocol
 
 TOLD_AFTER_S = 3.0  # time (s) after which the remaining time is shown
 SILENCE_S = 4.0  # silence (s) before a heartbeat; slightly less than the limit of five seconds without output
+LOG_S = 60.0  # the same in a log that nobody watches, and the least time between two lines of one task
 
 
 class TimeLeft:
@@ -56,7 +57,7 @@ class SilenceMonitor(Protocol):
     def alive(self) -> None: ...
 
 
-def keep_alive(listener: SilenceMonitor, *, silence_s: float = SILENCE_S) -> None:
+def keep_alive(listener: SilenceMonitor, *, silence_s: float) -> None:
     """Start a heartbeat that calls the listener whenever it was silent for `silence_s`; ends with the
     listener."""
     reference = weakref.ref(listener)

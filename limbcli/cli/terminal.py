@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, TextIO
 
-from limbcli.cli.remaining_time import TimeLeft, keep_alive
+from limbcli.cli.remaining_time import LOG_S, SILENCE_S, TimeLeft, keep_alive
 from limbcli.cli.results_stream import results
 from limbcli.cli.say import say
 from limbcli.plain_text import shown
@@ -18,17 +18,18 @@ from limbcli.progress import SILENT, Progress
 if TYPE_CHECKING:  # without numpy, which help and messages do not need
     from limbcli.results import StageResult
 
-_SECONDS_BETWEEN_LINES = 2.0
 _LONGEST = 100  # largest number of characters of the current work in a heartbeat
 
 
 def terminal(*, quiet: bool = False, verbose: int = 0, stream: TextIO | None = None) -> Progress:
-    """The listener for this terminal: one line rewritten in place, or plain lines."""
+    """The listener for this terminal: one line rewritten in place; in a log, plain lines at least LOG_S apart
+    while one task goes on."""
     if quiet:
         return SILENT
     stream = stream or sys.stderr
-    lines = _Lines(stream, verbose=verbose, live=stream.isatty())
-    keep_alive(lines)
+    live = stream.isatty()
+    lines = _Lines(stream, verbose=verbose, live=live)
+    keep_alive(lines, silence_s=SILENCE_S if live else LOG_S)
     return Progress(lines)
 
 
@@ -53,7 +54,7 @@ class _Lines:
                 self._line(text)
             elif self._live:
                 self._rewrite(text)
-            elif self._verbose or time.monotonic() - self._last > _SECONDS_BETWEEN_LINES:
+            elif self._verbose or time.monotonic() - self._last > LOG_S:
                 self._line(text)
 
     def silent_s(self) -> float:

@@ -95,13 +95,19 @@ def _refused(what: str, where: str) -> SolveError:
     )
 
 
+COMPILED = (
+    "the bundled solver for this processor (elements, contact, equations): once on this machine, about a "
+    "minute on two free cores"
+)
+
+
 def warm_up(progress: Progress) -> None:
     """Report, once, that the kernels are about to be compiled on this machine.
 
     If other processes are already compiling them, wait for these to finish.
     """
     if not are_there() or background_processes.at_work():
-        progress.event("compile", what="the reference solver's kernels: about a minute, once on this machine")
+        progress.event("compile", what=COMPILED)
     background_processes.wait()
 
 

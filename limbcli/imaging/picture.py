@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,47 @@ _SKIN, _BONES, _MARKER = "#ffd400", ("#ff3b30", "#28c8ff", "#7cfc00", "#ff8cff")
 _FAT = "#58d68d"
 _PANEL_INCHES = 1.85
 _MARGINS = Margins(left=0.5, above=0.17, below=0.75)
+_OBLIQUE_MM = (
+    1.0  # largest error of a coordinate read from the axes of a slice that is not square to the patient
+)
+
+
+@dataclass(frozen=True)
+class SliceAxis:
+    """How an axis of a slice is shown: `first + sign * mm`, with mm from the image's first voxel."""
+
+    first: float
+    sign: float
+    label: str
+
+    def __call__(self, mm: Array) -> Array:
+        return self.first + self.sign * mm
+
+    def ends(self, low: float, high: float) -> tuple[float, float]:
+        return self.first + self.sign * low, self.first + self.sign * high
+
+
+def slice_axes(image: Volume, window: Sequence[slice]) -> tuple[SliceAxis, SliceAxis]:
+    """The axes along i and j of all slices: patient coordinates (LPS) if the slices are square to the
+    patient, so that a position can be read from them; else mm within the slice, and the label says so.
+
+    window : the shown ranges of i and j, and that of all slices
+    """
+    spans = np.array([each.stop - each.start for each in window]) * image.spacing
+    middle = np.array([[0.5 * (each.start + each.stop - 1) for each in window]])
+    directions = image.affine[:3, :3] / image.spacing
+    found = []
+    for n in range(2):
+        axis = int(np.argmax(np.abs(directions[:, n])))
+        sign = float(np.sign(directions[axis, n]))
+        lost = np.abs(directions[axis] - sign * (np.arange(3) == n))
+        if float(0.5 * lost @ spans) > _OBLIQUE_MM:
+            return tuple(  # type: ignore[return-value]
+                SliceAxis(0.0, 1.0, f"mm along {name} (not LPS)") for name in "ij"
+            )
+        first = image.to_patient(middle)[0, axis] - sign * middle[0, n] * image.spacing[n]
+        found.append(SliceAxis(float(first), sign, f"{'xyz'[axis]} (LPS), mm"))
+    return found[0], found[1]
 
 
 def contact_sheet(
@@ -40,6 +82,7 @@ def contact_sheet(
     chosen = np.unique(np.linspace(*_ends(labels.values), _COLUMNS * _ROWS).round().astype(int))
     rows = int(np.ceil(len(chosen) / _COLUMNS))
     window = box_around(np.any(labels.values > 0, axis=2), np.ceil(6.0 / grey.spacing[:2]))
+    across, down = slice_axes(grey, (*window, slice(int(chosen[0]), int(chosen[-1]) + 1)))
     height = (window[1].stop - window[1].start) * grey.spacing[1]
     width = (window[0].stop - window[0].start) * grey.spacing[0]
     widths, heights = [_PANEL_INCHES] * _COLUMNS, [_PANEL_INCHES * height / width] * rows
@@ -48,10 +91,10 @@ def contact_sheet(
     markers = labels.values == MARKER
     for number, k in enumerate(chosen, 1):
         axes = figure.add_subplot(grid[divmod(number - 1, _COLUMNS)])
-        extent = _extent(window, grey.spacing)
+        extent = _extent(window, grey.spacing, across, down)
         section = np.clip(grey.values[*window, k].T / max(top, 1e-9), 0, 1) ** 0.7
         axes.imshow(section, cmap="gray", vmin=0, vmax=1, extent=extent, interpolation="bilinear")
-        _outlines(axes, found, markers, grey, int(k))
+        _outlines(axes, found, markers, grey, int(k), across, down)
         axes.set_xlim(extent[0], extent[1])
         axes.set_ylim(extent[2], extent[3])
         _label_sides(axes, grey)
@@ -59,8 +102,8 @@ def contact_sheet(
         axes.set_title(f"slice {k + 1} of {grey.shape[2]}, z = {height_mm:.0f} mm", fontsize=8)
         is_lowest, is_first = number > len(chosen) - _COLUMNS, number % _COLUMNS == 1
         axes.tick_params(labelsize=6)
-        axes.set_xlabel("mm along i", fontsize=7)
-        axes.set_ylabel("mm along j", fontsize=7)
+        axes.set_xlabel(across.label, fontsize=7)
+        axes.set_ylabel(down.label, fontsize=7)
         axes.xaxis.set_visible(is_lowest)
         axes.yaxis.set_visible(is_first)
     lines = [Line2D([], [], color=colour, label=label) for label, colour in _outlined(found, names, markers)]
@@ -95,25 +138,34 @@ def _ends(labels: NDArray) -> tuple[int, int]:
     return int(filled[0]), int(filled[-1])
 
 
-def _extent(window: tuple[slice, ...], spacing: Array) -> tuple[float, float, float, float]:
+def _extent(
+    window: tuple[slice, ...], spacing: Array, across: SliceAxis, down: SliceAxis
+) -> tuple[float, float, float, float]:
     i, j = window[0], window[1]
     return (
-        (i.start - 0.5) * spacing[0],
-        (i.stop - 0.5) * spacing[0],
-        (j.stop - 0.5) * spacing[1],
-        (j.start - 0.5) * spacing[1],
+        *across.ends((i.start - 0.5) * spacing[0], (i.stop - 0.5) * spacing[0]),
+        *down.ends((j.stop - 0.5) * spacing[1], (j.start - 0.5) * spacing[1]),
     )
 
 
-def _outlines(axes: Axes, found: Segmentation, markers: NDArray[np.bool_], grey: Volume, k: int) -> None:
-    """Draw contours of the working masks, in the image's in-plane mm."""
+def _outlines(
+    axes: Axes,
+    found: Segmentation,
+    markers: NDArray[np.bool_],
+    grey: Volume,
+    k: int,
+    across: SliceAxis,
+    down: SliceAxis,
+) -> None:
+    """Draw contours of the working masks, in the coordinates of the shown axes."""
     masks = [] if found.fat is None else [(found.fat, _FAT, 0.4)]
     masks += [(found.skin, _SKIN, 0.9)]
     masks += [(bone, _BONES[number % len(_BONES)], 0.9) for number, bone in enumerate(found.bones)]
     masks += [(grey.with_values(markers), _MARKER, 0.9)]
     lines = [(each, colour, width) for mask, colour, width in masks for each in _contours(mask, grey, k)]
     if lines:
-        drawn, colours, widths = zip(*lines, strict=True)
+        in_mm, colours, widths = zip(*lines, strict=True)
+        drawn = [np.column_stack([across(each[:, 0]), down(each[:, 1])]) for each in in_mm]
         axes.add_collection(LineCollection(drawn, colors=colours, linewidths=widths), autolim=False)
 
 

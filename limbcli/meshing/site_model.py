@@ -10,6 +10,7 @@ import numpy as np
 
 from limbcli.bodies import Contact, Drive, RigidBody
 from limbcli.errors import CaseError
+from limbcli.mesh_bounds import ELEMENTS
 from limbcli.meshing.checks import LayersKept, SiteChecks, layers_kept, site_checks, to_cut
 from limbcli.meshing.crop import crop_planes
 from limbcli.meshing.domain import CUT, TissueDomain, make_domain
@@ -33,7 +34,6 @@ from limbcli.model import (
 )
 from limbcli.progress import SILENT, Progress
 
-ELEMENTS = ("tet10", "tet4")
 # placeholder Ogden law until measurements are set: modulus (MPa), kappa over it, exponent
 _STIFFNESS, _F_KAPPA, _EXPONENT = 0.005, 100.0, 2.0
 

@@ -12,7 +12,11 @@ from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, hea
 from limbcli.significant_digits import significant
 
 Data = Mapping[str, Any]
-_NAMES = (("c_muscle_kpa", "c of muscle", "kPa"), ("c_fat_kpa", "c of fat", "kPa"), ("m", "m", ""))
+_NAMES = (
+    ("c_muscle_kpa", "c of muscle", "kPa"),
+    ("c_fat_kpa", "c of fat, in the bonded slab", "kPa"),
+    ("m", "m", ""),
+)
 _LISTED = 25
 
 
@@ -208,8 +212,8 @@ def one_tissue(data: Data) -> Reportlet:
                 rows,
             ),
         ),
-        look_for="dots within the band: fat and muscle move like one tissue. Below it, fat is the "
-        "stiffer layer; above it, the softer",
+        look_for="dots within the band: fat and muscle move like one tissue of the bonded slab. Below it, "
+        "fat shortens less: it is stiffer, or muscle slides on the bone, or skin and fascia are stiff",
         bad="most dots outside: a homogeneous model deforms differently from the tissue",
     )
 

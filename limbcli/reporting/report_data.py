@@ -11,6 +11,7 @@ from limbcli.reporting.figures.convergence import Residuals
 from limbcli.reporting.figures.cycles import Loop
 from limbcli.reporting.figures.deformed import DeformedState
 from limbcli.reporting.figures.force_depth import MeasuredCurve
+from limbcli.reporting.figures.limb_views import LimbPlace
 from limbcli.reporting.figures.wave_speed import SpeedReadings
 from limbcli.reporting.outcome import Outcomes
 
@@ -50,6 +51,7 @@ class SiteMaterial:
     residuals: Residuals | None = None
     warnings: tuple[str, ...] = ()
     cycles: CycleMaterial | None = None
+    on_limb: LimbPlace | None = None
 
 
 @dataclass(frozen=True, eq=False)

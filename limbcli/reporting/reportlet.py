@@ -108,6 +108,7 @@ class Reportlet:
     look_for, bad : the caption: what to look for, and what a bad result looks like
     notes : findings in plain words
     warned : findings that must not be overlooked
+    n_above : number of further ones, which the page tells at its top
     """
 
     key: str
@@ -124,6 +125,7 @@ class Reportlet:
     command: str = ""
     more: tuple[PageTable, ...] = field(default=())
     answer: str = ""
+    n_above: int = 0
 
     @property
     def word(self) -> str:

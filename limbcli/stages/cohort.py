@@ -28,8 +28,10 @@ from limbcli.stages.cohorts.compliance import compliance_left_out
 from limbcli.stages.cohorts.estimate import CohortNoise, SiteEstimate, estimate_sites, noise_of
 from limbcli.stages.cohorts.page import PICTURES, cohort_page, is_ours
 from limbcli.stages.cohorts.result import (
-    c_fat_beyond,
+    UNTOLD_MUSCLE,
+    UNTOLD_RATIO,
     family_ends,
+    fat_words,
     m_beyond,
     outliers,
     row_entries,
@@ -127,15 +129,12 @@ def _trust(estimates: list[SiteEstimate], family: LayeredFamily) -> list[str]:
     thin = sum(int((each.found.effective < FEWEST_DRAWS).sum()) for each in estimates)
     ends = sum(int(each.model.at_an_end(each.found.mode).sum()) for each in estimates)
     beyond = ", ".join(each.name for each in estimates if m_beyond(each.population.mean))
-    stiff = ", ".join(each.name for each in estimates if c_fat_beyond(each.population.mean))
     force_error = family.error[FORCE]
     words = (
         (outside, f"{outside} rows have a shape or a strain outside the family of simulations; its nearest "
          "member is used for them, and they are marked outside_family in rows.csv"),
         (beyond, f"{beyond}: the curves are straighter or more curved than for any m of the family, so "
          "that m is bounded on one side only; slopes and largest forces give no more information"),
-        (stiff, f"{stiff}: the layers move differently than with any c_fat of the family, so that "
-         "c_fat is bounded on one side only"),
         (ends, f"{ends} rows' tissue is at an end of the family ({family_ends()})"),
         (thin, f"{thin} rows: fewer than {FEWEST_DRAWS} effective draws for their interval; it "
          "is not reliable"),
@@ -175,6 +174,12 @@ def _data(
                 "logit_muscle_part": family.error[2],
                 "skin_part": family.error[3],
             },
+        },
+        "fat_stiffness": {
+            "determined": False,
+            "words": fat_words(table, estimates),
+            "untold_ratio_factor": UNTOLD_RATIO,
+            "untold_c_muscle_factor": UNTOLD_MUSCLE,
         },
         "sites": {each.name: site_entry(table, each) for each in estimates},
         "stands_out": outliers(table, estimates),

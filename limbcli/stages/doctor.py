@@ -63,11 +63,9 @@ def doctor(*, febio: Path | None = None, progress: Progress = SILENT) -> DoctorR
     progress.event("stage", name="doctor")
     trials = {package: libraries.start(package) for package in libraries.TRIALS}
     findings = [*_versions(), *_packages(), *_computer()]
-    progress.event("task", name="trying packages and solvers", done=1, total=3)
+    progress.event("note", text="trying packages in processes of their own")
     findings += [_library(libraries.end(*each)) for each in trials.items()]
-    progress.event("task", name="trying packages and solvers", done=2, total=3)
     findings += _solvers(febio, progress)
-    progress.event("task", name="trying packages and solvers", done=3, total=3)
     return DoctorResult(tuple(findings))
 
 

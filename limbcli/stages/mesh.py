@@ -12,7 +12,7 @@ import numpy as np
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError
 from limbcli.errors.problems import raise_errors
-from limbcli.mesh_bounds import FAR_SIZE_MM, MARGIN_MM, SIZE_MM
+from limbcli.mesh_bounds import ELEMENTS, FAR_SIZE_MM, MARGIN_MM, SIZE_MM
 from limbcli.meshing.export import write_vtu
 from limbcli.meshing.frame import LARGEST_SLOPE_DEG, skin_point_at
 from limbcli.meshing.layers import Layer
@@ -112,6 +112,8 @@ def mesh_options(
     case: Case, *, element: str | None, size: float | None, far_size: float | None, margin: float | None
 ) -> MeshOptions:
     """The case's mesh options, overridden by those of this run."""
+    if element not in (None, *ELEMENTS):
+        raise CaseError(f"--element is {element!r}", where=case.subject, fix=f"give {' or '.join(ELEMENTS)}")
     usual = Sizes()
     sizes = Sizes(under_probe=size or usual.under_probe, far=far_size or max(usual.far, size or 0.0))
     margin = case.model.margin if margin is None else float(margin)

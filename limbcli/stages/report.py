@@ -12,6 +12,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.page import embed, render, save_pictures
 from limbcli.reporting.report_data import ReportData, SiteMaterial
+from limbcli.reporting.reportlet import Reportlet
 from limbcli.reporting.sections.groups import groups
 from limbcli.reporting.sections.methods import FILE as METHODS_FILE
 from limbcli.reporting.sections.methods import methods_text
@@ -65,8 +66,10 @@ def _write_page(
     page: ReportData, glance: Overview, writer: StageWriter, templates: Path | None, progress: Progress
 ) -> None:
     own = {**provenance(), "inputs_sha256": writer.inputs}
-    chapters = groups(page, own)
-    reportlets = [each for chapter in chapters for each in chapter.reportlets]
+    chapters = groups(page, own, told={each.text for each in glance.warnings})
+    places = tuple(site.picture for site in glance.sites if site.picture is not None)
+    reportlets = [Reportlet("overview", "At a glance", pictures=places)]
+    reportlets += [each for chapter in chapters for each in chapter.reportlets]
     progress.event("task", name="report: drawing", done=0, total=1)
     files = save_pictures(reportlets, writer.work / "figures")
     for name, path in files.items():

@@ -193,7 +193,8 @@ def _from_series(case: Case, path: Path, options: _Options, writer: StageWriter,
     found = segment_limb(series.volume, modality=modality, hints=hints, progress=progress)
     writer.data["source"] = "mri"
     writer.data["image"] = dict(series.facts)
-    writer.warnings.extend((*series.notes, *found.notes))
+    writer.summary.extend(series.notes)  # what the reader repaired; it changes no result
+    writer.warnings.extend(found.notes)
     _write(case, series.volume, found, options, writer, progress)
 
 

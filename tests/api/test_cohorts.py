@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -71,6 +72,9 @@ def test_paths_of_a_batch_are_whole_and_a_notebook_shows_why_a_case_failed(
     assert str(found).splitlines()[0] == f"{tmp_path}/good: done, {good.report}"
     assert "mesh p2: no skin under the probe" in str(bad)
     assert "a&lt;b: failed" in found._repr_html_()
+    shown: list[str] = []
+    found._repr_pretty_(SimpleNamespace(text=shown.append), cycle=False)
+    assert shown == [str(found)], "IPython shows what print shows"
     checked = limbcli.check(tmp_path / "a<b")
     assert checked.folder.is_absolute()
     assert "fix: " in str(checked)

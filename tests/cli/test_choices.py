@@ -56,6 +56,9 @@ def test_a_shell_completes(words: list[str], offered: list[str]):
     ("arguments", "fix"),
     [
         (["mesh", "S1", "--element", "hex8"], "use tet10 or tet4"),
+        (["batch", "S1", "--element", "hex8"], "use tet10 or tet4"),
+        (["synth", "S1", "--element", "hex8"], "use tet10 or tet4"),
+        (["limb", "S1", "--element", "hex8"], "use tet10 or tet4"),
         (["segment", "S1", "--limb", "both"], "use left or right"),
         (["run", "S1", "--solver", "reverence"], "use auto, febio or reference; did you mean 'reference'?"),
     ],

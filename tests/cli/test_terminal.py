@@ -81,6 +81,32 @@ def test_long_tasks_tell_the_time_left(monkeypatch):
     assert lines[2].endswith("2/4, about 8 s left")
 
 
+def test_a_log_has_one_line_a_minute_of_a_task_and_its_end(monkeypatch):
+    clock = Clock()
+    monkeypatch.setattr(module.time, "monotonic", clock)
+    stream = io.StringIO()
+    lines = module._Lines(stream, verbose=0, live=False)
+    for second in range(301):
+        clock.now = float(second)
+        lines("task", {"name": "maps", "done": second, "total": 300})
+    shown = stream.getvalue().splitlines()
+    assert 4 <= len(shown) <= 6
+    assert shown[-1].endswith("300/300")
+
+
+def test_a_heartbeat_is_rare_in_a_log_and_quick_on_a_terminal(monkeypatch):
+    asked = []
+    monkeypatch.setattr(module, "keep_alive", lambda _, silence_s: asked.append(silence_s))
+
+    class Screen(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    terminal(stream=io.StringIO())
+    terminal(stream=Screen())
+    assert asked == [60.0, 4.0]
+
+
 class Silent:
     def __init__(self) -> None:
         self.last, self.signs = time.monotonic(), 0

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from limbcli.imaging import picture
-from limbcli.imaging.picture import contact_sheet
+from limbcli.imaging.picture import contact_sheet, slice_axes
 from limbcli.imaging.segmentation import MARKER, Segmentation
 from limbcli.imaging.volume import Volume
 
@@ -50,10 +50,25 @@ def test_legend_names_the_outlines_that_are_there(monkeypatch):
         assert [each.get_text() for each in figure.legends[0].get_texts()] == names
 
 
-@pytest.mark.parametrize("across", [1.0, 0.5])
-def test_outlines_lie_round_their_masks(monkeypatch, across):
+@pytest.mark.parametrize("across", [1.0, 0.5, -1.0])
+def test_outlines_lie_round_their_masks_in_patient_coordinates(monkeypatch, across):
     for axes in sheet(monkeypatch, across, marker=False).axes:
         (outlines,) = axes.collections
-        skin, bone = (each.vertices for each in outlines.get_paths())
-        assert np.allclose([skin.min(axis=0), skin.max(axis=0)], [[3.5 * across, 3.5], [19.5 * across, 15.5]])
-        assert np.allclose([bone.min(axis=0), bone.max(axis=0)], [[7.5 * across, 7.5], [11.5 * across, 11.5]])
+        assert axes.xaxis.label.get_text() == "x (LPS), mm"
+        for each, (low, high) in zip(outlines.get_paths(), ((3.5, (19.5, 15.5)), (7.5, 11.5)), strict=True):
+            corners = np.array([[low, low], np.broadcast_to(high, 2)]) * [across, 1.0]
+            found = [each.vertices.min(axis=0), each.vertices.max(axis=0)]
+            assert np.allclose(found, [corners.min(axis=0), corners.max(axis=0)])
+
+
+@pytest.mark.parametrize(("turned_deg", "is_lps"), [(0.5, True), (10.0, False)])
+def test_axes_of_slices_oblique_to_the_patient_are_not_called_lps(turned_deg, is_lps):
+    t = np.radians(turned_deg)
+    affine = np.eye(4)
+    affine[:2, :2] = [[np.cos(t), -np.sin(t)], [np.sin(t), np.cos(t)]]
+    affine[:3, 3] = [5.0, -7.0, 30.0]
+    across, _ = slice_axes(Volume(np.zeros((100, 80, 4)), affine), (slice(0, 100), slice(0, 80), slice(0, 4)))
+    assert ("not LPS" not in across.label) == is_lps
+    if is_lps:
+        place = Volume(np.zeros((1, 1, 1)), affine).to_patient(np.array([[80.0, 60.0, 2.0]]))[0]
+        assert across(np.array([80.0])) == pytest.approx(place[0], abs=1.0)

@@ -23,6 +23,7 @@ from limbcli.stages.cohorts.compliance import _person_share, _Slab
 from limbcli.stages.cohorts.estimate import estimate_sites, noise_of
 from limbcli.stages.cohorts.family import Member, solve_member
 from limbcli.stages.cohorts.result import holm, natural, person_scores
+from tests.benchmarks.cohort_structure import SHAPES, STRUCTURES, Structure, strains_and_force
 from tests.cohort_rows import people, written
 
 MEAN = np.log([0.006, 0.010, 4.0])
@@ -77,7 +78,12 @@ def test_twelve_rows_end_in_a_page_a_table_and_a_json(twelve):
     assert re.findall(r"<h(\d)", page) == ["1", *("2" for _ in range(6))], "no level of headings is left out"
     assert f"between {low:.1f} and {high:.1f} % (95 %)" in page
     assert {each.suffix for each in (out / "pictures").iterdir()} == {".png", ".svg", ".csv"}
-    assert result.summary[0] == "12 rows of 12 people"
+    assert result.summary[1] == "12 rows of 12 people"
+    assert result.summary[0].startswith("Fat's stiffness cannot be had from these data")
+    first = page.index("stiffness cannot be had from these data")
+    assert first < page.index('<section class="reportlet')
+    assert all(first < found.start() for found in re.finditer('class="box', page)), "before all warnings"
+    assert json.loads((out / "cohort.json").read_text())["fat_stiffness"]["determined"] is False
 
 
 def test_twelve_people_are_found_where_they_are(twelve):
@@ -303,3 +309,14 @@ def test_the_lower_leg_of_the_real_table(shared, tmp_path):
     assert found["mean_absolute_difference_percent"] < found["same_folds"]["sites_mean_percent"]
     assert found["repeatability"]["percent_from_trials"] is None
     assert found["repeatability"]["percent_from_marks_and_slope_alone"] < 10
+
+
+@pytest.mark.slow
+def test_what_a_table_does_not_tell_moves_fats_part_as_much_as_fat_four_times_as_stiff():
+    """Why c_fat is not fat's stiffness: sliding muscle, stiff skin and fascia do what stiff fat does."""
+    shape, _ = SHAPES["thin, 0.38"]
+    bonded, _ = strains_and_force(Member(*shape, 1.0, 2.0), Structure())
+    stiff_fat, _ = strains_and_force(Member(*shape, 4.0, 2.0), Structure())
+    untold, _ = strains_and_force(Member(*shape, 1.0, 2.0), STRUCTURES["sliding, stiff skin, fascia"])
+    assert bonded > 0.9
+    assert untold < stiff_fat < 0.7

@@ -11,6 +11,7 @@ import pytest
 from packaging.requirements import Requirement
 
 from limbcli.cli.app import main
+from limbcli.progress import Progress
 from limbcli.solvers.reference import ReferenceSolver
 from limbcli.stages import doctor as module
 from limbcli.stages.doctor import doctor
@@ -18,10 +19,12 @@ from limbcli.stages.machine import libraries
 from limbcli.stages.machine import self_test as test_module
 from limbcli.stages.machine.self_test import HEIGHT, SIDE, indentation, nominal_stress, self_test
 
+HEARD: list[str] = []
+
 
 @pytest.fixture(scope="module")
 def healthy():
-    return doctor()
+    return doctor(progress=Progress(lambda kind, facts: HEARD.append(kind)))
 
 
 def test_a_machine_that_runs_these_tests_lacks_nothing(healthy):
@@ -31,6 +34,12 @@ def test_a_machine_that_runs_these_tests_lacks_nothing(healthy):
     assert topics == {"versions", "packages", "computer", "tried", "solvers"}
     names = {each.name for each in healthy.findings}
     assert {"python", "limbcli", "numpy", "pymeshlab", "matplotlib", "reference", "febio", "cores"} <= names
+
+
+def test_no_time_left_is_promised_of_work_of_unequal_parts(healthy):
+    """Compiling takes a minute where trying packages takes seconds: a share done would say nothing."""
+    assert "note" in HEARD
+    assert "task" not in HEARD
 
 
 def test_stress_is_the_derivative_of_the_energy(rng):

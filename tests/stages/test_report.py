@@ -6,6 +6,7 @@ import base64
 import csv
 import json
 import re
+from html import escape
 from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
@@ -24,8 +25,10 @@ from limbcli.reporting.sections.joint import joint, laws
 from limbcli.reporting.sections.overview import overview
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.reporting.sections.states import states
+from limbcli.reporting.sections.warning_box import CHANGES, SourcedWarning, warning_groups
 from limbcli.results import open_stage, read_result, sealed
 from limbcli.stages.batching.outcome import keep_error
+from limbcli.stages.fitting.laws import LOCKING
 from limbcli.stages.report import report
 from limbcli.stages.report_pages.failure import report_failure
 from limbcli.stages.report_pages.material import gather
@@ -146,6 +149,8 @@ def add_fit(
         writer.file("curves", "curves.csv").write_text("\n".join(rows) + "\n")
         small_png(writer.file("profiles", "profiles.png"))
         writer.warnings.append("f_kappa trades off <with> c")
+        if element == "tet4":
+            writer.warnings.append(LOCKING)
 
 
 class Page(HTMLParser):
@@ -506,6 +511,28 @@ def test_a_report_of_nothing_is_a_page_of_gaps(tmp_path):
         assert re.search(rf"limbcli {command} \S+( --site p1)? --out", page.text), command
 
 
+def test_the_page_shows_the_limb_with_the_site_on_it(tmp_path):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    corners = [(x, y, z) for x in (-40, 40) for y in (-30, 30) for z in (0, 200)]
+    faces = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1), (2, 3, 7), (2, 7, 6),
+             (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]  # fmt: skip
+    with open_stage(out, "segment", subject="S1") as writer:
+        rows = [
+            "ply", "format ascii 1.0", "element vertex 8", "property float x", "property float y",
+            "property float z", "element face 12", "property list uchar int vertex_indices", "end_header",
+            *(" ".join(map(str, each)) for each in corners), *(f"3 {a} {b} {c}" for a, b, c in faces),
+        ]  # fmt: skip
+        writer.file("skin", "skin.ply").write_text("\n".join(rows) + "\n")
+    add_fit(out, "p1")
+    page = Page(report(case, out=out).path("page").read_text(encoding="utf-8"))
+    shown = [each for tag, each in page.tags if tag == "img" and "probe's face at site p1" in each["alt"]]
+    assert len(shown) == 1
+    assert "above the lower end of the limb in the images; " in page.text
+    (out / "segment" / "skin.ply").write_text("not a surface")
+    page = Page(report(case, out=out).path("page").read_text(encoding="utf-8"))
+    assert "above the lower end" not in page.text
+
+
 def test_weak_parameters_are_named_in_the_first_sentence(tmp_path):
     case, out = make_case(tmp_path / "case"), tmp_path / "out"
     add_fit(out, "p1")
@@ -520,7 +547,6 @@ def test_weak_parameters_are_named_in_the_first_sentence(tmp_path):
 @pytest.mark.parametrize(
     ("kind", "words"),
     [
-        ({"element": "tet4"}, "It is a property of this mesh, not of the tissue"),
         ({"noise": "assumed"}, "noise is assumed, not measured"),
         ({"scale": 2.3}, "2.3 times as large"),
     ],
@@ -531,6 +557,44 @@ def test_what_a_parameter_rests_on_is_warned_of(tmp_path, kind, words):
     assert any(words in text for text in parameters(gather(case, out=out)).warned)
     add_fit(out, "p1")
     assert not any(words in text for text in parameters(gather(case, out=out)).warned)
+
+
+def test_locking_is_warned_of_once_however_many_fits_it_touches(tmp_path):
+    case, out = make_case(tmp_path / "case", sites=("p1", "p2")), tmp_path / "out"
+    for site in ("p1", "p2"):
+        add_fit(out, site, element="tet4")
+    told = [each.text for each in overview(gather(case, out=out)).warnings]
+    assert sum("lock" in text for text in told) == 1
+    html = report(case, out=out).path("page").read_text(encoding="utf-8")
+    assert html.count("is valid for this mesh only") == 1
+
+
+def test_warnings_are_ranked_by_what_they_can_change_and_told_once(tmp_path):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    add_segment(out)
+    add_mesh(out, "p1")
+    add_fit(out, "p1", scale=2.3)
+    path = out / "fit" / "p1" / "fit.json"
+    content = json.loads(path.read_text())
+    content["data"]["boundary_check"] = {"cut_free": {"force_change_fraction": [-0.07, -0.1]}}
+    path.write_text(json.dumps(sealed(content)))
+    glance = overview(gather(case, out=out))
+    kinds = [each.kind for each in glance.warnings]
+    assert kinds == sorted(kinds, key=list(CHANGES).index)
+    assert len({each.text for each in glance.warnings}) == len(glance.warnings)
+    (model,) = [each for each in glance.warning_groups if each.changes == CHANGES["model"]]
+    assert "cut plane free, not held: force -10.0 to -7.0 %" in model.size
+    html = report(case, out=out).path("page").read_text(encoding="utf-8")
+    for each in glance.warnings:
+        assert html.count(escape(each.text)) <= 1, "a section repeats what stands at the top"
+    assert "about this, at the top of the page" in html
+
+
+def test_many_warnings_fold_those_that_change_no_parameter_directly(tmp_path):
+    page = gather(make_case(tmp_path / "case"), out=tmp_path / "out")
+    told = [SourcedWarning(source, f"w{n}") for n, source in enumerate(("fit p1", *["mesh p1"] * 4))]
+    assert [each.folded for each in warning_groups(told, page)] == [False, True]
+    assert [each.folded for each in warning_groups(told[:3], page)] == [False, False]
 
 
 def test_a_narrow_f_kappa_of_tet4_is_still_not_the_tissues(tmp_path):

@@ -171,6 +171,17 @@ def test_a_subject_without_a_report_shows_its_failure(tmp_path):
     assert "two series in one folder" in row.state
 
 
+def test_a_subject_whose_stages_are_still_to_come_is_not_a_failure(tmp_path):
+    with open_stage(tmp_path / "S9", "segment", subject="S9"):
+        pass
+    (row,) = report_index(tmp_path).rows
+    assert (row.mood, row.state) == ("missing", "not finished: it has no report yet")
+    (tmp_path / "S9" / "report").mkdir()
+    (tmp_path / "S9" / "report" / "report.json").write_text("{")
+    (row,) = report_index(tmp_path).rows
+    assert row.mood == "failed", "a report that cannot be read is one"
+
+
 def test_one_subjects_own_folder_can_be_indexed(tmp_path):
     add_subject(tmp_path, "A")
     (row,) = report_index(tmp_path / "A").rows

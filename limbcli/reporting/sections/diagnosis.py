@@ -86,23 +86,20 @@ def in_words(data: Mapping[str, Any]) -> str:
     >>> in_words({"verdict": "named", "added": ["tilt"], "shrink": gap})
     'tilt (named); the misfit between model and measurement (chi2/nu) went from 1.47 to 0.92'
     >>> open_set = {"verdict": "ambiguous", "confidence_set": [["tilt"], ["skin", "preload"]]}
-    >>> in_words({**open_set, "added": ["tilt"], "shrink": gap}).partition(";")[0]
-    'tilt or skin + preload (ambiguous)'
+    >>> in_words({**open_set, "added": ["tilt"], "shrink": gap}).partition(" (chi2")[0]
+    'ambiguous: 2 explanations fit alike; with the most probable, the misfit between model and measurement'
     >>> in_words({"verdict": "adequate", "added": [], "shrink": gap[:1]})
     'adequate'
     """
     added, shrink = data.get("added"), data.get("shrink", ())  # missing in older results
     if not added or len(shrink) < 2:
         return str(data.get("verdict", DASH))
-    names = " and ".join(added)
-    if data["verdict"] == "ambiguous":  # no member of the set stands for it
-        sets = [" + ".join(each) or "nothing" for each in data.get("confidence_set", ())]
-        names = " or ".join(sets) or "several explanations"
+    first = f"{' and '.join(added)} ({data['verdict']}); "
+    if data["verdict"] == "ambiguous":  # no member of the set stands for it, and the picture draws them grey
+        n = len(data.get("confidence_set", ()))
+        first = f"ambiguous: {n if n > 1 else 'several'} explanations fit alike; with the most probable, "
     before, after = (each["chi2_per_nu"] for each in (shrink[0], shrink[-1]))
-    return (
-        f"{names} ({data['verdict']}); the misfit between model and measurement "
-        f"(chi2/nu) went from {before:.2f} to {after:.2f}"
-    )
+    return f"{first}the misfit between model and measurement (chi2/nu) went from {before:.2f} to {after:.2f}"
 
 
 def _pictures(result: StageResult, name: str) -> tuple[Picture, ...]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Container, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 from limbcli.reporting.numbers import DASH
@@ -42,16 +42,29 @@ SITE_REPORTLETS: tuple[Callable[[ReportData, SiteMaterial], Reportlet | None], .
 )  # fmt: skip
 
 
-def groups(page: ReportData, own: Mapping[str, Any]) -> tuple[SectionGroup, ...]:
-    """Results first, then their basis, then their provenance."""
+def groups(
+    page: ReportData, own: Mapping[str, Any], *, told: Container[str] = ()
+) -> tuple[SectionGroup, ...]:
+    """Results first, then their basis, then their provenance.
+
+    told : warnings at the top of the page, which a section only refers to
+    """
     sites = [_site(page, site) for site in page.sites]
     together = [each for make in (joint, laws) if (each := make(page)) is not None]
-    return (
+    chapters = (
         SectionGroup("chapter-parameters", "Parameters", (parameters(page), *together)),
         *sites,
         SectionGroup("chapter-segmentation", "Segmentation", (segmentation(page),)),
         SectionGroup("chapter-provenance", "Provenance", (methods(page, own), provenance(page, own))),
     )
+    return tuple(
+        replace(each, reportlets=tuple(_told_once(one, told) for one in each.reportlets)) for each in chapters
+    )
+
+
+def _told_once(reportlet: Reportlet, told: Container[str]) -> Reportlet:
+    own = tuple(each for each in reportlet.warned if each not in told)
+    return replace(reportlet, warned=own, n_above=len(reportlet.warned) - len(own))
 
 
 def _site(page: ReportData, site: SiteMaterial) -> SectionGroup:

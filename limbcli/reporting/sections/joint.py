@@ -11,7 +11,7 @@ from limbcli.reporting.numbers import DASH, cell, quantity
 from limbcli.reporting.report_data import ReportData
 from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head, placeholder, worst_mood
 from limbcli.reporting.sections.model_checks import model_check_tables
-from limbcli.reporting.sections.parameters import TET4_WORDS, estimate_cells
+from limbcli.reporting.sections.parameters import estimate_cells
 from limbcli.results import StageResult
 
 TITLE = "What do depth and shear waves show together?"
@@ -42,7 +42,7 @@ def joint(page: ReportData) -> Reportlet | None:
         bad="a fit that follows one column and misses the other, or parameters that leave the intervals of "
         "the fit to the force alone: then the model cannot fit both",
         notes=tuple(_notes(data)),
-        warned=(*result.warnings, *((TET4_WORDS,) if locks else ())),
+        warned=result.warnings,
         answer=met.sentence,
     )
 

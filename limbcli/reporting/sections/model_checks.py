@@ -36,6 +36,19 @@ def model_check_tables(site: str, data: Mapping[str, Any]) -> tuple[PageTable, .
     return (PageTable(caption, (names,), tuple(rows)),)
 
 
+def model_check_words(data: Mapping[str, Any]) -> str:
+    """How far the simulated force moved with other assumptions, in a few words; "" if nothing was tried.
+
+    data : content of fit.json
+
+    >>> model_check_words({"boundary_check": {"cut_free": {"force_change_fraction": [-0.07, -0.1]}}})
+    'tried with the fitted model: cut plane free, not held: force -10.0 to -7.0 %'
+    """
+    rows = [row for table in model_check_tables("", data) for row in table.rows]
+    tried = [f"{row[0].text}: force {row[1].text}" for row in rows if row[1].text != DASH]
+    return f"tried with the fitted model: {'; '.join(tried)}" if tried else ""
+
+
 def noise_alone(data: Mapping[str, Any]) -> str:
     """The intervals without the uncertainty of boundaries and geometry; empty if they are not wider for it.
 

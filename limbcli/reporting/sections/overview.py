@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from limbcli.reporting.figures.limb_views import limb_place_figure
 from limbcli.reporting.fit_view import EstimateView, FitView, StepView, read_fit_view
 from limbcli.reporting.numbers import quantity
 from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import MOOD_WORDS, Mood, worst_mood
+from limbcli.reporting.reportlet import MOOD_WORDS, Mood, Picture, worst_mood
 from limbcli.reporting.sections.diagnosis import in_short
 from limbcli.reporting.sections.next_steps import next_steps
 from limbcli.reporting.sections.parameters import parameter_warnings
+from limbcli.reporting.sections.warning_box import SourcedWarning, WarningGroup, warning_groups
 from limbcli.significant_digits import significant
 
 
@@ -47,17 +49,12 @@ class SiteGlance:
     poor: str = ""
     next_steps: tuple[str, ...] = ()
     diagnosis: str = ""
+    picture: Picture | None = None
 
     @property
     def word(self) -> str:
         """The state in words."""
         return "failed" if self.mood == "failed" and not self.facts else MOOD_WORDS[self.mood]
-
-
-@dataclass(frozen=True)
-class SourcedWarning:
-    source: str
-    text: str
 
 
 @dataclass(frozen=True)
@@ -67,6 +64,7 @@ class Overview:
     sites: tuple[SiteGlance, ...]
     failures: tuple[Outcome, ...]
     warnings: tuple[SourcedWarning, ...]
+    warning_groups: tuple[WarningGroup, ...] = ()
 
 
 _PILL_WORDS: dict[str, tuple[Mood, str]] = {
@@ -78,19 +76,27 @@ _PILL_WORDS: dict[str, tuple[Mood, str]] = {
 
 def overview(page: ReportData) -> Overview:
     """Cards, stage badges and warnings for the top of the page."""
-    sites = tuple(_site(page, site) for site in page.sites)
-    warnings = [SourcedWarning("report", text) for text in page.notices]
-    warnings += [SourcedWarning(label, text) for label, text in page.outcomes.warnings()]
-    warnings += [SourcedWarning("parameters", text) for text in parameter_warnings(page)]
-    reported = {each.text for each in warnings}
-    of_levels = [(site.name, text) for site in page.sites for text in site.warnings]
-    warnings += [SourcedWarning(f"levels {name}", text) for name, text in of_levels if text not in reported]
+    sites = tuple(_on_limb(_site(page, site), site) for site in page.sites)
+    every = [("report", text) for text in page.notices]
+    every += [(f"levels {site.name}", text) for site in page.sites for text in site.warnings]
+    every += page.outcomes.warnings()
+    every += [("parameters", text) for text in parameter_warnings(page)]
+    first: dict[str, str] = {}
+    for source, text in every:
+        first.setdefault(text, source)
+    ranked = warning_groups([SourcedWarning(source, text) for text, source in first.items()], page)
+    warnings = [each for group in ranked for each in group.warnings]
     failures = page.outcomes.failed
     sentence = _sentence(sites, failures, len(warnings))
     if page.case.imaging.assumed:
         sentence = f"{sentence_of(page.case.imaging.assumed)} {sentence}"
     return Overview(
-        _overall(sites, bool(failures), bool(warnings)), sentence, sites, failures, tuple(warnings)
+        _overall(sites, bool(failures), bool(warnings)),
+        sentence,
+        sites,
+        failures,
+        tuple(warnings),
+        ranked,
     )
 
 
@@ -163,6 +169,16 @@ def _site(page: ReportData, site: SiteMaterial) -> SiteGlance:
         next_steps=next_steps(page, site, view),
         diagnosis=in_short(page, site) or "",
     )
+
+
+def _on_limb(glance: SiteGlance, site: SiteMaterial) -> SiteGlance:
+    """With the picture of the limb, and the place in words before its coordinates."""
+    limb = site.on_limb
+    if limb is None:
+        return glance
+    alt = f"The limb {limb.view.name}, with the probe's face at site {site.name}: {limb.words}."
+    picture = Picture(f"place-{site.name}", alt, limb_place_figure(limb), vector=False)
+    return replace(glance, place=f"{limb.words}; {glance.place}", picture=picture)
 
 
 def _pill(outcome: Outcome) -> StageBadge:

@@ -49,7 +49,7 @@ def parameters(page: ReportData) -> Reportlet:
 
 
 def parameter_warnings(page: ReportData) -> list[str]:
-    """Reasons why these numbers may not describe the tissue: locking, noise that was assumed or exceeded."""
+    """Reasons why these numbers may not describe the tissue: noise that was assumed or exceeded."""
     views = _views(page)
     told = {
         f"Site {site}: poor fit: {view.poor}." for site, view in views.items()
@@ -166,7 +166,7 @@ def _notes(views: dict[str | None, FitView]) -> tuple[list[str], list[str]]:
         notes += [f"Site {site}: {text}." for text in [noise_alone(view.raw)] if text]
     elements = {view.element for view in views.values()}
     if "tet4" in elements:
-        warned.append(TET4_WORDS)
+        notes.append(TET4_WORDS)  # its fit warns of it
     if "tet10" in elements:
         notes.append(TET10_WORDS)
     return notes, warned

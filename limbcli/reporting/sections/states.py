@@ -10,7 +10,7 @@ from limbcli.reporting.fit_view import read_estimates
 from limbcli.reporting.numbers import DASH, cell, quantity
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head, placeholder, worst_mood
-from limbcli.reporting.sections.parameters import TET4_WORDS, estimate_cells
+from limbcli.reporting.sections.parameters import estimate_cells
 from limbcli.results import StageResult
 from limbcli.significant_digits import significant
 
@@ -44,7 +44,7 @@ def states(page: ReportData, site: SiteMaterial) -> Reportlet | None:
         bad="states that lie on one slope of the curve: these data then do not determine where "
         "it is lowest, and a lowest point beyond the measured states rests on the law alone",
         notes=tuple(_notes(data)),
-        warned=(*result.warnings, *((TET4_WORDS,) if locks else ())),
+        warned=result.warnings,
         answer=met.sentence,
     )
 

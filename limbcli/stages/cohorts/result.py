@@ -19,6 +19,9 @@ from limbcli.units import kpa_from_mpa
 
 _LEVEL = 0.05
 _KEYS = ("c_muscle_kpa", "c_fat_kpa", "m")
+# By how much c_fat/c_muscle falls, and c_muscle rises, at equal readings if muscle slides on the bone, skin
+# and fascia are stiff and the flanks near: what a table does not hold (docs/cohort.md, "What c_fat is not").
+UNTOLD_RATIO, UNTOLD_MUSCLE = (6.0, 13.0), (1.5, 3.0)
 _FAT_BANDS_MM = (0.0, 2.0, 4.0, 8.0, 15.0, np.inf)
 
 
@@ -104,6 +107,26 @@ def c_fat_beyond(mean: Array) -> str | None:
     if low <= ratio <= high:
         return None
     return f"below {low:.3g} c_muscle" if ratio < low else f"above {high:.3g} c_muscle"
+
+
+def fat_words(table: CohortTable, sites: Sequence[SiteEstimate]) -> str:
+    """Why c_fat is not fat's stiffness: the first sentence of a cohort's results, without its full stop."""
+    stiffer = [each.name for each in sites if each.population.mean[C_FAT] > each.population.mean[C_MUSCLE]]
+    strain = table.shortened / table.thickness
+    fat, muscle = (100 * float(np.median(strain[:, LAYERS.index(name)])) for name in ("fat", "muscle"))
+    found = (
+        f"c_fat exceeds c_muscle at {len(stiffer)} of {len(sites)} sites (fat shortens by {fat:.0f} %, "
+        f"muscle by {muscle:.0f} %, medians), but "
+        if stiffer
+        else ""
+    )
+    lower, higher = (f"{low:g} to {high:g} times" for low, high in (UNTOLD_RATIO, UNTOLD_MUSCLE))
+    return (
+        f"Fat's stiffness cannot be had from these data: {found}where muscle slides on the bone, skin and "
+        "fascia are stiff and the limb is narrow, which the table does not tell, the same readings mean a "
+        f"c_fat/c_muscle {lower} lower and a c_muscle {higher} higher. c_fat is a number of the bonded slab; "
+        "compare c_muscle between people at one site"
+    )
 
 
 def missed_by_one_tissue(site: SiteEstimate) -> Array:
@@ -270,7 +293,7 @@ def holm(p: Array) -> Array:
 
 def summary_lines(data: dict[str, Any], page: Path) -> list[str]:
     """The summary printed on the terminal."""
-    lines = [f"{data['n_rows']} rows of {data['n_people']} people"]
+    lines = [f"{data['fat_stiffness']['words']}.", f"{data['n_rows']} rows of {data['n_people']} people"]
     for name, site in data["sites"].items():
         reported = []
         for key, unit in zip(_KEYS, (" kPa", " kPa", ""), strict=True):

@@ -23,7 +23,7 @@ from limbcli.significant_digits import short
 from limbcli.stages.fitting.exports import parameter_rows, write_exports, write_table
 from limbcli.stages.fitting.fibre_orientations import write_moduli
 from limbcli.stages.fitting.joint_picture import draw_joint
-from limbcli.stages.fitting.laws import FIBRE_F_KAPPA, FitLaw
+from limbcli.stages.fitting.laws import FIBRE_F_KAPPA, LOCKING, FitLaw
 from limbcli.units import kpa_from_mpa
 
 
@@ -95,13 +95,13 @@ def warn_locking(law: FitLaw, writer: StageWriter) -> None:
     """Warn that parameters found with linear tetrahedra (`element` of the result) hold on that mesh only."""
     if "tet4" not in writer.data["element"]:
         return
-    words = (
-        f"at the f_kappa of {FIBRE_F_KAPPA:g} that this law assumes their forces are too high, and c, "
-        "m and the fibres compensate for it"
-        if law.fixed
-        else "f_kappa is a property of this mesh as much as of the tissue"
+    if not law.fixed:
+        writer.warnings.append(LOCKING)
+        return
+    writer.warnings.append(
+        f"linear tetrahedra lock: at the f_kappa of {FIBRE_F_KAPPA:g} that this law assumes their forces are "
+        "too high, and c, m and the fibres compensate for it; tet10 elements do not lock"
     )
-    writer.warnings.append(f"linear tetrahedra lock: {words}; tet10 elements do not")
 
 
 def parameter_table(problem: EstimationProblem, found: Intervals) -> dict[str, dict[str, Any]]:

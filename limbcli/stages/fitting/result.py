@@ -24,6 +24,7 @@ from limbcli.results import StageWriter
 from limbcli.significant_digits import short
 from limbcli.solvers.base import Simulation
 from limbcli.stages.fitting.exports import parameter_rows, write_exports
+from limbcli.stages.fitting.laws import LOCKING
 from limbcli.stages.fitting.table import NAMES, Identified, counted_deviation, step_agreement, step_table
 from limbcli.units import kpa_from_mpa
 
@@ -195,18 +196,27 @@ def summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) -
     writer.summary.append(
         f"R2 {last['r2']:.4f}, RMSE {last['rmse_n']:.3f} N (with m = 2: f_kappa "
         f"{first['parameters']['f_kappa']['headline']}, R2 {first['r2']:.4f}); "
-        f"{writer.data['n_iterations']} iterations, {writer.data['n_solves']} solves"
+        f"{_effort(writer.data)}"
     )
     error = 100 * found.stiffness.gain_deviation
     writer.summary.append(f"counted as uncertainty of the simulated force: {short(error, 2)} % from the mesh")
     if "tet4" in writer.data["element"]:
-        writer.warnings.append(
-            "linear tetrahedra lock: f_kappa is a property of this mesh as much as of the tissue, and its "
-            "interval is valid for this mesh only; tet10 elements do not lock (--compare-element shows both)"
-        )
+        writer.warnings.append(LOCKING)
     for name in NAMES:
         if last["flags"][name] not in (Flag.IDENTIFIED, Flag.FIXED):
             writer.warnings.append(last["words"][name])
+
+
+def _effort(data: Mapping[str, Any]) -> str:
+    """
+    >>> _effort({"n_iterations": 6, "n_solves": 7, "n_interval_solves": 18})
+    '6 iterations, 25 solves (18 of them for the intervals)'
+    >>> _effort({"n_iterations": 6, "n_solves": 7, "n_interval_solves": 0})
+    '6 iterations, 7 solves'
+    """
+    more = data["n_interval_solves"]
+    of_them = f" ({more} of them for the intervals)" if more else ""
+    return f"{data['n_iterations']} iterations, {data['n_solves'] + more} solves{of_them}"
 
 
 def write_agreement(found: Identified, writer: StageWriter) -> None:

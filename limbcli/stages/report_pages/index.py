@@ -166,15 +166,21 @@ def _failure(content: Mapping[str, Any]) -> Failure:
 
 
 def _row_without_report(out: Path, error: CaseError) -> IndexRow:
-    """The row of a subject without a readable report; its state is the first recorded failure, if any."""
+    """The row of a subject without a readable report: failed if a stage recorded a failure or the report is
+    damaged, else not finished yet."""
+    name = out.resolve().name
     state, shown = error.what, Failure("CaseError", error.what, error.where, error.fix)
+    is_damaged = (stage_folder(out, "report") / "report.json").is_file()
+    is_failed = is_damaged
     for path in sorted(out.glob("**/error.json")):
         try:
             content = json.loads(path.read_text())
             what = content["what"].splitlines()[0]
             state, shown = f"{path.parent.relative_to(out)} failed: {what}", _failure(content)
+            is_failed = True
             break
         except UNLIKE_OURS:
             continue
-    name = out.resolve().name
+    if not is_failed:
+        return IndexRow(name, name, "", "missing", "not finished: it has no report yet", 0, "")
     return IndexRow(name, name, "", "failed", str(plain(state)), 0, "", failures=(shown,))

@@ -22,6 +22,7 @@ from limbcli.reporting.outcome import Outcome, Outcomes, read_outcomes
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.results import UNLIKE_OURS, StageResult
 from limbcli.stages.report_pages.cycles import cycle_material
+from limbcli.stages.report_pages.places import limb_place, limb_skin
 from limbcli.stages.report_pages.simulated_state import read_deformed, read_residuals
 from limbcli.stages.report_pages.stale import stale_results
 from limbcli.stages.site_model.site_levels import layer_noise
@@ -31,10 +32,11 @@ def gather(case: Case, *, out: Path, progress: Progress = SILENT) -> ReportData:
     """Read everything that the page shows; for what cannot be read, the page gets the reason."""
     names = tuple(site.name for site in case.sites)
     outcomes = read_outcomes(out, names, case_name=str(case.folder), subject=case.subject)
-    sites = []
+    sites, skin = [], limb_skin(outcomes)
     for k, site in enumerate(case.sites):
         progress.event("task", name="report: reading results", done=k, total=len(names))
-        sites.append(_deformed(_measured(site, _fitted_cycle(outcomes, site.name)), outcomes))
+        found = _deformed(_measured(site, _fitted_cycle(outcomes, site.name)), outcomes)
+        sites.append(replace(found, on_limb=limb_place(case, site, skin, outcomes)))
     progress.event("task", name="report: reading results", done=len(names), total=len(names))
     return ReportData(
         case,

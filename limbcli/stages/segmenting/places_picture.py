@@ -7,26 +7,18 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import TriMesh
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.tri import Triangulation
 
 from limbcli.drawing import Margins, panel_sheet, save_picture
 from limbcli.meshing.frame import proximal_direction
 from limbcli.meshing.mending import Limb
 from limbcli.model import Array
+from limbcli.reporting.figures.limb_views import VIEWS, draw_skin
 from limbcli.stages.segmenting.site_grid import GridPoint
 
-# View, axis across the picture with its sign, and axis towards the viewer with its sign.
-_VIEWS = (
-    ("from the front (anterior)", (0, 1.0), (1, -1.0)),
-    ("from the patient's left", (1, 1.0), (0, 1.0)),
-    ("from the back (posterior)", (0, -1.0), (1, 1.0)),
-    ("from the patient's right", (1, -1.0), (0, -1.0)),
-)
 _LETTERS = ("x", "y", "z")
-_NEAR = 10.0  # mm, skin-bone distance below which a point is drawn in another colour
+_NEAR = 10.0  # mm, distance to the nearest bone below which a point is drawn in another colour
 _SLICE = 15.0  # mm, half-length of the section whose centre determines on which side of the limb a point is
 _ROUND = 12.0  # mm, margin around the limb
 _MOST_ACROSS, _MOST_DOWN = 16.0, 9.0  # inches, largest size of all views together, which share one scale
@@ -47,18 +39,19 @@ def draw_places(
     """Draw the four views, with names at the grid points; the table has their coordinates."""
     low, high = limb.skin.points.min(axis=0) - _ROUND, limb.skin.points.max(axis=0) + _ROUND
     middle, sizes = 0.5 * (low + high), high - low
-    across_mm = [float(sizes[axis]) for _, (axis, _), _ in _VIEWS]
+    across_mm = [float(sizes[view.across[0]]) for view in VIEWS]
     inches_per_mm = min(_MOST_ACROSS / sum(across_mm), _MOST_DOWN / float(sizes[2]))
     across_mm = [max(each, _LEAST_ACROSS / inches_per_mm) for each in across_mm]
     words = f"{title}: where a site can be (coordinates of the grid’s points: site-grid.csv)"
     widths, heights = [each * inches_per_mm for each in across_mm], [float(sizes[2]) * inches_per_mm]
     figure, places = panel_sheet(widths, heights, _MARGINS, words)
-    for number, (name, across, towards) in enumerate(_VIEWS):
+    for number, view in enumerate(VIEWS):
+        across, towards = view.across, view.towards
         axes = figure.add_subplot(places[number])
-        _draw_view(axes, limb, across, towards)
+        draw_skin(axes, limb.skin.points, limb.skin.faces, view)
         _draw_points(axes, grid, markers, sites, limb, across, towards)
         sign = "" if across[1] > 0 else ", turned"
-        axes.set(title=name, xlabel=f"{_LETTERS[across[0]]} [mm], patient LPS{sign}", ylabel="z [mm]")
+        axes.set(title=view.name, xlabel=f"{_LETTERS[across[0]]} [mm], patient LPS{sign}", ylabel="z [mm]")
         half = 0.5 * across[1] * across_mm[number]  # negative (reversed) if the axis points to the left
         axes.set(xlim=(middle[across[0]] - half, middle[across[0]] + half), ylim=(low[2], high[2]))
         axes.label_outer()
@@ -71,10 +64,10 @@ def _report_marks(
     figure: Figure, grid: Sequence[GridPoint], markers: Mapping[str, Array], sites: Mapping[str, Array]
 ) -> None:
     """Draw a legend of the marks that are present."""
-    thin = [each for each in grid if each.skin_bone < _NEAR]
+    thin = [each for each in grid if each.nearest_bone < _NEAR]
     marks = (
         (len(thin) < len(grid), ".", _THICK, "point of the grid"),
-        (bool(thin), ".", _THIN, f"the same, less than {_NEAR:g} mm from skin to bone"),
+        (bool(thin), ".", _THIN, f"the same, less than {_NEAR:g} mm to the nearest bone"),
         (bool(markers), "D", _MARKER, "skin marker"),
         (bool(sites), "X", _SITE, "site of the case"),
     )
@@ -85,21 +78,6 @@ def _report_marks(
     ]
     if lines:
         figure.legend(handles=lines, loc="lower center", ncols=len(lines))
-
-
-def _draw_view(axes: Axes, limb: Limb, across: tuple[int, float], towards: tuple[int, float]) -> None:
-    """Draw the skin's facets that face the viewer, with interpolated shading, far ones first."""
-    skin = limb.skin
-    at_corners = np.zeros_like(skin.points)
-    np.add.at(at_corners, skin.faces.ravel(), np.repeat(skin.area_vectors, 3, axis=0))
-    at_corners /= np.maximum(np.linalg.norm(at_corners, axis=1, keepdims=True), 1e-12)
-    seen = np.flatnonzero(towards[1] * skin.area_vectors[:, towards[0]] > 0)
-    depth = towards[1] * skin.centroids[seen, towards[0]]
-    faces = skin.faces[seen[np.argsort(depth)]]
-    grey = np.clip(0.35 + 0.6 * towards[1] * at_corners[:, towards[0]], 0.0, 1.0)
-    corners = Triangulation(skin.points[:, across[0]], skin.points[:, 2], faces)
-    colours = np.stack([grey, 0.93 * grey, 0.88 * grey], axis=1)
-    axes.add_collection(TriMesh(corners, facecolors=colours, rasterized=True), autolim=False)
 
 
 def _draw_points(
@@ -124,8 +102,8 @@ def _draw_points(
 
     seen = [each for each in grid if visible(each.point)]
     for colour, shown in (
-        (_THIN, [each for each in seen if each.skin_bone < _NEAR]),
-        (_THICK, [each for each in seen if not each.skin_bone < _NEAR]),
+        (_THIN, [each for each in seen if each.nearest_bone < _NEAR]),
+        (_THICK, [each for each in seen if not each.nearest_bone < _NEAR]),
     ):
         places = np.array([each.point[[across[0], 2]] for each in shown]).reshape(-1, 2)
         axes.plot(*places.T, ".", color=colour, markersize=4)

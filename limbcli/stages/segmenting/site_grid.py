@@ -26,12 +26,16 @@ _NAMES = "ABCDEFGHIJKLMNOPQRSTUVWX"
 
 @dataclass(frozen=True, eq=False)
 class GridPoint:
-    """A skin point and its name: "C4" is row C from distal, column 4 of 12 from anterior towards the left."""
+    """A skin point and its name: "C4" is row C from distal, column 4 of 12 from anterior towards the left.
+
+    nearest_bone : distance to the closest point of any bone, mm; never more than the distance along a beam
+        (`skin_bone_mm` of a case), which it must not be taken for
+    """
 
     name: str
     angle_deg: float
     point: Array
-    skin_bone: float
+    nearest_bone: float
 
 
 def grid_points(limb: Limb, *, step: float = _STEP_MM) -> list[GridPoint]:
@@ -81,7 +85,7 @@ def _section(skin: Triangles, axis: Array, height: float) -> tuple[Array, Array]
 def write_grid(path: Path, grid: Sequence[GridPoint]) -> None:
     with path.open("w", newline="", encoding="utf-8") as stream:
         rows = csv.writer(stream)
-        rows.writerow(["name", "angle_deg", "x_mm", "y_mm", "z_mm", "skin_bone_mm", "position_mm"])
+        rows.writerow(["name", "angle_deg", "x_mm", "y_mm", "z_mm", "nearest_bone_mm", "position_mm"])
         for each in grid:
             place = [f"{value:.1f}" for value in each.point]
             rows.writerow(
@@ -89,7 +93,7 @@ def write_grid(path: Path, grid: Sequence[GridPoint]) -> None:
                     text_cell(each.name),
                     f"{each.angle_deg:.0f}",
                     *place,
-                    f"{each.skin_bone:.1f}",
+                    f"{each.nearest_bone:.1f}",
                     triple(each.point),
                 ]
             )
