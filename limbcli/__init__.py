@@ -56,6 +56,9 @@ if TYPE_CHECKING:
     from limbcli.api.subjects import MeasureResult as MeasureResult
     from limbcli.api.subjects import check as check
     from limbcli.api.subjects import measure as measure
+    from limbcli.api.in_socket import PatchPressure as PatchPressure
+    from limbcli.api.in_socket import SocketResult as SocketResult
+    from limbcli.api.in_socket import socket as socket
     from limbcli.api.whole_limb import LimbResult as LimbResult
     from limbcli.api.whole_limb import limb as limb
     from limbcli.case import Case as Case
@@ -86,6 +89,7 @@ _PUBLIC = {
     "api.geometry": ("Marker", "MeshResult", "MeshStudyResult", "SegmentResult", "mesh", "segment"),
     "api.simulation": ("BuildFebResult", "RunResult", "build_feb", "run", "run_feb"),
     "api.making": ("MadeCase", "make_phantom", "synth"),
+    "api.in_socket": ("PatchPressure", "SocketResult", "socket"),
     "api.whole_limb": ("LimbResult", "limb"),
     "api.subjects": ("CheckResult", "MeasureResult", "check", "measure"),
     "case": ("Case",),

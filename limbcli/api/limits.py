@@ -11,7 +11,15 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from limbcli.errors import CaseError
-from limbcli.mesh_bounds import FAR_SIZE_MM, LIMB_CUT_MM, LIMB_NODES, LIMB_SITE_SIZE_MM, MARGIN_MM, SIZE_MM
+from limbcli.mesh_bounds import (
+    FAR_SIZE_MM,
+    LIMB_CUT_MM,
+    LIMB_NODES,
+    LIMB_SITE_SIZE_MM,
+    MARGIN_MM,
+    SIZE_MM,
+    SOCKET_STEPS,
+)
 
 Bounds: TypeAlias = tuple[float, float]
 
@@ -29,6 +37,7 @@ LIMITS: dict[str, dict[str, Bounds]] = {
     "batch": {"jobs": (1, math.inf)},
     "cohort": {**_SEED},
     "limb": {"nodes": LIMB_NODES, "cut_mm": LIMB_CUT_MM, "site_size_mm": LIMB_SITE_SIZE_MM},
+    "socket": {"donning_steps": SOCKET_STEPS, "load_steps": SOCKET_STEPS},
     "run": {"time_limit_s": (0, math.inf)},
     "fit": {"max_iterations": (1, math.inf)},
     "diagnose": {"max_effects": (1, 2), **_SEED, "size_mm": (1, 20), "far_size_mm": (2, 50)},
@@ -38,7 +47,7 @@ LIMITS: dict[str, dict[str, Bounds]] = {
     },
     "phantom": {**_SEED, **_TISSUE, **_MEASURING, **_SIZES},
 }  # fmt: skip
-_WHOLE = ("seed", "max_effects", "max_iterations", "jobs", "nodes")
+_WHOLE = ("seed", "max_effects", "max_iterations", "jobs", "nodes", "donning_steps", "load_steps")
 
 
 def within(function: str, **values: object) -> None:

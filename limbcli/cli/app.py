@@ -49,6 +49,7 @@ COMMANDS = {
     "fit": "fit",
     "diagnose": "diagnose",
     "limb": "limb",
+    "socket": "socket",
     "report": "report",
     "batch": "batch",
     "cohort": "cohort",

@@ -14,6 +14,7 @@ EXAMPLES = {
     "fit": "limbcli fit S12 --site p1 --compare-element",
     "diagnose": "limbcli diagnose S12 --site p1 --measured tare_n=0.4",
     "limb": "limbcli limb S12 --nodes 20000",
+    "socket": "limbcli socket S12 --align",
     "report": "limbcli report S12 --out results/S12",
     "batch": "limbcli batch S12 S13 --out results",
     "cohort": "limbcli cohort people.csv --out results/people",

@@ -67,7 +67,8 @@ class SocketState:
 
     pressure_mpa, shear_mpa (n_skin,) : at the skin's nodes, per current area; shear is the size of the mean
         tangential traction
-    facet_pressure_mpa (n_facets,) : mean over each facet, in the surface's order
+    facet_pressure_mpa, facet_shear_mpa, facet_area_mm2 (n_facets,) : means over each facet, and its current
+        area where it is in contact (else that at rest), in the surface's order
     displacements (n_points, 3) : mm, of all nodes of `socket_model`
     strain, energy_density (n_cells,) : largest principal Green-Lagrange strain, and MPa
     socket_force_n (3,), socket_moment_n_mm (3,) : on the socket from outside, about its centre
@@ -79,6 +80,8 @@ class SocketState:
     pressure_mpa: Array
     shear_mpa: Array
     facet_pressure_mpa: Array
+    facet_shear_mpa: Array
+    facet_area_mm2: Array
     displacements: Array
     strain: Array
     energy_density: Array
@@ -278,14 +281,15 @@ def _state(running: Analysis, snapshot: Snapshot, load: float) -> SocketState:
     nodes = _skin_nodes(running.model, pair.contact.primary)
     sums = np.zeros((len(system.X), 4))  # area, pressure, and the two below times area
     shear = np.zeros((len(system.X), 3))
-    facet_pressures = []
+    by_facet: list[tuple[Array, Array, Array]] = []
     for patch in pair.patches:
         area, pressure, tangential = _tractions(patch)
-        facet_pressures.append(pressure)
+        by_facet.append((pressure, np.linalg.norm(tangential, axis=1), area))
         for column in patch.facets.T:
             np.add.at(sums, (column, 0), area)
             np.add.at(sums, (column, 1), area * pressure)
             np.add.at(shear, column, area[:, None] * tangential)
+    facet_pressure, facet_shear, facet_area = (np.concatenate(each) for each in zip(*by_facet, strict=True))
     area = np.maximum(sums[nodes, 0], 1e-300)
     cells = record_rows(system, state, forces, LogRecord("element", _CELL_FIELDS, ""))[1]
     tied = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(b.tied for b in system.bodies)]))
@@ -297,7 +301,9 @@ def _state(running: Analysis, snapshot: Snapshot, load: float) -> SocketState:
         load_n=load,
         pressure_mpa=sums[nodes, 1] / area,
         shear_mpa=np.linalg.norm(shear[nodes], axis=1) / area,
-        facet_pressure_mpa=np.concatenate(facet_pressures),
+        facet_pressure_mpa=facet_pressure,
+        facet_shear_mpa=facet_shear,
+        facet_area_mm2=facet_area,
         displacements=state.u.copy(),
         strain=cells[:, 0],
         energy_density=cells[:, 1],

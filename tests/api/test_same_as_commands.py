@@ -20,7 +20,7 @@ FUNCTIONS = {
     "segment": "segment", "mesh": "mesh", "build-feb": "build_feb", "run": "run", "fit": "fit",
     "diagnose": "diagnose", "report": "report", "measure": "measure", "synth": "synth",
     "phantom": "make_phantom", "check": "check", "batch": "batch", "cohort": "cohort",
-    "limb": "limb",
+    "limb": "limb", "socket": "socket",
 }  # fmt: skip
 # What belongs to a terminal alone, and options that are functions of their own.
 TERMINAL = {"json", "quiet", "verbose", "no_wait", "open", "help"}
