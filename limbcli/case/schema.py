@@ -377,6 +377,7 @@ SOCKET = {
     "all_mm": Key("mm", number(-20.0, 20.0, "mm")),
     "transition_mm": Key("mm", number(1.0, 60.0, "mm")),
     "brim_mm": Key("mm", number(20.0, 1000.0, "mm")),
+    "flare_mm": Key("mm", number(0.0, 15.0, "mm")),
     "liner": Key("table", table),
     "friction": Key("1", number(0.0, 2.0, ""), default=0.3),
     "friction_deviation": Key("1", number(0.0, 0.5, ""), default=0.1),

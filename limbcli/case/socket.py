@@ -14,7 +14,7 @@ from limbcli.errors.problems import Problem, errors_of
 if TYPE_CHECKING:
     from limbcli.case import Case
 
-_FROM_SKIN = ("rectifications_mm", "all_mm", "transition_mm", "brim_mm")
+_FROM_SKIN = ("rectifications_mm", "all_mm", "transition_mm", "brim_mm", "flare_mm")
 _MOST_MM = 20.0  # largest rectification of a patch
 _FEWEST = 3  # landmarks that determine a pose
 
@@ -28,6 +28,7 @@ class SocketInput:
     landmarks : by the limb's names, points (x, y, z) in the socket's frame, mm
     rectifications : by patch, mm; positive: into the limb; `all_mm` of the whole skin
     transition : mm; brim : height (mm) of its upper end above the limb's distal end; None: chosen
+    flare : mm outward at that end
     friction, friction_deviation : coefficient and its standard deviation
     loads : forces along the limb, N
     limb_nodes : about this number of nodes of the limb's model that a batch makes
@@ -40,6 +41,7 @@ class SocketInput:
     all_mm: float
     transition: float
     brim: float | None
+    flare: float
     friction: float
     friction_deviation: float
     loads: tuple[float, ...]
@@ -67,7 +69,7 @@ def read_socket(raw: Mapping[str, Any], files: CaseFiles) -> tuple[SocketInput |
     problems += found
     if errors_of(problems):
         return None, problems
-    transition, brim = values["transition_mm"], values["brim_mm"]
+    transition, brim, flare = (values[f"{name}_mm"] for name in ("transition", "brim", "flare"))
     return SocketInput(
         surface=surface,
         align=values["align"],
@@ -76,6 +78,7 @@ def read_socket(raw: Mapping[str, Any], files: CaseFiles) -> tuple[SocketInput |
         all_mm=float(values["all_mm"] or 0.0),
         transition=15.0 if transition is None else float(transition),
         brim=None if brim is None else float(brim),
+        flare=3.0 if flare is None else float(flare),
         friction=float(values["friction"]),
         friction_deviation=float(values["friction_deviation"]),
         loads=tuple(float(each) for each in values["loads_n"]),

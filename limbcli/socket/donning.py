@@ -73,6 +73,7 @@ class SocketState:
     strain, energy_density (n_cells,) : largest principal Green-Lagrange strain, and MPa
     socket_force_n (3,), socket_moment_n_mm (3,) : on the socket from outside, about its centre
     socket_shift_mm (3,) : of the socket's centre
+    penetration_mm : largest depth of the skin behind the wall, which the penalty allows
     imbalance_n : size of the sum of all forces from outside: on the socket, the bones and held nodes
     """
 
@@ -88,6 +89,7 @@ class SocketState:
     socket_force_n: Array
     socket_moment_n_mm: Array
     socket_shift_mm: Array
+    penetration_mm: float
     imbalance_n: float
 
 
@@ -310,8 +312,16 @@ def _state(running: Analysis, snapshot: Snapshot, load: float) -> SocketState:
         socket_force_n=forces.bodies[b, :3].copy(),
         socket_moment_n_mm=forces.bodies[b, 3:].copy(),
         socket_shift_mm=np.array(state.bodies[b].shift),
+        penetration_mm=max(map(_penetration, pair.patches), default=0.0),
         imbalance_n=float(np.linalg.norm(forces.bodies[:, :3].sum(axis=0) + reactions.sum(axis=0))),
     )
+
+
+def _penetration(patch: Patch) -> float:
+    from limbcli.fem.contacts.contact_points import GAP, TRACTION
+
+    gaps = patch.state[..., GAP][patch.state[..., TRACTION] > 0]
+    return float(gaps.max(initial=0.0))
 
 
 def _tractions(patch: Patch) -> tuple[Array, Array, Array]:

@@ -21,6 +21,7 @@ from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.socket.donning import SOCKET, DonningOptions, SocketResult, SocketState, don_and_load
 from limbcli.stages.in_socket.limb_in_socket import LimbInSocket, put_together
 from limbcli.stages.in_socket.patch_table import WHOLE, PatchRow, patch_masks, patch_rows, write_patches
+from limbcli.stages.in_socket.pictures import pressure_picture
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.provenance.chain_inputs import note_case
 from limbcli.stages.provenance.requested_options import requested_by_options
@@ -36,11 +37,15 @@ _BALANCE = 1e-4  # of the load: larger remainders are reported
 class SocketOptions:
     """align : place the socket by its shape, as `align` in the case
     donning_steps, load_steps : load steps of donning, and of each load
+    contact_penalty : of the contact, as a multiple of the tissue's stiffness at rest
+    intervals : solve again with other values, for intervals over the limb's draws
     """
 
     align: bool = False
     donning_steps: int = 10
     load_steps: int = 5
+    contact_penalty: float = 20.0
+    intervals: bool = True
 
 
 def socket(
@@ -75,6 +80,14 @@ def socket(
         rows = patch_rows(result.states, masks, together.skin.areas)
         _report(writer, result, rows, together)
         write_patches(writer.file("patches", "patches.csv"), rows, {})
+        for state in result.states:
+            name = _name(state)
+            pressure_picture(
+                writer.file(f"picture_{name}", f"pressure_{name}.png"),
+                together,
+                kpa_from_mpa(state.facet_pressure_mpa),
+                f"{case.subject}: pressure on the skin, {name.replace('_', ' ')}",
+            )
         write_feb(result.model, writer.file("feb", "socket.feb"))
         _write_vtu(writer.file("vtu", "socket.vtu"), result, together)
         writer.warnings.extend(limb.warnings)
@@ -106,6 +119,7 @@ def _donning(given: SocketInput, options: SocketOptions, together: LimbInSocket)
         sign=1.0,
         donning_steps=options.donning_steps,
         load_steps=options.load_steps,
+        penalty=options.contact_penalty,
         search_radius_mm=max(_LEAST_RADIUS_MM, together.fit.deepest_mm + _MARGIN_MM),
     )
 
@@ -152,7 +166,8 @@ def _report(
         x, y, z = state.socket_force_n
         writer.summary.append(
             f"{words}: forces on the socket {z:+.2f} N along the axis, {np.hypot(x, y):.2f} N across; "
-            f"those on bones and cut leave {state.imbalance_n:.2g} N"
+            f"those on bones and cut leave {state.imbalance_n:.2g} N; the skin lies up to "
+            f"{state.penetration_mm:.2f} mm behind the wall"
         )
         size = max(state.load_n, float(np.linalg.norm(state.socket_force_n)))
         if state.imbalance_n > _BALANCE * size:
@@ -176,7 +191,7 @@ def _state(state: SocketState) -> dict[str, object]:
     return {
         "name": _name(state), "load_n": state.load_n, "force_on_socket_n": state.socket_force_n,
         "moment_on_socket_n_mm": state.socket_moment_n_mm, "socket_shift_mm": state.socket_shift_mm,
-        "imbalance_n": state.imbalance_n, "largest_strain": float(state.strain.max()),
+        "imbalance_n": state.imbalance_n, "penetration_mm": state.penetration_mm, "largest_strain": float(state.strain.max()),
         "largest_energy_density_kpa": kpa_from_mpa(float(state.energy_density.max())),
         "largest_displacement_mm": float(np.linalg.norm(state.displacements, axis=1).max()),
     }  # fmt: skip

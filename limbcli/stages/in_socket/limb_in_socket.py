@@ -120,10 +120,14 @@ def _from_skin(
             where="socket.brim_mm", fix="give the height of the socket's upper end above the limb's lower end",
         )  # fmt: skip
     table = Rectification(
-        patches_mm=given.rectifications, all_mm=given.all_mm, transition_mm=given.transition, brim_mm=-brim
+        patches_mm=given.rectifications,
+        all_mm=given.all_mm,
+        transition_mm=given.transition,
+        brim_mm=-brim,
+        flare_mm=given.flare,
     )
     face = rectified(skin, patch_points(limb, points), table, TO_TIP, where="[socket]")
-    return face, f"made from the skin up to {brim:.0f} mm: {table.sentence}"
+    return face, f"made from the skin up to {brim:.0f} mm, flared by {given.flare:g} mm there: {table.sentence}"
 
 
 def patch_points(limb: LimbModel, points: IntArray) -> dict[str, IntArray]:
