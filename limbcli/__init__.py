@@ -44,6 +44,9 @@ if TYPE_CHECKING:
     from limbcli.api.geometry import SegmentResult as SegmentResult
     from limbcli.api.geometry import mesh as mesh
     from limbcli.api.geometry import segment as segment
+    from limbcli.api.in_socket import PatchPressure as PatchPressure
+    from limbcli.api.in_socket import SocketResult as SocketResult
+    from limbcli.api.in_socket import socket as socket
     from limbcli.api.making import MadeCase as MadeCase
     from limbcli.api.making import make_phantom as make_phantom
     from limbcli.api.making import synth as synth
@@ -56,9 +59,6 @@ if TYPE_CHECKING:
     from limbcli.api.subjects import MeasureResult as MeasureResult
     from limbcli.api.subjects import check as check
     from limbcli.api.subjects import measure as measure
-    from limbcli.api.in_socket import PatchPressure as PatchPressure
-    from limbcli.api.in_socket import SocketResult as SocketResult
-    from limbcli.api.in_socket import socket as socket
     from limbcli.api.whole_limb import LimbResult as LimbResult
     from limbcli.api.whole_limb import limb as limb
     from limbcli.case import Case as Case

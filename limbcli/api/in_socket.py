@@ -69,6 +69,8 @@ def socket(
     align: bool = False,
     donning_steps: int = 10,
     load_steps: int = 5,
+    contact_penalty: float = 20.0,
+    intervals: bool = True,
     wait: bool = True,
     progress: Heard = None,
 ) -> SocketResult:
@@ -79,6 +81,8 @@ def socket(
     case, out, wait, progress : as for `segment`; the table [socket] of the case has socket, friction and loads
     align : place the socket by its shape, because it is in another frame
     donning_steps, load_steps : load steps of donning, and of each load, 1 to 200
+    contact_penalty : of the contact, as a multiple of the tissue's stiffness, 1 to 1000
+    intervals : solve again with other values, for intervals over the limb's draws (patches.csv)
 
     Raises
     ------
@@ -90,10 +94,10 @@ def socket(
     SolveError
         If donning or a load has no equilibrium.
     """
-    within("socket", donning_steps=donning_steps, load_steps=load_steps)
+    within("socket", donning_steps=donning_steps, load_steps=load_steps, contact_penalty=contact_penalty)
     from limbcli.stages import socket as stage
 
-    options = stage.SocketOptions(align, donning_steps, load_steps)
+    options = stage.SocketOptions(align, donning_steps, load_steps, contact_penalty, intervals)
     with at_work(case, out, wait=wait, progress=progress, opening=Case.open_images) as work:
         found = stage.socket(work.case, out=work.out, options=options, progress=work.progress)
     return SocketResult.of(found)

@@ -18,6 +18,7 @@ from limbcli.mesh_bounds import (
     LIMB_SITE_SIZE_MM,
     MARGIN_MM,
     SIZE_MM,
+    SOCKET_PENALTY,
     SOCKET_STEPS,
 )
 
@@ -37,7 +38,9 @@ LIMITS: dict[str, dict[str, Bounds]] = {
     "batch": {"jobs": (1, math.inf)},
     "cohort": {**_SEED},
     "limb": {"nodes": LIMB_NODES, "cut_mm": LIMB_CUT_MM, "site_size_mm": LIMB_SITE_SIZE_MM},
-    "socket": {"donning_steps": SOCKET_STEPS, "load_steps": SOCKET_STEPS},
+    "socket": {
+        "donning_steps": SOCKET_STEPS, "load_steps": SOCKET_STEPS, "contact_penalty": SOCKET_PENALTY,
+    },
     "run": {"time_limit_s": (0, math.inf)},
     "fit": {"max_iterations": (1, math.inf)},
     "diagnose": {"max_effects": (1, 2), **_SEED, "size_mm": (1, 20), "far_size_mm": (2, 50)},

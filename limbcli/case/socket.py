@@ -112,7 +112,9 @@ def _at_odds(values: Mapping[str, Any], file: str) -> list[Problem]:
     return found
 
 
-def _points(table: Mapping[str, Any], file: str) -> tuple[dict[str, tuple[float, float, float]], list[Problem]]:
+def _points(
+    table: Mapping[str, Any], file: str
+) -> tuple[dict[str, tuple[float, float, float]], list[Problem]]:
     points, problems = {}, []
     for name, each in table.items():
         if wrong := schema.vector(each):

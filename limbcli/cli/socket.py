@@ -8,7 +8,7 @@ import typer
 
 from limbcli.cli.options import CaseArg, JsonOpt, NoWaitOpt, OutOpt, QuietOpt, VerboseOpt
 from limbcli.cli.terminal import emit, terminal
-from limbcli.mesh_bounds import SOCKET_STEPS
+from limbcli.mesh_bounds import SOCKET_PENALTY, SOCKET_STEPS
 from limbcli.output_lock import one_writer
 
 AlignOpt = Annotated[
@@ -20,6 +20,18 @@ DonningOpt = Annotated[
 LoadStepsOpt = Annotated[
     int, typer.Option("--load-steps", min=SOCKET_STEPS[0], max=SOCKET_STEPS[1], help="Steps of each load.")
 ]
+PenaltyOpt = Annotated[
+    float,
+    typer.Option(
+        "--contact-penalty",
+        min=SOCKET_PENALTY[0],
+        max=SOCKET_PENALTY[1],
+        help="Of the contact, as a multiple of the tissue's stiffness: higher is stricter, and slower.",
+    ),
+]
+IntervalsOpt = Annotated[
+    bool, typer.Option("--intervals/--no-intervals", help="Solve again for intervals over the limb's draws.")
+]
 
 
 def command(
@@ -28,6 +40,8 @@ def command(
     align: AlignOpt = False,
     donning_steps: DonningOpt = 10,
     load_steps: LoadStepsOpt = 5,
+    contact_penalty: PenaltyOpt = 20.0,
+    intervals: IntervalsOpt = True,
     no_wait: NoWaitOpt = False,
     json: JsonOpt = False,
     quiet: QuietOpt = False,
@@ -39,7 +53,7 @@ def command(
     from limbcli.stages.socket import SocketOptions, socket
 
     opened, target = Case.open_images(case), out or default_out(case)
-    options = SocketOptions(align=align, donning_steps=donning_steps, load_steps=load_steps)
+    options = SocketOptions(align, donning_steps, load_steps, contact_penalty, intervals)
     progress = terminal(quiet=quiet, verbose=verbose)
     with one_writer(target, wait=not no_wait, progress=progress):
         result = socket(opened, out=target, options=options, progress=progress)

@@ -14,13 +14,21 @@ from limbcli.errors import CaseError, SolveError
 from limbcli.errors.problems import raise_errors
 from limbcli.feb.write import write_feb
 from limbcli.meshing.export import write_vtu
-from limbcli.model import LimbModel, Mesh
+from limbcli.model import LimbModel
 from limbcli.model_io import load_model
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
-from limbcli.socket.donning import SOCKET, DonningOptions, SocketResult, SocketState, don_and_load
+from limbcli.socket.donning import DonningOptions, SocketResult, SocketState, don_and_load
+from limbcli.stages.in_socket.intervals import drawn_values, pressure_intervals
 from limbcli.stages.in_socket.limb_in_socket import LimbInSocket, put_together
-from limbcli.stages.in_socket.patch_table import WHOLE, PatchRow, patch_masks, patch_rows, write_patches
+from limbcli.stages.in_socket.patch_table import (
+    WHOLE,
+    Interval,
+    PatchRow,
+    patch_masks,
+    patch_rows,
+    write_patches,
+)
 from limbcli.stages.in_socket.pictures import pressure_picture
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.provenance.chain_inputs import note_case
@@ -30,6 +38,8 @@ from limbcli.units import kpa_from_mpa
 STAGE = "socket"
 _MARGIN_MM = 10.0  # the contact sees the socket this much farther than the deepest interference
 _LEAST_RADIUS_MM = 30.0
+_MOST_OFF = 0.1  # error of the held-out solve above which the intervals are called rough
+_SOFT_MM, _SOFT = 0.5, 0.2  # penetration that is reported: mm, and of the deepest interference
 _BALANCE = 1e-4  # of the load: larger remainders are reported
 
 
@@ -69,7 +79,7 @@ def socket(
     with open_stage(out, STAGE, subject=case.subject) as writer:
         writer.data["asked"] = requested_by_options(options)
         note_case(writer, case, ["socket"])
-        writer.used_result(limb, files=["model"])
+        writer.used_result(limb, files=[each for each in ("model", "draws") if each in limb.files])
         if given.surface is not None:
             writer.used("socket", given.surface, role="socket/surface")
         together = put_together(load_model(limb.path("model")), given, writer)
@@ -79,14 +89,15 @@ def socket(
         masks = patch_masks(together.limb)
         rows = patch_rows(result.states, masks, together.skin.areas)
         _report(writer, result, rows, together)
-        write_patches(writer.file("patches", "patches.csv"), rows, {})
+        intervals = _intervals(given, donning, together, limb, rows, options, writer, progress)
+        write_patches(writer.file("patches", "patches.csv"), rows, intervals)
         for state in result.states:
             name = _name(state)
             pressure_picture(
                 writer.file(f"picture_{name}", f"pressure_{name}.png"),
                 together,
                 kpa_from_mpa(state.facet_pressure_mpa),
-                f"{case.subject}: pressure on the skin, {name.replace('_', ' ')}",
+                f"{case.subject}: pressure on the skin, {_words(state)}",
             )
         write_feb(result.model, writer.file("feb", "socket.feb"))
         _write_vtu(writer.file("vtu", "socket.vtu"), result, together)
@@ -105,9 +116,7 @@ def _given(case: Case, options: SocketOptions) -> SocketInput:
             fix='add a table [socket] with `surface = "socket.stl"`, or with rectifications of the skin',
         )
     if options.align and given.surface is None:
-        raise CaseError(
-            "a socket made from the skin needs no alignment", where="--align", fix="leave it out"
-        )
+        raise CaseError("a socket made from the skin needs no alignment", where="--align", fix="leave it out")
     return replace(given, align=given.align or options.align)
 
 
@@ -122,6 +131,51 @@ def _donning(given: SocketInput, options: SocketOptions, together: LimbInSocket)
         penalty=options.contact_penalty,
         search_radius_mm=max(_LEAST_RADIUS_MM, together.fit.deepest_mm + _MARGIN_MM),
     )
+
+
+def _intervals(
+    given: SocketInput, donning: DonningOptions, together: LimbInSocket, limb: StageResult,
+    rows: list[PatchRow], options: SocketOptions, writer: StageWriter, progress: Progress,
+) -> dict[tuple[float, str, str], Interval]:  # fmt: skip
+    """Intervals over the limb's draws, none where it has none; their error and shares in the result."""
+    if not options.intervals:
+        return {}
+    if "draws" not in limb.files:
+        writer.summary.append("no intervals: the limb has no draws, because no site tells its stiffness")
+        return {}
+    masks = patch_masks(together.limb)
+
+    def solved(model: LimbModel, friction: float) -> list[PatchRow]:
+        changed = replace(donning, friction=friction)
+        states = don_and_load(model, together.face, changed, progress=progress).states
+        return patch_rows(states, masks, together.skin.areas)
+
+    drawn = drawn_values(limb.path("draws"), given.friction, given.friction_deviation)
+    try:
+        found = pressure_intervals(together.limb, given.friction, rows, drawn, solved, progress)
+    except SolveError as error:
+        writer.warnings.append(error.what)
+        return {}
+    writer.data["intervals"] = {
+        "n_solves": found.n_solves,
+        "held_out_error_fraction": found.error_fraction,
+        "deviations": found.deviations,
+        "shares": {f"{load:g}": each for load, each in found.shares.items()},
+        "patches": [
+            {"load_n": load, "patch": patch, "quantity": name, "low": low, "high": high}
+            for (load, patch, name), (low, high) in found.intervals.items()
+        ],
+    }
+    load, shares = list(found.shares.items())[-1]
+    low, high = found.intervals[load, WHOLE, "mean_kpa"]
+    words = ", ".join(f"{name} {100 * each:.0f} %" for name, each in shares.items())
+    writer.summary.append(
+        f"mean pressure under {load:g} N: {low:.1f} to {high:.1f} kPa (95 %) over the limb's draws; of its "
+        f"variance: {words}; a held-out solve is off by {100 * found.error_fraction:.1f} %"
+    )
+    if found.error_fraction > _MOST_OFF:
+        writer.warnings.append("the intervals are rough: the pressures are not linear over the draws")
+    return found.intervals
 
 
 def _report_fit(writer: StageWriter, together: LimbInSocket, given: SocketInput) -> None:
@@ -148,14 +202,12 @@ def _report_fit(writer: StageWriter, together: LimbInSocket, given: SocketInput)
     )
 
 
-def _report(
-    writer: StageWriter, result: SocketResult, rows: list[PatchRow], together: LimbInSocket
-) -> None:
+def _report(writer: StageWriter, result: SocketResult, rows: list[PatchRow], together: LimbInSocket) -> None:
     """States, balance of forces and patches, in result and summary."""
     writer.data["states"] = [_state(each) for each in result.states]
     writer.data["patches"] = [vars(each) for each in rows]
     for state in result.states:
-        words = _name(state).replace("_", " ")
+        words = _words(state)
         (whole,) = (each for each in rows if each.load_n == state.load_n and each.patch == WHOLE)
         if not whole.contact_area_mm2:
             writer.warnings.append(f"{words}: the limb does not touch the socket")
@@ -169,6 +221,11 @@ def _report(
             f"those on bones and cut leave {state.imbalance_n:.2g} N; the skin lies up to "
             f"{state.penetration_mm:.2f} mm behind the wall"
         )
+        if state.penetration_mm > max(_SOFT_MM, _SOFT * together.fit.deepest_mm):
+            writer.warnings.append(
+                f"{words}: the skin lies up to {state.penetration_mm:.1f} mm behind the wall, which the contact's "
+                "penalty allows: pressures are too low there; raise --contact-penalty"
+            )
         size = max(state.load_n, float(np.linalg.norm(state.socket_force_n)))
         if state.imbalance_n > _BALANCE * size:
             raise SolveError(
@@ -176,6 +233,10 @@ def _report(
                 where="balance of forces", fix="use more donning and load steps",
                 imbalance_n=state.imbalance_n,
             )  # fmt: skip
+
+
+def _words(state: SocketState) -> str:
+    return f"under {state.load_n:g} N" if state.load_n else "donned"
 
 
 def _name(state: SocketState) -> str:

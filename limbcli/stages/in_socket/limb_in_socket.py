@@ -127,7 +127,10 @@ def _from_skin(
         flare_mm=given.flare,
     )
     face = rectified(skin, patch_points(limb, points), table, TO_TIP, where="[socket]")
-    return face, f"made from the skin up to {brim:.0f} mm, flared by {given.flare:g} mm there: {table.sentence}"
+    return (
+        face,
+        f"made from the skin up to {brim:.0f} mm, flared by {given.flare:g} mm there: {table.sentence}",
+    )
 
 
 def patch_points(limb: LimbModel, points: IntArray) -> dict[str, IntArray]:

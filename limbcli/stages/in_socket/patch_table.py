@@ -64,8 +64,7 @@ def patch_rows(
     for state in states:
         for name, mask in masks.items():
             pressure, shear, size = (
-                each[mask]
-                for each in (state.facet_pressure_mpa, state.facet_shear_mpa, state.facet_area_mm2)
+                each[mask] for each in (state.facet_pressure_mpa, state.facet_shear_mpa, state.facet_area_mm2)
             )
             touching = pressure > 0
             weight = size[touching]

@@ -34,7 +34,7 @@ def pressure_picture(path: Path, together: LimbInSocket, pressure_kpa: Array, ti
     lateral = together.frame.lateral @ np.cross(together.frame.axis, together.frame.anterior) * np.eye(3)[0]
     figure = Figure(figsize=(14, 6.4), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(1, 5, sharey=True, gridspec_kw={"width_ratios": [1, 1, 1, 1, 2]})
+    axes = figure.subplots(1, 5, gridspec_kw={"width_ratios": [1, 1, 1, 1, 2]})
     views = (
         ("from the front", _FRONT), ("from the lateral side", lateral), ("from behind", -_FRONT),
         ("from the medial side", -lateral),
@@ -80,5 +80,6 @@ def _unrolled(
     whole = np.flatnonzero(np.ptp(angle, axis=1) < 180.0)
     drawn = _collection(axes, np.stack([angle, skin.corners @ _UP], axis=-1), pressure, scale, whole)
     axes.set_xlabel("angle from the front, lateral positive [deg]")
+    axes.set_ylabel("height [mm]")
     axes.set_title("unrolled", fontsize=10)
     return drawn
