@@ -78,7 +78,7 @@ def socket(
 
     Parameters
     ----------
-    case, out, wait, progress : as for `segment`; the table [socket] of the case has socket, friction and loads
+    case, out, wait, progress : as for `segment`; [socket] of the case has socket, friction and loads
     align : place the socket by its shape, because it is in another frame
     donning_steps, load_steps : load steps of donning, and of each load, 1 to 200
     contact_penalty : of the contact, as a multiple of the tissue's stiffness, 1 to 1000

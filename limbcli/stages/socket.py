@@ -18,7 +18,7 @@ from limbcli.model import LimbModel
 from limbcli.model_io import load_model
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
-from limbcli.socket.donning import DonningOptions, SocketResult, SocketState, don_and_load
+from limbcli.sockets.donning import DonningOptions, SocketResult, SocketState, don_and_load
 from limbcli.stages.in_socket.intervals import drawn_values, pressure_intervals
 from limbcli.stages.in_socket.limb_in_socket import LimbInSocket, put_together
 from limbcli.stages.in_socket.patch_table import (
@@ -206,6 +206,7 @@ def _report(writer: StageWriter, result: SocketResult, rows: list[PatchRow], tog
     """States, balance of forces and patches, in result and summary."""
     writer.data["states"] = [_state(each) for each in result.states]
     writer.data["patches"] = [vars(each) for each in rows]
+    writer.data["largest"] = vars([each for each in rows if each.patch == WHOLE][-1])
     for state in result.states:
         words = _words(state)
         (whole,) = (each for each in rows if each.load_n == state.load_n and each.patch == WHOLE)
@@ -223,8 +224,8 @@ def _report(writer: StageWriter, result: SocketResult, rows: list[PatchRow], tog
         )
         if state.penetration_mm > max(_SOFT_MM, _SOFT * together.fit.deepest_mm):
             writer.warnings.append(
-                f"{words}: the skin lies up to {state.penetration_mm:.1f} mm behind the wall, which the contact's "
-                "penalty allows: pressures are too low there; raise --contact-penalty"
+                f"{words}: the skin lies up to {state.penetration_mm:.1f} mm behind the wall, which the "
+                "contact's penalty allows: pressures are too low there; raise --contact-penalty"
             )
         size = max(state.load_n, float(np.linalg.norm(state.socket_force_n)))
         if state.imbalance_n > _BALANCE * size:
@@ -252,7 +253,8 @@ def _state(state: SocketState) -> dict[str, object]:
     return {
         "name": _name(state), "load_n": state.load_n, "force_on_socket_n": state.socket_force_n,
         "moment_on_socket_n_mm": state.socket_moment_n_mm, "socket_shift_mm": state.socket_shift_mm,
-        "imbalance_n": state.imbalance_n, "penetration_mm": state.penetration_mm, "largest_strain": float(state.strain.max()),
+        "imbalance_n": state.imbalance_n, "penetration_mm": state.penetration_mm,
+        "largest_strain": float(state.strain.max()),
         "largest_energy_density_kpa": kpa_from_mpa(float(state.energy_density.max())),
         "largest_displacement_mm": float(np.linalg.norm(state.displacements, axis=1).max()),
     }  # fmt: skip

@@ -53,7 +53,8 @@ def with_surface(surface: Triangles, path: Path, **more) -> SocketInput:
     meshio.Mesh(surface.points, [("triangle", surface.faces.astype(np.int32))]).write(path)
     usual = {
         "align": False, "landmarks": {}, "rectifications": {}, "all_mm": 0.0, "transition": 15.0,
-        "brim": None, "flare": 0.0, "friction": 0.0, "friction_deviation": 0.1, "loads": (60.0,), "limb_nodes": 3_000,
+        "brim": None, "flare": 0.0, "friction": 0.0, "friction_deviation": 0.1, "loads": (60.0,),
+        "limb_nodes": 3_000,
     }  # fmt: skip
     return SocketInput(surface=path, **{**usual, **more})
 

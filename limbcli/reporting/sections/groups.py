@@ -23,6 +23,7 @@ from limbcli.reporting.sections.numerics import elements, mesh_study
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.reporting.sections.provenance import provenance
 from limbcli.reporting.sections.segmentation import segmentation
+from limbcli.reporting.sections.socket import socket
 from limbcli.reporting.sections.states import states
 
 
@@ -44,7 +45,7 @@ SITE_REPORTLETS: tuple[Callable[[ReportData, SiteMaterial], Reportlet | None], .
 def groups(page: ReportData, own: Mapping[str, Any]) -> tuple[SectionGroup, ...]:
     """Results first, then their basis, then their provenance."""
     sites = [_site(page, site) for site in page.sites]
-    together = [each for make in (joint, laws) if (each := make(page)) is not None]
+    together = [each for make in (joint, laws, socket) if (each := make(page)) is not None]
     return (
         SectionGroup("chapter-parameters", "Parameters", (parameters(page), *together)),
         *sites,

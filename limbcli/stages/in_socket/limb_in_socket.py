@@ -15,11 +15,11 @@ from limbcli.meshing.surfaces import Triangles, merge_points, read_surface
 from limbcli.meshing.whole_limb import HELD
 from limbcli.model import Array, IntArray, LimbModel
 from limbcli.results import StageWriter
-from limbcli.socket.alignment import Alignment, align, by_landmarks
-from limbcli.socket.centre_line import CentreLine, centre_line, own_line
-from limbcli.socket.checks import Clearance, check_around, check_near, check_size, clearance
-from limbcli.socket.inner_face import inner_face
-from limbcli.socket.rectification import Rectification, rectified
+from limbcli.sockets.alignment import Alignment, align, by_landmarks
+from limbcli.sockets.centre_line import CentreLine, centre_line, own_line
+from limbcli.sockets.checks import Clearance, check_around, check_near, check_size, clearance
+from limbcli.sockets.inner_face import inner_face
+from limbcli.sockets.rectification import Rectification, rectified
 
 TO_TIP = np.array([0.0, 0.0, -1.0])
 PATCH, _LANDMARK = "patch_", "landmark_"
@@ -117,7 +117,7 @@ def _from_skin(
     if brim > top:
         raise CaseError(
             f"the brim at {brim:g} mm lies above the proximal cut at {top:.0f} mm",
-            where="socket.brim_mm", fix="give the height of the socket's upper end above the limb's lower end",
+            where="socket.brim_mm", fix="give the height of the socket's end above the limb's lower end",
         )  # fmt: skip
     table = Rectification(
         patches_mm=given.rectifications,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.model import Array, LimbModel
-from limbcli.socket.donning import SocketState
+from limbcli.sockets.donning import SocketState
 from limbcli.stages.in_socket.limb_in_socket import PATCH
 from limbcli.units import kpa_from_mpa
 
