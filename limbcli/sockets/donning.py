@@ -94,7 +94,7 @@ class SocketState:
 
 
 @dataclass(frozen=True, eq=False)
-class SocketResult:
+class DonningResult:
     """skin_nodes (n_skin,) : node numbers, ascending; states : after donning, then one per load."""
 
     model: LimbModel
@@ -158,7 +158,7 @@ def don_and_load(
     feb: Path | None = None,
     threads: int = 2,
     progress: Progress = SILENT,
-) -> SocketResult:
+) -> DonningResult:
     """Put a limb into its socket and load it, with the reference solver.
 
     Parameters
@@ -195,7 +195,7 @@ def don_and_load(
         analysis.close()
     if restart is not None:
         restart.finished()
-    return SocketResult(model, _skin_nodes(model, options.skin), tuple(states))
+    return DonningResult(model, _skin_nodes(model, options.skin), tuple(states))
 
 
 # ---------------------------------------------------------------- model

@@ -14,11 +14,11 @@ from limbcli.errors import CaseError, SolveError
 from limbcli.errors.problems import raise_errors
 from limbcli.feb.write import write_feb
 from limbcli.meshing.export import write_vtu
-from limbcli.model import LimbModel
+from limbcli.model import Array, LimbModel
 from limbcli.model_io import load_model
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
-from limbcli.sockets.donning import DonningOptions, SocketResult, SocketState, don_and_load
+from limbcli.sockets.donning import DonningOptions, DonningResult, SocketState, don_and_load
 from limbcli.stages.in_socket.intervals import drawn_values, pressure_intervals
 from limbcli.stages.in_socket.limb_in_socket import LimbInSocket, put_together
 from limbcli.stages.in_socket.patch_table import (
@@ -202,7 +202,7 @@ def _report_fit(writer: StageWriter, together: LimbInSocket, given: SocketInput)
     )
 
 
-def _report(writer: StageWriter, result: SocketResult, rows: list[PatchRow], together: LimbInSocket) -> None:
+def _report(writer: StageWriter, result: DonningResult, rows: list[PatchRow], together: LimbInSocket) -> None:
     """States, balance of forces and patches, in result and summary."""
     writer.data["states"] = [_state(each) for each in result.states]
     writer.data["patches"] = [vars(each) for each in rows]
@@ -260,10 +260,11 @@ def _state(state: SocketState) -> dict[str, object]:
     }  # fmt: skip
 
 
-def _write_vtu(path: Path, result: SocketResult, together: LimbInSocket) -> None:
+def _write_vtu(path: Path, result: DonningResult, together: LimbInSocket) -> None:
     """Limb and socket in patient LPS; by state: displacement, pressure, shear, strain, energy density."""
     mesh = result.model.mesh
-    at_points, cells = {}, {each.name: {} for each in mesh.solid_blocks}
+    at_points: dict[str, Array] = {}
+    cells: dict[str, dict[str, Array]] = {each.name: {} for each in mesh.solid_blocks}
     for state in result.states:
         name = _name(state)
         at_points[f"displacement_mm_{name}"] = together.directions_in_lps(state.displacements)

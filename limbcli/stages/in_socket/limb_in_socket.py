@@ -57,8 +57,10 @@ class LimbInSocket:
 def frame_of(model: LimbModel) -> LimbFrame:
     """The frame that the stage `limb` put into its model."""
     stored = model.info["frame"]
-    names = ("origin", "axis", "anterior", "lateral")
-    return LimbFrame(*(np.array(stored[f"{name}_lps"]) for name in names), float(stored["length_mm"]))
+    origin, axis, anterior, lateral = (
+        np.array(stored[f"{name}_lps"]) for name in ("origin", "axis", "anterior", "lateral")
+    )
+    return LimbFrame(origin, axis, anterior, lateral, float(stored["length_mm"]))
 
 
 def put_together(model: LimbModel, given: SocketInput, writer: StageWriter) -> LimbInSocket:
