@@ -22,6 +22,7 @@ TABLES = {
     "[imaging] shape": SHAPE,
     "[probe]": schema.PROBE,
     "[model]": schema.MODEL,
+    "[socket]": schema.SOCKET,
     "[[site]]": schema.SITE,
     "[[site.pennation]]": schema.PENNATION,
     "[[site.state]]": schema.STATE,

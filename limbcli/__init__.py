@@ -44,6 +44,9 @@ if TYPE_CHECKING:
     from limbcli.api.geometry import SegmentResult as SegmentResult
     from limbcli.api.geometry import mesh as mesh
     from limbcli.api.geometry import segment as segment
+    from limbcli.api.in_socket import PatchPressure as PatchPressure
+    from limbcli.api.in_socket import SocketResult as SocketResult
+    from limbcli.api.in_socket import socket as socket
     from limbcli.api.making import MadeCase as MadeCase
     from limbcli.api.making import make_phantom as make_phantom
     from limbcli.api.making import synth as synth
@@ -88,6 +91,7 @@ _PUBLIC = {
     "api.notebook": ("ShownProgress",),
     "api.simulation": ("BuildFebResult", "RunResult", "build_feb", "run", "run_feb"),
     "api.making": ("MadeCase", "make_phantom", "synth"),
+    "api.in_socket": ("PatchPressure", "SocketResult", "socket"),
     "api.whole_limb": ("LimbResult", "limb"),
     "api.subjects": ("CheckResult", "MeasureResult", "check", "measure"),
     "case": ("Case",),

@@ -28,9 +28,9 @@ ALLOWED: dict[str, set[str]] = {
     "stiffness_field": {"measurement", "meshing"},
     "reporting": {"measurement"},
     "phantom": {"imaging", "measurement", "materials", "meshing", "shear_waves"},
-    "socket": {"meshing", "materials", "solvers", "feb", "fem"},
+    "sockets": {"meshing", "materials", "solvers", "feb", "fem"},
     "stages": SIBLINGS
-    | {"effects", "feb", "materials", "phantom", "reporting", "shear_waves", "socket", "solvers"}
+    | {"effects", "feb", "materials", "phantom", "reporting", "shear_waves", "sockets", "solvers"}
     | {"stiffness_field"},
     "cli": {"api", "stages"},
     "api": {"stages", "solvers", "feb"},

@@ -21,6 +21,7 @@ from limbcli.case.files import CaseFiles
 from limbcli.case.imaging import place_of, read_imaging
 from limbcli.case.instruments import read_instruments, read_layers
 from limbcli.case.parts import Fibres, Imaging, ModelOptions, Probe, Site, StatedNoise
+from limbcli.case.socket import read_socket
 from limbcli.case.states import read_states, site_schema
 from limbcli.case.toml_file import read_toml
 from limbcli.config import at_home
@@ -152,7 +153,7 @@ def read_case(folder: Path) -> tuple[Case | None, list[Problem]]:
         parts["imaging"], files, present="imaging" in raw, limb=parts["subject"].get("limb")
     )
     sites, of_sites = _read_sites(raw.get("site"), files, imaging)
-    problems += of_sites + found
+    problems += of_sites + found + read_socket(raw, files)[1]
     if any(each.severity == "error" for each in problems):
         return None, problems
     return _assemble(folder, raw, parts, imaging, sites), problems

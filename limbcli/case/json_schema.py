@@ -42,6 +42,7 @@ def case_schema() -> Schema:
         imaging=_table(schema.IMAGING, shape=_table(SHAPE), labels=_labels()),
         probe=_table(schema.PROBE),
         model=_table(schema.MODEL),
+        socket=_table(schema.SOCKET),
         site=_list(site),
     )
     whole["required"] = ["format", "subject", "imaging", "probe", "site"]

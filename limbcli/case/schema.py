@@ -12,7 +12,7 @@ from math import isfinite
 from typing import Any
 
 from limbcli.errors.problems import Problem, suggestion
-from limbcli.mesh_bounds import MARGIN_MM
+from limbcli.mesh_bounds import LIMB_NODES, MARGIN_MM
 from limbcli.units import FORCE_UNITS_IN_N, LENGTH_UNITS_IN_MM, TIME_UNITS_IN_S
 
 FILL_IN = "FILL IN"  # placeholder that `limbcli new` writes for a value the user must give
@@ -262,6 +262,19 @@ def thickness(value: object) -> str | None:
     return None if value == "mri" else number(0.2, 40.0, "mm")(value)
 
 
+@_told({"type": "array", "minItems": 1, "items": {"type": "number", "minimum": 0.1, "maximum": 5000.0}})
+def loads(value: object) -> str | None:
+    """Forces in N, each above 0.
+
+    >>> loads([400, 800]), loads([400, -1])
+    (None, 'has -1 N; plausible values are 0.1 to 5000 N')
+    """
+    if not isinstance(value, list) or not value:
+        return f"is {value!r}, not a list of forces in N"
+    wrong = next((each for each in map(number(0.1, 5000.0, "N"), value) if each), None)
+    return None if wrong is None else wrong.replace("is ", "has ", 1)
+
+
 # Default radius of the bone. The tibia's section in OpenLimb's mean residual limb has the area of a circle of
 # 12 to 19 mm radius, 3 to 9 cm above the end (Sunderland et al. 2024, doi 10.1101/2024.11.27.24317622); in
 # others of that set 9 to 20.
@@ -407,6 +420,21 @@ NOISE = {
     "layer_mm": Key("mm", number(0.0, 5.0, "mm"), default=0.2),
     "source": Key("repeats | spec | assumed", one_of("repeats", "spec", "assumed"), default="assumed"),
 }
+SOCKET = {
+    "surface": Key("file", text),
+    "align": Key("true | false", truth, default=False),
+    "landmarks": Key("table of [x, y, z]", table),
+    "rectifications_mm": Key("table of mm", table),
+    "all_mm": Key("mm", number(-20.0, 20.0, "mm")),
+    "transition_mm": Key("mm", number(1.0, 60.0, "mm")),
+    "brim_mm": Key("mm", number(20.0, 1000.0, "mm")),
+    "flare_mm": Key("mm", number(0.0, 15.0, "mm")),
+    "liner": Key("table", table),
+    "friction": Key("1", number(0.0, 2.0, ""), default=0.3),
+    "friction_deviation": Key("1", number(0.0, 0.5, ""), default=0.1),
+    "loads_n": Key("list of N", loads, default=[400.0, 800.0]),
+    "limb_nodes": Key("number", whole(*LIMB_NODES), default=40_000),
+}
 TOP = {
     "format": Key("1", format_one),
     "subject": Key("table", lambda _: None),
@@ -415,6 +443,7 @@ TOP = {
     "probe": Key("table", lambda _: None),
     "model": Key("table", lambda _: None),
     "site": Key("list of tables", lambda _: None),
+    "socket": Key("table", lambda _: None),
 }
 
 

@@ -11,6 +11,7 @@ from limbcli.api.cohorts import batch, cohort
 from limbcli.api.diagnosis import diagnose, report
 from limbcli.api.fitting import fit, fit_joint
 from limbcli.api.geometry import mesh, segment
+from limbcli.api.in_socket import socket
 from limbcli.api.making import make_phantom, synth
 from limbcli.api.simulation import build_feb, run
 from limbcli.api.subjects import measure
@@ -74,6 +75,10 @@ COMMANDS = {
     "limb": Command(
         limb, "limbcli limb S12 --nodes 20000",
         "Build the finite-element model of the whole limb, with named parts, for FEBio and others.",
+    ),
+    "socket": Command(
+        socket, "limbcli socket S12 --align",
+        "Put the limb into its socket and load it: pressure and shear on the skin, by patch. After `limb`.",
     ),
     "report": Command(report_case_or_index, "limbcli report S12 --out results/S12", like=(report,)),
     "batch": Command(batch_cases, "limbcli batch S12 S13 --out results", like=(batch,)),

@@ -23,6 +23,7 @@ def write_vtu(
     *,
     fibres: ElementMap | None = None,
     values: Mapping[str, Mapping[str, Array]] | None = None,
+    at_points: Mapping[str, Array] | None = None,
 ) -> None:
     """Write all blocks as cells, and every node set and surface as a point array of 0 and 1.
 
@@ -30,6 +31,7 @@ def write_vtu(
     `fibre` (3 components in the site's frame; 0 outside the tissue) and `values`.
 
     values : by block, then by name, a value for each of its cells (n_cells,); NaN in other blocks
+    at_points : by name, a value (n_points,) or vector (n_points, 3) for each point
     """
     import meshio
 
@@ -38,6 +40,7 @@ def write_vtu(
     for name, surface in mesh.surfaces.items():
         nodes = np.concatenate([each.ravel() for each in surface.facets.values()])
         point_data[f"surface_{name}"] = _marked(len(mesh.points), nodes)
+    point_data |= dict(at_points or {})
     cell_data: dict[str, list[Any]] = {
         "block": [np.full(len(each.cells), k, np.int32) for k, each in enumerate(mesh.blocks)],
         "min_dihedral_deg": [_smallest_angle(mesh, each) for each in mesh.blocks],

@@ -16,7 +16,7 @@ from limbcli.results import ERROR_FILE, UNLIKE_OURS, StageResult, read_result, s
 SUBJECT_STAGES = ("segment",)
 SITE_STAGES = ("mesh", "build-feb", "run", "fit")
 # Optional stages, which are part of the page only if they have been run.
-EXTRA_SUBJECT_STAGES = ("fit-joint",)
+EXTRA_SUBJECT_STAGES = ("fit-joint", "limb", "socket")
 EXTRA_SITE_STAGES = ("fit-states", "fit-elements", "mesh-study", "diagnose")
 _COMMANDS = {
     "fit-joint": "fit {case} --objective joint",

@@ -182,6 +182,7 @@ class CaseRun:
         requested = self._requested("report", None, without=("templates",) if self.options.templates else ())
         templates = self.options.templates or path_of(requested.get("templates"))
         own = [templates] if templates else []
+        made += self._in_socket(first, keys)
         everything = key_of(first, *keys, *made, *shown, self.case.raw, failed, *own)
 
         def work() -> object:
@@ -189,6 +190,39 @@ class CaseRun:
 
         if self._stage("report", None, everything, work):
             self.outcome.report = stage_folder(self.out, "report") / "report.html"
+
+    def _in_socket(self, first: str, keys: Sequence[str]) -> list[str]:
+        """Run `limb` and `socket` (without intervals) for a case with a socket; return their keys."""
+        from limbcli.case.socket import socket_of
+        from limbcli.stages.limb import LimbOptions, limb
+        from limbcli.stages.socket import SocketOptions, socket
+
+        given = socket_of(self.case)
+        if given is None:
+            return []
+        asked = {name: self._requested(name, None) for name in ("limb", "socket")}
+        nodes = {"nodes": given.limb_nodes, **asked["limb"]}
+        nodes["draws"] = tuple(nodes.get("draws", ()))
+        key = key_of("limb", first, *keys, *parts_of(nodes))
+        if not self._stage(
+            "limb",
+            None,
+            key,
+            lambda: limb(self.case, options=options_of(LimbOptions, nodes), **self._common()),
+        ):
+            self._skip(("socket",), None, because="limb")
+            return [key]
+        files = [given.surface] if given.surface is not None else []
+        own = key_of("socket", key, self.case.raw["socket"], *files, *parts_of(asked["socket"]))
+        if (
+            not self.options.defaults
+            and self.memory.made_since("socket", None)
+            and self._holds("socket", None)
+        ):
+            self.memory.remember("socket", None, own)  # made by hand, perhaps with intervals
+        options = options_of(SocketOptions, {"intervals": False, **asked["socket"]})
+        self._stage("socket", None, own, lambda: socket(self.case, options=options, **self._common()))
+        return [key, own]
 
     def keep(self, failure: StepFailure) -> None:
         """Record a failure for the report, in case its process was lost before it could do so itself."""

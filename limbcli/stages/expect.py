@@ -16,9 +16,11 @@ force_ratio_tet4_over_tet10 = { min = 2.0 }
 "states.bent.stretch_along.value" = { value = 1.1, tolerance = 0.03 }
 [fit-joint]
 fibre_shear = { value = 1.0, tolerance = 0.2 }
+[socket]
+"largest.mean_kpa" = { value = 30.0, tolerance = 1.0 }
 ```
 Keys are those of `data` in fit.json, fit-elements.json, fit-states.json and mesh.json (per site),
-segment.json and fit-joint.json.
+segment.json, fit-joint.json and socket.json.
 """
 
 from __future__ import annotations
@@ -39,7 +41,7 @@ from limbcli.stages.provenance.chain import Chain
 
 EXPECTED_FILE = "expected.toml"
 _BY_SITE = {"site": "fit", "elements": "fit-elements", "states": "fit-states", "mesh": "mesh"}  # their stages
-_OF_THE_CASE = ("segment", "fit-joint")
+_OF_THE_CASE = ("segment", "fit-joint", "socket")
 _NUMBERS = frozenset({"value", "tolerance", "relative", "min", "max"})
 _RULES = _NUMBERS | {"is"}
 _DIGITS = 10  # significant digits printed, so that a value just outside its range is distinguishable from it

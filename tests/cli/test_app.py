@@ -13,7 +13,6 @@ from pathlib import Path
 
 import pytest
 import typer
-from typer.testing import CliRunner
 
 from limbcli import errors
 from limbcli.cli.app import COMMANDS, app, main

@@ -24,6 +24,7 @@ from limbcli.reporting.sections.numerics import elements, mesh_study
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.reporting.sections.provenance import provenance
 from limbcli.reporting.sections.segmentation import segmentation
+from limbcli.reporting.sections.socket import socket
 from limbcli.reporting.sections.states import states
 
 
@@ -50,7 +51,7 @@ def groups(
     told : warnings at the top of the page, which a section only refers to
     """
     sites = [_site(page, site) for site in page.sites]
-    together = [each for make in (joint, laws) if (each := make(page)) is not None]
+    together = [each for make in (joint, laws, socket) if (each := make(page)) is not None]
     chapters = (
         SectionGroup("chapter-parameters", "Parameters", (parameters(page), *together)),
         *sites,

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from limbcli.case import Case, Site
+from limbcli.case.socket import socket_of
 from limbcli.results import StageWriter, plain
 
 SITES, LIMB = "sites", "subject/limb"
@@ -25,6 +26,9 @@ def input_path(case: Case, role: str) -> Path | None:
     section, name, *rest = role.split("/")
     if section == "imaging":
         return _image(case, name, rest)
+    if section == "socket":
+        found_socket = socket_of(case)
+        return None if found_socket is None else found_socket.surface
     site = _site(case, name)
     if site is None:
         return None
@@ -41,8 +45,8 @@ def case_value(case: Case, key: str) -> Any:
     section, *rest = key.split("/")
     if section == SITES:
         return [each.name for each in case.sites]
-    if section == "imaging":
-        return plain(case.raw.get("imaging"))
+    if section in ("imaging", "socket"):
+        return plain(case.raw.get(section))
     if section == "subject":
         return getattr(case, rest[0])
     if section == "site":

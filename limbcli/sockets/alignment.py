@@ -14,8 +14,8 @@ from limbcli.errors import MeshError
 from limbcli.meshing.mending import open_rims
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
-from limbcli.socket.centre_line import CentreLine
-from limbcli.socket.nearest import NearestPoints
+from limbcli.sockets.centre_line import CentreLine
+from limbcli.sockets.nearest import NearestPoints
 
 _STARTS = 12  # around the limb
 _COARSE, _FINE = 300, 2000  # points that are compared

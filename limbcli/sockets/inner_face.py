@@ -13,7 +13,7 @@ from limbcli.errors import MeshError
 from limbcli.meshing.mending import open_rims, turned_inward
 from limbcli.meshing.surfaces import Triangles, bodies, undirected
 from limbcli.model import Array
-from limbcli.socket.centre_line import CentreLine
+from limbcli.sockets.centre_line import CentreLine
 
 _WIDE = 0.25  # a rim is an opening for the limb above this fraction of the surface's extent
 _MOST_TURNED = 0.1  # share of an open sheet's area that may face away from the limb

@@ -10,12 +10,12 @@ from stumps import DOWN, stump, wall
 
 from limbcli.errors import CaseError, MeshError
 from limbcli.meshing.surfaces import Triangles, read_surface
-from limbcli.socket.alignment import align, by_landmarks
-from limbcli.socket.centre_line import centre_line, own_line
-from limbcli.socket.checks import check_around, check_near, check_size, clearance
-from limbcli.socket.inner_face import inner_face
-from limbcli.socket.nearest import NearestPoints, on_triangles
-from limbcli.socket.rectification import CHOSEN, Rectification, rectified
+from limbcli.sockets.alignment import align, by_landmarks
+from limbcli.sockets.centre_line import centre_line, own_line
+from limbcli.sockets.checks import check_around, check_near, check_size, clearance
+from limbcli.sockets.inner_face import inner_face
+from limbcli.sockets.nearest import NearestPoints, on_triangles
+from limbcli.sockets.rectification import CHOSEN, Rectification, rectified
 
 SKIN = stump()
 LINE = centre_line(SKIN, DOWN)

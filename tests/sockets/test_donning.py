@@ -14,7 +14,7 @@ from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import LimbModel, Support
-from limbcli.socket.donning import FACE, SOCKET, DonningOptions, don_and_load, socket_model
+from limbcli.sockets.donning import FACE, SOCKET, DonningOptions, don_and_load, socket_model
 from limbcli.solvers.restart import RESTART_FILE
 
 OPTIONS = DonningOptions(loads_n=(0.5, 1.0), donning_steps=6, load_steps=2, search_radius_mm=8.0)

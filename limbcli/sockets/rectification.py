@@ -24,12 +24,15 @@ class Rectification:
     all_mm : of the whole skin, mm; positive: into the limb
     transition_mm : width of the transition around a patch
     brim_mm : height, along the direction towards the tip, at which the socket begins; None: whole skin
+    flare_mm : outward, at the brim, as a trim line is flared; falls to 0 over `flare_width_mm` below it
     """
 
     patches_mm: Mapping[str, float]
     all_mm: float = 0.0
     transition_mm: float = 15.0
     brim_mm: float | None = None
+    flare_mm: float = 0.0
+    flare_width_mm: float = 20.0
 
     @property
     def sentence(self) -> str:
@@ -86,6 +89,10 @@ def rectified(
         weights += weight
         sums += weight * mm
     amount += sums / np.maximum(weights, 1.0)
+    if table.brim_mm is not None and table.flare_mm:
+        t = np.clip((skin.points @ toward_tip - table.brim_mm) / table.flare_width_mm, 0.0, 1.0)
+        inside = t * t * (3.0 - 2.0 * t)
+        amount = inside * amount - (1.0 - inside) * table.flare_mm
     moved = Triangles(skin.points - amount[:, None] * _normals(skin), skin.faces)
     kept = np.ones(len(skin.faces), dtype=bool)
     if table.brim_mm is not None:

@@ -67,11 +67,13 @@ class SocketState:
 
     pressure_mpa, shear_mpa (n_skin,) : at the skin's nodes, per current area; shear is the size of the mean
         tangential traction
-    facet_pressure_mpa (n_facets,) : mean over each facet, in the surface's order
+    facet_pressure_mpa, facet_shear_mpa, facet_area_mm2 (n_facets,) : means over each facet, and its current
+        area where it is in contact (else that at rest), in the surface's order
     displacements (n_points, 3) : mm, of all nodes of `socket_model`
     strain, energy_density (n_cells,) : largest principal Green-Lagrange strain, and MPa
     socket_force_n (3,), socket_moment_n_mm (3,) : on the socket from outside, about its centre
     socket_shift_mm (3,) : of the socket's centre
+    penetration_mm : largest depth of the skin behind the wall, which the penalty allows
     imbalance_n : size of the sum of all forces from outside: on the socket, the bones and held nodes
     """
 
@@ -79,17 +81,20 @@ class SocketState:
     pressure_mpa: Array
     shear_mpa: Array
     facet_pressure_mpa: Array
+    facet_shear_mpa: Array
+    facet_area_mm2: Array
     displacements: Array
     strain: Array
     energy_density: Array
     socket_force_n: Array
     socket_moment_n_mm: Array
     socket_shift_mm: Array
+    penetration_mm: float
     imbalance_n: float
 
 
 @dataclass(frozen=True, eq=False)
-class SocketResult:
+class DonningResult:
     """skin_nodes (n_skin,) : node numbers, ascending; states : after donning, then one per load."""
 
     model: LimbModel
@@ -153,7 +158,7 @@ def don_and_load(
     feb: Path | None = None,
     threads: int = 2,
     progress: Progress = SILENT,
-) -> SocketResult:
+) -> DonningResult:
     """Put a limb into its socket and load it, with the reference solver.
 
     Parameters
@@ -190,7 +195,7 @@ def don_and_load(
         analysis.close()
     if restart is not None:
         restart.finished()
-    return SocketResult(model, _skin_nodes(model, options.skin), tuple(states))
+    return DonningResult(model, _skin_nodes(model, options.skin), tuple(states))
 
 
 # ---------------------------------------------------------------- model
@@ -278,14 +283,15 @@ def _state(running: Analysis, snapshot: Snapshot, load: float) -> SocketState:
     nodes = _skin_nodes(running.model, pair.contact.primary)
     sums = np.zeros((len(system.X), 4))  # area, pressure, and the two below times area
     shear = np.zeros((len(system.X), 3))
-    facet_pressures = []
+    by_facet: list[tuple[Array, Array, Array]] = []
     for patch in pair.patches:
         area, pressure, tangential = _tractions(patch)
-        facet_pressures.append(pressure)
+        by_facet.append((pressure, np.linalg.norm(tangential, axis=1), area))
         for column in patch.facets.T:
             np.add.at(sums, (column, 0), area)
             np.add.at(sums, (column, 1), area * pressure)
             np.add.at(shear, column, area[:, None] * tangential)
+    facet_pressure, facet_shear, facet_area = (np.concatenate(each) for each in zip(*by_facet, strict=True))
     area = np.maximum(sums[nodes, 0], 1e-300)
     cells = record_rows(system, state, forces, LogRecord("element", _CELL_FIELDS, ""))[1]
     tied = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(b.tied for b in system.bodies)]))
@@ -297,15 +303,25 @@ def _state(running: Analysis, snapshot: Snapshot, load: float) -> SocketState:
         load_n=load,
         pressure_mpa=sums[nodes, 1] / area,
         shear_mpa=np.linalg.norm(shear[nodes], axis=1) / area,
-        facet_pressure_mpa=np.concatenate(facet_pressures),
+        facet_pressure_mpa=facet_pressure,
+        facet_shear_mpa=facet_shear,
+        facet_area_mm2=facet_area,
         displacements=state.u.copy(),
         strain=cells[:, 0],
         energy_density=cells[:, 1],
         socket_force_n=forces.bodies[b, :3].copy(),
         socket_moment_n_mm=forces.bodies[b, 3:].copy(),
         socket_shift_mm=np.array(state.bodies[b].shift),
+        penetration_mm=max(map(_penetration, pair.patches), default=0.0),
         imbalance_n=float(np.linalg.norm(forces.bodies[:, :3].sum(axis=0) + reactions.sum(axis=0))),
     )
+
+
+def _penetration(patch: Patch) -> float:
+    from limbcli.fem.contacts.contact_points import GAP, TRACTION
+
+    gaps = patch.state[..., GAP][patch.state[..., TRACTION] > 0]
+    return float(gaps.max(initial=0.0))
 
 
 def _tractions(patch: Patch) -> tuple[Array, Array, Array]:

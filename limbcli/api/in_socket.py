@@ -1,0 +1,101 @@
+"""socket: the limb in its socket, donned and loaded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Self
+
+from limbcli.api.base import Result, one
+from limbcli.api.call import CaseLike, Heard, PathLike, at_work
+from limbcli.mesh_bounds import SOCKET_PENALTY, SOCKET_STEPS
+from limbcli.options import CASE, OUT, PROGRESS, WAIT, Option
+from limbcli.results import StageResult
+
+
+@dataclass(frozen=True)
+class PatchPressure:
+    """A patch of the skin under one load; `load_n` 0: after donning; patch "skin": all of it.
+
+    Attributes
+    ----------
+    area_mm2 : at rest
+    contact_area_mm2 : current area of its facets under pressure
+    mean_kpa, p95_kpa, mean_shear_kpa : over the area in contact
+    peak_kpa, peak_shear_kpa : largest mean over one facet
+    """
+
+    load_n: float
+    patch: str
+    area_mm2: float
+    contact_area_mm2: float
+    mean_kpa: float
+    p95_kpa: float
+    peak_kpa: float
+    mean_shear_kpa: float
+    peak_shear_kpa: float
+
+
+@dataclass(frozen=True, eq=False)
+class SocketResult(Result):
+    """A limb in its socket. `table()` has one row per load and patch.
+
+    Attributes
+    ----------
+    friction : coefficient between skin and socket
+    loads_n : forces along the limb
+    patches : pressure and shear by load and patch
+    """
+
+    stage: ClassVar[str] = "socket"
+    friction: float
+    loads_n: tuple[float, ...]
+    patches: tuple[PatchPressure, ...]
+
+    @classmethod
+    def of(cls, found: StageResult) -> Self:
+        data = found.data
+        patches = tuple(PatchPressure(**each) for each in data["patches"])
+        return cls(found, data["friction"], tuple(data["loads_n"]), patches)
+
+    def rows(self) -> list[dict[str, Any]]:
+        return [self._named(vars(each)) for each in self.patches]
+
+
+@one(SocketResult)
+def socket(
+    case: Annotated[CaseLike, CASE],
+    *,
+    out: Annotated[PathLike | None, OUT] = None,
+    align: Annotated[
+        bool, Option("Place the socket of [socket] by its shape, because it is in another frame.")
+    ] = False,
+    donning_steps: Annotated[int, Option("Load steps of donning.", SOCKET_STEPS)] = 10,
+    load_steps: Annotated[int, Option("Load steps of each load.", SOCKET_STEPS)] = 5,
+    contact_penalty: Annotated[
+        float,
+        Option(
+            "Of the contact, as a multiple of the tissue's stiffness: higher is stricter, and slower.",
+            SOCKET_PENALTY,
+        ),
+    ] = 20.0,
+    intervals: Annotated[bool, Option("Solve again for intervals over the limb's draws.")] = True,
+    wait: Annotated[bool, WAIT] = True,
+    progress: Annotated[Heard, PROGRESS] = None,
+) -> StageResult:
+    """Put the limb into its socket and load it along its axis. Requires `limb`.
+
+    Raises
+    ------
+    CaseError
+        If the case gives no socket, or the result of `limb` is missing or out of date.
+    MeshError
+        If the socket cannot be that of this limb: in another unit or frame, not around it, open, partly
+        inside out, or too deep in it.
+    SolveError
+        If donning or a load has no equilibrium.
+    """
+    from limbcli.stages import socket as stage
+
+    options = stage.SocketOptions(align, donning_steps, load_steps, contact_penalty, intervals)
+    with at_work(case, out, wait=wait, progress=progress, images_only=True) as work:
+        return stage.socket(work.case, out=work.out, options=options, progress=work.progress)

@@ -1,0 +1,138 @@
+"""The table [socket] of case.toml: the socket, how the limb is donned and loaded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from limbcli.case import schema as schema
+from limbcli.case.files import CaseFiles
+from limbcli.errors.problems import Problem, errors_of
+
+if TYPE_CHECKING:
+    from limbcli.case import Case
+
+_FROM_SKIN = ("rectifications_mm", "all_mm", "transition_mm", "brim_mm", "flare_mm")
+_MOST_MM = 20.0  # largest rectification of a patch
+_FEWEST = 3  # landmarks that determine a pose
+
+
+@dataclass(frozen=True)
+class SocketInput:
+    """A socket as the case gives it.
+
+    surface : file of the inner face or the wall; None: made from the skin by the rectifications
+    align : bring it onto the skin by its shape
+    landmarks : by the limb's names, points (x, y, z) in the socket's frame, mm
+    rectifications : by patch, mm; positive: into the limb; `all_mm` of the whole skin
+    transition : mm; brim : height (mm) of its upper end above the limb's distal end; None: chosen
+    flare : mm outward at that end
+    friction, friction_deviation : coefficient and its standard deviation
+    loads : forces along the limb, N
+    limb_nodes : about this number of nodes of the limb's model that a batch makes
+    """
+
+    surface: Path | None
+    align: bool
+    landmarks: Mapping[str, tuple[float, float, float]]
+    rectifications: Mapping[str, float]
+    all_mm: float
+    transition: float
+    brim: float | None
+    flare: float
+    friction: float
+    friction_deviation: float
+    loads: tuple[float, ...]
+    limb_nodes: int
+
+
+def read_socket(raw: Mapping[str, Any], files: CaseFiles) -> tuple[SocketInput | None, list[Problem]]:
+    """The socket of a case, None if it gives none; and every problem of its table."""
+    if "socket" not in raw:
+        return None, []
+    file = str(files.folder / "case.toml")
+    values, problems = schema.check_table(raw["socket"], schema.SOCKET, name="socket", file=file)
+    if not values:
+        return None, problems
+    surface, found = files.existing(values["surface"], "socket: surface", is_folder=False)
+    problems += found
+    if values["liner"] is not None:
+        what = "[socket.liner]: a liner is not modelled"
+        fix = "remove it: the socket then acts on the skin itself; give the inner face of the donned liner"
+        problems.append(Problem(what, file, fix))
+    problems += _at_odds(values, file)
+    landmarks, found = _points(values["landmarks"] or {}, file)
+    problems += found
+    rectifications, found = _amounts(values["rectifications_mm"] or {}, file)
+    problems += found
+    if errors_of(problems):
+        return None, problems
+    transition, brim, flare = (values[f"{name}_mm"] for name in ("transition", "brim", "flare"))
+    return SocketInput(
+        surface=surface,
+        align=values["align"],
+        landmarks=landmarks,
+        rectifications=rectifications,
+        all_mm=float(values["all_mm"] or 0.0),
+        transition=15.0 if transition is None else float(transition),
+        brim=None if brim is None else float(brim),
+        flare=3.0 if flare is None else float(flare),
+        friction=float(values["friction"]),
+        friction_deviation=float(values["friction_deviation"]),
+        loads=tuple(float(each) for each in values["loads_n"]),
+        limb_nodes=values["limb_nodes"],
+    ), problems
+
+
+def socket_of(case: Case) -> SocketInput | None:
+    """The socket of a case; None if it has none, or a faulty one."""
+    return read_socket(case.raw, CaseFiles.of(case.raw, case.folder))[0]
+
+
+def _at_odds(values: Mapping[str, Any], file: str) -> list[Problem]:
+    """Keys that contradict each other."""
+    found = []
+    if values["loads_n"] != sorted(values["loads_n"]):
+        found.append(Problem("socket.loads_n falls", file, "give the loads in ascending order"))
+    if values["surface"] is None:
+        for key in ("align", "landmarks"):
+            if values[key]:
+                what = f"[socket] has {key} but no surface that it could move"
+                found.append(Problem(what, file, f'add `surface = "socket.stl"`, or remove {key}'))
+        return found
+    for key in _FROM_SKIN:
+        if values[key] is not None:
+            what = f"[socket] has a surface and {key}, which makes a socket from the skin"
+            found.append(Problem(what, file, f"remove one of the two: surface or {key}"))
+    if values["align"] and values["landmarks"]:
+        what = "[socket] has landmarks and align, two ways to place the socket"
+        found.append(Problem(what, file, "remove one of the two"))
+    return found
+
+
+def _points(
+    table: Mapping[str, Any], file: str
+) -> tuple[dict[str, tuple[float, float, float]], list[Problem]]:
+    points, problems = {}, []
+    for name, each in table.items():
+        if wrong := schema.vector(each):
+            fix = "give the landmark's place in the socket's frame, mm"
+            problems.append(Problem(f"socket.landmarks.{name} {wrong}", file, fix))
+        else:
+            points[name] = (float(each[0]), float(each[1]), float(each[2]))
+    if table and len(table) < _FEWEST:
+        what = f"[socket.landmarks] has {len(table)}"
+        problems.append(Problem(what, file, "give at least three, by the names of the limb's landmarks"))
+    return points, problems
+
+
+def _amounts(table: Mapping[str, Any], file: str) -> tuple[dict[str, float], list[Problem]]:
+    check = schema.number(-_MOST_MM, _MOST_MM, "mm")
+    wrong = {name: text for name, each in table.items() if (text := check(each))}
+    problems = [
+        Problem(f"socket.rectifications_mm.{name} {text}", file, "give mm, positive into the limb")
+        for name, text in wrong.items()
+    ]
+    return {name: float(each) for name, each in table.items() if name not in wrong}, problems

@@ -1,0 +1,72 @@
+"""How does the socket press on the limb?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from limbcli.reporting.numbers import quantity
+from limbcli.reporting.report_data import ReportData
+from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head, placeholder
+from limbcli.results import StageResult
+
+TITLE = "How does the socket press on the limb?"
+_COLUMNS = ("mean_kpa", "p95_kpa", "peak_kpa", "mean_shear_kpa")
+
+
+def socket(page: ReportData) -> Reportlet | None:
+    """Pressure and shear by patch; None if `socket` was not run."""
+    outcome = page.outcomes.maybe("socket")
+    if outcome is None:
+        return None
+    result = outcome.usable
+    if result is None:
+        return placeholder("socket", TITLE, outcome)
+    return Reportlet(
+        "socket",
+        TITLE,
+        "warning" if result.warnings else "neutral",
+        pictures=tuple(_pictures(result)),
+        tables=(_table(result.data),),
+        look_for="pressure spread over the patches that bear load, and forces that leave nothing over",
+        bad="a rim of high pressure at the brim or the proximal cut, pressure on single facets, or skin far "
+        "behind the wall: then mesh or contact decide, not the limb",
+        notes=result.summary,
+        warned=result.warnings,
+    )
+
+
+def _pictures(result: StageResult) -> list[Picture]:
+    return [
+        Picture(
+            name.replace("_", "-"),
+            "Pressure on the skin from four sides and unrolled about the limb's axis.",
+            source=result.path(name),
+            vector=False,
+        )
+        for name in result.files
+        if name.startswith("picture_") and result.path(name).is_file()
+    ]
+
+
+def _table(data: Mapping[str, Any]) -> PageTable:
+    limits = {
+        (each["load_n"], each["patch"], each["quantity"]): (each["low"], each["high"])
+        for each in (data.get("intervals") or {}).get("patches", ())
+    }
+    rows = []
+    for each in data["patches"]:
+        load, patch = each["load_n"], each["patch"]
+        cells = [_cell(each[name], limits.get((load, patch, name))) for name in _COLUMNS]
+        when = f"{load:g} N" if load else "donned"
+        area = Cell(quantity(each["contact_area_mm2"] / 100.0, "cm²", digits=2))
+        rows.append((Cell(f"{when}: {patch.replace('_', ' ')}", lead=True), area, *cells))
+    names = head("load and patch", "in contact", "mean", "95th percentile", "peak", "mean shear")
+    return PageTable(
+        "Pressure and shear on the skin, kPa (95 % over the limb's draws)", (names,), tuple(rows)
+    )
+
+
+def _cell(value: float, limits: tuple[float, float] | None) -> Cell:
+    ends = "" if limits is None else f" ({limits[0]:.1f} to {limits[1]:.1f})"
+    return Cell(f"{value:.1f}{ends}")

@@ -1,0 +1,134 @@
+"""Intervals of the pressures over the limb's draws, from a few more solves.
+
+Every quantity of the table is taken as linear in ln c and ln m (their means over the limb) and the friction:
+one solve each, one standard deviation away. Another solve, with all of them one deviation to the other side,
+is held out and says how far the line is off. How c varies from place to place within a draw is not followed.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.errors import SolveError
+from limbcli.model import Array, ElementMap, LimbModel, Value
+from limbcli.progress import Progress
+from limbcli.stages.in_socket.patch_table import QUANTITIES, Interval, PatchRow
+
+NAMES = ("c", "m", "friction")
+_SEED = 7
+_LEAST = 1e-3  # deviations below this are none
+_LEAST_FRICTION = 0.01
+_ENDS = (2.5, 97.5)  # percentiles of a 95 % interval
+
+Solved = Callable[[LimbModel, float], list[PatchRow]]
+
+
+@dataclass(frozen=True, eq=False)
+class PressureIntervals:
+    """intervals : 95 %, by (load, patch, quantity); `error_fraction` : of the held-out solve, rms of all mean
+    pressures relative to their largest; `shares` : by load, what part of the variance of the mean pressure on
+    the skin each parameter makes; `n_solves` : besides the first
+    """
+
+    intervals: dict[tuple[float, str, str], Interval]
+    error_fraction: float
+    shares: dict[float, dict[str, float]]
+    deviations: dict[str, float]
+    n_solves: int
+
+
+def drawn_values(path: Path, friction: float, deviation: float) -> Array:
+    """ln c, ln m and friction of every draw (n_draws, 3). path : draws.csv of the stage `limb`"""
+    with path.open(newline="", encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    logs = np.log([[float(row["c_mean_kpa"]), float(row["m_mean"])] for row in rows])
+    drawn = friction + deviation * np.random.default_rng(_SEED).standard_normal(len(rows))
+    frictions = np.maximum(drawn, _LEAST_FRICTION) if friction else np.zeros(len(rows))
+    return np.column_stack([logs, frictions])
+
+
+def pressure_intervals(
+    limb: LimbModel, friction: float, base: Sequence[PatchRow], drawn: Array, solved: Solved,
+    progress: Progress,
+) -> PressureIntervals:  # fmt: skip
+    """Intervals of all quantities of the table.
+
+    base : rows of the solve with the limb's own values; solved : the same rows for other values
+
+    Raises
+    ------
+    SolveError
+        If one of the solves has no equilibrium.
+    """
+    centre, deviations = drawn.mean(axis=0), drawn.std(axis=0, ddof=1)
+    varied = [k for k in range(len(NAMES)) if deviations[k] > _LEAST]
+    steps = [np.eye(len(NAMES))[k] * deviations for k in varied]
+    held_out = -np.where(deviations > _LEAST, deviations, 0.0)
+    found = []
+    for n, step in enumerate((*steps, held_out)):
+        progress.event("task", name="socket: solves for intervals", done=n, total=len(steps) + 1)
+        try:
+            rows = solved(_changed(limb, *np.exp(step[:2])), max(friction + step[2], 0.0))
+        except SolveError as error:
+            what = ", ".join(f"{name} {x:+.2g}" for name, x in zip(NAMES, step, strict=True) if x)
+            raise SolveError(
+                f"no intervals: the solve with (ln c, ln m, friction) {what}: {error.what}",
+                where=error.where, fix=error.fix,
+            ) from error  # fmt: skip
+        found.append(_values(rows))
+    y = _values(base)
+    slopes = np.array([each - y for each in found[:-1]]).reshape(len(varied), -1)
+    predicted = y - slopes.sum(axis=0)
+    z = (drawn - centre)[:, varied] / deviations[varied]
+    parts = z[:, :, None] * slopes  # (n_draws, n_varied, n_values)
+    total = parts.sum(axis=1)
+    low, high = np.maximum(np.percentile(y + total, _ENDS, axis=0), 0.0)
+    keys = [(row.load_n, row.patch, name) for row in base for name in QUANTITIES]
+    means = [k for k, key in enumerate(keys) if key[2] == "mean_kpa"]
+    off = (predicted - found[-1])[means]
+    shares = {
+        keys[k][0]: _shares(parts[:, :, k], total[:, k], [NAMES[each] for each in varied])
+        for k in means if keys[k][1] == "skin"
+    }  # fmt: skip
+    return PressureIntervals(
+        {key: (float(low[k]), float(high[k])) for k, key in enumerate(keys)},
+        float(np.sqrt((off**2).mean()) / max(np.abs(y[means]).max(), 1e-12)),
+        shares,
+        {name: float(each) for name, each in zip(("ln_c", "ln_m", "friction"), deviations, strict=True)},
+        len(found),
+    )
+
+
+def _values(rows: Sequence[PatchRow]) -> Array:
+    return np.array([getattr(row, name) for row in rows for name in QUANTITIES])
+
+
+def _shares(parts: Array, total: Array, names: Sequence[str]) -> dict[str, float]:
+    """The covariance of each parameter's part with the sum, as a fraction of the sum's variance."""
+    variance = float(total.var())
+    if not variance:
+        return dict.fromkeys(names, 0.0)
+    centred = total - total.mean()
+    return {name: float((parts[:, k] * centred).mean() / variance) for k, name in enumerate(names)}
+
+
+def _changed(limb: LimbModel, c: float, m: float) -> LimbModel:
+    """The limb with c (and kappa) and m of its tissue multiplied by these factors."""
+    law = limb.materials["tissue"]
+    changes = {}
+    for name, value in law.parameters.items():
+        factor = m if name.startswith("m") else c
+        changes[name] = _times(value, factor)
+    return replace(limb, materials={**limb.materials, "tissue": law.with_parameters(**changes)})
+
+
+def _times(value: Value, factor: float) -> Value:
+    if isinstance(value, ElementMap):
+        return replace(value, values=value.values * factor)
+    assert isinstance(value, float | int)
+    return float(value * factor)

@@ -1,0 +1,208 @@
+"""A limb's model and the inner face of its socket, in the limb's own upright frame (z along its axis)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from limbcli.case.socket import SocketInput
+from limbcli.errors import CaseError, MeshError
+from limbcli.meshing.limb_parts import LimbFrame
+from limbcli.meshing.mending import open_rims
+from limbcli.meshing.surfaces import Triangles, merge_points, read_surface
+from limbcli.meshing.whole_limb import HELD
+from limbcli.model import Array, IntArray, LimbModel
+from limbcli.results import StageWriter
+from limbcli.sockets.alignment import Alignment, align, by_landmarks
+from limbcli.sockets.centre_line import CentreLine, centre_line, own_line
+from limbcli.sockets.checks import Clearance, check_around, check_near, check_size, clearance
+from limbcli.sockets.inner_face import inner_face
+from limbcli.sockets.rectification import Rectification, rectified
+
+TO_TIP = np.array([0.0, 0.0, -1.0])
+PATCH, _LANDMARK = "patch_", "landmark_"
+_BELOW_CUT_MM = 20.0  # a socket made from the skin ends this far below the proximal cut
+_HOLE = 0.1  # of a face's extent: a larger hole besides its opening is refused
+_NEAR_CUT_MM = 15.0  # the held cut disturbs the pressures this far
+
+
+@dataclass(frozen=True, eq=False)
+class LimbInSocket:
+    """limb : upright; skin : its facets without unused points, `points` their numbers in the model
+
+    face : inner face, normals towards the limb; fit : clearances before donning
+    alignment : None where the surface was not moved; words : what the socket is
+    """
+
+    limb: LimbModel
+    frame: LimbFrame
+    skin: Triangles
+    points: IntArray
+    face: Triangles
+    fit: Clearance
+    words: str
+    alignment: Alignment | None = None
+
+    def in_lps(self, points: Array) -> Array:
+        """Points (n, 3) of the upright frame in patient LPS."""
+        return np.asarray(points @ _turn(self.frame) + self.frame.origin)
+
+    def directions_in_lps(self, vectors: Array) -> Array:
+        """The same of vectors (n, 3), which have no origin."""
+        return np.asarray(vectors @ _turn(self.frame))
+
+
+def frame_of(model: LimbModel) -> LimbFrame:
+    """The frame that the stage `limb` put into its model."""
+    stored = model.info["frame"]
+    origin, axis, anterior, lateral = (
+        np.array(stored[f"{name}_lps"]) for name in ("origin", "axis", "anterior", "lateral")
+    )
+    return LimbFrame(origin, axis, anterior, lateral, float(stored["length_mm"]))
+
+
+def put_together(model: LimbModel, given: SocketInput, writer: StageWriter) -> LimbInSocket:
+    """The limb and its socket, checked.
+
+    Raises
+    ------
+    CaseError, MeshError
+        If the socket does not fit the limb; each reason has its own message.
+    """
+    frame = frame_of(model)
+    limb = _upright(model, frame)
+    facets = next(iter(limb.mesh.surfaces["skin"].facets.values()))[:, :3]
+    points = np.unique(facets)
+    skin = Triangles(limb.mesh.points[points], np.searchsorted(points, facets).astype(np.int64))
+    line = centre_line(skin, TO_TIP)
+    alignment = None
+    if given.surface is None:
+        face, words = _from_skin(limb, skin, points, given)
+    else:
+        face, alignment = _from_file(limb, frame, skin, line, given)
+        words = f"inner face of {given.surface.name}"
+    where = "[socket]" if given.surface is None else str(given.surface)
+    check_around(face, line, where=where)
+    fit = clearance(face, skin, line, where=where)
+    _warn_at_cut(limb, face, writer)
+    return LimbInSocket(limb, frame, skin, points, face, fit, words, alignment)
+
+
+def _upright(model: LimbModel, frame: LimbFrame) -> LimbModel:
+    bodies = tuple(
+        replace(each, center_of_mass=tuple(frame.upright(np.array([each.center_of_mass]))[0].tolist()))
+        for each in model.bodies
+    )
+    mesh = replace(model.mesh, points=frame.upright(model.mesh.points))
+    return replace(model, mesh=mesh, bodies=bodies)
+
+
+def _turn(frame: LimbFrame) -> Array:
+    """Rows: the axes of the upright frame in LPS."""
+    return np.asarray(frame.upright(np.eye(3)) - frame.upright(np.zeros((1, 3)))).T
+
+
+def _top(limb: LimbModel) -> float:
+    """Height (mm) of the lowest point of the proximal cut."""
+    facets = limb.mesh.surfaces["proximal_cut"].facets.values()
+    nodes = np.unique(np.concatenate([each.ravel() for each in facets]))
+    return float(limb.mesh.points[nodes, 2].min())
+
+
+def _from_skin(
+    limb: LimbModel, skin: Triangles, points: IntArray, given: SocketInput
+) -> tuple[Triangles, str]:
+    top = _top(limb)
+    brim = top - _BELOW_CUT_MM if given.brim is None else given.brim
+    if brim > top:
+        raise CaseError(
+            f"the brim at {brim:g} mm lies above the proximal cut at {top:.0f} mm",
+            where="socket.brim_mm", fix="give the height of the socket's end above the limb's lower end",
+        )  # fmt: skip
+    table = Rectification(
+        patches_mm=given.rectifications,
+        all_mm=given.all_mm,
+        transition_mm=given.transition,
+        brim_mm=-brim,
+        flare_mm=given.flare,
+    )
+    face = rectified(skin, patch_points(limb, points), table, TO_TIP, where="[socket]")
+    return (
+        face,
+        f"made from the skin up to {brim:.0f} mm, flared by {given.flare:g} mm there: {table.sentence}",
+    )
+
+
+def patch_points(limb: LimbModel, points: IntArray) -> dict[str, IntArray]:
+    """By patch, the numbers of its corners among the skin's `points`."""
+    found = {}
+    for name, surface in limb.mesh.surfaces.items():
+        if name.startswith(PATCH):
+            nodes = np.unique(next(iter(surface.facets.values()))[:, :3])
+            found[name.removeprefix(PATCH)] = np.searchsorted(points, nodes)
+    return found
+
+
+def _from_file(
+    limb: LimbModel, frame: LimbFrame, skin: Triangles, line: CentreLine, given: SocketInput
+) -> tuple[Triangles, Alignment | None]:
+    assert given.surface is not None
+    where = str(given.surface)
+    surface = merge_points(read_surface(given.surface))
+    check_size(surface, skin, where=where)
+    alignment = None
+    if given.landmarks:
+        alignment = by_landmarks(*_pairs(limb, given.landmarks), where="[socket.landmarks]")
+        face = inner_face(surface.moved(alignment.transform), line, where=where)
+    elif given.align:
+        own = inner_face(surface, own_line(surface), where=where)
+        alignment = align(own, skin, line, where=where)
+        face = own.moved(alignment.transform)
+    else:
+        placed = Triangles(frame.upright(surface.points), surface.faces)
+        check_near(placed, skin, where=where)
+        face = inner_face(placed, line, where=where)
+    _refuse_holes(face, line, where)
+    return face, alignment
+
+
+def _pairs(limb: LimbModel, given: Mapping[str, tuple[float, float, float]]) -> tuple[Array, Array]:
+    known = {
+        name.removeprefix(_LANDMARK): limb.mesh.points[nodes[0]]
+        for name, nodes in limb.mesh.node_sets.items()
+        if name.startswith(_LANDMARK)
+    }
+    if unknown := [name for name in given if name not in known]:
+        raise CaseError(
+            f"the limb has no landmark {unknown[0]!r}",
+            where="[socket.landmarks]",
+            fix=f"use some of {', '.join(sorted(known))}, or `align = true`",
+        )
+    return np.array(list(given.values())), np.array([known[name] for name in given])
+
+
+def _refuse_holes(face: Triangles, line: CentreLine, where: str) -> None:
+    """Refuse an inner face that is open elsewhere than at its brim."""
+    extent = float(np.linalg.norm(np.ptp(face.points, axis=0)))
+    rims = sorted(open_rims(face), key=lambda rim: float(line.height(rim[0][None])[0]))  # the brim first
+    holes = [(place, size) for place, size in rims[1:] if size > _HOLE * extent]
+    if holes:
+        place, size = max(holes, key=lambda rim: rim[1])
+        raise MeshError(
+            f"the socket is open: besides its brim it has a hole {size:.0f} mm wide at "
+            f"({', '.join(f'{each:.0f}' for each in place)}) of the limb's upright frame",
+            where=where,
+            fix="close it in the program that made it; the limb must not bulge through it",
+            hole_mm=float(size),
+        )
+
+
+def _warn_at_cut(limb: LimbModel, face: Triangles, writer: StageWriter) -> None:
+    held = limb.mesh.points[limb.mesh.node_sets[HELD], 2] if HELD in limb.mesh.node_sets else np.zeros(0)
+    if len(held) and face.points[:, 2].max() > held.min() - _NEAR_CUT_MM:
+        writer.warnings.append(
+            f"the socket comes within {_NEAR_CUT_MM:g} mm of the proximal cut, where the limb is held: "
+            "pressures there are those of the cut, not of the limb"
+        )

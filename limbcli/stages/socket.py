@@ -1,0 +1,281 @@
+"""socket: put the limb into its socket, load it, and report pressure and shear on the skin."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.case import Case
+from limbcli.case.files import CaseFiles
+from limbcli.case.socket import SocketInput, read_socket
+from limbcli.errors import CaseError, SolveError
+from limbcli.errors.problems import raise_errors
+from limbcli.feb.write import write_feb
+from limbcli.meshing.export import write_vtu
+from limbcli.model import Array, LimbModel
+from limbcli.model_io import load_model
+from limbcli.progress import SILENT, Progress
+from limbcli.results import StageResult, StageWriter, open_stage
+from limbcli.sockets.donning import DonningOptions, DonningResult, SocketState, don_and_load
+from limbcli.stages.in_socket.intervals import drawn_values, pressure_intervals
+from limbcli.stages.in_socket.limb_in_socket import LimbInSocket, put_together
+from limbcli.stages.in_socket.patch_table import (
+    WHOLE,
+    Interval,
+    PatchRow,
+    patch_masks,
+    patch_rows,
+    write_patches,
+)
+from limbcli.stages.in_socket.pictures import pressure_picture
+from limbcli.stages.provenance.chain import Chain
+from limbcli.stages.provenance.chain_inputs import note_case
+from limbcli.stages.provenance.requested_options import requested_by_options
+from limbcli.units import kpa_from_mpa
+
+STAGE = "socket"
+_MARGIN_MM = 10.0  # the contact sees the socket this much farther than the deepest interference
+_LEAST_RADIUS_MM = 30.0
+_MOST_OFF = 0.1  # error of the held-out solve above which the intervals are called rough
+_SOFT_MM, _SOFT = 0.5, 0.2  # penetration that is reported: mm, and of the deepest interference
+_BALANCE = 1e-4  # of the load: larger remainders are reported
+
+
+@dataclass(frozen=True)
+class SocketOptions:
+    """align : place the socket by its shape, as `align` in the case
+    donning_steps, load_steps : load steps of donning, and of each load
+    contact_penalty : of the contact, as a multiple of the tissue's stiffness at rest
+    intervals : solve again with other values, for intervals over the limb's draws
+    """
+
+    align: bool = False
+    donning_steps: int = 10
+    load_steps: int = 5
+    contact_penalty: float = 20.0
+    intervals: bool = True
+
+
+def socket(
+    case: Case, *, out: Path, options: SocketOptions = SocketOptions(), progress: Progress = SILENT
+) -> StageResult:
+    """Don the socket of a case and load the limb along its axis.
+
+    Raises
+    ------
+    CaseError
+        If the case gives no socket, or the result of `limb` is missing or out of date.
+    MeshError
+        If the socket cannot be that of this limb.
+    SolveError
+        If donning or a load has no equilibrium.
+    """
+    progress.event("stage", name=STAGE)
+    given = _given(case, options)
+    chain = Chain(case, out)
+    limb = chain.result("limb")
+    with open_stage(out, STAGE, subject=case.subject) as writer:
+        writer.data["asked"] = requested_by_options(options)
+        note_case(writer, case, ["socket"])
+        writer.used_result(limb, files=[each for each in ("model", "draws") if each in limb.files])
+        if given.surface is not None:
+            writer.used("socket", given.surface, role="socket/surface")
+        together = put_together(load_model(limb.path("model")), given, writer)
+        donning = _donning(given, options, together)
+        _report_fit(writer, together, given)
+        result = don_and_load(together.limb, together.face, donning, progress=progress)
+        masks = patch_masks(together.limb)
+        rows = patch_rows(result.states, masks, together.skin.areas)
+        _report(writer, result, rows, together)
+        intervals = _intervals(given, donning, together, limb, rows, options, writer, progress)
+        write_patches(writer.file("patches", "patches.csv"), rows, intervals)
+        for state in result.states:
+            name = _name(state)
+            pressure_picture(
+                writer.file(f"picture_{name}", f"pressure_{name}.png"),
+                together,
+                kpa_from_mpa(state.facet_pressure_mpa),
+                f"{case.subject}: pressure on the skin, {_words(state)}",
+            )
+        write_feb(result.model, writer.file("feb", "socket.feb"))
+        _write_vtu(writer.file("vtu", "socket.vtu"), result, together)
+        writer.warnings.extend(limb.warnings)
+    assert writer.result is not None
+    return writer.result
+
+
+def _given(case: Case, options: SocketOptions) -> SocketInput:
+    given, problems = read_socket(case.raw, CaseFiles.of(case.raw, case.folder))
+    raise_errors(problems, CaseError)
+    if given is None:
+        raise CaseError(
+            "the case gives no socket",
+            where=str(case.file),
+            fix='add a table [socket] with `surface = "socket.stl"`, or with rectifications of the skin',
+        )
+    if options.align and given.surface is None:
+        raise CaseError("a socket made from the skin needs no alignment", where="--align", fix="leave it out")
+    return replace(given, align=given.align or options.align)
+
+
+def _donning(given: SocketInput, options: SocketOptions, together: LimbInSocket) -> DonningOptions:
+    return DonningOptions(
+        friction=given.friction,
+        loads_n=given.loads,
+        axis="z",
+        sign=1.0,
+        donning_steps=options.donning_steps,
+        load_steps=options.load_steps,
+        penalty=options.contact_penalty,
+        search_radius_mm=max(_LEAST_RADIUS_MM, together.fit.deepest_mm + _MARGIN_MM),
+    )
+
+
+def _intervals(
+    given: SocketInput, donning: DonningOptions, together: LimbInSocket, limb: StageResult,
+    rows: list[PatchRow], options: SocketOptions, writer: StageWriter, progress: Progress,
+) -> dict[tuple[float, str, str], Interval]:  # fmt: skip
+    """Intervals over the limb's draws, none where it has none; their error and shares in the result."""
+    if not options.intervals:
+        return {}
+    if "draws" not in limb.files:
+        writer.summary.append("no intervals: the limb has no draws, because no site tells its stiffness")
+        return {}
+    masks = patch_masks(together.limb)
+
+    def solved(model: LimbModel, friction: float) -> list[PatchRow]:
+        changed = replace(donning, friction=friction)
+        states = don_and_load(model, together.face, changed, progress=progress).states
+        return patch_rows(states, masks, together.skin.areas)
+
+    drawn = drawn_values(limb.path("draws"), given.friction, given.friction_deviation)
+    try:
+        found = pressure_intervals(together.limb, given.friction, rows, drawn, solved, progress)
+    except SolveError as error:
+        writer.warnings.append(error.what)
+        return {}
+    writer.data["intervals"] = {
+        "n_solves": found.n_solves,
+        "held_out_error_fraction": found.error_fraction,
+        "deviations": found.deviations,
+        "shares": {f"{load:g}": each for load, each in found.shares.items()},
+        "patches": [
+            {"load_n": load, "patch": patch, "quantity": name, "low": low, "high": high}
+            for (load, patch, name), (low, high) in found.intervals.items()
+        ],
+    }
+    load, shares = list(found.shares.items())[-1]
+    low, high = found.intervals[load, WHOLE, "mean_kpa"]
+    words = ", ".join(f"{name} {100 * each:.0f} %" for name, each in shares.items())
+    writer.summary.append(
+        f"mean pressure under {load:g} N: {low:.1f} to {high:.1f} kPa (95 %) over the limb's draws; of its "
+        f"variance: {words}; a held-out solve is off by {100 * found.error_fraction:.1f} %"
+    )
+    if found.error_fraction > _MOST_OFF:
+        writer.warnings.append("the intervals are rough: the pressures are not linear over the draws")
+    return found.intervals
+
+
+def _report_fit(writer: StageWriter, together: LimbInSocket, given: SocketInput) -> None:
+    fit = together.fit
+    writer.data.update(
+        socket=together.words,
+        friction=given.friction,
+        loads_n=list(given.loads),
+        deepest_interference_mm=fit.deepest_mm,
+        widest_gap_mm=fit.widest_mm,
+        frame=together.frame.to_json(),
+    )
+    writer.summary.append(f"socket: {together.words}")
+    if together.alignment is not None:
+        moved = together.alignment
+        writer.summary.append(moved.sentence)
+        writer.data["alignment"] = {
+            "to_upright_frame": moved.transform, "rms_mm": moved.rms_mm, "largest_mm": moved.largest_mm,
+            "turned_deg": moved.turned_deg,
+        }  # fmt: skip
+    writer.summary.append(
+        f"before donning the wall lies up to {fit.deepest_mm:.1f} mm inside the skin and "
+        f"{fit.widest_mm:.1f} mm outside"
+    )
+
+
+def _report(writer: StageWriter, result: DonningResult, rows: list[PatchRow], together: LimbInSocket) -> None:
+    """States, balance of forces and patches, in result and summary."""
+    writer.data["states"] = [_state(each) for each in result.states]
+    writer.data["patches"] = [vars(each) for each in rows]
+    writer.data["largest"] = vars([each for each in rows if each.patch == WHOLE][-1])
+    for state in result.states:
+        words = _words(state)
+        (whole,) = (each for each in rows if each.load_n == state.load_n and each.patch == WHOLE)
+        if not whole.contact_area_mm2:
+            writer.warnings.append(f"{words}: the limb does not touch the socket")
+        writer.summary.append(
+            f"{words}: mean {whole.mean_kpa:.1f} kPa on {whole.contact_area_mm2 / 100:.0f} cm2, 95 % below "
+            f"{whole.p95_kpa:.1f}, peak {whole.peak_kpa:.1f}; shear up to {whole.peak_shear_kpa:.1f} kPa"
+        )
+        x, y, z = state.socket_force_n
+        writer.summary.append(
+            f"{words}: forces on the socket {z:+.2f} N along the axis, {np.hypot(x, y):.2f} N across; "
+            f"those on bones and cut leave {state.imbalance_n:.2g} N; the skin lies up to "
+            f"{state.penetration_mm:.2f} mm behind the wall"
+        )
+        if state.penetration_mm > max(_SOFT_MM, _SOFT * together.fit.deepest_mm):
+            writer.warnings.append(
+                f"{words}: the skin lies up to {state.penetration_mm:.1f} mm behind the wall, which the "
+                "contact's penalty allows: pressures are too low there; raise --contact-penalty"
+            )
+        size = max(state.load_n, float(np.linalg.norm(state.socket_force_n)))
+        if state.imbalance_n > _BALANCE * size:
+            raise SolveError(
+                f"{words}: the forces leave {state.imbalance_n:.3g} N of {size:.0f} N",
+                where="balance of forces", fix="use more donning and load steps",
+                imbalance_n=state.imbalance_n,
+            )  # fmt: skip
+
+
+def _words(state: SocketState) -> str:
+    return f"under {state.load_n:g} N" if state.load_n else "donned"
+
+
+def _name(state: SocketState) -> str:
+    """
+    >>> from types import SimpleNamespace as State
+    >>> _name(State(load_n=0.0)), _name(State(load_n=400.0))
+    ('donned', 'load_400_n')
+    """
+    return f"load_{state.load_n:g}_n" if state.load_n else "donned"
+
+
+def _state(state: SocketState) -> dict[str, object]:
+    return {
+        "name": _name(state), "load_n": state.load_n, "force_on_socket_n": state.socket_force_n,
+        "moment_on_socket_n_mm": state.socket_moment_n_mm, "socket_shift_mm": state.socket_shift_mm,
+        "imbalance_n": state.imbalance_n, "penetration_mm": state.penetration_mm,
+        "largest_strain": float(state.strain.max()),
+        "largest_energy_density_kpa": kpa_from_mpa(float(state.energy_density.max())),
+        "largest_displacement_mm": float(np.linalg.norm(state.displacements, axis=1).max()),
+    }  # fmt: skip
+
+
+def _write_vtu(path: Path, result: DonningResult, together: LimbInSocket) -> None:
+    """Limb and socket in patient LPS; by state: displacement, pressure, shear, strain, energy density."""
+    mesh = result.model.mesh
+    at_points: dict[str, Array] = {}
+    cells: dict[str, dict[str, Array]] = {each.name: {} for each in mesh.solid_blocks}
+    for state in result.states:
+        name = _name(state)
+        at_points[f"displacement_mm_{name}"] = together.directions_in_lps(state.displacements)
+        for what, values in (("pressure", state.pressure_mpa), ("shear", state.shear_mpa)):
+            column = np.full(len(mesh.points), np.nan)
+            column[result.skin_nodes] = kpa_from_mpa(values)
+            at_points[f"{what}_kpa_{name}"] = column
+        start = 0
+        for block in mesh.solid_blocks:
+            own = slice(start, start := start + len(block.cells))
+            cells[block.name][f"strain_{name}"] = state.strain[own]
+            cells[block.name][f"energy_density_kpa_{name}"] = kpa_from_mpa(state.energy_density[own])
+    placed = replace(mesh, points=together.in_lps(mesh.points))
+    write_vtu(placed, path, values=cells, at_points=at_points)

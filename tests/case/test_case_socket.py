@@ -1,0 +1,50 @@
+"""The table [socket] of case.toml: what it takes, and what it refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from limbcli.case.files import CaseFiles
+from limbcli.case.socket import read_socket
+
+
+def read(folder: Path, **table: Any):
+    (folder / "socket.stl").touch()
+    return read_socket({"socket": table}, CaseFiles(folder))
+
+
+def test_an_empty_table_is_a_socket_of_the_skins_shape(tmp_path: Path):
+    found, problems = read(tmp_path)
+    assert not problems
+    assert found is not None
+    assert (found.surface, found.friction, found.loads) == (None, 0.3, (400.0, 800.0))
+
+
+def test_a_case_without_the_table_has_no_socket(tmp_path: Path):
+    assert read_socket({}, CaseFiles(tmp_path)) == (None, [])
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ({"surface": "none.stl"}, "was not found"),
+        ({"liner": {"thickness_mm": 3.0}}, "a liner is not modelled"),
+        ({"align": True}, "has align but no surface"),
+        ({"surface": "socket.stl", "rectifications_mm": {"popliteal": 2.0}}, "surface and rectifications_mm"),
+        ({"surface": "socket.stl", "align": True, "landmarks": {n: [0, 0, 0] for n in "abc"}}, "two ways"),
+        ({"surface": "socket.stl", "landmarks": {"tibial_end": [0, 0, 0]}}, "has 1"),
+        ({"surface": "socket.stl", "landmarks": {"tibial_end": [0, 0]}}, "not three numbers"),
+        ({"loads_n": [800.0, 400.0]}, "loads_n falls"),
+        ({"loads_n": [400.0, -1.0]}, "has -1 N"),
+        ({"rectifications_mm": {"popliteal": 40.0}}, "popliteal is 40 mm"),
+        ({"frction": 0.2}, "unknown key 'frction'"),
+    ],
+)
+def test_what_cannot_be_used_has_its_own_message(tmp_path: Path, table: dict[str, Any], words: str):
+    found, problems = read(tmp_path, **table)
+    assert found is None
+    assert any(words in each.what for each in problems), [each.what for each in problems]
+    assert all(each.fix for each in problems)

@@ -1,0 +1,206 @@
+"""`limbcli socket`: its files, the balance of forces, and every socket that it refuses."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import meshio
+import numpy as np
+import pytest
+
+import limbcli
+from limbcli.case import Case
+from limbcli.case.socket import SocketInput
+from limbcli.errors import CaseError, MeshError
+from limbcli.feb.read import read_feb
+from limbcli.meshing.surfaces import Triangles
+from limbcli.model_io import load_model
+from limbcli.progress import SILENT
+from limbcli.results import read_result
+from limbcli.stages.in_socket.intervals import drawn_values, pressure_intervals
+from limbcli.stages.in_socket.limb_in_socket import put_together
+from limbcli.stages.in_socket.patch_table import WHOLE, PatchRow
+from limbcli.stages.limb import LimbOptions, limb
+from limbcli.stages.provenance.chain import Chain
+from limbcli.stages.segment import segment
+from limbcli.stages.socket import SocketOptions, socket
+from tests.stages.test_limb import write_case
+
+SOCKET = "[socket]\nloads_n = [60.0]\nall_mm = 0.5\nbrim_mm = 110.0\nfriction = 0.0\n"
+QUICK = SocketOptions(donning_steps=3, load_steps=2, intervals=False)
+
+
+@pytest.fixture(scope="module")
+def limb_made(tmp_path_factory):
+    """A case with a coarse limb in its output folder."""
+    folder = tmp_path_factory.mktemp("socket")
+    case = write_case(folder / "case", more=SOCKET)
+    segment(case, out=folder / "out")
+    limb(case, out=folder / "out", options=LimbOptions(element="tet4", nodes=3_000, c_kpa=16.0))
+    return case, folder / "out"
+
+
+@pytest.fixture(scope="module")
+def made(limb_made):
+    case, out = limb_made
+    return limbcli.socket(case.folder, out=out, donning_steps=3, load_steps=2, intervals=False)
+
+
+def with_surface(surface: Triangles, path: Path, **more) -> SocketInput:
+    meshio.Mesh(surface.points, [("triangle", surface.faces.astype(np.int32))]).write(path)
+    usual = {
+        "align": False, "landmarks": {}, "rectifications": {}, "all_mm": 0.0, "transition": 15.0,
+        "brim": None, "flare": 0.0, "friction": 0.0, "friction_deviation": 0.1, "loads": (60.0,),
+        "limb_nodes": 3_000,
+    }  # fmt: skip
+    return SocketInput(surface=path, **{**usual, **more})
+
+
+def together(limb_made, surface: Triangles, path: Path, **more):
+    writer = SimpleNamespace(warnings=[])
+    model = load_model(limb_made[1] / "limb" / "model.npz")
+    return put_together(model, with_surface(surface, path, **more), writer)
+
+
+def sleeve(*, grow: float = 0.0, top: float = 110.0, bottom: float = 0.0) -> Triangles:
+    """The stump of the tests' limb, larger by `grow`, between two heights (LPS z)."""
+    from tests.meshing.stump import stump
+
+    skin = stump()["skin"]
+    out = skin.points * [1 + grow / 40.0, 1 + grow / 40.0, 1.0] - [0.0, 0.0, grow]
+    z = skin.centroids[:, 2]
+    return Triangles(out, skin.faces).part((z < top) & (z > bottom))
+
+
+@pytest.mark.slow
+def test_the_forces_are_in_balance_and_the_patches_are_listed(made):
+    donned, loaded = made.data["states"]
+    assert loaded["force_on_socket_n"][2] == pytest.approx(60.0, rel=1e-4)
+    assert max(donned["imbalance_n"], loaded["imbalance_n"]) < 1e-4 * 60.0
+    with made.files["patches"].open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert {row["patch"] for row in rows} >= {WHOLE, "tibial_end", "popliteal", "distal_end"}
+    whole = [each for each in made.patches if each.patch == WHOLE]
+    assert whole[1].contact_area_mm2 > 0
+    # below the brim, on a limb 80 mm across, the pressure carries the load on its lower end
+    assert 2.0 < whole[1].mean_kpa < 200.0
+    assert all(each.mean_kpa <= each.p95_kpa + 1e-9 <= each.peak_kpa + 2e-9 for each in made.patches)
+
+
+@pytest.mark.slow
+def test_the_files_say_the_same(made):
+    grid = meshio.read(made.files["vtu"])
+    pressure = grid.point_data["pressure_kpa_load_60_n"]
+    assert np.nanmax(pressure) > 0
+    assert np.isnan(pressure).any(), "inside the limb there is no pressure on the skin"
+    stored = load_model(made.files["vtu"].parents[1] / "limb" / "model.npz")
+    np.testing.assert_allclose(grid.points[: len(stored.mesh.points)], stored.mesh.points, atol=1e-3)
+    written = read_feb(made.files["feb"])
+    assert [each.name for each in written.bodies][-1] == "socket"
+    assert made.files["picture_load_60_n"].is_file()
+
+
+@pytest.mark.slow
+def test_a_changed_socket_makes_the_result_stale(limb_made, made, tmp_path: Path):
+    case, out = limb_made
+    found = read_result(out, "socket")
+    assert Chain(case, out).broken(found) is None
+    other = replace(case, raw={**case.raw, "socket": {**case.raw["socket"], "all_mm": 1.0}})
+    broken = Chain(other, out).broken(found)
+    assert broken is not None
+    assert "socket" in broken.what
+
+
+def test_a_case_without_a_socket_or_a_limb_says_so(tmp_path: Path):
+    bare = write_case(tmp_path / "bare")
+    with pytest.raises(CaseError, match="gives no socket"):
+        socket(bare, out=tmp_path / "out", options=QUICK)
+    case = write_case(tmp_path / "case", more=SOCKET)
+    with pytest.raises(CaseError, match="no result of `limb`") as caught:
+        socket(case, out=tmp_path / "out", options=QUICK)
+    assert "limbcli limb" in caught.value.fix
+    with pytest.raises(CaseError, match="needs no alignment"):
+        socket(Case.open_images(case.folder), out=tmp_path / "out", options=replace(QUICK, align=True))
+
+
+@pytest.mark.slow
+def test_a_socket_around_the_limb_is_taken(limb_made, tmp_path: Path):
+    found = together(limb_made, sleeve(grow=0.5), tmp_path / "socket.ply")
+    inward = np.einsum("ij,ij->i", found.face.area_vectors, np.array([0.0, 0.0, 60.0]) - found.face.centroids)
+    assert (inward > 0).mean() > 0.9
+    assert found.fit.deepest_mm < 2.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("surface", "words"),
+    [
+        (Triangles(sleeve().points / 1000.0, sleeve().faces), "as if it were in units of m"),
+        (Triangles(sleeve().points + np.array([300.0, 0.0, 0.0]), sleeve().faces), "different frames"),
+        (sleeve(bottom=45.0), "the socket is open"),
+        (sleeve(grow=-25.0), "inside the limb at"),
+    ],
+    ids=["metres", "frame", "open", "deep"],
+)
+def test_a_socket_that_cannot_be_this_limbs_has_its_own_message(limb_made, tmp_path, surface, words):
+    with pytest.raises(MeshError, match=words) as caught:
+        together(limb_made, surface, tmp_path / "socket.ply")
+    assert caught.value.fix
+
+
+@pytest.mark.slow
+def test_half_a_socket_and_one_partly_inside_out_have_their_own_messages(limb_made, tmp_path: Path):
+    whole = sleeve(grow=0.5)
+    half = whole.part(whole.centroids[:, 0] > 0)
+    with pytest.raises(MeshError, match=r"surround|open|away from the limb"):
+        together(limb_made, half, tmp_path / "half.ply")
+    faces = whole.faces.copy()
+    turned = whole.centroids[:, 2] > 70
+    faces[turned] = faces[turned][:, ::-1]
+    with pytest.raises(MeshError, match="inside out"):
+        together(limb_made, Triangles(whole.points, faces), tmp_path / "turned.ply")
+
+
+@pytest.mark.slow
+def test_landmarks_that_the_limb_does_not_have_are_named(limb_made, tmp_path: Path):
+    marks = {"tibial_end": (0.0, 0.0, 0.0), "knee": (0.0, 1.0, 0.0), "distal_tip": (1.0, 0.0, 0.0)}
+    with pytest.raises(CaseError, match="no landmark 'knee'"):
+        together(limb_made, sleeve(), tmp_path / "socket.ply", landmarks=marks)
+
+
+def row(c: float, friction: float) -> PatchRow:
+    """A table of one row that is linear in ln c and friction."""
+    mean = 40.0 + 10.0 * np.log(c) - 20.0 * (friction - 0.3)
+    return PatchRow(400.0, WHOLE, 1.0, 1.0, mean, mean, mean, 1.0, 1.0)
+
+
+def test_intervals_of_a_linear_table_are_those_of_its_draws(tmp_path: Path):
+    """ln c has a deviation of 0.2, friction of 0.1 and m none: the mean pressure has one of 2.83 kPa."""
+    rng = np.random.default_rng(11)  # another than that of the friction
+    c = 8.0 * np.exp(0.2 * rng.standard_normal(400))
+    lines = ["draw,c_mean_kpa,m_mean", *(f"{k},{each},3.0" for k, each in enumerate(c))]
+    (tmp_path / "draws.csv").write_text("\n".join(lines))
+    drawn = drawn_values(tmp_path / "draws.csv", 0.3, 0.1)
+    limb = _one_element(c=0.008)
+
+    def solved(model, friction):
+        return [row(model.materials["tissue"].parameters["c1"] / 0.004, friction)]
+
+    found = pressure_intervals(limb, 0.3, [row(1.0, 0.3)], drawn, solved, SILENT)
+    low, high = found.intervals[400.0, WHOLE, "mean_kpa"]
+    assert (high - low) / 3.92 == pytest.approx(2.83, rel=0.1)
+    assert found.error_fraction < 0.01
+    assert found.shares[400.0]["c"] == pytest.approx(0.5, abs=0.1)
+    assert found.n_solves == 3, "m does not vary: it needs no solve"
+
+
+def _one_element(c: float):
+    from limbcli.materials.ogden import ogden_type
+    from limbcli.model import Block, Domain, LimbModel, Mesh
+
+    mesh = Mesh(np.eye(4, 3), (Block("tissue", "tet4", np.array([[3, 0, 1, 2]])),))
+    law = ogden_type(c=c, f_kappa=100.0, m=3.0)
+    return LimbModel(mesh=mesh, materials={"tissue": law}, domains=(Domain("tissue", "tissue"),))
