@@ -19,6 +19,7 @@ from limbcli.progress import PROGRESS_FILE, SILENT, Progress, recorded
 from limbcli.results import StageResult, StageWriter, open_stage, plain, stage_folder
 from limbcli.solvers import choose
 from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Solver
+from limbcli.solvers.cautions import cautions
 from limbcli.solvers.febio import FebioSolver, plot_file
 from limbcli.solvers.reference import NAME as REFERENCE
 from limbcli.solvers.restart import RESTART_FILE
@@ -179,6 +180,10 @@ def _simulate(
     for sentence in model.said:
         progress.event("note", text=sentence)
     writer.summary.extend(model.said)
+    if site is None and not outline.has_touch_frame:
+        for sentence in _cautions(feb):
+            progress.event("note", text=sentence)
+            writer.warnings.append(sentence)
     if options.vtu:
         _check_readable(feb, source)
     progress.event("note", text=f"solver: {engine.name} {_version(engine)}")
@@ -217,6 +222,14 @@ def _outline(feb: Path, source: Path) -> Outline:
         return read_outline(feb)
     except CaseError as error:
         raise _of_source(error, feb, source) from error
+
+
+def _cautions(feb: Path) -> tuple[str, ...]:
+    """What a model means otherwise than may be expected; nothing of one that limbcli cannot read."""
+    try:
+        return cautions(read_feb(feb))
+    except CaseError:
+        return ()
 
 
 def _check_readable(feb: Path, source: Path) -> None:

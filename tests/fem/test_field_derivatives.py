@@ -144,7 +144,20 @@ def test_cell_and_body_fields_by_all_numbers_of_a_law(law: str, rng: np.random.G
         return small(now)
 
     parameter = Tied(tuple((LawParameter("tissue", name), rate) for name, rate in rates.items()))
-    check(parameter, change, 1e-5)
+    fields = tuple(each for each in CELL_FIELDS if law != "viscoelastic" or each != "sed")
+    body = LogRecord("rigid_body", BODY_FIELDS, "probe", "probe")
+    check(parameter, change, 1e-5, records=(LogRecord("element", fields, "cells"), body))
+
+
+def test_the_logged_energy_of_a_viscoelastic_law_has_no_derivative() -> None:
+    with closing(Analysis(small(LAWS["viscoelastic"][0]), TIGHT)) as analysis:
+        last = analysis.run()[-1]
+        parameter = LawParameter("tissue", "c1")
+        (found,) = sensitivities(analysis.newton, last.state, last.forces, [parameter])
+        with pytest.raises(SolveError, match="energy of a viscoelastic law"):
+            record_derivatives(
+                analysis.system, last.state, LogRecord("element", ("sed",), "cells"), parameter, found
+            )
 
 
 @pytest.mark.parametrize(("name", "h"), [("1.lam0", 1e-5), ("1.mu", 1e-5), ("1.alpha", 1e-4), ("0.m1", 1e-5)])
