@@ -171,8 +171,8 @@ def tissue_agreement(f_kappa_below: float | None, at_lower_bound: Sequence[str])
         return FitAgreement(
             "doubtful",
             f"{' and '.join(at_lower_bound)} ended on the lower bound: the force grows with the depth more "
-            "slowly than that of soft tissue with this speed. Check depth_mm (unit, first touch) and force_n "
-            "(unit, tare)",
+            "slowly than that of soft tissue with this speed. Check depth_mm (unit, first touch), force_n "
+            "(unit, tare), and whether the images end close to the probe",
         )
     return None
 

@@ -60,8 +60,7 @@ def agreement_view(data: Mapping[str, Any], part: str = "") -> AgreementView:
     found = data.get("agreement")
     if not isinstance(found, Mapping):
         return UNTESTED
-    parts = [found.get(name) for name in ("tissue", "force", "speeds")]
-    parts = [each for each in parts if isinstance(each, Mapping)]
+    parts = [each for each in map(found.get, ("tissue", "force", "speeds")) if isinstance(each, Mapping)]
     if part:
         found = found.get(part)
     if not isinstance(found, Mapping) or found.get("state") not in _MOODS:

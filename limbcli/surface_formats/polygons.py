@@ -33,13 +33,19 @@ def by_length(corners: IntArray, ends: IntArray) -> list[IntArray]:
     [[[0, 1, 2], [2, 1, 0]], [[4, 5, 6, 7]]]
     """
     corners, ends = corners.astype(np.int64), ends.astype(np.int64)
-    starts = np.r_[0, ends[:-1]]
-    lengths = ends - starts
-    if len(ends) and (lengths.min() < 0 or ends[-1] > len(corners)):
-        raise OSError("the ends of its polygons do not increase, or lie beyond their corners")
+    starts, lengths = _pieces(corners, ends)
     return [
         corners[starts[lengths == k][:, None] + np.arange(k)] for k in np.unique(lengths).tolist() if k > 2
     ]
+
+
+def _pieces(corners: IntArray, ends: IntArray) -> tuple[IntArray, IntArray]:
+    """Start and length of each piece of the corners; checked before anything of that length is made."""
+    starts = np.r_[0, ends[:-1]].astype(np.int64)
+    lengths = ends - starts
+    if any(len(each) and not 0 <= each.min() <= each.max() <= len(corners) for each in (lengths, ends)):
+        raise OSError("the ends of its polygons do not increase, or lie beyond their corners")
+    return starts, lengths
 
 
 def from_strips(corners: IntArray, ends: IntArray) -> list[IntArray]:
@@ -65,14 +71,12 @@ def from_cells(corners: IntArray, ends: IntArray, types: IntArray) -> list[IntAr
     """
     if len(types) != len(ends):
         raise OSError(f"it has {len(ends)} cells, but types of {len(types)}")
-    starts = np.r_[0, ends[:-1]]
+    starts, all_lengths = _pieces(corners, ends)
     found: list[IntArray] = []
     for kind in np.unique(types).tolist():
         chosen = types == kind
-        lengths = (ends - starts)[chosen]
+        lengths = all_lengths[chosen]
         at = np.concatenate([np.zeros(0, np.int64), *map(np.arange, starts[chosen], ends[chosen])])
-        if len(at) and not 0 <= at.min() <= at.max() < len(corners):
-            raise OSError("the ends of its cells do not increase, or lie beyond their corners")
         own, own_ends = corners[at.astype(np.int64)], np.cumsum(lengths)
         if kind in _SPLIT:
             if (lengths != _N_CORNERS[kind]).any():

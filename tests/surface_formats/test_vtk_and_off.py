@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -187,3 +188,21 @@ def test_colours_of_binary_files_are_noticed(tmp_path):
     for colour, expected in ((b"\0\0", False), (b"\x1f\x80", True)):
         path.write_bytes(bytes(80) + (1).to_bytes(4, "little") + bytes(48) + colour)
         assert has_colours(path) == expected
+
+
+@pytest.mark.parametrize("n_corners", [7, 0x0C000000, 0x7FFFFFFF])
+@pytest.mark.parametrize("kind", ["POLYGONS", "CELLS"])
+def test_a_last_cell_with_more_corners_than_there_are_is_refused_at_once(tmp_path, kind, n_corners):
+    """It was refused, but only after as many numbers as it claims had been made: for minutes, of a grid."""
+    is_grid = kind == "CELLS"
+    head = (
+        f"# vtk DataFile Version 4.2\na\nBINARY\nDATASET {'UNSTRUCTURED_GRID' if is_grid else 'POLYDATA'}\n"
+    )
+    content = head.encode() + b"POINTS 4 float\n" + np.eye(4, 3, dtype=">f4").tobytes()
+    content += f"\n{kind} 2 8\n".encode() + np.array([3, 0, 1, 2, n_corners, 1, 2, 3], ">i4").tobytes()
+    content += (b"\nCELL_TYPES 2\n" + np.array([5, 7], ">i4").tobytes()) * is_grid
+    (tmp_path / "a.vtk").write_bytes(content + b"\n")
+    begin = time.monotonic()
+    with pytest.raises(CaseError, match="beyond their corners|corners of a cell"):
+        read_surface(tmp_path / "a.vtk")
+    assert time.monotonic() - begin < 5.0
