@@ -76,7 +76,7 @@ def cohort(
     progress.event("task", name="compliance of held-out people", done=0, total=1)
     predicted, words = compliance_left_out(rows, family, noise.slope, noise.layers.shortened, seed=seed)
     progress.event("task", name="compliance of held-out people", done=1, total=1)
-    warnings += words + _trust(estimates, family)
+    warnings = [*_trust(estimates, family), *words, *warnings]  # what bears on the results first
     data = _data(rows, family, noise, estimates, predicted, seconds)
     return _written(out, table, data, warnings, templates)
 
