@@ -61,7 +61,7 @@ def html_picture(files: Mapping[str, Path]) -> str:
 
 
 class ShownProgress:
-    """A listener for `progress=` that shows, in one place of a notebook, what is being done.
+    """A listener for `progress=`: shows what is being done, in one place of a notebook that is kept current.
 
     Without a notebook it prints each stage and note as a line.
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any
+from weakref import WeakKeyDictionary
 
 from limbcli.errors.problems import Problem, suggestion
 from limbcli.mesh_bounds import LIMB_NODES, MARGIN_MM
@@ -21,7 +22,7 @@ _LONGEST_NAME = 100
 FAILED = "-failed"  # suffix, after the site's name, of the folder of a failed run
 Check = Callable[[Any], str | None]
 """Returns what is wrong with a value, or None."""
-JSON: dict[Check, dict[str, Any]] = {}
+JSON: WeakKeyDictionary[Check, dict[str, Any]] = WeakKeyDictionary()
 """The same as a JSON Schema, for editors; a check that is not listed takes anything."""
 
 
