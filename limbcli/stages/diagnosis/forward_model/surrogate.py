@@ -42,7 +42,12 @@ _SAME = 1e-9  # squared distance below which two models are the same
 
 @dataclass(frozen=True, eq=False)
 class AtPoints:
-    """A model with the effects of an explanation, each at a point of its grid."""
+    """A model with the effects of an explanation, each at a point of its grid.
+
+    >>> pair = AtPoints(("tilt", "skin-layer"), ({}, {"skin_thickness_mm": 1.5}))
+    >>> pair.key, pair.without(1).key
+    ((('tilt', 'skin-layer'), 'skin_thickness_mm 1.5'), (('tilt',), ''))
+    """
 
     explanation: Explanation = ()
     points: tuple[Theta, ...] = ()
