@@ -36,9 +36,12 @@ def _check(function: str, argument: Argument, value: Any) -> None:
             raise _wrong(function, name, value, "not a number", f"leave it out: {default:g}")
     elif argument.words and float not in argument.kinds:
         one_of(function, argument.words, name, value)
-    elif option.example is not None and not isinstance(value, Mapping):
-        fix = f"give numbers by name, such as {dict(option.example)}"
-        raise _wrong(function, name, value, "not a table", fix)
+    elif option.example is not None:
+        if not isinstance(value, Mapping):
+            fix = f"give numbers by name, such as {dict(option.example)}"
+            raise _wrong(function, name, value, "not a table", fix)
+        for key, each in value.items():
+            within(function, key, each)
     elif argument.words and isinstance(value, str):
         pass  # its stage checks it
     elif float in argument.kinds or argument.kinds == (int,):

@@ -62,6 +62,12 @@ def test_what_is_of_another_kind_is_told_by_its_name(
     assert caught.value.fix == fix
 
 
+def test_every_number_of_a_table_is_one(tmp_path: Path):
+    with pytest.raises(CaseError, match="tare_n is nan, not a finite number") as caught:
+        limbcli.diagnose(tmp_path, measured={"tare_n": float("nan")})
+    assert caught.value.where == "diagnose(tare_n=nan)"
+
+
 def test_flags_of_numpy_and_numbers_are_flags(tmp_path: Path):
     for value in (np.True_, 1, 0):
         with pytest.raises(CaseError, match=r"no case.toml"):
