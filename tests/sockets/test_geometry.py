@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -207,3 +208,15 @@ def test_the_nearest_point_is_within_on_a_side_or_at_a_corner() -> None:
         ((-1.0, -1.0, 0.0), (0.0, 0.0, 0.0)),
     ):
         np.testing.assert_allclose(on_triangles(np.array(point), corners), expected, atol=1e-12)
+
+
+def test_the_brim_is_flared_and_the_rest_is_not() -> None:
+    skin = stump()
+    plain = Rectification(patches_mm={}, all_mm=1.0, brim_mm=-100.0)
+    flared = replace(plain, flare_mm=3.0, flare_width_mm=20.0)
+    faces = [rectified(skin, {}, table, DOWN) for table in (plain, flared)]
+    apart = np.linalg.norm(faces[1].points - faces[0].points, axis=1)
+    z = faces[0].points[:, 2]
+    assert apart[z < 75.0].max() < 1e-9
+    at_brim = z > z.max() - 1e-6
+    assert 2.0 < apart[at_brim].min() <= apart.max() <= 4.0 + 1e-9

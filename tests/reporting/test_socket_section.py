@@ -1,0 +1,50 @@
+"""The page's section on the socket: its table with intervals, its warnings, and a failed run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+from limbcli.reporting.outcome import Failure, Outcome
+from limbcli.reporting.sections.socket import TITLE, socket
+from limbcli.results import StageResult
+
+ROW = {
+    "load_n": 400.0, "patch": "tibial_end", "area_mm2": 900.0, "contact_area_mm2": 850.0, "mean_kpa": 31.0,
+    "p95_kpa": 55.0, "peak_kpa": 70.0, "mean_shear_kpa": 2.0, "peak_shear_kpa": 9.0,
+}  # fmt: skip
+LIMITS = {"load_n": 400.0, "patch": "tibial_end", "quantity": "mean_kpa", "low": 28.0, "high": 34.5}
+
+
+def page(**outcome):
+    found = Outcome("socket", None, outcome.pop("status", "done"), "limbcli socket CASE", **outcome)
+    return SimpleNamespace(outcomes=SimpleNamespace(maybe=lambda stage: found if outcome else None))
+
+
+def result(**data) -> StageResult:
+    return StageResult(
+        "socket", "S1", Path("out/socket"), data={"patches": [ROW], **data}, warnings=("soft",)
+    )
+
+
+def test_a_row_has_its_limits():
+    shown = socket(page(result=result(intervals={"patches": [LIMITS]})))
+    assert shown is not None
+    (row,) = shown.tables[0].rows
+    assert [cell.text for cell in row[:3]] == ["400 N: tibial end", "8.5 cm²", "31.0 (28.0 to 34.5)"]
+    assert row[3].text == "55.0"
+    assert (shown.mood, shown.warned) == ("warning", ("soft",))
+    assert shown.look_for
+    assert shown.bad
+
+
+def test_without_the_stage_there_is_no_section():
+    assert socket(page()) is None
+
+
+def test_a_failed_run_has_its_place():
+    failure = Failure("SolveError", "donning has no equilibrium", "step 3", "use more steps")
+    shown = socket(page(status="failed", failure=failure))
+    assert shown is not None
+    assert shown.title == TITLE
+    assert shown.mood != "fine"
