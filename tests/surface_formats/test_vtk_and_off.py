@@ -203,6 +203,6 @@ def test_a_last_cell_with_more_corners_than_there_are_is_refused_at_once(tmp_pat
     content += (b"\nCELL_TYPES 2\n" + np.array([5, 7], ">i4").tobytes()) * is_grid
     (tmp_path / "a.vtk").write_bytes(content + b"\n")
     begin = time.monotonic()
-    with pytest.raises(CaseError, match="beyond their corners|corners of a cell"):
+    with pytest.raises(CaseError, match=r"beyond their corners|corners of a cell"):
         read_surface(tmp_path / "a.vtk")
     assert time.monotonic() - begin < 5.0
