@@ -36,6 +36,7 @@ from limbcli.surface_frames import mixed_frames, stated_frame
 # Later steps use points and triangles. Triangles of drawn (CAD) bodies can span the whole limb and are
 # divided; those of a scan do so only at its flat ends, and are kept as given.
 AOP_FILE = "skin.aop"
+_AS_STATED = Imaging()  # of which case.toml says neither unit nor side
 _LONGEST_EDGE = 25.0  # mm, longest edge of a divided body
 _NAMED = 3  # pieces of a skin's file that a warning names
 _DRAWN_SHARE = 0.5  # share of area in triangles with a longer edge above which a body is taken as drawn
@@ -307,7 +308,7 @@ def _is_drawn(surface: ClosedSurface) -> bool:
     return bool(area[long].sum() > _DRAWN_SHARE * area.sum())
 
 
-def read_body(path: Path, imaging: Imaging) -> tuple[ClosedSurface, list[str]]:
+def read_body(path: Path, imaging: Imaging = _AS_STATED) -> tuple[ClosedSurface, list[str]]:
     """The skin of a file as given, with outward normals, and warnings; imaging : its unit and side.
 
     Raises
