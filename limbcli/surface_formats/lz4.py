@@ -29,7 +29,7 @@ def unpacked(block: bytes, size: int) -> bytes:
         back = int.from_bytes(block[at : at + 2], "little")
         n_copied, at = _length(block, at + 2, token & 15)
         start = len(found) - back
-        if back == 0 or start < 0 or len(found) > size:
+        if back == 0 or start < 0 or len(found) + n_copied + 4 > size:
             raise ValueError("an LZ4 block is damaged")
         piece = bytes(found[start : start + n_copied + 4])
         found += (piece * (-(-(n_copied + 4) // len(piece))))[: n_copied + 4]

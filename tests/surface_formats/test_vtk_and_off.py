@@ -193,7 +193,7 @@ def test_colours_of_binary_files_are_noticed(tmp_path):
 @pytest.mark.parametrize("n_corners", [7, 0x0C000000, 0x7FFFFFFF])
 @pytest.mark.parametrize("kind", ["POLYGONS", "CELLS"])
 def test_a_last_cell_with_more_corners_than_there_are_is_refused_at_once(tmp_path, kind, n_corners):
-    """It was refused, but only after as many numbers as it claims had been made: for minutes, of a grid."""
+    """Of a grid, as many numbers as it claims were made first, which took minutes or all memory."""
     is_grid = kind == "CELLS"
     head = (
         f"# vtk DataFile Version 4.2\na\nBINARY\nDATASET {'UNSTRUCTURED_GRID' if is_grid else 'POLYDATA'}\n"
@@ -206,3 +206,10 @@ def test_a_last_cell_with_more_corners_than_there_are_is_refused_at_once(tmp_pat
     with pytest.raises(CaseError, match=r"beyond their corners|corners of a cell"):
         read_surface(tmp_path / "a.vtk")
     assert time.monotonic() - begin < 5.0
+
+
+def test_an_lz4_block_that_copies_without_end_is_refused_before_it_does():
+    """Each byte of 255 adds as many to what is copied: 20 kB stand for 5 MB."""
+    block = b"\x1fa\x01\x00" + b"\xff" * 20_000 + b"\x00"
+    with pytest.raises(ValueError, match="damaged"):
+        lz4.unpacked(block, 100)
