@@ -56,7 +56,7 @@ def logged_poses(model: LimbModel, tables: Mapping[str, Table]) -> Poses:
             for name, table in tables.items()
             if name in centers
         }
-        for k in map(int, np.flatnonzero(times > 0))
+        for k in np.flatnonzero(times > 0).tolist()
     ]
 
 

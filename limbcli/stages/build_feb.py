@@ -129,7 +129,7 @@ def _build_site(
     writer.used("mesh", path)
     writer.used_result(meshed, files=["model"])
     writer.used("levels", site.levels, role=f"site/{site.name}/levels")
-    note_case(writer, case, [], site=site, own=["density_kg_per_m3", "layers", "skin_bone"])
+    note_case(writer, case, [], site=site, own=["density_kg_per_m3", "layers"])
     note_templates(writer, templates)
     writer.warnings.extend(warnings_now(meshed, site))
     if options.c_kpa is None and (reason := no_level_0(levels, site)):

@@ -41,8 +41,11 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, dict
     return root, asked
 
 
-# What a stage asks for its warnings and checks only, which the next stages make anew: its result stays valid.
-ONLY_CHECKS = {"mesh": {"site/p1/levels", "site/p1/skin_bone"}, "build-feb": {"site/p1/noise"}}
+# What a stage asks for its warnings and checks only: its result stays valid.
+ONLY_CHECKS = {
+    "mesh": {"site/p1/levels", "site/p1/skin_bone"},
+    "build-feb": {"site/p1/noise", "site/p1/skin_bone"},
+}
 
 
 def recorded(out: Path, stage: str) -> tuple[set[str], set[str]]:
