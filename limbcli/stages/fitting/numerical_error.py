@@ -20,7 +20,9 @@ GAIN_DEVIATION = {"tet10": 0.03, "tet4": 0.13}
 _USUAL_SIZE, _NEAR_CENTRE = 2.5, 10.0
 # Ratio of the tet4 force to the tet10 force, by f_kappa: a punch of the probe's size on a 25 mm layer, edges
 # 2.5 to 3 mm. Limbs give similar ratios (2.2 to 2.6 at 98, 6.1 to 7.4 at 641); halving the edge length
-# reduces them little.
+# reduces them little. Coarser meshes lock more: at 4.6 mm edges the ratio is 2.2 at f_kappa 20 and 4.7 at 100,
+# its logarithm about proportional to the edge length.
+_LOCKED_SIZE = 3.0
 _LOCKED_F_KAPPA = (1.0, 10.0, 50.0, 100.0, 200.0, 650.0, 1000.0)
 _LOCKED_FORCE = (1.13, 1.31, 1.90, 2.47, 3.39, 6.29, 8.0)
 
@@ -40,12 +42,13 @@ def gain_deviation(
     if given is not None:
         return given
     kind = model.mesh.solid_blocks[0].kind
-    usual = GAIN_DEVIATION.get(kind, 0.05) * edge_under_probe(model) / _USUAL_SIZE
+    edge = edge_under_probe(model)
+    usual = GAIN_DEVIATION.get(kind, 0.05) * edge / _USUAL_SIZE
     found = usual if studied is None else studied
     if kind != "tet4" or f_kappa is None:
         return found
     locked = np.interp(np.log(f_kappa), np.log(_LOCKED_F_KAPPA), np.log(_LOCKED_FORCE))
-    return max(found, 0.5 * float(locked))
+    return max(found, 0.5 * float(locked) * max(1.0, edge / _LOCKED_SIZE))
 
 
 def edge_under_probe(model: LimbModel) -> float:
