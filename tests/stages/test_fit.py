@@ -261,7 +261,7 @@ def test_febio_runs_use_the_cores_and_never_more(cores, case, tmp_path):
 def test_the_mesh_error_is_counted_stated_and_can_be_given(fitted, forces, tmp_path):
     """Forces are proportional to c: an error common to them adds to c's own."""
     data = fitted[0].data
-    assert 0.05 < data["numerical_error_fraction"] < 0.6, "by element and edge length"
+    assert 0.05 < data["numerical_error_fraction"] < 0.9, "by element and edge length"
     assert any("property of this mesh" in each for each in fitted[0].warnings)
     case = block.make_case(tmp_path / "case", tmp_path / "out", DEPTHS, forces, c=TRUTH["c"])
     options = FitOptions(intervals=False, gain_deviation=0.0)

@@ -2,6 +2,7 @@
 
 import csv
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from limbcli.stages.fit_elements import compare_elements
 from limbcli.stages.fit_joint import JointOptions, fit_joint
 from limbcli.stages.fitting.force_curves import LawCurve
 from limbcli.stages.fitting.laws import LAWS, law_named
-from limbcli.stages.fitting.numerical_error import gain_deviation
+from limbcli.stages.fitting.numerical_error import edge_under_probe, gain_deviation
 from limbcli.stages.site_model.indentation_model import indentation_model, with_penalty
 from tests.stages import block_case as block
 
@@ -240,8 +241,20 @@ def test_numerical_error_goes_with_element_and_size():
     quadratic, linear = block.block_model("tet10"), block.block_model("tet4")
     assert gain_deviation(linear, None) > 2 * gain_deviation(quadratic, None) > 0.0
     assert gain_deviation(linear, 0.07) == 0.07
-    assert gain_deviation(linear, None, f_kappa=100.0) == pytest.approx(0.5 * np.log(2.47))
-    assert gain_deviation(linear, None, studied=0.02, f_kappa=100.0) == pytest.approx(0.5 * np.log(2.47))
-    assert gain_deviation(linear, None, studied=0.9, f_kappa=100.0) == 0.9
+    locked = 0.5 * np.log(2.47) * max(1.0, edge_under_probe(linear) / 3.0)
+    assert gain_deviation(linear, None, f_kappa=100.0) == pytest.approx(locked)
+    assert gain_deviation(linear, None, studied=0.02, f_kappa=100.0) == pytest.approx(locked)
+    assert gain_deviation(linear, None, studied=2.0, f_kappa=100.0) == 2.0
     assert gain_deviation(quadratic, None, studied=0.02, f_kappa=100.0) == 0.02
     assert gain_deviation(quadratic, None, f_kappa=100.0) == gain_deviation(quadratic, None)
+
+
+def test_linear_tetrahedra_lock_the_more_the_coarser_they_are():
+    """At edges of 4.6 mm a model with tet4 and one with tet10 gave forces in the ratio 4.7 at f_kappa 100."""
+    model = block.block_model("tet4")
+    scale = 4.6 / edge_under_probe(model)
+    coarse, fine = (
+        replace(model, mesh=replace(model.mesh, points=k * model.mesh.points)) for k in (scale, 0.3 * scale)
+    )
+    assert gain_deviation(coarse, None, f_kappa=100.0) == pytest.approx(0.5 * np.log(4.7), rel=0.15)
+    assert gain_deviation(fine, None, f_kappa=100.0) == pytest.approx(0.5 * np.log(2.47))
