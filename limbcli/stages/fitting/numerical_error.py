@@ -20,8 +20,8 @@ GAIN_DEVIATION = {"tet10": 0.03, "tet4": 0.13}
 _USUAL_SIZE, _NEAR_CENTRE = 2.5, 10.0
 # Ratio of the tet4 force to the tet10 force, by f_kappa: a punch of the probe's size on a 25 mm layer, edges
 # 2.5 to 3 mm. Limbs give similar ratios (2.2 to 2.6 at 98, 6.1 to 7.4 at 641); halving the edge length
-# reduces them little. Coarser meshes lock more: at 4.6 mm edges the ratio is 2.2 at f_kappa 20 and 4.7 at 100,
-# its logarithm about proportional to the edge length.
+# reduces them little. Coarser meshes lock more, the ratio's logarithm about in proportion to the edge length:
+# at 4.6 mm the ratio is 2.2 at f_kappa 20 and 4.7 at 100.
 _LOCKED_SIZE = 3.0
 _LOCKED_F_KAPPA = (1.0, 10.0, 50.0, 100.0, 200.0, 650.0, 1000.0)
 _LOCKED_FORCE = (1.13, 1.31, 1.90, 2.47, 3.39, 6.29, 8.0)
