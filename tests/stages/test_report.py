@@ -6,6 +6,7 @@ import base64
 import csv
 import json
 import re
+from dataclasses import replace
 from html import escape
 from html.parser import HTMLParser
 from itertools import pairwise
@@ -18,10 +19,12 @@ from matplotlib.figure import Figure
 from limbcli.case import Case
 from limbcli.errors import CaseError, ToolError
 from limbcli.inference.agreement import chi_square_agreement
+from limbcli.reporting.fit_view import read_fit_view
 from limbcli.reporting.numbers import significant
 from limbcli.reporting.page import render
 from limbcli.reporting.sections.convergence import profiles
 from limbcli.reporting.sections.joint import joint, laws
+from limbcli.reporting.sections.next_steps import next_steps
 from limbcli.reporting.sections.overview import overview
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.reporting.sections.states import states
@@ -374,6 +377,21 @@ def test_summary_says_what_to_measure_next(tmp_path):
     )
     assert not any("limbcli diagnose" in each for each in steps)
     assert not any("Measure the shear-wave speed" in each for each in steps)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "taken"), [("named", "c and m of the diagnosis"), ("ambiguous", "do not use c")]
+)
+def test_summary_says_whose_parameters_hold_where_the_speeds_disagree(tmp_path, verdict, taken):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    add_fit(out, "p1")
+    page = gather(case, out=out)
+    (site,) = page.sites
+    with open_stage(out, "diagnose", subject="S1", site="p1") as writer:
+        writer.data["verdict"] = verdict
+    view = read_fit_view(read_result(out, "fit", site="p1"))
+    view = replace(view, whole=replace(view.whole, state="bad", words="bad"))
+    assert any(taken in each for each in next_steps(gather(case, out=out), site, view))
 
 
 def test_summary_asks_for_a_speed_where_c_was_given(tmp_path):

@@ -84,10 +84,10 @@ def in_words(data: Mapping[str, Any]) -> str:
     """
     >>> gap = [{"chi2_per_nu": 1.472}, {"chi2_per_nu": 0.92}]
     >>> in_words({"verdict": "named", "added": ["tilt"], "shrink": gap})
-    'tilt (named); the misfit between model and measurement (chi2/nu) went from 1.47 to 0.92'
+    'tilt (named); the misfit (chi2/nu, with the error of the model counted) went from 1.47 to 0.92'
     >>> open_set = {"verdict": "ambiguous", "confidence_set": [["tilt"], ["skin", "preload"]]}
     >>> in_words({**open_set, "added": ["tilt"], "shrink": gap}).partition(" (chi2")[0]
-    'ambiguous: 2 explanations fit alike; with the most probable, the misfit between model and measurement'
+    'ambiguous: 2 explanations fit alike; with the most probable, the misfit'
     >>> in_words({"verdict": "adequate", "added": [], "shrink": gap[:1]})
     'adequate'
     """
@@ -99,7 +99,8 @@ def in_words(data: Mapping[str, Any]) -> str:
         n = len(data.get("confidence_set", ()))
         first = f"ambiguous: {n if n > 1 else 'several'} explanations fit alike; with the most probable, "
     before, after = (each["chi2_per_nu"] for each in (shrink[0], shrink[-1]))
-    return f"{first}the misfit between model and measurement (chi2/nu) went from {before:.2f} to {after:.2f}"
+    went = f"went from {before:.2f} to {after:.2f}"
+    return f"{first}the misfit (chi2/nu, with the error of the model counted) {went}"
 
 
 def _pictures(result: StageResult, name: str) -> tuple[Picture, ...]:

@@ -13,19 +13,23 @@ from limbcli.reporting.report_data import ReportData, SiteMaterial
 def next_steps(page: ReportData, site: SiteMaterial, view: FitView) -> tuple[str, ...]:
     """Sentences, the most informative first; empty if nothing is left to measure."""
     steps = []
+    diagnosed = page.outcomes.maybe("diagnose", site.name)
+    found = None if diagnosed is None or diagnosed.usable is None else diagnosed.usable.data
     if view.force.state == "bad":
         steps.append(
             "Check the units, signs and zeros of force and depth, then repeat the measurement: no "
             "curve of the law fits these levels."
         )
     elif view.poor:
+        is_named = found is not None and found.get("verdict") == "named"
         steps.append(
-            "The law fitted to the force does not predict the shear-wave speeds under load: do not use c and "
-            "m together before the diagnosis has named what is missing."
-        )
-    diagnosed = page.outcomes.maybe("diagnose", site.name)
-    if diagnosed is not None and diagnosed.usable is not None:
-        steps += _proposed(diagnosed.usable.data.get("next_measurement"))
+            "The law fitted to the force does not predict the shear-wave speeds under load: "
+            + ("use c and m of the diagnosis, whose model has what was missing, not of this fit."
+               if is_named
+               else "do not use c and m together before the diagnosis has named what is missing.")
+        )  # fmt: skip
+    if found is not None:
+        steps += _proposed(found.get("next_measurement"))
     else:
         command = page.outcomes.of("fit", site.name).command.replace("limbcli fit", "limbcli diagnose", 1)
         steps.append(f"Run the diagnosis to see which measurement would be most informative: {command}")
