@@ -50,6 +50,8 @@ def step_times(
     [0.25, 0.5, 0.75, 1.0]
     >>> step_times(Step(n_steps=7, step_size=0.1, adaptive=False))[-1] < 7 * 0.1
     True
+    >>> step_times(Step(n_steps=6, step_size=1 / 6, must_points=(1.0,)), every=True)[-1]  # not the sum
+    1.0
     """
     length = step.n_steps * step.step_size
     end, near = begin + length, _NEAR * length
@@ -60,7 +62,7 @@ def step_times(
     if step.adaptive:
         most = largest(begin) if largest else step.dt_max
         dt = most if forced and most else min(max(dt, step.dt_min), most or math.inf)
-    elif inner:
+    elif step.must_points:
         return [time for ends in itertools.pairwise([begin, *inner, end]) for time in _evenly(*ends, dt)]
     goals, times = [*inner, end], [begin]
     while end - times[-1] > near:
@@ -72,7 +74,7 @@ def step_times(
                 else min(dt + _GROWTH * max(most - dt, 0.0), _MOST * dt, max(most, step.dt_min))
             )
         goal = next(each for each in goals if each > times[-1])
-        meets = goal <= times[-1] + dt + (near if inner else 0.0)
+        meets = goal <= times[-1] + dt + (near if step.must_points else 0.0)
         times.append(goal if meets and step.adaptive else times[-1] + dt)
     return times[1:]
 
