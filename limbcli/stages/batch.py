@@ -194,12 +194,13 @@ class CaseRun:
     def _in_socket(self, first: str, keys: Sequence[str]) -> list[str]:
         """Run `limb` and `socket` (without intervals) for a case with a socket; return their keys."""
         from limbcli.case.socket import socket_of
-        from limbcli.stages.limb import LimbOptions, limb
-        from limbcli.stages.socket import SocketOptions, socket
 
         given = socket_of(self.case)
         if given is None:
             return []
+        from limbcli.stages.limb import LimbOptions, limb
+        from limbcli.stages.socket import SocketOptions, socket
+
         asked = {name: self._requested(name, None) for name in ("limb", "socket")}
         nodes = {"nodes": given.limb_nodes, **asked["limb"]}
         nodes["draws"] = tuple(nodes.get("draws", ()))
