@@ -177,11 +177,11 @@ def _energy(system: System, state: State, number: int, F: Array, stress: Array) 
     if material.prestrain is not None:
         return np.zeros(F.shape[:2])
     if material.prony is None:
-        return energy_density(system.operands[number], F)
+        return energy_density(system.operands[number].complete(), F)
     inverse = np.linalg.inv(F)
     S = np.linalg.det(F)[..., None, None] * (inverse @ stress @ np.swapaxes(inverse, -1, -2))
     elastic = elastic_stress(system, state, number)[..., VOIGT]
-    return viscoelastic_energy(system.operands[number].complete(), F, material.prony, S - elastic)
+    return viscoelastic_energy(system.operands[number], F, material.prony, S - elastic)
 
 
 def right_stretch(C: Array) -> Array:
