@@ -22,7 +22,7 @@ from pydicom.uid import (
     ImplicitVRLittleEndian,
 )
 
-from limbcli.unpacking import Budget
+from limbcli.unpacking import UnpackingBudget
 
 _PREAMBLE, _MAGIC = 128, b"DICM"
 _GROUP_LENGTH = 12  # bytes of the element (0002,0000)
@@ -73,7 +73,7 @@ def require_affordable(dataset: Dataset) -> None:
     """
     sides = ("Rows", "Columns", "NumberOfFrames", "SamplesPerPixel")
     n_values = math.prod(max(1, int(dataset.get(each, 1) or 1)) for each in sides)
-    Budget().spend(n_values * max(1, int(dataset.get("BitsAllocated", 8) or 8) // 8))
+    UnpackingBudget().spend(n_values * max(1, int(dataset.get("BitsAllocated", 8) or 8) // 8))
 
 
 def _measure_deflated(path: Path) -> None:
@@ -83,7 +83,7 @@ def _measure_deflated(path: Path) -> None:
         return
     begin = _PREAMBLE + len(_MAGIC) + _GROUP_LENGTH + int(meta.get("FileMetaInformationGroupLength", 0))
     try:
-        Budget().measure_deflated(path.read_bytes()[begin:])
+        UnpackingBudget().measure_deflated(path.read_bytes()[begin:])
     except zlib.error as error:
         raise OSError(f"its deflated content is damaged ({error})") from error
 

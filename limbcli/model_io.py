@@ -21,7 +21,7 @@ from limbcli.atomic_files import atomic_file
 from limbcli.errors import CaseError
 from limbcli.model import LimbModel
 from limbcli.results import plain
-from limbcli.unpacking import DAMAGED, Budget, read_npz
+from limbcli.unpacking import DAMAGED, UnpackingBudget, read_npz
 
 FORMAT = 1
 _TYPES = {
@@ -93,7 +93,7 @@ def load_model(path: Path) -> LimbModel:
             f"the model {path.name} is missing", where=str(path.parent), fix="run `limbcli mesh CASE` first"
         )
     try:
-        arrays = read_npz(path, budget=Budget(_LARGEST))
+        arrays = read_npz(path, budget=UnpackingBudget(_LARGEST))
         described = json.loads(arrays.pop(_TEXT).tobytes().decode("utf-8"))
         if described["format"] != FORMAT:
             raise ValueError(f"format {described['format']} where {FORMAT} was expected")

@@ -15,7 +15,7 @@ import numpy as np
 from lxml import etree
 
 from limbcli.model import Array, IntArray
-from limbcli.unpacking import DAMAGED, Budget
+from limbcli.unpacking import DAMAGED, UnpackingBudget
 from limbcli.xml_files import parsed_xml
 
 _RELATIONS = "_rels/.rels"
@@ -66,7 +66,7 @@ class _Package:
     """The open package, its parts as far as they were read, and the bodies found."""
 
     package: zipfile.ZipFile
-    budget: Budget = field(default_factory=Budget)
+    budget: UnpackingBudget = field(default_factory=UnpackingBudget)
     n_placed: int = 0
     read: dict[str, etree._Element] = field(default_factory=dict)
     points: list[Array] = field(default_factory=list)

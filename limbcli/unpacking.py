@@ -1,6 +1,6 @@
 """One limit for whatever a file's compressed parts unpack to: some kilobytes may hold many gigabytes.
 
-Every reader of a compressed format unpacks through a `Budget`, one for each file that it opens.
+Every reader of a compressed format unpacks through a `UnpackingBudget`, one for each file that it opens.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ DAMAGED = (
 _CHUNK = 1 << 20
 
 
-class Budget:
+class UnpackingBudget:
     """How many bytes may still be unpacked from one file.
 
-    >>> Budget(100).gunzip(gzip.compress(b"whole"))
+    >>> UnpackingBudget(100).gunzip(gzip.compress(b"whole"))
     b'whole'
-    >>> Budget(100).gunzip(gzip.compress(bytes(101)))
+    >>> UnpackingBudget(100).gunzip(gzip.compress(bytes(101)))
     Traceback (most recent call last):
     OSError: it unpacks to more than 0.0001 MB
     """
@@ -105,7 +105,7 @@ class Budget:
         return package.read(name)
 
 
-def read_npz(path: Path, *, budget: Budget | None = None) -> dict[str, NDArray[Any]]:
+def read_npz(path: Path, *, budget: UnpackingBudget | None = None) -> dict[str, NDArray[Any]]:
     """All arrays of a `.npz` file; arrays of objects, which hold code, are refused.
 
     Raises
@@ -114,6 +114,6 @@ def read_npz(path: Path, *, budget: Budget | None = None) -> dict[str, NDArray[A
         If it is corrupt, or unpacks to more than the budget.
     """
     with zipfile.ZipFile(path) as packed:
-        (budget or Budget()).spend(sum(each.file_size for each in packed.infolist()))
+        (budget or UnpackingBudget()).spend(sum(each.file_size for each in packed.infolist()))
     with np.load(path, allow_pickle=False) as content:
         return {name: content[name] for name in content.files}

@@ -26,7 +26,7 @@ from limbcli.measurement.ultrasound_image import read_image as read_picture
 from limbcli.solvers.restart import RESTART_FILE, Restart
 from limbcli.stages.diagnosis.curves.solve_memo import SolveMemo
 from limbcli.surface_formats.colours import has_colours
-from limbcli.unpacking import Budget, read_npz
+from limbcli.unpacking import UnpackingBudget, read_npz
 from tests.fuzz.targets import make_dicom
 from tests.test_xml_files import write_3mf
 
@@ -178,7 +178,7 @@ def test_arrays_of_our_own_unpack_within_the_budget(tmp_path: Path) -> None:
     np.savez_compressed(tmp_path / "a.npz", a=np.zeros(100_000), b=np.zeros(100_000))
     assert set(read_npz(tmp_path / "a.npz")) == {"a", "b"}
     with pytest.raises(OSError, match="unpacks to more"):
-        read_npz(tmp_path / "a.npz", budget=Budget(1_000_000))
+        read_npz(tmp_path / "a.npz", budget=UnpackingBudget(1_000_000))
 
 
 def test_stored_solves_that_unpack_without_end_are_solved_again(tmp_path: Path, monkeypatch) -> None:
@@ -186,7 +186,13 @@ def test_stored_solves_that_unpack_without_end_are_solved_again(tmp_path: Path, 
     feb = tmp_path / "model.feb"
     feb.write_text("a")
     key = Restart(feb, "").key
-    arrays = {"key": np.array(key), "times": np.zeros(1), "u0": np.zeros((9, 3)), "shift0": [], "turn0": []}
+    arrays = {
+        "key": np.array(key),
+        "times": np.zeros(1),
+        "u0": np.zeros((9, 3)),
+        "shift0": [],
+        "rotation0": [],
+    }
     np.savez_compressed(tmp_path / RESTART_FILE, **arrays, more=np.zeros(10_000))
     assert Restart(feb, "").n_stored == 1
     monkeypatch.setattr("limbcli.unpacking.MOST_UNPACKED", 5000)
@@ -196,7 +202,7 @@ def test_stored_solves_that_unpack_without_end_are_solved_again(tmp_path: Path, 
 
 def test_the_first_bytes_of_a_gzip_file_cost_only_themselves() -> None:
     packed = gzip.compress(bytes(1_000_000))
-    budget = Budget(100)
+    budget = UnpackingBudget(100)
     assert budget.gunzip(packed, first=40) == bytes(40)
     assert budget.left == 60
     with pytest.raises(OSError, match="unpacks to more"):

@@ -16,7 +16,7 @@ from lxml import etree
 from limbcli.errors import CaseError
 from limbcli.feb.notes import ReadingNotes
 from limbcli.model import Array, IntArray
-from limbcli.unpacking import DAMAGED, Budget
+from limbcli.unpacking import DAMAGED, UnpackingBudget
 from limbcli.xml_files import mixed_text, parsed_xml
 
 UNITS = "mm-N-s"
@@ -370,7 +370,7 @@ def model_text(path: Path) -> bytes:
     if path.stat().st_size > _LARGEST:
         raise OSError(f"it is larger than {_LARGEST / 1e6:.0f} MB")
     content = path.read_bytes()
-    return Budget(_LARGEST).gunzip(content) if content.startswith(_GZIP_MAGIC) else content
+    return UnpackingBudget(_LARGEST).gunzip(content) if content.startswith(_GZIP_MAGIC) else content
 
 
 def _check_file_names(root: Tag) -> None:

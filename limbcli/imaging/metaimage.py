@@ -16,7 +16,7 @@ from limbcli.errors import CaseError
 from limbcli.imaging.nrrd import read_beside
 from limbcli.imaging.volume import MOST_VOXELS, Volume, require_placed, require_unit_directions
 from limbcli.model import Array
-from limbcli.unpacking import DAMAGED, Budget
+from limbcli.unpacking import DAMAGED, UnpackingBudget
 
 _TYPES = {
     "MET_CHAR": "i1", "MET_UCHAR": "u1", "MET_SHORT": "i2", "MET_USHORT": "u2", "MET_INT": "i4",
@@ -101,7 +101,7 @@ def _values(data: bytes, fields: dict[str, str]) -> NDArray:
     skip = int(fields.get("HeaderSize", "0"))
     data = data[max(len(data) - n_bytes, 0) if skip == -1 else skip :]
     if _is_true(fields, "CompressedData"):
-        data = Budget().inflate(data, n_bytes)
+        data = UnpackingBudget().inflate(data, n_bytes)
     if len(data) < n_bytes:
         raise ValueError(f"{len(data)} of {n_bytes} bytes of data")
     return np.frombuffer(data, dtype=dtype, count=math.prod(sizes)).reshape(sizes, order="F")

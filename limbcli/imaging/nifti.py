@@ -21,7 +21,7 @@ from limbcli.detached_data import beside
 from limbcli.errors import CaseError
 from limbcli.imaging.volume import DAMAGED, MOST_VOXELS, RAS_FROM_LPS, Volume, require_placed
 from limbcli.unpacking import DAMAGED as NOT_UNPACKED
-from limbcli.unpacking import Budget
+from limbcli.unpacking import UnpackingBudget
 from limbcli.xml_files import own_text, parsed_xml
 
 # Fraction of the smallest side of a voxel: grids whose corners are this close are the same.
@@ -90,14 +90,14 @@ def _plain(path: Path) -> nib.Nifti1Image:
 
 def _packed(path: Path) -> nib.Nifti1Image:
     content = path.read_bytes()
-    head = Budget().gunzip(content, first=_HEADER)
+    head = UnpackingBudget().gunzip(content, first=_HEADER)
     kind = _kind(head).header_class
     header = kind(head[: kind.sizeof_hdr], check=False)
     begin, n_values = float(header["vox_offset"]), math.prod(max(1, int(n)) for n in header["dim"][1:])
     if not 0 <= begin <= _MOST_BEFORE or n_values > 3 * MOST_VOXELS:
         raise ValueError(f"its data begin at byte {begin:g}, and are {n_values} values")
     n_bytes = int(begin) + n_values * header.get_data_dtype().itemsize
-    return _kind(head).from_bytes(Budget(n_bytes + _MOST_AFTER).gunzip(content))
+    return _kind(head).from_bytes(UnpackingBudget(n_bytes + _MOST_AFTER).gunzip(content))
 
 
 def _kind(head: bytes) -> type[nib.Nifti1Image]:

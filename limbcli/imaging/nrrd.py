@@ -17,7 +17,7 @@ from limbcli.detached_data import beside
 from limbcli.errors import CaseError
 from limbcli.imaging.volume import MOST_VOXELS, RAS_FROM_LPS, Volume, require_placed
 from limbcli.model import Array
-from limbcli.unpacking import DAMAGED, Budget
+from limbcli.unpacking import DAMAGED, UnpackingBudget
 
 _TYPES = {
     "u1": ("uchar", "unsigned char", "uint8", "uint8_t"),
@@ -200,7 +200,7 @@ def _values(data: bytes, fields: dict[str, str]) -> NDArray:
     if encoding in ("gzip", "gz"):
         if skip > _MOST_SKIPPED:
             raise ValueError(f"byte skip {skip} in packed data")
-        data = Budget(8 * count + skip).gunzip(data)
+        data = UnpackingBudget(8 * count + skip).gunzip(data)
     elif encoding != "raw":
         raise ValueError(f"encoding {encoding}")
     order = ">" if fields.get("endian", "little").lower() == "big" else "<"

@@ -191,14 +191,6 @@ def chi_square_agreement(chi_square: float, n_freedom: int) -> FitAgreement:
     )
 
 
-def worst(states: Iterable[State]) -> State:
-    """
-    >>> worst(["good", "doubtful", "untested"]), worst([])
-    ('doubtful', 'untested')
-    """
-    return max(states, key=ORDER.index, default="untested")
-
-
 def _numbers(
     rms: float | None, noise: float | None, chi_square: float, n_freedom: int, *,
     below: tuple[float, int] | None = None, signs: Array | None = None,

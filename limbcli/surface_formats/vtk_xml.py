@@ -17,7 +17,7 @@ from lxml import etree
 from limbcli.model import Array, IntArray
 from limbcli.surface_formats import lz4
 from limbcli.surface_formats.polygons import by_length, from_cells, from_strips
-from limbcli.unpacking import DAMAGED, Budget
+from limbcli.unpacking import DAMAGED, UnpackingBudget
 from limbcli.xml_files import own_text, parsed_xml
 
 _TYPES = {"Int8": "i1", "UInt8": "u1", "Int16": "i2", "UInt16": "u2", "Int32": "i4", "UInt32": "u4",
@@ -90,7 +90,7 @@ class _File:
     is_base64: bool
     order: str
     packer: str
-    budget: Budget = field(default_factory=Budget)
+    budget: UnpackingBudget = field(default_factory=UnpackingBudget)
 
     @property
     def header(self) -> np.dtype[np.unsignedinteger]:

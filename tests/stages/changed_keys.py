@@ -77,6 +77,7 @@ def _states(**unloaded: float) -> Change:
 
 
 _OGDEN = {"thickness_mm": "mri", "law": "ogden", "c_kpa": 2.0, "f_kappa": 40.0, "m": 3.0}
+_SURFACES: Table = {"skin": "skin.stl", "bones": ["bone.stl"]}
 _SCAN = {"skin": "skin.stl", "bone": "from-ultrasound"}
 _SHAPE = {"circumference_mm": 300.0, "skin_mm": 1.5, "fat_mm": 6.0, "muscle_mm": 18.0, "bone_radius_mm": 12.0}
 _VALUES: dict[str, Table] = {
@@ -101,6 +102,15 @@ _NEEDED: dict[str, Table] = {
 }  # fmt: skip
 _BESIDES: dict[str, Table] = {"probe_mass_kg": {"tare_s": [0.0, 1.0]}}  # what a key needs beside it
 
+_FACE: Table = {"surface": "skin.stl"}
+_SOCKET: dict[str, tuple[Any, Table]] = {  # value, and what a key needs beside it
+    "surface": ("skin.stl", {}), "align": (True, _FACE), "all_mm": (0.5, {}), "brim_mm": (60.0, {}),
+    "landmarks": ({key: [0.0, 0.0, 0.0] for key in ("tibial_end", "fibular_head", "distal_end")}, _FACE),
+    "rectifications_mm": ({"patellar_tendon": 2.0}, {}), "transition_mm": (10.0, {}), "flare_mm": (2.0, {}),
+    "friction": (0.2, {}), "friction_deviation": (0.05, {}), "loads_n": ([100.0], {}),
+    "limb_nodes": (5000, {}),
+}  # fmt: skip
+
 # (table, key): the change, and the name under which a result records the value; None: it has no meaning
 CHANGES: dict[tuple[str, str], tuple[Change, str | None]] = {
     ("subject", "id"): (_in("subject", id="S2"), "subject"),
@@ -109,8 +119,12 @@ CHANGES: dict[tuple[str, str], tuple[Change, str | None]] = {
     **{("imaging", key): (_instead("imaging", **table), "imaging") for key, table in {
         "mri": {"mri": "mri2"},
         "labels": {"mri": "mri", "labels": "labels.nii.gz"},
-        "skin": {"skin": "skin.stl", "bones": ["bone.stl"]},
-        "bones": {"skin": "skin.stl", "bones": ["bone.stl"]},
+        "skin": _SURFACES,
+        "bones": _SURFACES,
+        "bodies": {"bodies": "skin.stl"},
+        "unit": {**_SURFACES, "unit": "m"},
+        "scale": {**_SURFACES, "scale": 2.0},
+        "limb": {**_SURFACES, "limb": "right"},
         "bone": _SCAN,
         "bone_radius_mm": {**_SCAN, "bone_radius_mm": 13.0},
         "skin_scale_fraction": {**_SCAN, "skin_scale_fraction": 0.02},
@@ -118,6 +132,8 @@ CHANGES: dict[tuple[str, str], tuple[Change, str | None]] = {
         "fibres": {"mri": "mri", "fibres": "fibres.nii.gz"},
         "fibre_frame": {"mri": "mri", "fibres": "fibres.nii.gz", "fibre_frame": "lps"},
     }.items()},
+    **{("socket", key): (_instead("socket", **{**beside, key: value}), "socket")
+       for key, (value, beside) in _SOCKET.items()},
     ("probe", "name"): (_in("probe", name="another"), None),
     ("probe", "length_mm"): (_in("probe", length_mm=31.0), "probe"),
     ("probe", "width_mm"): (_in("probe", width_mm=13.0), "probe"),
@@ -152,10 +168,11 @@ CHANGES: dict[tuple[str, str], tuple[Change, str | None]] = {
        for table, values in _VALUES.items() for key, value in values.items()},
 }  # fmt: skip
 # What is not a value: tables, whose keys are listed, and the name of a site, which names its results.
+# A liner is refused.
 _TABLES = {("site", key) for key in ("name", "pennation", "state", "noise", "layers", *schema.INSTRUMENTS)}
 SCHEMA = {
     "subject": schema.SUBJECT, "files": schema.FILES, "imaging": schema.IMAGING, "probe": schema.PROBE,
     "model": schema.MODEL, "site": schema.SITE, "noise": schema.NOISE, "layer": schema.LAYER,
-    "pennation": schema.PENNATION, "state": schema.STATE, **schema.INSTRUMENTS,
+    "socket": schema.SOCKET, "pennation": schema.PENNATION, "state": schema.STATE, **schema.INSTRUMENTS,
 }  # fmt: skip
-EVERY_KEY = {(table, key) for table, keys in SCHEMA.items() for key in keys} - _TABLES
+EVERY_KEY = {(table, key) for table, keys in SCHEMA.items() for key in keys} - _TABLES - {("socket", "liner")}

@@ -12,7 +12,7 @@ import numpy as np
 from limbcli.case import Site
 from limbcli.drawing import save_figure
 from limbcli.inference.adaptive import Intervals
-from limbcli.inference.agreement import speed_agreement, tissue_agreement, worst
+from limbcli.inference.agreement import ORDER, speed_agreement, tissue_agreement
 from limbcli.inference.geometry_uncertainty import ends
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS
 from limbcli.inference.two_step_fit import MOONEY_RIVLIN, OGDEN
@@ -230,15 +230,16 @@ def write_agreement(found: Identified, writer: StageWriter) -> None:
             c_deviation=found.stiffness.force_deviation,
         )  # fmt: skip
         told["speeds"] = met.to_json()
-    parts = [told[name] for name in ("tissue", "force", "speeds") if name in told]
-    told["state"] = worst(each["state"] for each in parts)
+    parts = [told[name] for name in ("force", "tissue", "speeds") if name in told]
+    parts.sort(key=lambda each: ORDER.index(each["state"]), reverse=True)  # the worst first
+    told["state"] = parts[0]["state"]
     writer.summary[:0] = [f"{each['state']}: {each['words']}" for each in parts]
 
 
 def _at_lower_bound(last: Mapping[str, Any]) -> list[str]:
     """Names of the parameters of a step that ended on their lower bound."""
     lowest = {"f_kappa": F_KAPPA_BOUNDS[0], "m": M_BOUNDS[0]}
-    at_bound = [name for name in NAMES if last["flags"][name] == "at bound"]
+    at_bound = [name for name in NAMES if last["flags"][name] == Flag.AT_BOUND]
     return [name for name in at_bound if last["parameters"][name]["value"] <= 1.01 * lowest[name]]
 
 
