@@ -10,7 +10,7 @@ that of the counted noise, and R2. Runs: the chance of so few changes of sign al
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
