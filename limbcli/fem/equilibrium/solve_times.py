@@ -27,8 +27,9 @@ def step_times(
     Automatic time steps grow towards the largest step size as in FEBio when every step converges easily;
     where this solver does not, it subdivides the step. With `dtforce` every step has the largest size. A
     must-point is met by a shortened step, after which steps continue at the previous size. Without automatic
-    stepping, the steps between two must-points are of equal length. Steps are added up one by one as in
-    FEBio, since the round-off of the sum decides on which side of a jump of a load curve a time lies.
+    stepping, the steps between two must-points are of equal length. Between must-points steps are added up
+    one by one as in FEBio, since the round-off of the sum decides on which side of a jump of a load curve a
+    time lies; without must-points the end is such a sum, too.
 
     begin : time (s) at which the step begins
     every : include the time steps between must-points, for a path-dependent response
@@ -60,7 +61,7 @@ def step_times(
     if step.adaptive:
         most = largest(begin) if largest else step.dt_max
         dt = most if forced and most else min(max(dt, step.dt_min), most or math.inf)
-    elif inner:
+    elif step.must_points:
         return [time for ends in itertools.pairwise([begin, *inner, end]) for time in _evenly(*ends, dt)]
     goals, times = [*inner, end], [begin]
     while end - times[-1] > near:
@@ -72,7 +73,7 @@ def step_times(
                 else min(dt + _GROWTH * max(most - dt, 0.0), _MOST * dt, max(most, step.dt_min))
             )
         goal = next(each for each in goals if each > times[-1])
-        meets = goal <= times[-1] + dt + (near if inner else 0.0)
+        meets = goal <= times[-1] + dt + (near if step.must_points else 0.0)
         times.append(goal if meets and step.adaptive else times[-1] + dt)
     return times[1:]
 
