@@ -10,7 +10,7 @@ that of the counted noise, and R2. Runs: the chance of so few changes of sign al
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -189,14 +189,6 @@ def chi_square_agreement(chi_square: float, n_freedom: int) -> FitAgreement:
     return _judged(
         numbers, bad=False, good="the fit agrees with the data", poor="the fit does not reproduce the data"
     )
-
-
-def worst(states: Iterable[State]) -> State:
-    """
-    >>> worst(["good", "doubtful", "untested"]), worst([])
-    ('doubtful', 'untested')
-    """
-    return max(states, key=ORDER.index, default="untested")
 
 
 def _numbers(

@@ -119,7 +119,8 @@ def test_the_verdict_stands_first_in_the_summary_and_in_the_result(tmp_path, fac
     with open_stage(tmp_path, "fit", subject="S1", site="p1") as writer:
         tables = {step.name: step_table(found, k) for k, step in enumerate(found.steps)}
         writer.data.update(
-            steps=tables, element="tet10", n_iterations=3, n_solves=4, noise={"swe_level_fraction": 0.05},
+            steps=tables, element="tet10", n_iterations=3, n_solves=4, n_interval_solves=0,
+            noise={"swe_level_fraction": 0.05},
             swe={"loaded_measured_m_per_s": measured,
                  "loaded_predicted_m_per_s": [2.35, 2.65, 2.95][: len(measured)]},
         )  # fmt: skip
@@ -128,7 +129,8 @@ def test_the_verdict_stands_first_in_the_summary_and_in_the_result(tmp_path, fac
     result = read_result(tmp_path, "fit", site="p1")
     told = result.data["agreement"]
     assert told["state"] == state, result.summary[:2]
-    assert result.summary[0] == f"{told['force']['state']}: {told['force']['words']}"
+    first = told["speeds" if told["force"]["state"] == "good" and state == "bad" else "force"]
+    assert result.summary[0] == f"{state}: {first['words']}", "the worst"
     assert ("speeds" in told) == bool(measured)
     assert result.data["misfit"]["poor"] == (told["force"]["state"] == "bad")
     assert len(told["force"]["counted_noise_n"]) == len(told["force"]["depths_mm"]) == 5
