@@ -172,7 +172,11 @@ class Material:
 
 @dataclass(frozen=True)
 class Domain:
-    """A solid block and its material. `rule` names a special element formulation ("TET10G4", "ut4-solid")."""
+    """A solid block and its material.
+
+    rule : a special element formulation ("TET10G4", "ut4-solid"); "elastic-solid" where FEBio would use its
+        three-field element (`materials.laws.is_three_field`)
+    """
 
     block: str
     material: str

@@ -87,11 +87,12 @@ class UnpackingBudget:
             If it is corrupt, or more than the budget.
         """
         packer = zlib.decompressobj(-zlib.MAX_WBITS)
-        while content:
-            self.spend(len(packer.decompress(content, _CHUNK)))
+        while not packer.eof:
+            unpacked = packer.decompress(content, _CHUNK)
             content = packer.unconsumed_tail
-        if not packer.eof:
-            raise zlib.error("it ends early")
+            if not unpacked and not packer.eof:
+                raise zlib.error("it ends early")
+            self.spend(len(unpacked))
 
     def part(self, package: zipfile.ZipFile, name: str) -> bytes:
         """One part of a ZIP file.

@@ -92,6 +92,19 @@ def test_deflated_dicom_is_read_within_the_budget(tmp_path: Path, monkeypatch: p
         read_series(folder)
 
 
+@pytest.mark.parametrize("beyond", [-1, 0, 1, 100, 300])
+def test_a_deflated_stream_is_counted_to_its_end(beyond: int) -> None:
+    """Also where the last bytes are still to come out when all of the input has gone in."""
+    packer = zlib.compressobj(wbits=-zlib.MAX_WBITS)
+    n_bytes = (1 << 20) + beyond
+    content = packer.compress(bytes(n_bytes)) + packer.flush()
+    budget = Budget(2 * n_bytes)
+    budget.measure_deflated(content)
+    assert budget.left == n_bytes
+    with pytest.raises(zlib.error, match="ends early"):
+        Budget().measure_deflated(content[:-3])
+
+
 def test_damaged_deflated_dicom_is_refused(tmp_path: Path) -> None:
     path = sorted(deflated(tmp_path).glob("*.dcm"))[1]
     content = bytearray(path.read_bytes())

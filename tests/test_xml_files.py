@@ -97,7 +97,7 @@ def test_a_document_type_is_refused_in_every_format(tmp_path: Path, write, read,
 
 
 def test_an_entity_in_an_attribute_is_not_expanded(tmp_path: Path) -> None:
-    """It was: the guard looked at the content of elements only."""
+    """A guard that looks at the content of elements alone does not see it."""
     path = write_feb(tmp_path, '<!DOCTYPE x [<!ENTITY c "0.5">]>\n')
     path.write_text(path.read_text().replace('version="4.0"', 'version="&c;"', 1))
     with pytest.raises(LimbError, match="document type"):
@@ -137,7 +137,7 @@ def test_text_beside_the_tags_of_a_model_is_not_passed_over(tmp_path: Path, old:
     "inside", ["<!-- two of four -->", '<InformationKey name="L2"><Value>7</Value></InformationKey>']
 )
 def test_numbers_after_a_tag_in_an_array_count(tmp_path: Path, inside: str) -> None:
-    """VTK writes `InformationKey` between the tags of an array; the numbers after it were left out."""
+    """VTK writes `InformationKey` into an array; the numbers after it belong to the array, too."""
     path = tmp_path / "skin.vtu"
     path.write_text(VTU.format(inside=inside))
     points, faces = read_vtk_xml(path)

@@ -53,19 +53,6 @@ class Case:
             f"Case({str(self.folder)!r}: subject {self.subject}, {self.limb} limb, sites {names or 'none'})"
         )
 
-    @property
-    def file(self) -> Path:
-        """case.toml itself."""
-        return self.folder / CASE_FILE
-
-    def __str__(self) -> str:
-        sites = ", ".join(each.name for each in self.sites) or "none"
-        return f"{self.subject}, {self.limb} limb: {self.folder}; sites: {sites}"
-
-    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
-        """Terminal representation in IPython."""
-        printer.text("..." if cycle else str(self))
-
     def _repr_html_(self) -> str:
         """Notebook representation: the subject, and a row for each site."""
         rows = "".join(
@@ -80,6 +67,11 @@ class Case:
             "<table><tr><th>site</th><th>place (patient LPS, mm)</th><th>long axis</th><th>levels</th></tr>"
             f"{rows}</table></div>"
         )
+
+    @property
+    def file(self) -> Path:
+        """case.toml itself."""
+        return self.folder / CASE_FILE
 
     @staticmethod
     def open(folder: Path | str) -> Case:

@@ -70,5 +70,5 @@ def _list(items: Schema) -> Schema:
 
 def _labels() -> Schema:
     one = {"type": "object", "required": ["file"], "additionalProperties": {"type": "string"}}
-    either = {"anyOf": [{"type": "string"}, one]}
-    return {"anyOf": [*either["anyOf"], _list(either)]}
+    either: list[Schema] = [{"type": "string"}, one]
+    return {"anyOf": [*either, _list({"anyOf": either})]}

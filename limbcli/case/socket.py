@@ -95,7 +95,8 @@ def _at_odds(values: Mapping[str, Any], file: str) -> list[Problem]:
     """Keys that contradict each other."""
     found = []
     if values["loads_n"] != sorted(values["loads_n"]):
-        found.append(Problem("socket.loads_n falls", file, "give the loads in ascending order"))
+        what = "socket.loads_n is not in ascending order"
+        found.append(Problem(what, file, "give the smallest load first"))
     if values["surface"] is None:
         for key in ("align", "landmarks"):
             if values[key]:
@@ -123,8 +124,8 @@ def _points(
         else:
             points[name] = (float(each[0]), float(each[1]), float(each[2]))
     if table and len(table) < _FEWEST:
-        what = f"[socket.landmarks] has {len(table)}"
-        problems.append(Problem(what, file, "give at least three, by the names of the limb's landmarks"))
+        what = f"[socket.landmarks] has {len(table)} of the {_FEWEST} or more points that place a socket"
+        problems.append(Problem(what, file, "add points, by the names of the limb's landmarks"))
     return points, problems
 
 

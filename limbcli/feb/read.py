@@ -35,7 +35,7 @@ from limbcli.feb.read_output import read_output
 from limbcli.feb.rigid_centres import with_centres
 from limbcli.feb.units import scaled, units_scale
 from limbcli.feb.xml import UNITS, Tag, drop_empty, open_model, units_of
-from limbcli.materials import LAWS
+from limbcli.materials.laws import is_three_field
 from limbcli.model import FIBRES, Array, Curved, Domain, ElementMap, LimbModel, Material, Mesh, Step, Surface
 
 IGNORED = "ignored"  # key in `info` of what was left out, since it cannot change a result; not written
@@ -219,8 +219,7 @@ def _domain(
     if tag.name == "ShellDomain":
         raise tag.problem("shells of deformable material are not supported", fix="use solid elements")
     _refuse_other_maps(tag, name, materials.materials[material])
-    law = LAWS.get(materials.materials[material].law)
-    three_field = block.kind in ("hex8", "penta6") and law is not None and law.uncoupled
+    three_field = is_three_field(materials.materials[material].law, block.kind)
     return [_solid_domain(tag, name, material, mesh.rules.get(name), three_field)]
 
 

@@ -18,7 +18,7 @@ TYPES_WITH_RULE = {
     "TET10G8": "tet10", "TET10G8_S7": "tet10", "HEX8G8": "hex8",
     "QUAD4G8": "quad4", "TRI3G6": "tri3", "tri3s": "tri3", "q4s": "quad4", "q4ans": "quad4", "q4eas": "quad4",
 }  # fmt: skip
-DEFAULT_RULES = (None, "TET10G8", "TET10G8_S7", "HEX8G8")
+DEFAULT_RULES = (None, "TET10G8", "TET10G8_S7", "HEX8G8", "PENTA6G6")
 _SECTIONS = (
     "Nodes", "Elements", "NodeSet", "Surface", "SurfacePair", "ElementSet", "Edge", "PartList", "DiscreteSet",
 )  # fmt: skip

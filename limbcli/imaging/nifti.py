@@ -50,9 +50,6 @@ def read_nifti(path: Path) -> Volume:
         position; each with its own message.
     """
     image = _opened(path)
-    if not isinstance(image, nib.Nifti1Image):
-        what = f"the file is {type(image).__name__}, whose position in the patient is not reliable"
-        raise CaseError(what, where=str(path), fix=_SAVE)
     _scalar(image, path)
     shape = _one_volume(tuple(image.shape), path)
     if math.prod(shape) > MOST_VOXELS:
@@ -93,7 +90,7 @@ def _packed(path: Path) -> nib.Nifti1Image:
     head = UnpackingBudget().gunzip(content, first=_HEADER)
     kind = _kind(head).header_class
     header = kind(head[: kind.sizeof_hdr], check=False)
-    begin, n_values = float(header["vox_offset"]), math.prod(max(1, int(n)) for n in header["dim"][1:])
+    begin, n_values = float(header["vox_offset"]), math.prod(max(1, n) for n in header.get_data_shape())
     if not 0 <= begin <= _MOST_BEFORE or n_values > 3 * MOST_VOXELS:
         raise ValueError(f"its data begin at byte {begin:g}, and are {n_values} values")
     n_bytes = int(begin) + n_values * header.get_data_dtype().itemsize
@@ -110,7 +107,7 @@ def _kind(head: bytes) -> type[nib.Nifti1Image]:
     return kind
 
 
-def _opened(path: Path) -> object:
+def _opened(path: Path) -> nib.Nifti1Image:
     try:
         return open_nifti(path)
     except NIFTI_DAMAGED as error:

@@ -26,9 +26,7 @@ _SKIN, _BONES, _MARKER = "#ffd400", ("#ff3b30", "#28c8ff", "#7cfc00", "#ff8cff")
 _FAT = "#58d68d"
 _PANEL_INCHES = 1.85
 _MARGINS = Margins(left=0.5, above=0.17, below=0.75)
-_OBLIQUE_MM = (
-    1.0  # largest error of a coordinate read from the axes of a slice that is not square to the patient
-)
+_OBLIQUE_MM = 1.0  # largest error of a coordinate read from the axes of a slice oblique to the patient
 
 
 @dataclass(frozen=True)
@@ -55,18 +53,20 @@ def slice_axes(image: Volume, window: Sequence[slice]) -> tuple[SliceAxis, Slice
     spans = np.array([each.stop - each.start for each in window]) * image.spacing
     middle = np.array([[0.5 * (each.start + each.stop - 1) for each in window]])
     directions = image.affine[:3, :3] / image.spacing
-    found = []
-    for n in range(2):
+
+    def along(n: int) -> SliceAxis | None:
         axis = int(np.argmax(np.abs(directions[:, n])))
         sign = float(np.sign(directions[axis, n]))
         lost = np.abs(directions[axis] - sign * (np.arange(3) == n))
         if float(0.5 * lost @ spans) > _OBLIQUE_MM:
-            return tuple(  # type: ignore[return-value]
-                SliceAxis(0.0, 1.0, f"mm along {name} (not LPS)") for name in "ij"
-            )
+            return None
         first = image.to_patient(middle)[0, axis] - sign * middle[0, n] * image.spacing[n]
-        found.append(SliceAxis(float(first), sign, f"{'xyz'[axis]} (LPS), mm"))
-    return found[0], found[1]
+        return SliceAxis(float(first), sign, f"{'xyz'[axis]} (LPS), mm")
+
+    across, down = along(0), along(1)
+    if across is None or down is None:
+        return SliceAxis(0.0, 1.0, "mm along i (not LPS)"), SliceAxis(0.0, 1.0, "mm along j (not LPS)")
+    return across, down
 
 
 def contact_sheet(

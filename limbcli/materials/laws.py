@@ -22,6 +22,20 @@ LAWS: dict[str, Law] = {
     each.LAW.name: each.LAW
     for each in (ogden, ogden_uncoupled, mooney_rivlin, neo_hooke, holmes_mow, fiber, active_contraction)
 }
+_THREE_FIELD = ("hex8", "penta6")
+
+
+def is_three_field(law: str, kind: str) -> bool:
+    """Whether FEBio by default keeps the pressure constant in each cell of a kind (three-field element).
+
+    In hexahedra and wedges whose material is itself an uncoupled law, not a mixture or wrapper of one.
+
+    Source: FEBio 4.11, FESolidDomainFactory::CreateDomain.
+
+    >>> is_three_field("mooney_rivlin", "hex8"), is_three_field("mixture", "hex8")
+    (True, False)
+    """
+    return kind in _THREE_FIELD and law in LAWS and LAWS[law].uncoupled
 
 
 def register(law: Law) -> None:

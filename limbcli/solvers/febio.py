@@ -235,7 +235,7 @@ def _say_untouched(feb: Path, outline: Outline, log: Path, progress: Progress) -
         model = read_feb(feb)
         for sentence in without_force(model, logged_poses(model, tables)):
             progress.event("note", text=sentence)
-            with log.open("a") as stream:
+            with log.open("a", encoding="utf-8") as stream:
                 stream.write(warning_box(sentence))
 
 

@@ -51,7 +51,7 @@ class RunFiles:
         self._stack = contextlib.ExitStack()
         for name in (LOG_FILE, *(record.file for record in model.records)):
             (folder / name).unlink(missing_ok=True)
-        self._log = self._stack.enter_context((folder / LOG_FILE).open("w"))
+        self._log = self._stack.enter_context((folder / LOG_FILE).open("w", encoding="utf-8"))
         self._files: dict[str, IO[str]] = {}
         self._finished = False
         self._said_solver = False

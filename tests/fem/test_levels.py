@@ -12,7 +12,7 @@ from small_models import block
 
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.equilibrium.newton import Settings
-from limbcli.fem.equilibrium.solve_times import step_times
+from limbcli.fem.equilibrium.solve_times import listed_times, step_times
 from limbcli.model import Curve, Step
 
 
@@ -55,6 +55,17 @@ def test_steps_of_one_size_are_alike_from_must_point_to_must_point() -> None:
     times = np.array([0.0, *step_times(step, every=True)])
     np.testing.assert_allclose(np.diff(times), [0.059] * 8 + [0.064] * 2)
     assert set(musts) <= set(times)
+
+
+@pytest.mark.parametrize("adaptive", [True, False])
+@pytest.mark.parametrize("begin", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("n_steps", [7, 10, 20])
+def test_a_must_point_at_the_end_is_met_to_the_last_digit(n_steps: int, begin: float, adaptive: bool) -> None:
+    """Although ten steps of 0.1 s add up to less than 1 s."""
+    step = Step(n_steps, 0.1, must_points=(round(n_steps * 0.1, 12),), adaptive=adaptive)
+    times = step_times(step, begin=begin, every=True)
+    assert len(times) == n_steps
+    assert {times[-1]} == set(step_times(step, begin=begin)) == listed_times(step, begin)
 
 
 def test_no_step_is_longer_than_the_largest() -> None:

@@ -147,6 +147,8 @@ def test_contact_of_uncoupled_hexahedra_is_solved_and_differentiated() -> None:
     [
         ("hex8", "three-field-solid", None), ("hex8", "elastic-solid", "elastic-solid"),
         ("penta6", "elastic-solid", "elastic-solid"), ("tet10", "elastic-solid", None),
+        ("hex8", 'elastic-solid" elem_type="HEX8G8', "elastic-solid"),
+        ("penta6", 'elastic-solid" elem_type="PENTA6G6', "elastic-solid"),
     ],
 )  # fmt: skip
 def test_the_formulation_of_a_file_is_kept(tmp_path: Path, kind: str, type_: str, rule: str | None) -> None:

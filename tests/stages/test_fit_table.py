@@ -129,7 +129,7 @@ def test_the_verdict_stands_first_in_the_summary_and_in_the_result(tmp_path, fac
     result = read_result(tmp_path, "fit", site="p1")
     told = result.data["agreement"]
     assert told["state"] == state, result.summary[:2]
-    parts = [told[name] for name in ("force", "tissue", "speeds") if name in told]
+    parts = [told[name] for name in ("tissue", "force", "speeds") if name in told]
     decides = next(each for each in parts if each["state"] == state)
     assert result.summary[0] == f"{state}: {decides['words']}"
     assert f"{told['force']['state']}: {told['force']['words']}" in result.summary

@@ -12,14 +12,14 @@ from limbcli.errors import MeshError, SolveError
 from limbcli.fem.elements.element import reference_gradients, shape
 from limbcli.fem.elements.quadrature import rule
 from limbcli.fem.elements.simd_kernels import WIDTH
-from limbcli.materials import LAWS, Compiled, Program, compile_material
+from limbcli.materials import Compiled, Program, compile_material
+from limbcli.materials.laws import is_three_field
 from limbcli.materials.program import CurveAt, jumping
 from limbcli.materials.simd import LANES
 from limbcli.materials.stress import _evaluate
 from limbcli.model import Array, Block, Curved, Domain, IntArray, LimbModel
 
 _NO_HISTORY = np.zeros((0, 1, 6))
-_THREE_FIELD = ("hex8", "penta6")  # kinds in which FEBio keeps the pressure of an uncoupled law constant
 _RULES = {"tet10": ("TET10G8", "TET10G4"), "tet4": ("TET4G1",), "hex8": ("HEX8G8",), "penta6": ("PENTA6G6",)}
 
 
@@ -194,13 +194,9 @@ def _group(model: LimbModel, domain: Domain, block: Block, first: int) -> Group:
 
 
 def has_mean_pressure(model: LimbModel, domain: Domain, block: Block) -> bool:
-    """Whether FEBio uses its three-field element in a domain.
-
-    For hexahedra and wedges whose material is itself an uncoupled law, not a mixture or wrapper of one,
-    unless the domain asks for "elastic-solid" (FEBio 4.11, FESolidDomainFactory::CreateDomain).
-    """
-    law = LAWS.get(model.materials[domain.material].law)
-    return block.kind in _THREE_FIELD and law is not None and law.uncoupled and domain.rule != "elastic-solid"
+    """Whether the pressure is constant in each cell of a domain, as FEBio has it (`is_three_field`)."""
+    is_default = is_three_field(model.materials[domain.material].law, block.kind)
+    return is_default and domain.rule != "elastic-solid"
 
 
 def differs_from_pointwise(model: LimbModel) -> bool:
@@ -211,8 +207,6 @@ def differs_from_pointwise(model: LimbModel) -> bool:
 
 def _rule(domain: Domain, block: Block) -> str:
     if domain.rule is None or domain.rule in ("elastic-solid", "solid"):
-        return block.kind
-    if domain.rule == "three-field-solid" and block.kind in _THREE_FIELD:
         return block.kind
     known = _RULES.get(block.kind, ())
     if domain.rule not in known:

@@ -19,32 +19,36 @@ from limbcli.fem.elements.kernels import _cofactor, _gather, _gradient
 from limbcli.model import Array
 
 
-def mean_ratios(o: Operands, J: Array) -> Array:
-    """theta (n_cells,) from the volume ratios J (n_cells, n_gauss)."""
-    return np.asarray((o.weight * J).sum(axis=1) / o.weight.sum(axis=1))
+def _positive_ratios(o: Operands, J: Array) -> Array:
+    """theta (n_cells,) from the volume ratios J (n_cells, n_gauss); 1 in inverted cells."""
+    theta = (o.weight * J).sum(axis=1) / o.weight.sum(axis=1)
+    return np.where(theta > 0, theta, 1.0)
+
+
+def _pressure_per_bulk(o: Operands, J: Array) -> Array:
+    theta = _positive_ratios(o, J)
+    return np.asarray(np.log(theta) / theta)
 
 
 def pressures(o: Operands, J: Array) -> Array:
     """Mean stress U'(theta) (n_cells,), positive in tension, MPa; 0 in inverted cells."""
     assert o.bulk is not None
-    theta = mean_ratios(o, J)
-    safe = np.where(theta > 0, theta, 1.0)
-    return np.asarray(o.bulk * np.log(safe) / safe)
+    return np.asarray(o.bulk * _pressure_per_bulk(o, J))
 
 
 def equivalent_volumes(o: Operands, J: Array) -> Array:
-    """Volume ratios (n_cells, n_gauss) that exceed J by p/k: with Lame's lambda = k, the element loops for
-    independent volume ratios then apply the pressure p."""
-    assert o.bulk is not None
-    return np.asarray(J + (pressures(o, J) / o.bulk)[:, None])
+    """Volume ratios (n_cells, n_gauss) that exceed J by p/k.
+
+    With Lame's lambda = k, the element loops for independent volume ratios then apply the pressure p.
+    """
+    return np.asarray(J + _pressure_per_bulk(o, J)[:, None])
 
 
 def stiffnesses(o: Operands, J: Array) -> Array:
     """U''(theta)/V (n_cells,), MPa/mm3."""
     assert o.bulk is not None
-    theta = mean_ratios(o, J)
-    safe = np.where(theta > 0, theta, 1.0)
-    return np.asarray(o.bulk * (1.0 - np.log(safe)) / safe**2 / o.weight.sum(axis=1))
+    theta = _positive_ratios(o, J)
+    return np.asarray(o.bulk * (1.0 - np.log(theta)) / theta**2 / o.weight.sum(axis=1))
 
 
 def volume_gradients(o: Operands, u: Array) -> Array:

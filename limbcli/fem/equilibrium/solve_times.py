@@ -27,8 +27,9 @@ def step_times(
     Automatic time steps grow towards the largest step size as in FEBio when every step converges easily;
     where this solver does not, it subdivides the step. With `dtforce` every step has the largest size. A
     must-point is met by a shortened step, after which steps continue at the previous size. Without automatic
-    stepping, the steps between two must-points are of equal length. Steps are added up one by one as in
-    FEBio, since the round-off of the sum decides on which side of a jump of a load curve a time lies.
+    stepping, the steps between two must-points are of equal length. Between must-points steps are added up
+    one by one as in FEBio, since the round-off of the sum decides on which side of a jump of a load curve a
+    time lies; without must-points the end is such a sum, too.
 
     begin : time (s) at which the step begins
     every : include the time steps between must-points, for a path-dependent response

@@ -14,7 +14,6 @@ from limbcli.drawing import save_figure
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.agreement import ORDER, speed_agreement, tissue_agreement
 from limbcli.inference.geometry_uncertainty import ends
-from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS
 from limbcli.inference.two_step_fit import MOONEY_RIVLIN, OGDEN
 from limbcli.interval_limits import Flag
 from limbcli.model import LimbModel
@@ -183,7 +182,8 @@ def summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) -
             "counted_noise_n": counted_deviation(found, found.steps[-1]),
         },
     }
-    tissue = tissue_agreement(last["parameters"]["f_kappa"]["high"], _at_lower_bound(last))
+    at_lower_bound = [name for name in NAMES if last["parameters"][name]["bound"] == "lower"]
+    tissue = tissue_agreement(last["parameters"]["f_kappa"]["high"], at_lower_bound)
     if tissue is not None:
         writer.data["agreement"]["tissue"] = tissue.to_json()
         if tissue.state == "bad":
@@ -220,7 +220,7 @@ def _effort(data: Mapping[str, Any]) -> str:
 
 
 def write_agreement(found: Identified, writer: StageWriter) -> None:
-    """Complete `agreement` by the speeds, if they were predicted, and put it at the top of the summary."""
+    """Complete `agreement` by the speeds, if predicted; its parts begin the summary, worst first."""
     told = writer.data["agreement"]
     speeds = writer.data.get("swe")
     if speeds is not None and len(speeds["loaded_measured_m_per_s"]):
@@ -230,17 +230,10 @@ def write_agreement(found: Identified, writer: StageWriter) -> None:
             c_deviation=found.stiffness.force_deviation,
         )  # fmt: skip
         told["speeds"] = met.to_json()
-    parts = [told[name] for name in ("force", "tissue", "speeds") if name in told]
-    parts.sort(key=lambda each: ORDER.index(each["state"]), reverse=True)  # the worst first
+    parts = [told[name] for name in ("tissue", "force", "speeds") if name in told]
+    parts.sort(key=lambda each: ORDER.index(each["state"]), reverse=True)
     told["state"] = parts[0]["state"]
     writer.summary[:0] = [f"{each['state']}: {each['words']}" for each in parts]
-
-
-def _at_lower_bound(last: Mapping[str, Any]) -> list[str]:
-    """Names of the parameters of a step that ended on their lower bound."""
-    lowest = {"f_kappa": F_KAPPA_BOUNDS[0], "m": M_BOUNDS[0]}
-    at_bound = [name for name in NAMES if last["flags"][name] == Flag.AT_BOUND]
-    return [name for name in at_bound if last["parameters"][name]["value"] <= 1.01 * lowest[name]]
 
 
 _POOR = (
