@@ -157,7 +157,7 @@ def _from_file(
         alignment = by_landmarks(*_pairs(limb, given.landmarks), where="[socket.landmarks]")
         face = inner_face(surface.moved(alignment.transform), line, where=where)
     elif given.align:
-        own = inner_face(surface, own_line(surface), where=where)
+        own = inner_face(surface, own_line(surface, where=where), where=where)
         alignment = align(own, skin, line, where=where)
         face = own.moved(alignment.transform)
     else:
