@@ -66,8 +66,6 @@ def test_values_reach_the_function_as_python_takes_them(like: Any, words: list[s
     assert passed_on("S12", *words, like=like)[name] == value
 
 
-@pytest.mark.parametrize(
-    "words", [["--limb", "middle"], ["--seed", "bone=1,2"], ["--seed", "skin=1,2,3"], ["--smooth", "6"]]
-)
+@pytest.mark.parametrize("words", [["--seed", "bone=1,2"], ["--seed", "skin=1,2,3"], ["--smooth", "6"]])
 def test_values_that_no_command_takes_end_with_exit_code_2(words: list[str]):
     assert passed_on("S12", *words, like=segment) == {"exit_code": 2}
