@@ -110,9 +110,8 @@ def align(
         transform = _to_planes(few, near, start, _ROUNDS)
         found.append((_residual(few, near, transform)[0], transform))
     found.sort(key=lambda each: each[0])
-    refined = [(t, *_residual(samples, near, t)) for t in
-               (_to_planes(samples, near, found[0][1], _MORE_ROUNDS),)]  # fmt: skip
-    best, rms, distance = refined[0]
+    best = _to_planes(samples, near, found[0][1], _MORE_ROUNDS)
+    rms, distance = _residual(samples, near, best)
     limit = max(_AS_GOOD[0] * found[0][0], found[0][0] + _AS_GOOD[1])
     for coarse, other in found[1:]:
         angle = _angle(other @ np.linalg.inv(best))
