@@ -6,6 +6,7 @@ Source: Kabsch 1976, Acta Cryst. A32, 922 (rotation of landmarks); Chen and Medi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,8 +48,12 @@ class Alignment:
         )
 
 
-def by_landmarks(socket: Array, limb: Array, *, where: str = "landmarks") -> Alignment:
+def by_landmarks(
+    socket: Array, limb: Array, *, names: Sequence[str] = (), where: str = "landmarks"
+) -> Alignment:
     """The rigid transform that takes landmarks (n, 3) of the socket to the limb's, by least squares.
+
+    names : of the landmarks, for messages; default: their numbers
 
     Raises
     ------
@@ -74,9 +79,9 @@ def by_landmarks(socket: Array, limb: Array, *, where: str = "landmarks") -> Ali
     if distance.max() > _MOST_LANDMARK_MM:
         k = int(np.argmax(distance))
         raise MeshError(
-            f"landmark {k + 1} lies {distance[k]:.0f} mm off after alignment",
+            f"landmark {names[k] if names else k + 1} lies {distance[k]:.0f} mm off after alignment",
             where=where,
-            fix="check its coordinates, the order of the landmarks and the side (left or right)",
+            fix="check its place and the others', and the side (left or right)",
             distance_mm=float(distance[k]),
         )
     return _alignment(transform, distance)
