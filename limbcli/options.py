@@ -20,6 +20,7 @@ from limbcli.mesh_bounds import ELEMENTS, MARGIN_MM
 
 Bounds: TypeAlias = tuple[float | None, float | None]
 SolverName = Literal["auto", "febio", "reference"]
+LawName = Literal["ogden", "mooney-rivlin", "neo-hooke", "two-term-ogden", "holmes-mow", "fibres"]
 _ANNOTATED = "Annotated["
 _PLAIN = (str, int, float, bool)
 
@@ -34,6 +35,7 @@ class Option:
     kind : type on the command line, if it is not the argument's own
     example : of a table of numbers, for the message of an argument that is none
     before : argument before which the command line lists it
+    such_as : what its value may be or begin with, for completion; besides the words of its type
     """
 
     help: str
@@ -46,6 +48,7 @@ class Option:
     kind: Any = None
     example: Mapping[str, float] | None = None
     before: str = ""
+    such_as: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -98,11 +98,11 @@ def test_a_deflated_stream_is_counted_to_its_end(beyond: int) -> None:
     packer = zlib.compressobj(wbits=-zlib.MAX_WBITS)
     n_bytes = (1 << 20) + beyond
     content = packer.compress(bytes(n_bytes)) + packer.flush()
-    budget = Budget(2 * n_bytes)
+    budget = UnpackingBudget(2 * n_bytes)
     budget.measure_deflated(content)
     assert budget.left == n_bytes
     with pytest.raises(zlib.error, match="ends early"):
-        Budget().measure_deflated(content[:-3])
+        UnpackingBudget().measure_deflated(content[:-3])
 
 
 def test_damaged_deflated_dicom_is_refused(tmp_path: Path) -> None:

@@ -26,6 +26,7 @@ from limbcli.results import StageResult
 if TYPE_CHECKING:
     from limbcli.model import LimbModel
 
+MEASURED = ("tare_n", "force_gain", "first_depth_mm", "rate_ratio")
 _CANDIDATE = ("name", "kind", "sentence", "probability", "ln_bayes_factor")
 
 
@@ -39,8 +40,7 @@ class DiagnosisResult(Result):
     reason : reason of the verdict, as a sentence
     added : effects that were added to the model
     confidence_set : the explanations that together have a probability of 95 %, each a tuple of effects; an
-    empty one
-        is that nothing is missing
+        empty one is that nothing is missing
     probability : of the most probable of them
     sentences : the full account, in reading order
     next_measurement : proposed next measurement; None if there is none
@@ -127,9 +127,10 @@ def diagnose(
     measured: Annotated[
         Mapping[str, float] | None,
         Option(
-            "A separately measured number: tare_n, force_gain, first_depth_mm, rate_ratio.",
+            f"A separately measured number: {', '.join(MEASURED)}.",
             metavar="KEY=VALUE",
             kind=list[str],
+            such_as=tuple(f"{name}=" for name in MEASURED),
             example={"tare_n": 0.4},
         ),
     ] = None,

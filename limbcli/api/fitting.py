@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Annotated
+from typing import Annotated, get_args
 
 from limbcli.api.base import each_site, one
 from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path, names_of
@@ -18,6 +18,7 @@ from limbcli.options import (
     SOLVER,
     TEMPLATES,
     WAIT,
+    LawName,
     Option,
     SolverName,
 )  # fmt: skip
@@ -36,9 +37,9 @@ BOUNDARY_CHECK = Option(
     "Also solve the fitted model with the cut plane free, and with the limb's far side held; the intervals "
     "allow for both."
 )
-CYCLE = Option("Loading cycle to fit, if there are several: a number, or last.", kind=str)
+CYCLE = Option("Loading cycle to fit, if there are several: a number, or last.", kind=str, such_as=("last",))
 LAW = Option(
-    "Law for joint and states: ogden | mooney-rivlin | neo-hooke | two-term-ogden | holmes-mow | fibres.",
+    f"Law for joint and states: {' | '.join(get_args(LawName))}.",
     before="gain_deviation_fraction",
 )
 COMPARE_LAWS = Option(
@@ -104,7 +105,7 @@ def fit_joint(
     *,
     out: Annotated[PathLike | None, OUT] = None,
     sites: Annotated[str | Iterable[str] | None, SITES] = None,
-    law: Annotated[str, LAW] = "ogden",
+    law: Annotated[LawName, LAW] = "ogden",
     compare_laws: Annotated[bool, COMPARE_LAWS] = False,
     c_kpa: Annotated[float | None, C_KPA] = None,
     c_deviation_fraction: Annotated[float | None, C_DEVIATION] = None,
@@ -146,7 +147,7 @@ def fit_states(
     *,
     out: Annotated[PathLike | None, OUT] = None,
     sites: Annotated[str | Iterable[str] | None, SITES] = None,
-    law: Annotated[str, LAW] = "ogden",
+    law: Annotated[LawName, LAW] = "ogden",
     gain_deviation_fraction: Annotated[float | None, GAIN_DEVIATION] = None,
     wait: Annotated[bool, WAIT] = True,
     progress: Annotated[Heard, PROGRESS] = None,

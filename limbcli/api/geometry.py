@@ -21,7 +21,7 @@ Point = tuple[float, float, float]
 SEEDS = Option(
     "A point (patient LPS, mm) in the marrow of a missed bone (bone=...), or in soft tissue wrongly labelled "
     "as bone (soft=...). May be repeated.",
-    flag="--seed", metavar="KIND=X,Y,Z", kind=list[str],
+    flag="--seed", metavar="KIND=X,Y,Z", kind=list[str], such_as=("bone=", "soft="),
     python='Points (x, y, z) (patient LPS, mm), each with its kind: ("bone", point) in the marrow of a '
     'missed bone, ("soft", point) in soft tissue wrongly labelled as bone.',
 )  # fmt: skip

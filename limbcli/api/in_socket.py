@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Self
+from dataclasses import dataclass, field
+from typing import Annotated, Any, ClassVar
 
 from limbcli.api.base import Result, one
 from limbcli.api.call import CaseLike, Heard, PathLike, at_work
@@ -35,6 +35,10 @@ class PatchPressure:
     peak_shear_kpa: float
 
 
+def _patches(found: StageResult) -> tuple[PatchPressure, ...]:
+    return tuple(PatchPressure(**each) for each in found.data["patches"])
+
+
 @dataclass(frozen=True, eq=False)
 class SocketResult(Result):
     """A limb in its socket. `table()` has one row per load and patch.
@@ -49,13 +53,7 @@ class SocketResult(Result):
     stage: ClassVar[str] = "socket"
     friction: float
     loads_n: tuple[float, ...]
-    patches: tuple[PatchPressure, ...]
-
-    @classmethod
-    def of(cls, found: StageResult) -> Self:
-        data = found.data
-        patches = tuple(PatchPressure(**each) for each in data["patches"])
-        return cls(found, data["friction"], tuple(data["loads_n"]), patches)
+    patches: tuple[PatchPressure, ...] = field(metadata={"from": _patches})
 
     def rows(self) -> list[dict[str, Any]]:
         return [self._named(vars(each)) for each in self.patches]

@@ -128,6 +128,7 @@ def build_feb(
             flag="--layer",
             metavar="NAME:KEY=VALUE,...",
             kind=list[str],
+            such_as=("fat:", "skin:"),
             python='By "skin" or "fat" a table of law, c_kpa, f_kappa, m, beta; default: the case\'s, else '
             "assumed values.",
         ),

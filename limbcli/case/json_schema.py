@@ -11,6 +11,7 @@ from typing import Any
 from limbcli.case import schema as schema
 from limbcli.case.imaging import SHAPE
 from limbcli.case.schema import Key
+from limbcli.case.socket import INNER as IN_SOCKET
 from limbcli.version import __version__
 
 FILE = "case.schema.json"
@@ -42,7 +43,7 @@ def case_schema() -> Schema:
         imaging=_table(schema.IMAGING, shape=_table(SHAPE), labels=_labels()),
         probe=_table(schema.PROBE),
         model=_table(schema.MODEL),
-        socket=_table(schema.SOCKET),
+        socket=_table(schema.SOCKET, **IN_SOCKET),
         site=_list(site),
     )
     whole["required"] = ["format", "subject", "imaging", "probe", "site"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +16,17 @@ if TYPE_CHECKING:
     from limbcli.case import Case
 
 _FROM_SKIN = ("rectifications_mm", "all_mm", "transition_mm", "brim_mm", "flare_mm")
-_MOST_MM = 20.0  # largest rectification of a patch
+_rectification = schema.number(-20.0, 20.0, "mm")
 _FEWEST = 3  # landmarks that determine a pose
+# The tables within [socket] as JSON Schemas, by key; a liner is refused.
+INNER: Mapping[str, dict[str, Any]] = {
+    "landmarks": {
+        "type": "object", "additionalProperties": schema.JSON[schema.vector], "minProperties": _FEWEST,
+    },
+    "rectifications_mm": {"type": "object", "additionalProperties": schema.JSON[_rectification]},
+    "liner": {"not": {}},
+}  # fmt: skip
+_LEAST_APART_N = 0.1  # loads that differ by less would share a name in tables and files
 
 
 @dataclass(frozen=True)
@@ -94,9 +104,12 @@ def socket_of(case: Case) -> SocketInput | None:
 def _at_odds(values: Mapping[str, Any], file: str) -> list[Problem]:
     """Keys that contradict each other."""
     found = []
-    if values["loads_n"] != sorted(values["loads_n"]):
-        what = "socket.loads_n is not in ascending order"
-        found.append(Problem(what, file, "give the smallest load first"))
+    for low, high in itertools.pairwise(values["loads_n"]):
+        if high - low < _LEAST_APART_N - 1e-9:
+            what = f"socket.loads_n has {high:g} N after {low:g} N"
+            fix = f"give loads in ascending order, each once, at least {_LEAST_APART_N:g} N apart"
+            found.append(Problem(what, file, fix))
+            break
     if values["surface"] is None:
         for key in ("align", "landmarks"):
             if values[key]:
@@ -130,8 +143,7 @@ def _points(
 
 
 def _amounts(table: Mapping[str, Any], file: str) -> tuple[dict[str, float], list[Problem]]:
-    check = schema.number(-_MOST_MM, _MOST_MM, "mm")
-    wrong = {name: text for name, each in table.items() if (text := check(each))}
+    wrong = {name: text for name, each in table.items() if (text := _rectification(each))}
     problems = [
         Problem(f"socket.rectifications_mm.{name} {text}", file, "give mm, positive into the limb")
         for name, text in wrong.items()

@@ -1,4 +1,4 @@
-"""Options with few possible values: shells complete them, and another value is refused before any work."""
+"""Options with few or known values: shells complete them, and another of few is refused before any work."""
 
 from __future__ import annotations
 
@@ -12,33 +12,28 @@ from limbcli.errors import CaseError
 from limbcli.errors.problems import suggestion
 from limbcli.options import Argument
 
-OBJECTIVES = ("force", "joint", "states")
-LAWS = ("ogden", "mooney-rivlin", "neo-hooke", "two-term-ogden", "holmes-mow", "fibres")
-MEASURED = ("tare_n", "force_gain", "first_depth_mm", "rate_ratio")
-
 
 def of(argument: Argument) -> dict[str, Any]:
     """Arguments of `typer.Option` for an argument with few, or with known, values."""
-    if argument.name in _ONLY:
-        return among(*_ONLY[argument.name])
-    if argument.name == "sites":
-        return {"autocompletion": sites}
-    if argument.name in _SUCH_AS:
-        return such_as(_SUCH_AS[argument.name])
-    if not argument.words:
-        return {}
-    if len(argument.kinds) == 1:
-        return among(*argument.words)
-    return such_as(lambda: argument.words)
+    words = (*argument.words, *argument.option.such_as)
+    complete = _WHEN_ASKED.get(argument.name) or (_those_of(words) if words else None)
+    refuse = _others_than(argument.words) if argument.words and len(argument.kinds) == 1 else None
+    return {"autocompletion": complete, "callback": refuse}
 
 
-def among(*words: str) -> dict[str, Any]:
-    """Arguments of `typer.Option` for an option that takes one of these words.
-
-    >>> among("left", "right")["autocompletion"]("l")
+def _those_of(words: Sequence[str]) -> Callable[[str], list[str]]:
+    """
+    >>> _those_of(["left", "right"])("l")
     ['left']
     """
 
+    def complete(incomplete: str) -> list[str]:
+        return [each for each in words if each.startswith(incomplete)]
+
+    return complete
+
+
+def _others_than(words: Sequence[str]) -> Callable[[typer.CallbackParam, str | None], str | None]:
     def refuse(param: typer.CallbackParam, value: str | None) -> str | None:
         if value is None or value in words:
             return value
@@ -47,23 +42,14 @@ def among(*words: str) -> dict[str, Any]:
         hint = f"; {near}" if near.startswith("did you") else ""
         raise CaseError(f"{value!r} is not possible here", where=param.opts[0], fix=f"use {listed}{hint}")
 
-    return {"callback": refuse, **such_as(lambda: words)}
+    return refuse
 
 
-def such_as(words: Callable[[], Sequence[str]]) -> dict[str, Any]:
-    """Arguments of `typer.Option` for one that also takes other values; `words` is called when completing."""
-
-    def complete(incomplete: str) -> list[str]:
-        return [each for each in words() if each.startswith(incomplete)]
-
-    return {"autocompletion": complete}
-
-
-def effect_names() -> list[str]:
-    """Names of all effects."""
+def effects(incomplete: str) -> list[str]:
+    """Names of effects."""
     from limbcli.stages.diagnose import EFFECTS
 
-    return [each.name for each in EFFECTS]
+    return _those_of([each.name for each in EFFECTS])(incomplete)
 
 
 def sites(ctx: typer.Context, incomplete: str) -> list[str]:
@@ -77,16 +63,8 @@ def sites(ctx: typer.Context, incomplete: str) -> list[str]:
         tables = read_toml(next(each for each in named if each.is_file())).get("site", [])
     except (OSError, ValueError, StopIteration):
         return []
-    names = [str(each.get("name")) for each in tables if isinstance(each, dict)]
-    return [each for each in names if each.startswith(incomplete)]
+    return _those_of([str(each.get("name")) for each in tables if isinstance(each, dict)])(incomplete)
 
 
-# What the type of an argument does not say, by its name: the words that it is one of, or some that it may be.
-_ONLY = {"objective": OBJECTIVES, "law": LAWS}
-_SUCH_AS: dict[str, Callable[[], Sequence[str]]] = {
-    "effects": effect_names,
-    "cycle": lambda: ["last"],
-    "measured": lambda: [f"{each}=" for each in MEASURED],
-    "layers": lambda: ["fat:", "skin:"],
-    "seeds": lambda: ["bone=", "soft="],
-}
+# Known only from files or heavy modules, by the argument's name.
+_WHEN_ASKED: dict[str, Callable[..., list[str]]] = {"effects": effects, "sites": sites}

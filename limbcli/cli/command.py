@@ -88,14 +88,13 @@ def _hint(argument: Argument) -> Any:
     option = argument.option
     declare = typer.Option if argument.flags else typer.Argument
     low, high = option.bounds
-    few = choices.of(argument) if argument.flags else {}
     declared = declare(
         *argument.flags,
         help=option.help,
         metavar=option.metavar,
         min=low,
         max=high,
-        **few,  # type: ignore[operator]
+        **choices.of(argument),  # type: ignore[operator]
     )
     return Annotated[argument.kind, declared]
 
@@ -103,7 +102,7 @@ def _hint(argument: Argument) -> Any:
 def _default(argument: Argument | None, name: str) -> Any:
     if argument is None:
         return 0 if name == "verbose" else False
-    return argument.default or None if argument.default in ((), None) else argument.default
+    return None if argument.default == () else argument.default
 
 
 def _value(argument: Argument, given: Any) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from limbcli.api.call import at_work
 from limbcli.options import CASE, Option
@@ -15,7 +15,7 @@ def fit_by_objective(
     case: Annotated[Path, CASE],
     *,
     objective: Annotated[
-        str,
+        Literal["force", "joint", "states"],
         Option(
             "force: the paper's, site by site. joint: depth and SWE; sites share the tissue. states: the "
             "same for the states of one site.",

@@ -67,7 +67,7 @@ def headline(
         if computed:
             return NOT_IDENTIFIABLE
         if flag == Flag.AT_BOUND:
-            return Headline(f"at the {bound} bound of the search".replace("  ", " "))
+            return Headline(f"at the {f'{bound} ' if bound else ''}bound of the search")
         return replace(number, remark="no interval")
     if high is None:
         return Headline(f"above {significant(low or 0.0)}", unit)

@@ -6,6 +6,7 @@ Source: Kabsch 1976, Acta Cryst. A32, 922 (rotation of landmarks); Chen and Medi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,8 +48,12 @@ class Alignment:
         )
 
 
-def by_landmarks(socket: Array, limb: Array, *, where: str = "landmarks") -> Alignment:
+def by_landmarks(
+    socket: Array, limb: Array, *, names: Sequence[str] = (), where: str = "landmarks"
+) -> Alignment:
     """The rigid transform that takes landmarks (n, 3) of the socket to the limb's, by least squares.
+
+    names : of the landmarks, for messages; default: their numbers
 
     Raises
     ------
@@ -74,9 +79,9 @@ def by_landmarks(socket: Array, limb: Array, *, where: str = "landmarks") -> Ali
     if distance.max() > _MOST_LANDMARK_MM:
         k = int(np.argmax(distance))
         raise MeshError(
-            f"landmark {k + 1} lies {distance[k]:.0f} mm off after alignment",
+            f"landmark {names[k] if names else k + 1} lies {distance[k]:.0f} mm off after alignment",
             where=where,
-            fix="check its coordinates, the order of the landmarks and the side (left or right)",
+            fix="check its place and the others', and the side (left or right)",
             distance_mm=float(distance[k]),
         )
     return _alignment(transform, distance)
@@ -110,9 +115,8 @@ def align(
         transform = _to_planes(few, near, start, _ROUNDS)
         found.append((_residual(few, near, transform)[0], transform))
     found.sort(key=lambda each: each[0])
-    refined = [(t, *_residual(samples, near, t)) for t in
-               (_to_planes(samples, near, found[0][1], _MORE_ROUNDS),)]  # fmt: skip
-    best, rms, distance = refined[0]
+    best = _to_planes(samples, near, found[0][1], _MORE_ROUNDS)
+    rms, distance = _residual(samples, near, best)
     limit = max(_AS_GOOD[0] * found[0][0], found[0][0] + _AS_GOOD[1])
     for coarse, other in found[1:]:
         angle = _angle(other @ np.linalg.inv(best))

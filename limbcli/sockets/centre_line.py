@@ -88,7 +88,7 @@ def centre_line(skin: Triangles, toward_tip: Array) -> CentreLine:
     return CentreLine(along, np.array(heights)[order], np.array(centres)[order], np.array(radii)[order])
 
 
-def own_line(socket: Triangles) -> CentreLine:
+def own_line(socket: Triangles, *, where: str = "socket") -> CentreLine:
     """The centre line of a socket in its own frame, for its inner face before it is aligned with a limb.
 
     Of the principal axes through its centroid, that which meets the surface on one side only: the tip.
@@ -109,7 +109,7 @@ def own_line(socket: Triangles) -> CentreLine:
             return centre_line(socket, axis if ahead else -axis)
     raise MeshError(
         "the socket does not show where the limb enters: it is closed, or open at both ends",
-        where="socket",
+        where=where,
         fix="give its wall or inner face with the opening at the brim alone, or align it with at least "
         "three landmarks on limb and socket",
     )

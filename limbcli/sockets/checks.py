@@ -82,7 +82,7 @@ def check_around(face: Triangles, line: CentreLine, *, where: str = "socket") ->
         raise MeshError(
             f"the socket covers {max(high - low, 0.0):.0f} mm of the limb's length",
             where=where,
-            fix="align it (landmarks or --align), or give the limb's direction towards its tip",
+            fix="align it (landmarks or --align); for a socket made from the skin give a higher brim_mm",
             overlap_mm=float(high - low),
         )
     # corners as well as centroids: facets may be longer than a slab is high

@@ -13,19 +13,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from limbcli.bodies import Contact, Drive, RigidBody
 from limbcli.errors import CaseError, SolveError
-from limbcli.feb.write import write_feb
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array, Block, Curve, IntArray, LimbModel, LogRecord, Mesh, Step, Surface
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.reference import prepare
-from limbcli.solvers.restart import Restart
 
 if TYPE_CHECKING:
     from limbcli.fem.analysis import Analysis, Snapshot
@@ -101,10 +98,6 @@ class DonningResult:
     skin_nodes: IntArray
     states: tuple[SocketState, ...]
 
-    @property
-    def donned(self) -> SocketState:
-        return self.states[0]
-
 
 def socket_model(limb: LimbModel, face: Triangles, options: DonningOptions | None = None) -> LimbModel:
     """The limb's model with its socket: everything a solver needs, also as `socket.feb`.
@@ -155,7 +148,6 @@ def don_and_load(
     face: Triangles,
     options: DonningOptions | None = None,
     *,
-    feb: Path | None = None,
     threads: int = 2,
     progress: Progress = SILENT,
 ) -> DonningResult:
@@ -164,8 +156,6 @@ def don_and_load(
     Parameters
     ----------
     limb, face, options : as for `socket_model`
-    feb : the model is written to this file; a run that was stopped is resumed from the levels beside it.
-        None: nothing is written
 
     Raises
     ------
@@ -176,25 +166,20 @@ def don_and_load(
     """
     options = options or DonningOptions()
     model = socket_model(limb, face, options)
-    restart = None if feb is None else Restart(write_feb(model, feb), "socket")
     analysis = prepare(model, progress, threads=threads)
     states: list[SocketState] = []
     loads = iter((0.0, *options.loads_n))
 
     def visit(running: Analysis, snapshot: Snapshot) -> None:
-        if restart is not None:
-            restart.keep(snapshot.state)
         if snapshot.must:
             states.append(_state(running, snapshot, next(loads)))
 
     try:
-        analysis.run(visit, guesses=None if restart is None else restart.guess)
+        analysis.run(visit)
     except SolveError as error:
         raise _explained(error, len(states), options) from error
     finally:
         analysis.close()
-    if restart is not None:
-        restart.finished()
     return DonningResult(model, _skin_nodes(model, options.skin), tuple(states))
 
 
@@ -281,7 +266,7 @@ def _state(running: Analysis, snapshot: Snapshot, load: float) -> SocketState:
     forces = system.forces(state)
     (pair,) = system.pairs
     nodes = _skin_nodes(running.model, pair.contact.primary)
-    sums = np.zeros((len(system.X), 4))  # area, pressure, and the two below times area
+    sums = np.zeros((len(system.X), 2))  # area, and pressure times area
     shear = np.zeros((len(system.X), 3))
     by_facet: list[tuple[Array, Array, Array]] = []
     for patch in pair.patches:

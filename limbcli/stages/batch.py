@@ -177,12 +177,12 @@ class CaseRun:
         from limbcli.stages.report import report
 
         made = [self._extra(each, keys) for each in extras(self.case, self.out, progress=self.progress)]
+        made += self._in_socket(first, keys)
         shown = [sha256(path) for path in shown_only(self.case, self.out)]
         failed = [str(each.error) for each in self.outcome.failures]
         requested = self._requested("report", None, without=("templates",) if self.options.templates else ())
         templates = self.options.templates or path_of(requested.get("templates"))
         own = [templates] if templates else []
-        made += self._in_socket(first, keys)
         everything = key_of(first, *keys, *made, *shown, self.case.raw, failed, *own)
 
         def work() -> object:
@@ -198,29 +198,27 @@ class CaseRun:
         given = socket_of(self.case)
         if given is None:
             return []
+        if any(each.stage == "segment" for each in self.outcome.failures):
+            self._skip(("limb", "socket"), None, because="segment")
+            return []
         from limbcli.stages.limb import LimbOptions, limb
         from limbcli.stages.socket import SocketOptions, socket
 
         asked = {name: self._requested(name, None) for name in ("limb", "socket")}
-        nodes = {"nodes": given.limb_nodes, **asked["limb"]}
-        nodes["draws"] = tuple(nodes.get("draws", ()))
-        key = key_of("limb", first, *keys, *parts_of(nodes))
-        if not self._stage(
-            "limb",
-            None,
-            key,
-            lambda: limb(self.case, options=options_of(LimbOptions, nodes), **self._common()),
-        ):
+        sized = {"nodes": given.limb_nodes, **asked["limb"]}
+        key = key_of("limb", first, *keys, *parts_of(sized))
+
+        def model() -> object:
+            return limb(self.case, options=options_of(LimbOptions, sized), **self._common())
+
+        if not self._stage("limb", None, key, model):
             self._skip(("socket",), None, because="limb")
             return [key]
         files = [given.surface] if given.surface is not None else []
         own = key_of("socket", key, self.case.raw["socket"], *files, *parts_of(asked["socket"]))
-        if (
-            not self.options.defaults
-            and self.memory.made_since("socket", None)
-            and self._holds("socket", None)
-        ):
-            self.memory.remember("socket", None, own)  # made by hand, perhaps with intervals
+        made_by_hand = not self.options.defaults and self.memory.made_since("socket", None)
+        if made_by_hand and self._holds("socket", None):
+            self.memory.remember("socket", None, own)  # perhaps with intervals
         options = options_of(SocketOptions, {"intervals": False, **asked["socket"]})
         self._stage("socket", None, own, lambda: socket(self.case, options=options, **self._common()))
         return [key, own]

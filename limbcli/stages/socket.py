@@ -41,7 +41,7 @@ _LEAST_RADIUS_MM = 30.0
 _MOST_OFF = 0.1  # error of the held-out solve above which the intervals are called rough
 _SOFT_MM, _SOFT = 0.5, 0.2  # penetration that is reported: mm, and of the deepest interference
 _MOST_WITH_FRICTION = 20_000  # nodes above which friction gets a warning: with 38,000 it hardly converges
-_BALANCE = 1e-4  # of the load: larger remainders are reported
+_BALANCE = 1e-4  # of the largest force: a larger remainder is an error
 
 
 @dataclass(frozen=True)
@@ -118,6 +118,9 @@ def _given(case: Case, options: SocketOptions) -> SocketInput:
         )
     if options.align and given.surface is None:
         raise CaseError("a socket made from the skin needs no alignment", where="--align", fix="leave it out")
+    if options.align and given.landmarks:
+        what = "the case gives landmarks: with --align there are two ways to place the socket"
+        raise CaseError(what, where="--align", fix="leave it out, or remove [socket.landmarks]")
     return replace(given, align=given.align or options.align)
 
 
@@ -173,7 +176,7 @@ def _intervals(
     try:
         found = pressure_intervals(together.limb, given.friction, rows, drawn, solved, progress)
     except SolveError as error:
-        writer.warnings.append(error.what)
+        writer.warnings.append(f"{error.what}; {error.fix}")
         return {}
     writer.data["intervals"] = {
         "n_solves": found.n_solves,

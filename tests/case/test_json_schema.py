@@ -19,7 +19,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 CASES = sorted((REPOSITORY / "cases").glob("*/case.toml"))
 EXAMPLES = [
     text
-    for page in ("case-format.md", "fibres.md", "states.md", "instruments.md")
+    for page in ("case-format.md", "fibres.md", "states.md", "instruments.md", "socket.md")
     for text in re.findall(
         r"```toml\n(.+?)```", (REPOSITORY / "docs" / page).read_text("utf-8"), flags=re.DOTALL
     )
@@ -68,6 +68,10 @@ def test_the_tables_of_the_documentation_are_valid(text: str):
         (lambda c: c["site"][0].pop("levels"), "$.site[0]"),
         (lambda c: c["imaging"].update(shape={"circumference": 300}), "'circumference' was unexpected"),
         (lambda c: c["imaging"].update(labels={"8": "bone"}), "$.imaging.labels"),
+        (lambda c: c.update(socket={"landmarks": {"tibial_end": [0, 0]}}), "$.socket.landmarks.tibial_end"),
+        (lambda c: c.update(socket={"landmarks": {"tibial_end": [0, 0, 0]}}), "$.socket.landmarks"),
+        (lambda c: c.update(socket={"rectifications_mm": {"popliteal": 40}}), "40 is greater than"),
+        (lambda c: c.update(socket={"liner": {"thickness_mm": 3}}), "$.socket.liner"),
         (lambda c: c.update(format=2), "1 was expected"),
         (lambda c: c.pop("probe"), "'probe' is a required property"),
     ],

@@ -9,10 +9,11 @@ from typing import get_args
 import pytest
 from typer.testing import CliRunner
 
-from limbcli.cli import choices
+from limbcli.api.diagnosis import MEASURED
 from limbcli.cli.app import app, main
+from limbcli.cli.choices import effects
 from limbcli.effects import EFFECTS
-from limbcli.options import SolverName
+from limbcli.options import LawName, SolverName
 from limbcli.solvers import KINDS
 from limbcli.stages.diagnosis.forward_model.measurement_menu import items
 from limbcli.stages.fitting.laws import LAWS
@@ -44,6 +45,7 @@ def completed(*words: str) -> list[str]:
         (["diagnose", "S1", "--effects", "skin"], ["skin-layer"]),
         (["diagnose", "S1", "--measured", "tare"], ["tare_n="]),
         (["build-feb", "S1", "--layer", ""], ["fat:", "skin:"]),
+        (["segment", "S1", "--seed", "b"], ["bone="]),
         (["fit", str(CASES / "paper-parameters"), "--site", ""], ["S1", "S2-left", "S2-right"]),
         (["fit", "nowhere", "--site", ""], []),
     ],
@@ -74,6 +76,6 @@ def test_another_value_is_refused_before_the_case_is_read(arguments: list[str], 
 
 def test_the_words_are_those_of_the_program():
     assert get_args(SolverName) == KINDS
-    assert tuple(LAWS) == choices.LAWS
-    assert choices.effect_names() == [each.name for each in EFFECTS]
-    assert set(choices.MEASURED) == {each.given for each in items() if each.given}
+    assert get_args(LawName) == tuple(LAWS)
+    assert effects("") == [each.name for each in EFFECTS]
+    assert set(MEASURED) == {each.given for each in items() if each.given}

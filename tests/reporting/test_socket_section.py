@@ -47,4 +47,4 @@ def test_a_failed_run_has_its_place():
     shown = socket(page(status="failed", failure=failure))
     assert shown is not None
     assert shown.title == TITLE
-    assert shown.mood != "fine"
+    assert (shown.mood, shown.failure) == ("failed", failure)

@@ -150,6 +150,13 @@ def test_bad_landmarks_have_their_own_messages(socket: np.ndarray, words: str) -
         by_landmarks(socket, limb)
 
 
+def test_a_landmark_that_is_off_is_named() -> None:
+    limb = np.array([[0.0, 0, 0], [0, 30, 10], [20.0, 0, 30]])
+    socket = np.array([[0.0, 0, 0], [0, 30, 10], [90.0, 0, 30]])
+    with pytest.raises(MeshError, match="landmark tibial_end lies"):
+        by_landmarks(socket, limb, names=("distal_tip", "popliteal", "tibial_end"))
+
+
 def test_a_turned_and_shifted_socket_is_brought_back() -> None:
     pose = turned(75.0, (20.0, 300.0, -60.0))
     face = stump(grow=-2.0, top=110.0).flipped()

@@ -17,12 +17,16 @@ from limbcli.stages import diagnose, fit_elements, fit_joint
 from limbcli.stages.batch import BatchOptions, batch
 from limbcli.stages.build_feb import TissueOptions
 from limbcli.stages.fit import FitOptions
+from limbcli.stages.limb import LimbOptions
 from limbcli.stages.provenance.requested_options import requested_by_options
 from limbcli.stages.run import RunOptions
+from limbcli.stages.socket import SocketOptions
 from tests.case.test_case_text import two_sites
 
 STAGES = ("mesh", "build-feb", "run", "fit")
-OPTIONS = {"FitOptions": FitOptions, "TissueOptions": TissueOptions, "RunOptions": RunOptions}
+OPTIONS = {
+    each.__name__: each for each in (FitOptions, TissueOptions, RunOptions, LimbOptions, SocketOptions)
+}
 CALLED: dict[str, list[dict]] = {}
 
 
@@ -44,7 +48,7 @@ def by_hand(case: Path, out: Path, stage: str, site: str | None = "p1", **reques
 
 @pytest.fixture
 def calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Every stage replaced by one that leaves a result; mesh fails for site p2."""
+    """Every stage replaced by one that leaves a result, unless the case has a file `fail-STAGE`."""
     made: list[str] = []
     reported = CALLED
     reported.clear()
@@ -57,6 +61,8 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
                 made.append(f"{stage} {site}" if site else stage)
                 if (stage, site) == ("mesh", "p2") and (case.folder / "break").exists():
                     raise MeshError("no skin under the probe", where="site p2", fix="move it")
+                if (case.folder / f"fail-{stage}").exists():
+                    raise MeshError("it does not fit", where=stage, fix="mend it")
                 with open_stage(out, stage, subject=case.subject, site=site) as writer:
                     name = {"report": "report.html", "build-feb": "model.feb"}.get(stage, "a.txt")
                     writer.file("text", name).write_text((case.folder / "p1.csv").read_text())
@@ -67,7 +73,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         path = out / "edited.nii.gz"
         return path if path.exists() else None
 
-    for stage in ("segment", *STAGES, "report"):
+    for stage in ("segment", *STAGES, "limb", "socket", "report"):
         name = stage.replace("-", "_")
         own = {name: staticmethod(fake(stage)), "edited_labels": staticmethod(edited)}
         holder = type("holder", (), {**OPTIONS, **own})
@@ -94,6 +100,33 @@ def test_changed_measurement_redoes_only_what_follows(tmp_path: Path, calls: lis
     (case / "p2.csv").write_text("force_n,depth_mm\n0,0\n2,1\n5,2\n")
     batch(case, out=tmp_path / "out")
     assert calls == ["build-feb p2", "run p2", "fit p2", "report"]
+
+
+def with_socket(folder: Path) -> Path:
+    case = two_sites(folder)
+    with (case / "case.toml").open("a") as stream:
+        stream.write("[socket]\nlimb_nodes = 5000\n")
+    return case
+
+
+def test_a_report_follows_a_socket_that_fails_no_more(tmp_path: Path, calls: list[str]):
+    case, out = with_socket(tmp_path / "case"), tmp_path / "out"
+    (case / "fail-socket").touch()
+    assert [each.stage for each in batch(case, out=out).failures] == ["socket"]
+    assert (CALLED["limb"], CALLED["socket"]) == ([{"nodes": 5000}], [{"intervals": False}])
+    calls.clear()
+    (case / "fail-socket").unlink()
+    assert batch(case, out=out).failures == []
+    assert calls == ["socket", "report"]
+
+
+def test_without_surfaces_there_is_no_limb_for_a_socket(tmp_path: Path, calls: list[str]):
+    case, out = with_socket(tmp_path / "case"), tmp_path / "out"
+    (case / "fail-segment").touch()
+    assert [each.stage for each in batch(case, out=out).failures] == ["segment"]
+    assert calls == ["segment", "report"]
+    for stage in ("limb", "socket"):
+        assert "because `segment` failed" in (out / stage / "error.json").read_text()
 
 
 def test_what_a_mesh_is_not_made_from_redoes_none(tmp_path: Path, calls: list[str]):

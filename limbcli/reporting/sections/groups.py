@@ -51,10 +51,12 @@ def groups(
     told : warnings at the top of the page, which a section only refers to
     """
     sites = [_site(page, site) for site in page.sites]
-    together = [each for make in (joint, laws, socket) if (each := make(page)) is not None]
+    together = [each for make in (joint, laws) if (each := make(page)) is not None]
+    pressed = socket(page)
     chapters = (
         SectionGroup("chapter-parameters", "Parameters", (parameters(page), *together)),
         *sites,
+        *([SectionGroup("chapter-socket", "Socket", (pressed,))] if pressed else ()),
         SectionGroup("chapter-segmentation", "Segmentation", (segmentation(page),)),
         SectionGroup("chapter-provenance", "Provenance", (methods(page, own), provenance(page, own))),
     )

@@ -147,9 +147,10 @@ def _identification(fits: list[FitView]) -> str:
 
 
 def _solver(fit: FitView) -> str:
-    return f"FEBio {fit.raw.get('solver_version', '')} [Maas 2012]" if fit.raw.get("solver") == "febio" else (
-        f"the reference solver of limbcli {fit.raw.get('solver_version', '')}".rstrip()
-    )  # fmt: skip
+    version = f" {fit.raw['solver_version']}" if fit.raw.get("solver_version") else ""
+    if fit.raw.get("solver") == "febio":
+        return f"FEBio{version} [Maas 2012]"
+    return f"the reference solver of limbcli{version}"
 
 
 def _noise(fit: FitView) -> str:

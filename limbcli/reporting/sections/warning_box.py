@@ -9,13 +9,16 @@ from limbcli.reporting.outcome import EXTRA_SITE_STAGES, EXTRA_SUBJECT_STAGES
 from limbcli.reporting.report_data import ReportData
 from limbcli.reporting.sections.model_checks import model_check_words
 
-PAGE, LEVELS, PARAMETERS, MODEL, DIAGNOSIS = "report", "levels", "parameters", "model", "diagnose"
+PAGE, LEVELS, PARAMETERS, MODEL, LIMB, DIAGNOSIS = (
+    "report", "levels", "parameters", "model", "limb", "diagnose",
+)  # fmt: skip
 # What a warning of a kind can change; the first matters most.
 CHANGES: Mapping[str, str] = {
     PAGE: "Whether these results belong together",
     LEVELS: "Measured force, depth and speed, and with them every parameter",
     PARAMETERS: "Parameters and their intervals",
     MODEL: "Simulated force (geometry, mesh, contact)",
+    LIMB: "Whole limb, and the pressure in its socket; no parameter of the fit",
     DIAGNOSIS: "Diagnosis only; no parameter of the fit",
 }
 _FITS = {"fit", *(each for each in (*EXTRA_SUBJECT_STAGES, *EXTRA_SITE_STAGES) if each.startswith("fit"))}
@@ -33,12 +36,14 @@ class SourcedWarning:
     def kind(self) -> str:
         """One of CHANGES.
 
-        >>> [SourcedWarning(each, "").kind for each in ("fit p1", "mesh p1", "levels p1")]
-        ['parameters', 'model', 'levels']
+        >>> [SourcedWarning(each, "").kind for each in ("fit p1", "mesh p1", "levels p1", "socket")]
+        ['parameters', 'model', 'levels', 'limb']
         """
         first = self.source.partition(" ")[0]
         if first in _FITS:
             return PARAMETERS
+        if first == "socket":
+            return LIMB
         return first if first in CHANGES else MODEL
 
 
@@ -61,7 +66,7 @@ def warning_groups(warnings: Sequence[SourcedWarning], page: ReportData) -> tupl
     groups = []
     for kind, changes in CHANGES.items():
         own = tuple(each for each in warnings if each.kind == kind)
-        folded = kind in (MODEL, DIAGNOSIS) and len(warnings) > _FEW
+        folded = kind in (MODEL, LIMB, DIAGNOSIS) and len(warnings) > _FEW
         if own:
             groups.append(WarningGroup(changes, _size(page) if kind == MODEL else "", own, folded))
     return tuple(groups)

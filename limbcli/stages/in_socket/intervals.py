@@ -17,7 +17,7 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.model import Array, ElementMap, LimbModel, Value
 from limbcli.progress import Progress
-from limbcli.stages.in_socket.patch_table import QUANTITIES, Interval, PatchRow
+from limbcli.stages.in_socket.patch_table import QUANTITIES, WHOLE, Interval, PatchRow
 
 NAMES = ("c", "m", "friction")
 _SEED = 7
@@ -82,7 +82,7 @@ def pressure_intervals(
             ) from error  # fmt: skip
         found.append(_values(rows))
     y = _values(base)
-    slopes = np.array([each - y for each in found[:-1]]).reshape(len(varied), -1)
+    slopes = np.array([each - y for each in found[:-1]]).reshape(len(varied), len(y))
     predicted = y - slopes.sum(axis=0)
     z = (drawn - centre)[:, varied] / deviations[varied]
     parts = z[:, :, None] * slopes  # (n_draws, n_varied, n_values)
@@ -93,7 +93,7 @@ def pressure_intervals(
     off = (predicted - found[-1])[means]
     shares = {
         keys[k][0]: _shares(parts[:, :, k], total[:, k], [NAMES[each] for each in varied])
-        for k in means if keys[k][1] == "skin"
+        for k in means if keys[k][1] == WHOLE
     }  # fmt: skip
     return PressureIntervals(
         {key: (float(low[k]), float(high[k])) for k, key in enumerate(keys)},

@@ -154,10 +154,12 @@ def _from_file(
     check_size(surface, skin, where=where)
     alignment = None
     if given.landmarks:
-        alignment = by_landmarks(*_pairs(limb, given.landmarks), where="[socket.landmarks]")
+        alignment = by_landmarks(
+            *_pairs(limb, given.landmarks), names=list(given.landmarks), where="[socket.landmarks]"
+        )
         face = inner_face(surface.moved(alignment.transform), line, where=where)
     elif given.align:
-        own = inner_face(surface, own_line(surface), where=where)
+        own = inner_face(surface, own_line(surface, where=where), where=where)
         alignment = align(own, skin, line, where=where)
         face = own.moved(alignment.transform)
     else:
