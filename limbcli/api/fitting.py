@@ -31,7 +31,7 @@ GAIN_DEVIATION = Option(
     "element's type and size."
 )
 CONTACT_CHECK = Option(
-    "Also solve the fitted model with a stiffer contact, to see how much force is lost to the probe's penetration."
+    "Also solve the fitted model with a stiffer contact, to see how much force the probe's penetration costs."
 )
 BOUNDARY_CHECK = Option(
     "Also solve the fitted model with the cut plane free, and with the limb's far side held; the intervals "
