@@ -171,11 +171,17 @@ SITES = Option(
 )  # fmt: skip
 WAIT = Option("Wait for another process that writes into `out`; False: raise an error at once.")
 PROGRESS = Option("Called with (kind, facts) at each event; None: no calls.")
-SOLVER = Option("auto | febio | reference", python="auto: FEBio if it is found, else reference.")
-FEBIO = Option("The FEBio binary.", metavar="FILE", kind=Path)
+SOLVER = Option(
+    "auto | febio | reference; auto: FEBio if it is found, else the bundled solver.",
+    python="auto: FEBio if it is found, else reference.",
+)
+FEBIO = Option("The FEBio program (its executable file).", metavar="FILE", kind=Path)
 TEMPLATES = Option(
     "Folder of your own templates, which take precedence over limbcli's.", metavar="DIR", kind=Path
 )
-ELEMENT = Option("Elements of the tissue's mesh; default: the case's.", metavar="|".join(ELEMENTS))
-MARGIN = Option("Tissue kept beyond the probe; default: the case's.", MARGIN_MM)
-C_KPA = Option("c = 2 mu, entered by hand; default: from SWE at level 0.")
+ELEMENT = Option(
+    "Element type of the tissue: quadratic or linear tetrahedra; default: the case's.",
+    metavar="|".join(ELEMENTS),
+)
+MARGIN = Option("Width of tissue kept around the probe, mm; default: the case's.", MARGIN_MM)
+C_KPA = Option("c = 2 mu, kPa, given by hand; default: from the shear-wave speed at level 0.")

@@ -107,22 +107,31 @@ def diagnose(
     effect_file: Annotated[
         PathLike | None,
         Option(
-            "An effect of your own.",
+            "A Python file with an effect of your own, which is tried too.",
             metavar="FILE",
             kind=Path,
             python="A Python file that defines your own `EFFECT`, which is tried too.",
         ),
     ] = None,
-    max_effects: Annotated[int, Option("Maximum number of effects missing together.", (1, 2))] = 2,
-    seed: Annotated[int, Option("Of all random draws.", (0, None))] = 7,
+    max_effects: Annotated[
+        int, Option("Largest number of effects that may be missing together.", (1, 2))
+    ] = 2,
+    seed: Annotated[int, Option("Random seed.", (0, None))] = 7,
     size_mm: Annotated[
         float | None,
-        Option("Working mesh under the probe; default: 5, less where tissue is thin.", (1, 20)),
+        Option(
+            "Edge length of the working mesh under the probe, mm; default: 5, less where tissue is thin.",
+            (1, 20),
+        ),
     ] = None,
-    far_size_mm: Annotated[float, Option("Working mesh far from it.", (2, 50))] = 14.0,
-    interventions: Annotated[bool, Option("Try crop and contact first (a few more simulations).")] = True,
+    far_size_mm: Annotated[
+        float, Option("Edge length of the working mesh far from the probe, mm.", (2, 50))
+    ] = 14.0,
+    interventions: Annotated[
+        bool, Option("First test the model's cut and contact (a few more simulations).")
+    ] = True,
     separate: Annotated[
-        bool, Option("Diagnose each site separately, also those that share a place.")
+        bool, Option("Diagnose each site on its own, even if several share a place.")
     ] = False,
     measured: Annotated[
         Mapping[str, float] | None,

@@ -146,11 +146,11 @@ class StatesFitResult(_WithParameters):
     ----------
     law : its name
     parameters : those of the law and of the stretches, with intervals, flags and words
-    states : by name: `stretch_along` and `stretch_around` relative to the unloaded tissue (told: as stated in
-        the case, value, low, high, known), and the measured and fitted speed at rest (`swe_at_rest_m_per_s`,
-        `..._fitted_m_per_s`)
+    states : by name: `stretch_along` and `stretch_around` relative to the unloaded tissue (`told`: as stated
+        in the case; `value`, `low`, `high`, `known`), and the measured and fitted speed at rest
+        (`swe_at_rest_m_per_s`, `..._fitted_m_per_s`)
     least_stiffness : by direction ("along", "around"): `stretch`, `low`, `high` (None: open), `told` (whether
-        determined), `words`
+        the data determine it), `words`
     undetermined : one sentence for each quantity that the data do not determine
     chi_square, n_freedom : of the likelihood
     """

@@ -24,14 +24,15 @@ from limbcli.options import (
 )  # fmt: skip
 from limbcli.results import StageResult
 
-C_DEVIATION = Option("Standard deviation of c, relative; default: from the SWE noise.")
-TOLERANCE = Option("Relative tolerance of cost and parameters.")
-MAX_ITERATIONS = Option("Of each step.", (1, None))
+C_DEVIATION = Option("Relative standard deviation of c; default: from the noise of the wave speed.")
+TOLERANCE = Option("Relative tolerance of cost and parameters, at which the search ends.")
+MAX_ITERATIONS = Option("Largest number of iterations in each step of the fit.", (1, None))
 GAIN_DEVIATION = Option(
-    "Numerical error of the force to allow for; default: mesh study, else by element and size."
+    "Relative standard deviation of the force due to the mesh; default: from the mesh study, else from the "
+    "element's type and size."
 )
 CONTACT_CHECK = Option(
-    "Also solve the fitted model with a stiffer contact, to quantify the probe's penetration."
+    "Also solve the fitted model with a stiffer contact, to see how much force the probe's penetration costs."
 )
 BOUNDARY_CHECK = Option(
     "Also solve the fitted model with the cut plane free, and with the limb's far side held; the intervals "
@@ -57,7 +58,9 @@ def fit(
     febio: Annotated[PathLike | None, FEBIO] = None,
     c_kpa: Annotated[float | None, C_KPA] = None,
     c_deviation_fraction: Annotated[float | None, C_DEVIATION] = None,
-    stiffness_map: Annotated[bool, Option("c element by element, from the SWE map of level 0.")] = False,
+    stiffness_map: Annotated[
+        bool, Option("Give each element its own c, from the shear-wave map of level 0.")
+    ] = False,
     tolerance: Annotated[float, TOLERANCE] = 1e-3,
     max_iterations: Annotated[int, MAX_ITERATIONS] = 50,
     intervals: Annotated[bool, Option("95 % intervals by profile likelihood.")] = True,

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 Point = tuple[float, float, float]
 SEEDS = Option(
-    "A point (patient LPS, mm) in the marrow of a missed bone (bone=...), or in soft tissue wrongly labelled "
-    "as bone (soft=...). May be repeated.",
+    "A point (patient LPS, mm) in the marrow of a bone that was not found (bone=X,Y,Z), or in soft tissue "
+    "that was taken for bone (soft=X,Y,Z). May be repeated.",
     flag="--seed", metavar="KIND=X,Y,Z", kind=list[str], such_as=("bone=", "soft="),
     python='Points (x, y, z) (patient LPS, mm), each with its kind: ("bone", point) in the marrow of a '
     'missed bone, ("soft", point) in soft tissue wrongly labelled as bone.',
@@ -139,18 +139,21 @@ def segment(
     threshold: Annotated[
         float | None,
         Option(
-            "Signal between air and skin, in the image's units (HU on CT); default: found.", metavar="SIGNAL"
+            "Signal that separates air from skin, in the image's units (HU on CT); default: found "
+            "automatically.",
+            metavar="SIGNAL",
         ),
     ] = None,
     limb: Annotated[
         Literal["left", "right"] | None,
-        Option("Which limb, if two are in view; default: the case's.", metavar="left|right"),
+        Option("Which limb to take, if the images show two; default: the case's.", metavar="left|right"),
     ] = None,
     accept_bones: Annotated[
-        bool, Option("Of bones outside the skin, keep what is inside; default: they are an error.")
+        bool,
+        Option("If a bone lies partly outside the skin, keep the part inside; default: it is an error."),
     ] = False,
-    aop: Annotated[bool, Option("Also skin.aop, the skin for prosthetic CAD programs.")] = False,
-    fresh: Annotated[bool, Option("Discard a label map that was edited by hand and start anew.")] = False,
+    aop: Annotated[bool, Option("Also write skin.aop, the skin for prosthetic CAD programs.")] = False,
+    fresh: Annotated[bool, Option("Discard a label map that was edited by hand and segment again.")] = False,
     wait: Annotated[bool, WAIT] = True,
     progress: Annotated[Heard, PROGRESS] = None,
 ) -> StageResult:
@@ -187,9 +190,12 @@ def mesh(
     out: Annotated[PathLike | None, OUT] = None,
     sites: Annotated[str | Iterable[str] | None, SITES] = None,
     element: Annotated[Literal["tet10", "tet4"] | None, ELEMENT] = None,
-    size_mm: Annotated[float | None, Option("Edge length under the probe; default 2.5.", SIZE_MM)] = None,
+    size_mm: Annotated[
+        float | None, Option("Edge length of elements under the probe, mm; default: 2.5.", SIZE_MM)
+    ] = None,
     far_size_mm: Annotated[
-        float | None, Option("Edge length far from it; default 8, or --size-mm.", FAR_SIZE_MM)
+        float | None,
+        Option("Edge length far from the probe, mm; default: 8, or --size-mm.", FAR_SIZE_MM),
     ] = None,
     margin_mm: Annotated[float | None, MARGIN] = None,
     skin_mm: Annotated[
@@ -213,8 +219,8 @@ def mesh(
     at: Annotated[
         tuple[float, float] | None,
         Option(
-            "Place the site by angle round the limb (0 anterior, 90 the patient's left) and height above its "
-            "distal end, instead of the case's place.",
+            "Place the site by its angle around the limb (0: anterior, 90: the patient's left) and its "
+            "height above the distal end, instead of the position in the case.",
             metavar="ANGLE_DEG HEIGHT_MM",
             kind=tuple[float, float],
         ),

@@ -65,18 +65,23 @@ def socket(
     *,
     out: Annotated[PathLike | None, OUT] = None,
     align: Annotated[
-        bool, Option("Place the socket of [socket] by its shape, because it is in another frame.")
+        bool, Option("Fit the socket of [socket] to the skin by its shape, if it is in another frame.")
     ] = False,
-    donning_steps: Annotated[int, Option("Load steps of donning.", SOCKET_STEPS)] = 10,
-    load_steps: Annotated[int, Option("Load steps of each load.", SOCKET_STEPS)] = 5,
+    donning_steps: Annotated[
+        int, Option("Number of load steps in which the socket is put on.", SOCKET_STEPS)
+    ] = 10,
+    load_steps: Annotated[int, Option("Number of load steps of each load.", SOCKET_STEPS)] = 5,
     contact_penalty: Annotated[
         float,
         Option(
-            "Of the contact, as a multiple of the tissue's stiffness: higher is stricter, and slower.",
+            "Contact penalty, as a multiple of the tissue's stiffness: a higher one is more accurate, and "
+            "slower.",
             SOCKET_PENALTY,
         ),
     ] = 20.0,
-    intervals: Annotated[bool, Option("Solve again for intervals over the limb's draws.")] = True,
+    intervals: Annotated[
+        bool, Option("95 % limits of pressure and shear, from the limb's draws (four more solves).")
+    ] = True,
     wait: Annotated[bool, WAIT] = True,
     progress: Annotated[Heard, PROGRESS] = None,
 ) -> StageResult:

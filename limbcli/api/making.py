@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 SIMULATED_C = Option("c = 2 mu of the known tissue.", (0.1, 200.0))
 SIMULATED_F = Option("kappa' / c of the known tissue.", (0.01, 1000.0))
-SIMULATED_M = Option("Exponent of the law, of the known tissue.", (1.0, 100.0))
+SIMULATED_M = Option("Exponent m of the known tissue's law.", (1.0, 100.0))
 EFFECTS = Option(
     "Hide this effect in the data (may be repeated). SIZE is the value of its first parameter, as in the "
     "list of effects, such as skin-layer=2.3; default: its typical one.",
@@ -36,14 +36,14 @@ EFFECTS = Option(
     python='Effects to hide in the data, each "name" or "name=size", where size is the value of its first '
     "parameter; default: its typical one.",
 )  # fmt: skip
-NOISE = Option("Factor on the stated noise; 0: none.", (0.0, 20.0))
+NOISE = Option("Noise of the readings, as a multiple of the stated noise; 0: none.", (0.0, 20.0))
 STEP = Option("Force step, N.", (0.1, 20.0))
 MAX_FORCE = Option("Largest force, N.", (1.0, 80.0))
-MAX_STRAIN = Option("Largest depth over skin-bone distance.", (0.05, 0.6))
-SIMULATED_ELEMENT = Option("Elements of the mesh simulated on; default: the case's.", metavar="tet10|tet4")
-SIMULATED_SIZE = Option("Edge length under the probe, of the mesh simulated on.", SIZE_MM)
-SIMULATED_FAR_SIZE = Option("Edge length far from it, of the mesh simulated on.", FAR_SIZE_MM)
-SAME_MESH = Option("Simulate on the same mesh that is fitted.")
+MAX_STRAIN = Option("Largest depth, divided by the skin-bone distance.", (0.05, 0.6))
+SIMULATED_ELEMENT = Option("Element type of the simulation; default: the case's.", metavar="tet10|tet4")
+SIMULATED_SIZE = Option("Edge length under the probe in the mesh of the simulation, mm.", SIZE_MM)
+SIMULATED_FAR_SIZE = Option("Edge length far from the probe in that mesh, mm.", FAR_SIZE_MM)
+SAME_MESH = Option("Simulate on the same mesh on which a fit works.")
 _STRETCHES = {"metavar": "STATE=STRETCH", "kind": list[str], "example": {"bent": 0.8}}
 
 
@@ -124,7 +124,8 @@ def synth(
     contact_penalty: Annotated[
         float | None,
         Option(
-            "Times the skin's stiffness at rest; default: 20. With more the probe sinks in less.",
+            "Contact penalty, as a multiple of the skin's stiffness at rest; default: 20. With a higher one "
+            "the probe sinks in less.",
             (1.0, 1000.0),
         ),
     ] = None,
@@ -196,8 +197,8 @@ def make_phantom(
     sites: Annotated[
         str | Iterable[str] | None,
         Option(
-            "p1: at the back, by marker, across; p2: over the fibula, by position, along. May be repeated; "
-            "default: p1.",
+            "p1: on the back of the limb, given by a marker, probe across; p2: over the fibula, given by a "
+            "position, probe along. May be repeated; default: p1.",
             flag="--site",
             short="-s",
             metavar="NAME",

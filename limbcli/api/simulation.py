@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from limbcli.model import LimbModel
 
 TIME_LIMIT = Option("Time limit of each simulation; default: by the model's size.", (0, None))
-VTU = Option("Also a time series for ParaView.")
+VTU = Option("Also write a time series for ParaView.")
 KEEP_PLOT = Option("Keep FEBio's plot file (model.xplt), for FEBio Studio.")
 
 
@@ -136,12 +136,14 @@ def build_feb(
     contact_penalty: Annotated[
         float | None,
         Option(
-            "Times the skin's stiffness at rest; default 20, with which FEBio converges. More where fit "
-            "warns that the probe sinks in.",
+            "Contact penalty, as a multiple of the skin's stiffness at rest; default: 20, with which FEBio "
+            "converges. Use a higher one if fit warns that the probe sinks in.",
             (1, 1000),
         ),
     ] = None,
-    abaqus: Annotated[bool, Option("Also model.inp, the same model for Abaqus in its nearest laws.")] = False,
+    abaqus: Annotated[
+        bool, Option("Also write model.inp, the same model for Abaqus with its nearest material law.")
+    ] = False,
     templates: Annotated[PathLike | None, TEMPLATES] = None,
     wait: Annotated[bool, WAIT] = True,
     progress: Annotated[Heard, PROGRESS] = None,
@@ -221,7 +223,7 @@ def run(
 
 @one(RunResult)
 def run_feb(
-    feb: Annotated[PathLike, Option("A .feb or .feb.gz file, format 4.0, units mm-N-s.")],
+    feb: Annotated[PathLike, Option("A .feb or .feb.gz file, as docs/solvers.md describes.")],
     *,
     out: Annotated[PathLike | None, OUT] = None,
     solver: Annotated[SolverName, SOLVER] = "auto",

@@ -69,23 +69,24 @@ def limb(
     out: Annotated[PathLike | None, OUT] = None,
     element: Annotated[Literal["tet10", "tet4"] | None, ELEMENT] = None,
     nodes: Annotated[
-        int, Option("About this number of nodes; the edges follow from it.", LIMB_NODES)
+        int, Option("Approximate number of nodes; the edge length follows from it.", LIMB_NODES)
     ] = 40_000,
     site_size_mm: Annotated[
         float | None,
         Option(
-            "Edge length round the sites, such as 3 to set a probe there; default: as elsewhere.",
+            "Edge length around the sites, mm, such as 3 to model a probe there; default: no finer than "
+            "elsewhere.",
             LIMB_SITE_SIZE_MM,
         ),
     ] = None,
     cut_mm: Annotated[
         float | None,
         Option(
-            "Height of the proximal cut above the distal end; default: where the images end.", LIMB_CUT_MM
+            "Height of the proximal cut above the distal end, mm; default: where the images end.", LIMB_CUT_MM
         ),
     ] = None,
     distal_cut: Annotated[
-        bool, Option("Accept a limb whose distal end was not imaged: it stays free.")
+        bool, Option("Accept a limb whose distal end was not imaged; the cut there stays free.")
     ] = False,
     skin_mm: Annotated[
         float | Literal["mri"] | None,
@@ -105,7 +106,7 @@ def limb(
     draws: Annotated[
         Sequence[int],
         Option(
-            "Also write the model of this draw (0 to 49) of the stiffness field; repeatable.",
+            "Also write the model of this random draw (0 to 49) of the stiffness field. May be repeated.",
             flag="--draw",
             kind=list[int],
             python="Numbers (0 to 49) of draws of the stiffness field whose models are written too.",

@@ -14,7 +14,7 @@ from limbcli.progress import Progress
 
 
 def check_case(case: Annotated[Path, CASE], *, json: bool, progress: Progress) -> None:
-    """Validate a case folder: files, units, ranges, missing pieces; lists every problem."""
+    """Check a case folder and list every problem: files, units, ranges, missing entries."""
     from limbcli.errors.commands import pasted_text
     from limbcli.stages.check import check
 

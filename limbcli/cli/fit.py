@@ -17,8 +17,8 @@ def fit_by_objective(
     objective: Annotated[
         Literal["force", "joint", "states"],
         Option(
-            "force: the paper's, site by site. joint: depth and SWE; sites share the tissue. states: the "
-            "same for the states of one site.",
+            "What to fit. force: the force-depth curve of each site, as in the paper. joint: depths and wave "
+            "speeds of all sites, which share one tissue. states: the same for the states of one site.",
             before="gain_deviation_fraction",
         ),
     ] = "force",

@@ -12,7 +12,7 @@ from limbcli.options import CASE
 
 
 def segment_case(case: Annotated[Path, CASE], *, json: bool, **options: Any) -> None:
-    """Segment an MRI or CT series into a label map, closed surfaces and markers.
+    """Segment an MRI or CT series, a label map or surfaces into skin, bones, fat and markers.
 
     A label map edited by hand in the output folder (labels.nii.gz) takes precedence over the automatic one.
     If a site is not on the skin, the command ends with an error after everything is written.
