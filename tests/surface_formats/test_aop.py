@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from limbcli.case.parts import Imaging
 from limbcli.errors import CaseError, MeshError
 from limbcli.imaging.surface import read_surface
 from limbcli.stages.segmenting.surfaces import frames_of
@@ -153,7 +154,7 @@ def test_the_stl_of_a_limb_written_as_aop_is_that_limb(shared, tmp_path):
 def test_the_side_that_a_file_states_is_compared_with_the_case_s_and_landmarks_are_listed(tmp_path):
     path = tmp_path / "skin.aop"
     path.write_text(HEAD + BODY)
-    imaging = SimpleNamespace(skin=path, bones=())
+    imaging = Imaging(skin=path)
     lines, _ = frames_of(SimpleNamespace(imaging=imaging, limb="left"))  # type: ignore[arg-type]
     assert "TIB [0.0, -10.0, 10.0], TIB [-20.0" in lines[0]
     with pytest.raises(CaseError, match="states that it is the left limb"):
