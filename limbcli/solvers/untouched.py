@@ -87,10 +87,13 @@ def _look(model: LimbModel, contact: Contact, body: RigidBody, way: Sequence[Bod
     chosen = [way[k] for k in np.unique(np.linspace(0, len(way) - 1, _MOST_POSES).astype(int))] if way else []
     pair, inside_out = _pair(model, wide)
     overlap = max((_overlap(model, pair, body, each) for each in chosen), default=0.0)
-    if overlap > contact.search_radius and not inside_out:
+    if overlap > 0 and not inside_out:
+        found = f"its surfaces overlap by up to {overlap:.3g} mm with the tissue at rest, "
+        if overlap > contact.search_radius:
+            return f"{found}beyond its search_radius of {contact.search_radius:g} mm: raise it"
         return (
-            f"its surfaces overlap by up to {overlap:.3g} mm, beyond its search_radius of "
-            f"{contact.search_radius:g} mm: raise it"
+            f"{found}within its search_radius: check that its penalty is above 0, and that the record of "
+            f"{body.name!r} holds Fx, Fy and Fz"
         )
     names = [contact.primary] if inside_out else []
     if overlap == 0:

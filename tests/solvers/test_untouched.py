@@ -12,6 +12,7 @@ import pytest
 from limbcli.feb.log import read_log
 from limbcli.feb.outline import read_outline
 from limbcli.feb.write import write_feb
+from limbcli.fem.motion.rigid import BodyState
 from limbcli.model import LimbModel, LogRecord, Mesh, Surface
 from limbcli.progress import SILENT
 from limbcli.solvers.base import LOG_FILE
@@ -86,6 +87,14 @@ def test_a_contact_that_touches_is_not_spoken_of(tmp_path: Path) -> None:
     _say_untouched(feb, read_outline(feb), tmp_path / LOG_FILE, SILENT)
     assert (tmp_path / LOG_FILE).read_text() == text
     assert "nothing was touched" not in text
+
+
+def test_surfaces_that_overlap_as_they_should_are_not_called_turned_over() -> None:
+    """Without force nevertheless: a penalty of 0, or a record of one component only."""
+    pressed_in = BodyState(np.array([0.0, 0.0, -0.5]), np.zeros(3))
+    (sentence,) = without_force(plate(), [{"probe": pressed_in}])
+    assert "check that its penalty is above 0" in sentence
+    assert "turned over" not in sentence
 
 
 def test_a_rigid_primary_surface_is_named() -> None:
