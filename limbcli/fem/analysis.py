@@ -103,7 +103,8 @@ class Analysis:
             newton = self._prepare(step, state)
             newton.charge_to(limit)
             state = newton.system.start
-            musts, listed = set(step_times(step, begin=begin)), listed_times(step, begin)
+            musts = set(step_times(step, begin=begin) if step.must_points else targets)
+            listed = listed_times(step, begin)
             if histories is not None:
                 histories.system = newton.system
             elif self.remembers:
