@@ -42,6 +42,7 @@ class FitAgreement:
     rms, noise_rms : of the differences and of the counted noise, in the unit of the quantity
     chance : probability of a chi-square as large or larger; chance_below: as small or smaller
     n_changes, runs_chance : changes of sign along the depth, and the probability of as few
+    too_close : whether the differences are smaller than the counted noise allows
     """
 
     state: State
@@ -54,6 +55,7 @@ class FitAgreement:
     chance_below: float | None = None
     n_changes: int | None = None
     runs_chance: float | None = None
+    too_close: bool = False
 
     @property
     def times_noise(self) -> float:
@@ -223,10 +225,11 @@ def _judged(numbers: Mapping[str, Any], *, bad: bool, good: str, poor: str) -> F
         return FitAgreement("doubtful", f"{good.replace('agrees', 'agrees poorly', 1)}{told}", **numbers)
     if below is not None and below < TOO_CLOSE_CHANCE:
         close = (
-            f"{good}{told}. This is closer than the counted noise allows (chance {short(100 * below, 2)} %): "
-            "the stated noise is too large, or the levels were smoothed"
+            f"{good}; chi2/nu {short(numbers['chi_square_per_freedom'], 3)}. This is closer than the counted "
+            f"noise allows (a misfit as small has a chance of {short(100 * below, 2)} %): the stated noise "
+            "is too large, or the levels were smoothed"
         )
-        return FitAgreement("doubtful", close, **numbers)
+        return FitAgreement("doubtful", close, **numbers, too_close=True)
     rms, noise = numbers.get("rms"), numbers.get("noise_rms")
     visible = rms is not None and noise is not None and rms > WITHIN_NOISE * noise
     if runs is not None and runs < DOUBTFUL_CHANCE and visible:

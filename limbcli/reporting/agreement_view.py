@@ -20,11 +20,13 @@ class AgreementView:
     """State ("good", "doubtful", "bad", "untested") and the sentence with the numbers that decided it.
 
     rms : root mean square of the differences under load, in the unit of the quantity
+    too_close : whether the differences are smaller than the counted noise allows
     """
 
     state: str
     words: str
     rms: float | None = None
+    too_close: bool = False
 
     @property
     def mood(self) -> Mood:
@@ -69,4 +71,4 @@ def agreement_view(data: Mapping[str, Any], part: str = "") -> AgreementView:
     told = found.get("words") or next(
         (each["words"] for each in parts if each.get("state") == state), _SILENT
     )
-    return AgreementView(state, str(told), number(found.get("rms")))
+    return AgreementView(state, str(told), number(found.get("rms")), found.get("too_close") is True)

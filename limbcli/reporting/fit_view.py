@@ -112,6 +112,11 @@ class FitView:
         """The sentence about a fit that disagrees with its data; "" if it does not."""
         return self.whole.words if self.whole.state == "bad" else ""
 
+    @property
+    def doubtful(self) -> str:
+        """The sentence about a fit whose agreement is doubtful; "" if it is not."""
+        return self.whole.words if self.whole.state == "doubtful" else ""
+
     def step(self, key: str) -> StepView | None:
         return next((each for each in self.steps if each.key == key), None)
 

@@ -69,6 +69,9 @@ def test_no_verdict_against_a_fit_without_its_number(name):
 
 def test_too_close_and_the_shape_of_a_drift_are_said():
     assert "closer than the counted noise allows" in FITS["levels too smooth: chi2/nu of 0.0001"][0].words
+    assert [name for name, (found, *_) in FITS.items() if found.too_close] == [
+        name for name, (found, *_) in FITS.items() if "closer than the counted noise allows" in found.words
+    ]
     assert "change sign only once" in FITS["a drift within the noise"][0].words
 
 

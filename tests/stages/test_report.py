@@ -394,6 +394,16 @@ def test_summary_says_whose_parameters_hold_where_the_speeds_disagree(tmp_path, 
     assert any(taken in each for each in next_steps(gather(case, out=out), site, view))
 
 
+def test_a_curve_closer_than_its_noise_is_said_first_and_what_to_do(tmp_path):
+    case, out = make_case(tmp_path / "case"), tmp_path / "out"
+    add_fit(out, "p1")
+    page = gather(case, out=out)
+    (site,) = page.sites
+    view = read_fit_view(read_result(out, "fit", site="p1"))
+    view = replace(view, force=replace(view.force, state="doubtful", too_close=True))
+    assert next_steps(page, site, view)[0].startswith("Give the levels as they were read, not smoothed")
+
+
 def test_summary_asks_for_a_speed_where_c_was_given(tmp_path):
     case, out = make_case(tmp_path / "case"), tmp_path / "out"
     add_fit(out, "p1", c_kpa=9.0)

@@ -28,6 +28,11 @@ def next_steps(page: ReportData, site: SiteMaterial, view: FitView) -> tuple[str
                if is_named
                else "do not use c and m together before the diagnosis has named what is missing.")
         )  # fmt: skip
+    elif view.force.too_close:
+        steps.append(
+            "Give the levels as they were read, not smoothed, and state the noise that repeated levels show "
+            "([site.noise]): the curve lies closer to them than the stated noise allows."
+        )
     if found is not None:
         steps += _proposed(found.get("next_measurement"))
     else:

@@ -47,6 +47,7 @@ class SiteGlance:
     command: str = ""
     weak: tuple[str, ...] = ()
     poor: str = ""
+    doubtful: str = ""
     next_steps: tuple[str, ...] = ()
     diagnosis: str = ""
     picture: Picture | None = None
@@ -122,6 +123,7 @@ def _sentence(sites: tuple[SiteGlance, ...], failures: tuple[Outcome, ...], n_wa
     weak = [f"{', '.join(each.weak)} at {each.name}" for each in fitted if each.weak]
     poor = [each.name for each in fitted if each.poor]
     text = "".join(f"Poor fit at {each.name}: {each.poor}. " for each in fitted if each.poor)
+    text += "".join(f"Doubtful fit at {each.name}: {each.doubtful}. " for each in fitted if each.doubtful)
     text += (
         f"The tissue was fitted at {len(fitted)} of {len(sites)} {'site' if len(sites) == 1 else 'sites'}."
     )
@@ -166,6 +168,7 @@ def _site(page: ReportData, site: SiteMaterial) -> SiteGlance:
         pills,
         weak=weak,
         poor=view.poor,
+        doubtful=view.doubtful,
         next_steps=next_steps(page, site, view),
         diagnosis=in_short(page, site) or "",
     )

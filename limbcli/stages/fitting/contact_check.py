@@ -65,15 +65,14 @@ def write_contact_check(
     change = found_forces / np.maximum(forces[:n], 1e-9) - 1.0
     found[key] = {**reported, "depths_mm": depths[:n], "force_change_fraction": change}
     worst = int(np.argmax(np.abs(change)))
-    words = f"{HARDER:g} times the contact's penalty changes the force by {100 * change[worst]:+.1f} %"
+    words = f"with a contact {HARDER:g} times as stiff the force changes by {100 * change[worst]:+.1f} %"
     where = f"at {depths[worst]:.1f} mm"
     if n < len(depths):
         where += f" (evaluated down to {depths[n - 1]:.1f} mm)"
     writer.summary.append(f"{at}{words} {where}")
     if abs(change[worst]) > MATTERS:
         writer.warnings.append(
-            f"{at}the probe penetrates the skin: {words} {where}, which f_kappa and m "
-            f"compensate for. Build the model with --contact-penalty {HARDER * penalty:g} and fit again "
-            f"(FEBio may need "
-            "smaller steps then)"
+            f"{at}the probe sinks into the skin: {words} {where}, and f_kappa and m make up for it. Build "
+            f"the model with --contact-penalty {HARDER * penalty:g} and fit again (FEBio may need smaller "
+            "steps then)"
         )
