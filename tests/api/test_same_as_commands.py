@@ -91,5 +91,5 @@ def test_every_size_within_the_bounds_of_help_is_taken(tmp_path: Path, name: str
 
 def test_the_documentation_states_what_the_option_states():
     text = inspect.getdoc(limbcli.mesh) or ""
-    assert "size_mm : Edge length under the probe; default 2.5. From 0.8 to 10." in text
+    assert "size_mm : Edge length of elements under the probe, mm; default: 2.5. From 0.8 to 10." in text
     assert text.index("Parameters\n---") < text.index("size_mm :") < text.index("Raises\n---")
