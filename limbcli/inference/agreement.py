@@ -130,9 +130,10 @@ chi2/nu 12.9, chance 0.033 %'
         )
     gap = predicted - measured
     off = 100 * abs(gap[-1]) / measured[-1]
+    by = f"{off:.0f} % too {'fast' if gap[-1] > 0 else 'slow'}" if off >= 0.5 else "less than 1 % off"
     told = (
         f"the predicted shear-wave speed at the last level is {predicted[-1]:.2f} m/s, measured "
-        f"{measured[-1]:.2f} m/s ({off:.0f} % too {'fast' if gap[-1] > 0 else 'slow'})"
+        f"{measured[-1]:.2f} m/s ({by})"
     )
     if not level_fraction > 0:
         return FitAgreement(
@@ -225,7 +226,8 @@ def _judged(numbers: Mapping[str, Any], *, bad: bool, good: str, poor: str) -> F
         return FitAgreement("doubtful", f"{good.replace('agrees', 'agrees poorly', 1)}{told}", **numbers)
     if below is not None and below < TOO_CLOSE_CHANCE:
         close = (
-            f"{good}; chi2/nu {short(numbers['chi_square_per_freedom'], 3)}. This is closer than the counted "
+            f"{good.replace('agrees', 'agrees too well', 1)}; chi2/nu "
+            f"{short(numbers['chi_square_per_freedom'], 3)}. This is closer than the counted "
             f"noise allows (a misfit as small has a chance of {short(100 * below, 2)} %): the stated noise "
             "is too large, or the levels were smoothed"
         )
