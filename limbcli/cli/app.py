@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import inspect
 import itertools
-import json
 import math
 import os
 import sys
@@ -17,6 +16,7 @@ import typer
 
 from limbcli.cli.command import command_of
 from limbcli.cli.commands import COMMANDS
+from limbcli.cli.error_output import report_error
 from limbcli.cli.fixes import for_command_line
 from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
 from limbcli.cli.results_stream import results
@@ -147,25 +147,3 @@ def _is_no_finite_number(text: str) -> bool:
         return not math.isfinite(float(text))
     except ValueError:
         return False
-
-
-def report_error(error: LimbError, *, as_json: bool) -> None:
-    """Print the message to stderr and, with --json, the error as an object to stdout."""
-    say(f"{type(error).__name__}: {error}", to_stderr=True)
-    if as_json:
-        report_json(error)
-
-
-def report_json(error: LimbError) -> None:
-    """Print the error as an object to stdout."""
-    from limbcli.results import plain
-
-    content = {
-        "error": type(error).__name__,
-        "exit_code": error.exit_code,
-        "what": error.what,
-        "where": error.where,
-        "fix": error.fix,
-        "facts": plain(error.facts),
-    }
-    print(json.dumps(content, indent=1, default=str), file=results(), flush=True)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from limbcli.cli.error_output import report_error
 from limbcli.cli.say import say
 from limbcli.cli.terminal import emit_json
 from limbcli.errors import LimbError
@@ -64,7 +65,6 @@ def batch_cases(
 def _index(folder: Path, templates: Path | None, progress: Progress, *, as_json: bool) -> None:
     """Write the page that lists all cases; if none has results to list, a note says so and it is not a
     further failure."""
-    from limbcli.cli.app import report_error
     from limbcli.stages.report_pages.index import report_index
 
     try:
@@ -108,7 +108,6 @@ class _Way:
 
     def alone(self, case: Path, target: Path) -> _Entry:
         """Run one case in this process; its errors are printed, not raised."""
-        from limbcli.cli.app import report_error
         from limbcli.stages.batch_cases import one_case
 
         outcome = one_case(case, target, self.options, wait=self.wait, progress=self.progress)

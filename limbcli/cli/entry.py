@@ -79,7 +79,7 @@ def _caught(error: Exception) -> int:
     shown = unforeseen(error, output_folder(sys.argv[1:]))
     say(f"{type(shown).__name__}: {shown}", to_stderr=True)
     if "--json" in sys.argv:
-        from limbcli.cli.app import report_json
+        from limbcli.cli.error_output import report_json
 
         report_json(shown)
     return shown.exit_code

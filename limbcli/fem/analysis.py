@@ -16,7 +16,7 @@ from functools import partial
 from limbcli.bodies import Drive
 from limbcli.errors import SolveError
 from limbcli.fem.equilibrium.history import Histories
-from limbcli.fem.equilibrium.load_stepping import LoadStepping, is_timed
+from limbcli.fem.equilibrium.load_stepping import LoadStepping, remembers
 from limbcli.fem.equilibrium.newton import Counts, LoadStep, Newton, Settings
 from limbcli.fem.equilibrium.settings import WorkLimit
 from limbcli.fem.equilibrium.solve_times import counts_every_step, listed_times, step_times
@@ -62,7 +62,7 @@ class Analysis:
     @property
     def remembers(self) -> bool:
         """Whether the response depends on the loading path (viscoelastic materials, friction)."""
-        return is_timed(self.model) or self.model.has_friction
+        return remembers(self.model)
 
     @property
     def newton(self) -> Newton:

@@ -142,12 +142,11 @@ class ReferenceSolver:
 
 def _only_must_points(model: LimbModel) -> str:
     """What is left out of the records of a model with must-points; "" if nothing."""
-    from limbcli.fem.equilibrium.load_stepping import is_timed
+    from limbcli.fem.equilibrium.load_stepping import remembers
     from limbcli.fem.equilibrium.solve_times import counts_every_step
 
-    every = is_timed(model) or model.has_friction
     left_out = [step for step in model.steps if step.must_points and not counts_every_step(step)]
-    if every or not left_out:
+    if remembers(model) or not left_out:
         return ""
     return "only must-points and ends of steps are solved for and written; FEBio writes every time step"
 

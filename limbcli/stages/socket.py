@@ -21,10 +21,10 @@ from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.sockets.donning import DonningOptions, DonningResult, SocketState, don_and_load
 from limbcli.stages.in_socket.intervals import drawn_values, pressure_intervals
 from limbcli.stages.in_socket.limb_in_socket import LimbInSocket, put_together
+from limbcli.stages.in_socket.patch_pressure import PatchPressure
 from limbcli.stages.in_socket.patch_table import (
     WHOLE,
     Interval,
-    PatchRow,
     patch_masks,
     patch_rows,
     write_patches,
@@ -53,9 +53,9 @@ class SocketOptions:
     """
 
     align: bool = False
-    donning_steps: int = 10
-    load_steps: int = 5
-    contact_penalty: float = 20.0
+    donning_steps: int = DonningOptions.donning_steps
+    load_steps: int = DonningOptions.load_steps
+    contact_penalty: float = DonningOptions.penalty
     intervals: bool = True
 
 
@@ -157,7 +157,7 @@ def _solved(together: LimbInSocket, donning: DonningOptions, progress: Progress)
 
 def _intervals(
     given: SocketInput, donning: DonningOptions, together: LimbInSocket, limb: StageResult,
-    rows: list[PatchRow], options: SocketOptions, writer: StageWriter, progress: Progress,
+    rows: list[PatchPressure], options: SocketOptions, writer: StageWriter, progress: Progress,
 ) -> dict[tuple[float, str, str], Interval]:  # fmt: skip
     """Intervals over the limb's draws, none where it has none; their error and shares in the result."""
     if not options.intervals:
@@ -167,7 +167,7 @@ def _intervals(
         return {}
     masks = patch_masks(together.limb)
 
-    def solved(model: LimbModel, friction: float) -> list[PatchRow]:
+    def solved(model: LimbModel, friction: float) -> list[PatchPressure]:
         changed = replace(donning, friction=friction)
         states = don_and_load(model, together.face, changed, progress=progress).states
         return patch_rows(states, masks, together.skin.areas)
@@ -224,7 +224,9 @@ def _report_fit(writer: StageWriter, together: LimbInSocket, given: SocketInput)
     )
 
 
-def _report(writer: StageWriter, result: DonningResult, rows: list[PatchRow], together: LimbInSocket) -> None:
+def _report(
+    writer: StageWriter, result: DonningResult, rows: list[PatchPressure], together: LimbInSocket
+) -> None:
     """States, balance of forces and patches, in result and summary."""
     writer.data["states"] = [_state(each) for each in result.states]
     writer.data["patches"] = [vars(each) for each in rows]

@@ -14,10 +14,7 @@ from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.equilibrium.newton import Settings
-from limbcli.fem.equilibrium.tangent import assemble
-from limbcli.fem.motion.state import State
 from limbcli.fem.record_fields import cell_fields
-from limbcli.fem.system import System
 from limbcli.model import Domain, LimbModel, Material, Step, Support
 from limbcli.solvers.session import ReferenceSession
 
@@ -82,22 +79,6 @@ def test_displacements_stresses_and_energy_are_febios(kind: str, law: str) -> No
     norm, fields = FEBIO[kind, law]
     assert np.linalg.norm(last.state.u) == pytest.approx(norm, rel=1e-8)
     np.testing.assert_allclose(cell_fields(analysis.system, last.state, 0, FIELDS)[0], fields, rtol=1e-7)
-
-
-@pytest.mark.parametrize("kind", ["hex8", "penta6"])
-def test_the_tangent_agrees_with_differences(kind: str, rng: np.random.Generator) -> None:
-    model = sheared(kind, LAWS["mooney-rivlin"])
-    system = System(replace(model, supports=(Support("z0", ("x", "y", "z")),)), threads=1)
-    u = np.where(system.free, 0.05 * rng.standard_normal(system.X.shape), 0.0)
-    state = State(0.0, u, ())
-    direction = rng.standard_normal(system.n_unknowns)
-    exact = assemble(system, state, system.forces(state).nodal).times(state, direction)
-    v = np.zeros_like(u)
-    v[system.free] = direction
-    h = 1e-6
-    up, down = (system.forces(State(0.0, u + s * h * v, ())).residual for s in (1, -1))
-    np.testing.assert_allclose((up - down) / (2 * h), exact, atol=1e-6 * abs(exact).max())
-    np.testing.assert_allclose(system.tangent_times(state, v)[system.free], exact, atol=1e-11)
 
 
 def test_bending_of_nearly_incompressible_hexahedra_does_not_lock() -> None:

@@ -26,6 +26,7 @@ from limbcli.materials.energy import energy_density
 from limbcli.model import CellKind, LimbModel, Material, NodeMap, Step, Support
 
 KINDS = ("tet4", "tet10", "hex8", "penta6")
+UNCOUPLED = Material("mooney_rivlin", {"c1": 0.002, "c2": 0.001, "kappa": 1.0})
 TIGHT = Settings(tolerance=1e-11, threads=1)
 
 
@@ -55,9 +56,15 @@ def test_patch_test(kind: str) -> None:
     np.testing.assert_allclose(stress, np.broadcast_to(stress[0], stress.shape), atol=1e-11)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_tangent_agrees_with_differences_at_a_random_state(kind: str, rng: np.random.Generator) -> None:
-    system = System(replace(block(kind, twist=0.05), supports=(Support("z0", ("x", "y", "z")),)), threads=1)
+@pytest.mark.parametrize(
+    ("kind", "material"), [*((kind, None) for kind in KINDS), ("hex8", UNCOUPLED), ("penta6", UNCOUPLED)]
+)
+def test_tangent_agrees_with_differences_at_a_random_state(
+    kind: str, material: Material | None, rng: np.random.Generator
+) -> None:
+    """Of the default law, and with one pressure in each cell."""
+    model = block(kind, material=material, twist=0.05)
+    system = System(replace(model, supports=(Support("z0", ("x", "y", "z")),)), threads=1)
     u = np.where(system.free, 0.02 * rng.standard_normal(system.X.shape), 0.0)
     state = State(0.0, u, ())
     direction = rng.standard_normal(system.n_unknowns)

@@ -24,7 +24,8 @@ from limbcli.sockets.donning import DonningOptions
 from limbcli.stages import socket as stage
 from limbcli.stages.in_socket.intervals import drawn_values, pressure_intervals
 from limbcli.stages.in_socket.limb_in_socket import put_together
-from limbcli.stages.in_socket.patch_table import WHOLE, PatchRow
+from limbcli.stages.in_socket.patch_pressure import PatchPressure
+from limbcli.stages.in_socket.patch_table import WHOLE
 from limbcli.stages.limb import LimbOptions, limb
 from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.segment import segment
@@ -189,10 +190,10 @@ def test_friction_on_a_large_limb_is_named_as_the_reason(monkeypatch):
     assert caught.value.fix == "more steps"
 
 
-def row(c: float, friction: float) -> PatchRow:
+def row(c: float, friction: float) -> PatchPressure:
     """A table of one row that is linear in ln c and friction."""
     mean = 40.0 + 10.0 * np.log(c) - 20.0 * (friction - 0.3)
-    return PatchRow(400.0, WHOLE, 1.0, 1.0, mean, mean, mean, 1.0, 1.0)
+    return PatchPressure(400.0, WHOLE, 1.0, 1.0, mean, mean, mean, 1.0, 1.0)
 
 
 def test_intervals_of_a_linear_table_are_those_of_its_draws(tmp_path: Path):

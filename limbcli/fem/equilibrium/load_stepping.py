@@ -38,6 +38,11 @@ def is_timed(model: LimbModel) -> bool:
     return any(material.is_viscoelastic for material in model.materials.values())
 
 
+def remembers(model: LimbModel) -> bool:
+    """Whether the response depends on the loading path (viscoelastic materials, friction)."""
+    return is_timed(model) or model.has_friction
+
+
 class LoadStepping:
     """Advances through the load steps of each analysis step and adapts the increment length."""
 

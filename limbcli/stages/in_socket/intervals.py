@@ -17,7 +17,8 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.model import Array, ElementMap, LimbModel, Value
 from limbcli.progress import Progress
-from limbcli.stages.in_socket.patch_table import QUANTITIES, WHOLE, Interval, PatchRow
+from limbcli.stages.in_socket.patch_pressure import PatchPressure
+from limbcli.stages.in_socket.patch_table import QUANTITIES, WHOLE, Interval
 
 NAMES = ("c", "m", "friction")
 _SEED = 7
@@ -25,7 +26,7 @@ _LEAST = 1e-3  # deviations below this are none
 _LEAST_FRICTION = 0.01
 _ENDS = (2.5, 97.5)  # percentiles of a 95 % interval
 
-Solved = Callable[[LimbModel, float], list[PatchRow]]
+Solved = Callable[[LimbModel, float], list[PatchPressure]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +54,7 @@ def drawn_values(path: Path, friction: float, deviation: float) -> Array:
 
 
 def pressure_intervals(
-    limb: LimbModel, friction: float, base: Sequence[PatchRow], drawn: Array, solved: Solved,
+    limb: LimbModel, friction: float, base: Sequence[PatchPressure], drawn: Array, solved: Solved,
     progress: Progress,
 ) -> PressureIntervals:  # fmt: skip
     """Intervals of all quantities of the table.
@@ -104,7 +105,7 @@ def pressure_intervals(
     )
 
 
-def _values(rows: Sequence[PatchRow]) -> Array:
+def _values(rows: Sequence[PatchPressure]) -> Array:
     return np.array([getattr(row, name) for row in rows for name in QUANTITIES])
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -13,30 +13,11 @@ from numpy.typing import NDArray
 from limbcli.model import Array, LimbModel
 from limbcli.sockets.donning import SocketState
 from limbcli.stages.in_socket.limb_in_socket import PATCH
+from limbcli.stages.in_socket.patch_pressure import PatchPressure
 from limbcli.units import kpa_from_mpa
 
 WHOLE = "skin"  # name of the row of the whole skin
 QUANTITIES = ("contact_area_mm2", "mean_kpa", "p95_kpa", "peak_kpa", "mean_shear_kpa", "peak_shear_kpa")
-
-
-@dataclass(frozen=True)
-class PatchRow:
-    """A patch under one load; `load_n` 0: after donning.
-
-    area_mm2 : at rest; contact_area_mm2 : current, of its facets under pressure
-    mean_kpa, p95_kpa : over the area in contact; peak_kpa : of the facet with the largest mean
-    mean_shear_kpa, peak_shear_kpa : of the size of the tangential traction, likewise
-    """
-
-    load_n: float
-    patch: str
-    area_mm2: float
-    contact_area_mm2: float
-    mean_kpa: float
-    p95_kpa: float
-    peak_kpa: float
-    mean_shear_kpa: float
-    peak_shear_kpa: float
 
 
 Interval = tuple[float, float]
@@ -58,7 +39,7 @@ def patch_masks(limb: LimbModel) -> dict[str, NDArray[np.bool_]]:
 
 def patch_rows(
     states: Sequence[SocketState], masks: Mapping[str, NDArray[np.bool_]], areas: Array
-) -> list[PatchRow]:
+) -> list[PatchPressure]:
     """One row per state and patch. areas (n_facets,) : at rest, mm2"""
     rows = []
     for state in states:
@@ -69,7 +50,7 @@ def patch_rows(
             touching = pressure > 0
             weight = size[touching]
             rows.append(
-                PatchRow(
+                PatchPressure(
                     state.load_n, name, float(areas[mask].sum()), float(weight.sum()),
                     _mean(pressure[touching], weight), _quantile(pressure[touching], weight, 0.95),
                     kpa_from_mpa(float(pressure.max(initial=0.0))),
@@ -93,10 +74,10 @@ def _quantile(values: Array, weight: Array, share: float) -> float:
 
 
 def write_patches(
-    path: Path, rows: Sequence[PatchRow], intervals: Mapping[tuple[float, str, str], Interval]
+    path: Path, rows: Sequence[PatchPressure], intervals: Mapping[tuple[float, str, str], Interval]
 ) -> None:
     """Write patches.csv; intervals : 95 %, by (load, patch, quantity); the columns are empty without."""
-    own = [each.name for each in fields(PatchRow)]
+    own = [each.name for each in fields(PatchPressure)]
     ends = [f"{name}_{end}" for name in QUANTITIES for end in ("low", "high")]
     with path.open("w", newline="", encoding="utf-8") as stream:
         table = csv.writer(stream)

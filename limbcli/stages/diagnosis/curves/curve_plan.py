@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -17,7 +17,8 @@ from limbcli.errors import SolveError
 from limbcli.solvers.budget import Budget
 
 if TYPE_CHECKING:
-    from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
+    from limbcli.effects.curves import Curves
+    from limbcli.model import Array, LimbModel
 
 T = TypeVar("T")
 # Exponents m that are simulated first at every site; values between are interpolated, others are simulated
@@ -83,6 +84,14 @@ class Reach:
         return min(int(np.searchsorted(depths, share * needed - 1e-9)) + 1, len(depths))
 
 
+class SimulatedBeside(Protocol):
+    """Simulations without effects on another mesh of the same site."""
+
+    def curves(self, m: float) -> Curves: ...
+
+    def levels(self, m: float) -> tuple[LimbModel, Mapping[float, Array]]: ...
+
+
 @dataclass(frozen=True, kw_only=True)
 class Solving:
     """Solver settings of a simulation.
@@ -97,7 +106,7 @@ class Solving:
     tolerance: float = 1e-3
     threads: int = 2
     penalty: float | None = None
-    beside: SiteSimulations | None = None
+    beside: SimulatedBeside | None = None
 
 
 @dataclass
