@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from limbcli.fem.elements.groups import Operands
 from limbcli.fem.elements.kernels import _cofactor, _gather, _gradient
@@ -58,11 +57,6 @@ def volume_gradients(o: Operands, u: Array) -> Array:
     return out
 
 
-def add_stiffness(factors: Array, b: Array, pairs: NDArray[np.int32], blocks: Array) -> None:
-    """blocks (n_pairs, 3, 3) += factor b (x) b of every cell; pairs as in `assembly.Pattern`."""
-    _add_stiffness(factors, b, pairs, blocks)
-
-
 @njit(cache=True)
 def _volume_gradients(u, cells, grad, weight, base, out):  # type: ignore[no-untyped-def]
     F, B = np.empty((3, 3)), np.empty((3, 3))
@@ -81,7 +75,8 @@ def _volume_gradients(u, cells, grad, weight, base, out):  # type: ignore[no-unt
 
 
 @njit(cache=True)
-def _add_stiffness(factors, b, pairs, blocks):  # type: ignore[no-untyped-def]
+def add_stiffness(factors, b, pairs, blocks):  # type: ignore[no-untyped-def]
+    """blocks (n_pairs, 3, 3) += factor b (x) b of every cell; pairs as in `assembly.Pattern`."""
     n_nodes = b.shape[1]
     for e in range(b.shape[0]):
         k = 0
