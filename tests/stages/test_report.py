@@ -142,7 +142,7 @@ def add_fit(
             element=element, solver="reference", solver_version="0.1.0", linear_solver="pardiso",
             c_source="2 mu from SWE at level 0 (2.250 m/s)", steps=steps, noise={"source": noise},
             noise_scale=scale, asked={} if c_kpa is None else {"c_kpa": c_kpa},
-            agreement={"state": state, "force": {"state": state, "words": words}},
+            agreement={"state": state, "force": {"state": state, "words": words, "rms": 0.216}},
         )  # fmt: skip
         rows = ["depth_mm,measured_n,start_n,mooney-rivlin_n,ogden_n"]
         rows += [
@@ -935,6 +935,8 @@ def test_the_methods_of_a_run_are_told_with_its_numbers_versions_and_citations(w
     assert "10.1016/j.jmbbm.2022.105541" in told
     assert f"limbcli {__version__}" in told
     assert f"agreement with the data: {data.get('agreement', {}).get('state', 'untested')}" in told
+    rms = data["agreement"]["force"]["rms"]
+    assert f"root mean square difference under load {significant(rms)} N" in told, "as the page shows it"
     for key in re.findall(r"\[([A-Z][a-z]+ \d{4})\]", told):
         assert f"[{key}] {key.split()[0]} " in told  # each citation has its reference
     html = (out / "report/report.html").read_text(encoding="utf-8")

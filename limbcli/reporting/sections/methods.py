@@ -179,7 +179,7 @@ def _results(page: ReportData, site: SiteMaterial, fit: FitView) -> str:
     found = [_stiffness(last.estimate("c"), last.c_kpa)]
     found += [f"{name} {each.headline}" for name in ("f_κ", "m") if (each := last.estimate(name)) is not None]
     numbers = ", ".join(each.replace("f_κ", "f_kappa") for each in found if each)
-    off = [f"R2 {last.r2:.4f}" if last.r2 is not None else "", _rmse(last.rmse_n)]
+    off = [f"R2 {last.r2:.4f}" if last.r2 is not None else "", _misfit(fit)]
     agreement = f"; agreement with the data: {fit.whole.state} ({fit.whole.words.rstrip('.')})"
     diagnosed = in_short(page, site)
     tail = f" The diagnosis of what the model lacks: {diagnosed.rstrip('.')}." if diagnosed else ""
@@ -187,8 +187,10 @@ def _results(page: ReportData, site: SiteMaterial, fit: FitView) -> str:
     return f"Site {site.name}{levels}: {numbers}; {residue}{agreement}.{tail}"
 
 
-def _rmse(rmse_n: float | None) -> str:
-    return "" if rmse_n is None else f"root mean square difference {significant(rmse_n)} N"
+def _misfit(fit: FitView) -> str:
+    """The number that the page shows: of the loaded levels alone, since the curve starts at first touch."""
+    rms = fit.force.rms
+    return "" if rms is None else f"root mean square difference under load {significant(rms)} N"
 
 
 def _stiffness(c: EstimateView | None, c_kpa: float | None) -> str:
