@@ -82,7 +82,7 @@ def test_what_a_harder_contact_changes_is_told_of_every_site(joint, measured):
     session.close()
     assert check["force_change_fraction"] == pytest.approx(expected, abs=3e-3)
     assert np.max(expected) > 0.005
-    assert any(line.startswith("p1: 4 times the contact's penalty") for line in joint.summary)
+    assert any(line.startswith("p1: with a contact 4 times as stiff") for line in joint.summary)
 
 
 @pytest.mark.slow
