@@ -105,7 +105,7 @@ class System(RigidLoads, ElementLoops):
         for pair in self.pairs:
             if pair.contact.penalty_curve is not None:
                 pair.scale_penalty(self.curve_at(pair.contact.penalty_curve, time))
-        self.distributed.at(self.curve)
+        self.distributed.at(self.curve, time)
         self.operands = [
             g.at(self.curve, scale=s, history=h)
             for g, s, h in zip(self.groups, self.scales, self.histories, strict=True)
