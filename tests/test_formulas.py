@@ -53,7 +53,7 @@ def test_what_is_no_formula_is_refused_with_the_place(text: str, part: str) -> N
 
 
 def test_a_value_that_is_none_is_told_with_its_point() -> None:
-    with pytest.raises(SolveError, match="is inf at X, Y, Z = 0.5, 2, 3 mm, t = 0 s"):
+    with pytest.raises(SolveError, match=r"is inf at X, Y, Z = 0\.5, 2, 3 mm, t = 0 s"):
         Formula("X/t")(AT, 0.0)
 
 

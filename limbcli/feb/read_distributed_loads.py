@@ -18,7 +18,9 @@ from limbcli.formulas import Formula
 from limbcli.model import Load
 
 _AXES = ("x", "y", "z")
-_KNOWN = "pressure, traction, force, nodal_force, nodal_load, and body forces of type const, non-const, body force"
+_KNOWN = (
+    "pressure, traction, force, nodal_force, nodal_load, body forces of type const, non-const or body force"
+)
 
 
 def read_distributed_loads(tag: Tag | None, scene: Scene, materials: Tag | None) -> tuple[Load, ...]:
