@@ -236,12 +236,15 @@ def read_rigid(tag: Tag | None, scene: Scene) -> tuple[tuple[Drive, ...], tuple[
                 drives += _fixed(each, scene)
             elif kind in ("rigid_displacement", "rigid_rotation", "rigid_force", "rigid_moment"):
                 drives.append(_driven(each, scene, kind.removeprefix("rigid_")))
+            elif kind == "rigid_rotation_vector":
+                drives += _rotation_vector(each, scene)
             elif kind == "rigid spring":
                 springs.append(_spring(each, scene))
             else:
                 raise each.problem(
                     f"type {kind!r} is not supported",
-                    fix="use rigid_fixed, rigid_ displacement, rotation, force or moment, or a rigid spring",
+                    fix="use rigid_fixed, rigid_ displacement, rotation, rotation_vector, force or moment, "
+                    "or a rigid spring",
                 )
     return tuple(drives), tuple(springs)
 
@@ -279,6 +282,21 @@ def _driven(tag: Tag, scene: Scene, kind: str) -> Drive:
         curve=scene.curve(value),
         relative=flag(tag, "relative"),
     )
+
+
+def _rotation_vector(tag: Tag, scene: Scene) -> list[Drive]:
+    """The components of a rotation vector (rad); one that is not given is 0 (FERigidRotationVector)."""
+    tag.allow(attributes=("name", "type"), children=("rb", "vx", "vy", "vz"))
+    body = scene.body(tag.need("rb"))
+    drives = []
+    for name, dof in (("vx", "u"), ("vy", "v"), ("vz", "w")):
+        child = tag.child(name)
+        if child is not None:
+            child.allow(attributes=("lc",))
+        value = 0.0 if child is None else child.number(attributes=("lc",))
+        curve = None if child is None else scene.curve(child)
+        drives.append(Drive(body, dof, "rotation", value, curve))  # type: ignore[arg-type]
+    return drives
 
 
 def _dof(tag: Tag, dofs: Mapping[str, str], *, by_number: bool) -> str:

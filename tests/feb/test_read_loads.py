@@ -182,3 +182,11 @@ def test_a_body_force_needs_the_density_that_febio_would_assume(punch: Path, tmp
     path = with_loads(punch, tmp_path, text, ("<density>1e-09</density><cp>", "<cp>"))
     with pytest.raises(CaseError, match="no <density>"):
         read_feb(path)
+
+
+def test_a_rotation_vector_has_all_three_components(punch: Path, tmp_path: Path) -> None:
+    path = with_loads(punch, tmp_path, "")
+    turn = '<rigid_bc type="rigid_rotation_vector"><rb>probe</rb><vz lc="1">0.2</vz></rigid_bc></Rigid>'
+    path.write_text(path.read_text().replace("</Rigid>", turn, 1))
+    turns = [(each.dof, each.value, each.curve) for each in read_feb(path).drives if each.kind == "rotation"]
+    assert turns == [("u", 0.0, None), ("v", 0.0, None), ("w", 0.2, "travel")]
