@@ -94,7 +94,7 @@ def test_tangent_agrees_with_differences(kind: str, free: bool, rng: np.random.G
 
 @pytest.mark.parametrize(("x", "mu", "slips"), [(0.02, 0.9, False), (3.0, 0.3, True)])
 def test_augmented_friction_gives_what_a_stiff_penalty_gives(x: float, mu: float, slips: bool) -> None:
-    """A block that sticks or slips under a plate; both by a penalty that alone leaves a large gap."""
+    """A block that sticks in part or slips under a plate, by a penalty that alone leaves a large gap."""
     model = replace(dragged(x, mu=mu), mesh=punch("hex8", (2, 2, 2), width=40.0).mesh)
     model = replace(model, supports=model.supports[:1])
 
@@ -108,7 +108,7 @@ def test_augmented_friction_gives_what_a_stiff_penalty_gives(x: float, mu: float
     stiff, sticking = end(penalty=400.0)
     soft, _ = end(penalty=2.0)
     augmented, still = end(penalty=2.0, augmented=True, tolerance=1e-4, more={"maxaug": "40"})
-    assert (sticking < 0.5) == slips == (still < 0.5)
+    assert (sticking == 0.0) == slips == (still == 0.0)
     assert np.abs(soft - stiff).max() > 0.05 * np.abs(stiff).max()
     np.testing.assert_allclose(augmented, stiff, atol=0.02 * np.abs(stiff).max())
 
