@@ -113,7 +113,7 @@ def write_abaqus(model: LimbModel, path: Path) -> None:
     ------
     CaseError
         If it holds what is not written: laws without Abaqus form, springs, fluid pressure, relative motion,
-        load curves with steps.
+        loads on the tissue, load curves with steps.
     """
     _refuse(model)
     with atomic_file(path) as partial, partial.open("w", encoding="ascii", errors="replace") as file:
@@ -131,8 +131,9 @@ def _refuse(model: LimbModel) -> None:
         "motion relative to an earlier step"
         if any(each.relative for each in drives) or any(each.relative for each in supports)
         else "",
-        "load curves of kind step"
-        if any(c.interpolate not in _AMPLITUDES for c in model.curves.values())
+        "loads on the tissue" if model.loads or any(step.loads for step in model.steps) else "",
+        "load curves of kind step or by formula"
+        if any(c.interpolate not in _AMPLITUDES or c.formula is not None for c in model.curves.values())
         else "",
     ]
     if any(found):

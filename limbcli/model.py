@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from limbcli.bodies import Contact, Drive, RigidBody, Spring
 from limbcli.errors import CaseError
+from limbcli.formulas import Formula
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -137,11 +138,12 @@ Value = float | tuple[float, ...] | ElementMap | Curved
 
 @dataclass(frozen=True)
 class Curve:
-    """A load curve: points (time_s, value); FEBio's interpolations and extensions."""
+    """A load curve: points (time_s, value) with FEBio's interpolations and extensions, or a formula of t."""
 
     points: tuple[tuple[float, float], ...]
     interpolate: Literal["linear", "step", "smooth"] = "linear"
     extend: Literal["constant", "extrapolate", "repeat", "repeat offset"] = "constant"
+    formula: Formula | None = None
 
 
 # ---------------------------------------------------------------- material
@@ -208,15 +210,16 @@ class Load:
     """A load on tissue, multiplied by `curve`.
 
     kind : "pressure" (value[0], MPa) acts against the outward normal; "traction" (MPa) in a fixed direction;
-        "nodal force" (N) on each node; "body force" (mm/s^2) is an acceleration: its force per volume is the
-        material's density times it
+        "surface force" (N) is spread evenly over the undeformed surface; "nodal force" (N) acts on each node;
+        "body force" (mm/s^2) is an acceleration: its force per volume is the material's density times it
+    value : its components; a formula is evaluated at each point of the reference state, and at each time
     on : the surface, the node set or the block; of a body force "" is all of the tissue
     on_reference : a pressure or traction acts on the undeformed surface, else on the deformed one
     """
 
-    kind: Literal["pressure", "traction", "nodal force", "body force"]
+    kind: Literal["pressure", "traction", "surface force", "nodal force", "body force"]
     on: str
-    value: tuple[float, ...]
+    value: tuple[float | Formula, ...]
     curve: str | None = None
     on_reference: bool = False
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from limbcli import bodies
+from limbcli import bodies, formulas
 from limbcli import model as nouns
 from limbcli.atomic_files import atomic_file
 from limbcli.errors import CaseError
@@ -26,7 +26,7 @@ from limbcli.unpacking import DAMAGED, UnpackingBudget, read_npz
 FORMAT = 1
 _TYPES = {
     each.__name__: each
-    for module in (bodies, nouns)
+    for module in (bodies, formulas, nouns)
     for each in vars(module).values()
     if isinstance(each, type) and dataclasses.is_dataclass(each) and each.__module__ == module.__name__
 }

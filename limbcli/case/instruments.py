@@ -45,12 +45,27 @@ def _at_odds(name: str, table: Mapping[str, Any], title: str, file: str) -> list
                 f"[{title}] has probe_mass_kg but no tare_s, which its weight is measured from", file, fix
             )
         )
-    low, high = table.get("low_m_per_s"), table.get("high_m_per_s")
-    if low is not None and high is not None and low >= high:
-        what = f"[{title}] low_m_per_s, {low:g}, is not below high_m_per_s, {high:g}"
-        fix = "give the speeds at the ends of the colour bar; high is its top, or its right end"
-        found.append(Problem(what, file, fix))
+    if name == "swe_images":
+        found += _bar_ends_at_odds(table, title, file)
     return found
+
+
+def _bar_ends_at_odds(table: Mapping[str, Any], title: str, file: str) -> list[Problem]:
+    """The ends of the colour bar are all speeds or all moduli, and the low one is the smaller."""
+    fix = (
+        "give what the ends of the colour bar are marked with, high_m_per_s or high_kpa (Young's modulus, "
+        "E = 3 rho v^2); high is its top, or its right end"
+    )
+    if (table.get("high_m_per_s") is None) == (table.get("high_kpa") is None):
+        many = "both" if table.get("high_kpa") is not None else "neither"
+        return [Problem(f"[{title}] has {many} of high_m_per_s and high_kpa", file, fix)]
+    unit, other = ("m_per_s", "kpa") if table.get("high_kpa") is None else ("kpa", "m_per_s")
+    low, high = table.get(f"low_{unit}") or 0.0, table[f"high_{unit}"]
+    if table.get(f"low_{other}"):
+        return [Problem(f"[{title}] has low_{other} beside high_{unit}", file, fix)]
+    if low >= high:
+        return [Problem(f"[{title}] low_{unit}, {low:g}, is not below high_{unit}, {high:g}", file, fix)]
+    return []
 
 
 def read_layers(

@@ -177,6 +177,8 @@ def _largest_step(tag: Tag | None, context: _Context) -> dict[str, Any]:
     if name is None:
         return {"dt_max": tag.number()}
     curve = context.curves[name]
+    if curve.formula is not None:
+        raise tag.problem("its load curve is a formula", fix="use a curve of points, or a number")
     if curve.extend != "constant":
         raise tag.problem(
             "its load curve must have constant extension", fix="write <extend>CONSTANT</extend>"

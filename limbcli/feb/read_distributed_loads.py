@@ -1,21 +1,26 @@
-"""`<Loads>`: pressure and traction on surfaces, forces on nodes, constant body forces.
+"""`<Loads>`: pressure, traction and forces on surfaces, forces on nodes, body forces; by number or formula.
 
 FEBio's body force is that of an accelerated frame: it acts against the given direction, with the density of
 the material, 1 where none is given (FEElasticSolidDomain::BodyForce, FESolidMaterial).
 
-Source: FEBio 4.11, FEPressureLoad, FETractionLoad, FENodalForce, FENodalDOFLoad, FEGenericBodyForce.
+Source: FEBio 4.11, FEPressureLoad, FETractionLoad, FESurfaceForceUniform, FENodalForce, FENodalDOFLoad,
+FEGenericBodyForce.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
+from limbcli.feb.amounts import Amount, against
 from limbcli.feb.read_loads import Scene, flag
 from limbcli.feb.xml import Tag
+from limbcli.formulas import Formula
 from limbcli.model import Load
 
 _AXES = ("x", "y", "z")
-_KNOWN = "pressure, traction, nodal_force, nodal_load, and body forces of type const or body force"
+_KNOWN = (
+    "pressure, traction, force, nodal_force, nodal_load, body forces of type const, non-const or body force"
+)
 
 
 def read_distributed_loads(tag: Tag | None, scene: Scene, materials: Tag | None) -> tuple[Load, ...]:
@@ -49,8 +54,8 @@ def _pressure(tag: Tag, scene: Scene) -> list[Load]:
     )
     value = tag.need("pressure")
     value.allow(attributes=("lc", "type"))
-    amount = value.number(attributes=("lc",))
-    return [Load("pressure", _surface(tag, scene), (amount,), scene.curve(value), flag(tag, "linear"))]
+    amount = value.amounts(1, attributes=("lc",))
+    return [Load("pressure", _surface(tag, scene), amount, scene.curve(value), flag(tag, "linear"))]
 
 
 def _traction(tag: Tag, scene: Scene) -> list[Load]:
@@ -59,13 +64,34 @@ def _traction(tag: Tag, scene: Scene) -> list[Load]:
     )
     vector, scale = tag.need("traction"), tag.child("scale")
     vector.allow(attributes=("type",))
+    factor: Amount = 1.0
+    if scale is not None:
+        scale.allow(attributes=("lc", "type"))
+        (factor,) = scale.amounts(1, attributes=("lc",))
+    value = tuple(_times(factor, each) for each in vector.amounts(3))
+    curve = scene.curve(scale) if scale is not None else None
+    return [Load("traction", _surface(tag, scene), value, curve, flag(tag, "linear"))]
+
+
+def _force(tag: Tag, scene: Scene) -> list[Load]:
+    """A force that is spread evenly over the undeformed area of a surface."""
+    tag.allow(attributes=("name", "type", "surface"), children=("scale", "force", "shell_bottom"))
+    vector, scale = tag.need("force"), tag.child("scale")
+    vector.allow(attributes=("type",))
     factor = 1.0
     if scale is not None:
         scale.allow(attributes=("lc", "type"))
         factor = scale.number(attributes=("lc",))
     x, y, z = (factor * each for each in vector.numbers(3))
     curve = scene.curve(scale) if scale is not None else None
-    return [Load("traction", _surface(tag, scene), (x, y, z), curve, flag(tag, "linear"))]
+    return [Load("surface force", _surface(tag, scene), (x, y, z), curve, on_reference=True)]
+
+
+def _times(factor: Amount, value: Amount) -> Amount:
+    if not isinstance(factor, Formula) and not isinstance(value, Formula):
+        return factor * value
+    texts = [each.text if isinstance(each, Formula) else repr(each) for each in (factor, value)]
+    return value if texts[0] == "1.0" else Formula("*".join(f"({each})" for each in texts))
 
 
 def _surface(tag: Tag, scene: Scene) -> str:
@@ -83,17 +109,17 @@ def _nodal_force(tag: Tag, scene: Scene) -> list[Load]:
     tag.allow(attributes=("name", "type", "node_set"), children=("value", "relative", "shell_bottom"))
     value = tag.need("value")
     value.allow(attributes=("lc", "type"))
-    x, y, z = value.numbers(3, attributes=("lc",))
-    return [Load("nodal force", _nodes(tag, scene), (x, y, z), scene.curve(value))]
+    force = value.amounts(3, attributes=("lc",))
+    return [Load("nodal force", _nodes(tag, scene), force, scene.curve(value))]
 
 
 def _nodal_load(tag: Tag, scene: Scene) -> list[Load]:
     tag.allow(attributes=("name", "type", "node_set"), children=("dof", "scale", "relative"))
     scale = tag.need("scale")
     scale.allow(attributes=("lc", "type"))
-    dof, amount = tag.need("dof").choice(_AXES), scale.number(attributes=("lc",))
-    x, y, z = (amount if axis == dof else 0.0 for axis in _AXES)
-    return [Load("nodal force", _nodes(tag, scene), (x, y, z), scene.curve(scale))]
+    dof, (amount,) = tag.need("dof").choice(_AXES), scale.amounts(1, attributes=("lc",))
+    force = tuple(amount if axis == dof else 0.0 for axis in _AXES)
+    return [Load("nodal force", _nodes(tag, scene), force, scene.curve(scale))]
 
 
 def _nodes(tag: Tag, scene: Scene) -> str:
@@ -106,12 +132,12 @@ def _nodes(tag: Tag, scene: Scene) -> str:
 def _const(tag: Tag, scene: Scene) -> list[Load]:
     """A body force whose components have a curve each; those with the same curve are one load."""
     tag.allow(attributes=("name", "type", "elem_set"), children=_AXES)
-    by_curve: dict[str | None, list[float]] = {}
+    by_curve: dict[str | None, list[Amount]] = {}
     for k, axis in enumerate(_AXES):
         child = tag.child(axis)
         if child is not None:
             child.allow(attributes=("lc", "type"))
-            amount = child.number(attributes=("lc",))
+            (amount,) = child.amounts(1, attributes=("lc",))
             if amount:
                 by_curve.setdefault(scene.curve(child), [0.0] * 3)[k] = -amount
     block = _block(tag, scene)
@@ -122,8 +148,8 @@ def _body_force(tag: Tag, scene: Scene) -> list[Load]:
     tag.allow(attributes=("name", "type", "elem_set"), children=("force",))
     force = tag.need("force")
     force.allow(attributes=("lc", "type"))
-    x, y, z = (0.0 - each for each in force.numbers(3, attributes=("lc",)))
-    return [Load("body force", _block(tag, scene), (x, y, z), scene.curve(force))]
+    value = tuple(against(force.amounts(3, attributes=("lc",))))
+    return [Load("body force", _block(tag, scene), value, scene.curve(force))]
 
 
 def _block(tag: Tag, scene: Scene) -> str:
@@ -149,8 +175,10 @@ def _refuse_flag(tag: Tag, name: str, why: str) -> None:
 _READERS: dict[tuple[str, str], Callable[[Tag, Scene], list[Load]]] = {
     ("surface_load", "pressure"): _pressure,
     ("surface_load", "traction"): _traction,
+    ("surface_load", "force"): _force,
     ("nodal_load", "nodal_force"): _nodal_force,
     ("nodal_load", "nodal_load"): _nodal_load,
     ("body_load", "const"): _const,
+    ("body_load", "non-const"): _const,
     ("body_load", "body force"): _body_force,
 }

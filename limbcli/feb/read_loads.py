@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, cast
 
 from limbcli.bodies import Drive, RigidBody, Spring
+from limbcli.errors import SolveError
 from limbcli.feb.read_mesh import MeshSection
 from limbcli.feb.xml import Tag
 from limbcli.model import Curve, NodeMap, Support
@@ -81,10 +82,19 @@ def _controller(tag: Tag, number: int) -> tuple[str, Curve]:
             f"id {tag.attribute('id')} where {number} was expected",
             fix="number load controllers from 1 without gaps",
         )
+    if tag.attribute("type") == "math":
+        return tag.optional("name") or f"curve_{number}", _formula_of_time(tag)
     if tag.attribute("type") != "loadcurve":
-        raise tag.problem(f"type {tag.attribute('type')!r} is not supported", fix="use a loadcurve")
+        raise tag.problem(f"type {tag.attribute('type')!r} is not supported", fix="use a loadcurve or math")
     tag.allow(attributes=("id", "name", "type"), children=("interpolate", "extend", "points"))
     return tag.optional("name") or f"curve_{number}", _curve(tag)
+
+
+def _formula_of_time(tag: Tag) -> Curve:
+    tag.allow(attributes=("id", "name", "type"), children=("math",))
+    formula = tag.need("math")
+    formula.allow()
+    return Curve((), formula=formula.formula(formula.text, ("t",)))
 
 
 def _curve(tag: Tag) -> Curve:
@@ -177,10 +187,14 @@ def _prescribed(tag: Tag, node_set: str, scene: Scene) -> Support:
             raise value.problem(
                 f"the map is over the node set {amount.node_set!r}", fix=f"give it over {node_set!r}"
             )
+    elif value.optional("type") == "math":
+        amount = _map_of_formula(tag, value, node_set, scene)
     elif value.optional("type") in (None, "const"):
         amount = value.number(attributes=("lc",))
     else:
-        raise value.problem(f"type {value.optional('type')!r} is not supported", fix="use a number or a map")
+        raise value.problem(
+            f"type {value.optional('type')!r} is not supported", fix="use a number, a formula or a map"
+        )
     return Support(
         node_set=node_set,
         dofs=(tag.need("dof").choice(_DISPLACEMENTS),),
@@ -188,6 +202,17 @@ def _prescribed(tag: Tag, node_set: str, scene: Scene) -> Support:
         curve=scene.curve(value),
         relative=flag(tag, "relative"),
     )
+
+
+def _map_of_formula(tag: Tag, value: Tag, node_set: str, scene: Scene) -> NodeMap:
+    """The values of a formula of X, Y, Z at the nodes of a set, under a name that no map has."""
+    formula = value.formula(value.text, ("X", "Y", "Z"))
+    mesh = scene.mesh.mesh
+    name = f"{tag.optional('name') or node_set}_by_formula_line_{value.line}"
+    try:
+        return NodeMap(name, node_set, formula(mesh.points[mesh.node_sets[node_set]], 0.0))
+    except SolveError as error:
+        raise value.problem(error.what, fix="correct the formula") from error
 
 
 def flag(tag: Tag, name: str, *, default: bool = False) -> bool:
@@ -211,12 +236,15 @@ def read_rigid(tag: Tag | None, scene: Scene) -> tuple[tuple[Drive, ...], tuple[
                 drives += _fixed(each, scene)
             elif kind in ("rigid_displacement", "rigid_rotation", "rigid_force", "rigid_moment"):
                 drives.append(_driven(each, scene, kind.removeprefix("rigid_")))
+            elif kind == "rigid_rotation_vector":
+                drives += _rotation_vector(each, scene)
             elif kind == "rigid spring":
                 springs.append(_spring(each, scene))
             else:
                 raise each.problem(
                     f"type {kind!r} is not supported",
-                    fix="use rigid_fixed, rigid_ displacement, rotation, force or moment, or a rigid spring",
+                    fix="use rigid_fixed, rigid_ displacement, rotation, rotation_vector, force or moment, "
+                    "or a rigid spring",
                 )
     return tuple(drives), tuple(springs)
 
@@ -254,6 +282,21 @@ def _driven(tag: Tag, scene: Scene, kind: str) -> Drive:
         curve=scene.curve(value),
         relative=flag(tag, "relative"),
     )
+
+
+def _rotation_vector(tag: Tag, scene: Scene) -> list[Drive]:
+    """The components of a rotation vector (rad); one that is not given is 0 (FERigidRotationVector)."""
+    tag.allow(attributes=("name", "type"), children=("rb", "vx", "vy", "vz"))
+    body = scene.body(tag.need("rb"))
+    drives = []
+    for name, dof in (("vx", "u"), ("vy", "v"), ("vz", "w")):
+        child = tag.child(name)
+        if child is not None:
+            child.allow(attributes=("lc",))
+        value = 0.0 if child is None else child.number(attributes=("lc",))
+        curve = None if child is None else scene.curve(child)
+        drives.append(Drive(body, dof, "rotation", value, curve))  # type: ignore[arg-type]
+    return drives
 
 
 def _dof(tag: Tag, dofs: Mapping[str, str], *, by_number: bool) -> str:

@@ -10,6 +10,7 @@ from dataclasses import replace
 from limbcli.bodies import Contact, Drive, RigidBody, Spring
 from limbcli.errors import CaseError
 from limbcli.feb.xml import UNITS, Tag, units_of
+from limbcli.formulas import Formula
 from limbcli.model import (
     Curved,
     ElementMap,
@@ -121,8 +122,13 @@ class _Factors:
         return replace(drive, value=drive.value * factors.get(drive.kind, 1.0))
 
     def load(self, load: Load) -> Load:
-        factor = {"nodal force": self.force, "body force": self.length}.get(load.kind, self.stress)
-        return replace(load, value=tuple(each * factor for each in load.value))
+        forces = dict.fromkeys(("surface force", "nodal force"), self.force)
+        factor = {**forces, "body force": self.length}.get(load.kind, self.stress)
+        value = (
+            each.scaled(self.length, factor) if isinstance(each, Formula) else each * factor
+            for each in load.value
+        )
+        return replace(load, value=tuple(value))
 
     def spring(self, spring: Spring) -> Spring:
         a, b = (

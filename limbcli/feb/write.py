@@ -14,6 +14,7 @@ from markupsafe import Markup
 from limbcli.atomic_files import atomic_file
 from limbcli.config import templates_folder
 from limbcli.errors import CaseError
+from limbcli.feb.amounts import against, amounts, has_formulas
 from limbcli.feb.ids import Ids, element_maps, give_ids, node_maps, number, vector
 from limbcli.feb.info import INFO_MARK
 from limbcli.feb.read import EMPTY_NODE_SETS, EMPTY_SURFACES, IGNORED
@@ -99,6 +100,9 @@ def _environment(templates: Path | None) -> jinja2.Environment:
     )
     environment.filters["number"] = number
     environment.filters["vector"] = vector
+    environment.filters["amounts"] = amounts
+    environment.filters["against"] = against
+    environment.filters["formulas"] = has_formulas
     environment.tests["float_like"] = lambda value: isinstance(value, Real)
     return environment
 

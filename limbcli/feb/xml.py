@@ -15,6 +15,7 @@ from lxml import etree
 
 from limbcli.errors import CaseError
 from limbcli.feb.notes import ReadingNotes
+from limbcli.formulas import VARIABLES, Formula, FormulaError, split_outside_brackets
 from limbcli.model import Array, IntArray
 from limbcli.unpacking import DAMAGED, UnpackingBudget
 from limbcli.xml_files import mixed_text, parsed_xml
@@ -217,6 +218,28 @@ class Tag:
                 f"{self.text!r} is not {count} number(s)", fix="give finite numbers between commas"
             )
         return values
+
+    def amounts(self, count: int, *, attributes: Collection[str] = ()) -> tuple[float | Formula, ...]:
+        """Numbers, or formulas if the type is "math", separated by commas; attributes : see `constant`."""
+        if self.optional("type") != "math":
+            return self.numbers(count, attributes=attributes)
+        parts = split_outside_brackets(self.text)
+        if len(parts) != count:
+            raise self.problem(f"{self.text!r} is not {count} formula(s)", fix="give formulas between commas")
+        return tuple(self.formula(part) for part in parts)
+
+    def formula(self, text: str, variables: Collection[str] = VARIABLES) -> Formula:
+        """A formula of these variables."""
+        try:
+            found = Formula(text)
+            if unknown := found.names - set(variables):
+                raise FormulaError(f"{min(unknown)} has no value here")
+        except FormulaError as error:
+            raise self.problem(
+                f"the formula {text[:60]!r} cannot be read: {error}",
+                fix="correct it, or run the file with FEBio (--solver febio)",
+            ) from error
+        return found
 
     def integer(self) -> int:
         value = self.number()

@@ -105,7 +105,7 @@ class System(RigidLoads, ElementLoops):
         for pair in self.pairs:
             if pair.contact.penalty_curve is not None:
                 pair.scale_penalty(self.curve_at(pair.contact.penalty_curve, time))
-        self.distributed.at(self.curve)
+        self.distributed.at(self.curve, time)
         self.operands = [
             g.at(self.curve, scale=s, history=h)
             for g, s, h in zip(self.groups, self.scales, self.histories, strict=True)
@@ -146,8 +146,7 @@ class System(RigidLoads, ElementLoops):
     def take_multipliers(self, before: System) -> None:
         """Copy the multipliers of the augmented contacts from the system of the previous step."""
         for mine, theirs in zip(self.pairs, before.pairs, strict=True):
-            for patch, old in zip(mine.patches, theirs.patches, strict=True):
-                patch.multiplier = old.multiplier.copy()
+            mine.set_multipliers(theirs.multipliers())
 
     def hints(self) -> tuple[Array, ...]:
         """The rigid facet that each contact point touches (-1: none), one array per patch."""

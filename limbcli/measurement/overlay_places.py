@@ -7,6 +7,8 @@ coloured area beside it. If either is ambiguous, an error is raised instead of a
 from __future__ import annotations
 
 import colorsys
+import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +24,51 @@ _BAR_COLOUR, _BOX_COLOUR = 60.0, 24.0
 _SLENDER = 4.0  # smallest length-to-width ratio of a bar
 _SHORTEST, _NARROWEST = 40, 4  # smallest length and width of a bar, pixels
 _UNEVEN = 14.0  # largest standard deviation of the colours across a bar, of 255
+_BLURRED = 0.2  # fraction of a bar's width at each side that compression may have blurred
 _EVEN_STEP = 20.0, 45.0  # bounds (of 255) of the colour step between lines above which the bar has ended
 _GREY_END = 0.15  # largest fraction of a bar that may be nearly grey at an end
 _HUES = 0.3  # smallest fraction of the hue circle that a bar spans
 _SMALLEST_BOX = 900  # smallest number of coloured pixels of a box
 _COLOURED = 0.2  # smallest coloured fraction of a row or column of the box, relative to the fullest one
+
+
+@dataclass(frozen=True)
+class Screen:
+    """Where a scanner's screen of columns x rows pixels has its colour bar, from end to end."""
+
+    columns: int
+    rows: int
+    bar: Box
+
+    def bar_in(self, image: UltrasoundImage) -> Box:
+        """The bar in a picture of the whole screen, at any size.
+
+        Raises
+        ------
+        MeasurementError
+            If the picture is not of the screen's shape.
+        """
+        rows, columns = image.rgb.shape[:2]
+        scale = columns / self.columns
+        if abs(rows - scale * self.rows) > scale:
+            raise MeasurementError(
+                f"the picture of {columns} by {rows} pixels is not a whole screen of {self.columns} by "
+                f"{self.rows}, which the preset is for",
+                where=image.where,
+                fix="remove preset (the bar is then searched), or state bar_pixels",
+            )
+        left, top, right, bottom = self.bar
+        return (
+            math.ceil(left * scale),
+            math.ceil(top * scale),
+            math.floor((right + 1) * scale) - 1,
+            math.floor((bottom + 1) * scale) - 1,
+        )
+
+
+# SuperSonic/Hologic Mach 30, bar of Young's modulus: bar as read by swepy (oseynnes/swepy 244a650,
+# swepy/processing/data.py) and as seen in its picture of the screen (src/sc0.png, bar to 300 kPa).
+SCREENS = {"mach30": Screen(720, 540, (693, 70, 699, 179))}
 
 
 def find_bar(image: UltrasoundImage) -> Box:
@@ -59,7 +101,8 @@ def _to_its_ends(rgb: Array, box: Box, image: UltrasoundImage) -> Box:
     """Extend a bar over its nearly grey ends, where its colours continue smoothly up to an edge."""
     left, top, right, bottom = box
     upright = bottom - top >= right - left
-    lines = rgb[:, left + 1 : right] if upright else rgb[top + 1 : bottom].transpose(1, 0, 2)
+    lines = rgb[:, left : right + 1] if upright else rgb[top : bottom + 1].transpose(1, 0, 2)
+    lines = _without_sides(lines)
     first, last = (top, bottom) if upright else (left, right)
     line, even = np.median(lines, axis=1), lines.std(axis=1).max(axis=1) <= _UNEVEN
     steps = np.abs(np.diff(line, axis=0)).max(axis=1)
@@ -88,13 +131,19 @@ def _hue_span(rgb: Array, box: Box) -> float:
     length, width = part.shape[:2]
     if length < _SHORTEST or width < _NARROWEST or length < _SLENDER * width:
         return 0.0
-    inner = part[:, 1:-1] if width > 2 else part
+    inner = _without_sides(part)
     if np.median(inner.std(axis=1).max(axis=1)) > _UNEVEN:
         return 0.0
     line = np.median(inner, axis=1)
     hues = np.sort([colorsys.rgb_to_hsv(*each)[0] for each in line[np.ptp(line, axis=1) >= _BAR_COLOUR]])
     gaps = np.diff(np.r_[hues, hues[0] + 1.0]) if len(hues) else np.ones(1)
     return float(1.0 - gaps.max())
+
+
+def _without_sides(lines: Array) -> Array:
+    """The middle of a strip (length, width, 3), at least 4 wide."""
+    side = max(1, round(_BLURRED * lines.shape[1]))
+    return lines[:, side:-side]
 
 
 def find_box(image: UltrasoundImage, bar: Box) -> Box:

@@ -73,7 +73,7 @@ def _curves(model: LimbModel) -> Iterator[str]:
             times += step_times(step, begin=begin)
         begin = times[-1]
     for name, curve in model.curves.items():
-        if name in {step.dt_max_curve for step in model.steps}:
+        if curve.formula is not None or name in {step.dt_max_curve for step in model.steps}:
             continue
         if curve.interpolate == "step" and len(curve.points) > 1:
             yield f"load curve {name!r} of type STEP has the next point's value as soon as a point is reached"

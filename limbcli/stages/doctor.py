@@ -16,6 +16,7 @@ from limbcli.config import templates_folder
 from limbcli.errors import LimbError, ToolError
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers import choose, is_named
+from limbcli.solvers.febio_versions import version_caution
 from limbcli.stages.machine import libraries
 from limbcli.version import __version__
 
@@ -153,6 +154,9 @@ def _tested(kind: str, febio: Path | None, progress: Progress) -> Finding:
         f"{test.version}; a block compressed by 2 mm gives {test.force:.6g} "
         f"N, in closed form {test.expected:.6g} N ({test.seconds:.1f} s)"
     )
+    caution = version_caution(test.version) if kind == "febio" else None
+    if test.passed and caution:
+        return Finding("solvers", kind, "note", words, caution)
     if test.passed:
         return Finding("solvers", kind, "good", words)
     fix = "install limbcli and numba again" if kind == "reference" else "install FEBio again (4.0 or newer)"

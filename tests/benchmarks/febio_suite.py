@@ -46,9 +46,10 @@ _CONDITIONS = {
     "zero displacement", "prescribed displacement", "rigid", "zero rotation", "zero shell displacement"
 }  # fmt: skip
 _RIGID = {
-    "rigid_fixed", "rigid_displacement", "rigid_rotation", "rigid_force", "rigid_moment", "rigid spring"
+    "rigid_fixed", "rigid_displacement", "rigid_rotation", "rigid_rotation_vector", "rigid_force",
+    "rigid_moment", "rigid spring",
 }  # fmt: skip
-_LOADS = {"pressure", "traction", "nodal_force", "nodal_load", "const", "body force"}
+_LOADS = {"pressure", "traction", "force", "nodal_force", "nodal_load", "const", "non-const", "body force"}
 _RULES = {None, "default", "TET10G8", "TET10G4", "TET4G1", "HEX8G8", "PENTA6G6"}
 _DOMAINS = {None, "elastic-solid", "three-field-solid"}
 _OF_PARTS = ("solid", "elastic")
@@ -161,7 +162,7 @@ def _conditions(root: etree._Element) -> list[str]:
         *others(
             _LOADS, (t for n in ("surface_load", "nodal_load", "body_load") for t in root.iter(n)), "load"
         ),
-        *others({"loadcurve"}, root.iter("load_controller"), "load controller"),
+        *others({"loadcurve", "math"}, root.iter("load_controller"), "load controller"),
     ]
 
 

@@ -121,6 +121,16 @@ def test_position_and_marker_together_are_refused(folder: Path):
             '[site.swe_images]\nfolder = "p1"\nlow_m_per_s = 10\nhigh_m_per_s = 5\n',
             "low_m_per_s, 10, is not below high_m_per_s, 5",
         ),
+        ('[site.swe_images]\nfolder = "p1"\n', "neither of high_m_per_s and high_kpa"),
+        (
+            '[site.swe_images]\nfolder = "p1"\nhigh_m_per_s = 10\nhigh_kpa = 300\n',
+            "both of high_m_per_s and high_kpa",
+        ),
+        (
+            '[site.swe_images]\nfolder = "p1"\nlow_m_per_s = 1\nhigh_kpa = 300\n',
+            "low_m_per_s beside high_kpa",
+        ),
+        ('[site.swe_images]\nfolder = "p1"\nlow_kpa = 30\nhigh_kpa = 3\n', "low_kpa, 30, is not below"),
     ],
 )
 def test_values_of_an_instrument_that_are_at_odds_are_refused(folder: Path, table: str, given: str):

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
+from limbcli.feb.write import write_feb
+from limbcli.fem.motion.load_curves import value
+from limbcli.formulas import Formula
 from limbcli.model import Load
 
 
@@ -52,6 +56,25 @@ def with_loads(punch: Path, folder: Path, loads: str, *more: tuple[str, str]) ->
             '<body_load type="body force"><force>0,0,9810</force></body_load>',
             Load("body force", "", (0.0, 0.0, -9810.0)),
         ),
+        (
+            '<surface_load type="force" surface="skin"><scale lc="1">-2</scale><force>0,1,0.5</force>'
+            "</surface_load>",
+            Load("surface force", "skin", (-0.0, -2.0, -1.0), "travel", True),
+        ),
+        (
+            '<surface_load type="pressure" surface="skin"><pressure lc="1" type="math">X*t</pressure>'
+            "</surface_load>",
+            Load("pressure", "skin", (Formula("X*t"),), "travel"),
+        ),
+        (
+            '<surface_load type="traction" surface="skin"><scale>2</scale><traction type="math">'
+            "0, max(X,1), Z</traction></surface_load>",
+            Load("traction", "skin", tuple(map(Formula, ("(2.0)*(0)", "(2.0)*(max(X,1))", "(2.0)*(Z)")))),
+        ),
+        (
+            '<body_load type="non-const"><x type="math">Y</x><z>2</z></body_load>',
+            Load("body force", "", (Formula("-(Y)"), 0.0, -2.0)),
+        ),
     ],
 )
 def test_a_load_is_read_as_febio_applies_it(punch: Path, tmp_path: Path, text: str, load: Load) -> None:
@@ -65,6 +88,55 @@ def test_components_with_curves_of_their_own_are_loads_of_their_own(punch: Path,
         Load("body force", "", (-1.0, 0.0, 0.0), "travel"),
         Load("body force", "", (0.0, -2.0, 0.0)),
     )
+
+
+def test_formulas_survive_a_round_trip_and_other_units(punch: Path, tmp_path: Path) -> None:
+    text = (
+        '<surface_load type="pressure" surface="skin"><pressure type="math">X+t</pressure></surface_load>'
+        '<body_load type="non-const"><x type="math">Y</x><z>2</z></body_load>'
+        '<surface_load type="force" surface="skin"><force>0,1,0.5</force></surface_load>'
+    )
+    model = read_feb(with_loads(punch, tmp_path, text))
+    again = read_feb(write_feb(model, tmp_path / "again.feb"))
+    assert again.loads == model.loads
+    pressure, weight, force = read_feb(with_loads(punch, tmp_path, text, ("mm-N-s", "SI"))).loads
+    at = np.array([[2.0, 3.0, 0.0]])
+    assert pressure.value[0](1000 * at, 0.5) == pytest.approx(2.5e-6)  # Pa at m
+    assert weight.value[0](1000 * at, 0.0) == pytest.approx(-3000.0)  # m/s^2 at m
+    assert force.value == (0.0, 1.0, 0.5)
+
+
+def test_a_load_curve_may_be_a_formula_of_time(punch: Path, tmp_path: Path) -> None:
+    text = '<surface_load type="pressure" surface="skin"><pressure lc="3">1</pressure></surface_load>'
+    path = with_loads(punch, tmp_path, text)
+    controller = '<load_controller id="3" name="beat" type="math"><math>sin(pi*t)^2</math></load_controller>'
+    path.write_text(path.read_text().replace("</LoadData>", controller + "</LoadData>"))
+    model = read_feb(path)
+    assert value(model.curves["beat"], 0.25) == pytest.approx(0.5)
+    assert read_feb(write_feb(model, tmp_path / "again.feb")).curves == model.curves
+
+
+def test_a_displacement_by_formula_becomes_a_map(punch: Path, tmp_path: Path) -> None:
+    path = with_loads(punch, tmp_path, "")
+    condition = (
+        '<bc name="pull" type="prescribed displacement" node_set="@surface:skin"><dof>z</dof>'
+        '<value type="math">0.1*X</value><relative>0</relative></bc>'
+    )
+    path.write_text(path.read_text().replace("</Boundary>", condition + "</Boundary>"))
+    model = read_feb(path)
+    pulled = model.supports[-1]
+    nodes = model.mesh.node_sets[pulled.node_set]
+    np.testing.assert_allclose(pulled.value.values, 0.1 * model.mesh.points[nodes, 0], rtol=1e-15)
+
+
+@pytest.mark.parametrize("text", ["X*q", "X,Y", "1/"])
+def test_a_formula_that_cannot_be_read_is_told_with_its_line(punch: Path, tmp_path: Path, text: str) -> None:
+    load = (
+        f'<surface_load type="pressure" surface="skin"><pressure type="math">{text}</pressure></surface_load>'
+    )
+    with pytest.raises(CaseError, match="formula") as caught:
+        read_feb(with_loads(punch, tmp_path, load))
+    assert "line" in str(caught.value)
 
 
 def test_loads_without_a_value_are_none(punch: Path, tmp_path: Path) -> None:
@@ -110,3 +182,11 @@ def test_a_body_force_needs_the_density_that_febio_would_assume(punch: Path, tmp
     path = with_loads(punch, tmp_path, text, ("<density>1e-09</density><cp>", "<cp>"))
     with pytest.raises(CaseError, match="no <density>"):
         read_feb(path)
+
+
+def test_a_rotation_vector_has_all_three_components(punch: Path, tmp_path: Path) -> None:
+    path = with_loads(punch, tmp_path, "")
+    turn = '<rigid_bc type="rigid_rotation_vector"><rb>probe</rb><vz lc="1">0.2</vz></rigid_bc></Rigid>'
+    path.write_text(path.read_text().replace("</Rigid>", turn, 1))
+    turns = [(each.dof, each.value, each.curve) for each in read_feb(path).drives if each.kind == "rotation"]
+    assert turns == [("u", 0.0, None), ("v", 0.0, None), ("w", 0.2, "travel")]

@@ -9,7 +9,7 @@ import pytest
 from matplotlib import colormaps
 
 from limbcli.errors import MeasurementError
-from limbcli.measurement.overlay_places import find_bar, find_box
+from limbcli.measurement.overlay_places import SCREENS, find_bar, find_box
 from limbcli.measurement.ultrasound_image import UltrasoundImage, read_image
 from tests.measurement.test_swe_image import BAR, BOX, COLUMNS, ROWS, ramp, render
 
@@ -28,6 +28,28 @@ def test_lying_bar_is_found_too(rng):
     turned = UltrasoundImage(np.rot90(image.rgb).copy(), (), image.path)
     left, top, right, bottom = find_bar(turned)
     assert (right - left, bottom - top) == (BAR[3] - BAR[1], BAR[2] - BAR[0])
+
+
+def test_a_bar_whose_sides_are_blurred_is_found(rng):
+    """As lossy compression leaves it: two columns at each side fade into the black screen."""
+    rgb = render(rng, ramp()).rgb.copy()
+    left, top, right, bottom = BAR
+    rgb[top : bottom + 1, left : left + 2] //= 2
+    rgb[top : bottom + 1, right - 1 : right + 1] //= 2
+    assert np.abs(np.array(find_bar(UltrasoundImage(rgb, (), Path("x")))) - BAR).max() <= 2
+
+
+@pytest.mark.parametrize("scale", [1, 2])
+def test_the_bar_of_a_mach_30_screen_is_where_the_preset_has_it(scale):
+    rgb = np.zeros((540 * scale, 720 * scale, 3), np.uint8)
+    line = colormaps["jet"](np.linspace(1, 0, 110 * scale))[:, None, :3]
+    rgb[70 * scale : 180 * scale, 693 * scale : 700 * scale] = 255 * line
+    image = UltrasoundImage(rgb, (), Path("x"))
+    left, top, right, bottom = SCREENS["mach30"].bar_in(image)
+    assert (rgb[top : bottom + 1, left : right + 1].max(axis=2) > 0).all()
+    assert (bottom - top + 1) == 110 * scale
+    with pytest.raises(MeasurementError, match="not a whole screen"):
+        SCREENS["mach30"].bar_in(UltrasoundImage(rgb[:500], (), Path("x")))
 
 
 @pytest.mark.parametrize("colours", ["turbo", "gist_ncar"])

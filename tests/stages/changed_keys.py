@@ -93,12 +93,16 @@ _VALUES: dict[str, Table] = {
     "swe_images": {
         "folder": "images", "mm_per_pixel": 0.1, "frame": 1, "image_pixels": [0, 0, 9, 9],
         "box_pixels": [0, 0, 9, 9], "bar_pixels": [0, 0, 2, 9], "low_m_per_s": 0.5, "high_m_per_s": 9.0,
+        "low_kpa": 1.0, "high_kpa": 90.0, "preset": "mach30",
         "bar_scale": "modulus", "opacity": 0.5, "roi_depth_mm": [1.0, 9.0], "roi_lateral_mm": [-5.0, 5.0],
     },
 }  # fmt: skip
 _NEEDED: dict[str, Table] = {
     "load_cell": {"file": "trace.csv"}, "b_mode": {"folder": "images"},
     "swe_images": {"folder": "images", "high_m_per_s": 8.0},
+}  # fmt: skip
+_INSTEAD: dict[str, Table] = {  # of what is needed
+    "high_kpa": {"folder": "images"}, "low_kpa": {"folder": "images", "high_kpa": 80.0},
 }  # fmt: skip
 _BESIDES: dict[str, Table] = {"probe_mass_kg": {"tare_s": [0.0, 1.0]}}  # what a key needs beside it
 
@@ -164,7 +168,9 @@ CHANGES: dict[tuple[str, str], tuple[Change, str | None]] = {
         **dict.fromkeys(("law", "c_kpa", "f_kappa", "m"), _OGDEN),
         "beta": {"thickness_mm": "mri", "law": "holmes_mow", "c_kpa": 2.0, "f_kappa": 40.0, "beta": 1.0},
     }.items()},
-    **{(table, key): (_site(**{table: {**_NEEDED[table], **_BESIDES.get(key, {}), key: value}}), table)
+    **{(table, key): (
+        _site(**{table: {**_INSTEAD.get(key, _NEEDED[table]), **_BESIDES.get(key, {}), key: value}}), table
+    )
        for table, values in _VALUES.items() for key, value in values.items()},
 }  # fmt: skip
 # What is not a value: tables, whose keys are listed, and the name of a site, which names its results.

@@ -103,6 +103,16 @@ def test_febio_that_was_named_and_is_not_there_is_missing(tmp_path: Path, monkey
     assert result.exit_code == 4
 
 
+@pytest.mark.parametrize(("version", "state"), [("4.11.0", "good"), ("4.12.0", "note")])
+def test_a_febio_that_was_not_compared_is_a_note(monkeypatch, version: str, state: str):
+    test = test_module.SelfTest("febio", version, force=1.0, expected=1.0, seconds=0.1)
+    monkeypatch.setattr(test_module, "self_test", lambda *_, **__: test)
+    monkeypatch.setattr(module, "choose", lambda *_: None)
+    finding = module._tested("febio", None, Progress(lambda *_: None))
+    assert finding.state == state
+    assert ("not been compared" in finding.fix) == (state == "note")
+
+
 @pytest.mark.slow
 def test_missing_library_is_named_with_its_debian_package(monkeypatch):
     """A trial that fails as a missing library makes it fail."""

@@ -108,6 +108,29 @@ def test_levels_are_those_the_instruments_saw(folder: Path, tmp_path: Path):
     assert len(list((result.folder / "swe").glob("level_*.csv"))) == 4
 
 
+def test_a_cine_loop_in_kpa_at_half_opacity_gives_speeds(folder: Path, tmp_path: Path):
+    """E = 3 rho v^2: the bar is even in kPa, so that a colour at fraction f is 10 sqrt(f) m/s of 300 kPa."""
+    rng = np.random.default_rng(7)
+    text = (folder / "case.toml").read_text()
+    case = tmp_path / "case"
+    shutil.copytree(folder, case, ignore=shutil.ignore_patterns("*.png"))
+    text = text[: text.index("[site.load_cell]")] + (
+        '[site.swe_images]\nfolder = "swe"\nmm_per_pixel = 0.1\nhigh_kpa = 300\nopacity = 0.5\n'
+        "frame = [2, 4, 5, 6]\n"
+    )
+    (case / "case.toml").write_text(text)
+    rows = ["force_n,depth_mm,hold_s", *(f"{2 * k},{k},20" for k in range(4))]
+    (case / "p1.csv").write_text("\n".join(rows) + "\n")
+    fractions = (0.9, 0.2, 0.9, 0.3, 0.4, 0.6)
+    frames = [
+        Image.fromarray(render(rng, np.full(ramp().shape, 0.5 + 10 * each), 0.5).rgb) for each in fractions
+    ]
+    frames[0].save(case / "swe" / "loop.tif", save_all=True, append_images=frames[1:])
+    levels = read_levels(measure(Case.open(case), out=tmp_path / "out")[0].path("levels"))
+    expected = 10 * np.sqrt([fractions[k - 1] for k in (2, 4, 5, 6)])
+    np.testing.assert_allclose(levels.swe_mean_m_per_s, expected, rtol=0.01)
+
+
 @pytest.mark.slow
 def test_levels_are_written_to_the_case_once_and_never_over_a_file(folder: Path, tmp_path: Path):
     case = Case.open(folder)

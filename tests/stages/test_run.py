@@ -203,14 +203,29 @@ def test_the_greatest_depth_is_not_the_last_where_the_probe_is_lifted(tmp_path: 
     assert (writer.data["max_depth_mm"], writer.data["max_force_n"]) == (2.0, 3.0)
 
 
-def foreign(tmp_path: Path, fields: str, rows: list[tuple[float, ...]], warnings: tuple[str, ...] = ()):
+def foreign(
+    tmp_path: Path,
+    fields: str,
+    rows: list[tuple[float, ...]],
+    warnings: tuple[str, ...] = (),
+    version: str = "4.11.0",
+):
     """The result of a run of a model file that is not limbcli's, from the rows of its only body."""
     times = np.linspace(0, 1, len(rows))
     table = Table(tuple(fields.split(";")), times, np.zeros(1, dtype=int), np.array(rows)[:, None])
-    simulation = Simulation("febio", "4.11.0", times, {"plate": table}, warnings=warnings)
+    simulation = Simulation("febio", version, times, {"plate": table}, warnings=warnings)
     with open_stage(tmp_path, "run", subject="foreign") as writer:
         write_simulation(simulation, Outline(1.0, (), np.zeros(1, int), np.zeros(1, int), ()), writer)
     return writer
+
+
+@pytest.mark.parametrize(
+    ("version", "told"),
+    [("4.8.0", True), ("4.9.0", False), ("4.11.0.65622b536", False), ("4.12.0", True), ("5.0", True)],
+)
+def test_a_febio_that_was_not_compared_is_told(tmp_path: Path, version: str, told: bool) -> None:
+    writer = foreign(tmp_path, "z;Fz", [(1.5, 0.0), (1.0, -1.0)], version=version)
+    assert any(f"FEBio {version} has not been compared" in each for each in writer.warnings) == told
 
 
 def test_depth_in_a_foreign_model_is_the_travel_since_first_contact(tmp_path: Path) -> None:

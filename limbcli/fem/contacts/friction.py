@@ -6,12 +6,14 @@ into contact within a step slips. See `friction_kernels` for the law.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from limbcli.fem.contacts import friction_kernels
-from limbcli.fem.contacts.contact_points import FACET
+from limbcli.fem.contacts.contact_points import FACET, GAP, TRACTION
+from limbcli.fem.contacts.friction_kernels import APART, PUSH, STICKS
 from limbcli.fem.contacts.pairs import Pair
 from limbcli.fem.motion.rigid import AT_REST, Body, BodyState
 from limbcli.model import Array
@@ -24,12 +26,16 @@ class FrictionPair(Pair):
     rigid : the body on the rigid side
     was, now : its position at the last converged step, and at the last search
     before : per patch, the state of its points at the last converged step (see `friction_kernels`)
+    pulls : per patch, the vector multipliers (n_facets, n_gauss, 3) of augmented contact
+    is_frozen : which points stick was decided before the first augmentation of a load step, as in FEBio
     """
 
     rigid: Body
     was: BodyState = AT_REST
     now: BodyState = AT_REST
     before: list[Array] = field(default_factory=list)
+    pulls: list[Array] = field(default_factory=list)
+    is_frozen: bool = False
 
     def __post_init__(self) -> None:
         for patch in self.patches:
@@ -39,6 +45,7 @@ class FrictionPair(Pair):
         self.before = [np.zeros((*p.state.shape[:2], friction_kernels.N_BEFORE)) for p in self.patches]
         for each in self.before:
             each[..., friction_kernels.HELD] = -1
+        self.pulls = [np.zeros((*p.state.shape[:2], 3)) for p in self.patches]
 
     @property
     def mu(self) -> float:
@@ -63,12 +70,49 @@ class FrictionPair(Pair):
         self.was = self.now = AT_REST
         for each in self.before:
             each[..., friction_kernels.HELD] = -1
+        for pull in self.pulls:
+            pull[:] = 0.0
+
+    def multipliers(self) -> list[tuple[Array, ...]]:
+        return [(p.multiplier.copy(), pull.copy()) for p, pull in zip(self.patches, self.pulls, strict=True)]
+
+    def set_multipliers(self, found: Sequence[tuple[Array, ...]]) -> None:
+        super().set_multipliers(found)
+        self.pulls = [pull.copy() for _, pull in found]
+
+    def end_augmentation(self) -> None:
+        self.is_frozen = False
+
+    def _augment(self) -> None:
+        for p, pull in zip(self.patches, self.pulls, strict=True):
+            touches = p.state[..., TRACTION] > 0
+            p.multiplier = p.state[..., TRACTION].copy()
+            pull[:] = np.where(touches[..., None], p.state[..., PUSH : PUSH + 3], 0.0)
+        self.is_frozen = True
+
+    def _sum_of_squares(self) -> float:
+        total = 0.0
+        for p, pull in zip(self.patches, self.pulls, strict=True):
+            squares = np.where(p.state[..., STICKS] > 0, (pull**2).sum(axis=-1), p.multiplier**2)
+            total += float(squares.sum())
+        return total
+
+    def _largest_gap(self) -> float:
+        """Of sticking points their distance from the anchor."""
+        largest = 0.0
+        for p in self.patches:
+            sticks, touches = p.state[..., STICKS] > 0, p.state[..., TRACTION] > 0
+            apart = np.where(sticks, p.state[..., APART], abs(p.state[..., GAP]))
+            largest = max(largest, float(apart[touches].max(initial=0.0)))
+        return largest
 
     def search(self, x: Array, at: BodyState) -> int:
         count = super().search(x, at)
         self.now = at
-        for p, before in zip(self.patches, self.before, strict=True):
-            friction_kernels.resist(x, p.facets, p.N, p.dN, p.eps, self.mu, before, self.move, p.state)
+        for p, before, pull in zip(self.patches, self.before, self.pulls, strict=True):
+            friction_kernels.resist(
+                x, p.facets, p.N, p.dN, p.eps, self.mu, before, self.move, pull, self.is_frozen, p.state
+            )
         return count
 
     def force(self, center: Array, out: Array, body: Array) -> None:

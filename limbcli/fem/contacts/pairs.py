@@ -112,6 +112,17 @@ class Pair:
             p.state[..., FACET] = -1
             p.multiplier[:] = 0.0
 
+    def multipliers(self) -> list[tuple[Array, ...]]:
+        """Copies of the multipliers of each patch, for `set_multipliers`."""
+        return [(p.multiplier.copy(),) for p in self.patches]
+
+    def set_multipliers(self, found: Sequence[tuple[Array, ...]]) -> None:
+        for p, (pressure, *_) in zip(self.patches, found, strict=True):
+            p.multiplier = pressure.copy()
+
+    def end_augmentation(self) -> None:
+        """Undo what holds only while a load step is augmented."""
+
     @property
     def is_augmented(self) -> bool:
         """Whether augmentations are done; as in FEBio 4.11, only if one of the tolerances is positive."""
@@ -128,19 +139,28 @@ class Pair:
 
         Source: FEBio 4.11, FESlidingElasticInterface::Augment.
         """
-        before = sum(float((p.multiplier**2).sum()) for p in self.patches)
-        for p in self.patches:
-            p.multiplier = p.state[..., TRACTION] / np.maximum(p.state[..., WEIGHT], 1e-300)
-        after = sum(float((p.multiplier**2).sum()) for p in self.patches)
+        before = self._sum_of_squares()
+        self._augment()
+        after = self._sum_of_squares()
         contact = self.contact
         if n_before >= _count(contact, "maxaug", _MOST_AUGMENTATIONS):
             return True
         if n_before < _count(contact, "minaug", 0):
             return False
-        gaps = [abs(p.state[p.state[..., TRACTION] > 0, GAP]).max(initial=0.0) for p in self.patches]
-        closed = contact.gap_tolerance <= 0 or max(gaps) <= contact.gap_tolerance
+        closed = contact.gap_tolerance <= 0 or self._largest_gap() <= contact.gap_tolerance
         settled = contact.tolerance <= 0 or abs(after - before) <= contact.tolerance * (after or 1.0)
         return closed and settled
+
+    def _augment(self) -> None:
+        for p in self.patches:
+            p.multiplier = p.state[..., TRACTION] / np.maximum(p.state[..., WEIGHT], 1e-300)
+
+    def _sum_of_squares(self) -> float:
+        return sum(float((p.multiplier**2).sum()) for p in self.patches)
+
+    def _largest_gap(self) -> float:
+        gaps = [abs(p.state[p.state[..., TRACTION] > 0, GAP]).max(initial=0.0) for p in self.patches]
+        return float(max(gaps))
 
 
 def _count(contact: Contact, name: str, default: int) -> int:

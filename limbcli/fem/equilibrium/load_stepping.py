@@ -324,13 +324,22 @@ class LoadStepping:
     def _augmented(self, state: State, forces: Forces, load_step: LoadStep) -> tuple[State, Forces]:
         """Augmented Lagrangian iterations until the multipliers of every contact have converged."""
         pairs = [pair for pair in self._newton.system.pairs if pair.is_augmented]
+        before = [pair.multipliers() for pair in pairs]
         n_before = 0
-        while True:
+        try:
             settled = [pair.augment(n_before) for pair in pairs]
-            if all(settled):
-                return state, forces
-            state, forces = self._newton.equilibrate(state, load_step)
-            n_before += 1
+            while not all(settled):
+                state, forces = self._newton.equilibrate(state, load_step)
+                n_before += 1
+                settled = [pair.augment(n_before) for pair in pairs]
+        except SolveError:
+            for pair, multipliers in zip(pairs, before, strict=True):
+                pair.set_multipliers(multipliers)
+            raise
+        finally:
+            for pair in pairs:
+                pair.end_augmentation()
+        return state, forces
 
 
 def _has_no_factor(error: SolveError, reached: list[State]) -> bool:

@@ -1,9 +1,10 @@
-"""Loads on the tissue: pressure and traction on surfaces, body forces, nodal forces.
+"""Loads on the tissue: pressure, traction and forces on surfaces, body forces, nodal forces.
 
 Forces are consistent with the shape functions. A pressure, or a traction on the deformed surface, follows the
 deformation; its tangent is symmetric only if the surface is closed or held at its rim.
 
-Source: FEBio 4.11, FEPressureLoad, FETractionLoad, FENodalForce, FEElasticSolidDomain::BodyForce.
+Source: FEBio 4.11, FEPressureLoad, FETractionLoad, FESurfaceForceUniform, FENodalForce,
+FEElasticSolidDomain::BodyForce.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from limbcli.fem.elements.element import shape
 from limbcli.fem.elements.groups import Group
 from limbcli.fem.elements.quadrature import rule
 from limbcli.fem.motion.rigid import Body, skew
+from limbcli.formulas import Formula
 from limbcli.model import Array, IntArray, LimbModel, Load
 
 
@@ -28,6 +30,7 @@ class LoadedSurface:
     """The facets (n_facets, n_nodes) of one kind to which a load applies.
 
     N (n_gauss, n_nodes), dN (n_gauss, n_nodes, 2), weights (n_gauss,) : shape functions and integration rule
+    amount (n_facets or 1, n_gauss or 1, n_components) : the load's value
     pairs : of its nodes in the matrix pattern (see `Pattern`)
     """
 
@@ -36,7 +39,12 @@ class LoadedSurface:
     N: Array
     dN: Array
     weights: Array
+    amount: Array
     pairs: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int32))
+
+    def at(self, X: Array, time: float) -> None:
+        """Evaluate the load's value at a time, at the integration points of the undeformed facets."""
+        self.amount = _amount(self.load, np.einsum("gk,fki->fgi", self.N, X[self.facets]), time)
 
     @property
     def follows(self) -> bool:
@@ -53,10 +61,10 @@ class LoadedSurface:
         d1, d2 = self._tangents(v)
         dn = np.cross(d1, g2) + np.cross(g1, d2)
         if self.load.kind == "pressure":
-            return self._spread(self._stress(dn))
+            return self._spread(-self.amount * dn)
         n = np.cross(g1, g2)
         dA = (n * dn).sum(axis=-1) / np.linalg.norm(n, axis=-1)
-        return self._spread(dA[..., None] * np.array(self.load.value))
+        return self._spread(dA[..., None] * self.amount)
 
     def blocks(self, x: Array) -> Array:
         """Derivatives (n_facets, n_nodes, 3, n_nodes, 3) of `forces` by the positions of the nodes."""
@@ -66,12 +74,17 @@ class LoadedSurface:
             "gb,fgij->fgbij", self.dN[..., 0], g2
         )
         if self.load.kind == "pressure":
-            dt = -self.load.value[0] * dn
+            dt = -self.amount[:, :, None, None] * dn
         else:
             n = np.cross(*self._tangents(x))
             unit = n / np.linalg.norm(n, axis=-1, keepdims=True)
-            dt = np.einsum("i,fgk,fgbkj->fgbij", np.array(self.load.value), unit, dn)
+            stress = np.broadcast_to(self.amount, unit.shape)
+            dt = np.einsum("fgi,fgk,fgbkj->fgbij", stress, unit, dn)
         return np.einsum("g,ga,fgbij->faibj", self.weights, self.N, dt)
+
+    def area(self, x: Array) -> float:
+        n = np.cross(*self._tangents(x))
+        return float((np.linalg.norm(n, axis=-1) @ self.weights).sum())
 
     def _tangents(self, x: Array) -> tuple[Array, Array]:
         """Tangent vectors (n_facets, n_gauss, 3)."""
@@ -81,8 +94,8 @@ class LoadedSurface:
     def _stress(self, n: Array) -> Array:
         """Force per unit natural area for area vectors n."""
         if self.load.kind == "pressure":
-            return -self.load.value[0] * n
-        return np.linalg.norm(n, axis=-1, keepdims=True) * np.array(self.load.value)
+            return -self.amount * n
+        return np.linalg.norm(n, axis=-1, keepdims=True) * self.amount
 
     def _spread(self, t: Array) -> Array:
         return np.einsum("g,ga,fgi->fai", self.weights, self.N, t)
@@ -103,21 +116,40 @@ class DistributedLoads:
         X: Array,
     ):
         self.X = X
-        self.surfaces = [each for load in loads for each in _surfaces(model, load)]
+        self._model, self._groups = model, groups
+        self.surfaces = [each for load in loads for each in _surfaces(model, load, X)]
         self._factors: dict[int, float] = {}
         # forces (n_points, 3) per load factor that do not depend on the deformation
-        self._dead = [(load, _dead(model, load, groups, X)) for load in loads if not _on_surface(load)]
+        self._dead = [(load, _dead(model, load, groups, X, 0.0)) for load in loads if not _on_surface(load)]
         for surface in self.surfaces:
+            surface.at(X, 0.0)
             if surface.load.on_reference:
                 self._dead.append((surface.load, _sum(surface, surface.forces(X), X)))
+        self._moving = [load for load in loads if _changes(load)]
         self._following = [each for each in self.surfaces if each.follows]
-        _refuse_on_bodies(loads, self.surfaces, self._dead, bodies)
+        _refuse_on_bodies(model, loads, self.surfaces, self._dead, bodies)
         self._refuse_bodies_mass(model, loads)
 
-    def at(self, curve: Callable[[str], float]) -> None:
-        """Evaluate the load factors at the time of `curve`."""
+    def at(self, curve: Callable[[str], float], time: float) -> None:
+        """Evaluate the load factors, and formulas, at the time (s) of `curve`."""
+        if self._moving:
+            self._evaluate(time)
         loads = [load for load, _ in self._dead] + [each.load for each in self.surfaces]
         self._factors = {id(each): 1.0 if each.curve is None else curve(each.curve) for each in loads}
+
+    def _evaluate(self, time: float) -> None:
+        for surface in self.surfaces:
+            if _changes(surface.load):
+                surface.at(self.X, time)
+        on_reference = iter([each for each in self.surfaces if each.load.on_reference])
+        for k, (load, _) in enumerate(self._dead):
+            surface_ = next(on_reference) if _on_surface(load) else None
+            if not _changes(load):
+                continue
+            if surface_ is None:
+                self._dead[k] = load, _dead(self._model, load, self._groups, self.X, time)
+            else:
+                self._dead[k] = load, _sum(surface_, surface_.forces(self.X), self.X)
 
     def forces(self, u: Array) -> Array:
         """Nodal forces (n_points, 3) of all loads at displacements u."""
@@ -182,7 +214,23 @@ class DistributedLoads:
 
 
 def _on_surface(load: Load) -> bool:
-    return load.kind in ("pressure", "traction")
+    return load.kind in ("pressure", "traction", "surface force")
+
+
+def _changes(load: Load) -> bool:
+    """Whether a formula of time is in it."""
+    return any(isinstance(each, Formula) and "t" in each.names for each in load.value)
+
+
+def _amount(load: Load, points: Array, time: float) -> Array:
+    """A load's value at points (..., 3) and a time: (..., n_components), or one for all points."""
+    if not any(isinstance(each, Formula) for each in load.value):
+        return np.array(load.value, dtype=float).reshape((1,) * (points.ndim - 1) + (-1,))
+    parts = [
+        each(points, time) if isinstance(each, Formula) else np.full(points.shape[:-1], each)
+        for each in load.value
+    ]
+    return np.stack(parts, axis=-1)
 
 
 def _sum(surface: LoadedSurface, forces: Array, X: Array) -> Array:
@@ -196,7 +244,7 @@ def _skews(vectors: Array) -> Array:
     return np.einsum("...k,kij->...ij", vectors, np.stack([skew(axis) for axis in np.eye(3)]))
 
 
-def _surfaces(model: LimbModel, load: Load) -> list[LoadedSurface]:
+def _surfaces(model: LimbModel, load: Load, X: Array) -> list[LoadedSurface]:
     if not _on_surface(load):
         return []
     known = model.mesh.surfaces
@@ -209,11 +257,20 @@ def _surfaces(model: LimbModel, load: Load) -> list[LoadedSurface]:
     found = []
     for kind, facets in known[load.on].facets.items():
         points, weights = rule(kind)
-        found.append(LoadedSurface(load, np.asarray(facets, dtype=np.int64), *shape(kind, points), weights))
+        on = np.asarray(facets, dtype=np.int64)
+        found.append(LoadedSurface(load, on, *shape(kind, points), weights, np.zeros((1, 1, 1))))
+    if load.kind == "surface force":
+        area = sum(each.area(X) for each in found)
+        if not area > 0:
+            raise SolveError(
+                f"the surface {load.on!r} under a force has no area", where="loads", fix="give it facets"
+            )
+        for each in found:
+            each.weights = each.weights / area
     return found
 
 
-def _dead(model: LimbModel, load: Load, groups: Sequence[Group], X: Array) -> Array:
+def _dead(model: LimbModel, load: Load, groups: Sequence[Group], X: Array, time: float) -> Array:
     """Forces (n_points, 3) at unit load factor of a body force or of forces on nodes."""
     out = np.zeros_like(X)
     if load.kind == "nodal force":
@@ -223,7 +280,8 @@ def _dead(model: LimbModel, load: Load, groups: Sequence[Group], X: Array) -> Ar
                 where="loads",
                 fix=f"use one of {sorted(model.mesh.node_sets)}",
             )
-        np.add.at(out, model.mesh.node_sets[load.on], np.array(load.value))
+        nodes = model.mesh.node_sets[load.on]
+        np.add.at(out, nodes, _amount(load, X[nodes], time))
         return out
     mine = [group for group in groups if load.on in ("", group.block)]
     if not mine:
@@ -241,12 +299,15 @@ def _dead(model: LimbModel, load: Load, groups: Sequence[Group], X: Array) -> Ar
                 fix="run this model with FEBio",
             )
         N = shape(group.kind, group.points)[0]
-        shares = np.einsum("cg,gn->cn", group.weight, N)
-        np.add.at(out, group.cells, density[group.block] * shares[..., None] * np.array(load.value))
+        amount = _amount(load, np.einsum("gn,cni->cgi", N, X[group.cells]), time)
+        amount = np.broadcast_to(amount, (*group.weight.shape, 3))
+        forces = np.einsum("cg,gn,cgi->cni", group.weight, N, amount)
+        np.add.at(out, group.cells, density[group.block] * forces)
     return out
 
 
 def _refuse_on_bodies(
+    model: LimbModel,
     loads: Sequence[Load],
     surfaces: Sequence[LoadedSurface],
     dead: Sequence[tuple[Load, Array]],
@@ -255,7 +316,10 @@ def _refuse_on_bodies(
     """Refuse loads on nodes that belong to rigid bodies only."""
     for load in loads:
         at = [each.facets.ravel() for each in surfaces if each.load is load]
-        at += [np.flatnonzero(force.any(axis=1)) for each, force in dead if each is load]
+        if load.kind == "nodal force":
+            at.append(model.mesh.node_sets[load.on])
+        else:
+            at += [np.flatnonzero(force.any(axis=1)) for each, force in dead if each is load]
         nodes = np.unique(np.concatenate(at)) if at else np.zeros(0, dtype=np.int64)
         for body in bodies:
             if len(np.intersect1d(nodes, np.setdiff1d(body.points, body.tied))):

@@ -13,7 +13,7 @@ _NEAR = 1e-3  # distance over which FEBio evaluates the end slope of a smooth cu
 
 
 def value(curve: Curve, time: float) -> float:
-    """The curve's value at a time (s).
+    """The curve's value at a time (s); raises SolveError if a formula has none.
 
     "step" takes the value of the next point as soon as a point is reached. "smooth" fits a parabola
     through each three consecutive points and blends the two linearly where they overlap.
@@ -25,6 +25,8 @@ def value(curve: Curve, time: float) -> float:
     >>> value(Curve(((0.0, 0.0), (1.0, 1.0), (2.0, 4.0)), "smooth"), 1.5)
     2.25
     """
+    if curve.formula is not None:
+        return float(curve.formula(np.zeros(3), time))
     times = np.array([t for t, _ in curve.points])
     values = np.array([v for _, v in curve.points])
     if len(times) == 1:

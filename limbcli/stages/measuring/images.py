@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ import numpy as np
 from limbcli.case import Case, Site
 from limbcli.errors import MeasurementError
 from limbcli.measurement.elastography import SweMap, map_file, statistics, write_map
-from limbcli.measurement.overlay_places import find_bar, find_box
+from limbcli.measurement.overlay_places import SCREENS, find_bar, find_box
 from limbcli.measurement.swe_image import Box, DecodedMap, Overlay, decode_overlay
 from limbcli.measurement.ultrasound_image import UltrasoundImage, is_dicom, read_image
 from limbcli.progress import Progress
@@ -23,6 +24,7 @@ from limbcli.stages.provenance.chain import Chain
 _IMAGE_SUFFIXES = {".png", ".bmp", ".dcm", ".dicom", ".jpg", ".jpeg", ".tif", ".tiff"}
 _MANY_SATURATED = 10.0  # % of saturated pixels in the tissue above which a warning is given
 _MANY_UNLIKE = 0.2  # share of coloured pixels that match no colour of the bar above which a warning is given
+SCANNER_DENSITY = 1000.0  # kg/m^3
 _OFF_BONE = 1.5  # mm above the bone line that are excluded because of its blur
 
 
@@ -154,15 +156,33 @@ def _overlays(
     images: Sequence[UltrasoundImage], table: Mapping[str, Any], writer: StageWriter
 ) -> list[Overlay]:
     """Colour bar and box of every image: from case.toml, else detected (the bar once, the box in each)."""
-    bar = box_of(table["bar_pixels"]) if table["bar_pixels"] else find_bar(images[0])
+    if table["bar_pixels"]:
+        bar = box_of(table["bar_pixels"])
+    else:
+        bar = SCREENS[table["preset"]].bar_in(images[0]) if table["preset"] else find_bar(images[0])
     stated = box_of(table["box_pixels"]) if table["box_pixels"] else None
     boxes = [stated or find_box(each, bar) for each in images]
     for name, found in (("bar_pixels", bar), ("box_pixels", boxes[0])):
         if not table[name]:
             writer.summary.append(f"{name} found at {list(found)}")
-    low, high = float(table["low_m_per_s"]), float(table["high_m_per_s"])
-    opacity, of_modulus = float(table["opacity"]), table["bar_scale"] == "modulus"
-    return [Overlay(box, bar, low, high, opacity, of_modulus) for box in boxes]
+    low, high, of_modulus = bar_ends(table)
+    return [Overlay(box, bar, low, high, float(table["opacity"]), of_modulus) for box in boxes]
+
+
+def bar_ends(table: Mapping[str, Any]) -> tuple[float, float, bool]:
+    """(speeds (m/s) at the low and the high end of the bar, whether it is even in kPa).
+
+    A bar in kPa is marked with Young's modulus, E = 3 rho v^2 at the 1000 kg/m^3 that scanners assume.
+
+    >>> bar_ends({"high_kpa": 300.0, "low_kpa": 0.0})
+    (0.0, 10.0, True)
+    """
+    if table.get("high_kpa") is not None:
+        low, high = (
+            math.sqrt(float(table[name]) * 1e3 / (3 * SCANNER_DENSITY)) for name in ("low_kpa", "high_kpa")
+        )
+        return low, high, True
+    return float(table["low_m_per_s"]), float(table["high_m_per_s"]), table["bar_scale"] == "modulus"
 
 
 def within_tissue(

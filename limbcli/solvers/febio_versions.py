@@ -1,0 +1,26 @@
+"""Versions of FEBio whose results limbcli has been compared with (docs/solvers.md)."""
+
+from __future__ import annotations
+
+import re
+
+FIRST, LAST = (4, 9), (4, 11)
+_NUMBERS = re.compile(r"(\d+)\.(\d+)")
+
+
+def version_caution(version: str) -> str | None:
+    """What to say of a version as FEBio prints it; None of those compared, and of an unknown one.
+
+    >>> version_caution("4.9.0"), version_caution("4.11.0.65622b536"), version_caution("unknown")
+    (None, None, None)
+    >>> version_caution("4.12.0").partition(":")[0]
+    'FEBio 4.12.0 has not been compared with limbcli, only 4.9 to 4.11'
+    """
+    found = _NUMBERS.match(version)
+    if found is None or FIRST <= (int(found[1]), int(found[2])) <= LAST:
+        return None
+    known = " to ".join(".".join(map(str, each)) for each in (FIRST, LAST))
+    return (
+        f"FEBio {version} has not been compared with limbcli, only {known}: check forces and displacements "
+        "of one model against --solver reference"
+    )
