@@ -13,7 +13,7 @@ WORKERS ?= 2
 # Two test processes share the cores: each keeps its libraries to one thread, but simulations run as users run them.
 ONE     := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 LIMBCLI_THREADS=2
 
-.PHONY: help env demo test test-quick lint types cases bench fuzz hidden docs clean
+.PHONY: help env demo test test-quick lint types cases bench bench-against fuzz hidden docs clean
 .DELETE_ON_ERROR:
 
 help:            ## list what can be made
@@ -73,6 +73,10 @@ cases: env       ## all of cases/, or CASES=path/*: compared with expected.toml 
 
 bench: $(VENV)/.dev  ## benchmarks, as tables
 	$(BIN)/python -m tests.benchmarks
+
+bench-against: $(VENV)/.dev ## the commands' processor time beside that of COMMIT=... (ROWS=help,segment)
+	@test -n "$(COMMIT)" || { echo "give the commit to compare with: make bench-against COMMIT=v0.1.0"; exit 2; }
+	$(BIN)/python -m tests.benchmarks.against $(COMMIT) $(if $(ROWS),--rows $(ROWS))
 
 fuzz: $(VENV)/.dev   ## 20,000 damaged files, as a table of how they were answered
 	$(ONE) $(BIN)/python -m tests.benchmarks.fuzz

@@ -8,10 +8,8 @@ container, a cluster's shared folder), contain one folder for each state of the 
 
 from __future__ import annotations
 
-import hashlib
 import os
 import sys
-import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -46,6 +44,8 @@ def keep_kernels(package: Path) -> Path | None:
 
 def digest(sources: Iterable[Path]) -> str:
     """Hash (hex) of all files that contain kernels, in the order of their names."""
+    import hashlib  # not needed by the ordinary installation
+
     texts = (path.read_bytes() for path in sorted(sources))
     return hashlib.sha256(b"".join(each for each in texts if any(w in each for w in _COMPILED))).hexdigest()
 
@@ -62,6 +62,8 @@ def _is_writable(package: Path) -> bool:
 
 def _first_usable(folders: Iterable[Path]) -> Path | None:
     """The first folder that is writable, created if necessary; None if there is none."""
+    import tempfile
+
     for folder in folders:
         with suppress(OSError):
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -72,6 +74,8 @@ def _first_usable(folders: Iterable[Path]) -> Path | None:
 
 def _places(name: str) -> Iterator[Path]:
     """Candidates: in the user's cache, then in a temporary folder of the user's own."""
+    import tempfile
+
     cache = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
     if cache.is_absolute():
         yield cache / "limbcli" / name

@@ -17,8 +17,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
-import portalocker
-
 from limbcli.errors import CaseError
 from limbcli.errors.commands import command_line
 from limbcli.errors.file_system import file_system_errors, in_words, not_in_utf8
@@ -134,6 +132,8 @@ def _holder(stream: TextIO) -> str:
 
 
 def _try(stream: TextIO, *, alone: bool = True) -> bool:
+    import portalocker
+
     kind = portalocker.LockFlags.EXCLUSIVE if alone else portalocker.LockFlags.SHARED
     try:
         portalocker.lock(stream, kind | portalocker.LockFlags.NON_BLOCKING)

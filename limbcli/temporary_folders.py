@@ -13,8 +13,6 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import portalocker
-
 from limbcli.errors.file_system import SCRATCH
 
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
@@ -59,6 +57,8 @@ def _made() -> tuple[Path, int | None]:
 
     Retried if another process has removed it as abandoned.
     """
+    import portalocker
+
     while True:
         folder = Path(tempfile.mkdtemp(prefix=SCRATCH))
         if not _CAN_HOLD_FOLDERS:
@@ -78,6 +78,8 @@ def _drop_abandoned(parent: Path) -> None:
     """Remove our temporary folders whose lock nobody holds."""
     if not _CAN_HOLD_FOLDERS:
         return
+    import portalocker
+
     wish = portalocker.LockFlags.EXCLUSIVE | portalocker.LockFlags.NON_BLOCKING
     for path in parent.glob(f"{SCRATCH}*"):
         # It may be owned by another user, locked, or removed in the meantime.

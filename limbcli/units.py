@@ -7,12 +7,13 @@ package carry their unit in their name and are converted here.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TypeVar, cast
+from typing import TYPE_CHECKING, TypeVar, cast
 
-import numpy as np
-from numpy.typing import NDArray
+if TYPE_CHECKING:  # without numpy, which help and `new` do not need
+    import numpy as np
+    from numpy.typing import NDArray
 
-Number = TypeVar("Number", float, NDArray[np.float64])
+Number = TypeVar("Number", float, "NDArray[np.float64]")
 
 GRAVITY_M_PER_S2 = 9.80665
 # Unit systems of FEBio model files (<units>): mm and N of their units of length and force; times are in s.

@@ -26,16 +26,6 @@ from limbcli.errors import CaseError, LimbError
 from limbcli.errors.file_system import NO_MEMORY, in_words
 from limbcli.version import __version__
 
-app = typer.Typer(
-    name="limbcli",
-    help="Soft-tissue parameters of a residual limb, from MRI, indentation and shear-wave elastography.",
-    no_args_is_help=True,
-    add_completion=True,
-    rich_markup_mode=None,  # Rich's tables truncate option names on a terminal of 80 columns
-    context_settings={"help_option_names": ["-h", "--help"]},
-    pretty_exceptions_enable=False,
-)
-
 
 def _print_version(value: bool) -> None:
     if value:
@@ -45,7 +35,6 @@ def _print_version(value: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _root(
     version: Annotated[
         bool,
@@ -73,11 +62,34 @@ def _never_ended(command: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
-for _name, _each in COMMANDS.items():
-    _first = inspect.cleandoc(_each.help).partition("\n\n")[0]
-    app.command(_name, short_help=" ".join(_first.split()), epilog=f"Example: {_each.example}")(
-        _never_ended(command_of(_each.function, _each.help, like=_each.like))
+@functools.cache
+def _app(names: tuple[str, ...]) -> typer.Typer:
+    """The program with these commands."""
+    made = typer.Typer(
+        name="limbcli",
+        help="Soft-tissue parameters of a residual limb, from MRI, indentation and shear-wave elastography.",
+        no_args_is_help=True,
+        add_completion=True,
+        rich_markup_mode=None,  # Rich's tables truncate option names on a terminal of 80 columns
+        context_settings={"help_option_names": ["-h", "--help"]},
+        pretty_exceptions_enable=False,
     )
+    made.callback()(_root)
+    for name in names:
+        each = COMMANDS[name]
+        text, (function, *like) = each.help(), each.functions()
+        first = inspect.cleandoc(text).partition("\n\n")[0]
+        made.command(name, short_help=" ".join(first.split()), epilog=f"Example: {each.example}")(
+            _never_ended(command_of(function, text, like=tuple(like)))
+        )
+    return made
+
+
+def __getattr__(name: str) -> typer.Typer:
+    """`app` is the program with all commands."""
+    if name != "app":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return _app(tuple(COMMANDS))
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -86,7 +98,8 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         arguments = list(map(_from_home, arguments))
         _refuse_no_numbers(arguments)
-        app(args=arguments, standalone_mode=True)
+        only = tuple(each for each in arguments[:1] if each in COMMANDS)
+        _app(only or tuple(COMMANDS))(args=arguments, standalone_mode=True)
     except LimbError as error:
         _exit_with(error, arguments)
     except SystemExit as stop:
@@ -107,7 +120,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 def command_options() -> dict[str, frozenset[str]]:
     """All options of all commands."""
-    found = getattr(typer.main.get_command(app), "commands", {})
+    found = getattr(typer.main.get_command(_app(tuple(COMMANDS))), "commands", {})
     return {name: frozenset(text for each in found[name].params for text in each.opts) for name in COMMANDS}
 
 

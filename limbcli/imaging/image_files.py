@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -9,14 +10,9 @@ import numpy as np
 from limbcli.case.schema import VOLUME_ENDINGS
 from limbcli.errors import CaseError
 from limbcli.imaging.dicom import PIXEL_MM, STEP_MM, Series, read_series
-from limbcli.imaging.metaimage import read_metaimage
-from limbcli.imaging.nifti import read_nifti
-from limbcli.imaging.nrrd import read_nrrd_image
 from limbcli.imaging.volume import Volume, require_placed
 from limbcli.progress import SILENT, Progress
 
-_READERS = {".ni": read_nifti, ".nr": read_nrrd_image, ".nh": read_nrrd_image, ".mh": read_metaimage}
-ENDINGS = {end: _READERS[end[:3]] for end in VOLUME_ENDINGS}
 _LEAST = 3  # smallest number of voxels along every axis
 _RIGHT_ANGLE = 1e-2  # largest cosine between two axes that count as perpendicular
 # HU: a volume counts as CT if _AIR_SHARE of its values lie below (air is at -1000), which is so in no MRI
@@ -36,12 +32,12 @@ def read_image(path: Path, *, progress: Progress = SILENT) -> Series:
     """
     if path.is_dir():
         return read_series(path, progress=progress)
-    reader = next((each for end, each in ENDINGS.items() if path.name.lower().endswith(end)), None)
+    reader = _reader_of(path.name.lower())
     if reader is None:
         raise CaseError(
             f"{path.name} is not in a supported image format",
             where=str(path),
-            fix=f"give a folder with one DICOM series, or a volume that ends in {', '.join(ENDINGS)}",
+            fix=f"give a folder with one DICOM series, or a volume that ends in {', '.join(VOLUME_ENDINGS)}",
         )
     volume = _plausible(reader(path), path)
     volume = volume.with_values(np.asarray(volume.values, dtype=np.float32))
@@ -63,6 +59,24 @@ def read_image(path: Path, *, progress: Progress = SILENT) -> Series:
         "spacing_mm": [round(float(each), 4) for each in volume.spacing],
     }
     return Series(volume=volume, facts=facts, notes=tuple(notes))
+
+
+def _reader_of(name: str) -> Callable[[Path], Volume] | None:
+    """The reader of a volume file of that name; the libraries of the other formats are not imported."""
+    end = next((each[:3] for each in VOLUME_ENDINGS if name.endswith(each)), None)
+    if end == ".ni":
+        from limbcli.imaging.nifti import read_nifti
+
+        return read_nifti
+    if end == ".mh":
+        from limbcli.imaging.metaimage import read_metaimage
+
+        return read_metaimage
+    if end is not None:
+        from limbcli.imaging.nrrd import read_nrrd_image
+
+        return read_nrrd_image
+    return None
 
 
 def _plausible(volume: Volume, path: Path) -> Volume:

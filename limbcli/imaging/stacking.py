@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from limbcli.errors import CaseError
 from limbcli.imaging.frames import Slice
@@ -84,6 +83,8 @@ def _straight(values: NDArray[np.float32], offset: Array) -> tuple[NDArray[np.fl
 
     Returns the values and the number of pixels by which the grid starts before the first slice.
     """
+    from scipy import ndimage
+
     low = np.floor(np.minimum(offset.min(axis=0), 0)).astype(int)
     high = np.ceil(np.maximum(offset.max(axis=0), 0)).astype(int)
     air = float(values.min())

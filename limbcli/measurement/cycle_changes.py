@@ -16,7 +16,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtrc
 
 from limbcli.measurement.cycles import LEVEL, CycleStudy, Difference
 from limbcli.measurement.levels import Levels
@@ -55,6 +54,8 @@ def changes(difference: Difference) -> tuple[CycleChange, ...]:
 
 
 def _fitted(name: str, column: Array, difference: Difference) -> CycleChange:
+    from scipy.special import chdtrc
+
     weighted = np.linalg.solve(difference.covariance, column)
     information = float(column @ weighted)
     size = float(weighted @ difference.depth) / information

@@ -13,9 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
-from scipy.optimize import approx_fprime
-from scipy.special import chdtrc
 
 from limbcli.measurement.levels import FEWEST_LOADING, TOUCH_FORCE, Levels
 from limbcli.model import Array, IntArray
@@ -68,6 +65,8 @@ class Difference:
     @property
     def p_value(self) -> float:
         """Probability of at least this difference from noise alone."""
+        from scipy.special import chdtrc  # SciPy takes longer to import than a case to check
+
         return float(chdtrc(len(self.depth), self.chi_square))
 
     @property
@@ -130,6 +129,8 @@ def cycle_energy(levels: Levels, cycle: int, force_deviation: float, depth_devia
     The loop is closed by the first touch of the next cycle if that follows; the standard deviation is that of
     all readings, propagated through numerical derivatives.
     """
+    from scipy.optimize import approx_fprime
+
     up = np.flatnonzero((levels.cycle == cycle) & levels.loading)
     down = np.flatnonzero((levels.cycle == cycle) & ~levels.loading)
     if len(up) < 2 or not len(down):
@@ -205,6 +206,8 @@ def _linear_weights(knots: Array, at: Array) -> Array:
     array([[0.5, 0.5, 0. ],
            [0. , 0. , 1. ]])
     """
+    from scipy.interpolate import make_interp_spline
+
     apart = np.maximum.accumulate(knots) + 1e-6 * np.arange(len(knots))
     line = make_interp_spline(apart, np.eye(len(knots)), k=1)
     return np.asarray(line(at, extrapolate=True))

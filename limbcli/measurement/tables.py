@@ -7,6 +7,7 @@ import io
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 
 import numpy as np
@@ -198,13 +199,13 @@ def _numbers(
         if not cell and may_be_empty:
             continue
         try:
-            values[k] = number_of(cell)
+            values[k] = value = number_of(cell)
         except ValueError:
             what = f"{name} is {shown(cell)}, not a number" if cell else f"{name} is empty"
             fix = "write a number with a decimal point, without its unit"
             problems.append(problem(what, path, fix, line=line))
             continue
-        if not np.isfinite(values[k]):
+        if not isfinite(value):
             fix = "leave the cell empty" if may_be_empty else "remove the row, or measure it again"
             problems.append(problem(f"{name} is {cell}", path, fix, line=line))
     return values, problems

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -72,7 +72,7 @@ def check(folder: Path, *, progress: Progress = SILENT) -> CaseCheck:
     problems += found
     shown = on_labels
     if case is not None:
-        problems += _contradictions(case)
+        problems += _contradictions(case, problems)
         reported = {each.what for each in problems}
         problems += [each for each in instrument_problems(case) if each.what not in reported]
         problems += state_problems(case)
@@ -147,14 +147,14 @@ def _read_mri(path: Path) -> list[Problem]:
 
 def _read_labels(raw: Mapping[str, Any], folder: Path) -> tuple[list[str], list[Problem], list[str]]:
     """The label maps read, their problems, and what each number and name in them is taken for."""
-    from limbcli.imaging.label_files import label_lines
-
     imaging = raw.get("imaging")
     table = imaging.get("labels") if isinstance(imaging, dict) else None
     looked_at: list[str] = []
     problems: list[Problem] = []
     lines: list[str] = []
     for source in read_label_sources(table, CaseFiles.of(raw, folder))[0]:
+        from limbcli.imaging.label_files import label_lines
+
         looked_at.append(os.path.relpath(source.path, folder))
         problems += _caught(lambda source=source: lines.extend(label_lines(source)))  # type: ignore[misc]
     return looked_at, problems, lines
@@ -180,8 +180,8 @@ def _caught(read: Callable[[], object]) -> list[Problem]:
     return []
 
 
-def _contradictions(case: Any) -> list[Problem]:
-    """Inconsistencies between files that are each valid."""
+def _contradictions(case: Any, known: Sequence[Problem]) -> list[Problem]:
+    """Inconsistencies between files that are each valid, other than those known of single files."""
     from limbcli.meshing.probe import ProbeShape, check_shape
 
     problems = []
@@ -200,7 +200,7 @@ def _contradictions(case: Any) -> list[Problem]:
     for site in case.sites:
         problems += _unmeasured(site, case.folder)
         problems += _too_few(site) + _other_distance(site, str(case.file))
-        problems += _missing_maps(site, probe.length)
+        problems += _missing_maps(site, probe.length, known)
         if site.noise.source == "assumed":
             problems.append(
                 Problem(
@@ -274,7 +274,7 @@ def _other_distance(site: Site, file: str) -> list[Problem]:
     return [Problem(what, file, "correct one of the two, or remove the site's", severity="warning")]
 
 
-def _missing_maps(site: Any, probe_length: float) -> list[Problem]:
+def _missing_maps(site: Any, probe_length: float, known: Sequence[Problem]) -> list[Problem]:
     """Shear-wave maps that are missing for a row of levels.csv, too wide, or contradict levels.csv."""
     from limbcli.measurement.elastography import check_maps, check_mean, check_width, map_file
     from limbcli.measurement.indentation import check_levels
@@ -282,7 +282,7 @@ def _missing_maps(site: Any, probe_length: float) -> list[Problem]:
     levels, _ = check_levels(site.levels)
     if site.swe_maps is None or levels is None:
         return []
-    seen = {str(each) for each in check_maps(site.swe_maps)[1]}
+    seen = {str(each) for each in known}
     maps, problems = check_maps(site.swe_maps, len(levels))
     found = [each for each in problems if str(each) not in seen]
     for swe in maps:
