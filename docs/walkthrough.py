@@ -73,7 +73,8 @@ first = run(case, out=results, solver="reference", progress=tell)
 print(f"with start values: {first['p1'].max_force_n:.2f} N at {first['p1'].max_depth_mm:.2f} mm")
 
 # %% Fit the parameters. Never quote a number without its words.
-fits = fit(case, out=results, solver="reference", intervals=not asked.quick, progress=tell)
+checked = dict.fromkeys(("intervals", "contact_check", "boundary_check"), not asked.quick)
+fits = fit(case, out=results, solver="reference", progress=tell, **checked)
 for estimate in fits["p1"].parameters:
     print(f"{estimate.parameter} = {estimate.value:.3g}: {estimate.words}")
 

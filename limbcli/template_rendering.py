@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
+from jinja2.bccache import Bucket
 
 from limbcli.errors import CaseError
 
@@ -31,6 +32,24 @@ class TemplateFolders(jinja2.FileSystemLoader):
     ) -> tuple[str, str, Callable[[], bool]]:
         self.requested.append(template)
         return super().get_source(environment, template)
+
+
+class _Compiled(jinja2.BytecodeCache):
+    """Templates compiled earlier in this process; those whose text has changed since are compiled again."""
+
+    def __init__(self) -> None:
+        self._by_key: dict[str, bytes] = {}
+
+    def load_bytecode(self, bucket: Bucket) -> None:
+        if bucket.key in self._by_key:
+            bucket.bytecode_from_string(self._by_key[bucket.key])
+
+    def dump_bytecode(self, bucket: Bucket) -> None:
+        self._by_key[bucket.key] = bucket.bytecode_to_string()
+
+
+# of environments with the same options for the same file: compiling takes ten times as long as rendering
+COMPILED = _Compiled()
 
 
 def filled(environment: jinja2.Environment, template: str, facts: Mapping[str, Any], *, ours: str) -> str:

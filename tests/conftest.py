@@ -8,14 +8,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.blank_pictures import leave_blank
+
 REPOSITORY = Path(__file__).resolve().parents[1]
 # Files whose one test takes half a minute and more: at the end of a run all would wait for it.
-LONGEST = {"test_walkthrough.py", "test_wheel.py", "test_killed.py", "test_diagnose_bones.py"}
+LONGEST = {"test_walkthrough.py", "test_notebook.py", "test_pages.py", "test_killed.py"}
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The longest first; all others stay in their order."""
     items.sort(key=lambda item: item.path.name not in LONGEST)
+
+
+_pictures = pytest.MonkeyPatch()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Before any fixture of the test, also those of its module."""
+    _pictures.undo()
+    if item.get_closest_marker("drawn") is None:
+        leave_blank(_pictures)
 
 
 def shared_folder() -> Path | None:

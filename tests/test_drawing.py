@@ -14,6 +14,8 @@ from matplotlib.figure import Figure
 from limbcli.drawing import COLUMNS, Margins, data_file, figure_data, panel_sheet, put_title, save_figure
 from limbcli.reporting.figures.style import new_figure, style
 
+pytestmark = pytest.mark.drawn
+
 
 def read(path: Path) -> list[dict[str, str]]:
     with path.open(newline="", encoding="utf-8") as stream:

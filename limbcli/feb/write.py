@@ -31,7 +31,7 @@ from limbcli.feb.views import (
 )
 from limbcli.model import LimbModel
 from limbcli.results import plain
-from limbcli.template_rendering import TemplateFolders, filled, refuse_unused
+from limbcli.template_rendering import COMPILED, TemplateFolders, filled, refuse_unused
 
 _FOLDER = "feb"
 MAIN_TEMPLATE = f"{_FOLDER}/model.feb.j2"
@@ -94,6 +94,7 @@ def _environment(templates: Path | None) -> jinja2.Environment:
     folders = [templates_folder(templates), templates_folder()]
     environment = jinja2.Environment(
         loader=TemplateFolders(folders),
+        bytecode_cache=COMPILED,
         undefined=jinja2.StrictUndefined,
         autoescape=True,
         keep_trailing_newline=True,

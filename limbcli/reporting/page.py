@@ -17,7 +17,7 @@ from limbcli.drawing import data_file, save_figure
 from limbcli.errors.file_system import in_utf8
 from limbcli.reporting.figures.style import style
 from limbcli.reporting.reportlet import Picture, Reportlet
-from limbcli.template_rendering import TemplateFolders, filled, refuse_unused
+from limbcli.template_rendering import COMPILED, TemplateFolders, filled, refuse_unused
 
 _LARGE_BYTES = 200_000
 _MOST_PIXELS = 2400  # largest width of an embedded picture; enough for a printed page
@@ -98,6 +98,7 @@ def render(template: str, facts: Mapping[str, Any], *, templates: Path | None = 
         folders.insert(0, templates_folder(templates) / "report")
     environment = jinja2.Environment(
         loader=TemplateFolders(folders),
+        bytecode_cache=COMPILED,
         autoescape=jinja2.select_autoescape(["html", "j2"], default=True),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,

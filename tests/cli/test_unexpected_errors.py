@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from limbcli.cli.app import main
 from tests.stages.chain_case import write_case
 
 pytestmark = pytest.mark.slow
@@ -86,14 +87,16 @@ def test_a_full_disk_is_told(tmp_path: Path):
 
 
 @pytest.mark.parametrize("command", ["report", "segment", "batch", "mesh"])
-def test_a_file_as_output_folder_is_told(tmp_path: Path, command: str):
+def test_a_file_as_output_folder_is_told(tmp_path: Path, command: str, capsys: pytest.CaptureFixture[str]):
     write_case(tmp_path / "case")
     out = tmp_path / "out"
     out.write_text("mine")
-    done = limbcli(command, str(tmp_path / "case"), "--out", str(out))
-    assert done.returncode == 2, done.stderr
-    assert "Traceback" not in done.stderr
-    assert "out" in done.stderr
+    with pytest.raises(SystemExit) as stop:
+        main([command, str(tmp_path / "case"), "--out", str(out)])
+    reported = capsys.readouterr().err
+    assert stop.value.code == 2, reported
+    assert "Traceback" not in reported
+    assert "out" in reported
     assert out.read_text() == "mine"
 
 

@@ -297,6 +297,7 @@ def test_what_cannot_be_run_is_said(rng):
     assert any(line.startswith("Not evaluated:") for line in sentences(found))
 
 
+@pytest.mark.drawn
 @pytest.mark.slow
 def test_json_and_pictures(rng, tmp_path):
     the_bench = bench(levels(rng, reading=Reading(force_zero=1.5)))
@@ -345,17 +346,17 @@ def test_jacobian_is_that_of_the_prediction(rng):
 
 @pytest.mark.slow
 def test_false_alarms_on_the_reduced_model(rng):
-    """At most one of 4. Alarms at 5 % of all sites pass with 99 %, at 20 % with 82 %, at 50 % with 31 %;
+    """None of 2. Alarms at 5 % of all sites pass with 90 %, at 20 % with 64 %, at 50 % with 25 %;
     `test_engine` counts more of them, on the toy."""
     names = [
         each.name for each in EFFECTS if each.name not in ("tilt", "friction", "inclusion", "nonlinearity")
     ]
     alarms = 0
-    for _ in range(4):
+    for _ in range(2):
         measured = levels(rng)
         verdict = run(measured, names=names, errors=[of_the_block(measured)]).verdict
         alarms += verdict != "adequate"
-    assert alarms <= 1
+    assert alarms == 0
 
 
 def of_the_block(measured) -> ModelError:

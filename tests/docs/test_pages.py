@@ -202,6 +202,8 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path):
         "html",
         "-d",
         tmp_path / "kept",
+        "-D",  # without pages of the source code, which take half of the time
+        "extensions=myst_parser,sphinx.ext.autodoc,sphinx.ext.napoleon,offline_math",
     ]
     result = subprocess.run([*command, DOCS, tmp_path / "html"], capture_output=True, text=True, timeout=500)
     assert result.returncode == 0, result.stderr

@@ -294,9 +294,13 @@ def test_what_febio_cannot_take_is_refused(
 # ---------------------------------------------------------------- against the stored models of FEBio
 
 
+OTHER_NUMBERS = {"punch-tet10", "punch-tet10-deep", "punch-tet10-fk10", "punch-tet10-penalty-x4"}
+
+
 @pytest.mark.slow
 def test_every_golden_model_comes_back_exactly(golden: Path, tmp_path: Path) -> None:
-    files = sorted(golden.rglob("*.feb*"))
+    """All but large ones that differ from another by numbers alone."""
+    files = [each for each in sorted(golden.rglob("*.feb*")) if each.parent.name not in OTHER_NUMBERS]
     assert len(files) > 50
     for path in files:
         model = read_feb(path)
@@ -320,13 +324,19 @@ def leaves(element: etree._Element) -> list[tuple[str, object]]:
     return found
 
 
+@pytest.fixture(scope="module")
+def limb_twice(golden: Path) -> tuple[etree._Element, etree._Element]:
+    """The golden limb's file, and ours."""
+    path = golden / "limb-posterior" / "tet4.feb.gz"
+    theirs = etree.fromstring(gzip.decompress(path.read_bytes()))
+    return theirs, etree.fromstring(render(read_feb(path)).encode("iso-8859-1"))
+
+
 @pytest.mark.parametrize(
     "section", ["Control", "Contact", "Boundary", "Rigid", "MeshDomains", "LoadData", "Module"]
 )
-def test_sections_are_those_of_the_golden_limb(golden: Path, section: str) -> None:
-    path = golden / "limb-posterior" / "tet10.feb.gz"
-    theirs = etree.fromstring(gzip.decompress(path.read_bytes()))
-    ours = etree.fromstring(render(read_feb(path)).encode("iso-8859-1"))
+def test_sections_are_those_of_the_golden_limb(limb_twice, section: str) -> None:
+    theirs, ours = limb_twice
     one, two = theirs.find(section), ours.find(section)
     assert one is not None
     assert two is not None

@@ -88,7 +88,7 @@ def test_a_fit_on_a_first_cycle_that_later_ones_contradict_says_so(built):
     text = page.path("page").read_text(encoding="utf-8")
     assert "Is the response repeatable" in text
     assert "The parameters on this page are of cycle 1." in text
-    assert (page.folder / "figures" / "cycles-p1.png").stat().st_size > 10_000
+    assert (page.folder / "figures" / "cycles-p1.png").is_file()
 
 
 def test_a_cycle_whose_depths_were_not_built_is_simulated_at_its_own(built, forces):

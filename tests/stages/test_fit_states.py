@@ -61,6 +61,7 @@ def holds(interval, value: float) -> bool:
     return (low is None or low <= value) and (high is None or value <= high)
 
 
+@pytest.mark.drawn
 @pytest.mark.slow
 def test_three_states_give_back_the_law_and_where_it_is_unloaded(fitted):
     """Noise of 0.05 N, 0.05 mm and 3 % of the speeds; f_kappa also takes up the other mesh."""

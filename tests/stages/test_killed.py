@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from limbcli.atomic_files import sha256
+from limbcli.cli.app import main
 from limbcli.results import read_result
 from tests.stages.test_mesh import CASE, prism
 
@@ -38,16 +39,29 @@ def case(tmp_path: Path) -> Path:
     return folder
 
 
-def start(case: Path, out: Path, stage: str, options: tuple[str, ...]) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "limbcli", stage, str(case), "--out", str(out), "--quiet", *options]
-    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+def words(case: Path, out: Path, stage: str, options: tuple[str, ...]) -> list[str]:
+    return [stage, str(case), "--out", str(out), "--quiet", *options]
 
 
-def finished(process: subprocess.Popen[bytes]) -> float:
+def finished(case: Path, out: Path, stage: str, options: tuple[str, ...]) -> float:
+    """The command, undisturbed and in this process; seconds."""
     begin = time.perf_counter()
-    _, reported = process.communicate(timeout=300)
-    assert process.returncode == 0, reported.decode()
+    with pytest.raises(SystemExit) as stop:
+        main(words(case, out, stage, options))
+    assert not stop.value.code
     return time.perf_counter() - begin
+
+
+def killed(case: Path, out: Path, stage: str, options: tuple[str, ...], *, after: float) -> None:
+    """The command, killed so many seconds after it began to write."""
+    before = set(out.rglob("*"))
+    command = [sys.executable, "-m", "limbcli", *words(case, out, stage, options)]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    while process.poll() is None and set(out.rglob("*")) == before:
+        time.sleep(0.02)
+    time.sleep(after)
+    process.kill()
+    process.wait(timeout=60)
 
 
 def kept(out: Path, stage: str, site: str | None) -> dict[str, str]:
@@ -61,12 +75,9 @@ def test_the_same_command_again_gives_what_an_undisturbed_one_gives(case: Path, 
     rng = np.random.default_rng(7)
     whole, disturbed = tmp_path / "whole", tmp_path / "disturbed"
     for stage, site, options in STAGES:
-        took = finished(start(case, whole, stage, options))
-        process = start(case, disturbed, stage, options)
-        time.sleep(rng.uniform(0.3, 1.0) * took)
-        process.kill()
-        process.communicate(timeout=60)
-        finished(start(case, disturbed, stage, options))
+        took = finished(case, whole, stage, options)
+        killed(case, disturbed, stage, options, after=rng.uniform(0.0, 0.8) * took)
+        finished(case, disturbed, stage, options)
         assert kept(disturbed, stage, site) == kept(whole, stage, site), stage
     names = {str(path.relative_to(whole)) for path in whole.rglob("*")}
     assert {str(path.relative_to(disturbed)) for path in disturbed.rglob("*")} == names

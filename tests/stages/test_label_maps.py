@@ -67,17 +67,17 @@ OWN = {1: 7101, 2: 8151, 3: 77, 4: 9}
 
 
 @pytest.mark.slow
-def test_a_map_with_its_own_numbers_is_segmented_as_ours_voxel_for_voxel(ours, tmp_path):
+def test_a_map_with_its_own_numbers_is_read_as_ours_voxel_for_voxel(ours, tmp_path):
     first = case_of(tmp_path / "first", 'labels = "map.nii.gz"', mri=False)
     shutil.copyfile(ours, first / "map.nii.gz")
     second = case_of(tmp_path / "second", TABLE, mri=False)
     written(second / "map.nii.gz", ours, numbered(OWN))
-    a, b = (segment(Case.open(each), out=each / "out") for each in (first, second))
-    assert np.array_equal(*(np.asarray(nib.load(each.path("labels")).dataobj) for each in (a, b)))
-    for name in ("skin", "bone_tibia", "bone_fibula"):
-        assert a.path(name).read_bytes() == b.path(name).read_bytes()
-    assert a.data["markers"] == b.data["markers"]
-    assert "map.nii.gz: taken for bone: 8151" in b.summary
+    a, b = (labelled_limb(case, side=case.limb) for case in (Case.open(first), Case.open(second)))
+    assert np.array_equal(a.found.labels.values, b.found.labels.values)
+    assert len(a.found.bones) == len(b.found.bones) == 2
+    for one, other in zip(a.found.bones, b.found.bones, strict=True):
+        assert np.array_equal(one.values, other.values)
+    assert "map.nii.gz: taken for bone: 8151" in b.lines
 
 
 @pytest.mark.slow
@@ -136,7 +136,10 @@ def test_the_calf_in_the_numbers_of_programs_is_the_calf(shared: Path, tmp_path:
     from limbcli.imaging.labels import write_labels
     from limbcli.imaging.segmentation import segment_limb
 
-    series = shared / "data" / "calf-mri"
+    series = tmp_path / "mri"  # a third of its slices, from the middle
+    series.mkdir()
+    for path in sorted((shared / "data" / "calf-mri").glob("*.dcm"))[20:40]:
+        shutil.copy(path, series)
     found = segment_limb(read_series(series).volume)
     assert name_bones(found.bones) == ("tibia", "fibula")
     write_labels(tmp_path / "ours.nii.gz", found.labels)

@@ -30,7 +30,7 @@ from limbcli.surface_formats.aop import read_aop_limb
 from tests.meshing.stump import stump
 
 pytestmark = pytest.mark.slow
-OPTIONS = LimbOptions(nodes=12_000, c_kpa=8.0)
+OPTIONS = LimbOptions(nodes=5_000, c_kpa=8.0)
 SITE = """
 [probe]
 name = "small"
@@ -72,6 +72,7 @@ def made(tmp_path_factory):
     return case, folder / "out", limb(case, out=folder / "out", options=OPTIONS)
 
 
+@pytest.mark.drawn
 def test_the_model_file_is_read_back_as_the_stored_model(made):
     result = made[2]
     model, stored = read_feb(result.path("feb")), load_model(result.path("model"))
@@ -147,7 +148,7 @@ def test_elements_have_the_values_of_the_field_and_a_draw_its_own_model(made, tm
     case, out, _ = made
     shutil.copytree(out / "segment", tmp_path / "segment")
     with_field(monkeypatch, {"p1": 0.004, "p2": 0.012})
-    found = limb(case, out=tmp_path, options=LimbOptions(nodes=6_000, draws=(3,)))
+    found = limb(case, out=tmp_path, options=LimbOptions(nodes=4_000, draws=(3,)))
     grid = meshio.read(found.path("mesh"))
     c, low, high, label = (grid.cell_data[name][0] for name in ("c_kpa", "c_low_kpa", "c_high_kpa", "label"))
     middle = grid.points[grid.cells[0].data[:, :4]].mean(axis=1)
@@ -167,7 +168,7 @@ def test_elements_have_the_values_of_the_field_and_a_draw_its_own_model(made, tm
     assert "site p2: c = 12 kPa, from fit" in found.path("readme").read_text()
     assert any("identified" in line for line in found.summary)
     with pytest.raises(CaseError, match="draw 50 cannot be written: there are draws 0 to 49"):
-        limb(case, out=tmp_path, options=LimbOptions(nodes=6_000, draws=(3, 50)))
+        limb(case, out=tmp_path, options=LimbOptions(nodes=4_000, draws=(3, 50)))
 
 
 def test_one_stiffness_for_all_has_no_draws(made, tmp_path):
@@ -213,7 +214,7 @@ def test_a_change_of_the_surfaces_makes_the_result_stale(made, tmp_path):
 def test_fat_of_a_site_is_a_conforming_layer_and_c_that_of_speed_at_rest(tmp_path):
     case = write_case(tmp_path / "case", more=SITE)
     segment(case, out=tmp_path / "out")
-    found = limbcli.limb(case, out=tmp_path / "out", nodes=14_000)
+    found = limbcli.limb(case, out=tmp_path / "out", nodes=8_000)
     model = found.model()
     assert [each.name for each in model.mesh.solid_blocks] == ["tissue", "fat"]
     shared = np.intersect1d(*(each.cells for each in model.mesh.solid_blocks))
@@ -232,7 +233,7 @@ def test_without_segment_without_stiffness_and_with_a_wrong_option(tmp_path, mad
     with pytest.raises(CaseError, match="--nodes is 10"):
         limb(made[0], out=made[1], options=replace(OPTIONS, nodes=10))
     with pytest.raises(CaseError, match=r"c is 9000 kPa"):
-        limbcli.limb(made[0], out=made[1], c_kpa=9000.0, nodes=12_000)
+        limbcli.limb(made[0], out=made[1], c_kpa=9000.0, nodes=5_000)
 
 
 def test_a_bone_through_the_skin_is_refused(tmp_path):
@@ -257,8 +258,8 @@ def test_the_mean_limb_of_openlimb(shared: Path, tmp_path: Path):
     (tmp_path / "case" / "case.toml").write_text(text)
     case = Case.open_images(tmp_path / "case")
     segment(case, out=tmp_path / "out")
-    result = limb(case, out=tmp_path / "out", options=LimbOptions(c_kpa=8.0, nodes=15_000))
-    assert result.data["n_nodes"] == pytest.approx(15_000, rel=0.25)
+    result = limb(case, out=tmp_path / "out", options=LimbOptions(c_kpa=8.0, nodes=8_000))
+    assert result.data["n_nodes"] == pytest.approx(8_000, rel=0.25)
     assert not result.data["missing_parts"]
     assert result.data["quality"]["min_angle_deg"] > 4
     assert result.data["volume_cm3"] == pytest.approx(result.data["expected_volume_cm3"], rel=0.01)
@@ -275,6 +276,6 @@ def test_the_leg_of_the_visible_human(shared: Path, tmp_path: Path):
     segment(case, out=tmp_path / "out")
     with pytest.raises(CaseError, match="cut at both ends"):
         limb(case, out=tmp_path / "out", options=LimbOptions(c_kpa=8.0))
-    result = limb(case, out=tmp_path / "out", options=LimbOptions(c_kpa=8.0, distal_cut=True, nodes=15_000))
+    result = limb(case, out=tmp_path / "out", options=LimbOptions(c_kpa=8.0, distal_cut=True, nodes=8_000))
     assert "distal_end" in result.data["missing_parts"]
     assert {"patch_patellar_tendon", "patch_popliteal", "distal_cut"} <= set(result.data["surfaces"])

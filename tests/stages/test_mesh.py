@@ -93,6 +93,7 @@ def out(folder, tmp_path_factory) -> Path:
     return out
 
 
+@pytest.mark.drawn
 def test_stage_leaves_model_picture_and_figures(out):
     result = read_result(out, "mesh", site="p1")
     assert set(result.files) == {"model", "mesh", "picture", "fibre_picture"}

@@ -84,7 +84,7 @@ def test_error_of_a_known_law_is_found(case, tmp_path):
     back = read_result(tmp_path / "out", "mesh-study", site="p1")
     with back.path("table").open() as stream:
         assert len(list(csv.DictReader(stream))) == 4
-    assert back.path("picture").stat().st_size > 5000
+    assert back.path("picture").is_file()
 
 
 def test_a_site_that_was_fitted_is_studied_with_its_own_tissue(case, tmp_path):

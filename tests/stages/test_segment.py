@@ -61,6 +61,7 @@ def segmented(series, tmp_path_factory):
     return out, result, events
 
 
+@pytest.mark.drawn
 def test_a_series_leaves_labels_surfaces_markers_and_a_sheet(segmented):
     _, result, _ = segmented
     names = {"labels.nii.gz", "skin.ply", "bone_tibia.ply", "bone_fibula.ply", "contact-sheet.png"}

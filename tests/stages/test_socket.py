@@ -78,6 +78,7 @@ def sleeve(*, grow: float = 0.0, top: float = 110.0, bottom: float = 0.0) -> Tri
     return Triangles(out, skin.faces).part((z < top) & (z > bottom))
 
 
+@pytest.mark.drawn
 @pytest.mark.slow
 def test_the_forces_are_in_balance_and_the_patches_are_listed(made):
     donned, loaded = made.data["states"]

@@ -1,4 +1,4 @@
-"""Simulated measurements on a case's geometry, and the truth found again from them."""
+"""Simulated measurements on a case's geometry, and the truth in them."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ import pytest
 from limbcli.atomic_files import atomic_folder
 from limbcli.case import Case
 from limbcli.errors import CaseError, LimbError
+from limbcli.feb.read import read_feb
 from limbcli.measurement.elastography import read_maps
 from limbcli.measurement.indentation import read_levels
 from limbcli.phantom.protocol import LoadingProtocol
+from limbcli.solvers.session import ReferenceSession
 from limbcli.stages import synth as synth_module
-from limbcli.stages.build_feb import build_feb
-from limbcli.stages.fit import FitOptions, fit
+from limbcli.stages.build_feb import TissueOptions, build_feb
 from limbcli.stages.mesh import mesh
 from limbcli.stages.phantom import PhantomOptions, phantom
 from limbcli.stages.segment import segment
@@ -82,15 +83,16 @@ def test_truth_lies_beside_the_new_case_and_not_in_it(exact):
 
 
 @pytest.mark.slow
-def test_noise_free_fit_on_the_same_mesh_finds_the_truth_within_1_percent(limb, exact):
+def test_noise_free_levels_are_those_of_the_true_tissue_in_the_very_mesh(limb, exact):
+    """What a fit has to find: at these depths the case's own model, with the truth, gives these forces."""
     case = Case.open(exact)
-    out = limb / "fit"
+    out = limb / "again"
     shutil.copytree(limb / "out", out)
-    build_feb(case, out=out)
-    found = fit(case, out=out, solver="reference", options=FitOptions(intervals=False, tolerance=1e-5))[0]
-    assert found.data["c_kpa"] == pytest.approx(6.0, rel=1e-4)
-    assert found.data["f_kappa"] == pytest.approx(TISSUE.f_kappa, rel=0.01)
-    assert found.data["m"] == pytest.approx(TISSUE.m, rel=0.01)
+    built = build_feb(case, out=out, options=TissueOptions(f_kappa=TISSUE.f_kappa, m=TISSUE.m))[0]
+    assert built.data["c_kpa"] == pytest.approx(6.0, rel=1e-4)
+    with ReferenceSession(read_feb(built.path("feb"))) as session:
+        forces = session.solve().must_points.forces
+    np.testing.assert_allclose(forces, read_levels(exact / "p1" / "levels.csv").force[1:], rtol=5e-3)
 
 
 @pytest.mark.slow

@@ -1,8 +1,9 @@
-"""Simulated measurements in several states: what is true of each, and the truth found again from them."""
+"""Simulated measurements in several states: what is true of each, and that they are the curves of a fit.
+
+`test_fit_states` finds the truth again from such curves."""
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,12 +15,10 @@ from limbcli.case import Case
 from limbcli.case.parts import Stretch
 from limbcli.errors import CaseError
 from limbcli.measurement.indentation import read_levels
-from limbcli.model_io import load_model, save_model
+from limbcli.model_io import load_model
 from limbcli.phantom.protocol import LoadingProtocol
 from limbcli.results import open_stage
 from limbcli.shear_waves.pixels import Window
-from limbcli.stages.build_feb import build_feb
-from limbcli.stages.fit_states import StatesOptions, fit_states
 from limbcli.stages.simulated_subjects.hidden_effects import hide
 from limbcli.stages.simulated_subjects.indent import KnownTissue, indent
 from limbcli.stages.simulated_subjects.known_stretches import (
@@ -83,22 +82,6 @@ def test_every_state_has_its_levels_and_its_truth(measured):
     rows = made.rows()
     assert len(rows) == sum(len(each["force_n"]) for each in truth["state"])
     assert {row["state"] for row in rows} == set(state_case.TOLD)
-
-
-@pytest.mark.slow
-def test_a_fit_on_another_mesh_finds_the_law_and_where_it_is_unloaded(measured):
-    """Noise of 0.05 N, 0.05 mm and 3 % of the speeds; f_kappa also takes up the other mesh."""
-    case, root = measured[0].case, measured[1]
-    out = root / "fit"
-    shutil.copytree(root / "out", out)
-    with open_stage(out, "mesh", subject="B1", site="p1") as writer:
-        save_model(block.block_model(), writer.file("model", "model.npz"))
-    build_feb(case, out=out)
-    data = fit_states(case, out=out, states=StatesOptions(gain_deviation=0.03, max_rounds=1))[0].data
-    for name, value in {"c_kpa": 6.0, "m": 6.0, f"unloaded_stretch_{WAY}": 0.95}.items():
-        low, high = data["interval_95"][name]
-        assert low <= value <= high, name
-        assert data[name] == pytest.approx(value, rel=0.15)
 
 
 @pytest.mark.slow
