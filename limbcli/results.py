@@ -156,13 +156,14 @@ class StageWriter:
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
 
-    def used(self, label: str, path: Path, *, role: str = "") -> None:
+    def used(self, label: str, path: Path, *, role: str = "", digest: str | None = None) -> None:
         """Record the hash of an input (file or folder).
 
         role : the input's role in the case, such as "site/p1/levels", or its absolute path; with a role,
             later stages check whether the input has changed
+        digest : its hash when it was read; None: that of now
         """
-        self.inputs[label] = sha256(path)
+        self.inputs[label] = sha256(path) if digest is None else digest
         self._paths[label] = path
         if role:
             self.made_from["files"][role] = self.inputs[label]

@@ -9,7 +9,7 @@ and `diagnosis` parts, which can run in parallel.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from limbcli.errors import CaseError, LimbError
 from limbcli.errors.commands import pasted
 from limbcli.progress import SILENT, Progress
 from limbcli.results import ERROR_FILE, StageResult, read_result, stage_folder
-from limbcli.stages.batching.fits_on_demand import FitOnDemand, extras, made_by_hand, shown_only
+from limbcli.stages.batching.fits_on_demand import FitOnDemand, extras, made_by_hand
 from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailure, keep_error
 from limbcli.stages.batching.steps import FIT_STATES, SITE_STAGES, parts_of, path_of, site_steps
 from limbcli.stages.machine.kernels import compile_ahead
@@ -105,29 +105,15 @@ class CaseRun:
         """Run `segment`, which all sites depend on."""
         from limbcli.stages.segment import edited_labels, segment
 
-        raw, images = self.case.raw, self.case.imaging
-        labels = (each.path for each in images.label_maps)
-        paths = [p for p in (images.mri, *labels, images.skin, *images.bones) if p]
         edited = [path for path in [edited_labels(self.out)] if path]
         hints = self._requested("segment", None, without=("seeds", "threshold") if edited else ())
-        key = key_of(
-            code_hash(), raw.get("imaging"), raw["subject"], *paths, *edited, *parts_of(hints), *self._seen()
-        )
+        key = key_of(code_hash(), self.case.subject, *edited, *parts_of(hints))
         done = self._stage("segment", None, key, lambda: segment(self.case, **self._common(), **hints))
         if not done:
             for site in self.case.sites:
                 states = (FIT_STATES,) if site.states else ()
                 self._skip((*SITE_STAGES, *states), site.name, because="segment")
         return StartedCase(key, done, self._places() if done and self.options.diagnose else ())
-
-    def _seen(self) -> tuple[object, ...]:
-        """Inputs of the geometry other than [imaging] when no image shows the bone; otherwise none."""
-        if self.case.imaging.bone_radius is None:
-            return ()
-        sites = self.case.sites
-        levels = [each.levels for each in sites if each.levels.is_file()]
-        probe = replace(self.case.probe, name="")
-        return (*((s.position, s.long_axis, s.skin_bone) for s in sites), probe, *levels)
 
     def _places(self) -> tuple[tuple[str, ...], ...]:
         from limbcli.stages.diagnose import places
@@ -178,12 +164,11 @@ class CaseRun:
 
         made = [self._extra(each, keys) for each in extras(self.case, self.out, progress=self.progress)]
         made += self._in_socket(first, keys)
-        shown = [sha256(path) for path in shown_only(self.case, self.out)]
         failed = [str(each.error) for each in self.outcome.failures]
         requested = self._requested("report", None, without=("templates",) if self.options.templates else ())
         templates = self.options.templates or path_of(requested.get("templates"))
         own = [templates] if templates else []
-        everything = key_of(first, *keys, *made, *shown, self.case.raw, failed, *own)
+        everything = key_of(first, *keys, *made, *self._records(), failed, *own)
 
         def work() -> object:
             return report(self.case, templates=templates, **self._common())
@@ -206,7 +191,8 @@ class CaseRun:
 
         asked = {name: self._requested(name, None) for name in ("limb", "socket")}
         sized = {"nodes": given.limb_nodes, **asked["limb"]}
-        key = key_of("limb", first, *keys, *parts_of(sized))
+        fits = [site.name for site in self.case.sites if self._is_fitted(site.name)]
+        key = key_of("limb", first, *keys, fits, *parts_of(sized))
 
         def model() -> object:
             return limb(self.case, options=options_of(LimbOptions, sized), **self._common())
@@ -214,8 +200,7 @@ class CaseRun:
         if not self._stage("limb", None, key, model):
             self._skip(("socket",), None, because="limb")
             return [key]
-        files = [given.surface] if given.surface is not None else []
-        own = key_of("socket", key, self.case.raw["socket"], *files, *parts_of(asked["socket"]))
+        own = key_of("socket", key, *parts_of(asked["socket"]))
         made_by_hand = not self.options.defaults and self.memory.made_since("socket", None)
         if made_by_hand and self._holds("socket", None):
             self.memory.remember("socket", None, own)  # perhaps with intervals
@@ -350,6 +335,19 @@ class CaseRun:
             memory.remember(stage, each, key)
         self.outcome.ran.append(label)
         return True
+
+    def _is_fitted(self, site: str) -> bool:
+        return (stage_folder(self.out, "fit", site) / "fit.json").is_file()
+
+    def _records(self) -> list[Path]:
+        """The records of all results, which the report shows."""
+        stages = [each for each in sorted(self.out.iterdir()) if each.is_dir() and each.name != "report"]
+        paths = [
+            path
+            for each in stages
+            for path in [each / f"{each.name}.json", *sorted(each.glob(f"*/{each.name}.json"))]
+        ]
+        return [path for path in paths if path.is_file()]
 
     def _holds(self, stage: str, site: str | None) -> bool:
         """Whether all inputs of a result are unchanged, including those in no key (such as a place)."""

@@ -17,6 +17,7 @@ import numpy as np
 from limbcli.abaqus_files import write_abaqus
 from limbcli.atomic_files import sha256
 from limbcli.case import Case, Site
+from limbcli.case.noting import unnoted
 from limbcli.errors import MeasurementError
 from limbcli.feb.settings import Schedule, apart, least_level, schedule
 from limbcli.feb.write import write_feb
@@ -29,7 +30,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.solvers.base import MODEL_FILE
 from limbcli.stages.provenance.chain import Chain
-from limbcli.stages.provenance.chain_inputs import note_case, note_templates
+from limbcli.stages.provenance.chain_inputs import note_templates, noted
 from limbcli.stages.provenance.requested_options import requested_by_options, requested_of
 from limbcli.stages.site_model.indentation_model import (
     C_KPA,
@@ -101,16 +102,17 @@ def build_feb(
         progress.event("stage", name=STAGE, site=site.name)
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
             writer.data["asked"] = {**requested_by_options(options), **requested_of({"templates": templates})}
-            _build_site(case, site, out, writer, options, templates)
+            _build_site(noted(case, writer), site.name, out, writer, options, templates)
         assert writer.result is not None
         results.append(writer.result)
     return results
 
 
 def _build_site(
-    case: Case, site: Site, out: Path, writer: StageWriter, options: TissueOptions, templates: Path | None
+    case: Case, name: str, out: Path, writer: StageWriter, options: TissueOptions, templates: Path | None
 ) -> None:
-    meshed = Chain(case, out).result("mesh", site=site.name)
+    site = case.site(name)
+    meshed = Chain(case, out).result("mesh", site=name)
     path = meshed.folder / "model.npz"
     levels = levels_of(site)
     c, c_source = tissue_stiffness(levels, site, c_kpa=options.c_kpa)
@@ -128,10 +130,8 @@ def _build_site(
         writer.summary.append(f"{ABAQUS_FILE}: the same model for Abaqus; its comments say what differs")
     writer.used("mesh", path)
     writer.used_result(meshed, files=["model"])
-    writer.used("levels", site.levels, role=f"site/{site.name}/levels")
-    note_case(writer, case, [], site=site, own=["density_kg_per_m3", "layers"])
     note_templates(writer, templates)
-    writer.warnings.extend(warnings_now(meshed, site))
+    writer.warnings.extend(warnings_now(meshed, unnoted(site)))
     if options.c_kpa is None and (reason := no_level_0(levels, site)):
         writer.warnings.append(reason)
     writer.data.update(c_source=c_source, f_kappa=options.f_kappa, m=options.m)

@@ -46,9 +46,9 @@ from limbcli.stages.diagnosis.report import (
 from limbcli.stages.diagnosis.written_model import write_diagnosed
 from limbcli.stages.mesh import site_position
 from limbcli.stages.provenance.chain import check_earlier, note_earlier
+from limbcli.stages.provenance.chain_inputs import CaseInputs
 from limbcli.stages.provenance.requested_options import requested_by_options
 from limbcli.stages.site_model.cycle_words import cycle_facts
-from limbcli.stages.site_model.fibres import note_fibres
 from limbcli.stages.site_model.site_levels import all_levels_of
 
 _SAME_PLACE = 2.0  # mm, largest distance of two sites at the same place
@@ -116,7 +116,7 @@ def diagnose(
         with errors_of_site(together), one_blas_thread():
             results += _Diagnosed(
                 case=case, sites=group, out=out, effects=effects, options=options, draining=draining,
-                progress=progress,
+                progress=progress, inputs=CaseInputs(case),
             ).all()  # fmt: skip
     return results
 
@@ -172,16 +172,18 @@ class _Diagnosed:
     options: DiagnoseOptions
     draining: DrainageSolver | None
     progress: Progress
+    inputs: CaseInputs
 
     def all(self) -> list[StageResult]:
         prepared: list[Prepared] = []
+        inputs = self.inputs
         extras, options = known(self.options.measured), self.options
         effects = {each.name: each for each in self.effects if each.kind != NUMERICAL}
         with ExitStack() as opened:
             for site in self.sites:
                 with errors_of_site(site.name):
                     one = prepare(
-                        self.case, site, effects, out=self.out, mesh=options.mesh,
+                        inputs.case, inputs.site(site), effects, out=self.out, mesh=options.mesh,
                         extras=[] if prepared else extras, draining=self.draining, progress=self.progress,
                     )  # fmt: skip
                 opened.callback(one.close)
@@ -199,7 +201,7 @@ class _Diagnosed:
         """Curves with the probe turned by 90 degrees; a warning is added if they cannot be simulated."""
         try:
             return turned_by_90(
-                self.case, prepared, out=self.out, mesh=self.options.mesh, progress=self.progress
+                self.inputs.case, prepared, out=self.out, mesh=self.options.mesh, progress=self.progress
             )
         except LimbError as error:
             text = f"the probe turned by 90 degrees is not among the proposed measurements: {error.what}"
@@ -213,11 +215,9 @@ class _Diagnosed:
         mine = all_[k]
         with open_stage(self.out, STAGE, subject=self.case.subject, site=mine.site.name) as writer:
             writer.data["asked"] = self.options.requested()
-            for name, path in mine.notes.inputs.items():
-                writer.used(name, path)
+            self.inputs.into(writer)
             for each in all_:  # all were diagnosed jointly
-                note_earlier(self.case, self.out, each.site, writer)
-            note_fibres(writer, self.case, mine.site)
+                note_earlier(self.out, each.site, writer)
             writer.warnings.extend(mine.notes.warnings)
             if mine.simulations.in_part:
                 writer.warnings.append(_in_part(mine.simulations.in_part))

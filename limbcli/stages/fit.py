@@ -56,7 +56,7 @@ from limbcli.stages.fitting.solve_again import forces_again
 from limbcli.stages.fitting.stiffness_map import tissue_map, write_tissue_map
 from limbcli.stages.fitting.table import NAMES
 from limbcli.stages.provenance.chain import Chain
-from limbcli.stages.provenance.chain_inputs import note_case, note_templates
+from limbcli.stages.provenance.chain_inputs import note_templates, noted
 from limbcli.stages.site_model.indentation_model import with_tissue
 from limbcli.stages.site_model.site_layers import held_layers
 from limbcli.stages.site_model.site_levels import layer_noise, levels_of, speed_noise
@@ -114,17 +114,18 @@ def fit(
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
             writer.data["asked"] = options.requested()
             note_templates(writer, options.templates)
-            _fit_site(case, site, out, writer, engine, options, progress)
+            _fit_site(noted(case, writer), site.name, out, writer, engine, options, progress)
         assert writer.result is not None
         results.append(writer.result)
     return results
 
 
 def _fit_site(
-    case: Case, site: Site, out: Path, writer: StageWriter, solver: Solver, options: FitOptions,
+    case: Case, name: str, out: Path, writer: StageWriter, solver: Solver, options: FitOptions,
     progress: Progress,
 ) -> None:  # fmt: skip
     clock = time.perf_counter()
+    site = case.site(name)
     levels = levels_of(site, options.cycle)
     model = through_cycle(built_model(case, site, out, writer), levels, site)
     data = force_depth_data(levels, site)
@@ -267,8 +268,6 @@ def built_model(case: Case, site: Site, out: Path, writer: StageWriter, *, label
     feb = built.folder / "model.feb"
     writer.used_result(built, files=["feb"])
     writer.used(f"{prefix}model", feb)
-    writer.used(f"{prefix}levels", site.levels, role=f"site/{site.name}/levels")
-    note_case(writer, case, [], site=site, own=["density_kg_per_m3", "noise"])
     of_levels = level_warnings(site.levels, noise=layer_noise(site))
     for each in dict.fromkeys([*built.warnings, *of_levels]):
         text = f"site {label}: {each}" if label and each in of_levels else each

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.case import Case, Site
+from limbcli.case import Case
 from limbcli.drawing import save_figure
 from limbcli.errors import SolveError
 from limbcli.inference.prediction import SolvedPoints
@@ -34,6 +34,7 @@ from limbcli.stages.fitting.cycles import through_cycle, write_cycle
 from limbcli.stages.fitting.exports import write_table
 from limbcli.stages.fitting.force_curves import ReferenceCurve
 from limbcli.stages.fitting.options import COMPARISON
+from limbcli.stages.provenance.chain_inputs import noted
 from limbcli.stages.site_model.site_levels import levels_of
 from limbcli.units import kpa_from_mpa
 
@@ -83,15 +84,16 @@ def compare_elements(
         progress.event("stage", name=STAGE, site=site.name)
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
             writer.data["asked"] = options.requested(COMPARISON)
-            _compare_site(case, site, out, writer, options, progress)
+            _compare_site(noted(case, writer), site.name, out, writer, options, progress)
         assert writer.result is not None
         results.append(writer.result)
     return results
 
 
 def _compare_site(
-    case: Case, site: Site, out: Path, writer: StageWriter, options: FitOptions, progress: Progress
+    case: Case, name: str, out: Path, writer: StageWriter, options: FitOptions, progress: Progress
 ) -> None:
+    site = case.site(name)
     levels = levels_of(site, options.cycle)
     model = through_cycle(built_model(case, site, out, writer), levels, site)
     write_cycle(levels, site, writer)

@@ -51,6 +51,7 @@ from limbcli.stages.fitting.joint_boundaries import allowing_for
 from limbcli.stages.fitting.joint_result import law_row, write_comparison, write_joint
 from limbcli.stages.fitting.laws import LAWS, FitLaw, first_shapes, law_named
 from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
+from limbcli.stages.provenance.chain_inputs import noted
 from limbcli.stages.provenance.requested_options import in_words
 from limbcli.stages.site_model.layer_readings import LayerReadings, layer_readings
 from limbcli.stages.site_model.site_layers import held_layers
@@ -119,7 +120,8 @@ def fit_joint(
     progress.event("stage", name=STAGE, site=None)
     clock = time.perf_counter()
     with open_stage(out, STAGE, subject=case.subject) as writer:
-        measured = [_measured(case, site, out, writer, options) for site in case.selected(sites)]
+        case, selected = noted(case, writer), [site.name for site in case.selected(sites)]
+        measured = [_measured(case, case.site(name), out, writer, options) for name in selected]
         for each in measured:
             write_cycle(each.levels, each.site, writer, label=each.site.name)
             check_noise(each.site, speeds=each.levels.has_swe)

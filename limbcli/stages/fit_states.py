@@ -32,7 +32,7 @@ from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.stages.fitting.state_curve import StateCurve
 from limbcli.stages.fitting.state_plan import StretchPlan, stretch_plan
 from limbcli.stages.fitting.states_result import write_states
-from limbcli.stages.provenance.chain_inputs import note_case
+from limbcli.stages.provenance.chain_inputs import noted
 from limbcli.stages.provenance.requested_options import requested_by_options
 from limbcli.stages.site_model.site_layers import held_layers
 from limbcli.stages.site_model.site_states import MeasuredState, states_of
@@ -97,7 +97,7 @@ def fit_states(
         progress.event("stage", name=STAGE, site=site.name)
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
             clock = time.perf_counter()
-            _fit_site(case, site, out, writer, law, states, options, progress)
+            _fit_site(noted(case, writer), site.name, out, writer, law, states, options, progress)
             writer.data["asked"] = {**options.requested("states"), **requested_by_options(states)}
             writer.data["seconds"] = time.perf_counter() - clock
             write_mat_file(writer)
@@ -107,9 +107,10 @@ def fit_states(
 
 
 def _fit_site(
-    case: Case, site: Site, out: Path, writer: StageWriter, law: FitLaw, states: StatesOptions,
+    case: Case, name: str, out: Path, writer: StageWriter, law: FitLaw, states: StatesOptions,
     options: FitOptions, progress: Progress,
 ) -> None:  # fmt: skip
+    site = case.site(name)
     plan = stretch_plan(site)
     measured = states_of(site)
     check_noise(site, speeds=True)
@@ -120,10 +121,6 @@ def _fit_site(
             f"{' and '.join(beside)}: their stiffness is taken as known; they are stretched with "
             "the tissue and unloaded where it is"
         )
-    note_case(writer, case, [], site=site, own=["states"])
-    for each in measured:
-        role = f"site/{site.name}/state/{each.state.name}"
-        writer.used(f"levels {each.state.name}", each.state.levels, role=role)
     if case.imaging.assumed:
         writer.warnings.append(NOT_ALLOWED_FOR)
     given = states.gain_deviation

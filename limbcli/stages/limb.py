@@ -51,7 +51,7 @@ from limbcli.stages.limb_model.element_values import (
 from limbcli.stages.limb_model.hand_over import LimbFiles, write_limb
 from limbcli.stages.mesh import site_position
 from limbcli.stages.provenance.chain import Chain
-from limbcli.stages.provenance.chain_inputs import LIMB, SITES, note_case, note_templates
+from limbcli.stages.provenance.chain_inputs import note_templates, noted
 from limbcli.stages.provenance.requested_options import requested_of
 from limbcli.stages.segmenting.places import warnings_of_limb
 from limbcli.stages.site_model.indentation_model import TISSUE
@@ -119,7 +119,8 @@ def limb(
     segmented = chain.result("segment", about=layered)
     with open_stage(out, STAGE, subject=case.subject) as writer:
         writer.data["asked"] = requested_of({**vars(options), "templates": templates}, vars(LimbOptions()))
-        _note(case, segmented, layered, options, templates, writer)
+        case = noted(case, writer)
+        _note(case, segmented, layered, templates, writer)
         skin, bones = named_surfaces(segmented)
         where = str(segmented.folder)
         raise_errors(limb_problems({SKIN: skin, **bones}, limb=case.limb, where=where), CaseError)
@@ -182,13 +183,9 @@ def limb(
 
 
 def _note(
-    case: Case, segmented: StageResult, layered: tuple[str, ...], options: LimbOptions,
-    templates: Path | None, writer: StageWriter,
-) -> None:  # fmt: skip
-    """Record the inputs."""
-    note_case(writer, case, [SITES, LIMB, *([] if options.element else ["model/element"])])
-    for site in case.sites:
-        note_case(writer, case, [], site=site, own=["place", "layers", "density_kg_per_m3"])
+    case: Case, segmented: StageResult, layered: tuple[str, ...], templates: Path | None, writer: StageWriter
+) -> None:
+    """Record which earlier results and templates are used."""
     surfaces = [name for name, path in segmented.files.items() if path.endswith(".ply")]
     markers = ["markers"] if any(site.position is None for site in case.sites) else []
     writer.used_result(segmented, files=surfaces, data=[*(f"layers/{name}" for name in layered), *markers])

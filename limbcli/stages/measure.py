@@ -33,7 +33,7 @@ from limbcli.stages.measuring.fibres import write_pennation
 from limbcli.stages.measuring.holds import Columns, column_problems, force_columns
 from limbcli.stages.measuring.images import box_of, images_of, measured_speeds, tissue_between
 from limbcli.stages.measuring.layers import layer_columns, read_borders
-from limbcli.stages.provenance.chain_inputs import note_case
+from limbcli.stages.provenance.chain_inputs import noted
 from limbcli.stages.site_model.site_levels import layer_noise
 
 STAGE = "measure"
@@ -67,7 +67,7 @@ def measure(
             )
         progress.event("stage", name=STAGE, site=site.name)
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
-            rows = _measure_site(case, site, out, writer, progress)
+            rows = _measure_site(noted(case, writer), site.name, out, writer, progress)
             if write and "swe_images" in site.instruments and site.swe_maps and site.swe_maps.exists():
                 writer.warnings.append(
                     f"the maps in {site.swe_maps.name} already existed and are kept: to "
@@ -81,13 +81,11 @@ def measure(
     return results
 
 
-def _measure_site(case: Case, site: Site, out: Path, writer: StageWriter, progress: Progress) -> str:
+def _measure_site(case: Case, name: str, out: Path, writer: StageWriter, progress: Progress) -> str:
+    site = case.site(name)
     instruments = site.instruments
     known = read_levels(site.levels) if site.levels.is_file() else None
     columns: Columns = {}
-    note_case(writer, case, [], site=site, own=instruments)
-    for kind, table in instruments.items():
-        writer.used(kind, table["path"], role=f"site/{site.name}/{kind}")
     if "load_cell" in instruments:
         columns |= force_columns(instruments["load_cell"], writer)
         progress.event("note", text=f"{len(columns['force_n'])} holds found")

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.case import Case, Site
+from limbcli.case.noting import unnoted
 from limbcli.errors import CaseError
 from limbcli.errors.problems import raise_errors
 from limbcli.mesh_bounds import ELEMENTS, FAR_SIZE_MM, MARGIN_MM, SIZE_MM
@@ -28,9 +29,10 @@ from limbcli.model_io import save_model
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.stages.provenance.chain import Chain
+from limbcli.stages.provenance.chain_inputs import CaseInputs
 from limbcli.stages.provenance.requested_options import requested_of
 from limbcli.stages.segmenting.places import warnings_of_limb
-from limbcli.stages.site_model.fibres import note_fibres, with_fibres, write_fibres
+from limbcli.stages.site_model.fibres import with_fibres, write_fibres
 from limbcli.stages.site_model.mesh_checks import (
     across_warnings,
     geometry_warnings,
@@ -78,7 +80,8 @@ def mesh(
         raise CaseError("a place was given for several sites", where="--at", fix="name one with --site")
     if place is not None and not np.isfinite(place).all():
         raise CaseError(f"--at is {place}", where="--at", fix="give an angle in degrees and a height in mm")
-    options = mesh_options(case, element=element, size=size, far_size=far_size, margin=margin)
+    given: dict[str, Any] = {"element": element, "size": size, "far_size": far_size, "margin": margin}
+    mesh_options(case, **given)
     thickness = Layering(skin_layer, fat_layer, seen=place is None)
     layered = tuple(site.name for site in chosen if thickness.is_from_images(site))
     segmented = Chain(case, out).result("segment", about=layered)
@@ -89,21 +92,20 @@ def mesh(
         chosen = (
             replace(chosen[0], position=(float(point[0]), float(point[1]), float(point[2])), marker=None),
         )
-    requested = requested_of(
-        {
-            "element": element, "size": size, "far_size": far_size, "margin": margin,
-            "skin_layer": skin_layer, "fat_layer": fat_layer, "place": place,
-        }
-    )  # fmt: skip
-    inputs = MeshInputs(case, segmented, requested, layered)
+    requested = requested_of({**given, "skin_layer": skin_layer, "fat_layer": fat_layer, "place": place})
     results = []
-    for site in chosen:
+    for each in chosen:
+        of_case = CaseInputs(case)
+        inputs, site = MeshInputs(of_case, segmented, requested, each.name in layered), of_case.site(each)
+        options = mesh_options(of_case.case, **given)
         layers, sources = thickness.of(site, segmented, size=options.sizes.under_probe)
         own = replace(options, layers=layers)
         results.append(mesh_site(inputs, site, limb, own, sources, out, progress))
         if study:
             position = site_position(site, segmented)
-            studied = study_site(case, site, limb, position, own, out=out, inputs=inputs, progress=progress)
+            studied = study_site(
+                inputs.case, site, limb, position, own, out=out, inputs=inputs, progress=progress
+            )
             results.append(studied)
     return results
 
@@ -193,7 +195,6 @@ def mesh_site(
         found = site_model(limb, position, site.long_axis, probe, options, name=site.name, progress=progress)
         laws = layer_laws(site, layers_in(found.model))
         model, fibres = with_fibres(case, site, with_layer_laws(found.model, laws))
-        note_fibres(writer, case, site)
         save_model(model, writer.file("model", "model.npz"))
         write_vtu(model.mesh, writer.file("mesh", "mesh.vtu"), fibres=model.fibres)
         mesh_picture(
@@ -265,7 +266,7 @@ def _report(
             "size_far_mm": options.sizes.far,
             "start_depth_mm": options.start_depth,
             "cuts": found.model.info["cuts"],
-            "measured_skin_bone_mm": measured_skin_bone(site),
+            "measured_skin_bone_mm": measured_skin_bone(unnoted(site)),  # shown, and compared
         }
     )
     writer.summary.append(

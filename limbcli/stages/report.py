@@ -18,6 +18,7 @@ from limbcli.reporting.sections.methods import FILE as METHODS_FILE
 from limbcli.reporting.sections.methods import methods_text
 from limbcli.reporting.sections.overview import Overview, overview
 from limbcli.results import StageResult, StageWriter, open_stage, provenance
+from limbcli.stages.provenance.chain_inputs import CaseInputs
 from limbcli.stages.provenance.requested_options import requested_of
 from limbcli.stages.report_pages.material import gather
 
@@ -39,13 +40,12 @@ def report(
         If limbcli's templates or the named ones are not found.
     """
     templates_folder(templates)  # before their content is hashed
-    page = gather(case, out=out, progress=progress)
+    inputs = CaseInputs(case)
+    page = gather(inputs.case, out=out, progress=progress)
     glance = overview(page)
     with open_stage(out, "report", subject=case.subject) as writer:
         writer.used("case.toml", case.file)
-        for site in case.sites:
-            if site.levels.is_file():
-                writer.used(f"levels {site.name}", site.levels)
+        inputs.into(writer)
         writer.data["asked"] = requested_of({"templates": templates})
         if templates is not None:
             writer.used("templates", templates, role=str(templates.resolve()))

@@ -24,6 +24,7 @@ from limbcli.solvers.febio import FebioSolver, plot_file
 from limbcli.solvers.reference import NAME as REFERENCE
 from limbcli.solvers.restart import RESTART_FILE
 from limbcli.stages.provenance.chain import Chain
+from limbcli.stages.provenance.chain_inputs import noted
 from limbcli.stages.provenance.requested_options import requested_by_options
 from limbcli.stages.running.files import write_simulation
 from limbcli.stages.running.vtu import write_series
@@ -150,11 +151,11 @@ def _run_site(
         raise CaseError(
             f"{MODEL_FILE} is missing", where=str(built.folder), fix="run `limbcli build-feb` again"
         )
-    levels = levels_of(site)
     with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
+        site = noted(case, writer).site(site.name)
+        levels = levels_of(site)
         writer.warnings.extend(built.warnings)
         writer.used_result(built, files=["feb"])
-        writer.used("levels", site.levels, role=f"site/{site.name}/levels")
         writer.data["asked"] = requested_by_options(options)
         _simulate(feb, runnable(feb), writer, engine, options, progress, levels=levels, site=site)
     shutil.rmtree(stage_folder(out, STAGE, site.name + FAILED), ignore_errors=True)

@@ -32,7 +32,7 @@ from limbcli.imaging.surface import SMOOTH, ClosedSurface, surface_of
 from limbcli.imaging.volume import Volume
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
-from limbcli.stages.provenance.chain_inputs import LIMB, note_case
+from limbcli.stages.provenance.chain_inputs import noted
 from limbcli.stages.provenance.requested_options import requested_of
 from limbcli.stages.segmenting.assumed import from_assumed
 from limbcli.stages.segmenting.label_maps import labelled_limb
@@ -113,7 +113,7 @@ def segment(
         _check_edited(case, out, edited)
     with open_stage(out, "segment", subject=case.subject) as writer:
         writer.data["asked"] = options.requested()
-        note_case(writer, case, ["imaging", LIMB])
+        case = noted(case, writer)
         if edited is not None:
             _from_edited(case, edited, options, writer, progress)
         elif case.imaging.assumed:
@@ -186,7 +186,6 @@ def _check_edited(case: Case, out: Path, path: Path) -> None:
 
 
 def _from_series(case: Case, path: Path, options: _Options, writer: StageWriter, progress: Progress) -> None:
-    writer.used("mri", path, role="imaging/mri")
     series = read_image(path, progress=progress)
     modality = str(series.facts.get("modality", "MR"))
     hints = options.hints(case.limb)
@@ -200,15 +199,10 @@ def _from_series(case: Case, path: Path, options: _Options, writer: StageWriter,
 
 def _from_labels(case: Case, options: _Options, writer: StageWriter, progress: Progress) -> None:
     """Use label maps instead of the automatic segmentation."""
-    for number, source in enumerate(case.imaging.label_maps):
-        role = f"imaging/labels/{number}" if number else "imaging/labels"
-        writer.used(f"labels_{number}" if number else "labels", source.path, role=role)
     writer.data["source"] = "labels"
     names = ", ".join(each.path.name for each in case.imaging.label_maps)
     writer.summary.append(f"label map {names} used instead of the automatic segmentation")
     _ignored(options, writer)
-    if case.imaging.mri is not None:
-        writer.used("mri", case.imaging.mri, role="imaging/mri")
     limb = labelled_limb(case, side=options.limb or case.limb, progress=progress)
     writer.summary.extend(limb.lines)
     _place(limb.problems, limb.own_grid, writer)
@@ -236,7 +230,6 @@ def _image_of(case: Case, labels: Volume, path: Path, writer: StageWriter, progr
     """
     if case.imaging.mri is None:
         return labels
-    writer.used("mri", case.imaging.mri, role="imaging/mri")
     series = read_image(case.imaging.mri, progress=progress).volume
     agreement = compare_frames(labels, series, where=str(path))
     _place(agreement.problems, agreement.own_grid, writer)

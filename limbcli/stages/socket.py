@@ -31,7 +31,7 @@ from limbcli.stages.in_socket.patch_table import (
 )
 from limbcli.stages.in_socket.pictures import pressure_picture
 from limbcli.stages.provenance.chain import Chain
-from limbcli.stages.provenance.chain_inputs import note_case
+from limbcli.stages.provenance.chain_inputs import noted
 from limbcli.stages.provenance.requested_options import requested_by_options
 from limbcli.units import kpa_from_mpa
 
@@ -74,15 +74,13 @@ def socket(
         If donning or a load has no equilibrium.
     """
     progress.event("stage", name=STAGE)
-    given = _given(case, options)
+    _given(case, options)
     chain = Chain(case, out)
     limb = chain.result("limb")
     with open_stage(out, STAGE, subject=case.subject) as writer:
         writer.data["asked"] = requested_by_options(options)
-        note_case(writer, case, ["socket"])
+        given = _given(noted(case, writer), options)
         writer.used_result(limb, files=[each for each in ("model", "draws") if each in limb.files])
-        if given.surface is not None:
-            writer.used("socket", given.surface, role="socket/surface")
         together = put_together(load_model(limb.path("model")), given, writer)
         donning = _donning(given, options, together)
         _report_fit(writer, together, given)

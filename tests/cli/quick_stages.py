@@ -21,7 +21,7 @@ from typing import Any
 from limbcli.case import Case, Site
 from limbcli.errors import MeshError
 from limbcli.results import open_stage, read_result
-from limbcli.stages.provenance.chain_inputs import note_case
+from limbcli.stages.provenance.chain_inputs import noted
 
 FILES = {"report": "report.html", "build-feb": "model.feb"}
 STAGES = ("segment", "mesh", "build-feb", "run", "fit", "report")
@@ -79,7 +79,7 @@ def quick(stage: str) -> Any:
                 name = "page" if stage == "report" else "text"
                 writer.file(name, FILES.get(stage, "a.txt")).write_text(f"whole {label}")
                 writer.data["threads"] = os.environ.get("OMP_NUM_THREADS")
-                note_case(writer, case, ["probe"])
+                assert noted(case, writer).probe
                 if stage in EARLIER:
                     before = read_result(out, EARLIER[stage], site=None if stage == "mesh" else site)
                     writer.used_result(before, files=["text"])

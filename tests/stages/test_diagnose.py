@@ -156,13 +156,13 @@ def test_a_force_offset_on_the_block(tmp_path, rng):
 def written(folder: Path, monkeypatch: pytest.MonkeyPatch, given: list[str], *sites: str) -> StageResult:
     """What is left of the first of these sites, which share a place."""
     stage = "limbcli.stages.diagnose."
-    for name in ("note_fibres", "gap_picture", "candidates_picture", "sizes_picture",
+    for name in ("gap_picture", "candidates_picture", "sizes_picture",
                  "sizes_of", "write_diagnosed", "all_levels_of"):  # fmt: skip
         monkeypatch.setattr(stage + name, lambda *_, **__: None)
     monkeypatch.setattr(stage + "_content", lambda *_: {"sentences": given, "sites": list(sites)})
     prepared = [
         SimpleNamespace(
-            site=SimpleNamespace(name=name), notes=SimpleNamespace(inputs={}, warnings=[], data={}),
+            site=SimpleNamespace(name=name), notes=SimpleNamespace(warnings=[], data={}),
             simulations=SimpleNamespace(in_part={}, n_solves=0), interventions=[],
             curves=SimpleNamespace(changes=SimpleNamespace(not_simulated={}), site=None),
         )
@@ -170,7 +170,10 @@ def written(folder: Path, monkeypatch: pytest.MonkeyPatch, given: list[str], *si
     ]  # fmt: skip
     forward_model = SimpleNamespace(not_simulated=set())
     case = SimpleNamespace(subject="B1")
-    run = _Diagnosed(case, [each.site for each in prepared], folder, (), DiagnoseOptions(), None, SILENT)
+    inputs = SimpleNamespace(into=lambda writer: None)
+    run = _Diagnosed(
+        case, [each.site for each in prepared], folder, (), DiagnoseOptions(), None, SILENT, inputs
+    )
     return run._write(None, forward_model, prepared, 0)
 
 
@@ -186,7 +189,7 @@ def test_the_command_prints_every_sentence_once(tmp_path, monkeypatch):
 def test_a_diagnosis_rests_on_all_sites_of_its_place_and_is_made_again_with_them(tmp_path, monkeypatch):
     noted: list[str] = []
     monkeypatch.setattr(
-        "limbcli.stages.diagnose.note_earlier", lambda case, out, site, writer: noted.append(site.name)
+        "limbcli.stages.diagnose.note_earlier", lambda out, site, writer: noted.append(site.name)
     )
     monkeypatch.setattr("limbcli.stages.diagnose.cycle_facts", lambda *_: None)
     result = written(tmp_path, monkeypatch, [], "p1", "p2")

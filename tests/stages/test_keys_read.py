@@ -1,68 +1,96 @@
-"""Keys that a stage reads, noted while it runs: a change is noticed exactly where it matters."""
+"""What a stage asks of its case is recorded, and a change is noticed exactly where it was asked."""
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from limbcli.case import Case
-from limbcli.results import read_result
+from limbcli.case.noting import noting, unnoted, with_values
+from limbcli.results import StageResult, read_result, sealed
+from limbcli.stages import diagnose as diagnose_module
 from limbcli.stages.build_feb import build_feb
+from limbcli.stages.diagnose import DiagnoseOptions, diagnose
+from limbcli.stages.diagnosis.prepare import _Preparation
+from limbcli.stages.fit import FitOptions, fit
+from limbcli.stages.limb import LimbOptions, limb
 from limbcli.stages.mesh import mesh
 from limbcli.stages.provenance.chain import Chain
+from limbcli.stages.report import report
+from limbcli.stages.run import run
 from limbcli.stages.segment import segment
 from tests.stages import chain_case, changed_keys
-from tests.stages.noting_case import noting
 
 pytestmark = pytest.mark.slow
 
+_QUICK = FitOptions(intervals=False, contact_check=False, boundary_check=False)
 STAGES: dict[str, Any] = {
     "segment": (segment, {}),
     "mesh": (mesh, chain_case.SIZES),
     "build-feb": (build_feb, {}),
+    "run": (run, {"solver": "reference"}),
+    "fit": (fit, {"solver": "reference", "options": _QUICK}),
+    "diagnose": (diagnose, {"options": DiagnoseOptions(effects=("tilt",), interventions=False)}),
+    "limb": (limb, {"options": LimbOptions(element="tet4", nodes=3_000)}),
+    "report": (report, {}),
 }
+OF_CASE = ("segment", "limb", "report")
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, dict[str, set[str]]]]:
-    """The folder of case and results, and what each stage asked of the case."""
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of case and results."""
     root = tmp_path_factory.mktemp("keys")
     case = chain_case.write_case(root / "case")
-    asked: dict[str, dict[str, set[str]]] = {}
     with pytest.MonkeyPatch.context() as patch:
         chain_case.imaged(patch)
-        for stage, (run, options) in STAGES.items():
-            mine, found = noting(case)
-            run(mine, out=root / "out", **options)
-            asked[stage] = found.keys
-    return root, asked
+        prepared_only(patch)
+        for work, options in STAGES.values():
+            work(case, out=root / "out", **options)
+    return root
 
 
-# What a stage asks for its warnings and checks only: its result stays valid.
-ONLY_CHECKS = {
-    "mesh": {"site/p1/levels", "site/p1/skin_bone"},
-    "build-feb": {"site/p1/noise", "site/p1/skin_bone"},
-}
+def prepared_only(patch: pytest.MonkeyPatch) -> None:
+    """A diagnosis that reads its inputs and makes its working mesh, without the search for effects."""
+
+    def prepare(case: Case, site: Any, *_: Any, out: Path, mesh: Any, progress: Any, **__: Any) -> Any:
+        read = _Preparation(case, site, out, mesh, progress)
+        read._working_mesh()
+        curves = SimpleNamespace(changes=SimpleNamespace(not_simulated={}), site=None)
+        return SimpleNamespace(
+            site=site, notes=read.notes, simulations=SimpleNamespace(in_part={}, n_solves=0),
+            interventions=[], curves=curves, close=lambda: None,
+        )  # fmt: skip
+
+    model = SimpleNamespace(not_simulated=set(), settle_noise=lambda: None)
+    patch.setattr(diagnose_module, "prepare", prepare)
+    patch.setattr(diagnose_module, "SiteForwardModel", lambda *_: model)
+    patch.setattr(diagnose_module, "_content", lambda *_: {"sentences": [], "sites": ["p1"]})
+    for name in ("diagnose_bench", "gap_picture", "candidates_picture", "sizes_picture", "sizes_of",
+                 "write_diagnosed"):  # fmt: skip
+        patch.setattr(diagnose_module, name, lambda *_, **__: None)
 
 
-def recorded(out: Path, stage: str) -> tuple[set[str], set[str]]:
-    """(keys that a result records itself, keys and roles of its whole chain)."""
-    found = read_result(out, stage, site=None if stage == "segment" else "p1")
-    links = found.provenance["made_from"]
-    earlier = [recorded(out, label.split()[0])[1] for label in links["results"]]
-    return set(links["case"]), {*links["case"], *links["files"]}.union(*earlier)
+def result_of(root: Path, stage: str) -> StageResult:
+    return read_result(root / "out", stage, site=None if stage in OF_CASE else "p1")
 
 
-@pytest.mark.parametrize("stage", list(STAGES))
-def test_what_a_stage_asks_of_the_case_is_recorded_and_nothing_else(made: Any, stage: str) -> None:
-    root, asked = made
-    own, chain = recorded(root / "out", stage)
-    unrecorded = {key: by for key, by in asked[stage].items() if key not in chain}
-    assert set(unrecorded) == ONLY_CHECKS.get(stage, set()), unrecorded
-    assert own - set(asked[stage]) <= {"sites"}
+def recorded(root: Path, stage: str) -> set[str]:
+    """Keys and roles that a result and its whole chain record."""
+    links = result_of(root, stage).provenance["made_from"]
+    earlier = [recorded(root, label.split()[0]) for label in links["results"]]
+    return {*links["case"], *links["files"]}.union(*earlier)
+
+
+def asked(key: tuple[str, str], names: set[str]) -> bool:
+    """Whether the value of a key is among these names."""
+    name = changed_keys.CHANGES[key][1]
+    return name == "subject" or bool({name, f"site/p1/{name}"} & names)
 
 
 def test_every_key_of_the_schema_has_another_value() -> None:
@@ -71,19 +99,90 @@ def test_every_key_of_the_schema_has_another_value() -> None:
 
 @pytest.mark.parametrize("stage", list(STAGES))
 def test_every_key_changed_after_a_stage_is_noticed_exactly_where_it_was_asked(
-    made: Any, tmp_path: Path, stage: str
+    made: Path, tmp_path: Path, stage: str
 ) -> None:
-    root, asked = made
-    order = list(STAGES)
-    earlier = order[: order.index(stage) + 1]
-    matters = set().union(*(set(asked[each]) - ONLY_CHECKS.get(each, set()) for each in earlier))
-    result = read_result(root / "out", stage, site=None if stage == "segment" else "p1")
-    shutil.copytree(root / "case", tmp_path / "case")
+    names, result = recorded(made, stage), result_of(made, stage)
+    shutil.copytree(made / "case", tmp_path / "case")
     wrong = {}
-    for key, (change, name) in changed_keys.CHANGES.items():
+    for key, (change, _) in changed_keys.CHANGES.items():
         changed_keys.write_changed(tmp_path / "case", change)
-        broken = Chain(Case.open(tmp_path / "case"), root / "out").broken(result)
-        expected = name == "subject" or bool({name, f"site/p1/{name}"} & matters)
-        if (broken is not None) != expected:
+        broken = Chain(Case.open(tmp_path / "case"), made / "out").broken(result)
+        if (broken is not None) != asked(key, names):
             wrong[key] = broken.what if broken else "not noticed"
     assert not wrong
+
+
+# What the stages read, as seen by who knows them: the test of the record.
+READ = {
+    "segment": {"imaging", "subject/limb", "sites", "site/p1/place"},
+    "mesh": {"probe", "model/margin", "model/element",
+             "site/p1/long_axis", "site/p1/layers", "site/p1/fibres"},
+    "build-feb": {"site/p1/levels", "site/p1/density_kg_per_m3"},
+    "run": set(),
+    "fit": {"site/p1/noise", "site/p1/states", "site/p1/swe_maps"},
+}  # fmt: skip
+
+
+def test_the_record_holds_what_each_stage_reads_and_no_more(made: Path) -> None:
+    before: set[str] = set()
+    for stage, more in READ.items():
+        before |= more
+        found = {each for each in recorded(made, stage) if not each.startswith("imaging/")}
+        assert found == before, stage
+
+
+def test_what_no_stage_asked_for_changes_no_result(made: Path, tmp_path: Path, monkeypatch) -> None:
+    """All such keys changed at once: surfaces, mesh and model are the same."""
+    stages = ("segment", "mesh", "build-feb")
+    names = recorded(made, "build-feb")
+    shutil.copytree(made / "case", tmp_path / "case")
+    unread = [key for key in changed_keys.CHANGES if not asked(key, names)]
+    alone = {
+        ("site", "trace"),
+        ("site", "swe_maps"),
+        ("noise", "force_n"),
+        ("probe", "name"),
+        ("site", "skin_bone_mm"),
+    }
+    assert alone <= set(unread)
+    of_sockets = [key for key in unread if key[0] in ("load_cell", "b_mode", "swe_images", "files")]
+
+    def all_of_them(case: dict[str, Any]) -> None:
+        for key in [*alone, *of_sockets]:
+            changed_keys.CHANGES[key][0](case)
+
+    changed_keys.write_changed(tmp_path / "case", all_of_them)
+    chain_case.imaged(monkeypatch)
+    case = Case.open(tmp_path / "case")
+    for stage in stages:
+        work, options = STAGES[stage]
+        work(case, out=tmp_path / "out", **options)
+        before, after = (result_of(each, stage).provenance["files_sha256"] for each in (made, tmp_path))
+        assert before == after, stage
+
+
+def test_values_that_were_given_otherwise_and_questions_for_checks_are_not_noted(tmp_path: Path) -> None:
+    names: list[str] = []
+    case = noting(chain_case.write_case(tmp_path / "case"), lambda name, _: names.append(name))
+    site = with_values(case.site("p1"), position=(0.0, 0.0, 0.0), marker=None)
+    assert (site.position, site.marker) == ((0.0, 0.0, 0.0), None)
+    assert unnoted(site).levels.is_file()
+    assert not names
+    assert site.density_kg_per_m3 == 1000.0
+    assert len(case.sites) == 1
+    assert names == ["site/p1/density_kg_per_m3", "sites"]
+
+
+def test_a_result_of_a_fixed_list_of_keys_is_judged_by_what_it_recorded(made: Path, tmp_path: Path) -> None:
+    """An earlier limbcli recorded no files that the case does not name."""
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
+    path = tmp_path / "out" / "fit" / "p1" / "fit.json"
+    content = json.loads(path.read_text())
+    content["provenance"]["made_from"]["files"].pop("site/p1/swe_maps")
+    path.write_text(json.dumps(sealed(content)))
+    chain = Chain(Case.open(tmp_path / "case"), tmp_path / "out")
+    assert chain.broken(result_of(tmp_path, "fit")) is None
+    changed_keys.write_changed(tmp_path / "case", changed_keys.CHANGES["noise", "force_n"][0])
+    broken = Chain(Case.open(tmp_path / "case"), tmp_path / "out").broken(result_of(tmp_path, "fit"))
+    assert broken is not None
+    assert broken.what.startswith("noise of site p1 changed")

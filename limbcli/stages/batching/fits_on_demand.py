@@ -22,8 +22,6 @@ from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.provenance.requested_options import options_of
 from limbcli.version import __version__
 
-SHOWN_ONLY = (("diagnose", True), ("mesh-study", True))  # (stage, whether there is one result per site)
-
 
 @dataclass(frozen=True, eq=False)
 class FitOnDemand:
@@ -44,25 +42,13 @@ def extras(case: Case, out: Path, *, progress: Progress = SILENT) -> Iterator[Fi
         sites = tuple(each for each in joint.data.get("sites", ()) if each in names)
         if sites:
             redo = _remade_joint(case, out, joint, sites, progress)
-            yield FitOnDemand(
-                "fit-joint", None, sites, _is_current(case, out, joint, sites, labelled=True), redo
-            )
+            yield FitOnDemand("fit-joint", None, sites, _is_current(case, out, joint, sites), redo)
     for name in names:
         compared = _there(out, "fit-elements", name)
         if compared is not None:
             redo = _remade_elements(case, out, compared, name, progress)
-            current = _is_current(case, out, compared, (name,), labelled=False)
+            current = _is_current(case, out, compared, (name,))
             yield FitOnDemand("fit-elements", name, (name,), current, redo)
-
-
-def shown_only(case: Case, out: Path) -> list[Path]:
-    """Results that a batch does not make but the report shows."""
-    found = [
-        stage_folder(out, stage, site.name if by_site else None) / f"{stage}.json"
-        for stage, by_site in SHOWN_ONLY
-        for site in case.sites
-    ]
-    return [each for each in found if each.is_file()]
 
 
 def _there(out: Path, stage: str, site: str | None) -> StageResult | None:
@@ -89,26 +75,20 @@ def made_by_hand(case: Case, out: Path, site: str, *, solver: str) -> bool:
     used = "mesh-study" in found.provenance.get("inputs_sha256", {})
     requested = _requested(found)
     unknown = study.is_file() and not used and "gain_deviation" not in requested
-    current = _is_current(case, out, found, (site,), labelled=False)
+    current = _is_current(case, out, found, (site,))
     return same_solver and same_version and current and not unknown
 
 
-def _is_current(case: Case, out: Path, found: StageResult, sites: tuple[str, ...], *, labelled: bool) -> bool:
-    """Whether the models and measurements from which it was made are unchanged."""
+def _is_current(case: Case, out: Path, found: StageResult, sites: tuple[str, ...]) -> bool:
+    """Whether everything from which it was made is unchanged."""
     if Chain(case, out).broken(found) is not None:
         return False
     used = found.provenance.get("inputs_sha256", {})
     for name in sites:
-        prefix = f"{name}/" if labelled else ""
-        inputs = {
-            "model": stage_folder(out, "build-feb", name) / "model.feb", "levels": case.site(name).levels,
-        }  # fmt: skip
         study = stage_folder(out, "mesh-study", name) / "mesh-study.json"
-        if f"{prefix}mesh-study" in used:
-            inputs["mesh-study"] = study
-        for label, path in inputs.items():
-            if not path.is_file() or used.get(f"{prefix}{label}") != sha256(path):
-                return False
+        hashes = {used[label] for label in (f"{name}/mesh-study", "mesh-study") if label in used}
+        if hashes and (not study.is_file() or hashes != {sha256(study)}):
+            return False
     return set(sites) == set(found.data.get("sites", sites))
 
 

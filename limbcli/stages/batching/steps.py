@@ -15,16 +15,14 @@ from limbcli.stages.batching.outcome import BatchOptions
 from limbcli.stages.provenance.requested_options import Requested, options_of
 
 SITE_STAGES = ("mesh", "build-feb", "run", "fit")
-# Keys of a [[site]] that its mesh depends on; the later stages depend on the others.
-_OF_MESH = (
-    "name", "position_mm", "marker", "long_axis", "layers", "fibre_direction", "pennation", "skin_bone_mm",
-)  # fmt: skip
 FIT_STATES = "fit-states"  # run after the other stages, for a site that has states
 
 
 @dataclass(frozen=True, eq=False)
 class SiteStep:
-    """parts : inputs of the stage other than the preceding stage; paths are hashed by their content"""
+    """parts : what the stage depends on besides the case and earlier results, which its own result records;
+    paths are hashed by their content
+    """
 
     stage: str
     parts: Sequence[object]
@@ -41,7 +39,6 @@ def site_steps(
     from limbcli.stages.mesh import mesh
     from limbcli.stages.run import RunOptions, run
 
-    raw, site = case.raw, case.site(name)
     common: dict[str, Any] = {"out": out, "progress": progress, "sites": [name]}
     solver: dict[str, Any] = {"solver": options.solver, "febio": options.febio}
     meshed = {**requested["mesh"], **({"element": options.element} if options.element else {})}
@@ -51,11 +48,6 @@ def site_steps(
     fit_options = options_of(FitOptions, fitted)
     if options.templates:
         fit_options = replace(fit_options, templates=templates)
-    table = next(each for each in raw["site"] if each["name"] == name)
-    probe = {key: value for key, value in raw["probe"].items() if key != "name"}
-    placed = {key: value for key, value in table.items() if key in _OF_MESH}
-    given = {key: value for key, value in table.items() if key not in _OF_MESH}
-    measured = [path for path in (site.levels, site.trace, site.swe_maps) if path]
     study = stage_folder(out, "mesh-study", name) / "mesh-study.json"
 
     def build() -> object:
@@ -65,10 +57,10 @@ def site_steps(
     steps = [
         SiteStep(
             "mesh",
-            (probe, raw.get("model"), placed, *_fibre_parts(case, name), *parts_of(meshed)),
+            parts_of(meshed),
             lambda: mesh(case, **meshed, **common),
         ),
-        SiteStep("build-feb", (given, *measured, *of_model, *parts_of(tissue)), build),
+        SiteStep("build-feb", (*of_model, *parts_of(tissue)), build),
         SiteStep(
             "run",
             (identity(options.solver, options.febio), *parts_of(ran)),
@@ -80,9 +72,9 @@ def site_steps(
             lambda: fit(case, options=fit_options, **solver, **common),
         ),
     ]
-    if site.states:
+    if case.site(name).states:
         several = requested.get(FIT_STATES, {})
-        parts = (*(each.levels for each in site.states), *steps[-1].parts, *parts_of(several))
+        parts = (*steps[-1].parts, *parts_of(several))
         steps.append(SiteStep(FIT_STATES, parts, _states_fit(case, several, common)))
     return steps
 
@@ -93,16 +85,6 @@ def _states_fit(case: Case, requested: Requested, common: Mapping[str, Any]) -> 
 
     states, options = options_of(StatesOptions, requested), options_of(FitOptions, requested)
     return lambda: fit_states(case, states=states, options=options, **common)
-
-
-def _fibre_parts(case: Case, name: str) -> tuple[object, ...]:
-    """Inputs of a site's fibres other than its own table."""
-    site = case.site(name)
-    named = {each.orientation for each in site.fibres.pennation} - {name}
-    axes = [(each.name, each.long_axis) for each in case.sites if each.name in named]
-    if case.imaging.fibres is None or site.fibres.given:
-        return tuple(axes)
-    return (*axes, case.imaging.fibres, str(case.imaging.fibre_frame))
 
 
 def parts_of(requested: Requested) -> tuple[object, ...]:

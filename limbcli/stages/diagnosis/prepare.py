@@ -15,6 +15,7 @@ import numpy as np
 
 from limbcli.atomic_files import atomic_file, sha256
 from limbcli.case import Case, Site
+from limbcli.case.noting import with_values
 from limbcli.effects.base import Effect
 from limbcli.errors import CaseError, LimbError, MeasurementError
 from limbcli.measurement.elastography import shear_modulus_from_wave_speed
@@ -125,7 +126,7 @@ def turned_by_90(
         If the place cannot be meshed or simulated with the turned probe.
     """
     site, known = prepared.site, prepared.curves
-    other = replace(site, name=f"{site.name}-turned", long_axis=_across(site, prepared.simulations.model))
+    other = with_values(site, name=f"{site.name}-turned", long_axis=_across(site, prepared.simulations.model))
     progress.event("note", text=f"{site.name} with the probe turned by 90 degrees")
     simulations = _Preparation(case, other, out, replace(mesh, size=prepared.size), progress).simulations()
     curves = SiteCurves(
@@ -180,7 +181,6 @@ class _Preparation:
         self.size = size_for(self.skin_bone) if mesh.size is None else mesh.size
         self.borders: BorderLines | None = None  # in the working mesh, once it is made
         self.notes = Notes()
-        self.notes.inputs["levels"] = site.levels
         if site.states:
             self.notes.warnings.append(one_state(site))
 
@@ -309,11 +309,8 @@ class _Preparation:
         self, numerics: NumericalChecks, correction: MeshCorrection, interventions: Sequence[Intervention],
         extras: Sequence[ExtraMeasurement],
     ) -> SiteData:  # fmt: skip
-        if self.site.swe_maps is not None:
-            self.notes.inputs["swe maps"] = self.site.swe_maps
         held = None
         if self.site.trace is not None:
-            self.notes.inputs["trace"] = self.site.trace
             try:
                 held, why = held_forces(read_trace(self.site.trace), self.levels)
             except MeasurementError as error:

@@ -123,7 +123,7 @@ def _measured_map(site: Site, levels: Levels, level: int, width: float, writer: 
         what = faults[0].what if faults else "it has no pixels"
         writer.warnings.append(f"the shear-wave map {path.name} is not shown: {what}")
         return None
-    writer.used(f"swe_map_level_{row}", path, role=f"site/{site.name}/swe_maps/{path.name}")
+    writer.used(f"swe_map_level_{row}", path)
     for each in check_mean(swe, float(levels.swe_mean_m_per_s[level])):
         text = f"{path.name}: {each.what} ({each.fix})"
         if text not in writer.warnings:

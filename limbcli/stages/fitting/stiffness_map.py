@@ -138,8 +138,7 @@ def write_tissue_map(
 ) -> None:
     """Write the map's entry in fit.json and its figure, and a warning if it disagrees with the levels."""
     assert found.swe.path is not None
-    role = f"site/{site.name}/swe_maps/{found.swe.path.name}"
-    writer.used("swe_map_level_0", found.swe.path, role=role)
+    writer.used("swe_map_level_0", found.swe.path)
     values = kpa_from_mpa(found.c.values)
     writer.data["stiffness_map"] = {
         "map": found.swe.path.name, "n_pixels": len(found.swe), "n_pixels_without_tissue": found.n_outside,

@@ -160,8 +160,7 @@ def _map_at_rest(
         return f"{path.name} has no pixels"
     raise_errors(check_width(swe, site_length(mesh)), MeasurementError)
     if writer is not None:
-        writer.used(f"swe_map {site.name}", path, role=f"site/{site.name}/swe_maps/{path.name}")
-        writer.used(f"levels {site.name}", site.levels, role=f"site/{site.name}/levels")
+        writer.used(f"swe_map {site.name}", path)
     noise = pixel_noise(maps_of(site, levels) or [], usual=site.noise.swe_pixel_fraction)
     noise = PixelNoise(max(noise.deviation, site.noise.swe_pixel_fraction), noise.smoothing, noise.share)
     return map_reading(

@@ -77,7 +77,6 @@ def limb_stiffness(
             speeds[site.name] = tissue_stiffness(levels_of(site), site)[0]
         except (CaseError, MeasurementError):
             continue
-        writer.used(f"levels {site.name}", site.levels, role=f"site/{site.name}/levels")
     if not speeds:
         raise CaseError(
             "the limb's stiffness is unknown: no site is fitted, and none has a shear-wave speed at rest",

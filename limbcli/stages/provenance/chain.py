@@ -15,9 +15,10 @@ from typing import Any
 
 from limbcli.atomic_files import sha256
 from limbcli.case import Case, Site
+from limbcli.case.noting import unnoted
 from limbcli.errors import CaseError
 from limbcli.results import StageResult, StageWriter, plain, read_result, stage_folder
-from limbcli.stages.provenance.chain_inputs import SITES, in_words, input_path, is_unchanged, note_case
+from limbcli.stages.provenance.chain_inputs import SITES, in_words, input_path, is_unchanged
 from limbcli.stages.provenance.commands import CommandStep, commands
 from limbcli.version import __version__
 
@@ -53,7 +54,7 @@ class Chain:
     """The results below an output folder, as one case may use them."""
 
     def __init__(self, case: Case, out: Path):
-        self.case, self.out = case, out
+        self.case, self.out = unnoted(case), out
 
     def result(self, stage: str, *, site: str | None = None, about: Collection[str] = ()) -> StageResult:
         """A stage's result, after a check of the whole chain behind it.
@@ -124,7 +125,10 @@ class Chain:
                 yield f"{in_words(key)} {after}", str(self.case.file)
         for role, digest in made["files"].items():
             path = input_path(self.case, role)
-            if path is None or not path.exists():
+            if digest is None:
+                if path is not None and path.exists():
+                    yield f"{in_words(role)} was added after `{found.label}` was run", str(path)
+            elif path is None or not path.exists():
                 yield (
                     f"{in_words(role)} is missing, from which `{found.label}` was made",
                     str(path or self.case.file),
@@ -210,19 +214,13 @@ def check_earlier(case: Case, out: Path, sites: Iterable[Site]) -> None:
             chain.present(stage, site=None if stage == "segment" else site.name)
 
 
-def note_earlier(case: Case, out: Path, site: Site, writer: StageWriter) -> None:
-    """Record a site's measurement and all results of earlier stages as inputs of a result."""
+def note_earlier(out: Path, site: Site, writer: StageWriter) -> None:
+    """Record all results of earlier stages for a site as inputs of a result."""
     for stage, names in _EARLIER.items():
         of = None if stage == "segment" else site.name
         if (stage_folder(out, stage, of) / f"{stage}.json").is_file():
             found = read_result(out, stage, site=of)
             writer.used_result(found, files=[name for name in found.files if name.startswith(names)])
-    for kind, path in (("levels", site.levels), ("trace", site.trace), ("swe_maps", site.swe_maps)):
-        if path is not None:
-            label = kind.replace("_", " ") + ("" if site.name == writer.site else f" {site.name}")
-            writer.used(label, path, role=f"site/{site.name}/{kind}")
-    own = ["place", "long_axis", "skin_bone", "density_kg_per_m3", "noise", "fibres"]
-    note_case(writer, case, ["probe", "model/margin"], site=site, own=own)
 
 
 _EARLIER = {"segment": ("skin", "bone"), "mesh": ("model",), "build-feb": ("feb",), "run": ("force_depth",)}

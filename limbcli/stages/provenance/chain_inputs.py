@@ -1,4 +1,6 @@
-"""Inputs that a stage takes from the case, by names that do not depend on the location of the case.
+"""Inputs that a stage takes from the case, noted as it asks for them.
+
+Their names do not depend on the location of the case.
 
 A role names a file or folder ("site/p1/levels", "imaging/mri"), a key names values of case.toml
 ("site/p1/place", "probe"). A role can also be the absolute path of a file outside the case.
@@ -6,12 +8,14 @@ A role names a file or folder ("site/p1/levels", "imaging/mri"), a key names val
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from limbcli.atomic_files import sha256
 from limbcli.case import Case, Site
+from limbcli.case.noting import noting, noting_site, unnoted
 from limbcli.case.socket import socket_of
 from limbcli.results import StageWriter, plain
 
@@ -21,6 +25,7 @@ _WORDS = {"place": "place (position_mm, marker)", "skin_bone": "skin_bone_mm"}
 
 def input_path(case: Case, role: str) -> Path | None:
     """Current path of the file or folder of a role; None if the case names none."""
+    case = unnoted(case)
     if Path(role).is_absolute():
         return Path(role)
     section, name, *rest = role.split("/")
@@ -42,6 +47,7 @@ def input_path(case: Case, role: str) -> Path | None:
 
 def case_value(case: Case, key: str) -> Any:
     """Current value of a key, with defaults filled in; None if the case has none."""
+    case = unnoted(case)
     section, *rest = key.split("/")
     if section == SITES:
         return [each.name for each in case.sites]
@@ -64,12 +70,71 @@ def is_unchanged(case: Case, key: str, before: Any) -> bool:
     return bool(now == before)
 
 
-def note_case(
-    writer: StageWriter, case: Case, keys: Iterable[str], *, site: Site | None = None, own: Iterable[str] = ()
-) -> None:
-    """Record these keys of the case, and the keys `own` of one site, as inputs of a result."""
-    several = [*keys, *(f"site/{site.name}/{each}" for each in own if site is not None)]
-    writer.made_from["case"].update({key: case_value(case, key) for key in several})
+class CaseInputs:
+    """What was asked of a case while a stage was at work, with the values and hashes of that time.
+
+    case : the case as the stage is to use it
+    """
+
+    def __init__(self, case: Case):
+        self._case = unnoted(case)
+        self.case = noting(self._case, self._note)
+        self._values: dict[str, Any] = {}
+        self._files: dict[str, tuple[Path, str] | None] = {}  # None: there was none
+        self._writers: list[StageWriter] = []
+
+    def site(self, site: Site) -> Site:
+        """A site as the stage is to use it: of the case, or made from one of it."""
+        return noting_site(self.case, site)
+
+    def into(self, writer: StageWriter) -> None:
+        """Record in a result what was asked, and what will be."""
+        for key in self._values:
+            self._record(writer, key, is_file=False)
+        for role in self._files:
+            self._record(writer, role, is_file=True)
+        self._writers.append(writer)
+
+    def _note(self, name: str, is_file: bool) -> None:
+        if name in (self._files if is_file else self._values):
+            return
+        if is_file:
+            path = input_path(self._case, name)
+            there = path is not None and path.exists()
+            self._files[name] = (path, sha256(path)) if path is not None and there else None
+        else:
+            self._values[name] = case_value(self._case, name)
+        for writer in self._writers:
+            self._record(writer, name, is_file=is_file)
+
+    def _record(self, writer: StageWriter, name: str, *, is_file: bool) -> None:
+        if not is_file:
+            writer.made_from["case"][name] = self._values[name]
+        elif (found := self._files[name]) is None:
+            writer.made_from["files"][name] = None
+        else:
+            path, digest = found
+            writer.used(_label(name, writer.site), path, role=name, digest=digest)
+
+
+def noted(case: Case, writer: StageWriter) -> Case:
+    """The case as a stage is to use it: what is asked of it is recorded in the stage's result."""
+    inputs = CaseInputs(case)
+    inputs.into(writer)
+    return inputs.case
+
+
+def _label(role: str, site: str | None) -> str:
+    """Label of an input on a page.
+
+    >>> _label("site/p1/levels", "p1"), _label("site/p1/levels", None), _label("imaging/bones/0", None)
+    ('levels', 'levels p1', 'bones 0')
+    """
+    section, *rest = role.split("/")
+    if section != "site":
+        return " ".join(rest)
+    own = " ".join(rest[1:])
+    return own if rest[0] == site else f"{own} {rest[0]}"
 
 
 def note_templates(writer: StageWriter, templates: Path | None) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.case import Site
+from limbcli.case.noting import unnoted
 from limbcli.drawing import save_figure
 from limbcli.feb.outline import Outline
 from limbcli.measurement.indentation import Levels
@@ -163,7 +164,7 @@ def draw_curve(
     depth, force = np.r_[0.0, curve[:, 1]], np.r_[0.0, curve[:, 2]]
     label = f"simulated, start values ({simulation.solver} {simulation.version})"
     if levels is not None:
-        noise = site.noise if site is not None else None
+        noise = unnoted(site).noise if site is not None else None  # of the picture
         measured = MeasuredCurve(
             depth=levels.depth,
             force=levels.force,

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from limbcli.case import Case
 from limbcli.results import StageWriter
-from limbcli.stages.provenance.chain_inputs import note_case
-from limbcli.stages.segmenting.assumed_geometry import AssumedLimb, assumed_limb
+from limbcli.stages.segmenting.assumed_geometry import assumed_limb
 from limbcli.stages.segmenting.assumed_picture import draw_assumed
 from limbcli.stages.segmenting.places import report_places
 from limbcli.stages.segmenting.surfaces import check_limb, frames_of, write_surfaces
@@ -24,7 +23,6 @@ def from_assumed(case: Case, writer: StageWriter, *, accept_bones: bool = False)
     writer.summary.append(words)
     writer.warnings.append(words)
     writer.summary.extend(frames_of(case)[0])
-    _note_inputs(case, limb, writer)
     where = str(case.imaging.skin or case.file)
     surfaces = check_limb(limb.surfaces, case, writer, where=where, accept_bones=accept_bones)
     write_surfaces(surfaces, writer)
@@ -42,15 +40,3 @@ def from_assumed(case: Case, writer: StageWriter, *, accept_bones: bool = False)
         }
     writer.data["quality"] = {"verdict": ASSUMED}
     draw_assumed(writer.file("contact_sheet", "contact-sheet.png"), limb, title=f"{case.subject}: {words}")
-
-
-def _note_inputs(case: Case, limb: AssumedLimb, writer: StageWriter) -> None:
-    """Record the inputs of the position of a bone that was located by ultrasound."""
-    if case.imaging.skin is not None:
-        writer.used("skin", case.imaging.skin, role="imaging/skin")
-        note_case(writer, case, ["probe"])
-    for site in case.sites:
-        own = ["skin_bone"] if limb.shape is not None else ["skin_bone", "place", "long_axis"]
-        note_case(writer, case, [], site=site, own=own)
-        if limb.shape is None and limb.sites[site.name].source.startswith("levels"):
-            writer.used(f"levels {site.name}", site.levels, role=f"site/{site.name}/levels")

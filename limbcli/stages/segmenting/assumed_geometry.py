@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.case import Case, Site
+from limbcli.case.noting import unnoted
 from limbcli.case.parts import Shape
 from limbcli.errors import CaseError
 from limbcli.errors.problems import Problem, errors_of, raise_errors
@@ -138,7 +139,7 @@ def _off_the_sum(shape: Shape, site: Site, case: Case) -> list[Problem]:
     """Problem if a site's skin-bone distance is not that of the circular limb (anterior: the layers' sum)."""
     seen, (point, normal) = seen_depth(site), _on_tube(shape, site)
     made = _rods(shape)[1].depth_under(point, -normal)
-    allowed = max(_SUM_OFF, _BEYOND_CHANCE * 2.0 * site.noise.layer)  # sqrt(4): three layers, total
+    allowed = max(_SUM_OFF, _BEYOND_CHANCE * 2.0 * unnoted(site).noise.layer)  # sqrt(4): three layers, total
     if seen is None or (made is not None and abs(seen[0] - made) <= allowed):
         return []
     but = f"but the skin-bone distance of site {site.name} is {seen[0]:g} mm ({seen[1]})"

@@ -15,7 +15,6 @@ from limbcli.meshing.mending import mend
 from limbcli.meshing.places import place_faults, problem_of, triple
 from limbcli.meshing.surfaces import Triangles
 from limbcli.results import StageResult, StageWriter
-from limbcli.stages.provenance.chain_inputs import SITES, note_case
 from limbcli.stages.segmenting.places_picture import draw_places
 from limbcli.stages.segmenting.site_grid import grid_points, write_grid
 
@@ -35,7 +34,6 @@ def report_places(
     for each in markers:
         place = np.array(each["position_mm"])
         writer.summary.append(f"marker {each['number']}: position_mm = {triple(place)} (its middle)")
-    note_case(writer, case, [SITES, *(f"site/{site.name}/place" for site in case.sites)])
     triangles = {name: Triangles(each.points, each.triangles) for name, each in surfaces.items()}
     places = {each.name: np.array(each.position) for each in case.sites if each.position is not None}
     faults = place_faults(triangles["skin"], places)

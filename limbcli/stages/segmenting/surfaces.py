@@ -52,8 +52,6 @@ def from_surfaces(case: Case, writer: StageWriter, *, accept_bones: bool = False
     converted, mixed = frames_of(case)
     writer.summary.extend(converted)
     writer.warnings.extend(each.what for each in mixed)
-    for number, (name, path) in enumerate(paths.items()):
-        writer.used(name, path, role=f"imaging/bones/{number - 1}" if number else "imaging/skin")
     if not case.imaging.bones:
         writer.summary.append(
             f"{case.imaging.skin.name} contains {len(surfaces)} bodies: the largest is the skin, "

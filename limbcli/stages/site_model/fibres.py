@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.case import Case, Site
+from limbcli.case.noting import unnoted
 from limbcli.effects.tissue import TISSUE, limb_axis
 from limbcli.errors import CaseError
 from limbcli.imaging.fibre_map import REACH, read_fibre_map
@@ -19,7 +20,6 @@ from limbcli.meshing.probe import ProbeShape
 from limbcli.model import FIBRES, Array, ElementMap, LimbModel
 from limbcli.patient_frame import HEAD, side_of
 from limbcli.results import StageWriter
-from limbcli.stages.provenance.chain_inputs import note_case
 
 _LEAST_COVERED = 0.5  # least share of the tissue's elements near the probe that a fibre map must cover
 _NEAR_PROBE = 30.0  # mm, distance from first touch within which coverage is checked
@@ -89,8 +89,8 @@ def _alike(axis: Array, n: int, source: str, deviation_deg: float | None) -> Sit
 
 
 def _long_axis(case: Case, orientation: str) -> str | tuple[float, float, float]:
-    named = next((each for each in case.sites if each.name == orientation), None)
-    return orientation if named is None else named.long_axis
+    is_site = orientation in [each.name for each in unnoted(case).sites]
+    return case.site(orientation).long_axis if is_site else orientation
 
 
 def _of_map(case: Case, site: Site, model: LimbModel, to_patient: Array, middles: Array) -> SiteFibres:
@@ -125,18 +125,6 @@ def patient_from_model(model: LimbModel) -> Array:
     """Transformation (4, 4) from the site's frame to patient LPS; the identity if the model has none."""
     entries = model.info.get("patient_from_model")
     return np.eye(4) if entries is None else np.array(entries, dtype=float).reshape(4, 4)
-
-
-def note_fibres(writer: StageWriter, case: Case, site: Site) -> None:
-    """Record the inputs of a site's fibres."""
-    keys = ["imaging/fibre_frame"] if case.imaging.fibres is not None else []
-    named = [each.orientation for each in site.fibres.pennation]
-    others = [each for each in case.sites if each.name in named and each.name != site.name]
-    note_case(writer, case, keys, site=site, own=["fibres"])
-    for each in others:
-        note_case(writer, case, [], site=each, own=["long_axis"])
-    if case.imaging.fibres is not None and not site.fibres.given:
-        writer.used("fibres", case.imaging.fibres, role="imaging/fibres")
 
 
 def write_fibres(

@@ -1,4 +1,4 @@
-"""The inputs of a mesh: surfaces, site, probe, and the case's values of options that were not given."""
+"""The inputs of a mesh: the case's values, and the surfaces and places found by `segment`."""
 
 from __future__ import annotations
 
@@ -6,25 +6,29 @@ from dataclasses import dataclass
 
 from limbcli.case import Case, Site
 from limbcli.results import StageResult, StageWriter
-from limbcli.stages.provenance.chain_inputs import note_case
+from limbcli.stages.provenance.chain_inputs import CaseInputs
 from limbcli.stages.provenance.requested_options import Requested
 
 
 @dataclass(frozen=True, eq=False)
 class MeshInputs:
-    """layered : sites whose layers have the thickness found by `segment`; requested : the options given"""
+    """of_case : what was and will be asked of the case for one site; requested : the options given
+    layered : whether the site's layers have the thickness found by `segment`
+    """
 
-    case: Case
+    of_case: CaseInputs
     segmented: StageResult
     requested: Requested
-    layered: tuple[str, ...] = ()
+    layered: bool = False
+
+    @property
+    def case(self) -> Case:
+        return self.of_case.case
 
     def note(self, writer: StageWriter, site: Site) -> None:
         """Record the inputs of one site's mesh."""
-        of_model = [f"model/{name}" for name in ("margin", "element") if name not in self.requested]
-        own = ["long_axis", "layers"] + (["place"] if "place" not in self.requested else [])
-        note_case(writer, self.case, ["probe", *of_model], site=site, own=own)
+        self.of_case.into(writer)
         surfaces = [name for name, path in self.segmented.files.items() if path.endswith(".ply")]
-        seen = [f"layers/{site.name}"] if site.name in self.layered else []
+        seen = [f"layers/{site.name}"] if self.layered else []
         markers = ["markers"] if site.position is None else []
         writer.used_result(self.segmented, files=surfaces, data=[*seen, *markers])

@@ -78,13 +78,11 @@ def study_site(
     own mesh (by extrapolation, with a safety factor) and of the error of its extent (relative to the largest
     model).
     """
-    depth = full_depth(site)
     probe = ProbeShape(case.probe.length, case.probe.width, case.probe.edge_radius)
     with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
         if inputs is not None:
             inputs.note(writer, site)
-        if site.levels.is_file():
-            writer.used("levels", site.levels, role=f"site/{site.name}/levels")
+        depth = full_depth(site)
         tissue = studied_tissue(site, out, writer)
         solve = force_of or (lambda model, depth: reference_force(model, depth, tissue))
         found: list[Variant] = []

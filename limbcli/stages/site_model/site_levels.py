@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from limbcli.case import Site
+from limbcli.case.noting import unnoted
 from limbcli.measurement.cycles import CycleStudy, study_cycles
 from limbcli.measurement.elastography import SweMap, read_maps
 from limbcli.measurement.indentation import LayerNoise, Levels, read_levels
@@ -27,7 +28,7 @@ def speed_noise(site: Site) -> SpeedNoise:
 
 def all_levels_of(site: Site) -> Levels:
     """The site's levels.csv, all cycles. Raises the errors of `levels_of` except those about the cycle."""
-    return read_levels(site.levels, noise=layer_noise(site))
+    return read_levels(site.levels, noise=layer_noise(unnoted(site)))
 
 
 def levels_of(site: Site, cycle: str = LAST) -> Levels:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from limbcli.case import Case, Site
+from limbcli.case.noting import with_values
 from limbcli.case.parts import StretchState
 from limbcli.errors import LimbError, MeasurementError
 from limbcli.errors.problems import Problem, checked
@@ -68,7 +69,7 @@ def _read(site: Site) -> tuple[list[MeasuredState], list[Problem]]:
 
 
 def _levels(site: Site, state: StretchState) -> Levels:
-    return levels_of(replace(site, levels=state.levels))
+    return levels_of(with_values(site, levels=state.levels))
 
 
 def _at_rest(site: Site, state: StretchState) -> Problem | None:

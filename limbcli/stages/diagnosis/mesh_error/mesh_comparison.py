@@ -31,11 +31,10 @@ _UNCORRECTED = 1.2  # factor on the model error in maps if the working mesh is n
 
 @dataclass
 class Notes:
-    """Data, warnings and inputs collected while preparing a site, to be written with its results."""
+    """Data and warnings collected while preparing a site, to be written with its results."""
 
     data: dict[str, Any] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
-    inputs: dict[str, Path] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
