@@ -42,6 +42,8 @@ def text_cell(value: object) -> object:
     """
     if not isinstance(value, str) or not value or _is_number(value):
         return value
+    if value[0] not in _FORMULA and value.isascii() and value.isprintable():
+        return value
     plain = "".join(_escaped(each) if each in "\r\n\t" or _is_control(each) else each for each in value)
     return f"'{plain}" if value[0] in _FORMULA or _is_control(value[0]) or value[0] in "\n\t" else plain
 
