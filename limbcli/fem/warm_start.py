@@ -64,7 +64,11 @@ class WarmStart:
     def at(self, values: Mapping[Key, float]) -> None:
         """Set the parameter values for which guesses are requested."""
         self._values = values
-        self._base = min(self._solved, key=lambda each: _distance(each.values, values), default=None)
+        self._base = self.nearest(values)
+
+    def nearest(self, values: Mapping[Key, float]) -> Solved | None:
+        """The kept solve whose parameter values are nearest to these."""
+        return min(self._solved, key=lambda each: _distance(each.values, values), default=None)
 
     def guess(self, system: System, time: float) -> State | None:
         """The level at `time`, extrapolated to the requested values; None if the selected solve lacks it."""

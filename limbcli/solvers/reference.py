@@ -28,6 +28,7 @@ from limbcli.version import __version__
 if TYPE_CHECKING:
     from limbcli.fem.analysis import Analysis, Snapshot
     from limbcli.fem.linear_solvers.direct import LinearSolver
+    from limbcli.fem.warm_start import Solved
 
 NAME = "reference"
 _SMOOTH_TOLERANCE = 1e-11  # relative residual without contact, where quadratic convergence makes it cheap
@@ -88,6 +89,13 @@ class ReferenceSolver:
                 files.note(fewer) if outline.has_touch_frame else files.warning(fewer)
             self._compute(model, files, Restart(feb, self._settings), progress, time_limit_s)
 
+    def begin_with(self, feb: Path, levels: Solved) -> None:
+        """Let the next run of a model file start from these levels, solved in memory, instead of from rest.
+
+        A level that is in equilibrium takes one evaluation of the forces; another one is solved from there.
+        """
+        Restart(feb, self._settings).begin_with(levels.states)
+
     @property
     def _settings(self) -> str:
         return f"tolerance {self.tolerance:g}"
@@ -105,7 +113,7 @@ class ReferenceSolver:
         )
         started = time.monotonic()
         if restart.n_stored:
-            progress.event("note", text=f"resuming from level {restart.n_stored} of the stopped run")
+            progress.event("note", text=f"starting from {restart.n_stored} levels that are already solved")
 
         names, touched, poses = [body.name for body in model.bodies], [False], []
         end = sum(step.n_steps * step.step_size for step in model.steps)

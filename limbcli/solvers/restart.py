@@ -52,6 +52,14 @@ class Restart:
         self._states[state.time] = state
         if len(self._states) <= self.n_stored and state.time in self._stored:
             return
+        self._write()
+
+    def begin_with(self, states: Mapping[float, State]) -> None:
+        """Leave levels that were solved elsewhere for the next run."""
+        self._states = dict(states)
+        self._write()
+
+    def _write(self) -> None:
         arrays = {"key": np.array(self.key), **level_arrays(self._states)}
         with atomic_file(self.path) as path, path.open("wb") as stream:
             np.savez(stream, **arrays)

@@ -36,7 +36,8 @@ if TYPE_CHECKING:
     from limbcli.fem.motion.state import State
     from limbcli.fem.other_mesh import OtherMesh
     from limbcli.fem.system import System
-    from limbcli.fem.warm_start import Solved, WarmStart
+    from limbcli.fem.warm_start import Solved as Solved
+    from limbcli.fem.warm_start import WarmStart
 
 _BODY_FILE = "*{}"  # internal file name of a body's record
 _DIFFERENCE = 1e-3  # relative parameter step of central differences, for path-dependent responses
@@ -230,6 +231,10 @@ class ReferenceSession:
     def kept_levels(self) -> Solved | None:
         """The levels of the last solve with `keep_levels`; None if there is none."""
         return self._warm.last if self._warm is not None else None
+
+    def nearest_levels(self, model: LimbModel) -> Solved | None:
+        """The kept levels whose parameter values are nearest to this model's; None if none is kept."""
+        return self._warm.nearest(parameter_values(model, (), {})) if self._warm is not None else None
 
     def lead(self, solved: Solved) -> None:
         """Add levels of an earlier session to the initial guesses of this one."""

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -32,6 +33,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.solvers import choose
 from limbcli.solvers.base import Simulation, Solver
+from limbcli.solvers.reference import ReferenceSolver
 from limbcli.stages.build_feb import tissue_stiffness
 from limbcli.stages.fitting.boundary_check import (
     ChangedBoundary,
@@ -61,6 +63,9 @@ from limbcli.stages.site_model.indentation_model import with_tissue
 from limbcli.stages.site_model.site_layers import held_layers
 from limbcli.stages.site_model.site_levels import layer_noise, levels_of, speed_noise
 from limbcli.stages.site_model.site_states import one_state
+
+if TYPE_CHECKING:
+    from limbcli.solvers.session import Solved
 
 __all__ = [
     "STAGE",
@@ -130,23 +135,27 @@ def _fit_site(
     model = through_cycle(built_model(case, site, out, writer), levels, site)
     data = force_depth_data(levels, site)
     stiffness, c_source, c = _tissue_c(model, levels, site, options, writer)
-    curve, knots, cold, share_of_c = _first_solve(solver, model, c, options, progress)
+    curve, forward, cold = _first_solve(solver, model, c, options, progress)
+    knots = forward.depths
     with contextlib.closing(curve):
         steps = two_step(
             curve, knots, data,
             tolerance=options.tolerance, max_iterations=options.max_iterations, progress=progress,
         )  # fmt: skip
         theta = steps[-1].theta
+        levels_there = forward.levels_at(theta)
         given = options.gain_deviation
         studied = None if given is not None else studied_error(case, site, out, writer)
         gains = [gain_deviation(model, given, studied=studied, f_kappa=float(x.theta[0])) for x in steps]
-        share = _share_of_c(share_of_c, theta, writer) if held_layers(model) else None
+        share = _share_of_c(forward.share_of_c, theta, writer) if held_layers(model) else None
         known = [replace(stiffness, gain_deviation=each, share=share) for each in gains]
         fitted = with_tissue(model, c=c, f_kappa=float(theta[0]), m=float(theta[1]))
         uncertainty = site_geometry_uncertainty(
             case, site, out, fitted, curve(theta).values, writer, progress=progress
         )
-        changed = _changed_boundaries(fitted, curve(theta).values, progress) if options.boundary_check else []
+        changed: list[ChangedForces] = []
+        if options.boundary_check:
+            changed = _changed_boundaries(fitted, curve(theta).values, levels_there, progress)
         modes = boundary_modes(changed, len(knots))
         if uncertainty is not None:
             modes = np.vstack([uncertainty.modes, modes])
@@ -177,14 +186,14 @@ def _fit_site(
             modes if len(modes) else None,
             gains,
         )
-        simulation = _write_fitted_run(fitted, solver, writer, options, progress)
+        simulation = _write_fitted_run(fitted, solver, levels_there, writer, options, progress)
         write_result(identified, fitted, simulation, writer, site, seconds=time.perf_counter() - clock)
         write_cycle(levels, site, writer)
         if site.states:
             writer.warnings.insert(0, one_state(site))
         if uncertainty is not None:
             write_geometry(identified, uncertainty, of_noise[-1] if of_noise else None, writer)
-        _write_checks(identified, fitted, changed, writer, options, progress)
+        _write_checks(identified, fitted, levels_there, changed, writer, options, progress)
         if of_noise is not None and len(modes):
             write_widening(of_noise[-1], writer)
         write_speeds(fitted, simulation, levels, site, writer)
@@ -194,13 +203,17 @@ def _fit_site(
 
 
 def _write_checks(
-    found: Identified, fitted: LimbModel, changed: Sequence[ChangedForces], writer: StageWriter,
-    options: FitOptions, progress: Progress,
+    found: Identified, fitted: LimbModel, levels: Solved | None, changed: Sequence[ChangedForces],
+    writer: StageWriter, options: FitOptions, progress: Progress,
 ) -> None:  # fmt: skip
-    """Write what a stiffer contact and other boundaries (`changed`) change, as far as the options ask."""
+    """Write what a stiffer contact and other boundaries (`changed`) change, as far as the options ask.
+
+    levels : of the fitted model, if they are known
+    """
     theta = found.steps[-1].theta
     if options.contact_check:
-        harder, forces = partial(forces_with_penalty, fitted, progress=progress), found.curve(theta).values
+        harder = partial(forces_with_penalty, fitted, levels=levels, progress=progress)
+        forces = found.curve(theta).values
         penalty = fitted.contacts[0].penalty
         write_contact_check(penalty, forces, found.knots, harder, writer, progress=progress)
     if options.boundary_check:
@@ -209,9 +222,11 @@ def _write_checks(
         write_boundary_check(changed, found.knots, writer, parameters=parameters)
 
 
-def _changed_boundaries(fitted: LimbModel, forces: Array, progress: Progress) -> list[ChangedForces]:
+def _changed_boundaries(
+    fitted: LimbModel, forces: Array, levels: Solved | None, progress: Progress
+) -> list[ChangedForces]:
     def again(boundary: ChangedBoundary) -> Array:
-        return forces_again(boundary.of(fitted), "boundary check", progress=progress)
+        return forces_again(boundary.of(fitted), "boundary check", levels=levels, progress=progress)
 
     return changed_forces(fitted, forces, again, progress=progress)
 
@@ -296,9 +311,8 @@ def initial_stiffness(levels: Levels, site: Site, options: FitOptions) -> tuple[
 
 def _first_solve(
     solver: Solver, model: LimbModel, c: float | ElementMap, options: FitOptions, progress: Progress
-) -> tuple[SolvedPoints, Array, float, Callable[[Array], Array]]:
-    """The force curve, the depths of its levels (mm), the time of the first (cold) solve (s), and a function
-    theta -> d ln force / d ln c."""
+) -> tuple[SolvedPoints, ReferenceCurve | FileCurve, float]:
+    """The force curve with its cache, the curve itself, and the time of the first (cold) solve (s)."""
     clock = time.perf_counter()
     if solver.name == "reference":
         exact = ReferenceCurve(model, c=c, progress=progress)
@@ -308,11 +322,11 @@ def _first_solve(
         except BaseException:
             curve.close()
             raise
-        return curve, exact.depths, time.perf_counter() - clock, exact.share_of_c
+        return curve, exact, time.perf_counter() - clock
     files = FileCurve(solver, model, c=c, time_limit_s=options.time_limit_s)
     curve = SolvedPoints(files.differentiable())
     curve(START)
-    return curve, files.depths, time.perf_counter() - clock, files.share_of_c
+    return curve, files, time.perf_counter() - clock
 
 
 def _share_of_c(share_of_c: Callable[[Array], Array], theta: Array, writer: StageWriter) -> Array | None:
@@ -331,10 +345,13 @@ def _share_of_c(share_of_c: Callable[[Array], Array], theta: Array, writer: Stag
 
 
 def _write_fitted_run(
-    fitted: LimbModel, solver: Solver, writer: StageWriter, options: FitOptions, progress: Progress
-) -> Simulation:
+    fitted: LimbModel, solver: Solver, levels: Solved | None, writer: StageWriter, options: FitOptions,
+    progress: Progress,
+) -> Simulation:  # fmt: skip
     """Write fitted.feb, which FEBio Studio can open, run it, and register the records of its run."""
     feb = write_feb(fitted, writer.file("feb", "fitted.feb"), options.templates)
+    if levels is not None and isinstance(solver, ReferenceSolver):
+        solver.begin_with(feb, levels)
     solver.run(feb, progress=progress, time_limit_s=options.time_limit_s)
     for name in ["model.log", *(record.file for record in fitted.records)]:
         if (writer.work / name).is_file():

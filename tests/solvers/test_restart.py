@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from limbcli.errors import SolveError
+from limbcli.feb.read import read_feb
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.reference import ReferenceSolver
 from limbcli.solvers.restart import RESTART_FILE
+from limbcli.solvers.session import ReferenceSession
 
 
 @pytest.fixture
@@ -66,6 +68,19 @@ def test_stopped_run_goes_on_and_gives_the_same_records(feb: Path) -> None:
             for t in (text, (feb.parent / name).read_text())
         )
         np.testing.assert_allclose(a, b, atol=2e-4 * abs(a).max())
+
+
+def test_levels_that_a_session_solved_need_no_iteration_in_a_run(feb: Path) -> None:
+    solver = ReferenceSolver(threads=1)
+    solver.run(feb, progress=SILENT)
+    forces = solver.read(feb).probe_force()
+    with ReferenceSession(read_feb(feb), threads=1) as session:
+        levels = session.solve().levels
+    assert levels is not None
+    solver.begin_with(feb, levels)
+    assert worked(feb) == set()
+    np.testing.assert_allclose(solver.read(feb).probe_force(), forces, atol=1e-5 * abs(forces).max())
+    assert worked(feb) == {1, 2, 3}, "they lead one run"
 
 
 def test_time_limit_leaves_a_level_to_go_on_from(feb: Path) -> None:

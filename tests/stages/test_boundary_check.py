@@ -13,6 +13,7 @@ from limbcli.feb.settings import schedule
 from limbcli.inference.prediction import Prediction, SolvedPoints
 from limbcli.inference.two_step_fit import ForceDepth
 from limbcli.model import LimbModel
+from limbcli.progress import Progress
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.fit import FitOptions, fit
 from limbcli.stages.fit_joint import JointOptions, fit_joint
@@ -83,7 +84,18 @@ def test_levels_solved_before_lead_to_the_same_forces():
     with ReferenceSession(sides, threads=1) as session:
         session.solve()
         led = forces_again(model, "boundary check", like=session, threads=1)
+        levels = session.kept_levels
     assert led == pytest.approx(solved(model), rel=1e-3)
+    seen: list[int] = []
+
+    def listen(kind, facts):
+        if kind == "newton" and facts["iteration"]:
+            seen.append(facts["step"])
+
+    from_levels = forces_again(model, "boundary check", levels=levels, threads=1)
+    assert from_levels == pytest.approx(led, rel=1e-3)
+    forces_again(sides, "boundary check", levels=levels, threads=1, progress=Progress(listen))
+    assert not seen, "the levels are used: without a change they are in equilibrium"
 
 
 def test_what_cannot_be_solved_is_said_and_the_other_boundary_is_still_tried():

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,6 +33,9 @@ from limbcli.stages.fitting.solve_again import forces_again
 from limbcli.stages.site_model.indentation_model import TISSUE, with_tissue
 from limbcli.stages.site_model.model_simplification import softer_jumps
 from limbcli.temporary_folders import scratch_folder
+
+if TYPE_CHECKING:
+    from limbcli.solvers.session import Solved
 
 _SAME_TIME = 1e-6
 _C_STEP = 1.1  # factor on c in finite differences, for solvers without derivatives; their forces err by 1e-3
@@ -124,6 +127,11 @@ class ReferenceCurve:
             for key, each in rates.items()
         )
         return np.asarray(by_c / result.must_points.forces)
+
+    def levels_at(self, theta: Array) -> Solved | None:
+        """The levels at (or nearest to) theta among the latest solves, as initial guesses of others."""
+        f_kappa, m = float(theta[0]), float(theta[1])
+        return self._session.nearest_levels(with_tissue(self._model, c=self._c, f_kappa=f_kappa, m=m))
 
     def close(self) -> None:
         self._session.close()
@@ -275,6 +283,9 @@ class FileCurve:
 
         up, down = self.run_side_by_side(at, [np.array([_C_STEP]), np.array([1.0 / _C_STEP])])
         return np.asarray(np.log(up / down) / (2.0 * np.log(_C_STEP)))
+
+    def levels_at(self, _theta: Array) -> None:
+        """None: a solver on files starts each run from rest."""
 
     def _forces(self, c: float | ElementMap, theta: Array) -> Array:
         with scratch_folder() as folder:

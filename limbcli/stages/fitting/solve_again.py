@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from limbcli.errors import SolveError
 from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.session import ReferenceSession
+
+if TYPE_CHECKING:
+    from limbcli.solvers.session import Solved
 
 _TOLERANCE = 1e-4
 # Relative residual that is accepted where the iterations stall, as they do where fibres begin to be
@@ -14,14 +19,15 @@ _STALLED = 1e-2
 
 
 def forces_again(
-    model: LimbModel, check: str, *, like: ReferenceSession | None = None, threads: int = 2,
-    progress: Progress = SILENT,
+    model: LimbModel, check: str, *, like: ReferenceSession | None = None, levels: Solved | None = None,
+    threads: int = 2, progress: Progress = SILENT,
 ) -> Array:  # fmt: skip
     """Forces (n_reached,) N at the levels of a fitted model that was changed for this check.
 
     like : a session that has solved the model before the change; its levels are the initial guesses of this
         solve. The solve ends at the first level not reached quickly from there, as a comparison does not need
         every level
+    levels : the levels of the model before the change, as initial guesses of a solve of all levels
 
     Raises
     ------
@@ -33,7 +39,7 @@ def forces_again(
     )
     try:
         if like is None:
-            return session.solve(model).must_points.forces
+            return session.solve(model, start_levels=levels).must_points.forces
         session.start_like(like)
         return session.solve(model, required=1, full_effort=0).must_points.forces
     except ArithmeticError as error:
