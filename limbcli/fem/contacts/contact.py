@@ -57,8 +57,6 @@ def _refuse(contact: Contact) -> None:
         wrong = "two_pass"
     elif contact.update_penalty:
         wrong = "update_penalty"
-    elif contact.friction and contact.augmented:
-        wrong = "laugon with fric_coeff"
     taken = _TAKEN if contact.augmented else {*_TAKEN, "smooth_aug"}
     for tag, value in contact.more.items():
         on = str(value).strip() not in ("", "0", "0.0", "false")

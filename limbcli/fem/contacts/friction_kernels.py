@@ -4,11 +4,11 @@ For every integration point of the soft facets, position, tangents and contact p
 anchor, which moves with the body) are stored at the last converged step. With d = r - anchor in the current
 configuration, and the normal pressure p = eps g of frictionless contact:
 
-    stick   T = eps d                  where T.nu > 0 and |T - (T.nu) nu| < mu T.nu
+    stick   T = L + eps d              where T.nu > 0 and |T - (T.nu) nu| < mu T.nu
     slip    T = p (nu + mu s)          otherwise, and if the point has no anchor
     s = y/max(|y|, mu g),  y = (1 - nu nu)(dx1 - dx2 - g c),  c = (1 - nu nu) m/|n|,  m = dg1 x g2 + g1 x dg2
 
-T is the traction exerted by the skin, per current area; dx1, dx2, dg1, dg2 are the changes since the last
+L is the vector multiplier of an augmented contact, else 0; there p = L.nu + eps g. T is the traction exerted by the skin, per current area; dx1, dx2, dg1, dg2 are the changes since the last
 converged step of the point, of the material point of the rigid body now opposite to it, and of the tangents.
 FEBio uses s = y/|y|, which is discontinuous where a point that has just come into contact reverses; here a
 slip shorter than mu g is resisted by the same penalty as a sticking point.
@@ -93,7 +93,7 @@ def _slip(row, before, move, r, g1, g2, n, y, c, m):
 
 
 @njit(cache=True, nogil=True)
-def resist(x, facets, N, dN, eps, mu, before, move, state):
+def resist(x, facets, N, dN, eps, mu, carried, before, move, state):
     """Determine stick or slip and the traction T of every touching point; returns how many stick."""
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     y, c, m, anchor, thrust = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -112,7 +112,7 @@ def resist(x, facets, N, dN, eps, mu, before, move, state):
                     anchor[i] = move[3, i]
                     for j in range(3):
                         anchor[i] += move[i, j] * before[f, k, ANCHOR + j]
-                    thrust[i] = eps[f] * (r[i] - anchor[i])
+                    thrust[i] = carried[f, k, i] + eps[f] * (r[i] - anchor[i])
                     normal += thrust[i] * n[i] / size
                 for i in range(3):
                     shear += (thrust[i] - normal * n[i] / size) ** 2

@@ -38,6 +38,8 @@ class Pair:
         tractions are many times too large: their change due to rotating normals, and with friction the
         zero stiffness along a slip
     full_eps, factor : penalties (n_facets,) of the patches, MPa/mm, before their load curve, and its value
+    looseness : value of the load curve of the gap's tolerance
+    used : the multipliers with which the last equilibrium was found, before `augment` set new ones
     """
 
     contact: Contact
@@ -48,6 +50,8 @@ class Pair:
     full_tangent: float = field(default=1.0, kw_only=True)
     full_eps: list[Array] = field(default_factory=list, kw_only=True)
     factor: float = field(default=1.0, kw_only=True)
+    looseness: float = field(default=1.0, kw_only=True)
+    used: list[Array] = field(default_factory=list, kw_only=True)
     threads: Threads = field(default_factory=lambda: Threads(1), kw_only=True)
 
     def search(self, x: Array, at: BodyState) -> int:
@@ -111,34 +115,53 @@ class Pair:
             p.state[:] = 0.0
             p.state[..., FACET] = -1
             p.multiplier[:] = 0.0
+        self.used = []
 
     @property
     def is_augmented(self) -> bool:
         """Whether augmentations are done; as in FEBio 4.11, only if one of the tolerances is positive."""
         return self.contact.augmented and max(self.contact.tolerance, self.contact.gap_tolerance) > 0
 
+    def multipliers(self) -> list[Array]:
+        """Per patch, a copy of the multipliers of its points, MPa."""
+        return [p.multiplier.copy() for p in self.patches]
+
+    def set_multipliers(self, values: Sequence[Array]) -> None:
+        for p, each in zip(self.patches, values, strict=True):
+            p.multiplier = each.copy()
+
+    def tractions(self) -> list[Array]:
+        """Per patch, what the multipliers become: the current tractions before they are faded at a rim."""
+        return [p.state[..., TRACTION] / np.maximum(p.state[..., WEIGHT], 1e-300) for p in self.patches]
+
+    def largest_gap(self) -> float:
+        """mm, over all points in contact."""
+        gaps = [abs(p.state[p.state[..., TRACTION] > 0, GAP]).max(initial=0.0) for p in self.patches]
+        return float(max(gaps, default=0.0))
+
     def augment(self, n_before: int) -> bool:
         """Set the multipliers to the current tractions; returns whether they have converged.
 
         Convergence requires that the relative change of their sum of squares is within the tolerance, and
-        that the largest gap of points in contact is within `gap_tolerance` (mm), each if set; not before
+        that the largest gap of points in contact is within `gap_tolerance` (mm), each if set; where a point
+        sticks, its gap is its distance from where it stuck; not before
         `minaug` augmentations of a load step, and unconditionally after `maxaug`.
 
         n_before : augmentations of this load step so far
 
         Source: FEBio 4.11, FESlidingElasticInterface::Augment.
         """
-        before = sum(float((p.multiplier**2).sum()) for p in self.patches)
-        for p in self.patches:
-            p.multiplier = p.state[..., TRACTION] / np.maximum(p.state[..., WEIGHT], 1e-300)
-        after = sum(float((p.multiplier**2).sum()) for p in self.patches)
+        self.used = self.multipliers()
+        before = sum(float((each**2).sum()) for each in self.used)
+        gap = self.largest_gap()
+        self.set_multipliers(self.tractions())
+        after = sum(float((each**2).sum()) for each in self.multipliers())
         contact = self.contact
         if n_before >= _count(contact, "maxaug", _MOST_AUGMENTATIONS):
             return True
         if n_before < _count(contact, "minaug", 0):
             return False
-        gaps = [abs(p.state[p.state[..., TRACTION] > 0, GAP]).max(initial=0.0) for p in self.patches]
-        closed = contact.gap_tolerance <= 0 or max(gaps) <= contact.gap_tolerance
+        closed = contact.gap_tolerance <= 0 or gap <= contact.gap_tolerance * self.looseness
         settled = contact.tolerance <= 0 or abs(after - before) <= contact.tolerance * (after or 1.0)
         return closed and settled
 

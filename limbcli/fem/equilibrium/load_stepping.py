@@ -322,15 +322,20 @@ class LoadStepping:
         )
 
     def _augmented(self, state: State, forces: Forces, load_step: LoadStep) -> tuple[State, Forces]:
-        """Augmented Lagrangian iterations until the multipliers of every contact have converged."""
+        """Augmented Lagrangian iterations until the multipliers of every contact have converged; where one
+        has no equilibrium, the multipliers are those of before."""
         pairs = [pair for pair in self._newton.system.pairs if pair.is_augmented]
+        before = [pair.multipliers() for pair in pairs]
         n_before = 0
-        while True:
-            settled = [pair.augment(n_before) for pair in pairs]
-            if all(settled):
-                return state, forces
-            state, forces = self._newton.equilibrate(state, load_step)
-            n_before += 1
+        try:
+            while not all([pair.augment(n_before) for pair in pairs]):
+                state, forces = self._newton.equilibrate(state, load_step)
+                n_before += 1
+        except (NotConverged, SingularMatrix):
+            for pair, each in zip(pairs, before, strict=True):
+                pair.set_multipliers(each)
+            raise
+        return state, forces
 
 
 def _has_no_factor(error: SolveError, reached: list[State]) -> bool:
