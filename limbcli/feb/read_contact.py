@@ -52,12 +52,12 @@ def _contact(tag: Tag, scene: Scene) -> Contact:
             f"there is no surface pair {pair!r}", fix="add it to <Mesh>, or correct the name", follows=True
         )
     primary, secondary = scene.mesh.pairs[pair]
-    numbers, curve = dict(CONTACT_DEFAULTS), None
+    numbers, curves = dict(CONTACT_DEFAULTS), dict[str, str | None]()
     for name in CONTACT_DEFAULTS:
         child = tag.child(name)
-        if child is not None and name == "penalty":
+        if child is not None and name in ("penalty", "gaptol"):
             child.allow(attributes=("lc",))
-            numbers[name], curve = child.number(attributes=("lc",)), scene.curve(child)
+            numbers[name], curves[name] = child.number(attributes=("lc",)), scene.curve(child)
         elif child is not None:
             numbers[name] = child.number()
     return Contact(
@@ -78,7 +78,8 @@ def _contact(tag: Tag, scene: Scene) -> Contact:
         knmult=numbers["knmult"],
         search_tolerance=numbers["search_tol"],
         more={each.name: each.constant() for each in tag if each.name in CONTACT_MORE},
-        penalty_curve=curve,
+        penalty_curve=curves.get("penalty"),
+        gap_tolerance_curve=curves.get("gaptol"),
     )
 
 

@@ -105,6 +105,8 @@ class System(RigidLoads, ElementLoops):
         for pair in self.pairs:
             if pair.contact.penalty_curve is not None:
                 pair.scale_penalty(self.curve_at(pair.contact.penalty_curve, time))
+            if pair.contact.gap_tolerance_curve is not None:
+                pair.looseness = self.curve_at(pair.contact.gap_tolerance_curve, time)
         self.distributed.at(self.curve, time)
         self.operands = [
             g.at(self.curve, scale=s, history=h)
@@ -147,6 +149,18 @@ class System(RigidLoads, ElementLoops):
         """Copy the multipliers of the augmented contacts from the system of the previous step."""
         for mine, theirs in zip(self.pairs, before.pairs, strict=True):
             mine.set_multipliers(theirs.multipliers())
+
+    def forces_found(self, state: State) -> Forces:
+        """The forces of an equilibrium just found, and the state of its contacts: with the multipliers of
+        augmented contacts that it was found with, not those set afterwards."""
+        augmented = [pair for pair in self.pairs if pair.used]
+        after = [pair.multipliers() for pair in augmented]
+        for pair in augmented:
+            pair.set_multipliers(pair.used)
+        forces = self.forces(state)
+        for pair, each in zip(augmented, after, strict=True):
+            pair.set_multipliers(each)
+        return forces
 
     def hints(self) -> tuple[Array, ...]:
         """The rigid facet that each contact point touches (-1: none), one array per patch."""

@@ -29,8 +29,10 @@ if TYPE_CHECKING:
     from limbcli.fem.contacts.patch import Patch
 
 SOCKET, FACE = "socket", "socket_face"
-_DONNING, _LOAD = "donning", "socket_load"
+_DONNING, _CLOSING, _LOAD = "donning", "closing", "socket_load"
 _FIRST_PENALTY = 1e-4  # of the full one: about a hundredth of a limb's own stiffness
+_OPEN = 1e6  # of the penetration's tolerance: before the end of donning each step sets the multipliers once
+_MOST_AUGMENTATIONS = 20
 _CELL_FIELDS = ("E1", "sed")
 
 
@@ -43,6 +45,8 @@ class DonningOptions:
     axis, sign : direction of this force on the socket, along an axis of the model
     donning_steps, load_steps : time steps of donning, and of each load
     penalty : of the contact, as a multiple of the tissue's stiffness at rest
+    penetration_mm : augmented Lagrangian contact, until the skin lies at most this far behind the wall;
+        None: penalty alone
     search_radius_mm : the contact sees the socket within this distance: more than the interference
     skin : the limb's surface that meets the socket
     """
@@ -54,6 +58,7 @@ class DonningOptions:
     donning_steps: int = 10
     load_steps: int = 5
     penalty: float = 20.0
+    penetration_mm: float | None = None
     search_radius_mm: float = 30.0
     skin: str = "skin"
 
@@ -132,6 +137,11 @@ def socket_model(limb: LimbModel, face: Triangles, options: DonningOptions | Non
         friction=options.friction,
         symmetric=not options.friction,
         penalty_curve=_DONNING,
+        augmented=options.penetration_mm is not None,
+        tolerance=0.0,
+        gap_tolerance=options.penetration_mm or 0.0,
+        gap_tolerance_curve=_CLOSING if options.penetration_mm else None,
+        more={"maxaug": f"{_MOST_AUGMENTATIONS}"} if options.penetration_mm else {},
     )
     return replace(
         limb,
@@ -194,6 +204,8 @@ def _check(limb: LimbModel, options: DonningOptions) -> None:
         wrong, fix = "the limb's model already holds a contact or a socket", "give the limb alone"
     elif options.friction < 0 or options.penalty <= 0 or options.search_radius_mm <= 0:
         wrong = "friction is below 0, or penalty or search radius is not above 0"
+    elif options.penetration_mm is not None and options.penetration_mm <= 0:
+        wrong = f"the penetration of {options.penetration_mm:g} mm is not above 0"
     elif options.donning_steps < 1 or options.load_steps < 1:
         wrong = "there is no step for donning or for a load"
     elif abs(options.sign) != 1.0:
@@ -209,19 +221,33 @@ def _curves(options: DonningOptions) -> dict[str, Curve]:
     ratios = [_FIRST_PENALTY ** (1.0 - (k + 1) / n) for k in range(n)] if n > 1 else [1.0]
     growth = ((0.0, _FIRST_PENALTY), *(((k + 1) / n, ratio) for k, ratio in enumerate(ratios)))
     load = ((0.0, 0.0), (1.0, 0.0), *((2.0 + k, load) for k, load in enumerate(options.loads_n)))
-    return {_DONNING: Curve(growth), _LOAD: Curve(load)}
+    curves = {_DONNING: Curve(growth), _LOAD: Curve(load)}
+    if options.penetration_mm:
+        before = (n - 1) / n
+        opening = ((0.0, _OPEN), *(((before, _OPEN),) if before else ()), (1.0, 1.0))
+        curves[_CLOSING] = Curve(opening)
+    return curves
 
 
 def _steps(options: DonningOptions) -> tuple[Step, ...]:
     def fixed(dofs: Sequence[str]) -> tuple[Drive, ...]:
         return tuple(Drive(SOCKET, dof, "fixed") for dof in dofs)  # type: ignore[arg-type]
 
+    # friction makes FEBio's matrix unsymmetric; quasi-Newton updates of a symmetric one then diverge
+    unsymmetric = {
+        "symmetric_stiffness": "non-symmetric",
+        "max_refs": 25,
+        "qn_method": "Broyden",
+        "max_ups": 10,
+    }
+    control = unsymmetric if options.friction else {}
     others = [dof for dof in ("x", "y", "z", "u", "v", "w") if dof != options.axis]
     donning = Step(
         n_steps=options.donning_steps,
         step_size=1.0 / options.donning_steps,
         dt_max=1.0 / options.donning_steps,
         must_points=(1.0,),
+        control=control,
         drives=fixed([options.axis, *others]),
     )
     if not options.loads_n:
@@ -232,6 +258,7 @@ def _steps(options: DonningOptions) -> tuple[Step, ...]:
         step_size=1.0 / options.load_steps,
         dt_max=1.0 / options.load_steps,
         must_points=tuple(float(k + 1) for k in range(len(options.loads_n))),
+        control=control,
         drives=(*fixed(others), push),
     )
     return donning, loading
@@ -263,7 +290,7 @@ def _state(running: Analysis, snapshot: Snapshot, load: float) -> SocketState:
     from limbcli.fem.record_fields import record_rows
 
     system, state = running.system, snapshot.state
-    forces = system.forces(state)
+    forces = system.forces_found(state)
     (pair,) = system.pairs
     nodes = _skin_nodes(running.model, pair.contact.primary)
     sums = np.zeros((len(system.X), 2))  # area, and pressure times area

@@ -189,13 +189,17 @@ class CaseRun:
         from limbcli.stages.limb import LimbOptions, limb
         from limbcli.stages.socket import SocketOptions, socket
 
-        asked = {name: self._requested(name, None) for name in ("limb", "socket")}
+        own_templates = ("templates",) if self.options.templates else ()
+        asked = {name: self._requested(name, None, without=own_templates) for name in ("limb", "socket")}
         sized = {"nodes": given.limb_nodes, **asked["limb"]}
         fits = [site.name for site in self.case.sites if self._is_fitted(site.name)]
-        key = key_of("limb", first, *keys, fits, *parts_of(sized))
+        templates = self.options.templates or path_of(asked["limb"].get("templates"))
+        of_model = [templates / "feb"] if templates and (templates / "feb").is_dir() else []
+        key = key_of("limb", first, *keys, *of_model, fits, *parts_of(sized))
 
         def model() -> object:
-            return limb(self.case, options=options_of(LimbOptions, sized), **self._common())
+            options = options_of(LimbOptions, sized)
+            return limb(self.case, options=options, templates=templates, **self._common())
 
         if not self._stage("limb", None, key, model):
             self._skip(("socket",), None, because="limb")

@@ -120,6 +120,19 @@ def test_a_report_follows_a_socket_that_fails_no_more(tmp_path: Path, calls: lis
     assert calls == ["socket", "report"]
 
 
+def test_the_limb_is_made_with_the_templates_of_the_batch(tmp_path: Path, calls: list[str]):
+    case, out, own = with_socket(tmp_path / "case"), tmp_path / "out", tmp_path / "own"
+    (own / "feb").mkdir(parents=True)
+    (own / "feb" / "contact.j2").write_text("first")
+    options = BatchOptions(templates=own)
+    batch(case, out=out, options=options)
+    assert CALLED["limb"] == [{"nodes": 5000, "templates": own}]
+    (own / "feb" / "contact.j2").write_text("second")
+    calls.clear()
+    batch(case, out=out, options=options)
+    assert [each for each in calls if each in ("limb", "socket")] == ["limb", "socket"]
+
+
 def test_without_surfaces_there_is_no_limb_for_a_socket(tmp_path: Path, calls: list[str]):
     case, out = with_socket(tmp_path / "case"), tmp_path / "out"
     (case / "fail-segment").touch()

@@ -38,6 +38,8 @@ class Pair:
         tractions are many times too large: their change due to rotating normals, and with friction the
         zero stiffness along a slip
     full_eps, factor : penalties (n_facets,) of the patches, MPa/mm, before their load curve, and its value
+    looseness : value of the load curve of the gap's tolerance
+    used : the multipliers with which the last equilibrium was found, before `augment` set new ones
     """
 
     contact: Contact
@@ -48,6 +50,8 @@ class Pair:
     full_tangent: float = field(default=1.0, kw_only=True)
     full_eps: list[Array] = field(default_factory=list, kw_only=True)
     factor: float = field(default=1.0, kw_only=True)
+    looseness: float = field(default=1.0, kw_only=True)
+    used: list[tuple[Array, ...]] = field(default_factory=list, kw_only=True)
     threads: Threads = field(default_factory=lambda: Threads(1), kw_only=True)
 
     def search(self, x: Array, at: BodyState) -> int:
@@ -111,6 +115,7 @@ class Pair:
             p.state[:] = 0.0
             p.state[..., FACET] = -1
             p.multiplier[:] = 0.0
+        self.used = []
 
     def multipliers(self) -> list[tuple[Array, ...]]:
         """Copies of the multipliers of each patch, for `set_multipliers`."""
@@ -132,13 +137,15 @@ class Pair:
         """Set the multipliers to the current tractions; returns whether they have converged.
 
         Convergence requires that the relative change of their sum of squares is within the tolerance, and
-        that the largest gap of points in contact is within `gap_tolerance` (mm), each if set; not before
+        that the largest gap of points in contact is within `gap_tolerance` (mm), each if set; where a point
+        sticks, its gap is its distance from where it stuck; not before
         `minaug` augmentations of a load step, and unconditionally after `maxaug`.
 
         n_before : augmentations of this load step so far
 
         Source: FEBio 4.11, FESlidingElasticInterface::Augment.
         """
+        self.used = self.multipliers()
         before = self._sum_of_squares()
         self._augment()
         after = self._sum_of_squares()
@@ -147,7 +154,7 @@ class Pair:
             return True
         if n_before < _count(contact, "minaug", 0):
             return False
-        closed = contact.gap_tolerance <= 0 or self._largest_gap() <= contact.gap_tolerance
+        closed = contact.gap_tolerance <= 0 or self._largest_gap() <= contact.gap_tolerance * self.looseness
         settled = contact.tolerance <= 0 or abs(after - before) <= contact.tolerance * (after or 1.0)
         return closed and settled
 
