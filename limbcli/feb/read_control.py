@@ -197,9 +197,7 @@ def _largest_step(tag: Tag | None, context: _Context) -> dict[str, Any]:
 
 
 def _solver(tag: Tag) -> dict[str, Any]:
-    if tag.optional("type") == "CG-solid":
-        tag.ignore("the way of solving (CG-solid)")  # the same equations by conjugate gradients
-    elif tag.optional("type") not in (None, "solid", "biphasic"):
+    if tag.optional("type") not in (None, "solid", "biphasic"):
         raise tag.problem(f"solver type {tag.optional('type')!r} is not supported", fix='use type="solid"')
     tag.allow(attributes=("type",), children=(*SOLVER, "qn_method", "linear_solver"))
     settings = _settings(tag, SOLVER)

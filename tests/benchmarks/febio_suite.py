@@ -106,7 +106,7 @@ def _analyses(root: etree._Element) -> list[str]:
         solver = control.find("solver")
         if kind not in ("STATIC", "0"):
             why.append(f"analysis {kind}")
-        if solver is not None and solver.get("type") not in (None, "solid", "CG-solid"):
+        if solver is not None and solver.get("type") not in (None, "solid"):
             why.append(f"solver {solver.get('type')}")
         if (control.findtext("solver/arc_length") or "0").strip() not in ("0", "false"):
             why.append("arc-length method")
