@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from limbcli.surface_formats.aop import read_aop
 from limbcli.surface_formats.off import read_off
+from limbcli.surface_formats.stl import read_stl
 from limbcli.surface_formats.vtk_legacy import read_vtk
 from limbcli.surface_formats.vtk_xml import read_vtk_xml
 from limbcli.surface_frames import stated_frame
@@ -49,7 +50,7 @@ def read_triangles(path: Path) -> tuple[_Points, _Faces]:
         If the frame or the unit that it states is not known, or contradicts another in it.
     """
     read = {
-        ".ply": _ply, ".obj": _obj, ".3mf": read_3mf, ".off": read_off, ".vtk": read_vtk,
+        ".ply": _ply, ".obj": _obj, ".stl": read_stl, ".3mf": read_3mf, ".off": read_off, ".vtk": read_vtk,
         ".vtp": read_vtk_xml, ".vtu": read_vtk_xml, ".aop": read_aop,
     }.get(path.suffix.lower(), _by_meshio)  # fmt: skip
     try:

@@ -5,6 +5,7 @@ Every reader of a compressed format unpacks through a `UnpackingBudget`, one for
 
 from __future__ import annotations
 
+import bz2
 import gzip
 import io
 import lzma
@@ -63,6 +64,19 @@ class UnpackingBudget:
         most = self.left if first is None else min(first, self.left)
         with gzip.GzipFile(fileobj=io.BytesIO(content)) as stream:
             unpacked = stream.read(most if first is not None else most + 1)
+        self.spend(len(unpacked))
+        return unpacked
+
+    def bunzip2(self, content: bytes) -> bytes:
+        """Unpacked content of a bzip2 file.
+
+        Raises
+        ------
+        OSError, EOFError, ValueError
+            If it is corrupt, or more than the budget.
+        """
+        with bz2.BZ2File(io.BytesIO(content)) as stream:
+            unpacked = stream.read(self.left + 1)
         self.spend(len(unpacked))
         return unpacked
 

@@ -84,3 +84,45 @@ def test_an_obj_without_points_holds_no_triangles(tmp_path):
     (tmp_path / "a.obj").write_text("# nothing\n")
     points, faces = read_triangles(tmp_path / "a.obj")
     assert points.shape == faces.shape == (0, 3)
+
+
+def stl_text(*, name: str = "", indent: str = "", upper: bool = False) -> str:
+    triangles = [[face[0], face[k], face[k + 1]] for face in SIDES + ENDS for k in range(1, len(face) - 1)]
+    lines = [f"solid {name}"]
+    for face in triangles:
+        corners = [f"{indent * 3}vertex {x:.6e} {y:.6e} {z:.6e}" for x, y, z in POINTS[face]]
+        lines += [f"{indent}facet normal 0 0 0", f"{indent * 2}outer loop", *corners]
+        lines += [f"{indent * 2}endloop", f"{indent}endfacet"]
+    text = "\n".join([*lines, "endsolid"]) + "\n"
+    return text.upper() if upper else text
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        stl_text(),  # as trimesh writes it
+        stl_text(name="vertex 1 2 3", indent="  "),
+        stl_text(name="skin", indent="\t", upper=True).replace("\n", "\r\n"),
+    ],
+)
+def test_text_stl_is_read_by_its_keywords(tmp_path: Path, text: str) -> None:
+    (tmp_path / "a.stl").write_bytes(text.encode())
+    points, faces = read_triangles(tmp_path / "a.stl")
+    assert (len(points), len(faces)) == (8, 12)
+    corners = points[faces]
+    volume = np.linalg.det(corners - corners.mean(axis=(0, 1))).sum() / 6
+    assert volume == pytest.approx(VOLUME)
+
+
+@pytest.mark.parametrize(
+    ("content", "part"),
+    [
+        (stl_text()[:900].encode(), "ends early"),
+        (b"solid binary".ljust(80) + (99).to_bytes(4, "little") + bytes(50), "before all 99 triangles"),
+        (b"no surface", "neither text nor binary"),
+    ],
+)
+def test_a_damaged_stl_is_refused(tmp_path: Path, content: bytes, part: str) -> None:
+    (tmp_path / "a.stl").write_bytes(content)
+    with pytest.raises(OSError, match=part):
+        read_triangles(tmp_path / "a.stl")

@@ -1,7 +1,7 @@
 """Read NRRD volumes as written by 3D Slicer (`.nrrd`, `.seg.nrrd`): label maps and images.
 
 Format: teem.sourceforge.net/nrrd/format.html (NRRD0001 to NRRD0005, data in the file itself or in one file
-beside it, encodings raw, gzip and ascii).
+beside it, encodings raw, gzip, bzip2 and ascii).
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ _TYPES = {
     "f8": ("double",),
 }
 _TEXT = ("ascii", "text", "txt")
+_PACKED = ("gzip", "gz", "bzip2", "bz2")
 _LPS = ("left-posterior-superior", "lps")
 _RAS = ("right-anterior-superior", "ras")
 _MOST_SKIPPED = 1_000_000  # bytes of another format's header before packed data
@@ -197,10 +198,11 @@ def _values(data: bytes, fields: dict[str, str]) -> NDArray:
         raise ValueError(f"byte skip {skip} with encoding {encoding}")
     if encoding in _TEXT:
         return np.array(data.split(), dtype=float).reshape(sizes, order="F")
-    if encoding in ("gzip", "gz"):
+    if encoding in _PACKED:
         if skip > _MOST_SKIPPED:
             raise ValueError(f"byte skip {skip} in packed data")
-        data = UnpackingBudget(8 * count + skip).gunzip(data)
+        budget = UnpackingBudget(8 * count + skip)
+        data = budget.gunzip(data) if encoding in ("gzip", "gz") else budget.bunzip2(data)
     elif encoding != "raw":
         raise ValueError(f"encoding {encoding}")
     order = ">" if fields.get("endian", "little").lower() == "big" else "<"

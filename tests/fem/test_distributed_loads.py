@@ -16,6 +16,7 @@ from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.motion.state import State
 from limbcli.fem.record_fields import cell_fields
 from limbcli.fem.system import System
+from limbcli.formulas import Formula
 from limbcli.model import Block, Domain, LimbModel, Load, Material, Mesh, Support, Surface
 
 TIGHT = Settings(tolerance=1e-11, threads=1)
@@ -272,3 +273,60 @@ def test_load_times_follow_the_curve() -> None:
     state = Analysis(replace(model, loads=(), steps=(held, replace(held, loads=()))), TIGHT).run()[-1].state
     np.testing.assert_allclose(state.u, 0.0, atol=1e-10)
     assert isinstance(state, State)
+
+
+def resultant(model: LimbModel, time: float = 0.0, u: np.ndarray | None = None) -> np.ndarray:
+    """Sum of the loads' nodal forces at a time, with displacements u."""
+    system = System(model, threads=1)
+    system.at(time)
+    return system.distributed.forces(np.zeros_like(system.X) if u is None else u).sum(axis=0)
+
+
+@pytest.mark.parametrize("kind", ["tet4", "tet10", "hex8"])
+def test_formulas_are_integrated_over_the_undeformed_places(kind: str) -> None:
+    """A pressure over the top of a block and a body force in it, whose integrals are known."""
+    model = block(kind, (2, 3, 2), (2.0, 3.0, 1.5), material=NEO)
+    x = model.mesh.points
+    low, size = x.min(axis=0), np.ptp(x, axis=0)
+    mean = low[0] + size[0] / 2
+    pressure = loaded(model, Load("pressure", "top", (Formula("0.5*X*t"),)))
+    expected = -0.5 * mean * 0.4 * size[0] * size[1]
+    np.testing.assert_allclose(resultant(pressure, 0.4), [0.0, 0.0, expected], atol=1e-12)
+    moved = np.full_like(x, 0.7)  # the formula's X is that of the undeformed state
+    np.testing.assert_allclose(resultant(pressure, 0.4, moved), [0.0, 0.0, expected], atol=1e-12)
+    weight = loaded(model, Load("body force", "", (0.0, Formula("X + Y"), 2.0)))
+    volume = 1e-9 * np.prod(size)
+    middle = mean + low[1] + size[1] / 2
+    np.testing.assert_allclose(
+        resultant(weight), volume * np.array([0.0, middle, 2.0]), rtol=1e-12, atol=1e-22
+    )
+
+
+def test_a_formula_without_variables_is_the_number(rng: np.random.Generator) -> None:
+    loads = (Load("pressure", "top", (0.3,)), Load("pressure", "top", (Formula("0.1 + 0.2"),)))
+    model = block("tet10", (2, 2, 2), material=NEO, twist=0.1)
+    forces, tangents = [], []
+    u = 0.05 * rng.standard_normal(model.mesh.points.shape)
+    for load in loads:
+        system = System(loaded(model, load), threads=1)
+        forces.append(system.distributed.forces(u))
+        tangents.append(system.distributed.surfaces[0].blocks(system.X + u))
+    np.testing.assert_allclose(forces[1], forces[0], rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(tangents[1], tangents[0], rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize("kind", ["tet4", "tet10", "hex8"])
+def test_a_force_over_a_surface_keeps_its_sum(kind: str, rng: np.random.Generator) -> None:
+    model = loaded(
+        block(kind, material=NEO, twist=0.1), Load("surface force", "skin", (1.0, -2.0, 0.5), None, True)
+    )
+    u = 0.05 * rng.standard_normal(model.mesh.points.shape)
+    np.testing.assert_allclose(resultant(model, u=u), [1.0, -2.0, 0.5], rtol=1e-12)
+
+
+def test_a_nodal_force_follows_its_formula_of_time() -> None:
+    model = block("hex8", (1, 1, 1), material=NEO)
+    model = replace(model, loads=(Load("nodal force", "z0", (Formula("t"), 0.0, 0.0)),))
+    n = len(model.mesh.node_sets["z0"])
+    np.testing.assert_allclose(resultant(model, 0.5), [0.5 * n, 0.0, 0.0], rtol=1e-12)
+    assert not resultant(model, 0.0).any()

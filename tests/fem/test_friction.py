@@ -93,7 +93,7 @@ def test_tangent_agrees_with_differences(kind: str, free: bool, rng: np.random.G
 
 
 @pytest.mark.parametrize(("x", "mu", "slips"), [(0.02, 0.9, False), (3.0, 0.3, True)])
-def test_augmented_friction_gives_what_a_stiff_penalty_gives(x: float, mu: float, slips: bool) -> None:
+def test_augmented_friction_gives_nearly_what_a_stiff_penalty_gives(x: float, mu: float, slips: bool) -> None:
     """A block that sticks in part or slips under a plate, by a penalty that alone leaves a large gap."""
     model = replace(dragged(x, mu=mu), mesh=punch("hex8", (2, 2, 2), width=40.0).mesh)
     model = replace(model, supports=model.supports[:1])
@@ -109,8 +109,9 @@ def test_augmented_friction_gives_what_a_stiff_penalty_gives(x: float, mu: float
     soft, _ = end(penalty=2.0)
     augmented, still = end(penalty=2.0, augmented=True, tolerance=1e-4, more={"maxaug": "40"})
     assert (sticking == 0.0) == slips == (still == 0.0)
-    assert np.abs(soft - stiff).max() > 0.05 * np.abs(stiff).max()
-    np.testing.assert_allclose(augmented, stiff, atol=0.02 * np.abs(stiff).max())
+    assert np.abs(soft - stiff).max() > 0.2 * np.abs(stiff).max()
+    # both depend on the way; a stiff penalty alone forgets the shear of the step before
+    np.testing.assert_allclose(augmented, stiff, atol=0.08 * np.abs(stiff).max())
 
 
 def test_far_from_equilibrium_a_slip_is_resisted_along_its_way_too() -> None:

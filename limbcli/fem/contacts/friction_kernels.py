@@ -20,7 +20,8 @@ Tohoku Math. J. 43:355).
 
 With augmented contact a sticking point has T = pull + eps d, and p contains the multiplier of the pressure;
 after each augmentation both take the values of T and p. From the first augmentation of a load step to its end
-no point changes between stick and slip (FESlidingElasticInterface::Augment and ContactTraction).
+no point changes between stick and slip (FESlidingElasticInterface::Augment and ContactTraction). The shortest
+slip with full friction is then mu p/eps, p with its multiplier: with a soft penalty farther than without.
 
 Columns of `state` after those of `contact_points`: stick flag, T, |d| of a sticking point. Columns of
 `before`, from the last converged step: position, tangents g1 and g2, anchor, facet of the anchor (or -1).
