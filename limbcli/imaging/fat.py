@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from limbcli.imaging.intensity import TissueIntensities
+from limbcli.imaging.signed_distance import depth_inside
 from limbcli.imaging.volume import Volume
 
 _LEAST_CONTRAST = 1.5  # smallest ratio of the signal of fat to that of muscle
@@ -25,7 +26,7 @@ def fat_of(
     if intensities.fat < _LEAST_CONTRAST or intensities.fat - 1.0 < 4.0 * intensities.noise:
         return None
     within_slices = [volume.spacing[0], volume.spacing[1], 1e6]
-    deep = ndimage.distance_transform_edt(limb, sampling=within_slices) > _DEEP
+    deep = depth_inside(limb, np.array(within_slices)) > _DEEP
     core = intensities.values[deep & ~bone]
     if not len(core) or abs(float(np.median(core)) - 1.0) > _DEEP_IS_MUSCLE:
         return None

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from limbcli.imaging.signed_distance import depth_inside
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 
@@ -103,7 +104,7 @@ def normalise(volume: Volume, limb: NDArray[np.bool_]) -> TissueIntensities:
 def _deep(inside: NDArray[np.bool_], spacing: Array) -> NDArray[np.bool_]:
     """Voxels well under the skin, most of which are muscle."""
     within_slices = [spacing[0], spacing[1], 1e6]
-    return np.asarray(ndimage.distance_transform_edt(inside, sampling=within_slices) > _DEEP)
+    return np.asarray(depth_inside(inside, np.array(within_slices)) > _DEEP)
 
 
 def _slope(log_signal: Array, use: NDArray[np.bool_]) -> Array:

@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from limbcli.errors import CaseError
 from limbcli.imaging.intensity import otsu
-from limbcli.imaging.signed_distance import filled_by_slice
+from limbcli.imaging.signed_distance import depth_inside, filled_by_slice
 from limbcli.imaging.skin_segmentation import background_threshold
 from limbcli.imaging.volume import Volume
 
@@ -90,7 +90,7 @@ def require_bright_fat(volume: Volume, limb: NDArray[np.bool_]) -> None:
     """
     depth = np.zeros(limb.shape, np.float32)
     for k in range(limb.shape[2]):
-        depth[:, :, k] = ndimage.distance_transform_edt(limb[:, :, k], sampling=volume.spacing[:2])
+        depth[:, :, k] = depth_inside(limb[:, :, k], volume.spacing[:2])
     shell, core = volume.values[(depth > 2.0) & (depth < 6.0)], volume.values[depth > 12.0]
     if not len(shell) or not len(core):
         return

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from limbcli.imaging.intensity import TissueIntensities
-from limbcli.imaging.signed_distance import box_around
+from limbcli.imaging.signed_distance import box_around, is_near
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 
@@ -62,7 +62,10 @@ def find_markers(volume: Volume, intensities: TissueIntensities, limb: NDArray[n
     """
     spacing = volume.spacing
     body = _body(limb, spacing)
-    height = ndimage.distance_transform_edt(~body, sampling=spacing)
+    height = np.full(limb.shape, _AWAY)
+    if body.any():
+        window = box_around(body, np.ceil(_AWAY / spacing))
+        height[window] = ndimage.distance_transform_edt(~body[window], sampling=spacing)
     bright = (intensities.values > 0.5 * intensities.fat) & (height > 0) & (height < _AWAY)
     parts, n_parts = ndimage.label(bright, np.ones((3, 3, 3), bool))
     kept = np.zeros(limb.shape, bool)
@@ -82,9 +85,7 @@ def find_markers(volume: Volume, intensities: TissueIntensities, limb: NDArray[n
             centres.append(ndimage.center_of_mass(weight))
             sizes.append(float(volumes[number]))
     positions = volume.to_patient(np.array(centres).reshape(-1, 3))
-    around = kept
-    if kept.any():
-        around = (ndimage.distance_transform_edt(~kept, sampling=spacing) <= _BLUR) & ~body
+    around = is_near(kept, _BLUR, spacing) & ~body
     return FoundMarkers(number_markers(positions, np.array(sizes), volume, body), kept, around)
 
 

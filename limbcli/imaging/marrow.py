@@ -13,7 +13,7 @@ from skimage.morphology import disk
 from skimage.segmentation import watershed
 
 from limbcli.imaging.intensity import TissueIntensities
-from limbcli.imaging.signed_distance import box_around, closed, opened
+from limbcli.imaging.signed_distance import box_around, closed, depth_inside, opened
 from limbcli.model import Array
 
 _DARK = 0.65  # signal, muscle = 1: cortex is darker, even if blurred because it is thin
@@ -83,7 +83,7 @@ def _candidates(
     pad = int(np.ceil(_RING / in_plane.min())) + 2
     bright_level = 0.9 * intensities.between
     for k in range(limb.shape[2]):
-        under_skin = ndimage.distance_transform_edt(limb[:, :, k], sampling=in_plane) > 1.5
+        under_skin = depth_inside(limb[:, :, k], in_plane) > 1.5
         ring_values = np.where(under_skin, smooth[:, :, k], intensities.fat)
         parts, n_parts = ndimage.label((smooth[:, :, k] > bright_level) & limb[:, :, k])
         sizes = np.bincount(parts.ravel(), minlength=n_parts + 1) * pixel

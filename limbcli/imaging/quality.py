@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from limbcli.imaging.segmentation import Segmentation
+from limbcli.imaging.signed_distance import depth_inside
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 
@@ -177,10 +178,7 @@ def _thinnest(bone: Volume) -> float:
     inner = filled[low : len(filled) - high]
     if not len(inner):
         inner = filled
-    depths = [
-        ndimage.distance_transform_edt(np.pad(bone.values[:, :, k], 1), sampling=bone.spacing[:2]).max()
-        for k in inner
-    ]
+    depths = [depth_inside(np.pad(bone.values[:, :, k], 1), bone.spacing[:2]).max() for k in inner]
     return float(min(depths))
 
 

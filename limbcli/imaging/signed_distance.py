@@ -27,8 +27,37 @@ def signed_distance(mask: NDArray[np.bool_], spacing: Array) -> NDArray[np.float
         return _distance(mask, spacing)
     field = np.full(mask.shape, -REACH, np.float32)
     for k in np.flatnonzero(mask.any(axis=(0, 1))):
-        field[:, :, k] = _distance(mask[:, :, k], spacing[:2])
+        window = box_around(mask[:, :, k], np.ceil((REACH + spacing[:2].min()) / spacing[:2]))
+        field[*window, k] = _distance(mask[*window, k], spacing[:2])
     return field
+
+
+def depth_inside(mask: NDArray[np.bool_], spacing: Array) -> Array:
+    """Distance of a mask's voxels to the nearest voxel outside it, mm; 0 outside.
+
+    Only the mask's box and one voxel around are looked at: the nearest voxel outside is never farther off.
+
+    >>> depth_inside(np.array([[0, 0, 1, 1, 1]], bool), np.array([1.0, 2.0]))
+    array([[0., 0., 2., 4., 6.]])
+    """
+    found = np.zeros(mask.shape)
+    if mask.any():
+        window = box_around(mask, 1)
+        found[window] = ndimage.distance_transform_edt(mask[window], sampling=spacing)
+    return found
+
+
+def is_near(mask: NDArray[np.bool_], reach: float, spacing: Array) -> NDArray[np.bool_]:
+    """Voxels within `reach` mm of a mask's; none if it is empty.
+
+    >>> is_near(np.array([[0, 0, 0, 1, 0]], bool), 2.0, np.array([1.0, 2.0]))
+    array([[False, False,  True,  True,  True]])
+    """
+    found = np.zeros(mask.shape, bool)
+    if mask.any():
+        window = box_around(mask, np.ceil(reach / np.asarray(spacing)))
+        found[window] = ndimage.distance_transform_edt(~mask[window], sampling=spacing) <= reach
+    return found
 
 
 def _distance(mask: NDArray[np.bool_], spacing: Array) -> NDArray[np.float32]:
@@ -60,20 +89,14 @@ def opened(mask: NDArray[np.bool_], radius: float, spacing: Array) -> NDArray[np
     >>> opened(bar, 1.5, np.array([1.0, 1.0]))[4]
     array([False, False,  True,  True,  True,  True,  True, False, False])
     """
-    if not mask.any():
-        return mask
-    core = ndimage.distance_transform_edt(mask, sampling=spacing) > radius
-    if not core.any():
-        return core
-    return (ndimage.distance_transform_edt(~core, sampling=spacing) <= radius) & mask
+    return is_near(depth_inside(mask, spacing) > radius, radius, spacing) & mask
 
 
 def closed(mask: NDArray[np.bool_], radius: float, spacing: Array) -> NDArray[np.bool_]:
     """Morphological closing with a disc of `radius` mm, and filling of holes."""
     pad = int(np.ceil(radius / spacing.min())) + 1
     wide = np.pad(mask, pad)
-    grown = ndimage.distance_transform_edt(~wide, sampling=spacing) <= radius
-    shrunk = ndimage.distance_transform_edt(grown, sampling=spacing) > radius
+    shrunk = depth_inside(is_near(wide, radius, spacing), spacing) > radius
     return ndimage.binary_fill_holes(shrunk | wide)[pad:-pad, pad:-pad]
 
 

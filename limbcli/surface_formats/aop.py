@@ -20,7 +20,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import RegularGridInterpolator
 
 from limbcli.atomic_files import atomic_file
 from limbcli.errors import MeshError
@@ -60,6 +59,8 @@ class AopLimb:
     @property
     def landmark_points(self) -> dict[str, Array]:
         """Points (n, 3), mm, of the landmarks on the surface; NaN beyond its heights."""
+        from scipy.interpolate import RegularGridInterpolator
+
         order = np.argsort(self.angles_deg % 360.0)
         around = self.angles_deg[order] % 360.0
         around = np.r_[around[-1] - 360.0, around, around[0] + 360.0]

@@ -44,6 +44,21 @@ def test_help_answers_in_under_a_second():
     assert all(name in result.stdout for name in COMMANDS)
 
 
+def test_a_command_imports_only_what_it_needs(tmp_path):
+    code = (
+        "import sys; from limbcli.cli.entry import main\n"
+        "sys.argv = ['limbcli', 'new', sys.argv[1], '--quiet']\n"
+        "try:\n    main()\nexcept SystemExit as stop:\n    assert not stop.code\n"
+        "heavy = ('numpy', 'scipy', 'portalocker', 'limbcli.api.base', 'limbcli.api.cohorts')\n"
+        "print([each for each in heavy if each in sys.modules], file=sys.stderr)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "case")], capture_output=True, text=True, timeout=120
+    )
+    assert (tmp_path / "case" / "case.toml").is_file()
+    assert done.stderr == "[]\n"
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_has_help_json_quiet_and_verbose(capsys, name: str):
     code, shown, _ = in_this_process(capsys, name, "--help")

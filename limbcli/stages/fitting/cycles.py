@@ -12,7 +12,6 @@ from limbcli.measurement.cycles import CycleStudy, Difference
 from limbcli.measurement.indentation import Levels
 from limbcli.model import LimbModel
 from limbcli.results import StageWriter
-from limbcli.stages.build_feb import simulated_depths
 from limbcli.stages.site_model.indentation_model import PROBE, start_at, starting_depth
 from limbcli.stages.site_model.site_levels import all_levels_of, cycles_of
 
@@ -24,6 +23,8 @@ def through_cycle(model: LimbModel, levels: Levels, site: Site) -> LimbModel:
 
     `build-feb` drives it through those of the last cycle, for which the model is returned unchanged.
     """
+    from limbcli.stages.build_feb import simulated_depths  # not needed by the report
+
     usual = all_levels_of(site)
     if int(levels.cycle[0]) == usual.chosen_cycle():
         return model
