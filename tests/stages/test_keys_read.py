@@ -31,12 +31,12 @@ pytestmark = pytest.mark.slow
 _QUICK = FitOptions(intervals=False, contact_check=False, boundary_check=False)
 STAGES: dict[str, Any] = {
     "segment": (segment, {}),
-    "mesh": (mesh, chain_case.SIZES),
+    "mesh": (mesh, {"size": 7.0, "far_size": 12.0}),
     "build-feb": (build_feb, {}),
     "run": (run, {"solver": "reference"}),
     "fit": (fit, {"solver": "reference", "options": _QUICK}),
+    "limb": (limb, {"options": LimbOptions(element="tet4", nodes=3_000, distal_cut=True)}),
     "diagnose": (diagnose, {"options": DiagnoseOptions(effects=("tilt",), interventions=False)}),
-    "limb": (limb, {"options": LimbOptions(element="tet4", nodes=3_000)}),
     "report": (report, {}),
 }
 OF_CASE = ("segment", "limb", "report")
