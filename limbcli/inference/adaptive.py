@@ -6,7 +6,7 @@ best fit, at the ends of the intervals, and along the profiles.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -21,9 +21,13 @@ from limbcli.interval_limits import noise_scale, threshold_95
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
-_PRECISE = 0.1  # largest accepted error of the surrogate, in standard deviations of the data
+# Largest accepted error of the surrogate, in standard deviations of the data: at the best fit and the ends,
+# and along the profiles, on which the intervals do not depend.
+_PRECISE, _PRECISE_BETWEEN = 0.1, 0.3
 _NEAR = 0.05  # distance in ln theta within which a point counts as solved
-_END_NEAR = 0.3  # largest accepted distance in ln theta of an interval's end from a solved point
+# Largest accepted distance in ln theta of an interval's end from a solved point, and as a share of the
+# interval: an end that is decades away from the fit is not needed to 30 %.
+_END_NEAR, _END_NEAR_SHARE = 0.3, 0.1
 _SETTLES = 4  # largest number of refits with updated weights
 
 
@@ -127,6 +131,11 @@ def adaptive_profiles(
     raise AssertionError("the loop returns")
 
 
+def _accepted(name: str, side: int) -> float:
+    """Largest accepted error of the surrogate at a candidate; one along a profile has a name and no side."""
+    return _PRECISE_BETWEEN if name and not side else _PRECISE
+
+
 class _Work:
     def __init__(self, problem: EstimationProblem, estimate: Array | None):
         self.problem, self.estimate = problem, estimate
@@ -158,20 +167,25 @@ class _Work:
         """Where to simulate next: (theta, parameter whose profile needs it, side), or None."""
         near = self.problem.within_reach
         candidates = [(near(found.best), "", 0)]
+        widths = {}
         for name, profile in found.profiles.items():
             inside = profile.deviance <= found.threshold
             candidates += [(near(theta), name, 0) for theta in profile.thetas[inside]]
             candidates += [(near(end), name, side) for side, end in zip((-1, 1), profile.ends, strict=True)]
+            widths[name] = float(np.log(profile.high / profile.low))
         worth = [(self.problem.uncertainty(theta), theta, name, side) for theta, name, side in candidates]
-        worth = [each for each in worth if each[0] > _PRECISE and self._is_new(each[1])]
+        worth = [each for each in worth if each[0] > _accepted(each[2], each[3]) and self._is_new(each[1])]
         if worth:
             _, theta, name, side = max(worth, key=lambda each: each[0])
             return theta, name, side
-        return self._unproved(candidates)
+        return self._unproved(candidates, widths)
 
-    def _unproved(self, candidates: Sequence[tuple[Array, str, int]]) -> tuple[Array, str, int] | None:
+    def _unproved(
+        self, candidates: Sequence[tuple[Array, str, int]], widths: Mapping[str, float]
+    ) -> tuple[Array, str, int] | None:
         for theta, name, side in candidates:
-            limit = _NEAR if not name else _END_NEAR if side else np.inf
+            end_near = max(_END_NEAR, _END_NEAR_SHARE * widths.get(name, 0.0))
+            limit = _NEAR if not name else end_near if side else np.inf
             if self.problem.distance(theta) > limit and self._is_new(theta):
                 return theta, name, side
         return None

@@ -66,6 +66,11 @@ class FitParameter:
     def started_at(self, theta: float) -> FitParameter:
         return replace(self, start=min(max(theta, self.low), self.high))
 
+    def within_step(self, theta: float) -> FitParameter:
+        """The parameter started at theta, with bounds that one step can reach."""
+        low, high = max(self.low, theta / self.step_factor), min(self.high, theta * self.step_factor)
+        return replace(self.started_at(theta), low=low, high=high)
+
     def in_logs(self) -> FitParameter:
         return replace(self, scale="log")
 

@@ -138,11 +138,14 @@ def _guide(
     parameters: Sequence[FitParameter], free: tuple[int, ...], start: Array, curve: SolvedPoints,
     knots: Array, data: ForceDepth,
 ) -> Guide:  # fmt: skip
-    """Minimum of the same objective on a surrogate of all points solved so far."""
+    """Minimum of the same objective on a surrogate of all points solved so far, within one step.
+
+    Far from the solved points a surrogate has minima of its own.
+    """
 
     def guess(theta: Array) -> Array:
         predict = sampled(Emulator(curve), knots, data.depth, free=free, fixed=start)
-        near = [p.in_logs().started_at(float(t)) for p, t in zip(parameters, theta, strict=True)]
+        near = [p.within_step(float(t)).in_logs() for p, t in zip(parameters, theta, strict=True)]
         objective = force_residual(predict, data.force)
         return levenberg_marquardt(objective, near, tolerance=1e-5, must_settle=False).theta
 

@@ -168,9 +168,11 @@ def _fit_site(
             )
         elif options.intervals:
             limit = options.max_interval_solves
-            intervals = of_noise = _intervals(curve, knots, data, known, steps, limit, progress)
-            if len(modes):
+            wide = None
+            if len(modes):  # first, as the solves at their ends serve the narrower ones too
                 wide = _intervals(curve, knots, data, known, steps, limit, progress, modes)
+            intervals = of_noise = _intervals(curve, knots, data, known, steps, limit, progress)
+            if wide is not None:
                 intervals = (no_narrower(wide[0], of_noise[0]), no_narrower(wide[1], of_noise[1]))
         identified = Identified(
             curve,

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from limbcli.errors import SolveError
+from limbcli.inference import interval as interval_module
 from limbcli.inference.interval import Stiffness, force_intervals
 from limbcli.inference.levenberg_marquardt import levenberg_marquardt
 from limbcli.inference.parameter import FitParameter
@@ -86,6 +87,42 @@ def test_the_interval_agrees_with_one_on_the_true_model(simulated):
             (few.profiles[name].low, few.profiles[name].high),
             (dense.profiles[name].low, dense.profiles[name].high), rtol=0.03,
         )  # fmt: skip
+
+
+class Direct:
+    """In the place of the emulator: every prediction of a profile is a simulation."""
+
+    def __init__(self, curve):
+        self._curve = curve
+
+    def __call__(self, theta, wrt=()):
+        return self._curve._curve(theta, wrt)
+
+    def deviation(self, theta):
+        return np.zeros(len(self(theta).values))
+
+    def distance(self, _theta):
+        return 0.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "truth", "open_high"),
+    [("tet4", (40.0, 8.0), False), ("tet10", (0.5, 6.0), False), ("tet10", (300.0, 3.0), True),
+     ("tet10", (900.0, 1.2), True)],
+)  # fmt: skip
+def test_few_simulations_find_the_ends_of_the_full_profile(simulated, monkeypatch, kind, truth, open_high):
+    """Identifiable, open towards incompressible, and on a bound; within a twentieth of the interval."""
+    few, _ = intervals(simulated, truth, kind, 1)
+    monkeypatch.setattr(interval_module, "Emulator", Direct)
+    full, _ = intervals(simulated, truth, kind, 1, max_solves=0)
+    assert few.n_solves <= 6
+    assert full.profiles["f_kappa"].open_high == open_high
+    for name, profile in full.profiles.items():
+        width = np.log(profile.high / profile.low)
+        found = few.profiles[name]
+        assert (found.open_low, found.open_high) == (profile.open_low, profile.open_high)
+        ends = np.log([found.low / profile.low, found.high / profile.high])
+        assert np.abs(ends).max() < 0.05 * width, (name, ends, width)
 
 
 def test_what_is_not_identifiable_stays_open_and_the_estimate_is_inside(simulated):
