@@ -104,6 +104,7 @@ def socket(
                 kpa_from_mpa(state.facet_pressure_mpa),
                 f"{case.subject}: pressure on the skin, {_words(state)}",
             )
+        _write_skin(writer.file("skin", "skin_pressure.npz"), result, together)
         write_feb(result.model, writer.file("feb", "socket.feb"))
         _write_vtu(writer.file("vtu", "socket.vtu"), result, together)
         writer.warnings.extend(limb.warnings)
@@ -303,6 +304,20 @@ def _state(state: SocketState) -> dict[str, object]:
         "largest_energy_density_kpa": kpa_from_mpa(float(state.energy_density.max())),
         "largest_displacement_mm": float(np.linalg.norm(state.displacements, axis=1).max()),
     }  # fmt: skip
+
+
+def _write_skin(path: Path, result: DonningResult, together: LimbInSocket) -> None:
+    """For the page's 3-D view: corners of the surface that meets the socket, upright, mm, under the last load."""
+    state = result.states[-1]
+    facets = next(iter(result.model.mesh.surfaces[together.touching].facets.values()))[:, :3]
+    used, triangles = np.unique(facets, return_inverse=True)
+    np.savez_compressed(
+        path,
+        points=result.model.mesh.points[used],
+        displacement=state.displacements[used],
+        triangles=triangles.reshape(-1, 3),
+        pressure_kpa=kpa_from_mpa(state.pressure_mpa[np.searchsorted(result.skin_nodes, used)]),
+    )
 
 
 def _write_vtu(path: Path, result: DonningResult, together: LimbInSocket) -> None:
