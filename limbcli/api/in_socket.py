@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar
 
 from limbcli.api.base import Result, one
 from limbcli.api.call import CaseLike, Heard, PathLike, at_work
-from limbcli.mesh_bounds import SOCKET_PENALTY, SOCKET_STEPS
+from limbcli.mesh_bounds import PENETRATION_MM, SOCKET_PENALTY, SOCKET_PENETRATION_MM, SOCKET_STEPS
 from limbcli.options import CASE, OUT, PROGRESS, WAIT, Option
 from limbcli.results import StageResult
 from limbcli.stages.in_socket.patch_pressure import PatchPressure
@@ -57,8 +57,15 @@ def socket(
             SOCKET_PENALTY,
         ),
     ] = 20.0,
+    penetration_mm: Annotated[
+        float,
+        Option(
+            "How far the skin may lie behind the wall (augmented contact); 0: as far as the penalty allows.",
+            SOCKET_PENETRATION_MM,
+        ),
+    ] = PENETRATION_MM,
     intervals: Annotated[
-        bool, Option("95 % limits of pressure and shear, from the limb's draws (four more solves).")
+        bool, Option("95 % limits of pressure and shear, from the limb's draws (up to eight more solves).")
     ] = True,
     wait: Annotated[bool, WAIT] = True,
     progress: Annotated[Heard, PROGRESS] = None,
@@ -77,6 +84,8 @@ def socket(
     """
     from limbcli.stages import socket as stage
 
-    options = stage.SocketOptions(align, donning_steps, load_steps, contact_penalty, intervals)
+    options = stage.SocketOptions(
+        align, donning_steps, load_steps, contact_penalty, penetration_mm, intervals
+    )
     with at_work(case, out, wait=wait, progress=progress, images_only=True) as work:
         return stage.socket(work.case, out=work.out, options=options, progress=work.progress)

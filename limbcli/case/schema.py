@@ -437,7 +437,23 @@ SOCKET = {
     "friction": Key("1", number(0.0, 2.0, ""), default=0.3),
     "friction_deviation": Key("1", number(0.0, 0.5, ""), default=0.1),
     "loads_n": Key("list of N", loads, default=[400.0, 800.0]),
+    "tilt_deviation_deg": Key("deg", number(0.0, 10.0, "deg"), default=1.0),
+    "shift_deviation_mm": Key("mm", number(0.0, 20.0, "mm"), default=1.0),
+    "knee": Key("table", table),
     "limb_nodes": Key("number", whole(*LIMB_NODES), default=40_000),
+}
+KNEE = {
+    "centre_mm": Key("[x, y, z] mm", vector),
+    "anterior_n": Key("N", number(-2000.0, 2000.0, "N"), default=0.0),
+    "lateral_n": Key("N", number(-2000.0, 2000.0, "N"), default=0.0),
+    "about_anterior_n_m": Key("N m", number(-200.0, 200.0, "N m"), default=0.0),
+    "about_lateral_n_m": Key("N m", number(-200.0, 200.0, "N m"), default=0.0),
+}
+LINER = {
+    "thickness_mm": Key("mm", number(0.5, 20.0, "mm"), required=True),
+    "youngs_modulus_kpa": Key("kPa", number(5.0, 100_000.0, "kPa"), required=True),
+    "poisson": Key("1", number(0.0, 0.495, ""), default=0.45),
+    "bonded": Key("true | false", truth, default=True),
 }
 TOP = {
     "format": Key("1", format_one),

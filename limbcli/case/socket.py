@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from limbcli.case import schema as schema
 from limbcli.case.files import CaseFiles
 from limbcli.errors.problems import Problem, errors_of
+from limbcli.units import mpa_from_kpa
 
 if TYPE_CHECKING:
     from limbcli.case import Case
@@ -18,15 +19,38 @@ if TYPE_CHECKING:
 _FROM_SKIN = ("rectifications_mm", "all_mm", "transition_mm", "brim_mm", "flare_mm")
 _rectification = schema.number(-20.0, 20.0, "mm")
 _FEWEST = 3  # landmarks that determine a pose
-# The tables within [socket] as JSON Schemas, by key; a liner is refused.
+# Tables of any keys within [socket] as JSON Schemas, by key.
 INNER: Mapping[str, dict[str, Any]] = {
     "landmarks": {
         "type": "object", "additionalProperties": schema.JSON[schema.vector], "minProperties": _FEWEST,
     },
     "rectifications_mm": {"type": "object", "additionalProperties": schema.JSON[_rectification]},
-    "liner": {"not": {}},
 }  # fmt: skip
 _LEAST_APART_N = 0.1  # loads that differ by less would share a name in tables and files
+
+
+@dataclass(frozen=True)
+class LinerInput:
+    """thickness : mm; youngs_modulus : MPa; poisson : its ratio at rest"""
+
+    thickness: float
+    youngs_modulus: float
+    poisson: float
+
+
+@dataclass(frozen=True)
+class KneeInput:
+    """What the thigh does to the limb at the knee centre, besides the force along the limb.
+
+    centre : patient LPS, mm; None: that of the tibia's upper end
+    anterior, lateral : N; about_anterior, about_lateral : N mm, right-handed about these directions
+    """
+
+    centre: tuple[float, float, float] | None
+    anterior: float
+    lateral: float
+    about_anterior: float
+    about_lateral: float
 
 
 @dataclass(frozen=True)
@@ -39,7 +63,11 @@ class SocketInput:
     rectifications : by patch, mm; positive: into the limb; `all_mm` of the whole skin
     transition : mm; brim : height (mm) of its upper end above the limb's distal end; None: chosen
     flare : mm outward at that end
+    liner : bonded to the skin, or None
     friction, friction_deviation : coefficient and its standard deviation
+    tilt_deviation, shift_deviation : standard deviations of the socket's place on the limb, deg and mm, about
+        and along each of the two directions across the limb
+    knee : shear and moment at the knee centre, or None
     loads : forces along the limb, N
     limb_nodes : about this number of nodes of the limb's model that a batch makes
     """
@@ -56,6 +84,10 @@ class SocketInput:
     friction_deviation: float
     loads: tuple[float, ...]
     limb_nodes: int
+    liner: LinerInput | None = None
+    tilt_deviation: float = 0.0
+    shift_deviation: float = 0.0
+    knee: KneeInput | None = None
 
 
 def read_socket(raw: Mapping[str, Any], files: CaseFiles) -> tuple[SocketInput | None, list[Problem]]:
@@ -68,10 +100,10 @@ def read_socket(raw: Mapping[str, Any], files: CaseFiles) -> tuple[SocketInput |
         return None, problems
     surface, found = files.existing(values["surface"], "socket: surface", is_folder=False)
     problems += found
-    if values["liner"] is not None:
-        what = "[socket.liner]: a liner is not modelled"
-        fix = "remove it: the socket then acts on the skin itself; give the inner face of the donned liner"
-        problems.append(Problem(what, file, fix))
+    liner, found = _liner(values["liner"], file)
+    problems += found
+    knee, found = _knee(values["knee"], file)
+    problems += found
     problems += _at_odds(values, file)
     landmarks, found = _points(values["landmarks"] or {}, file)
     problems += found
@@ -93,6 +125,10 @@ def read_socket(raw: Mapping[str, Any], files: CaseFiles) -> tuple[SocketInput |
         friction_deviation=float(values["friction_deviation"]),
         loads=tuple(float(each) for each in values["loads_n"]),
         limb_nodes=values["limb_nodes"],
+        liner=liner,
+        tilt_deviation=float(values["tilt_deviation_deg"]),
+        shift_deviation=float(values["shift_deviation_mm"]),
+        knee=knee,
     ), problems
 
 
@@ -124,6 +160,38 @@ def _at_odds(values: Mapping[str, Any], file: str) -> list[Problem]:
         what = "[socket] has landmarks and align, two ways to place the socket"
         found.append(Problem(what, file, "remove one of the two"))
     return found
+
+
+def _liner(table: object, file: str) -> tuple[LinerInput | None, list[Problem]]:
+    if table is None:
+        return None, []
+    values, problems = schema.check_table(table, schema.LINER, name="socket.liner", file=file)
+    if not errors_of(problems) and not values["bonded"]:
+        what = "[socket.liner] has bonded = false: a liner that slides on the skin is not modelled"
+        problems.append(Problem(what, file, "leave `bonded` out: the liner is then bonded to the skin"))
+    if errors_of(problems):
+        return None, problems
+    return LinerInput(
+        thickness=float(values["thickness_mm"]),
+        youngs_modulus=mpa_from_kpa(float(values["youngs_modulus_kpa"])),
+        poisson=float(values["poisson"]),
+    ), problems
+
+
+def _knee(table: object, file: str) -> tuple[KneeInput | None, list[Problem]]:
+    if table is None:
+        return None, []
+    values, problems = schema.check_table(table, schema.KNEE, name="socket.knee", file=file)
+    if errors_of(problems):
+        return None, problems
+    centre, mm = values["centre_mm"], 1e3
+    return KneeInput(
+        centre=None if centre is None else (float(centre[0]), float(centre[1]), float(centre[2])),
+        anterior=float(values["anterior_n"]),
+        lateral=float(values["lateral_n"]),
+        about_anterior=mm * float(values["about_anterior_n_m"]),
+        about_lateral=mm * float(values["about_lateral_n_m"]),
+    ), problems
 
 
 def _points(

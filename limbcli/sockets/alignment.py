@@ -132,6 +132,14 @@ def align(
     return _alignment(best, distance)
 
 
+def misplaced(face: Triangles, tilt_deg: Sequence[float], shift_mm: Sequence[float]) -> Triangles:
+    """A face in the upright frame (z up) turned about x and y through its centre, then shifted along them."""
+    centre = np.average(face.centroids, axis=0, weights=face.areas)
+    turn = _about(np.eye(3)[1], np.radians(tilt_deg[1])) @ _about(np.eye(3)[0], np.radians(tilt_deg[0]))
+    moved = (face.points - centre) @ turn.T + centre + np.array([*shift_mm, 0.0])
+    return Triangles(moved, face.faces)
+
+
 def _direction(face: Triangles, where: str) -> tuple[Array, Array]:
     """Unit direction towards the closed end of a face, and its point there."""
     rims = open_rims(face)

@@ -21,6 +21,7 @@ _SLAB_MM = 10.0
 # Share of the distance from the skin to the centre line by which the wall may lie inside the skin: chosen.
 # Beyond it a facet's normal no longer meets the wall on its own side.
 _DEEPEST = 0.35
+_MOST_SQUEEZED = 0.5  # of a liner's thickness: less room than this is refused
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,3 +132,23 @@ def clearance(face: Triangles, skin: Triangles, line: CentreLine, *, where: str 
             depth_mm=float(-found.distances[k]),
         )
     return found
+
+
+def check_room(before: Clearance, skin: Triangles, thickness: float) -> None:
+    """Refuse a liner that the socket would press to less than half of its thickness. Raises MeshError.
+
+    before : of the skin without the liner
+    """
+    if not len(before.points):
+        return
+    k = int(np.argmin(before.distances))
+    gap = float(before.distances[k])
+    if gap < _MOST_SQUEEZED * thickness:
+        place = ", ".join(f"{each:.0f}" for each in skin.points[before.points[k]])
+        raise MeshError(
+            f"the liner of {thickness:g} mm is thicker than the gap of {gap:.1f} mm between skin and socket at "
+            f"({place}): less than half of it would be left",
+            where="[socket.liner]",
+            fix="check its thickness and the alignment; a socket scanned with its liner inside needs no liner",
+            gap_mm=gap,
+        )

@@ -22,6 +22,7 @@ from limbcli.errors import CaseError, SolveError
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array, Block, Curve, IntArray, LimbModel, LogRecord, Mesh, Step, Surface
 from limbcli.progress import SILENT, Progress
+from limbcli.sockets.knee import KneeLoad
 from limbcli.solvers.reference import prepare
 
 if TYPE_CHECKING:
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
 
 SOCKET, FACE = "socket", "socket_face"
 _DONNING, _CLOSING, _LOAD = "donning", "closing", "socket_load"
+_KNEE = "knee_load"
+_ABOUT = {"x": "u", "y": "v", "z": "w"}
 _FIRST_PENALTY = 1e-4  # of the full one: about a hundredth of a limb's own stiffness
 _OPEN = 1e6  # of the penetration's tolerance: before the end of donning each step sets the multipliers once
 _MOST_AUGMENTATIONS = 20
@@ -49,6 +52,8 @@ class DonningOptions:
         None: penalty alone
     search_radius_mm : the contact sees the socket within this distance: more than the interference
     skin : the limb's surface that meets the socket
+    knee : shear and moment at the knee centre, full from the first load on: the socket is then free to move and
+        turn, but not to turn about the axis
     """
 
     friction: float = 0.3
@@ -61,6 +66,7 @@ class DonningOptions:
     penetration_mm: float | None = None
     search_radius_mm: float = 30.0
     skin: str = "skin"
+    knee: KneeLoad | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +80,7 @@ class SocketState:
     displacements (n_points, 3) : mm, of all nodes of `socket_model`
     strain, energy_density (n_cells,) : largest principal Green-Lagrange strain, and MPa
     socket_force_n (3,), socket_moment_n_mm (3,) : on the socket from outside, about its centre
-    socket_shift_mm (3,) : of the socket's centre
+    socket_shift_mm, centre (3,) : of the socket's centre, and its place then
     penetration_mm : largest depth of the skin behind the wall, which the penalty allows
     imbalance_n : size of the sum of all forces from outside: on the socket, the bones and held nodes
     """
@@ -93,6 +99,11 @@ class SocketState:
     socket_shift_mm: Array
     penetration_mm: float
     imbalance_n: float
+    centre: Array
+
+    def moment_about(self, point: Array) -> Array:
+        """Moment (3,) on the socket from outside about a point (3,), N mm."""
+        return np.asarray(self.socket_moment_n_mm + np.cross(self.centre - point, self.socket_force_n))
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +131,7 @@ def socket_model(limb: LimbModel, face: Triangles, options: DonningOptions | Non
     options = options or DonningOptions()
     _check(limb, options)
     n = len(limb.mesh.points)
+    centre = np.average(face.centroids, axis=0, weights=face.areas)
     facets = (face.faces + n).astype(np.int64)
     mesh = Mesh(
         np.concatenate([limb.mesh.points, face.points]),
@@ -127,7 +139,6 @@ def socket_model(limb: LimbModel, face: Triangles, options: DonningOptions | Non
         limb.mesh.node_sets,
         {**limb.mesh.surfaces, FACE: Surface(FACE, {"tri3": facets})},
     )
-    centre = np.average(face.centroids, axis=0, weights=face.areas)
     contact = Contact(
         primary=options.skin,
         secondary=FACE,
@@ -149,7 +160,7 @@ def socket_model(limb: LimbModel, face: Triangles, options: DonningOptions | Non
         bodies=(*limb.bodies, RigidBody(SOCKET, (centre[0], centre[1], centre[2]), (SOCKET,))),
         contacts=(contact,),
         curves={**limb.curves, **_curves(options)},
-        steps=_steps(options),
+        steps=_steps(options, centre),
     )
 
 
@@ -226,10 +237,12 @@ def _curves(options: DonningOptions) -> dict[str, Curve]:
         before = (n - 1) / n
         opening = ((0.0, _OPEN), *(((before, _OPEN),) if before else ()), (1.0, 1.0))
         curves[_CLOSING] = Curve(opening)
+    if options.knee is not None:
+        curves[_KNEE] = Curve(((0.0, 0.0), (1.0, 0.0), (2.0, 1.0)))
     return curves
 
 
-def _steps(options: DonningOptions) -> tuple[Step, ...]:
+def _steps(options: DonningOptions, centre: Array) -> tuple[Step, ...]:
     def fixed(dofs: Sequence[str]) -> tuple[Drive, ...]:
         return tuple(Drive(SOCKET, dof, "fixed") for dof in dofs)  # type: ignore[arg-type]
 
@@ -253,15 +266,38 @@ def _steps(options: DonningOptions) -> tuple[Step, ...]:
     if not options.loads_n:
         return (donning,)
     push = Drive(SOCKET, options.axis, "force", options.sign, _LOAD)
+    at_knee = _knee_drives(options, centre)
+    if at_knee:
+        others = [_ABOUT[options.axis]]
     loading = Step(
         n_steps=options.load_steps * len(options.loads_n),
         step_size=1.0 / options.load_steps,
         dt_max=1.0 / options.load_steps,
         must_points=tuple(float(k + 1) for k in range(len(options.loads_n))),
         control=control,
-        drives=(*fixed(others), push),
+        drives=(*fixed(others), push, *at_knee),
     )
     return donning, loading
+
+
+def _knee_drives(options: DonningOptions, centre: Array) -> tuple[Drive, ...]:
+    """Forces across the axis, and moments about the socket's centre: of the load at the knee, and of the force
+    along the limb, which acts through the knee centre too."""
+    knee = options.knee
+    if knee is None:
+        return ()
+    along = options.sign * np.eye(3)["xyz".index(options.axis)]
+    of_push = np.cross(np.asarray(knee.centre) - centre, along)
+    of_knee = knee.moment_about(centre)
+    drives = []
+    for k, dof in enumerate("xyz"):
+        if dof == options.axis:
+            continue
+        drives.append(Drive(SOCKET, dof, "force", float(knee.force[k]), _KNEE))  # type: ignore[arg-type]
+        about = _ABOUT[dof]
+        drives.append(Drive(SOCKET, about, "moment", float(of_knee[k]), _KNEE))  # type: ignore[arg-type]
+        drives.append(Drive(SOCKET, about, "moment", float(of_push[k]), _LOAD))  # type: ignore[arg-type]
+    return tuple(drives)
 
 
 def _explained(error: SolveError, n_states: int, options: DonningOptions) -> SolveError:
@@ -325,6 +361,7 @@ def _state(running: Analysis, snapshot: Snapshot, load: float) -> SocketState:
         socket_moment_n_mm=forces.bodies[b, 3:].copy(),
         socket_shift_mm=np.array(state.bodies[b].shift),
         penetration_mm=max(map(_penetration, pair.patches), default=0.0),
+        centre=np.asarray(system.bodies[b].center + state.bodies[b].shift),
         imbalance_n=float(np.linalg.norm(forces.bodies[:, :3].sum(axis=0) + reactions.sum(axis=0))),
     )
 

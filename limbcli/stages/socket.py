@@ -14,12 +14,14 @@ from limbcli.errors import CaseError, SolveError
 from limbcli.errors.problems import raise_errors
 from limbcli.feb.write import write_feb
 from limbcli.meshing.export import write_vtu
+from limbcli.mesh_bounds import PENETRATION_MM
 from limbcli.model import Array, LimbModel
 from limbcli.model_io import load_model
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage
+from limbcli.sockets.alignment import misplaced
 from limbcli.sockets.donning import DonningOptions, DonningResult, SocketState, don_and_load
-from limbcli.stages.in_socket.intervals import drawn_values, pressure_intervals
+from limbcli.stages.in_socket.intervals import Pose, drawn_values, pressure_intervals
 from limbcli.stages.in_socket.limb_in_socket import LimbInSocket, put_together
 from limbcli.stages.in_socket.patch_pressure import PatchPressure
 from limbcli.stages.in_socket.patch_table import (
@@ -49,6 +51,7 @@ class SocketOptions:
     """align : place the socket by its shape, as `align` in the case
     donning_steps, load_steps : load steps of donning, and of each load
     contact_penalty : of the contact, as a multiple of the tissue's stiffness at rest
+    penetration_mm : how far the skin may lie behind the wall after each load step; 0: what the penalty allows
     intervals : solve again with other values, for intervals over the limb's draws
     """
 
@@ -56,6 +59,7 @@ class SocketOptions:
     donning_steps: int = DonningOptions.donning_steps
     load_steps: int = DonningOptions.load_steps
     contact_penalty: float = DonningOptions.penalty
+    penetration_mm: float = PENETRATION_MM
     intervals: bool = True
 
 
@@ -98,6 +102,7 @@ def socket(
                 kpa_from_mpa(state.facet_pressure_mpa),
                 f"{case.subject}: pressure on the skin, {_words(state)}",
             )
+        _write_skin(writer.file("skin", "skin_pressure.npz"), result, together)
         write_feb(result.model, writer.file("feb", "socket.feb"))
         _write_vtu(writer.file("vtu", "socket.vtu"), result, together)
         writer.warnings.extend(limb.warnings)
@@ -131,6 +136,9 @@ def _donning(given: SocketInput, options: SocketOptions, together: LimbInSocket)
         donning_steps=options.donning_steps,
         load_steps=options.load_steps,
         penalty=options.contact_penalty,
+        penetration_mm=options.penetration_mm or None,
+        skin=together.touching,
+        knee=together.knee,
         search_radius_mm=max(_LEAST_RADIUS_MM, together.fit.deepest_mm + _MARGIN_MM),
     )
 
@@ -165,12 +173,16 @@ def _intervals(
         return {}
     masks = patch_masks(together.limb)
 
-    def solved(model: LimbModel, friction: float) -> list[PatchPressure]:
+    def solved(model: LimbModel, friction: float, pose: Pose) -> list[PatchPressure]:
         changed = replace(donning, friction=friction)
-        states = don_and_load(model, together.face, changed, progress=progress).states
+        face = misplaced(together.face, pose[:2], pose[2:])
+        states = don_and_load(model, face, changed, progress=progress).states
         return patch_rows(states, masks, together.skin.areas)
 
-    drawn = drawn_values(limb.path("draws"), given.friction, given.friction_deviation)
+    drawn = drawn_values(
+        limb.path("draws"), given.friction, given.friction_deviation,
+        tilt_deg=given.tilt_deviation, shift_mm=given.shift_deviation,
+    )  # fmt: skip
     try:
         found = pressure_intervals(together.limb, given.friction, rows, drawn, solved, progress)
     except SolveError as error:
@@ -244,10 +256,16 @@ def _report(
             f"those on bones and cut leave {state.imbalance_n:.2g} N; the skin lies up to "
             f"{state.penetration_mm:.2f} mm behind the wall"
         )
+        if state.load_n and together.knee is not None:
+            at_knee = state.moment_about(np.asarray(together.knee.centre)) / 1e3
+            writer.summary.append(
+                f"{words}: about the knee centre the moment on the socket is {_vector(at_knee)} N m (left, back, "
+                f"up), the force {_vector(state.socket_force_n)} N"
+            )
         if state.penetration_mm > max(_SOFT_MM, _SOFT * together.fit.deepest_mm):
             writer.warnings.append(
                 f"{words}: the skin lies up to {state.penetration_mm:.1f} mm behind the wall, which the "
-                "contact's penalty allows: pressures are too low there; raise --contact-penalty"
+                "contact's penalty allows: pressures are too low there; give a smaller --penetration-mm, or raise --contact-penalty"
             )
         size = max(state.load_n, float(np.linalg.norm(state.socket_force_n)))
         if state.imbalance_n > _BALANCE * size:
@@ -260,6 +278,10 @@ def _report(
 
 def _words(state: SocketState) -> str:
     return f"under {state.load_n:g} N" if state.load_n else "donned"
+
+
+def _vector(values: Array) -> str:
+    return ", ".join(f"{each + 0.0:+.1f}" for each in values)
 
 
 def _name(state: SocketState) -> str:
@@ -280,6 +302,20 @@ def _state(state: SocketState) -> dict[str, object]:
         "largest_energy_density_kpa": kpa_from_mpa(float(state.energy_density.max())),
         "largest_displacement_mm": float(np.linalg.norm(state.displacements, axis=1).max()),
     }  # fmt: skip
+
+
+def _write_skin(path: Path, result: DonningResult, together: LimbInSocket) -> None:
+    """For the page's 3-D view: corners of the surface that meets the socket, upright, mm, under the last load."""
+    state = result.states[-1]
+    facets = next(iter(result.model.mesh.surfaces[together.touching].facets.values()))[:, :3]
+    used, triangles = np.unique(facets, return_inverse=True)
+    np.savez_compressed(
+        path,
+        points=result.model.mesh.points[used],
+        displacement=state.displacements[used],
+        triangles=triangles.reshape(-1, 3),
+        pressure_kpa=kpa_from_mpa(state.pressure_mpa[np.searchsorted(result.skin_nodes, used)]),
+    )
 
 
 def _write_vtu(path: Path, result: DonningResult, together: LimbInSocket) -> None:

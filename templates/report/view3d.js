@@ -2,12 +2,12 @@
 "use strict";
 (function () {
   const VERTEX = `#version 300 es
-    in vec3 point; in vec3 displacement;
+    in vec3 point; in vec3 displacement; in float value;
     uniform mat4 camera; uniform float amount; uniform float most; uniform float nearer;
     out vec3 place; out float field; out float rest;
     void main() {
       place = point + amount * displacement;
-      rest = point.y; field = length(displacement) * amount / most;
+      rest = point.y; field = value < 0.0 ? length(displacement) * amount / most : value;
       gl_Position = camera * vec4(place, 1.0);
       gl_Position.z -= nearer * gl_Position.w;
     }`;
@@ -55,6 +55,14 @@
       gl.enableVertexAttribArray(place);
       gl.vertexAttribPointer(place, 3, gl.FLOAT, false, 0, 0);
     }
+    if (part.values) {
+      const shares = Float32Array.from(new Uint16Array(bytes(part.values)), (each) => each / 65535);
+      gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+      gl.bufferData(gl.ARRAY_BUFFER, shares, gl.STATIC_DRAW);
+      const place = gl.getAttribLocation(own, "value");
+      gl.enableVertexAttribArray(place);
+      gl.vertexAttribPointer(place, 1, gl.FLOAT, false, 0, 0);
+    }
     const kept = { name: part.name, coloured: part.coloured, array };
     for (const name of ["triangles", "edges"]) {
       const numbers = new Uint32Array(bytes(part[name])), buffer = gl.createBuffer();
@@ -83,6 +91,7 @@
     const own = program(gl), at = (name) => gl.getUniformLocation(own, name);
     const parts = scene.parts.map((part) => load(gl, own, part, scene));
     gl.useProgram(own);
+    gl.vertexAttrib1f(gl.getAttribLocation(own, "value"), -1);  // parts without values show their displacement
     gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
     const colours = new Uint8Array(bytes(scene.colours));
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB, colours.length / 3, 1, 0, gl.RGB, gl.UNSIGNED_BYTE, colours);
@@ -91,6 +100,7 @@
     gl.enable(gl.DEPTH_TEST);
     const first = { turn: 0.6, tilt: 0.55, zoom: 1.15 }, look = { ...first };
     const chosen = (name) => box.querySelector(`input[name='${name}']`);
+    const ticked = (name) => Boolean(chosen(name) && chosen(name).checked);
     let asked = false;
 
     function draw() {
@@ -102,7 +112,7 @@
       gl.clearColor(1, 1, 1, 1);
       gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
       const seen = camera(look, scene.radius_mm, width / Math.max(height, 1));
-      const opened = chosen("opened").checked;
+      const opened = ticked("opened");
       gl.uniformMatrix4fv(at("camera"), false, seen.matrix);
       gl.uniform3fv(at("toEye"), seen.eye);
       gl.uniform1f(at("amount"), chosen("amount").value / 100);
@@ -110,7 +120,7 @@
       gl.uniform1f(at("height"), -scene.origin_mm[1]);
       for (const part of parts) {
         if (part.name === "section" && !opened) continue;
-        if (part.name === "probe" && !chosen("probe").checked) continue;
+        if (part.name === "probe" && !ticked("probe")) continue;
         gl.bindVertexArray(part.array);
         gl.uniform1i(at("opened"), opened && part.name !== "section");
         gl.uniform1i(at("coloured"), part.coloured);
@@ -119,7 +129,7 @@
         gl.uniform4fv(at("plain"), part.name === "probe" ? [0.45, 0.5, 0.55, 1] : [0.92, 0.88, 0.78, 1]);
         gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, part.triangles.buffer);
         gl.drawElements(gl.TRIANGLES, part.triangles.count, gl.UNSIGNED_INT, 0);
-        if (chosen("mesh").checked) {
+        if (ticked("mesh")) {
           gl.uniform1i(at("coloured"), false);
           gl.uniform1i(at("lit"), false);
           gl.uniform1f(at("nearer"), 0.0015);

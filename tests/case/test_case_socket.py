@@ -23,6 +23,17 @@ def test_an_empty_table_is_a_socket_of_the_skins_shape(tmp_path: Path):
     assert (found.surface, found.friction, found.loads) == (None, 0.3, (400.0, 800.0))
 
 
+def test_a_liner_and_a_load_at_the_knee_are_in_internal_units(tmp_path: Path):
+    liner, knee = {"thickness_mm": 6.0, "youngs_modulus_kpa": 400.0}, {"about_lateral_n_m": 12.0}
+    found, problems = read(tmp_path, liner=liner, knee=knee)
+    assert not problems
+    assert found is not None
+    assert found.liner is not None
+    assert found.knee is not None
+    assert (found.liner.youngs_modulus, found.liner.poisson) == (0.4, 0.45)
+    assert (found.knee.about_lateral, found.knee.anterior, found.knee.centre) == (12_000.0, 0.0, None)
+
+
 def test_a_case_without_the_table_has_no_socket(tmp_path: Path):
     assert read_socket({}, CaseFiles(tmp_path)) == (None, [])
 
@@ -31,7 +42,11 @@ def test_a_case_without_the_table_has_no_socket(tmp_path: Path):
     ("table", "words"),
     [
         ({"surface": "none.stl"}, "was not found"),
-        ({"liner": {"thickness_mm": 3.0}}, "a liner is not modelled"),
+        ({"liner": {"thickness_mm": 3.0}}, "missing 'youngs_modulus_kpa'"),
+        ({"liner": {"thickness_mm": 3.0, "youngs_modulus_kpa": 300.0, "bonded": False}}, "slides on the skin"),
+        ({"liner": {"thickness_mm": 60.0, "youngs_modulus_kpa": 300.0}}, "thickness_mm is 60"),
+        ({"knee": {"anterior_n": 9000.0}}, "anterior_n is 9000"),
+        ({"knee": {"centre_mm": [0, 0]}}, "not three numbers"),
         ({"align": True}, "has align but no surface"),
         ({"surface": "socket.stl", "rectifications_mm": {"popliteal": 2.0}}, "surface and rectifications_mm"),
         ({"surface": "socket.stl", "align": True, "landmarks": {n: [0, 0, 0] for n in "abc"}}, "two ways"),

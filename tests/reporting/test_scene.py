@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from limbcli.reporting.figures.deformed import DeformedState
-from limbcli.reporting.figures.scene import scene_of
+from limbcli.reporting.figures.scene import pressure_scene, scene_of
 
 
 @pytest.fixture
@@ -38,6 +38,14 @@ def test_points_and_displacements_come_back_to_a_thousandth(state):
     np.testing.assert_allclose(moved, state.displacement[:3], atol=1e-3)
     assert unpacked(skin, "triangles", "<u4").tolist() == [0, 1, 2]
     assert len(unpacked(skin, "edges", "<u4")) == 6
+
+
+def test_skin_is_coloured_by_its_pressure(state):
+    pressure = np.array([0.0, np.nan, 20.0])
+    scene = pressure_scene(state.points[:3], state.displacement[:3], np.array([[0, 1, 2]]), pressure)
+    (skin,) = scene["parts"]
+    assert scene["field_kpa"] == 20.0
+    np.testing.assert_allclose(unpacked(skin, "values", "<u2") / 65535, [0.0, 0.0, 1.0])
 
 
 def test_probe_moves_as_a_body_and_elements_keep_their_own_edges(state):

@@ -5,6 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from types import SimpleNamespace
 
+
+import numpy as np
+import pytest
+
 from limbcli.reporting.outcome import Failure, Outcome
 from limbcli.reporting.sections.socket import TITLE, socket
 from limbcli.results import StageResult
@@ -36,6 +40,21 @@ def test_a_row_has_its_limits():
     assert (shown.mood, shown.warned) == ("warning", ("soft",))
     assert shown.look_for
     assert shown.bad
+
+
+def test_the_last_load_can_be_turned(tmp_path: Path):
+    (tmp_path / "p.png").write_bytes(b"")
+    corners = np.eye(3)
+    values = {"displacement": 0 * corners, "triangles": np.array([[0, 1, 2]]), "pressure_kpa": np.array([0, 1, 4])}
+    np.savez(tmp_path / "skin.npz", points=corners, **values)
+    files = {"picture_donned": "p.png", "skin": "skin.npz"}
+    found = StageResult("socket", "S1", tmp_path, data={"patches": [ROW]}, files=files)
+    shown = socket(page(result=found))
+    assert shown is not None
+    still, turned = shown.pictures
+    assert (still.scene, turned.source) == (None, tmp_path / "p.png")
+    assert turned.scene is not None
+    assert turned.scene["field_kpa"] == pytest.approx(4.0, rel=0.02)
 
 
 def test_without_the_stage_there_is_no_section():

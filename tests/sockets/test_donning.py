@@ -13,8 +13,11 @@ from limbcli.errors import CaseError, SolveError
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
 from limbcli.meshing.surfaces import Triangles
-from limbcli.model import LimbModel, Support
+from limbcli.model import LimbModel, LogRecord, Support
+from limbcli.progress import SILENT
 from limbcli.sockets.donning import FACE, SOCKET, DonningOptions, don_and_load, socket_model
+from limbcli.sockets.knee import KneeLoad
+from limbcli.solvers.febio import FebioSolver
 
 OPTIONS = DonningOptions(loads_n=(0.5, 1.0), donning_steps=6, load_steps=2, search_radius_mm=8.0)
 TAPER = 0.1
@@ -72,6 +75,66 @@ def test_a_limb_is_donned_and_loaded_in_balance() -> None:
     assert high.strain.max() > 0.0
 
 
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_augmented_contact_leaves_no_more_penetration_than_was_asked(friction: float) -> None:
+    quick = replace(OPTIONS, loads_n=(0.5,), friction=friction)
+    soft = don_and_load(limb(), face(), quick, threads=1)
+    hard = don_and_load(limb(), face(), replace(quick, penetration_mm=0.015), threads=1)
+    assert min(state.penetration_mm for state in soft.states) > 0.02
+    for state in hard.states:
+        assert state.penetration_mm <= 0.015
+        size = max(state.load_n, float(np.linalg.norm(state.socket_force_n)))
+        assert state.imbalance_n < 1e-4 * size
+    assert hard.states[-1].socket_force_n[2] == pytest.approx(0.5, rel=1e-4)
+    # the wall's whole displacement presses more than what the penalty leaves of it
+    pressed = [float((s.facet_pressure_mpa * s.facet_area_mm2).sum()) for s in (soft.states[0], hard.states[0])]
+    assert 1.0 < pressed[1] / pressed[0] < 1.2
+
+
+# FEBio 4.11.0 (tag v4.11, built from source) on the files of `socket_model` below: mean pressure (kPa) of the three
+# rings of facets from the narrow end up, after donning and under 0.5 N.
+FEBIO = {0.0: ((2.8377, 2.2134, 1.5463), (5.0709, 3.9016, 2.6468)),
+         0.3: ((2.8040, 2.2400, 1.7238), (3.4429, 2.2273, 1.2866))}  # fmt: skip
+
+
+def as_febio_was_given(friction: float) -> DonningOptions:
+    fine = {"donning_steps": 24, "load_steps": 8} if friction else {}
+    return replace(OPTIONS, friction=friction, penetration_mm=0.015, loads_n=(0.5,), **fine)
+
+
+@pytest.mark.parametrize(("friction", "field"), [(0.0, 0.002), (0.3, 0.055)])
+def test_donning_and_load_agree_with_febio(friction: float, field: float) -> None:
+    """FEBio measures slip from the first iterate of a step, the reference solver from its start: with friction they
+    agree as far as the steps are small."""
+    found = don_and_load(limb(), face(), as_febio_was_given(friction), threads=1)
+    for state, expected in zip(found.states, FEBIO[friction], strict=True):
+        rings = 1e3 * state.facet_pressure_mpa.reshape(16, 3).mean(axis=0)
+        rms = np.sqrt(((rings - expected) ** 2).mean() / np.square(expected).mean())
+        assert rms < field
+        assert rings.sum() == pytest.approx(sum(expected), rel=0.7 * field)
+
+
+@pytest.mark.skipif(not FebioSolver().found(), reason="needs FEBio 4: set LIMBCLI_FEBIO to its binary")
+def test_febio_completes_donning_and_load_with_friction(tmp_path: Path) -> None:
+    model = socket_model(limb(), face(), as_febio_was_given(0.3))
+    model = replace(model, records=(LogRecord("rigid_body", ("Fz",), "force.txt", SOCKET),))
+    FebioSolver().run(write_feb(model, tmp_path / "socket.feb"), progress=SILENT)
+    last = (tmp_path / "force.txt").read_text().split()[-1]
+    assert float(last.split(",")[-1]) == pytest.approx(0.5, rel=0.01)
+
+
+def test_shear_and_moment_at_the_knee_are_borne() -> None:
+    knee = KneeLoad((1.0, 0.0, 30.0), (0.05, -0.02, 0.0), (-0.5, 0.3, 0.0))
+    options = replace(OPTIONS, loads_n=(0.5,), load_steps=4, penetration_mm=0.02, knee=knee)
+    _, loaded = don_and_load(limb(), face(), options, threads=1).states
+    np.testing.assert_allclose(loaded.socket_force_n, [0.05, -0.02, 0.5], atol=1e-4)
+    # the moment is that of dead loads at the socket's centre: it shifts by 0.02 mm
+    about = loaded.moment_about(np.array([1.0, 0.0, 30.0]))
+    np.testing.assert_allclose(about[:2], [-0.5, 0.3], atol=0.02)
+    assert np.abs(loaded.socket_shift_mm[:2]).max() > 1e-3
+    assert loaded.imbalance_n < 1e-4
+
+
 def test_a_load_that_nothing_holds_says_what_it_was() -> None:
     pulled_off = replace(OPTIONS, loads_n=(40.0,), donning_steps=4, load_steps=1, sign=-1.0)
     with pytest.raises(SolveError, match="the load of 40 N has no equilibrium") as caught:
@@ -80,7 +143,7 @@ def test_a_load_that_nothing_holds_says_what_it_was() -> None:
 
 
 def test_what_is_written_is_read_again(tmp_path: Path) -> None:
-    model = socket_model(limb(), face(), OPTIONS)
+    model = socket_model(limb(), face(), replace(OPTIONS, penetration_mm=0.05))
     don = read_feb(write_feb(model, tmp_path / "socket.feb"))
     assert don.contacts == model.contacts
     assert don.steps == model.steps
@@ -95,6 +158,7 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
         (replace(OPTIONS, friction=-0.1), "friction is below 0"),
         (replace(OPTIONS, loads_n=(400.0, -1.0)), "does not press"),
         (replace(OPTIONS, donning_steps=0), "no step"),
+        (replace(OPTIONS, penetration_mm=0.0), "penetration of 0 mm"),
         (replace(OPTIONS, sign=2.0), "neither 1 nor -1"),
     ],
 )

@@ -191,9 +191,9 @@ def test_friction_on_a_large_limb_is_named_as_the_reason(monkeypatch):
     assert caught.value.fix == "more steps"
 
 
-def row(c: float, friction: float) -> PatchPressure:
-    """A table of one row that is linear in ln c and friction."""
-    mean = 40.0 + 10.0 * np.log(c) - 20.0 * (friction - 0.3)
+def row(c: float, friction: float, shift: float = 0.0) -> PatchPressure:
+    """A table of one row that is linear in ln c, friction and a shift of the socket."""
+    mean = 40.0 + 10.0 * np.log(c) - 20.0 * (friction - 0.3) + 2.0 * shift
     return PatchPressure(400.0, WHOLE, 1.0, 1.0, mean, mean, mean, 1.0, 1.0)
 
 
@@ -206,7 +206,8 @@ def test_intervals_of_a_linear_table_are_those_of_its_draws(tmp_path: Path):
     drawn = drawn_values(tmp_path / "draws.csv", 0.3, 0.1)
     limb = _one_element(c=0.008)
 
-    def solved(model, friction):
+    def solved(model, friction, pose):
+        assert pose == (0.0, 0.0, 0.0, 0.0)
         return [row(model.materials["tissue"].parameters["c1"] / 0.004, friction)]
 
     found = pressure_intervals(limb, 0.3, [row(1.0, 0.3)], drawn, solved, SILENT)
@@ -215,6 +216,21 @@ def test_intervals_of_a_linear_table_are_those_of_its_draws(tmp_path: Path):
     assert found.error_fraction < 0.01
     assert found.shares[400.0]["c"] == pytest.approx(0.5, abs=0.1)
     assert found.n_solves == 3, "m does not vary: it needs no solve"
+
+
+def test_a_socket_that_may_sit_elsewhere_has_its_share(tmp_path: Path):
+    """Friction has a deviation of 2 kPa, and the shift along one direction of 4: four fifths of the variance."""
+    lines = ["draw,c_mean_kpa,m_mean", *(f"{k},8.0,3.0" for k in range(400))]
+    (tmp_path / "draws.csv").write_text("\n".join(lines))
+    drawn = drawn_values(tmp_path / "draws.csv", 0.3, 0.1, shift_mm=2.0)
+
+    def solved(_model, friction, pose):
+        return [row(1.0, friction, pose[2])]
+
+    found = pressure_intervals(_one_element(c=0.008), 0.3, [row(1.0, 0.3)], drawn, solved, SILENT)
+    assert found.shares[400.0]["alignment"] == pytest.approx(0.8, abs=0.06)
+    assert sum(found.shares[400.0].values()) == pytest.approx(1.0)
+    assert found.n_solves == 4
 
 
 def _one_element(c: float):

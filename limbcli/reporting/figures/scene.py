@@ -4,11 +4,13 @@ encoding."""
 from __future__ import annotations
 
 import base64
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.colors import to_rgb
 
 from limbcli.model import Array, IntArray
 from limbcli.reporting.figures.deformed import DISPLACEMENT_MAP, DeformedState
@@ -16,6 +18,9 @@ from limbcli.reporting.figures.section import cut_tetrahedra, linear_tetrahedra,
 
 _STEPS = 32000  # integer steps of a coordinate over the size of the scene, stored in two bytes
 _COLOURS = 64
+_SHARES = 65535  # integer steps of a value
+_LARGEST = 0.99  # share of the points in contact within the scale: single points at edges do not set it
+PRESSURE_MAP, FREE_SKIN = "viridis", "#e6e0dc"
 _CORNERS = {"tri3": 3, "tri6": 3, "quad4": 4, "quad8": 4, "tet4": 4, "tet10": 4, "hex8": 8, "penta6": 6}
 _BOUNDARY = {3: ((0, 1), (1, 2), (2, 0)), 4: ((0, 1), (1, 2), (2, 3), (3, 0))}
 
@@ -24,7 +29,8 @@ _BOUNDARY = {3: ((0, 1), (1, 2), (2, 0)), 4: ((0, 1), (1, 2), (2, 3), (3, 0))}
 class ScenePart:
     """Undeformed points (n, 3) mm, their displacement (n, 3) mm, triangles (m, 3) and edges (k, 2) to draw.
 
-    coloured : by the magnitude of the displacement; else in a single colour
+    coloured : by the magnitude of the displacement, or by `values`; else in a single colour
+    values (n,) : shares of the scale, from 0 to 1; None: the displacement
     """
 
     name: str
@@ -33,6 +39,21 @@ class ScenePart:
     triangles: IntArray
     edges: IntArray
     coloured: bool = True
+    values: Array | None = None
+
+
+def pressure_scene(points: Array, displacement: Array, triangles: IntArray, pressure_kpa: Array) -> dict[str, Any]:
+    """Skin coloured by pressure (n,), kPa; NaN and 0: without contact. The scale ends at its 99th percentile."""
+    pressure = np.nan_to_num(pressure_kpa)
+    touching = pressure > 0
+    most = float(np.quantile(pressure[touching], _LARGEST)) if touching.any() else 1.0
+    edges = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
+    values = np.clip(pressure / most, 0.0, 1.0)
+    part = ScenePart("skin", points, displacement, triangles, edges, values=values)
+    colours = colormaps[PRESSURE_MAP](np.linspace(0, 1, _COLOURS))[:, :3]
+    colours[0] = to_rgb(FREE_SKIN)
+    largest = float(np.linalg.norm(displacement, axis=1).max(initial=0.0))
+    return {**_scene([part], colours), "field_kpa": most, "moved_mm": largest}
 
 
 def scene_of(state: DeformedState) -> dict[str, Any]:
@@ -42,23 +63,24 @@ def scene_of(state: DeformedState) -> dict[str, Any]:
     `displacement_step_mm`.
     """
     parts = [each for each in _parts(state) if len(each.triangles)]
+    field = max(float(np.linalg.norm(p.displacement, axis=1).max(initial=0.0)) for p in parts if p.coloured)
+    colours = colormaps[DISPLACEMENT_MAP](np.linspace(0, 1, _COLOURS))[:, :3]
+    return {**_scene(parts, colours), "field_mm": field, "depth_mm": float(state.depth)}
+
+
+def _scene(parts: Sequence[ScenePart], colours: Array) -> dict[str, Any]:
     every = np.concatenate([each.points for each in parts])
     low, high = every.min(axis=0), every.max(axis=0)
     step = float((high - low).max() / _STEPS) or 1.0
     most = max(float(np.abs(each.displacement).max(initial=0.0)) for each in parts)
     small = most / _STEPS or 1.0
-    field = max(float(np.linalg.norm(p.displacement, axis=1).max(initial=0.0)) for p in parts if p.coloured)
     middle = 0.5 * (low + high)
     return {
         "origin_mm": [float(each) for each in middle],
         "radius_mm": float(np.linalg.norm(high - low) / 2),
         "step_mm": step,
         "displacement_step_mm": small,
-        "field_mm": field,
-        "depth_mm": float(state.depth),
-        "colours": _packed(
-            (colormaps[DISPLACEMENT_MAP](np.linspace(0, 1, _COLOURS))[:, :3] * 255).astype("u1")
-        ),
+        "colours": _packed((colours * 255).astype("u1")),
         "parts": [
             {
                 "name": each.name,
@@ -67,6 +89,7 @@ def scene_of(state: DeformedState) -> dict[str, Any]:
                 "displacement": _packed(np.round(each.displacement / small).astype("<i2")),
                 "triangles": _packed(each.triangles.astype("<u4")),
                 "edges": _packed(each.edges.astype("<u4")),
+                **({} if each.values is None else {"values": _packed((each.values * _SHARES).astype("<u2"))}),
             }
             for each in parts
         ],

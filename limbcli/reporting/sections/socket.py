@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
+from limbcli.reporting.figures.scene import pressure_scene
 from limbcli.reporting.numbers import quantity
 from limbcli.reporting.report_data import ReportData
 from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head, placeholder
 from limbcli.results import StageResult
 
 TITLE = "How does the socket press on the limb?"
+_SCENE = ("points", "displacement", "triangles", "pressure_kpa")
 _COLUMNS = ("mean_kpa", "p95_kpa", "peak_kpa", "mean_shear_kpa")
 
 
@@ -37,6 +41,8 @@ def socket(page: ReportData) -> Reportlet | None:
 
 
 def _pictures(result: StageResult) -> list[Picture]:
+    """Pictures of the states, and a 3-D view of the last one; where there is no WebGL its picture stands there."""
+    names = [name for name in result.files if name.startswith("picture_") and result.path(name).is_file()]
     return [
         Picture(
             name.replace("_", "-"),
@@ -44,9 +50,23 @@ def _pictures(result: StageResult) -> list[Picture]:
             source=result.path(name),
             vector=False,
         )
-        for name in result.files
-        if name.startswith("picture_") and result.path(name).is_file()
+        for name in names
+    ] + [
+        Picture(
+            "socket-3d",
+            "Pressure on the skin under the last load.",
+            source=result.path(names[-1]),
+            vector=False,
+            scene=_scene(result),
+        )
+        for _ in names[-1:]
+        if "skin" in result.files and result.path("skin").is_file()
     ]
+
+
+def _scene(result: StageResult) -> dict[str, Any]:
+    with np.load(result.path("skin")) as stored:
+        return pressure_scene(**{name: stored[name] for name in _SCENE})
 
 
 def _table(data: Mapping[str, Any]) -> PageTable:

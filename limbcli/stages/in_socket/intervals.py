@@ -1,7 +1,8 @@
 """Intervals of the pressures over the limb's draws, from a few more solves.
 
-Every quantity of the table is taken as linear in ln c and ln m (their means over the limb) and the friction:
-one solve each, one standard deviation away. Another solve, with all of them one deviation to the other side,
+Every quantity of the table is taken as linear in ln c and ln m (their means over the limb), the friction, and
+the socket's place on the limb (turned about and shifted along the two directions across it): one solve each, one
+standard deviation away. Another solve, with all of them one deviation to the other side,
 is held out and says how far the line is off. How c varies from place to place within a draw is not followed.
 """
 
@@ -20,20 +21,24 @@ from limbcli.progress import Progress
 from limbcli.stages.in_socket.patch_pressure import PatchPressure
 from limbcli.stages.in_socket.patch_table import QUANTITIES, WHOLE, Interval
 
-NAMES = ("c", "m", "friction")
+ALIGNMENT = "alignment"
+_POSE = ("tilt_sagittal", "tilt_frontal", "shift_across", "shift_front_back")
+NAMES = ("c", "m", "friction", *_POSE)
 _SEED = 7
 _LEAST = 1e-3  # deviations below this are none
 _LEAST_FRICTION = 0.01
 _ENDS = (2.5, 97.5)  # percentiles of a 95 % interval
 
-Solved = Callable[[LimbModel, float], list[PatchPressure]]
+Pose = tuple[float, float, float, float]
+"""How far a socket is off its place: tilts about x and y of the upright frame, deg; shifts along them, mm."""
+Solved = Callable[[LimbModel, float, Pose], list[PatchPressure]]
 
 
 @dataclass(frozen=True, eq=False)
 class PressureIntervals:
     """intervals : 95 %, by (load, patch, quantity); `error_fraction` : of the held-out solve, rms of all mean
     pressures relative to their largest; `shares` : by load, what part of the variance of the mean pressure on
-    the skin each parameter makes; `n_solves` : besides the first
+    the skin c, m, friction and alignment make; `n_solves` : besides the first
     """
 
     intervals: dict[tuple[float, str, str], Interval]
@@ -43,14 +48,21 @@ class PressureIntervals:
     n_solves: int
 
 
-def drawn_values(path: Path, friction: float, deviation: float) -> Array:
-    """ln c, ln m and friction of every draw (n_draws, 3). path : draws.csv of the stage `limb`"""
+def drawn_values(
+    path: Path, friction: float, deviation: float, *, tilt_deg: float = 0.0, shift_mm: float = 0.0
+) -> Array:
+    """ln c, ln m, friction and `Pose` of every draw (n_draws, 7).
+
+    path : draws.csv of the stage `limb`; deviation, tilt_deg, shift_mm : standard deviations
+    """
     with path.open(newline="", encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     logs = np.log([[float(row["c_mean_kpa"]), float(row["m_mean"])] for row in rows])
-    drawn = friction + deviation * np.random.default_rng(_SEED).standard_normal(len(rows))
+    rng = np.random.default_rng(_SEED)
+    drawn = friction + deviation * rng.standard_normal(len(rows))
     frictions = np.maximum(drawn, _LEAST_FRICTION) if friction else np.zeros(len(rows))
-    return np.column_stack([logs, frictions])
+    poses = rng.standard_normal((len(rows), len(_POSE))) * [tilt_deg, tilt_deg, shift_mm, shift_mm]
+    return np.column_stack([logs, frictions, poses])
 
 
 def pressure_intervals(
@@ -74,11 +86,12 @@ def pressure_intervals(
     for n, step in enumerate((*steps, held_out)):
         progress.event("task", name="socket: solves for intervals", done=n, total=len(steps) + 1)
         try:
-            rows = solved(_changed(limb, *np.exp(step[:2])), max(friction + step[2], 0.0))
+            pose: Pose = tuple(step[3:].tolist())
+            rows = solved(_changed(limb, *np.exp(step[:2])), max(friction + step[2], 0.0), pose)
         except SolveError as error:
             what = ", ".join(f"{name} {x:+.2g}" for name, x in zip(NAMES, step, strict=True) if x)
             raise SolveError(
-                f"no intervals: the solve with (ln c, ln m, friction) {what}: {error.what}",
+                f"no intervals: the solve with changed {what}: {error.what}",
                 where=error.where, fix=error.fix,
             ) from error  # fmt: skip
         found.append(_values(rows))
@@ -100,7 +113,7 @@ def pressure_intervals(
         {key: (float(low[k]), float(high[k])) for k, key in enumerate(keys)},
         float(np.sqrt((off**2).mean()) / max(np.abs(y[means]).max(), 1e-12)),
         shares,
-        {name: float(each) for name, each in zip(("ln_c", "ln_m", "friction"), deviations, strict=True)},
+        {name: float(each) for name, each in zip(("ln_c", "ln_m", *NAMES[2:]), deviations, strict=True)},
         len(found),
     )
 
@@ -110,12 +123,15 @@ def _values(rows: Sequence[PatchPressure]) -> Array:
 
 
 def _shares(parts: Array, total: Array, names: Sequence[str]) -> dict[str, float]:
-    """The covariance of each parameter's part with the sum, as a fraction of the sum's variance."""
-    variance = float(total.var())
-    if not variance:
-        return dict.fromkeys(names, 0.0)
-    centred = total - total.mean()
-    return {name: float((parts[:, k] * centred).mean() / variance) for k, name in enumerate(names)}
+    """The covariance of each parameter's part with the sum, as a fraction of the sum's variance; tilts and
+    shifts together are the alignment."""
+    variance, centred = float(total.var()), total - total.mean()
+    shares: dict[str, float] = {}
+    for k, name in enumerate(names):
+        whose = ALIGNMENT if name in _POSE else name
+        share = float((parts[:, k] * centred).mean() / variance) if variance else 0.0
+        shares[whose] = shares.get(whose, 0.0) + share
+    return shares
 
 
 def _changed(limb: LimbModel, c: float, m: float) -> LimbModel:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limbcli.case.socket import SocketInput
+from limbcli.case.socket import KneeInput, SocketInput
 from limbcli.errors import CaseError, MeshError
 from limbcli.meshing.limb_parts import LimbFrame
 from limbcli.meshing.mending import open_rims
@@ -17,12 +17,21 @@ from limbcli.model import Array, IntArray, LimbModel
 from limbcli.results import StageWriter
 from limbcli.sockets.alignment import Alignment, align, by_landmarks
 from limbcli.sockets.centre_line import CentreLine, centre_line, own_line
-from limbcli.sockets.checks import Clearance, check_around, check_near, check_size, clearance
+from limbcli.sockets.checks import (
+    Clearance,
+    check_around,
+    check_near,
+    check_room,
+    check_size,
+    clearance,
+)
 from limbcli.sockets.inner_face import inner_face
+from limbcli.sockets.knee import KneeLoad, knee_centre
+from limbcli.sockets.liner import LINER, Liner, grown, with_liner
 from limbcli.sockets.rectification import Rectification, rectified
 
 TO_TIP = np.array([0.0, 0.0, -1.0])
-PATCH, _LANDMARK = "patch_", "landmark_"
+PATCH, _LANDMARK, _TIBIA = "patch_", "landmark_", "bone_tibia"
 _BELOW_CUT_MM = 20.0  # a socket made from the skin ends this far below the proximal cut
 _HOLE = 0.1  # of a face's extent: a larger hole besides its opening is refused
 _NEAR_CUT_MM = 15.0  # the held cut disturbs the pressures this far
@@ -34,6 +43,8 @@ class LimbInSocket:
 
     face : inner face, normals towards the limb; fit : clearances before donning
     alignment : None where the surface was not moved; words : what the socket is
+    touching : name of the surface that meets the socket: the skin or the liner
+    knee : shear and moment at the knee centre, or None
     """
 
     limb: LimbModel
@@ -44,6 +55,8 @@ class LimbInSocket:
     fit: Clearance
     words: str
     alignment: Alignment | None = None
+    touching: str = "skin"
+    knee: KneeLoad | None = None
 
     def in_lps(self, points: Array) -> Array:
         """Points (n, 3) of the upright frame in patient LPS."""
@@ -77,17 +90,50 @@ def put_together(model: LimbModel, given: SocketInput, writer: StageWriter) -> L
     points = np.unique(facets)
     skin = Triangles(limb.mesh.points[points], np.searchsorted(points, facets).astype(np.int64))
     line = centre_line(skin, TO_TIP)
+    outside = skin if given.liner is None else grown(skin, given.liner.thickness)
     alignment = None
     if given.surface is None:
-        face, words = _from_skin(limb, skin, points, given)
+        face, words = _from_skin(limb, outside, points, given)
     else:
-        face, alignment = _from_file(limb, frame, skin, line, given)
+        face, alignment = _from_file(limb, frame, outside, line, given)
         words = f"inner face of {given.surface.name}"
     where = "[socket]" if given.surface is None else str(given.surface)
     check_around(face, line, where=where)
-    fit = clearance(face, skin, line, where=where)
+    fit = clearance(face, outside, line, where=where)
     _warn_at_cut(limb, face, writer)
-    return LimbInSocket(limb, frame, skin, points, face, fit, words, alignment)
+    touching = "skin"
+    if given.liner is not None:
+        if given.surface is not None:
+            check_room(clearance(face, skin, line, where=where), skin, given.liner.thickness)
+        words += f"; a liner of {given.liner.thickness:g} mm is bonded to the skin"
+        limb, touching = with_liner(limb, Liner(**vars(given.liner))), LINER
+    knee = None if given.knee is None else _knee_load(limb, frame, given.knee)
+    return LimbInSocket(limb, frame, skin, points, face, fit, words, alignment, touching, knee)
+
+
+def _knee_load(limb: LimbModel, frame: LimbFrame, given: KneeInput) -> KneeLoad:
+    """What acts on the socket: the opposite of what the thigh does to the limb."""
+    if given.centre is not None:
+        centre = frame.upright(np.array([given.centre]))[0]
+    else:
+        tibia = limb.mesh.node_sets.get(_TIBIA, np.zeros(0, np.int64))
+        found = knee_centre(limb.mesh.points[tibia], _top(limb)) if len(tibia) else None
+        if found is None:
+            raise CaseError(
+                "the knee centre is not known: the limb shows no upper end of a tibia",
+                where="[socket.knee]", fix="give centre_mm = [x, y, z], mm, patient LPS",
+            )  # fmt: skip
+        centre = found
+    anterior, lateral = -np.eye(3)[1], lateral_of(frame)
+    force = -(given.anterior * anterior + given.lateral * lateral)
+    moment = -(given.about_anterior * anterior + given.about_lateral * lateral)
+    x, y, z = (tuple(map(float, each)) for each in (centre, force, moment))
+    return KneeLoad(x, y, z)  # type: ignore[arg-type]
+
+
+def lateral_of(frame: LimbFrame) -> Array:
+    """Unit vector (3,) of the upright frame towards the lateral side."""
+    return np.asarray(frame.lateral @ np.cross(frame.axis, frame.anterior) * np.eye(3)[0])
 
 
 def _upright(model: LimbModel, frame: LimbFrame) -> LimbModel:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from limbcli.drawing import put_title, save_picture
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
-from limbcli.stages.in_socket.limb_in_socket import LimbInSocket
+from limbcli.stages.in_socket.limb_in_socket import LimbInSocket, lateral_of
 
 _FREE = "#e6e0dc"  # skin without contact
 _UP, _FRONT = np.array([0.0, 0.0, 1.0]), np.array([0.0, -1.0, 0.0])
@@ -31,7 +31,7 @@ def pressure_picture(path: Path, together: LimbInSocket, pressure_kpa: Array, ti
     skin, touching = together.skin, pressure_kpa > 0
     most = float(np.quantile(pressure_kpa[touching], _LARGEST)) if touching.any() else 1.0
     scale = Normalize(0.0, max(most, 1e-3))
-    lateral = together.frame.lateral @ np.cross(together.frame.axis, together.frame.anterior) * np.eye(3)[0]
+    lateral = lateral_of(together.frame)
     figure = Figure(figsize=(14, 6.4), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(1, 5, gridspec_kw={"width_ratios": [1, 1, 1, 1, 2]})

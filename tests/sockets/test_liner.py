@@ -1,0 +1,65 @@
+"""A liner on the skin: one layer of its thickness that conforms to it and resists as its law says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_models import block, top_facets
+from stumps import DOWN, stump
+
+from limbcli.errors import MeshError
+from limbcli.fem.system import System
+from limbcli.meshing.surfaces import Triangles
+from limbcli.model import LimbModel, Mesh, Surface
+from limbcli.sockets.centre_line import centre_line
+from limbcli.sockets.checks import check_room, clearance
+from limbcli.sockets.liner import LINER, Liner, grown, with_liner
+
+SOFT = Liner(thickness=3.0, youngs_modulus=0.3, poisson=0.45)
+
+
+def lined(kind: str) -> LimbModel:
+    base = block(kind, (3, 3, 2), (12.0, 12.0, 6.0), material=SOFT.material)
+    mesh = replace(base.mesh, surfaces={"skin": Surface("skin", top_facets(base))})
+    return with_liner(replace(base, mesh=mesh), SOFT)
+
+
+@pytest.mark.parametrize("kind", ["tet4", "tet10"])
+def test_an_even_strain_of_block_and_liner_has_no_force_inside(kind: str, rng: np.random.Generator) -> None:
+    """Of one law they are one block: the patch test."""
+    model = lined(kind)
+    X = model.mesh.points
+    system = System(model, threads=1)
+    state = system.rest()
+    state = replace(state, u=X @ (0.05 * rng.standard_normal((3, 3))))
+    forces = system.forces(state).nodal
+    inside = (X[:, :2].min(axis=1) > 1e-9) & (X[:, :2].max(axis=1) < 12 - 1e-9)
+    inside &= (X[:, 2] > X[:, 2].min() + 1e-9) & (X[:, 2] < X[:, 2].max() - 1e-9)
+    assert inside.any()
+    np.testing.assert_allclose(forces[inside], 0.0, atol=1e-7 * np.abs(forces).max())
+    assert X[:, 2].max() == pytest.approx(3.0)
+
+
+def test_its_facets_lie_over_the_skins_in_the_same_order() -> None:
+    skin = stump()
+    mesh = Mesh(skin.points, (), {}, {"skin": Surface("skin", {"tri3": skin.faces})})
+    model = with_liner(LimbModel(mesh, {}, ()), SOFT)
+    outer = Triangles(model.mesh.points, model.mesh.surfaces[LINER].facets["tri3"])
+    away = outer.centroids - skin.centroids
+    normal = skin.area_vectors / skin.areas[:, None]
+    assert np.median((away * normal).sum(axis=1)) == pytest.approx(3.0, rel=0.01)
+    with pytest.raises(MeshError, match="would fold"):
+        with_liner(LimbModel(replace(mesh, points=-skin.points), {}, ()), replace(SOFT, thickness=49.0))
+
+
+def test_a_liner_thicker_than_the_gap_is_refused() -> None:
+    skin = stump()
+    wall = grown(skin, 3.0)
+    wall = wall.part(wall.centroids[:, 2] < 110.0).flipped()
+    before = clearance(wall, skin, centre_line(skin, DOWN))
+    check_room(before, skin, 4.0)
+    with pytest.raises(MeshError, match="thicker than the gap") as caught:
+        check_room(before, skin, 8.0)
+    assert caught.value.fix
