@@ -99,7 +99,8 @@ def _obj(path: Path) -> tuple[_Points, list[_Faces]]:
     """
     points: list[list[float]] = []
     polygons: dict[int, list[list[int]]] = {}
-    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+    text = path.read_text(encoding="utf-8", errors="replace")
+    for line in text.replace("\\\n", " ").splitlines():  # a backslash continues a line
         kind, *words = line.split("#")[0].split() or [""]
         if kind == "v":
             points.append([float(each) for each in words[:3]])

@@ -86,6 +86,14 @@ def test_an_obj_without_points_holds_no_triangles(tmp_path):
     assert points.shape == faces.shape == (0, 3)
 
 
+def test_lines_of_obj_that_go_on_are_one(tmp_path: Path) -> None:
+    rows = ["v " + " ".join(map(str, each)) for each in POINTS]
+    rows += ["f " + " \\\n ".join(str(each + 1) for each in face) for face in SIDES + ENDS]
+    (tmp_path / "a.obj").write_text("\n".join(rows))
+    points, faces = read_triangles(tmp_path / "a.obj")
+    assert (len(points), len(faces)) == (8, 12)
+
+
 def stl_text(*, name: str = "", indent: str = "", upper: bool = False) -> str:
     triangles = [[face[0], face[k], face[k + 1]] for face in SIDES + ENDS for k in range(1, len(face) - 1)]
     lines = [f"solid {name}"]
