@@ -12,7 +12,6 @@ from limbcli.case import Case, Site
 from limbcli.case.noting import unnoted
 from limbcli.effects.tissue import TISSUE, limb_axis
 from limbcli.errors import CaseError
-from limbcli.imaging.fibre_map import REACH, read_fibre_map
 from limbcli.meshing.fibre_picture import fibre_picture
 from limbcli.meshing.fibres import ImageAngle, direction_of_angles, mean_axis
 from limbcli.meshing.frame import probe_axis
@@ -94,6 +93,8 @@ def _long_axis(case: Case, orientation: str) -> str | tuple[float, float, float]
 
 
 def _of_map(case: Case, site: Site, model: LimbModel, to_patient: Array, middles: Array) -> SiteFibres:
+    from limbcli.imaging.fibre_map import REACH, read_fibre_map  # nibabel, for these cases alone
+
     path = case.imaging.fibres
     assert path is not None
     fibres = read_fibre_map(path, frame=case.imaging.fibre_frame or "ras")
