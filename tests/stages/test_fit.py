@@ -297,7 +297,7 @@ def test_forces_too_low_for_the_speed_do_not_pass_as_a_good_fit(tmp_path, forces
     """As in another unit: tissue without resistance to a change of volume fits them, which no tissue is."""
     low = forces * (1.0 / forces[-1])
     case = block.make_case(tmp_path / "case", tmp_path / "out", DEPTHS, low, c=TRUTH["c"])
-    options = FitOptions(intervals=False, gain_deviation=0.05, contact_check=False, boundary_check=False)
+    options = FitOptions(max_interval_solves=3, gain_deviation=0.05)
     found = fit(case, out=tmp_path / "out", solver="reference", options=options)[0]
     assert found.data["agreement"]["state"] == "bad"
     assert found.summary[0].startswith("bad: the forces are too low for the shear-wave speed at rest")

@@ -17,6 +17,7 @@ from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
 from limbcli.fem.analysis import Analysis
 from limbcli.meshing.surfaces import Triangles, read_surface
+from limbcli.meshing.whole_limb import LimbMesh, limb_mesh
 from limbcli.model import Curve, ElementMap, Step, Support
 from limbcli.model_io import load_model
 from limbcli.results import read_result
@@ -27,6 +28,7 @@ from limbcli.stages.limb_field.site_results import LimbReadings
 from limbcli.stages.segment import segment
 from limbcli.stiffness_field import Interval, SiteReading, limb_coordinates, stiffness_field
 from limbcli.surface_formats.aop import read_aop_limb
+from tests.benchmarks.drawn_sites import lighter
 from tests.meshing.stump import stump
 
 pytestmark = pytest.mark.slow
@@ -65,11 +67,23 @@ def write_case(folder: Path, surfaces=None, more: str = "") -> Case:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def meshes() -> list[LimbMesh]:
+    """Of `made`, for tests that ask no more of a mesh."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory, meshes):
+    def meshed(*given, **options):
+        meshes.append(limb_mesh(*given, **options))
+        return meshes[-1]
+
     folder = tmp_path_factory.mktemp("limb")
     case = write_case(folder / "case")
     segment(case, out=folder / "out")
-    return case, folder / "out", limb(case, out=folder / "out", options=OPTIONS)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stage, "limb_mesh", meshed)
+        return case, folder / "out", limb(case, out=folder / "out", options=OPTIONS)
 
 
 @pytest.mark.drawn
@@ -144,11 +158,12 @@ def with_field(monkeypatch, c_of: dict[str, float]) -> None:
     monkeypatch.setattr(stage, "case_field", field_of)
 
 
-def test_elements_have_the_values_of_the_field_and_a_draw_its_own_model(made, tmp_path, monkeypatch):
+def test_elements_have_the_values_of_the_field_and_a_draw_its_own_model(made, meshes, tmp_path, monkeypatch):
     case, out, _ = made
     shutil.copytree(out / "segment", tmp_path / "segment")
     with_field(monkeypatch, {"p1": 0.004, "p2": 0.012})
-    found = limb(case, out=tmp_path, options=LimbOptions(nodes=4_000, draws=(3,)))
+    monkeypatch.setattr(stage, "limb_mesh", lambda *_, **__: meshes[0])
+    found = limb(case, out=tmp_path, options=LimbOptions(nodes=5_000, draws=(3,)))
     grid = meshio.read(found.path("mesh"))
     c, low, high, label = (grid.cell_data[name][0] for name in ("c_kpa", "c_low_kpa", "c_high_kpa", "label"))
     middle = grid.points[grid.cells[0].data[:, :4]].mean(axis=1)
@@ -168,7 +183,7 @@ def test_elements_have_the_values_of_the_field_and_a_draw_its_own_model(made, tm
     assert "site p2: c = 12 kPa, from fit" in found.path("readme").read_text()
     assert any("identified" in line for line in found.summary)
     with pytest.raises(CaseError, match="draw 50 cannot be written: there are draws 0 to 49"):
-        limb(case, out=tmp_path, options=LimbOptions(nodes=4_000, draws=(3, 50)))
+        limb(case, out=tmp_path, options=LimbOptions(nodes=5_000, draws=(3, 50)))
 
 
 def test_one_stiffness_for_all_has_no_draws(made, tmp_path):
@@ -246,11 +261,11 @@ def test_a_bone_through_the_skin_is_refused(tmp_path):
 
 
 def test_the_mean_limb_of_openlimb(shared: Path, tmp_path: Path):
-    """A transtibial limb with all four bones: every patch is there, and the mesh is sound."""
+    """A transtibial limb with all four bones, coarser: every patch is there, and the mesh is sound."""
     path = shared / "data" / "openlimb" / "Mean_Limb_Shape.stl"
     if not path.is_file():
         pytest.skip(f"needs {path}")
-    surface = read_surface(path)
+    surface = lighter(read_surface(path), 10_000)
     (tmp_path / "case").mkdir()
     in_mm = meshio.Mesh(surface.points * 380.0, [("triangle", surface.faces.astype(np.int32))])
     in_mm.write(tmp_path / "case" / "limb.ply")
@@ -271,7 +286,8 @@ def test_the_leg_of_the_visible_human(shared: Path, tmp_path: Path):
     if not folder.is_dir():
         pytest.skip(f"needs {folder}")
     names = {"skin": "skin_leg_5p0_mm", **{f"bone_{n}": n for n in ("femur", "tibia", "fibula", "patella")}}
-    surfaces = {name: read_surface(folder / f"VHF_right_{file}.obj") for name, file in names.items()}
+    whole = {name: read_surface(folder / f"VHF_right_{file}.obj") for name, file in names.items()}
+    surfaces = {name: lighter(each, 6_000 if name == "skin" else 1_500) for name, each in whole.items()}
     case = write_case(tmp_path / "case", surfaces)
     segment(case, out=tmp_path / "out")
     with pytest.raises(CaseError, match="cut at both ends"):
