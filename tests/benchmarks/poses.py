@@ -1,4 +1,4 @@
-"""c and m of one reading on the same limb in other poses: what meshing anew changes, against the stated error.
+"""c and m of one reading on the same limb in other poses: what another mesh changes, and the stated error.
 
     python -m tests.benchmarks.poses [--element tet4|tet10] [--poses NAME ...] [--size-mm 5] [--far-mm 8]
 
@@ -90,7 +90,7 @@ def main() -> None:
         for k, pose in enumerate(options.poses):
             model = model_of(pose, options.element, sizes)
             found = fitted(model, forces, speeds, Path(scratch) / str(k))
-            cells = [f"{100 * each:.1f}" for name in ("c", "m") for each in change(found, own, name)]
+            cells = [f"{100 * each:.1f}" for name in ("c_kpa", "m") for each in change(found, own, name)]
             print(f"| {options.element} | {pose} | {' | '.join(cells)} |", flush=True)
 
 

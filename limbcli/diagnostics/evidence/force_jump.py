@@ -34,8 +34,8 @@ class ForceJump:
         """
         return (
             f"Or the zero of the load cell jumped by about {self.size:.1g} N between levels "
-            f"{self.level - 1} and {self.level}, which explains the readings as well. If the cell was tared anew "
-            "there, correct the later forces, or measure again."
+            f"{self.level - 1} and {self.level}, which explains the readings as well. If the cell was tared "
+            "anew there, correct the later forces, or measure again."
         )
 
 
