@@ -177,6 +177,10 @@ class StageWriter:
         link["files"].update({name: known.get(name) for name in files})
         link["data"].update({key: result.value(key) for key in data})
 
+    def without_result(self, stage: str, site: str | None) -> None:
+        """Record that an earlier result which would have been used does not exist."""
+        self.made_from.setdefault("absent", {})[f"{stage} {site}" if site else stage] = True
+
     def _refuse_changed(self) -> None:
         """Refuse a result of inputs that another program changed in the meantime: it may be of both."""
         for label, path in self._paths.items():

@@ -10,6 +10,7 @@ import gzip
 import io
 import lzma
 import struct
+import tokenize
 import zipfile
 import zlib
 from pathlib import Path
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 MOST_UNPACKED = 2_500_000_000
 DAMAGED = (
     OSError, EOFError, ValueError, KeyError, RuntimeError, NotImplementedError, zlib.error, lzma.LZMAError,
-    struct.error, zipfile.BadZipFile,
+    struct.error, zipfile.BadZipFile, tokenize.TokenError, SyntaxError,  # the latter by headers of .npy
 )  # fmt: skip
 _CHUNK = 1 << 20
 

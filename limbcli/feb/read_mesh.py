@@ -311,7 +311,7 @@ def _surfaces(tag: Tag, node_table: IntArray) -> dict[str, Surface]:
             try:
                 ids = np.array(",".join(texts).split(","), dtype=np.int64)
                 cells = ids.reshape(len(texts), NODES_PER_CELL[kind])
-            except ValueError as error:
+            except (ValueError, OverflowError) as error:
                 raise each.problem(
                     f"its {kind} rows cannot be read", fix="give node ids between commas"
                 ) from error

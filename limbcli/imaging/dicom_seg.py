@@ -52,13 +52,13 @@ def read_dicom_seg(path: Path) -> NamedMasks:
         dataset = read_dicom(path)
     except DICOM_DAMAGED as error:
         raise CaseError("the label map is not a DICOM file", where=str(path), fix=_FIX) from error
-    if str(dataset.get("Modality", "")) != "SEG":
-        raise CaseError(
-            f"the DICOM file's Modality (0008,0060) is {dataset.get('Modality', 'absent')}, not SEG",
-            where=str(path),
-            fix="[imaging] labels takes a DICOM SEG; an image series belongs in [imaging] mri",
-        )
     try:
+        if str(dataset.get("Modality", "")) != "SEG":
+            raise CaseError(
+                f"the DICOM file's Modality (0008,0060) is {dataset.get('Modality', 'absent')}, not SEG",
+                where=str(path),
+                fix="[imaging] labels takes a DICOM SEG; an image series belongs in [imaging] mri",
+            )
         return _masks(dataset, path)
     except DICOM_DAMAGED as error:
         raise CaseError(

@@ -165,6 +165,14 @@ def check_order(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
             )
             problems.append(problem(what, path, f"{fix}since level 0", line=lines[0]))
             continue
+        if sign > 0 and len(rows) >= FEWEST_LOADING and _falls(force, depth):
+            what = (
+                f"force_n falls from {force[0]:g} N to {force[-1]:g} N over the levels of loading "
+                f"(lines {lines[0]} to {lines[-1]})"
+            )
+            fix = f"are they in reverse order, or those of unloading? Write the {_AGAIN}"
+            problems.append(problem(what, path, fix, line=lines[0]))
+            continue
         for k in range(1, len(rows)):
             place = f"line {lines[k - 1]} to {lines[k]}"
             if force[k] == force[k - 1] and depth[k] == depth[k - 1]:
@@ -192,6 +200,18 @@ def check_order(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
                 what += f"({place}, phase {phase})"
                 problems.append(problem(what, path, fix, line=lines[k], warning=True))
     return problems
+
+
+def _falls(force: Array, depth: Array) -> bool:
+    """Whether levels of loading end at less than they began with.
+
+    >>> _falls(np.array([2.0, 1.2, 0.4]), np.array([4.0, 2.0, 1.0]))
+    True
+    >>> _falls(np.array([0.0, 2.0, 1.5]), np.arange(3))
+    False
+    """
+    steadily = (np.diff(force) < 0).all() and depth[-1] < depth[0]
+    return bool(steadily or force[-1] < force[0] - _TOLERATED_FORCE_DROP)
 
 
 def _runs_backwards(force: Array, depth: Array) -> bool:

@@ -168,7 +168,8 @@ class CaseRun:
         requested = self._requested("report", None, without=("templates",) if self.options.templates else ())
         templates = self.options.templates or path_of(requested.get("templates"))
         own = [templates] if templates else []
-        everything = key_of(first, *keys, *made, *self._records(), failed, *own)
+        shown = self.case.raw  # also what no stage asks for, such as the name of the probe
+        everything = key_of(first, *keys, *made, *self._records(), shown, failed, *own)
 
         def work() -> object:
             return report(self.case, templates=templates, **self._common())

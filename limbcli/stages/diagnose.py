@@ -22,6 +22,7 @@ from limbcli.diagnostics import decisions
 from limbcli.diagnostics.conclusions.sentences import sentences
 from limbcli.diagnostics.conclusions.verdict import Diagnosis
 from limbcli.diagnostics.engine import diagnose as diagnose_bench
+from limbcli.diagnostics.evidence.force_jump import force_jump
 from limbcli.diagnostics.model.forward_model import Explanation
 from limbcli.effects import EFFECTS, Effect, effect
 from limbcli.effects.base import NUMERICAL
@@ -254,6 +255,9 @@ def _content(
     moved = ", ".join(each.name for each in matter if each.name != "locking")
     lines = sentences(found)
     lines[1:1] = [_locked(each) for each in matter if each.name == "locking"]
+    jump = force_jump(forward_model.data, found.base, explained=found.shrink[0].chi2 - found.shrink[-1].chi2)
+    if jump is not None and found.verdict != "adequate":
+        lines.insert(1, jump.sentence)
     if moved:
         lines.insert(2, f"Numerical uncertainty counted as noise: {moved} (see `numerical`).")
     return {
@@ -267,6 +271,7 @@ def _content(
         "f_kappa_held_at": F_KAPPA,
         "not_simulated": sorted(forward_model.not_simulated),
         "solved_in_part_mm": mine.simulations.in_part,
+        "force_jump": None if jump is None else {"size_n": jump.size, "level": jump.level},
         "drainage": mine.notes.data.get("drainage"),
         "sentences": lines,
     }  # fmt: skip

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import zipfile
 from pathlib import Path
@@ -19,6 +20,7 @@ from hypothesis import strategies as st
 from limbcli.case import read_case
 from limbcli.errors import CaseError, LimbError, MeasurementError, MeshError, SolveError
 from limbcli.feb.log import read_log
+from limbcli.feb.read import read_feb
 from limbcli.feb.records import read_records
 from limbcli.imaging.dicom import read_series
 from limbcli.imaging.label_files import read_label_file
@@ -242,3 +244,42 @@ def test_a_picture_with_a_broken_chunk_is_refused(tmp_path: Path, at: int) -> No
     content = path.read_bytes()
     path.write_bytes(content[:at] + b"\xff" * 6 + content[at + 6 :])
     refused(lambda each: read_image(each, mm_per_pixel=0.1), path, MeasurementError)
+
+
+def made(name: str, folder: Path) -> Path:
+    """The good file of a kind of input."""
+    target = next(each for each in TARGETS if each.name == name)
+    target.make(folder)
+    return folder / target.file
+
+
+def test_a_facet_with_a_node_number_beyond_all_is_refused(tmp_path: Path) -> None:
+    path = made(".feb", tmp_path)
+    text = path.read_text()
+    before, found, rows = text.partition("<Surface ")
+    assert found
+    path.write_text(before + found + re.sub(r">(\s*\d+)\s*,", f">{10**30},", rows, count=1))
+    refused(read_feb, path, CaseError)
+
+
+def test_an_array_whose_header_ends_early_is_refused(tmp_path: Path) -> None:
+    """What numpy's reader of such a header raises is no ValueError."""
+    path = made("model.npz", tmp_path)
+    header = b"{'descr': '<f8', 'shape': ("
+    with zipfile.ZipFile(path) as packed:
+        parts = {each: packed.read(each) for each in packed.namelist()}
+    first = next(iter(parts))
+    parts[first] = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header
+    with zipfile.ZipFile(path, "w") as packed:
+        for name, content in parts.items():
+            packed.writestr(name, content)
+    refused(load_model, path, LimbError)
+
+
+def test_a_segmentation_whose_modality_cannot_be_read_is_refused(tmp_path: Path) -> None:
+    path = made("DICOM SEG", tmp_path)
+    content = path.read_bytes()
+    modality = b"\x08\x00\x60\x00CS"
+    assert content.count(modality) == 1
+    path.write_bytes(content.replace(modality, b"\x08\x00\x60\x00CR"))
+    refused(read_label_file, path, CaseError)

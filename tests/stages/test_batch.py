@@ -5,25 +5,28 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
 from limbcli.case import Case
 from limbcli.errors import CaseError, MeshError
-from limbcli.results import open_stage, read_result
+from limbcli.results import StageWriter, open_stage, read_result
 from limbcli.stages import batch as module
 from limbcli.stages import diagnose, fit_elements, fit_joint
 from limbcli.stages.batch import BatchOptions, batch
 from limbcli.stages.build_feb import TissueOptions
 from limbcli.stages.fit import FitOptions
 from limbcli.stages.limb import LimbOptions
+from limbcli.stages.provenance.chain_inputs import noted
 from limbcli.stages.provenance.requested_options import requested_by_options
 from limbcli.stages.run import RunOptions
 from limbcli.stages.socket import SocketOptions
 from tests.case.test_case_text import two_sites
 
 STAGES = ("mesh", "build-feb", "run", "fit")
+BEFORE = {"mesh": "", "build-feb": "mesh"}
 OPTIONS = {
     each.__name__: each for each in (FitOptions, TissueOptions, RunOptions, LimbOptions, SocketOptions)
 }
@@ -36,14 +39,30 @@ def _options_of(options, given: dict) -> dict:
     return {**own, **{k: v for k, v in given.items() if k not in ("progress", "solver", "febio") and v}}
 
 
+def ask(case: Case, writer: StageWriter, out: Path, sites: Sequence[str] = ()) -> None:
+    """What a stage of this name asks of its case and of the stage before it."""
+    own, stage = noted(case, writer), writer.stage
+    if stage == "segment":
+        assert own.imaging.mri
+    for each in map(own.site, filter(None, [writer.site, *sites])):
+        if stage == "mesh":
+            asked = [own.probe, each.position, each.long_axis, each.layers]
+            assert asked + ([] if each.fibres.given else [own.imaging.fibres])
+        else:
+            assert each.levels
+        if stage.startswith("fit"):
+            assert each.noise
+        before = "fit" if stage == "diagnose" else BEFORE.get(stage, "build-feb")
+        if before and (out / before / each.name / f"{before}.json").is_file():
+            writer.used_result(read_result(out, before, site=each.name), files=["text"])
+
+
 def by_hand(case: Path, out: Path, stage: str, site: str | None = "p1", **requested) -> None:
     """A stage's result as its own command leaves it."""
     with open_stage(out, stage, subject="S1", site=site) as writer:
         writer.file("text", "a.txt").write_text(f"by hand {requested}")
         writer.data["asked"] = requested
-        if stage == "fit":
-            writer.used("model", out / "build-feb" / "p1" / "model.feb")
-            writer.used("levels", Case.open(case).site("p1").levels)
+        ask(Case.open(case), writer, out)
 
 
 @pytest.fixture
@@ -66,6 +85,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
                 with open_stage(out, stage, subject=case.subject, site=site) as writer:
                     name = {"report": "report.html", "build-feb": "model.feb"}.get(stage, "a.txt")
                     writer.file("text", name).write_text((case.folder / "p1.csv").read_text())
+                    ask(case, writer, out)
 
         return work
 
@@ -150,7 +170,7 @@ def test_what_a_mesh_is_not_made_from_redoes_none(tmp_path: Path, calls: list[st
     (case / "case.toml").write_text(text.replace("GE 9L", "GE 9L-D"))
     batch(case, out=out)
     assert calls == ["report"]
-    for more, first in (("[site.noise]\nforce_n = 0.2\n", "build-feb"), ("marker = 1\n", "mesh")):
+    for more, first in (("[site.noise]\nforce_n = 0.2\n", "fit"), ("marker = 1\n", "mesh")):
         calls.clear()
         changed = text.rpartition("position_mm")[0] + 'long_axis = "axial"\nlevels = "p2.csv"\n'
         (case / "case.toml").write_text(changed + more if first == "mesh" else text + more)
@@ -314,12 +334,8 @@ def on_demand(tmp_path: Path, calls: list[str], monkeypatch: pytest.MonkeyPatch)
     requested: list[dict] = []
 
     def leave(stage: str, site: str | None, data: dict, sites: tuple[str, ...]) -> None:
-        opened = Case.open(case)
         with open_stage(out, stage, subject="S1", site=site) as writer:
-            for name in sites:
-                label = f"{name}/" if site is None else ""
-                writer.used(f"{label}model", out / "build-feb" / name / "model.feb")
-                writer.used(f"{label}levels", opened.site(name).levels)
+            ask(Case.open(case), writer, out, sites)
             writer.data.update(data)
 
     def joint(case: Case, *, out: Path, sites, joint, options, **_) -> None:
@@ -496,7 +512,7 @@ def test_a_fit_by_hand_of_another_model_or_from_before_a_mesh_study_is_made_agai
 ):
     case, out = two_sites(tmp_path / "case"), tmp_path / "out"
     batch(case, out=out)
-    (out / "build-feb" / "p1" / "model.feb").write_text("another")
+    by_hand(case, out, "build-feb", f_kappa=50.0)
     by_hand(case, out, "fit")
     calls.clear()
     batch(case, out=out)

@@ -200,8 +200,9 @@ def test_a_diagnosis_rests_on_all_sites_of_its_place_and_is_made_again_with_them
 
 def test_an_error_is_that_of_the_site_at_which_it_happened(tmp_path, monkeypatch):
     """Whatever its text names: here a file of p10 beside p1."""
-    case = Case.open(two_sites(tmp_path / "case"))
-    group = [replace(case.sites[0], name=name) for name in ("p1", "p10")]
+    toml = two_sites(tmp_path / "case") / "case.toml"
+    toml.write_text(toml.read_text().replace('name = "p2"', 'name = "p10"'))
+    case = Case.open(toml.parent)
 
     def failing_at(name: str):
         def prepare(case, site, effects, **_):
@@ -215,7 +216,7 @@ def test_an_error_is_that_of_the_site_at_which_it_happened(tmp_path, monkeypatch
         raise FitError("no fit", where="p10/levels.csv", fix="none")
 
     monkeypatch.setattr("limbcli.stages.diagnose.check_earlier", lambda *_: None)
-    monkeypatch.setattr("limbcli.stages.diagnose.places", lambda *_, **__: [group])
+    monkeypatch.setattr("limbcli.stages.diagnose.places", lambda *_, **__: [case.sites])
     monkeypatch.setattr("limbcli.stages.diagnose.SiteForwardModel", refuse)
     for failing, site in (("p1", "p1"), ("p10", "p10"), ("none", "p1 + p10")):
         monkeypatch.setattr("limbcli.stages.diagnose.prepare", failing_at(failing))

@@ -59,6 +59,7 @@ def site_results(case: Case, chain: Chain, writer: StageWriter | None = None) ->
         mesh = chain.present("mesh", site=site.name)
         if mesh is None:
             found.left_out[site.name] = "it is not meshed"
+            _note_absent(writer, "mesh", site)
             continue
         try:
             _add(found, site, mesh, chain, writer)
@@ -76,6 +77,9 @@ def _add(
 ) -> None:
     frame = mesh.data["frame"]
     fit, diagnosis = (chain.present(stage, site=site.name) for stage in ("fit", "diagnose"))
+    for stage, result in (("fit", fit), ("diagnose", diagnosis)):
+        if result is None:
+            _note_absent(writer, stage, site)
     added = list(diagnosis.data["added"]) if diagnosis is not None else []
     used = diagnosis if diagnosis is not None and (added or fit is None) else fit
     if used is not None:
@@ -99,6 +103,11 @@ def _add(
             found.maps.append(read)
     elif used is None:
         found.left_out[site.name] = "it is neither fitted nor diagnosed, and has no maps"
+
+
+def _note_absent(writer: StageWriter | None, stage: str, site: Site) -> None:
+    if writer is not None:
+        writer.without_result(stage, site.name)
 
 
 def site_length(mesh: StageResult) -> float:

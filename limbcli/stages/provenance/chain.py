@@ -17,7 +17,7 @@ from limbcli.atomic_files import sha256
 from limbcli.case import Case, Site
 from limbcli.case.noting import unnoted
 from limbcli.errors import CaseError
-from limbcli.results import StageResult, StageWriter, plain, read_result, stage_folder
+from limbcli.results import UNLIKE_OURS, StageResult, StageWriter, plain, read_result, stage_folder
 from limbcli.stages.provenance.chain_inputs import SITES, in_words, input_path, is_unchanged
 from limbcli.stages.provenance.commands import CommandStep, commands
 from limbcli.version import __version__
@@ -101,8 +101,11 @@ class Chain:
             by = f"limbcli {made['version']}" if made["version"] else "an earlier limbcli"
             what = f"the result of `{found.label}` was made by {by}, this is {__version__}"
             return BrokenLink(what, str(found.folder), (own,))
-        changed = next(self._changes(found, made, about), None)
-        return None if changed is None else BrokenLink(*changed, (own,))
+        try:
+            changed = next(self._changes(found, made, about), None)
+        except UNLIKE_OURS as error:
+            changed = f"the record of what `{found.label}` was made from cannot be read ({error})", ""
+        return None if changed is None else BrokenLink(changed[0], changed[1] or str(found.folder), (own,))
 
     def _broken_at(self, label: str, link: Mapping[str, Any]) -> BrokenLink | None:
         upstream = self._read(*_named(label))
@@ -139,6 +142,11 @@ class Chain:
             upstream = _read_named(self.out, label)
             for name in _unlike(link, upstream):
                 yield f"the result of `{label}` ({name}) {after}", str(upstream.folder)
+        for label in made.get("absent", {}):
+            stage, site = _named(label)
+            folder = stage_folder(self.out, stage, site)
+            if (folder / f"{stage}.json").is_file():
+                yield f"the result of `{label}` was made after `{found.label}`, which uses it", str(folder)
         for name, digest in found.provenance.get("files_sha256", {}).items():
             path = found.path(name)
             if not path.exists():
@@ -221,6 +229,8 @@ def note_earlier(out: Path, site: Site, writer: StageWriter) -> None:
         if (stage_folder(out, stage, of) / f"{stage}.json").is_file():
             found = read_result(out, stage, site=of)
             writer.used_result(found, files=[name for name in found.files if name.startswith(names)])
+        elif stage == "mesh":  # to which a diagnosis corrects its own
+            writer.without_result(stage, of)
 
 
 _EARLIER = {"segment": ("skin", "bone"), "mesh": ("model",), "build-feb": ("feb",), "run": ("force_depth",)}
