@@ -270,10 +270,16 @@ class _Line:
             damped = self.curvature[np.ix_(free, free)] + damping * np.diag(scale[free] ** 2)
             right = -self.gradient[free] - self.curvature[np.ix_(free, ~free)] @ step[~free]
             step[free] = np.linalg.lstsq(damped, right, rcond=None)[0]
-            crossing = free & ((step < self.low) | (step > self.high))
-            step = np.clip(step, self.low, self.high)
-            free = free & ~crossing
-            if not crossing.any() or not free.any():
+            limit = np.where(step < 0.0, self.low, self.high)
+            beyond = np.where(free, np.abs(step) - np.abs(limit), 0.0)
+            if not (beyond > 0.0).any():
+                break
+            # one at a time, the first that is met: nearly collinear parameters cross together, and the corner
+            # where all are held may lie higher
+            with np.errstate(divide="ignore", invalid="ignore"):
+                first = int(np.argmax(np.where(beyond > 0.0, np.abs(step) / np.abs(limit), 0.0)))
+            step[first], free[first] = limit[first], False
+            if not free.any():
                 break
         return step
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, lsq_linear
 
 from limbcli.errors import FitError, SolveError
 from limbcli.inference.levenberg_marquardt import levenberg_marquardt
@@ -123,3 +123,19 @@ def test_a_derivative_is_asked_for_only_at_accepted_points(rng):
 def test_a_start_value_outside_its_bounds_is_an_error():
     with pytest.raises(FitError, match="outside"):
         FitParameter("m", start=0.5, low=1.0, high=100.0)
+
+
+def test_nearly_collinear_parameters_do_not_stop_in_a_corner_of_their_bounds(rng):
+    """Their steps cross two bounds at once; the least cost lies on one of them."""
+    way = np.linspace(1.0, 2.0, 5)
+    for _ in range(30):
+        design = np.column_stack([way, way + 0.3 * rng.standard_normal(5)])
+        data = design @ rng.uniform(-5.0, 8.0, 2) + 0.1 * rng.standard_normal(5)
+
+        def objective(theta, derivative=True, design=design, data=data):
+            return Residual(design @ theta - data, design)
+
+        parameters = [FitParameter(name, 1.0, 0.5, 2.5) for name in ("a", "b")]
+        fit = levenberg_marquardt(objective, parameters, tolerance=1e-8, must_settle=False)
+        expected = 2.0 * lsq_linear(design, data, (0.5, 2.5)).cost
+        assert fit.cost == pytest.approx(expected, rel=1e-4)

@@ -29,7 +29,6 @@ _MOST_RESTLESS = 3  # number of failed relaxations per load step after which non
 _FAR_OUT = 3.0  # relative residual of an initial guess above which an increment is shortened without a try
 _FAR_OFF = 0.5  # the same for a guess from an earlier solve
 _FAR_OFF_ROUGH = 10.0  # the same for a guess from another mesh
-_APART = 1e-6  # difference of prescribed displacements that counts, as a fraction of the largest displacement
 _WARY = 5  # number of increments after a cut during which they do not grow
 _EASY = 4  # Newton iterations up to which an increment counts as easy, so that the next may be longer
 
@@ -259,7 +258,7 @@ class LoadStepping:
         """
         system, reached = self._newton.system, self._reached
         if known is not None:
-            guesses = [self._led_by(known, time)]
+            guesses = [system.prescribed(known, time)]
             if self._known is not None and len(reached) > 1 and reached[-1].time == self._known.time:
                 guesses.append(system.prescribed(continued(system, reached[-1], self._known, known), time))
         else:
@@ -276,20 +275,6 @@ class LoadStepping:
                 reached[-1], self._tried, load_step, 0, "the step is too long for a first guess"
             )
         return guess, forces
-
-    def _led_by(self, known: State, time: float) -> State:
-        """The state of an earlier solve with this model's prescribed displacements.
-
-        Where they differ from those of the earlier solve, as with other supports, the difference is spread
-        over the tissue: at the supports alone it would squeeze their elements.
-        """
-        system = self._newton.system
-        guess = system.prescribed(known, time)
-        apart = np.abs(guess.u - known.u).max(initial=0.0)
-        if isinstance(known, RoughState) or apart <= _APART * np.abs(known.u).max(initial=0.0):
-            return guess
-        system.recall(known.hints)
-        return self._newton.predict(known, time)
 
     def _best(self, guesses: list[State], time: float) -> tuple[float, State | None, Forces | None]:
         """The guess with the smallest error among those without inverted cells; its error and forces.
