@@ -6,13 +6,15 @@ into contact within a step slips. See `friction_kernels` for the law.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from limbcli.fem.contacts import friction_kernels
 from limbcli.fem.contacts.contact_points import FACET, GAP, TRACTION
+from limbcli.fem.contacts.friction_kernels import APART, PUSH, STICKS
 from limbcli.fem.contacts.pairs import Pair
 from limbcli.fem.motion.rigid import AT_REST, Body, BodyState
 from limbcli.model import Array
@@ -25,15 +27,16 @@ class FrictionPair(Pair):
     rigid : the body on the rigid side
     was, now : its position at the last converged step, and at the last search
     before : per patch, the state of its points at the last converged step (see `friction_kernels`)
-    carried : per patch, the multipliers (n_facets, n_gauss, 4) of its points: those of the vector T, and that
-        of the pressure; 0 unless augmented
+    pulls : per patch, the vector multipliers (n_facets, n_gauss, 3) of augmented contact
+    is_frozen : which points stick was decided before the first augmentation of a load step, as in FEBio
     """
 
     rigid: Body
     was: BodyState = AT_REST
     now: BodyState = AT_REST
     before: list[Array] = field(default_factory=list)
-    carried: list[Array] = field(default_factory=list)
+    pulls: list[Array] = field(default_factory=list)
+    is_frozen: bool = False
 
     def __post_init__(self) -> None:
         for patch in self.patches:
@@ -43,7 +46,7 @@ class FrictionPair(Pair):
         self.before = [np.zeros((*p.state.shape[:2], friction_kernels.N_BEFORE)) for p in self.patches]
         for each in self.before:
             each[..., friction_kernels.HELD] = -1
-        self.carried = [np.zeros((*p.state.shape[:2], 4)) for p in self.patches]
+        self.pulls = [np.zeros((*p.state.shape[:2], 3)) for p in self.patches]
 
     @property
     def mu(self) -> float:
@@ -66,48 +69,60 @@ class FrictionPair(Pair):
     def forget(self) -> None:
         super().forget()
         self.was = self.now = AT_REST
-        for carried in self.carried:
-            carried[:] = 0.0
         for each in self.before:
             each[..., friction_kernels.HELD] = -1
+        for pull in self.pulls:
+            pull[:] = 0.0
+
+    def multipliers(self) -> list[tuple[Array, ...]]:
+        return [(p.multiplier.copy(), pull.copy()) for p, pull in zip(self.patches, self.pulls, strict=True)]
+
+    def set_multipliers(self, found: Sequence[tuple[Array, ...]]) -> None:
+        super().set_multipliers(found)
+        self.pulls = [pull.copy() for _, pull in found]
+
+    @contextmanager
+    def as_found(self) -> Iterator[None]:
+        """What sticks is not decided anew: an equilibrium found with multipliers of its own may be near the limit."""
+        self.is_frozen = bool(self.used)
+        with super().as_found():
+            yield
+        self.is_frozen = False
+
+    def end_augmentation(self) -> None:
+        self.is_frozen = False
+
+    def _augment(self) -> None:
+        for p, pull in zip(self.patches, self.pulls, strict=True):
+            touches = p.state[..., TRACTION] > 0
+            p.multiplier = p.state[..., TRACTION].copy()
+            pull[:] = np.where(touches[..., None], p.state[..., PUSH : PUSH + 3], 0.0)
+        self.is_frozen = True
+
+    def _sum_of_squares(self) -> float:
+        total = 0.0
+        for p, pull in zip(self.patches, self.pulls, strict=True):
+            squares = np.where(p.state[..., STICKS] > 0, (pull**2).sum(axis=-1), p.multiplier**2)
+            total += float(squares.sum())
+        return total
+
+    def _largest_gap(self) -> float:
+        """Of sticking points their distance from the anchor."""
+        largest = 0.0
+        for p in self.patches:
+            sticks, touches = p.state[..., STICKS] > 0, p.state[..., TRACTION] > 0
+            apart = np.where(sticks, p.state[..., APART], abs(p.state[..., GAP]))
+            largest = max(largest, float(apart[touches].max(initial=0.0)))
+        return largest
 
     def search(self, x: Array, at: BodyState) -> int:
         count = super().search(x, at)
         self.now = at
-        for p, before, carried in zip(self.patches, self.before, self.carried, strict=True):
+        for p, before, pull in zip(self.patches, self.before, self.pulls, strict=True):
             friction_kernels.resist(
-                x, p.facets, p.N, p.dN, p.eps, self.mu, carried, before, self.move, p.state
-            )  # fmt: skip
+                x, p.facets, p.N, p.dN, p.eps, self.mu, before, self.move, pull, self.is_frozen, p.state
+            )
         return count
-
-    def multipliers(self) -> list[Array]:
-        """Per patch, a copy of `carried`, MPa."""
-        return [each.copy() for each in self.carried]
-
-    def set_multipliers(self, values: Sequence[Array]) -> None:
-        self.carried = [each.copy() for each in values]
-        super().set_multipliers([each[..., 3] for each in values])
-
-    def tractions(self) -> list[Array]:
-        first = friction_kernels.PUSH
-        found = []
-        for p in self.patches:
-            pressure = p.state[..., TRACTION, None]
-            pushes = np.where(pressure > 0, p.state[..., first : first + 3], 0.0)
-            found.append(np.concatenate([pushes, pressure], axis=2))
-        return found
-
-    def largest_gap(self) -> float:
-        most = 0.0
-        for p, push, carried in zip(self.patches, self.tractions(), self.carried, strict=True):
-            sticks = p.state[..., friction_kernels.STICKS] > 0
-            slips = (p.state[..., TRACTION] > 0) & ~sticks
-            apart = np.linalg.norm((push - carried)[..., :3], axis=2) / p.eps[:, None]
-            most = max(
-                most, float(apart[sticks].max(initial=0.0)),
-                float(abs(p.state[slips, GAP]).max(initial=0.0)),
-            )  # fmt: skip
-        return most
 
     def force(self, center: Array, out: Array, body: Array) -> None:
         for p in self.patches:

@@ -4,11 +4,11 @@ For every integration point of the soft facets, position, tangents and contact p
 anchor, which moves with the body) are stored at the last converged step. With d = r - anchor in the current
 configuration, and the normal pressure p = eps g of frictionless contact:
 
-    stick   T = L + eps d              where T.nu > 0 and |T - (T.nu) nu| < mu T.nu
+    stick   T = eps d                  where T.nu > 0 and |T - (T.nu) nu| < mu T.nu
     slip    T = p (nu + mu s)          otherwise, and if the point has no anchor
     s = y/max(|y|, mu g),  y = (1 - nu nu)(dx1 - dx2 - g c),  c = (1 - nu nu) m/|n|,  m = dg1 x g2 + g1 x dg2
 
-L is the vector multiplier of an augmented contact, else 0; there p = L.nu + eps g. T is the traction exerted by the skin, per current area; dx1, dx2, dg1, dg2 are the changes since the last
+T is the traction exerted by the skin, per current area; dx1, dx2, dg1, dg2 are the changes since the last
 converged step of the point, of the material point of the rigid body now opposite to it, and of the tangents.
 FEBio uses s = y/|y|, which is discontinuous where a point that has just come into contact reverses; here a
 slip shorter than mu g is resisted by the same penalty as a sticking point.
@@ -18,9 +18,15 @@ alternate between stick and slip. Far from equilibrium the tangent therefore has
 tangential direction, that of the quadratic with the same force that majorises mu p |y| (Weiszfeld 1937,
 Tohoku Math. J. 43:355).
 
-Columns of `state` after those of `contact_points`: stick flag, T. Columns of `before`, from the last
-converged step: position, tangents g1 and g2, anchor, facet of the anchor (or -1). `move` (4, 3): rotation
-matrix and translation of the body since then: current position = move[:3] position + move[3].
+With augmented contact a sticking point has T = pull + eps d, and p contains the multiplier of the pressure;
+after each augmentation both take the values of T and p. From the first augmentation of a load step to its end
+no point changes between stick and slip (FESlidingElasticInterface::Augment and ContactTraction). The shortest
+slip with full friction is then mu p/eps, p with its multiplier: with a soft penalty farther than without.
+
+Columns of `state` after those of `contact_points`: stick flag, T, |d| of a sticking point. Columns of
+`before`, from the last converged step: position, tangents g1 and g2, anchor, facet of the anchor (or -1).
+`move` (4, 3): rotation matrix and translation of the body since then: current position = move[:3] position +
+move[3].
 
 Source: FEBio Theory Manual 4.0, section 7.2 (sliding-elastic with friction): Zimmerman & Ateshian 2018,
 J Biomech Eng 140:081013.
@@ -46,8 +52,8 @@ from limbcli.fem.contacts.contact_points import (
 )
 from limbcli.fem.contacts.contact_points import N_STATE as N_NORMAL
 
-STICKS, PUSH = N_NORMAL, N_NORMAL + 1
-N_STATE = N_NORMAL + 4
+STICKS, PUSH, APART = N_NORMAL, N_NORMAL + 1, N_NORMAL + 4
+N_STATE = N_NORMAL + 5
 PLACE, TANGENTS, ANCHOR, HELD = 0, 3, 9, 12
 N_BEFORE = 13
 
@@ -93,32 +99,39 @@ def _slip(row, before, move, r, g1, g2, n, y, c, m):
 
 
 @njit(cache=True, nogil=True)
-def resist(x, facets, N, dN, eps, mu, carried, before, move, state):
-    """Determine stick or slip and the traction T of every touching point; returns how many stick."""
+def resist(x, facets, N, dN, eps, mu, before, move, pull, frozen, state):
+    """Determine stick or slip and the traction T of every touching point; returns how many stick.
+
+    pull (n_facets, n_gauss, 3) : multipliers of T; frozen : which points stick is given by the state
+    """
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     y, c, m, anchor, thrust = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     sticking = 0
     for f in range(facets.shape[0]):
         for k in range(N.shape[0]):
             row = state[f, k]
-            row[STICKS] = 0.0
+            sticks = frozen and row[STICKS] > 0.0
+            if not frozen:
+                row[STICKS] = 0.0
             if row[TRACTION] == 0.0:
                 continue
             point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
             size = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
-            if before[f, k, HELD] >= 0.0:
-                normal, shear = 0.0, 0.0
+            if sticks or (not frozen and before[f, k, HELD] >= 0.0):
+                normal, shear, apart = 0.0, 0.0, 0.0
                 for i in range(3):
                     anchor[i] = move[3, i]
                     for j in range(3):
                         anchor[i] += move[i, j] * before[f, k, ANCHOR + j]
-                    thrust[i] = carried[f, k, i] + eps[f] * (r[i] - anchor[i])
+                    thrust[i] = pull[f, k, i] + eps[f] * (r[i] - anchor[i])
                     normal += thrust[i] * n[i] / size
+                    apart += (r[i] - anchor[i]) ** 2
                 for i in range(3):
                     shear += (thrust[i] - normal * n[i] / size) ** 2
-                if normal > 0.0 and np.sqrt(shear) < mu * normal:
+                if sticks or (normal > 0.0 and np.sqrt(shear) < mu * normal):
                     row[STICKS] = 1.0
-                    row[TRACTION] = normal
+                    row[TRACTION] = max(normal, 0.0)
+                    row[APART] = np.sqrt(apart)
                     row[FACET] = before[f, k, HELD]
                     for i in range(3):
                         row[PUSH + i] = thrust[i]

@@ -5,7 +5,8 @@ The compiled loops, and the law itself, are in `contact_kernels`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -51,7 +52,7 @@ class Pair:
     full_eps: list[Array] = field(default_factory=list, kw_only=True)
     factor: float = field(default=1.0, kw_only=True)
     looseness: float = field(default=1.0, kw_only=True)
-    used: list[Array] = field(default_factory=list, kw_only=True)
+    used: list[tuple[Array, ...]] = field(default_factory=list, kw_only=True)
     threads: Threads = field(default_factory=lambda: Threads(1), kw_only=True)
 
     def search(self, x: Array, at: BodyState) -> int:
@@ -117,34 +118,36 @@ class Pair:
             p.multiplier[:] = 0.0
         self.used = []
 
+    def multipliers(self) -> list[tuple[Array, ...]]:
+        """Copies of the multipliers of each patch, for `set_multipliers`."""
+        return [(p.multiplier.copy(),) for p in self.patches]
+
+    def set_multipliers(self, found: Sequence[tuple[Array, ...]]) -> None:
+        for p, (pressure, *_) in zip(self.patches, found, strict=True):
+            p.multiplier = pressure.copy()
+
+    @contextmanager
+    def as_found(self) -> Iterator[None]:
+        """As at the last equilibrium, before the augmentation that followed it."""
+        after = self.multipliers()
+        if self.used:
+            self.set_multipliers(self.used)
+        yield
+        self.set_multipliers(after)
+
+    def end_augmentation(self) -> None:
+        """Undo what holds only while a load step is augmented."""
+
     @property
     def is_augmented(self) -> bool:
         """Whether augmentations are done; as in FEBio 4.11, only if one of the tolerances is positive."""
         return self.contact.augmented and max(self.contact.tolerance, self.contact.gap_tolerance) > 0
 
-    def multipliers(self) -> list[Array]:
-        """Per patch, a copy of the multipliers of its points, MPa."""
-        return [p.multiplier.copy() for p in self.patches]
-
-    def set_multipliers(self, values: Sequence[Array]) -> None:
-        for p, each in zip(self.patches, values, strict=True):
-            p.multiplier = each.copy()
-
-    def tractions(self) -> list[Array]:
-        """Per patch, what the multipliers become: the current tractions before they are faded at a rim."""
-        return [p.state[..., TRACTION] / np.maximum(p.state[..., WEIGHT], 1e-300) for p in self.patches]
-
-    def largest_gap(self) -> float:
-        """mm, over all points in contact."""
-        gaps = [abs(p.state[p.state[..., TRACTION] > 0, GAP]).max(initial=0.0) for p in self.patches]
-        return float(max(gaps, default=0.0))
-
     def augment(self, n_before: int) -> bool:
         """Set the multipliers to the current tractions; returns whether they have converged.
 
         Convergence requires that the relative change of their sum of squares is within the tolerance, and
-        that the largest gap of points in contact is within `gap_tolerance` (mm), each if set; where a point
-        sticks, its gap is its distance from where it stuck; not before
+        that the largest gap of points in contact is within `gap_tolerance` (mm), each if set; not before
         `minaug` augmentations of a load step, and unconditionally after `maxaug`.
 
         n_before : augmentations of this load step so far
@@ -152,18 +155,28 @@ class Pair:
         Source: FEBio 4.11, FESlidingElasticInterface::Augment.
         """
         self.used = self.multipliers()
-        before = sum(float((each**2).sum()) for each in self.used)
-        gap = self.largest_gap()
-        self.set_multipliers(self.tractions())
-        after = sum(float((each**2).sum()) for each in self.multipliers())
+        before = self._sum_of_squares()
+        self._augment()
+        after = self._sum_of_squares()
         contact = self.contact
         if n_before >= _count(contact, "maxaug", _MOST_AUGMENTATIONS):
             return True
         if n_before < _count(contact, "minaug", 0):
             return False
-        closed = contact.gap_tolerance <= 0 or gap <= contact.gap_tolerance * self.looseness
+        closed = contact.gap_tolerance <= 0 or self._largest_gap() <= contact.gap_tolerance * self.looseness
         settled = contact.tolerance <= 0 or abs(after - before) <= contact.tolerance * (after or 1.0)
         return closed and settled
+
+    def _augment(self) -> None:
+        for p in self.patches:
+            p.multiplier = p.state[..., TRACTION] / np.maximum(p.state[..., WEIGHT], 1e-300)
+
+    def _sum_of_squares(self) -> float:
+        return sum(float((p.multiplier**2).sum()) for p in self.patches)
+
+    def _largest_gap(self) -> float:
+        gaps = [abs(p.state[p.state[..., TRACTION] > 0, GAP]).max(initial=0.0) for p in self.patches]
+        return float(max(gaps))
 
 
 def _count(contact: Contact, name: str, default: int) -> int:

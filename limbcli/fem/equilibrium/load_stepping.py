@@ -322,19 +322,23 @@ class LoadStepping:
         )
 
     def _augmented(self, state: State, forces: Forces, load_step: LoadStep) -> tuple[State, Forces]:
-        """Augmented Lagrangian iterations until the multipliers of every contact have converged; where one
-        has no equilibrium, the multipliers are those of before."""
+        """Augmented Lagrangian iterations until the multipliers of every contact have converged."""
         pairs = [pair for pair in self._newton.system.pairs if pair.is_augmented]
         before = [pair.multipliers() for pair in pairs]
         n_before = 0
         try:
-            while not all([pair.augment(n_before) for pair in pairs]):
+            settled = [pair.augment(n_before) for pair in pairs]
+            while not all(settled):
                 state, forces = self._newton.equilibrate(state, load_step)
                 n_before += 1
-        except (NotConverged, SingularMatrix):
-            for pair, each in zip(pairs, before, strict=True):
-                pair.set_multipliers(each)
+                settled = [pair.augment(n_before) for pair in pairs]
+        except SolveError:
+            for pair, multipliers in zip(pairs, before, strict=True):
+                pair.set_multipliers(multipliers)
             raise
+        finally:
+            for pair in pairs:
+                pair.end_augmentation()
         return state, forces
 
 
