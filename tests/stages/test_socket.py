@@ -218,7 +218,7 @@ def test_intervals_of_a_linear_table_are_those_of_its_draws(tmp_path: Path):
 
 
 def test_a_socket_that_may_sit_elsewhere_has_its_share(tmp_path: Path):
-    """Friction has a deviation of 2 kPa, and the shift along one direction of 4: four fifths of the variance."""
+    """Friction has a deviation of 2 kPa, the shift along one direction of 4: four fifths of the variance."""
     lines = ["draw,c_mean_kpa,m_mean", *(f"{k},8.0,3.0" for k in range(400))]
     (tmp_path / "draws.csv").write_text("\n".join(lines))
     drawn = drawn_values(tmp_path / "draws.csv", 0.3, 0.1, shift_mm=2.0)

@@ -83,7 +83,7 @@ class FrictionPair(Pair):
 
     @contextmanager
     def as_found(self) -> Iterator[None]:
-        """What sticks is not decided anew: an equilibrium found with multipliers of its own may be near the limit."""
+        """What sticks is not decided anew."""
         self.is_frozen = bool(self.used)
         with super().as_found():
             yield
