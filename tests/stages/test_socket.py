@@ -13,7 +13,7 @@ import pytest
 
 import limbcli
 from limbcli.case import Case
-from limbcli.case.socket import SocketInput
+from limbcli.case.socket import KneeInput, LinerInput, SocketInput
 from limbcli.errors import CaseError, MeshError, SolveError
 from limbcli.feb.read import read_feb
 from limbcli.meshing.surfaces import Triangles
@@ -165,6 +165,29 @@ def test_half_a_socket_and_one_partly_inside_out_have_their_own_messages(limb_ma
     faces[turned] = faces[turned][:, ::-1]
     with pytest.raises(MeshError, match="inside out"):
         together(limb_made, Triangles(whole.points, faces), tmp_path / "turned.ply")
+
+
+@pytest.mark.slow
+def test_a_liner_meets_the_socket_where_there_is_room_for_it(limb_made, tmp_path: Path):
+    liner = LinerInput(thickness=3.0, youngs_modulus=0.3, poisson=0.45)
+    found = together(limb_made, sleeve(grow=4.0), tmp_path / "wide.ply", liner=liner)
+    assert found.touching == "liner"
+    outer = next(iter(found.limb.mesh.surfaces["liner"].facets.values()))
+    assert len(outer) == len(found.skin.faces)
+    assert found.fit.widest_mm < 4.0, "of the liner's outside"
+    with pytest.raises(MeshError, match="thicker than the gap"):
+        together(limb_made, sleeve(grow=0.5), tmp_path / "narrow.ply", liner=replace(liner, thickness=6.0))
+
+
+@pytest.mark.slow
+def test_what_the_thigh_does_to_the_limb_acts_on_the_socket_the_other_way(limb_made, tmp_path: Path):
+    given = KneeInput((0.0, 5.0, 140.0), anterior=30.0, lateral=7.0, about_anterior=0.0, about_lateral=2e3)
+    found = together(limb_made, sleeve(grow=0.5), tmp_path / "socket.ply", knee=given)
+    assert found.knee is not None
+    # of a left limb lateral is the patient's left, +x; anterior is -y
+    np.testing.assert_allclose(found.directions_in_lps(np.array(found.knee.force)), [-7, 30, 0], atol=2.0)
+    np.testing.assert_allclose(found.directions_in_lps(np.array(found.knee.moment)), [-2e3, 0, 0], atol=200)
+    np.testing.assert_allclose(found.in_lps(np.array([found.knee.centre]))[0], given.centre, atol=1e-6)
 
 
 @pytest.mark.slow
