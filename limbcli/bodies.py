@@ -73,7 +73,7 @@ class Contact:
 
     penalty_curve : name of the load curve that multiplies the penalty. An interference is resolved over
         load steps by a penalty that grows from nearly 0; None: the penalty is constant
-    gap_tolerance_curve : the same for `gap_tolerance`: while it is large, a load step sets the multipliers once
+    gap_tolerance_curve : the same for `gap_tolerance`; while large, a load step sets the multipliers once
     `more` holds further FEBio settings by their names, as text ("maxaug": "10").
     """
 

@@ -43,9 +43,7 @@ def case_schema() -> Schema:
         imaging=_table(schema.IMAGING, shape=_table(SHAPE), labels=_labels()),
         probe=_table(schema.PROBE),
         model=_table(schema.MODEL),
-        socket=_table(
-            schema.SOCKET, knee=_table(schema.KNEE), liner=_table(schema.LINER), **IN_SOCKET
-        ),
+        socket=_table(schema.SOCKET, knee=_table(schema.KNEE), liner=_table(schema.LINER), **IN_SOCKET),
         site=_list(site),
     )
     whole["required"] = ["format", "subject", "imaging", "probe", "site"]

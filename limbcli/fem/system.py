@@ -8,7 +8,7 @@ their part of the tangent enters as a few dense columns.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -153,14 +153,10 @@ class System(RigidLoads, ElementLoops):
     def forces_found(self, state: State) -> Forces:
         """The forces of an equilibrium just found, and the state of its contacts: with the multipliers of
         augmented contacts that it was found with, not those set afterwards."""
-        augmented = [pair for pair in self.pairs if pair.used]
-        after = [pair.multipliers() for pair in augmented]
-        for pair in augmented:
-            pair.set_multipliers(pair.used)
-        forces = self.forces(state)
-        for pair, each in zip(augmented, after, strict=True):
-            pair.set_multipliers(each)
-        return forces
+        with ExitStack() as stack:
+            for pair in self.pairs:
+                stack.enter_context(pair.as_found())
+            return self.forces(state)
 
     def hints(self) -> tuple[Array, ...]:
         """The rigid facet that each contact point touches (-1: none), one array per patch."""

@@ -146,9 +146,9 @@ def check_room(before: Clearance, skin: Triangles, thickness: float) -> None:
     if gap < _MOST_SQUEEZED * thickness:
         place = ", ".join(f"{each:.0f}" for each in skin.points[before.points[k]])
         raise MeshError(
-            f"the liner of {thickness:g} mm is thicker than the gap of {gap:.1f} mm between skin and socket at "
-            f"({place}): less than half of it would be left",
+            f"the liner of {thickness:g} mm is thicker than the gap of {gap:.1f} mm between skin and socket "
+            f"at ({place}): less than half of it would be left",
             where="[socket.liner]",
-            fix="check its thickness and the alignment; a socket scanned with its liner inside needs no liner",
+            fix="check its thickness and the alignment; a socket scanned over its liner needs none",
             gap_mm=gap,
         )

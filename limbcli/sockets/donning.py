@@ -52,8 +52,8 @@ class DonningOptions:
         None: penalty alone
     search_radius_mm : the contact sees the socket within this distance: more than the interference
     skin : the limb's surface that meets the socket
-    knee : shear and moment at the knee centre, full from the first load on: the socket is then free to move and
-        turn, but not to turn about the axis
+    knee : shear and moment at the knee centre, full from the first load on: the socket is then free to move
+        and turn, but not to turn about the axis
     """
 
     friction: float = 0.3
@@ -281,8 +281,8 @@ def _steps(options: DonningOptions, centre: Array) -> tuple[Step, ...]:
 
 
 def _knee_drives(options: DonningOptions, centre: Array) -> tuple[Drive, ...]:
-    """Forces across the axis, and moments about the socket's centre: of the load at the knee, and of the force
-    along the limb, which acts through the knee centre too."""
+    """Forces across the axis, and moments about the socket's centre: of the load at the knee, and of the
+    force along the limb, which acts through the knee centre too."""
     knee = options.knee
     if knee is None:
         return ()

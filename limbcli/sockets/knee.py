@@ -14,9 +14,9 @@ _OUT_OF_CUT_MM = 3.0  # a bone nearer to the proximal cut is cut itself
 
 @dataclass(frozen=True)
 class KneeLoad:
-    """What acts on the socket besides the force along the limb: the opposite of what the thigh does to the limb.
+    """What acts on the socket besides the force along the limb: the opposite of the thigh's load on the limb.
 
-    centre (3,) : the knee's, mm, about which the moment is taken and through which the force along the limb acts
+    centre (3,) : the knee's, mm: the moment is about it, and the force along the limb acts through it
     force (3,) : N, across the limb; moment (3,) : N mm
     """
 

@@ -13,8 +13,8 @@ from limbcli.case.socket import SocketInput, read_socket
 from limbcli.errors import CaseError, SolveError
 from limbcli.errors.problems import raise_errors
 from limbcli.feb.write import write_feb
-from limbcli.meshing.export import write_vtu
 from limbcli.mesh_bounds import PENETRATION_MM
+from limbcli.meshing.export import write_vtu
 from limbcli.model import Array, LimbModel
 from limbcli.model_io import load_model
 from limbcli.progress import SILENT, Progress
@@ -259,13 +259,14 @@ def _report(
         if state.load_n and together.knee is not None:
             at_knee = state.moment_about(np.asarray(together.knee.centre)) / 1e3
             writer.summary.append(
-                f"{words}: about the knee centre the moment on the socket is {_vector(at_knee)} N m (left, back, "
-                f"up), the force {_vector(state.socket_force_n)} N"
+                f"{words}: about the knee centre the moment on the socket is {_vector(at_knee)} N m (left, "
+                f"back, up), the force {_vector(state.socket_force_n)} N"
             )
         if state.penetration_mm > max(_SOFT_MM, _SOFT * together.fit.deepest_mm):
             writer.warnings.append(
                 f"{words}: the skin lies up to {state.penetration_mm:.1f} mm behind the wall, which the "
-                "contact's penalty allows: pressures are too low there; give a smaller --penetration-mm, or raise --contact-penalty"
+                "contact allows: pressures are too low there; give a smaller --penetration-mm, or raise "
+                "--contact-penalty"
             )
         size = max(state.load_n, float(np.linalg.norm(state.socket_force_n)))
         if state.imbalance_n > _BALANCE * size:
@@ -305,7 +306,7 @@ def _state(state: SocketState) -> dict[str, object]:
 
 
 def _write_skin(path: Path, result: DonningResult, together: LimbInSocket) -> None:
-    """For the page's 3-D view: corners of the surface that meets the socket, upright, mm, under the last load."""
+    """For the page's 3-D view: corners of what meets the socket, upright, mm, under the last load."""
     state = result.states[-1]
     facets = next(iter(result.model.mesh.surfaces[together.touching].facets.values()))[:, :3]
     used, triangles = np.unique(facets, return_inverse=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from types import SimpleNamespace
 
-
 import numpy as np
 import pytest
 
@@ -45,7 +44,11 @@ def test_a_row_has_its_limits():
 def test_the_last_load_can_be_turned(tmp_path: Path):
     (tmp_path / "p.png").write_bytes(b"")
     corners = np.eye(3)
-    values = {"displacement": 0 * corners, "triangles": np.array([[0, 1, 2]]), "pressure_kpa": np.array([0, 1, 4])}
+    values = {
+        "displacement": 0 * corners,
+        "triangles": np.array([[0, 1, 2]]),
+        "pressure_kpa": np.array([0, 1, 4]),
+    }
     np.savez(tmp_path / "skin.npz", points=corners, **values)
     files = {"picture_donned": "p.png", "skin": "skin.npz"}
     found = StageResult("socket", "S1", tmp_path, data={"patches": [ROW]}, files=files)

@@ -87,12 +87,14 @@ def test_augmented_contact_leaves_no_more_penetration_than_was_asked(friction: f
         assert state.imbalance_n < 1e-4 * size
     assert hard.states[-1].socket_force_n[2] == pytest.approx(0.5, rel=1e-4)
     # the wall's whole displacement presses more than what the penalty leaves of it
-    pressed = [float((s.facet_pressure_mpa * s.facet_area_mm2).sum()) for s in (soft.states[0], hard.states[0])]
+    pressed = [
+        float((s.facet_pressure_mpa * s.facet_area_mm2).sum()) for s in (soft.states[0], hard.states[0])
+    ]
     assert 1.0 < pressed[1] / pressed[0] < 1.2
 
 
-# FEBio 4.11.0 (tag v4.11, built from source) on the files of `socket_model` below: mean pressure (kPa) of the three
-# rings of facets from the narrow end up, after donning and under 0.5 N.
+# FEBio 4.11.0 (tag v4.11, built from source) on the files of `socket_model` below: mean pressure (kPa) of the
+# three rings of facets from the narrow end up, after donning and under 0.5 N.
 FEBIO = {0.0: ((2.8377, 2.2134, 1.5463), (5.0709, 3.9016, 2.6468)),
          0.3: ((2.8040, 2.2400, 1.7238), (3.4429, 2.2273, 1.2866))}  # fmt: skip
 
@@ -104,8 +106,8 @@ def as_febio_was_given(friction: float) -> DonningOptions:
 
 @pytest.mark.parametrize(("friction", "field"), [(0.0, 0.002), (0.3, 0.055)])
 def test_donning_and_load_agree_with_febio(friction: float, field: float) -> None:
-    """FEBio measures slip from the first iterate of a step, the reference solver from its start: with friction they
-    agree as far as the steps are small."""
+    """FEBio measures slip from the first iterate of a step, the reference solver from its start: with
+    friction they agree as far as the steps are small."""
     found = don_and_load(limb(), face(), as_febio_was_given(friction), threads=1)
     for state, expected in zip(found.states, FEBIO[friction], strict=True):
         rings = 1e3 * state.facet_pressure_mpa.reshape(16, 3).mean(axis=0)

@@ -265,7 +265,7 @@ def changed(golden: Path, tmp_path: Path, folder: str, old: str, new: str) -> Pa
 @pytest.mark.parametrize(
     ("folder", "old", "new", "word"),
     [
-        ("effect-friction", "<laugon>PENALTY", "<laugon>AUGLAG", "fric_coeff"),
+        ("effect-friction", "<two_pass>0", "<two_pass>1", "two_pass"),
         ("effect-ut4", "ut4-solid", "ut4-solid", "ut4-solid"),
         ("effect-base-tet4", "data=\"ux;", "data=\"ax;", "'ax'"),
         ("effect-base-tet4", "<analysis>STATIC", "<analysis>TRANSIENT", "transient"),

@@ -112,8 +112,9 @@ _SOCKET: dict[str, tuple[Any, Table]] = {  # value, and what a key needs beside 
     "landmarks": ({key: [0.0, 0.0, 0.0] for key in ("tibial_end", "fibular_head", "distal_end")}, _FACE),
     "rectifications_mm": ({"patellar_tendon": 2.0}, {}), "transition_mm": (10.0, {}), "flare_mm": (2.0, {}),
     "friction": (0.2, {}), "friction_deviation": (0.05, {}), "loads_n": ([100.0], {}),
-    "limb_nodes": (5000, {}),
+    "limb_nodes": (5000, {}), "tilt_deviation_deg": (2.0, {}), "shift_deviation_mm": (2.0, {}),
 }  # fmt: skip
+_LINER = {"thickness_mm": 3.0, "youngs_modulus_kpa": 300.0}
 
 # (table, key): the change, and the name under which a result records the value; None: it has no meaning
 CHANGES: dict[tuple[str, str], tuple[Change, str | None]] = {
@@ -138,6 +139,13 @@ CHANGES: dict[tuple[str, str], tuple[Change, str | None]] = {
     }.items()},
     **{("socket", key): (_instead("socket", **{**beside, key: value}), "socket")
        for key, (value, beside) in _SOCKET.items()},
+    **{("knee", key): (_instead("socket", knee={key: value}), "socket") for key, value in {
+        "centre_mm": [0.0, 0.0, 40.0], "anterior_n": 10.0, "lateral_n": 10.0, "about_anterior_n_m": 2.0,
+        "about_lateral_n_m": 2.0,
+    }.items()},
+    **{("liner", key): (_instead("socket", liner={**_LINER, key: value}), "socket") for key, value in {
+        "thickness_mm": 4.0, "youngs_modulus_kpa": 400.0, "poisson": 0.4, "bonded": True,
+    }.items()},
     ("probe", "name"): (_in("probe", name="another"), None),
     ("probe", "length_mm"): (_in("probe", length_mm=31.0), "probe"),
     ("probe", "width_mm"): (_in("probe", width_mm=13.0), "probe"),
@@ -174,11 +182,11 @@ CHANGES: dict[tuple[str, str], tuple[Change, str | None]] = {
        for table, values in _VALUES.items() for key, value in values.items()},
 }  # fmt: skip
 # What is not a value: tables, whose keys are listed, and the name of a site, which names its results.
-# A liner is refused.
 _TABLES = {("site", key) for key in ("name", "pennation", "state", "noise", "layers", *schema.INSTRUMENTS)}
 SCHEMA = {
     "subject": schema.SUBJECT, "files": schema.FILES, "imaging": schema.IMAGING, "probe": schema.PROBE,
     "model": schema.MODEL, "site": schema.SITE, "noise": schema.NOISE, "layer": schema.LAYER,
-    "socket": schema.SOCKET, "pennation": schema.PENNATION, "state": schema.STATE, **schema.INSTRUMENTS,
+    "socket": schema.SOCKET, "knee": schema.KNEE, "liner": schema.LINER, "pennation": schema.PENNATION, "state": schema.STATE, **schema.INSTRUMENTS,
 }  # fmt: skip
-EVERY_KEY = {(table, key) for table, keys in SCHEMA.items() for key in keys} - _TABLES - {("socket", "liner")}
+EVERY_KEY = {(table, key) for table, keys in SCHEMA.items() for key in keys} - _TABLES
+EVERY_KEY -= {("socket", "liner"), ("socket", "knee")}

@@ -13,7 +13,7 @@ import pytest
 
 import limbcli
 from limbcli.case import Case
-from limbcli.case.socket import SocketInput
+from limbcli.case.socket import KneeInput, LinerInput, SocketInput
 from limbcli.errors import CaseError, MeshError, SolveError
 from limbcli.feb.read import read_feb
 from limbcli.meshing.surfaces import Triangles
@@ -169,6 +169,29 @@ def test_half_a_socket_and_one_partly_inside_out_have_their_own_messages(limb_ma
 
 
 @pytest.mark.slow
+def test_a_liner_meets_the_socket_where_there_is_room_for_it(limb_made, tmp_path: Path):
+    liner = LinerInput(thickness=3.0, youngs_modulus=0.3, poisson=0.45)
+    found = together(limb_made, sleeve(grow=4.0), tmp_path / "wide.ply", liner=liner)
+    assert found.touching == "liner"
+    outer = next(iter(found.limb.mesh.surfaces["liner"].facets.values()))
+    assert len(outer) == len(found.skin.faces)
+    assert found.fit.widest_mm < 4.0, "of the liner's outside"
+    with pytest.raises(MeshError, match="thicker than the gap"):
+        together(limb_made, sleeve(grow=0.5), tmp_path / "narrow.ply", liner=replace(liner, thickness=6.0))
+
+
+@pytest.mark.slow
+def test_what_the_thigh_does_to_the_limb_acts_on_the_socket_the_other_way(limb_made, tmp_path: Path):
+    given = KneeInput((0.0, 5.0, 140.0), anterior=30.0, lateral=7.0, about_anterior=0.0, about_lateral=2e3)
+    found = together(limb_made, sleeve(grow=0.5), tmp_path / "socket.ply", knee=given)
+    assert found.knee is not None
+    # of a left limb lateral is the patient's left, +x; anterior is -y
+    np.testing.assert_allclose(found.directions_in_lps(np.array(found.knee.force)), [-7, 30, 0], atol=2.0)
+    np.testing.assert_allclose(found.directions_in_lps(np.array(found.knee.moment)), [-2e3, 0, 0], atol=200)
+    np.testing.assert_allclose(found.in_lps(np.array([found.knee.centre]))[0], given.centre, atol=1e-6)
+
+
+@pytest.mark.slow
 def test_landmarks_that_the_limb_does_not_have_are_named(limb_made, tmp_path: Path):
     marks = {"tibial_end": (0.0, 0.0, 0.0), "knee": (0.0, 1.0, 0.0), "distal_tip": (1.0, 0.0, 0.0)}
     with pytest.raises(CaseError, match="no landmark 'knee'"):
@@ -219,7 +242,7 @@ def test_intervals_of_a_linear_table_are_those_of_its_draws(tmp_path: Path):
 
 
 def test_a_socket_that_may_sit_elsewhere_has_its_share(tmp_path: Path):
-    """Friction has a deviation of 2 kPa, and the shift along one direction of 4: four fifths of the variance."""
+    """Friction has a deviation of 2 kPa, the shift along one direction of 4: four fifths of the variance."""
     lines = ["draw,c_mean_kpa,m_mean", *(f"{k},8.0,3.0" for k in range(400))]
     (tmp_path / "draws.csv").write_text("\n".join(lines))
     drawn = drawn_values(tmp_path / "draws.csv", 0.3, 0.1, shift_mm=2.0)

@@ -6,7 +6,8 @@ into contact within a step slips. See `friction_kernels` for the law.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -79,6 +80,14 @@ class FrictionPair(Pair):
     def set_multipliers(self, found: Sequence[tuple[Array, ...]]) -> None:
         super().set_multipliers(found)
         self.pulls = [pull.copy() for _, pull in found]
+
+    @contextmanager
+    def as_found(self) -> Iterator[None]:
+        """What sticks is not decided anew."""
+        self.is_frozen = bool(self.used)
+        with super().as_found():
+            yield
+        self.is_frozen = False
 
     def end_augmentation(self) -> None:
         self.is_frozen = False

@@ -5,7 +5,8 @@ The compiled loops, and the law itself, are in `contact_kernels`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -125,6 +126,15 @@ class Pair:
         for p, (pressure, *_) in zip(self.patches, found, strict=True):
             p.multiplier = pressure.copy()
 
+    @contextmanager
+    def as_found(self) -> Iterator[None]:
+        """As at the last equilibrium, before the augmentation that followed it."""
+        after = self.multipliers()
+        if self.used:
+            self.set_multipliers(self.used)
+        yield
+        self.set_multipliers(after)
+
     def end_augmentation(self) -> None:
         """Undo what holds only while a load step is augmented."""
 
@@ -137,8 +147,7 @@ class Pair:
         """Set the multipliers to the current tractions; returns whether they have converged.
 
         Convergence requires that the relative change of their sum of squares is within the tolerance, and
-        that the largest gap of points in contact is within `gap_tolerance` (mm), each if set; where a point
-        sticks, its gap is its distance from where it stuck; not before
+        that the largest gap of points in contact is within `gap_tolerance` (mm), each if set; not before
         `minaug` augmentations of a load step, and unconditionally after `maxaug`.
 
         n_before : augmentations of this load step so far

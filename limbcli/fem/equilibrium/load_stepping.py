@@ -322,8 +322,7 @@ class LoadStepping:
         )
 
     def _augmented(self, state: State, forces: Forces, load_step: LoadStep) -> tuple[State, Forces]:
-        """Augmented Lagrangian iterations until the multipliers of every contact have converged; where one
-        has no equilibrium, the multipliers are those of before."""
+        """Augmented Lagrangian iterations until the multipliers of every contact have converged."""
         pairs = [pair for pair in self._newton.system.pairs if pair.is_augmented]
         before = [pair.multipliers() for pair in pairs]
         n_before = 0

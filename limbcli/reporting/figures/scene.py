@@ -42,8 +42,10 @@ class ScenePart:
     values: Array | None = None
 
 
-def pressure_scene(points: Array, displacement: Array, triangles: IntArray, pressure_kpa: Array) -> dict[str, Any]:
-    """Skin coloured by pressure (n,), kPa; NaN and 0: without contact. The scale ends at its 99th percentile."""
+def pressure_scene(
+    points: Array, displacement: Array, triangles: IntArray, pressure_kpa: Array
+) -> dict[str, Any]:
+    """Skin coloured by pressure (n,), kPa; NaN and 0: no contact. The scale ends at its 99th percentile."""
     pressure = np.nan_to_num(pressure_kpa)
     touching = pressure > 0
     most = float(np.quantile(pressure[touching], _LARGEST)) if touching.any() else 1.0

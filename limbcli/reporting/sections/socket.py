@@ -41,7 +41,7 @@ def socket(page: ReportData) -> Reportlet | None:
 
 
 def _pictures(result: StageResult) -> list[Picture]:
-    """Pictures of the states, and a 3-D view of the last one; where there is no WebGL its picture stands there."""
+    """Pictures of the states, and a 3-D view of the last one (its picture, where there is no WebGL)."""
     names = [name for name in result.files if name.startswith("picture_") and result.path(name).is_file()]
     return [
         Picture(

@@ -1,9 +1,9 @@
 """Intervals of the pressures over the limb's draws, from a few more solves.
 
 Every quantity of the table is taken as linear in ln c and ln m (their means over the limb), the friction, and
-the socket's place on the limb (turned about and shifted along the two directions across it): one solve each, one
-standard deviation away. Another solve, with all of them one deviation to the other side,
-is held out and says how far the line is off. How c varies from place to place within a draw is not followed.
+the socket's place on the limb (turned about and shifted along the two directions across it): one solve each,
+one standard deviation away. Another solve, with all of them one deviation to the other side, is held out
+and says how far the line is off. How c varies from place to place within a draw is not followed.
 """
 
 from __future__ import annotations
