@@ -55,7 +55,7 @@ def with_voxels(out: Path, spacing: list[float]) -> None:
 
 def every(errors: ModelErrors):
     correction = MeshCorrection(
-        log_force=np.zeros(6), log_speed=np.zeros((6, 3)), thickness_ratio=1.0,
+        m=np.ones(1), log_force=np.zeros((1, 6)), log_speed=np.zeros((1, 6, 3)), thickness_ratio=1.0,
         mesh_error=np.full(N, 0.02), speed_error=np.full(N, 0.004),
     )  # fmt: skip
     change = np.full(N, 0.3)

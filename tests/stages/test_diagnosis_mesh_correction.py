@@ -21,7 +21,7 @@ from limbcli.stages.diagnosis import written_model as written
 from limbcli.stages.diagnosis.curves.curve_plan import Solving
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.mesh_error.mesh_comparison import MeshComparison, Notes
-from limbcli.stages.diagnosis.mesh_error.mesh_correction import own_curves, own_run
+from limbcli.stages.diagnosis.mesh_error.mesh_correction import MeshCorrection, own_curves, own_run
 from limbcli.stages.run import run
 from limbcli.stages.site_model.site_layers import LayerLaw, with_layer_laws
 from tests.stages import block_case as block
@@ -71,7 +71,7 @@ def test_run_with_other_start_values_ties_nothing(ran, tmp_path):
 
 def test_the_same_mesh_solved_again_is_the_same(tmp_path):
     simulations = _simulations(tmp_path)
-    again = own_curves(block.block_model("tet4"), simulations, 5.0, size_ratio=1.0)
+    again = own_curves(block.block_model("tet4"), simulations, [5.0], size_ratio=1.0)[5.0]
     working = simulations.curves(5.0)
     simulations.close()
     at = np.searchsorted(working.depth, again.depth - 1e-6)
@@ -87,7 +87,7 @@ def test_a_penalty_in_proportion_to_the_edges_gives_meshes_the_same_contact(tmp_
     requested = simulations.model.contacts[0].penalty
     models = []
     for ratio in (0.5, 1.0):
-        own = own_curves(fine, simulations, 2.0, size_ratio=ratio)
+        own = own_curves(fine, simulations, [2.0], size_ratio=ratio)[2.0]
         working = simulations.curves(2.0)
         models.append(own.force[-1] / np.interp(own.depth[-1], working.depth, working.force))
     simulations.close()
@@ -99,7 +99,7 @@ def test_a_solve_on_the_own_mesh_that_takes_too_much_is_stopped(tmp_path, monkey
     monkeypatch.setattr("limbcli.stages.diagnosis.mesh_error.mesh_correction._LEAST_WORK", 1.0)
     simulations = _simulations(tmp_path)
     with pytest.raises(BudgetSpent):
-        own_curves(block.block_model("tet4"), simulations, 5.0, size_ratio=1.0)
+        own_curves(block.block_model("tet4"), simulations, [5.0], size_ratio=1.0)[5.0]
     simulations.close()
 
 
@@ -114,10 +114,10 @@ def test_a_layer_beside_the_tissue_is_no_error_of_a_mesh(ran, tmp_path):
         save_model(soft, writer.file("model", "model.npz"))
     notes, simulations = Notes(), _simulations(tmp_path)
     comparison = MeshComparison(
-        site=site, depth=DEPTHS, simulations=simulations, out=layered, size=5.0, m=4.0,
+        site=site, depth=DEPTHS, simulations=simulations, out=layered, size=5.0, several=[4.0],
         notes=notes, progress=SILENT,
     )  # fmt: skip
-    correction = comparison.correction(freed=None, held=None)
+    correction = comparison.correction(freed={}, held={})
     simulations.close()
     assert not correction.log_force.any()
     assert correction.mesh_error.max() < 0.2
@@ -129,11 +129,11 @@ def test_a_layer_beside_the_tissue_is_no_error_of_a_mesh(ran, tmp_path):
     assert "no .feb was written: the site's mesh has fat" in reported.warnings[0]
 
 
-def _comparison(out: Path, curves: Curves, depth: np.ndarray, size: float) -> MeshComparison:
-    simulations = SimpleNamespace(curves=lambda m: curves)
+def _comparison(out: Path, curves: dict[float, Curves], depth: np.ndarray, size: float) -> MeshComparison:
+    simulations = SimpleNamespace(curves=curves.__getitem__)
     return MeshComparison(
         site=SimpleNamespace(name="p1"), depth=depth, simulations=simulations, out=out, size=size,
-        m=4.0, notes=Notes(), progress=SILENT,
+        several=list(curves), notes=Notes(), progress=SILENT,
     )  # fmt: skip
 
 
@@ -144,23 +144,23 @@ def _curves(force: list[float], log_speed: list[float]) -> Curves:
 def test_the_limb_is_half_way_from_a_cut_that_is_held_to_one_that_is_free(tmp_path):
     """Of ln force and ln speeds; a part that the free model does not show moves as at the next depths."""
     held, freed = _curves([0.0, 2.0, 5.0], [0.1, 0.2, 0.3]), _curves([0.0, 1.0, 3.2], [0.0, np.nan, 0.5])
-    comparison = _comparison(tmp_path, held, np.array([0.0, 1.5, 2.0]), 5.0)
-    alone = comparison.correction(solves=False, freed=None, held=None)
+    comparison = _comparison(tmp_path, {4.0: held}, np.array([0.0, 1.5, 2.0]), 5.0)
+    alone = comparison.correction(solves=False, freed={}, held={})
     assert not alone.log_force.any()
-    found = comparison.correction(solves=False, freed=freed, held=None)
-    assert held.force * np.exp(found.log_force) == pytest.approx(np.sqrt(held.force * freed.force))
-    assert found.log_speed[:, 0] == pytest.approx([-0.05, 0.025, 0.1])
+    found = comparison.correction(solves=False, freed={4.0: freed}, held={})
+    assert held.force * np.exp(found.log_force[0]) == pytest.approx(np.sqrt(held.force * freed.force))
+    assert found.log_speed[0, :, 0] == pytest.approx([-0.05, 0.025, 0.1])
 
 
 def test_the_limb_is_half_way_from_a_far_side_that_is_free_to_one_that_is_held(tmp_path):
     """Beside what freeing the cut changes."""
     plain, freed = _curves([0.0, 2.0, 5.0], [0.1, 0.2, 0.3]), _curves([0.0, 1.0, 3.2], [0.0, 0.1, 0.5])
     held = _curves([0.0, 2.2, 6.0], [0.1, 0.3, 0.2])
-    comparison = _comparison(tmp_path, plain, np.array([0.0, 1.5, 2.0]), 5.0)
-    alone = comparison.correction(solves=False, freed=None, held=held)
-    assert plain.force * np.exp(alone.log_force) == pytest.approx(np.sqrt(plain.force * held.force))
-    both = comparison.correction(solves=False, freed=freed, held=held)
-    cut = comparison.correction(solves=False, freed=freed, held=None)
+    comparison = _comparison(tmp_path, {4.0: plain}, np.array([0.0, 1.5, 2.0]), 5.0)
+    alone = comparison.correction(solves=False, freed={}, held={4.0: held})
+    assert plain.force * np.exp(alone.log_force[0]) == pytest.approx(np.sqrt(plain.force * held.force))
+    both = comparison.correction(solves=False, freed={4.0: freed}, held={4.0: held})
+    cut = comparison.correction(solves=False, freed={4.0: freed}, held={})
     assert both.log_force == pytest.approx(alone.log_force + cut.log_force)
     assert both.log_speed == pytest.approx(alone.log_speed + cut.log_speed)
 
@@ -175,7 +175,7 @@ def test_the_deepest_depths_of_the_own_mesh_are_attempted_but_not_required(tmp_p
     simulations = _simulations(tmp_path)
     simulations.curves(5.0)
     monkeypatch.setattr(ReferenceSession, "solve", noted)
-    own_curves(block.block_model("tet4"), simulations, 5.0, size_ratio=2.0)
+    own_curves(block.block_model("tet4"), simulations, [5.0], size_ratio=2.0)
     simulations.close()
     assert given == [(4, 5)]  # of 0.45, 0.9, 1.8, 2.7, 3.6 mm: 0.6 of the depth, and all of it
 
@@ -184,11 +184,52 @@ def test_an_error_of_quadratic_elements_goes_as_the_square_of_their_edge(tmp_pat
     """Of forces that are too large by k h^2: half as much again as the finer mesh keeps."""
     for size, h in ((5.0, 2.5), (6.0, 2.0)):
         kept = h**2 / (size**2 - h**2)
-        comparison = _comparison(tmp_path, _curves([0.0, 1.0], [0.0, 0.0]), np.zeros(2), size)
+        comparison = _comparison(tmp_path, {4.0: _curves([0.0, 1.0], [0.0, 0.0])}, np.zeros(2), size)
         assert comparison._left(h) == pytest.approx(1.5 * kept)
     usual = [
-        _comparison(tmp_path, _curves([0.0, 1.0], [0.0, 0.0]), np.zeros(2), size)
-        .correction(solves=False, freed=None, held=None).mesh_error for size in (2.5, 5.0)
+        _comparison(tmp_path, {4.0: _curves([0.0, 1.0], [0.0, 0.0])}, np.zeros(2), size)
+        .correction(solves=False, freed={}, held={}).mesh_error for size in (2.5, 5.0)
     ]  # fmt: skip
     assert usual[0] == pytest.approx(0.03)
     assert usual[1] == pytest.approx(4 * usual[0])
+
+
+def _correction(several: list[float], force: list[float], speed: list[float]) -> MeshCorrection:
+    """Of two depths and one part; the same at both depths."""
+    return MeshCorrection(
+        m=np.array(several), log_force=np.repeat(np.array(force)[:, None], 2, axis=1),
+        log_speed=np.repeat(np.array(speed)[:, None, None], 2, axis=1), thickness_ratio=1.0,
+        mesh_error=np.zeros(1), speed_error=np.zeros(1),
+    )  # fmt: skip
+
+
+def test_tie_is_what_was_found_at_its_m_and_even_in_between():
+    correction = _correction([4.0, 8.0], [-0.02, -0.06], [0.01, 0.05])
+    assert correction.at(4.0) == pytest.approx(np.array([[-0.02, 0.01]] * 2), abs=1e-15)
+    assert correction.at(8.0) == pytest.approx(np.array([[-0.06, 0.05]] * 2), abs=1e-15)
+    middle = (0.25 * (np.hypot(8.0, 4.0) + np.hypot(8.0, 8.0)) ** 2 - 8.0**2) ** 0.5  # half-way in `bend`
+    assert correction.at(float(middle)) == pytest.approx(np.array([[-0.04, 0.03]] * 2), abs=1e-12)
+
+
+@pytest.mark.parametrize(("m", "further", "end"), [(2.5, 1.5, 4.0), (15.0, 18.0, 8.0)])
+def test_tie_is_hardly_extended_beyond_its_m_and_has_no_corner_there(m, further, end):
+    correction = _correction([4.0, 8.0], [-0.02, -0.06], [0.01, 0.05])
+    assert np.array_equal(correction.at(m), correction.at(further))
+    assert np.abs(correction.at(m) - correction.at(end)).max() <= 0.1 * 0.04 + 1e-12
+    slopes = [(correction.at(end + h) - correction.at(end + h - 1e-4)) / 1e-4 for h in (0.0, 1e-4)]
+    assert slopes[0] == pytest.approx(slopes[1], rel=1e-2)
+    assert np.array_equal(
+        _correction([4.0], [-0.02], [0.01]).at(m), _correction([4.0], [-0.02], [0.01]).at(4.0)
+    )
+
+
+def test_several_m_on_the_own_mesh_are_each_its_own(tmp_path):
+    simulations = _simulations(tmp_path)
+    found = own_curves(block.block_model("tet4"), simulations, [5.0, 3.0], size_ratio=1.0)
+    for m, own in found.items():
+        working = simulations.curves(m)
+        at = np.searchsorted(working.depth, own.depth - 1e-6)
+        assert own.force == pytest.approx(working.force[at], rel=1e-3)
+    simulations.close()
+    assert list(found) == [5.0, 3.0]
+    assert found[5.0].force[-1] > found[3.0].force[-1]

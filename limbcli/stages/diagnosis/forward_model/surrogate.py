@@ -226,7 +226,7 @@ class SiteCurves:
             for e, q in effects if e.solves
         )  # fmt: skip
         true = logs(self.simulations.curves(m, solving))
-        true = true + self._corrected(true.shape[1])
+        true = true + self._corrected(m, true.shape[1])
         known = self._repairs.get(model.key, Repairs())
         self._repairs[model.key] = replace(known, solved=())
         missed = true - logs(self.curves(self.simulations.c, m, model, theta))
@@ -267,11 +267,11 @@ class SiteCurves:
             for name, _ in model if self.effects[name].solves for p in self.effects[name].sizes
         }  # fmt: skip
 
-    def _corrected(self, width: int) -> Array | float:
+    def _corrected(self, m: float, width: int) -> Array | float:
         """Mesh correction, padded to `width` columns; lines are not corrected."""
         if self.correction is None:
             return 0.0
-        known = self.correction.table
+        known = self.correction.at(m)
         return np.pad(known, ((0, 0), (0, width - known.shape[1])))
 
     def _base(self, m: float) -> tuple[Array, Array, Curves]:
@@ -293,7 +293,7 @@ class SiteCurves:
         total = sum(
             (w * logs(each) for w, each in zip(weights, whole, strict=True)), np.zeros_like(logs(first))
         )
-        return first.depth, total + self._corrected(total.shape[1]), first
+        return first.depth, total + self._corrected(m, total.shape[1]), first
 
 
 def _weights(known: Array, at: float) -> Array:

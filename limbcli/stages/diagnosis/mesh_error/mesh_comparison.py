@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from limbcli.model import Array
 from limbcli.model_io import load_model
 from limbcli.progress import Progress
 from limbcli.results import read_result
+from limbcli.stages.diagnosis.curves.curve_plan import bend
 from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.stages.diagnosis.mesh_error.mesh_correction import MeshCorrection, own_curves, own_layers
 
@@ -41,52 +43,62 @@ class Notes:
 class MeshComparison:
     """Comparison of one site's working mesh, with edges of `size` mm, with the site's own mesh.
 
-    m : at which the meshes are compared; depth : mm, of the levels (n_levels,)
+    depth : mm, of the levels (n_levels,); several : values of m to compare, the likely one first
     """
 
     site: Site
-    m: float
     depth: Array
     simulations: SiteSimulations
     out: Path
     size: float
+    several: Sequence[float]
     notes: Notes
     progress: Progress
 
-    def correction(self, *, solves: bool = True, freed: Curves | None, held: Curves | None) -> MeshCorrection:
+    def correction(
+        self, *, solves: bool = True, freed: Mapping[float, Curves], held: Mapping[float, Curves]
+    ) -> MeshCorrection:
         """Correction to the site's own mesh by simulations there (`solves`); otherwise none, with a usual
         error.
 
-        freed, held : the working mesh's curves with the cut free, and with the far side held, where known
+        freed, held : by m, the working mesh's curves with the cut free, and with the far side held, as far as
+        they are known
         """
         found = self._solved_correction() if solves else None
         if found is None:
-            found = self._usual_correction()
+            found = self._usual_correction(sorted({*freed, *held}) or [self.several[0]])
         for changed, position in ((freed, _FREED), (held, _HELD)):
-            if changed is not None:
-                force, speed = change_of(self.working, changed)
-                found = replace(
-                    found, log_force=found.log_force + position * force,
-                    log_speed=found.log_speed + position * speed,
-                )  # fmt: skip
+            found = self._towards(found, changed, position)
         return found
 
-    @property
-    def working(self) -> Curves:
-        return self.simulations.curves(self.m)
+    def _towards(
+        self, found: MeshCorrection, changed: Mapping[float, Curves], position: float
+    ) -> MeshCorrection:
+        """The correction, moved by this fraction of the way to the changed curves."""
+        if not changed:
+            return found
+        known = np.array(sorted(changed))
+        nearest = [float(known[np.abs(bend(known) - bend(m)).argmin()]) for m in found.m]
+        changes = [change_of(self.simulations.curves(m), changed[m]) for m in nearest]
+        force, speed = (np.array(each) for each in zip(*changes, strict=True))
+        return replace(
+            found, log_force=found.log_force + position * force, log_speed=found.log_speed + position * speed
+        )
 
-    def _usual_correction(self) -> MeshCorrection:
+    def _usual_correction(self, several: Sequence[float]) -> MeshCorrection:
         """Zero correction with the usual error."""
-        nothing = np.zeros_like(self.working.log_speed)
+        nothing = np.zeros_like(self.simulations.curves(several[0]).log_speed)
         usual = np.full(len(self.depth), _USUAL_ERROR * (self.size / _USUAL_EDGE) ** 2)
         return MeshCorrection(
-            log_force=nothing[:, 0], log_speed=nothing, thickness_ratio=1.0, mesh_error=usual,
+            m=np.array(several), log_force=np.array([nothing[:, 0]] * len(several)),
+            log_speed=np.array([nothing] * len(several)), thickness_ratio=1.0, mesh_error=usual,
             speed_error=np.zeros(len(self.depth)), map_share=_UNCORRECTED,
         )  # fmt: skip
 
     def _solved_correction(self) -> MeshCorrection | None:
-        """Correction from a simulation on the site's own mesh; None, with a warning, if impossible."""
-        own: Curves | None = None
+        """Correction from simulations with these m on the site's own mesh; None, with a warning, if
+        impossible."""
+        found: dict[float, Curves] = {}
         why, h = "", _USUAL_EDGE
         try:
             meshed = read_result(self.out, "mesh", site=self.site.name)
@@ -100,37 +112,41 @@ class MeshComparison:
             else:
                 model = load_model(meshed.folder / "model.npz")
                 h = float(meshed.data.get("size_under_probe_mm", _USUAL_EDGE))
-                self.progress.event("note", text=f"m {self.m:g} on the site's own mesh")
-                own = own_curves(model, self.simulations, self.m, size_ratio=h / self.size)
+                words = " and ".join(f"m {m:g}" for m in self.several)
+                self.progress.event("note", text=f"{words} on the site's own mesh")
+                found = own_curves(model, self.simulations, self.several, size_ratio=h / self.size)
         except LimbError as error:
             why = f": {error.what}"
-        if own is None:
+        if why:
             self.notes.warnings.append(f"the working mesh is not corrected to the site's own{why}")
             return None
-        ratio, apart = self._apart(own)
-        working = self.working
-        self.notes.data["working_mesh_force_ratio"] = np.exp(ratio)
+        apart = {m: self._apart(m, own) for m, own in found.items()}
+        likely = self.several[0]
+        own, working = found[likely], self.simulations.curves(likely)
+        self.notes.data["working_mesh_force_ratio"] = np.exp(apart[likely][0])
         left = self._left(h)
-        log_force, log_speed = self._onward(own, ratio, apart)
+        tables = {m: self._onward(found[m], *apart[m]) for m in sorted(found)}
         off, in_mean = (
-            left * np.abs(np.interp(self.depth, working.depth, each)) for each in (log_force, log_speed[:, 0])
+            left * np.abs(np.interp(self.depth, working.depth, each))
+            for each in (tables[likely][0], tables[likely][1][:, 0])
         )
+        log_force, log_speed = (np.array(each) for each in zip(*tables.values(), strict=True))
         return MeshCorrection(
-            log_force=log_force, log_speed=log_speed,
+            m=np.array(sorted(found)), log_force=log_force, log_speed=log_speed,
             thickness_ratio=_ratio(own.thickness, working.thickness),
             mesh_error=np.maximum(off, _LEAST_ERROR), speed_error=in_mean,
         )  # fmt: skip
 
-    def _apart(self, own: Curves) -> tuple[Array, Array]:
+    def _apart(self, m: float, own: Curves) -> tuple[Array, Array]:
         """Difference, own minus working mesh, of ln force (n_own - 1,) and ln speeds (n_own, n_parts)."""
-        working = self.working
+        working = self.simulations.curves(m)
         at = np.searchsorted(working.depth, own.depth - 1e-6)
         ratio = np.log(own.force[1:] / working.force[at[1:]])
         return ratio, gaps_filled(own.log_speed - working.log_speed[at])
 
     def _onward(self, own: Curves, ratio: Array, apart: Array) -> tuple[Array, Array]:
         """The same, interpolated to all depths of the working mesh: (n,), (n, n_parts)."""
-        depth = self.working.depth
+        depth = self.simulations.curves(self.several[0]).depth
         log_force = _onward(own.depth[1:], ratio, depth)
         log_force[0] = 0.0
         return log_force, np.array([_onward(own.depth, column, depth) for column in apart.T]).T

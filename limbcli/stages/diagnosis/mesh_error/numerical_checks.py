@@ -128,18 +128,17 @@ class NumericalChecks:
     def correction(self, *, solves: bool = True) -> MeshCorrection:
         """Correction to the site's own mesh, and to a limb that is not cut and rests on something; `solves`:
         by simulations."""
-        m = self.likely_m
+        several = self._compared_at()
         changed = {  # failures are reported when tried as interventions
-            each.name: where_solved(partial(self._with, each), [m]).get(m)
+            each.name: where_solved(partial(self._with, each), several)
             for each in (self._positions() if solves else ())
         }
         comparison = MeshComparison(
-            site=self.site, m=m, depth=self.depth, simulations=self.simulations, out=self.out,
-            size=self.size, notes=self.notes, progress=self.progress,
+            site=self.site, depth=self.depth, simulations=self.simulations, out=self.out, size=self.size,
+            several=several, notes=self.notes, progress=self.progress,
         )  # fmt: skip
-        return comparison.correction(
-            solves=solves, freed=changed.get("crop"), held=changed.get(FAR_SIDE.name)
-        )
+        freed, held = (changed.get(name, {}) for name in ("crop", FAR_SIDE.name))
+        return comparison.correction(solves=solves, freed=freed, held=held)
 
     def _positions(self) -> list[Effect]:
         """Freeing the cut, and holding the far side if there is tissue behind the bone (not in a layer on a
@@ -148,6 +147,14 @@ class NumericalChecks:
 
     def _with(self, numerical: Effect, m: float) -> Curves:
         return self.simulations.curves(m, ((numerical, numerical.start),))
+
+    def _compared_at(self) -> list[float]:
+        """The values of m to compare, the likely one first; with maps, whose difference between meshes grows
+        with m, also the others of `FIRST_M` that are solved."""
+        likely = self.likely_m
+        if self.site.swe_maps is None:
+            return [likely]
+        return [likely, *where_solved(self.simulations.curves, [m for m in FIRST_M if m != likely])]
 
     # ------------------------------------------------------------ interventions
 
