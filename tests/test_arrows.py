@@ -10,7 +10,7 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "limbcli"
 GROUND = {"abaqus_files", "atomic_files", "background_processes", "bodies", "case", "config", "detached_data",
-          "dicom_files", "drawing", "errors",
+          "dicom_files", "drawing", "errors", "formulas",
           "interval_limits", "kernel_folder", "mesh_bounds", "meshlab", "model", "model_io", "options",
           "monotone_interpolation", "output_lock", "patient_frame", "plain_text", "progress", "results",
           "significant_digits", "surface_formats", "surface_frames", "template_rendering",

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 
 FIRST, LAST = (4, 9), (4, 11)
+_REACTIONS = {"Rx", "Ry", "Rz"}
 _NUMBERS = re.compile(r"(\d+)\.(\d+)")
 
 
@@ -23,4 +25,21 @@ def version_caution(version: str) -> str | None:
     return (
         f"FEBio {version} has not been compared with limbcli, only {known}: check forces and displacements "
         "of one model against --solver reference"
+    )
+
+
+def reaction_caution(version: str, fields: Collection[str]) -> str | None:
+    """What to say of reactions that an older FEBio logs for nodes; fields : of all node records.
+
+    >>> reaction_caution("4.11.0", ["Rz"]), reaction_caution("4.9.0", ["uz"])
+    (None, None)
+    >>> reaction_caution("4.9.0", ["uz", "Rz"]).partition(":")[0]
+    'FEBio 4.9.0 logs the force of a rigid body at each of its nodes'
+    """
+    found = _NUMBERS.match(version)
+    if found is None or (int(found[1]), int(found[2])) >= LAST or not _REACTIONS & set(fields):
+        return None
+    return (
+        f"FEBio {version} logs the force of a rigid body at each of its nodes: do not add up Rx, Ry, Rz of a "
+        "node record that contains them, and take the force from <rigid_body_data>"
     )

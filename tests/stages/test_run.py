@@ -228,6 +228,16 @@ def test_a_febio_that_was_not_compared_is_told(tmp_path: Path, version: str, tol
     assert any(f"FEBio {version} has not been compared" in each for each in writer.warnings) == told
 
 
+@pytest.mark.parametrize(("version", "told"), [("4.9.0", True), ("4.11.0", False)])
+def test_reactions_that_an_older_febio_repeats_are_told(tmp_path: Path, version: str, told: bool) -> None:
+    times = np.array([0.0, 1.0])
+    nodes = Table(("uz", "Rz"), times, np.arange(4), np.full((2, 4, 2), -0.08))
+    simulation = Simulation("febio", version, times, {}, nodes={"nodes.csv": nodes})
+    with open_stage(tmp_path, "run", subject="foreign") as writer:
+        write_simulation(simulation, Outline(1.0, (), np.zeros(1, int), np.zeros(1, int), ()), writer)
+    assert any("at each of its nodes" in each for each in writer.warnings) == told
+
+
 def test_depth_in_a_foreign_model_is_the_travel_since_first_contact(tmp_path: Path) -> None:
     """The plate's centre begins 1.5 mm above z = 0 and touches at 1.0; the force is linear from there."""
     heights = (1.5, 1.2, 0.9, 0.6)

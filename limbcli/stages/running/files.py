@@ -16,7 +16,7 @@ from limbcli.measurement.indentation import Levels
 from limbcli.model import Array
 from limbcli.results import StageWriter
 from limbcli.solvers.base import Simulation
-from limbcli.solvers.febio_versions import version_caution
+from limbcli.solvers.febio_versions import reaction_caution, version_caution
 from limbcli.stages.running.travel import travel
 
 COLUMNS = ("time_s", "depth_mm", "force_n")
@@ -59,8 +59,10 @@ def write_simulation(
     )
     own = outline.has_touch_frame or site is not None
     writer.warnings.extend(log_warnings(simulation, own=own))
-    if simulation.solver == "febio" and (caution := version_caution(simulation.version)):
-        writer.warnings.append(caution)
+    if simulation.solver == "febio":
+        logged = [name for table in simulation.nodes.values() for name in table.fields]
+        cautions = (version_caution(simulation.version), reaction_caution(simulation.version, logged))
+        writer.warnings.extend(filter(None, cautions))
     body = probe_body(simulation)
     if body is None:
         writer.warnings.append("no rigid body logs z and Fz, so there is no force-depth curve")
