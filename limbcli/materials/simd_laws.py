@@ -10,7 +10,6 @@ Pressure, and Ogden terms with exponents 2 and -2, are expressed by numbers alph
 
 from __future__ import annotations
 
-import numpy as np
 from numba import njit
 
 from limbcli.materials.dispatch import second_piola
@@ -81,7 +80,7 @@ def add_laws(w, ops, par, rows, tangent, place, six, square, work):
     for leaf in range(ops.shape[0]):
         law, off, n_terms = ops[leaf, 0], ops[leaf, 1], ops[leaf, 2]
         if law != OGDEN:
-            _add_by_points(w, ops[leaf : leaf + 1], par, rows, np.bool_(tangent), place, six, square, work)
+            _add_by_points(w, ops[leaf : leaf + 1], par, rows, tangent, place, six, square, work)
             continue
         squares = True
         for l in range(LANES):

@@ -133,13 +133,23 @@ def add_powers(w, par, rows, off, n_terms, tangent):
             w[at] += c * (1.0 + e0)
             w[at + LANES] += c * (1.0 + e1)
             w[at + 2 * LANES] += c * (1.0 + e2)
-            if tangent:
-                at = SQUARES * LANES + l
-                s0, s1, s2 = w[at], w[at + LANES], w[at + 2 * LANES]
-                at = QUOTIENTS * LANES + l
-                w[at] += part * _quotient(m, s0, s1, l0, l1, e0, e1)
-                w[at + LANES] += part * _quotient(m, s1, s2, l1, l2, e1, e2)
-                w[at + 2 * LANES] += part * _quotient(m, s0, s2, l0, l2, e0, e2)
+            at = H * LANES + l
+            w[at], w[at + LANES], w[at + 2 * LANES] = e0, e1, e2
+        if not tangent:
+            continue
+        for l in range(LANES):
+            c, m = w[PLUS * LANES + l], w[MINUS * LANES + l]
+            at = LOGS * LANES + l
+            l0, l1, l2 = w[at], w[at + LANES], w[at + 2 * LANES]
+            at = H * LANES + l
+            e0, e1, e2 = w[at], w[at + LANES], w[at + 2 * LANES]
+            at = SQUARES * LANES + l
+            s0, s1, s2 = w[at], w[at + LANES], w[at + 2 * LANES]
+            at = QUOTIENTS * LANES + l
+            part = c / m
+            w[at] += part * _quotient(m, s0, s1, l0, l1, e0, e1)
+            w[at + LANES] += part * _quotient(m, s1, s2, l1, l2, e1, e2)
+            w[at + 2 * LANES] += part * _quotient(m, s0, s2, l0, l2, e0, e2)
     _from_principal(w, tangent)
 
 

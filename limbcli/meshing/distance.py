@@ -249,7 +249,6 @@ def _crossings(corners: Any, nx: int, ny: int, nz: int, jitter: float) -> Any:
     return count
 
 
-@njit(cache=True)
 def _redistance(phi: Any) -> Any:
     """Distance in grid units with the sign of phi, anchored at the samples adjacent to the zero level."""
     d = _anchors(phi)

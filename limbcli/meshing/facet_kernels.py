@@ -49,7 +49,9 @@ def _may_move(
         if face[0] == other or face[1] == other or face[2] == other:
             continue
         for m in range(3):
-            p[m] = to if face[m] == v else x[face[m]]
+            node = face[m]
+            for i in range(3):
+                p[m, i] = to[i] if node == v else x[node, i]
             if face[m] != v and _distance(to, x[face[m]]) > longest:
                 return False
         before = _normal(x[face[0]], x[face[1]], x[face[2]], old)
@@ -95,7 +97,8 @@ def collapse_edges(
             for k in range(start[node], start[node + 1]):
                 for m in range(3):
                     locked[faces[around[k], m]] = True
-        x[u] = to
+        for m in range(3):
+            x[u, m] = to[m]
         for k in range(start[v], start[v + 1]):
             face = faces[around[k]]
             if face[0] == u or face[1] == u or face[2] == u:

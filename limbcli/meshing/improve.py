@@ -241,6 +241,7 @@ def _smooth(
 ) -> None:
     np.random.seed(7)  # noqa: NPY002 (numba knows no Generator here)
     g = np.empty(3)
+    rounds = np.int64(3)  # not a literal: see `materials.cache`
     for step in range(passes):
         moved = 0
         for v in range(len(x)):
@@ -267,15 +268,17 @@ def _smooth(
                     for k in range(3):
                         x[v, k] = here[k] + size * reach * np.random.normal() * 0.6  # noqa: NPY002
                     if codes[v, 0] > 0:
-                        _put_back(x[v], codes[v], skin, bone, origin, spacing, planes, 3, g)
+                        _put_back(x[v], codes[v], skin, bone, origin, spacing, planes, rounds, g)
                         if _off_surface(x[v], codes[v], skin, bone, origin, spacing, planes, g) > _ON:
                             continue
                     q = _star_quality(x, cells, star, first, last)
                     if q > best:
                         best = q
-                        found[:] = x[v]
+                        for k in range(3):
+                            found[k] = x[v, k]
                         better = True
-                x[v] = found
+                for k in range(3):
+                    x[v, k] = found[k]
                 size *= 0.5
             if better:
                 moved += 1

@@ -159,13 +159,14 @@ def internal_force(start, stop, u, cells, grad, weight, ops, par, base, scale, h
     worst, place = 1e300, -1
     n_gauss = weight.shape[1]
     at_once = max(LANES // n_gauss, 1)
+    want = np.bool_(False)  # no tangent; not a literal: see `materials.cache`
     for e0 in range(start, stop, at_once):
         some = np.arange(e0, min(e0 + at_once, stop))
         n = _fill(w, rows, some, u, cells, grad, weight, par, base)
         lanes.measure(w)
-        lanes.add_laws(w, ops, par, rows, False, one, six, square, work)
-        lanes.finish(w, False)
-        _take_history(w, some, n_gauss, scale, history, False)
+        lanes.add_laws(w, ops, par, rows, want, one, six, square, work)
+        lanes.finish(w, want)
+        _take_history(w, some, n_gauss, scale, history, want)
         _first_piola(w)
         low, lane = _worst(w, n)
         if worst > low:
@@ -268,18 +269,19 @@ def tangent(
     mixed = volumes.shape[0] == cells.shape[0]
     flat = blocks.reshape(-1)
     at_once = max(LANES // n_gauss, 1)
+    want = np.bool_(True)
     for e0 in range(start, stop, at_once):
         some = order[e0 : min(e0 + at_once, stop)]
         n = _fill(w, rows, some, u, cells, grad, weight, par, base)
         lanes.measure(w)
-        lanes.add_laws(w, ops, par, rows, True, one, six, square, work)
+        lanes.add_laws(w, ops, par, rows, want, one, six, square, work)
         for l in range(n):
             e = some[l // n_gauss]
             if mixed:
                 stiffness = lame[e if lame.shape[0] > 1 else 0]
                 w[SHIFT * LANES + l] = stiffness * (volumes[e, l % n_gauss] - w[J * LANES + l])
-        lanes.finish(w, True)
-        _take_history(w, some, n_gauss, scale, history, True)
+        lanes.finish(w, want)
+        _take_history(w, some, n_gauss, scale, history, want)
         _first_tangent(w)
         for k in range(len(some)):
             _add_products(w, k * n_gauss, grad[some[k]], G, DG, K)

@@ -141,7 +141,8 @@ def solve_tile(blas, a, o, ld, k0, k1, r0, r1, inverse, work):  # type: ignore[n
         return
     for j in range(n):
         source = o + r0 + (k0 + j) * ld
-        work[j * m : (j + 1) * m] = a[source : source + m]
+        for i in range(m):
+            work[j * m + i] = a[source + i]
     gemm_nt(blas, m, n, n, one, work, 0, m, inverse, 0, TILE, none, a, o + r0 + k0 * ld, ld)
 
 

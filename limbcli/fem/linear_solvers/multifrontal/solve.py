@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from numba import njit
 
 from limbcli.fem.linear_solvers.multifrontal.compact_factor import PAD, down, up
@@ -62,12 +63,14 @@ def backward(plan, start, stop, kept, w, y, z):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def whole(kept, sign, w, y, z):  # type: ignore[no-untyped-def]
     """w -> (L S L^T)^-1 w for a matrix that is a single front."""
-    n = len(w)
-    y[:n] = w
+    n, begin = len(w), np.int64(0)  # not a literal: see `materials.cache`
+    for i in range(n):
+        y[i] = w[i]
     y[n : n + PAD] = 0
-    down(kept, 0, 0, 0, n, n, y, z)
+    down(kept, begin, begin, begin, n, n, y, z)
     for i in range(n):
         y[i] *= sign[i]
     y[n : n + PAD] = 0
-    up(kept, len(kept.inverses) // (TILE * TILE), len(kept.parts), 0, n, n, y, z)
-    w[:] = y[:n]
+    up(kept, len(kept.inverses) // (TILE * TILE), len(kept.parts), begin, n, n, y, z)
+    for i in range(n):
+        w[i] = y[i]

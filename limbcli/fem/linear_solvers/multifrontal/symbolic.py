@@ -205,11 +205,10 @@ def _renumber(
     return Fronts(order[fresh], start, up, rows_at, _sorted(rows_at, positions(fresh)[below]))
 
 
-@njit(cache=True)
 def _sorted(at, rows):  # type: ignore[no-untyped-def]
-    for s in range(len(at) - 1):
-        rows[at[s] : at[s + 1]].sort()
-    return rows
+    """The rows of each front in order; sorted all at once, in keys that begin with the front's number."""
+    first = np.repeat(np.arange(len(at) - 1), np.diff(at)) * (rows.max(initial=0) + 1)
+    return np.sort(first + rows) - first
 
 
 @njit(cache=True)
