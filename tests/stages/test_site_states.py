@@ -11,10 +11,13 @@ from limbcli.case import Case
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.phantom.case_folder import NoiseLaw
 from limbcli.progress import SILENT
+from limbcli.results import open_stage, read_result
 from limbcli.stages.batching.outcome import BatchOptions
 from limbcli.stages.batching.steps import site_steps
 from limbcli.stages.check import check
 from limbcli.stages.fitting.state_plan import plan_of
+from limbcli.stages.provenance.chain import Chain
+from limbcli.stages.provenance.chain_inputs import noted
 from limbcli.stages.simulated_subjects.synth_case import case_table
 from limbcli.stages.site_model.site_states import states_of
 from tests.stages import state_case
@@ -118,12 +121,26 @@ def test_states_that_tell_nothing_or_too_much_are_errors(given, known, message):
         plan_of(given, known, NAMES[:2], where="site p1")
 
 
-def test_a_batch_fits_the_states_after_the_force_and_looks_at_every_file(tmp_path: Path):
+def test_a_batch_fits_the_states_after_the_force(tmp_path: Path):
     case = Case.open(written(tmp_path / "case"))
     requested = {stage: {} for stage in ("mesh", "build-feb", "run", "fit", "fit-states")}
     steps = site_steps(case, "p1", BatchOptions(), requested, out=tmp_path / "out", progress=SILENT)
     assert [each.stage for each in steps] == ["mesh", "build-feb", "run", "fit", "fit-states"]
-    assert {each.levels for each in case.sites[0].states} <= set(steps[-1].parts)
+
+
+def test_every_state_s_file_is_recorded_where_the_states_are_read(tmp_path: Path):
+    case, out = Case.open(written(tmp_path / "case")), tmp_path / "out"
+    with open_stage(out, "fit-states", subject=case.subject, site="p1") as writer:
+        states_of(noted(case, writer).site("p1"))
+    result = read_result(out, "fit-states", site="p1")
+    roles = {f"site/p1/state/{each.name}" for each in case.sites[0].states}
+    assert set(result.provenance["made_from"]["files"]) == roles
+    assert Chain(case, out).broken(result) is None
+    path = case.sites[0].states[1].levels
+    path.write_text(path.read_text() + "\n")
+    broken = Chain(case, out).broken(result)
+    assert broken is not None
+    assert path.name in broken.where
 
 
 def test_a_simulated_case_of_a_site_with_states_has_the_levels_of_each(tmp_path: Path):
