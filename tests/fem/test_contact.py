@@ -223,7 +223,6 @@ def test_augmentations_go_on_as_febios() -> None:
     ("change", "word"),
     [
         ({"two_pass": True}, "two_pass"),
-        ({"friction": 0.3, "augmented": True}, "fric_coeff"),
         ({"more": {"tension": "1"}}, "tension"),
         ({"more": {"node_reloc": "1"}}, "node_reloc"),
         ({"augmented": True, "more": {"smooth_aug": "1"}}, "smooth_aug"),

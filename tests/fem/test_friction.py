@@ -92,6 +92,28 @@ def test_tangent_agrees_with_differences(kind: str, free: bool, rng: np.random.G
     np.testing.assert_allclose((up - down) / (2 * h), exact, atol=1e-6 * abs(exact).max())
 
 
+@pytest.mark.parametrize(("x", "mu", "slips"), [(0.02, 0.9, False), (3.0, 0.3, True)])
+def test_augmented_friction_gives_nearly_what_a_stiff_penalty_gives(x: float, mu: float, slips: bool) -> None:
+    """A block that sticks in part or slips under a plate, by a penalty that alone leaves a large gap."""
+    model = replace(dragged(x, mu=mu), mesh=punch("hex8", (2, 2, 2), width=40.0).mesh)
+    model = replace(model, supports=model.supports[:1])
+
+    def end(**change: object) -> tuple[np.ndarray, float]:
+        contacts = tuple(replace(each, **change) for each in model.contacts)
+        analysis, at_end = last(replace(model, contacts=contacts))
+        states = [p.state for pair in analysis.system.pairs for p in pair.patches]
+        stick = np.mean([(state[..., friction_kernels.STICKS] > 0).mean() for state in states])
+        return at_end.forces.bodies[0, :3], float(stick)
+
+    stiff, sticking = end(penalty=400.0)
+    soft, _ = end(penalty=2.0)
+    augmented, still = end(penalty=2.0, augmented=True, tolerance=1e-4, more={"maxaug": "40"})
+    assert (sticking == 0.0) == slips == (still == 0.0)
+    assert np.abs(soft - stiff).max() > 0.2 * np.abs(stiff).max()
+    # both depend on the way; a stiff penalty alone forgets the shear of the step before
+    np.testing.assert_allclose(augmented, stiff, atol=0.08 * np.abs(stiff).max())
+
+
 def test_far_from_equilibrium_a_slip_is_resisted_along_its_way_too() -> None:
     """By mu p / |y| in every direction of the face, so that no iteration overshoots."""
     model = dragged(2.0)
