@@ -186,7 +186,8 @@ _TABLES = {("site", key) for key in ("name", "pennation", "state", "noise", "lay
 SCHEMA = {
     "subject": schema.SUBJECT, "files": schema.FILES, "imaging": schema.IMAGING, "probe": schema.PROBE,
     "model": schema.MODEL, "site": schema.SITE, "noise": schema.NOISE, "layer": schema.LAYER,
-    "socket": schema.SOCKET, "knee": schema.KNEE, "liner": schema.LINER, "pennation": schema.PENNATION, "state": schema.STATE, **schema.INSTRUMENTS,
+    "socket": schema.SOCKET, "knee": schema.KNEE, "liner": schema.LINER,
+    "pennation": schema.PENNATION, "state": schema.STATE, **schema.INSTRUMENTS,
 }  # fmt: skip
 EVERY_KEY = {(table, key) for table, keys in SCHEMA.items() for key in keys} - _TABLES
 EVERY_KEY -= {("socket", "liner"), ("socket", "knee")}

@@ -16,7 +16,7 @@ from limbcli.case import Case
 from limbcli.case.socket import KneeInput, LinerInput, SocketInput
 from limbcli.errors import CaseError, MeshError, SolveError
 from limbcli.feb.read import read_feb
-from limbcli.meshing.surfaces import Triangles
+from limbcli.meshing.surfaces import Triangles, read_surface
 from limbcli.model_io import load_model
 from limbcli.progress import SILENT
 from limbcli.results import read_result
@@ -189,6 +189,17 @@ def test_what_the_thigh_does_to_the_limb_acts_on_the_socket_the_other_way(limb_m
     np.testing.assert_allclose(found.directions_in_lps(np.array(found.knee.force)), [-7, 30, 0], atol=2.0)
     np.testing.assert_allclose(found.directions_in_lps(np.array(found.knee.moment)), [-2e3, 0, 0], atol=200)
     np.testing.assert_allclose(found.in_lps(np.array([found.knee.centre]))[0], given.centre, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_femur_in_another_frame_than_its_stump_is_refused(shared: Path, tmp_path: Path):
+    """A thigh stump, its femur and its socket lie in three frames; alignment places the socket alone."""
+    folder = shared / "data" / "limb-scans" / "socket-sense"
+    files = {"skin": folder / "Stump.stl", "bone_femur": folder / "Femur.STL"}
+    case = write_case(tmp_path / "case", {name: read_surface(path) for name, path in files.items()})
+    with pytest.raises(CaseError, match="bone_femur lies outside the skin") as caught:
+        segment(case, out=tmp_path / "out")
+    assert "in one frame" in caught.value.fix
 
 
 @pytest.mark.slow

@@ -6,8 +6,7 @@ into contact within a step slips. See `friction_kernels` for the law.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -28,7 +27,6 @@ class FrictionPair(Pair):
     was, now : its position at the last converged step, and at the last search
     before : per patch, the state of its points at the last converged step (see `friction_kernels`)
     pulls : per patch, the vector multipliers (n_facets, n_gauss, 3) of augmented contact
-    is_frozen : which points stick was decided before the first augmentation of a load step, as in FEBio
     """
 
     rigid: Body
@@ -36,7 +34,6 @@ class FrictionPair(Pair):
     now: BodyState = AT_REST
     before: list[Array] = field(default_factory=list)
     pulls: list[Array] = field(default_factory=list)
-    is_frozen: bool = False
 
     def __post_init__(self) -> None:
         for patch in self.patches:
@@ -81,23 +78,11 @@ class FrictionPair(Pair):
         super().set_multipliers(found)
         self.pulls = [pull.copy() for _, pull in found]
 
-    @contextmanager
-    def as_found(self) -> Iterator[None]:
-        """What sticks is not decided anew."""
-        self.is_frozen = bool(self.used)
-        with super().as_found():
-            yield
-        self.is_frozen = False
-
-    def end_augmentation(self) -> None:
-        self.is_frozen = False
-
     def _augment(self) -> None:
         for p, pull in zip(self.patches, self.pulls, strict=True):
             touches = p.state[..., TRACTION] > 0
             p.multiplier = p.state[..., TRACTION].copy()
             pull[:] = np.where(touches[..., None], p.state[..., PUSH : PUSH + 3], 0.0)
-        self.is_frozen = True
 
     def _sum_of_squares(self) -> float:
         total = 0.0
@@ -119,9 +104,7 @@ class FrictionPair(Pair):
         count = super().search(x, at)
         self.now = at
         for p, before, pull in zip(self.patches, self.before, self.pulls, strict=True):
-            friction_kernels.resist(
-                x, p.facets, p.N, p.dN, p.eps, self.mu, before, self.move, pull, self.is_frozen, p.state
-            )
+            friction_kernels.resist(x, p.facets, p.N, p.dN, p.eps, self.mu, before, self.move, pull, p.state)
         return count
 
     def force(self, center: Array, out: Array, body: Array) -> None:

@@ -19,9 +19,10 @@ tangential direction, that of the quadratic with the same force that majorises m
 Tohoku Math. J. 43:355).
 
 With augmented contact a sticking point has T = pull + eps d, and p contains the multiplier of the pressure;
-after each augmentation both take the values of T and p. From the first augmentation of a load step to its end
-no point changes between stick and slip (FESlidingElasticInterface::Augment and ContactTraction). The shortest
-slip with full friction is then mu p/eps, p with its multiplier: with a soft penalty farther than without.
+after each augmentation both take the values of T and p. FEBio lets no point change between stick and slip
+from the first augmentation of a load step to its end (FESlidingElasticInterface::ContactTraction); here that
+is decided anew at every search, since a limb in a tight socket did not converge otherwise. The shortest slip
+with full friction is then mu p/eps, p with its multiplier: with a soft penalty farther than without.
 
 Columns of `state` after those of `contact_points`: stick flag, T, |d| of a sticking point. Columns of
 `before`, from the last converged step: position, tangents g1 and g2, anchor, facet of the anchor (or -1).
@@ -99,10 +100,10 @@ def _slip(row, before, move, r, g1, g2, n, y, c, m):
 
 
 @njit(cache=True, nogil=True)
-def resist(x, facets, N, dN, eps, mu, before, move, pull, frozen, state):
+def resist(x, facets, N, dN, eps, mu, before, move, pull, state):
     """Determine stick or slip and the traction T of every touching point; returns how many stick.
 
-    pull (n_facets, n_gauss, 3) : multipliers of T; frozen : which points stick is given by the state
+    pull (n_facets, n_gauss, 3) : multipliers of T
     """
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     y, c, m, anchor, thrust = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -110,14 +111,12 @@ def resist(x, facets, N, dN, eps, mu, before, move, pull, frozen, state):
     for f in range(facets.shape[0]):
         for k in range(N.shape[0]):
             row = state[f, k]
-            sticks = frozen and row[STICKS] > 0.0
-            if not frozen:
-                row[STICKS] = 0.0
+            row[STICKS] = 0.0
             if row[TRACTION] == 0.0:
                 continue
             point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
             size = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
-            if sticks or (not frozen and before[f, k, HELD] >= 0.0):
+            if before[f, k, HELD] >= 0.0:
                 normal, shear, apart = 0.0, 0.0, 0.0
                 for i in range(3):
                     anchor[i] = move[3, i]
@@ -128,9 +127,9 @@ def resist(x, facets, N, dN, eps, mu, before, move, pull, frozen, state):
                     apart += (r[i] - anchor[i]) ** 2
                 for i in range(3):
                     shear += (thrust[i] - normal * n[i] / size) ** 2
-                if sticks or (normal > 0.0 and np.sqrt(shear) < mu * normal):
+                if normal > 0.0 and np.sqrt(shear) < mu * normal:
                     row[STICKS] = 1.0
-                    row[TRACTION] = max(normal, 0.0)
+                    row[TRACTION] = normal
                     row[APART] = np.sqrt(apart)
                     row[FACET] = before[f, k, HELD]
                     for i in range(3):

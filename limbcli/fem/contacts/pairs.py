@@ -135,9 +135,6 @@ class Pair:
         yield
         self.set_multipliers(after)
 
-    def end_augmentation(self) -> None:
-        """Undo what holds only while a load step is augmented."""
-
     @property
     def is_augmented(self) -> bool:
         """Whether augmentations are done; as in FEBio 4.11, only if one of the tolerances is positive."""

@@ -336,9 +336,6 @@ class LoadStepping:
             for pair, multipliers in zip(pairs, before, strict=True):
                 pair.set_multipliers(multipliers)
             raise
-        finally:
-            for pair in pairs:
-                pair.end_augmentation()
         return state, forces
 
 
