@@ -4,9 +4,9 @@
 
 COMMIT is checked out to a temporary folder and uses the libraries of this environment. Each command of the
 demo runs `--repeats` times with its kernels compiled, every time on the same results of the commands before
-it; the median counts. "first use" is the same with no kernel compiled, once, less that. One thread. What costs
-over 5 % more is marked, and the exit code is 1. --rows: these, and what they need. "peak memory": of all
-commands run.
+it; the median counts. "first use" is the same with no kernel compiled, once, less that. One thread. What
+costs over 5 % more is marked, and the exit code is 1. --rows: these, and what they need. "peak memory": of
+all commands run.
 """
 
 from __future__ import annotations
