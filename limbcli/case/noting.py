@@ -29,12 +29,12 @@ _TELL, _PLAIN, _PREFIX, _NOT_OF_CASE = "_tell", "_plain", "_prefix", "_not_of_ca
 
 def noting(case: Case, tell: Tell) -> Case:
     """The same case; `tell` is called with the name of what is asked of it, and whether it names a file."""
-    sites = tuple(_noting_site(each, tell) for each in case.sites)
-    parts = {
+    parts: dict[str, Any] = {
+        "sites": tuple(_noting_site(each, tell) for each in case.sites),
         "imaging": _wrapped(case.imaging, tell, "imaging"),
         "model": _wrapped(case.model, tell, "model/"),
     }
-    return _wrapped(case, tell, "", sites=sites, raw=_Raw(case.raw, tell), **parts)
+    return _wrapped(case, tell, "", raw=_Raw(case.raw, tell), **parts)
 
 
 def unnoted(part: Part) -> Part:
@@ -72,15 +72,14 @@ def _wrapped(
     tell: Tell,
     prefix: str,
     *,
-    not_of_case: frozenset[str] | set[str] = frozenset(),
+    not_of_case: frozenset[str] = frozenset(),
     **changes: Any,
 ) -> Part:
     """A copy of a part, of a class that reports what is asked of it."""
-    found = object.__new__(_noting_class(type(part)))
+    kind: Any = type(part)
+    found: Part = object.__new__(_noting_class(kind))
     values = {**vars(part), **changes}
-    vars(found).update(
-        values, **{_TELL: tell, _PLAIN: part, _PREFIX: prefix, _NOT_OF_CASE: frozenset(not_of_case)}
-    )
+    vars(found).update(values, **{_TELL: tell, _PLAIN: part, _PREFIX: prefix, _NOT_OF_CASE: not_of_case})
     return found
 
 
