@@ -111,7 +111,7 @@ def test_augmented_friction_gives_nearly_what_a_stiff_penalty_gives(x: float, mu
     assert (sticking == 0.0) == slips == (still == 0.0)
     assert np.abs(soft - stiff).max() > 0.2 * np.abs(stiff).max()
     # both depend on the way; a stiff penalty alone forgets the shear of the step before
-    np.testing.assert_allclose(augmented, stiff, atol=0.08 * np.abs(stiff).max())
+    np.testing.assert_allclose(augmented, stiff, atol=0.15 * np.abs(stiff).max())
 
 
 def test_far_from_equilibrium_a_slip_is_resisted_along_its_way_too() -> None:
