@@ -28,7 +28,7 @@ def signed_distance(mask: NDArray[np.bool_], spacing: Array) -> NDArray[np.float
     field = np.full(mask.shape, -REACH, np.float32)
     for k in np.flatnonzero(mask.any(axis=(0, 1))):
         window = box_around(mask[:, :, k], np.ceil((REACH + spacing[:2].min()) / spacing[:2]))
-        here = (*window, int(k))
+        here: tuple[slice | int, ...] = (*window, int(k))
         field[here] = _distance(mask[here], spacing[:2])
     return field
 
