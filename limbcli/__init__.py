@@ -13,7 +13,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from limbcli.kernel_folder import keep_kernels
+from limbcli.files.kernel_folder import keep_kernels
 from limbcli.version import __version__
 
 if TYPE_CHECKING:

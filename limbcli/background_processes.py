@@ -11,7 +11,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 
-from limbcli.temporary_folders import ends_with_this_process
+from limbcli.files.temporary_folders import ends_with_this_process
 
 _AT_WORK: list[subprocess.Popen[bytes]] = []
 

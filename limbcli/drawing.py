@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from limbcli.files.plain_text import text_cell
 from limbcli.model import Array
-from limbcli.plain_text import text_cell
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

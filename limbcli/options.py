@@ -16,7 +16,7 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, Union, get_args, get_origin
 
-from limbcli.mesh_bounds import ELEMENTS, MARGIN_MM
+from limbcli.numbers.mesh_bounds import ELEMENTS, MARGIN_MM
 
 Bounds: TypeAlias = tuple[float | None, float | None]
 SolverName = Literal["auto", "febio", "reference"]

@@ -19,9 +19,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from limbcli.atomic_files import atomic_folder, sha256
 from limbcli.errors import CaseError, errors_of_site
 from limbcli.errors.commands import command_line
+from limbcli.files.atomic import atomic_folder, sha256
 from limbcli.version import __version__
 
 FORMAT = 1

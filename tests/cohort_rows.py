@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from limbcli.inference.cohort_model import CohortModel, tissue
+from limbcli.cohorts.population import CohortModel, tissue
 from limbcli.inference.layered_family import layered_family
 from limbcli.inference.layered_solves import FORCE, SKIN_PART
 

@@ -26,9 +26,9 @@ for found in pkgutil.walk_packages(limbcli.__path__, "limbcli."):
     if not found.name.endswith(("__main__", "kernels")):
         importlib.import_module(found.name)
 from pathlib import Path
-from limbcli.output_lock import one_writer
-from limbcli.temporary_folders import scratch_folder
-from limbcli.kernel_folder import _places
+from limbcli.files.output_lock import one_writer
+from limbcli.files.temporary_folders import scratch_folder
+from limbcli.files.kernel_folder import _places
 with scratch_folder() as folder, one_writer(folder / "out"):
     (folder / "out" / "a.txt").write_text("a")
 assert not folder.exists()

@@ -15,8 +15,8 @@ from limbcli.api.limits import check_arguments
 from limbcli.config import at_home, default_out
 from limbcli.errors import CaseError
 from limbcli.errors.file_system import NO_MEMORY, in_words
+from limbcli.files.output_lock import one_writer
 from limbcli.options import arguments_of, documented, plain_signature
-from limbcli.output_lock import one_writer
 from limbcli.progress import SILENT, Listener, Progress
 from limbcli.results import CALLED
 

@@ -21,8 +21,8 @@ from limbcli.api.call import (
 from limbcli.api.tables import Row, Tabular
 from limbcli.config import default_out
 from limbcli.errors import CaseError, LimbcliError
+from limbcli.files.output_lock import one_writer
 from limbcli.options import ELEMENT, FEBIO, OUT, PROGRESS, SOLVER, TEMPLATES, WAIT, Option, SolverName
-from limbcli.output_lock import one_writer
 from limbcli.results import StageResult
 
 if TYPE_CHECKING:

@@ -129,8 +129,8 @@ def fit_joint(
     CaseError, MeasurementError, SolveError, FitError
         As `fit`.
     """
+    from limbcli.fitting.options import FitOptions
     from limbcli.stages import fit_joint as stage
-    from limbcli.stages.fitting.options import FitOptions
 
     with at_work(case, out, wait=wait, progress=progress) as work:
         options = FitOptions(
@@ -197,8 +197,8 @@ def compare_elements(
     CaseError, MeasurementError, MeshError, SolveError, FitError
         As `fit`; MeshError if the mesh does not consist of tetrahedra.
     """
+    from limbcli.fitting.options import FitOptions
     from limbcli.stages import fit_elements as stage
-    from limbcli.stages.fitting.options import FitOptions
 
     with at_work(case, out, wait=wait, progress=progress) as work:
         options = FitOptions(

@@ -10,7 +10,7 @@ from limbcli.api.base import Result, SiteResults, one
 from limbcli.api.call import CaseLike, Heard, PathLike, at_work, names_of, public
 from limbcli.api.limits import within
 from limbcli.errors import CaseError
-from limbcli.mesh_bounds import FAR_SIZE_MM, SIZE_MM
+from limbcli.numbers.mesh_bounds import FAR_SIZE_MM, SIZE_MM
 from limbcli.options import CASE, ELEMENT, MARGIN, OUT, PROGRESS, SITES, WAIT, Option
 from limbcli.results import StageResult
 
@@ -122,7 +122,7 @@ class MeshResult(Result):
 
     def model(self) -> LimbModel:
         """The model: mesh, named sets and probe, without the tissue's parameters."""
-        from limbcli.model_io import load_model
+        from limbcli.model.npz_file import load_model
 
         return load_model(self.files["model"])
 
@@ -266,7 +266,7 @@ def _place(at: tuple[float, float] | None) -> tuple[float, float] | None:
 
 def thickness(value: float | str | None, name: str) -> Any:
     """The value in the form that the stage expects."""
-    from limbcli.stages.site_model.site_layers import thickness_of
+    from limbcli.site_model.site_layers import thickness_of
 
     if isinstance(value, str):
         return thickness_of(value, name)

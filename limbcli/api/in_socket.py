@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar
 
 from limbcli.api.base import Result, one
 from limbcli.api.call import CaseLike, Heard, PathLike, at_work
-from limbcli.mesh_bounds import PENETRATION_MM, SOCKET_PENALTY, SOCKET_PENETRATION_MM, SOCKET_STEPS
+from limbcli.numbers.mesh_bounds import PENETRATION_MM, SOCKET_PENALTY, SOCKET_PENETRATION_MM, SOCKET_STEPS
 from limbcli.options import CASE, OUT, PROGRESS, WAIT, Option
 from limbcli.results import StageResult
 from limbcli.stages.in_socket.patch_pressure import PatchPressure

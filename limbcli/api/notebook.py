@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from limbcli.significant_digits import short
+from limbcli.numbers.significant_digits import short
 
 _MOST_ROWS = 20
 _LARGEST_PICTURE = 2_000_000  # bytes

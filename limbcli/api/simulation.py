@@ -22,6 +22,7 @@ from limbcli.api.call import (
 from limbcli.api.tables import Table, plain_rows, read_columns, structured
 from limbcli.config import default_out
 from limbcli.errors import CaseError
+from limbcli.files.output_lock import one_writer
 from limbcli.options import (
     C_KPA,
     CASE,
@@ -35,7 +36,6 @@ from limbcli.options import (
     Option,
     SolverName,
 )  # fmt: skip
-from limbcli.output_lock import one_writer
 from limbcli.results import StageResult
 
 if TYPE_CHECKING:
@@ -174,7 +174,7 @@ def build_feb(
 
 def _laws(layers: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     """The laws, checked against the rules of case.toml."""
-    from limbcli.stages.site_model.site_layers import parse_law
+    from limbcli.site_model.site_layers import parse_law
 
     if not isinstance(layers, Mapping) or not all(isinstance(each, Mapping) for each in layers.values()):
         fix = 'give a table of tables such as {"fat": {"c_kpa": 2.0}}'

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from limbcli.api.base import Result, one
 from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path
 from limbcli.api.geometry import thickness
-from limbcli.mesh_bounds import LIMB_CUT_MM, LIMB_NODES, LIMB_SITE_SIZE_MM
+from limbcli.numbers.mesh_bounds import LIMB_CUT_MM, LIMB_NODES, LIMB_SITE_SIZE_MM
 from limbcli.options import C_KPA, CASE, ELEMENT, OUT, PROGRESS, TEMPLATES, WAIT, Option
 from limbcli.results import StageResult
 
@@ -57,7 +57,7 @@ class LimbResult(Result):
 
     def model(self) -> LimbModel:
         """The model at rest, with its named surfaces and node sets."""
-        from limbcli.model_io import load_model
+        from limbcli.model.npz_file import load_model
 
         return load_model(self.files["model"])
 

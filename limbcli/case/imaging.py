@@ -13,7 +13,7 @@ from limbcli.case.label_sources import read_label_sources
 from limbcli.case.parts import SKIN_SCALE, Imaging, Shape
 from limbcli.case.schema import BONE_RADIUS_MM, Key, number
 from limbcli.errors.problems import Problem
-from limbcli.units import LENGTH_UNITS_IN_MM
+from limbcli.numbers.units import LENGTH_UNITS_IN_MM
 
 SHAPE = {
     "circumference_mm": Key("mm", number(80.0, 1000.0, "mm"), required=True),

@@ -13,8 +13,8 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 from limbcli.errors.problems import Problem, suggestion
-from limbcli.mesh_bounds import LIMB_NODES, MARGIN_MM
-from limbcli.units import FORCE_UNITS_IN_N, LENGTH_UNITS_IN_MM, TIME_UNITS_IN_S
+from limbcli.numbers.mesh_bounds import LIMB_NODES, MARGIN_MM
+from limbcli.numbers.units import FORCE_UNITS_IN_N, LENGTH_UNITS_IN_MM, TIME_UNITS_IN_S
 
 FILL_IN = "FILL IN"  # placeholder that `limbcli new` writes for a value the user must give
 # Longest name of a site, bytes: file systems allow 255, and names of results contain more than the site's.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from limbcli.case import schema as schema
 from limbcli.case.files import CaseFiles
 from limbcli.errors.problems import Problem, errors_of
-from limbcli.units import mpa_from_kpa
+from limbcli.numbers.units import mpa_from_kpa
 
 if TYPE_CHECKING:
     from limbcli.case import Case

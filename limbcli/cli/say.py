@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from limbcli.plain_text import shown
+from limbcli.files.plain_text import shown
 
 
 def say(text: object = "", *, to_stderr: bool = False, end: str = "\n") -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 from limbcli.cli.remaining_time import LOG_S, SILENCE_S, TimeLeft, keep_alive
 from limbcli.cli.results_stream import results
 from limbcli.cli.say import say
-from limbcli.plain_text import shown
+from limbcli.files.plain_text import shown
 from limbcli.progress import SILENT, Progress
 
 if TYPE_CHECKING:  # without numpy, which help and messages do not need

@@ -27,13 +27,13 @@ def _seeds(texts: list[str], flag: str) -> list[tuple[str, tuple[float, ...]]]:
 
 
 def _thickness(text: str, flag: str) -> float | str:
-    from limbcli.stages.site_model.site_layers import thickness_of
+    from limbcli.site_model.site_layers import thickness_of
 
     return thickness_of(text, flag)
 
 
 def _laws(texts: list[str], flag: str) -> dict[str, dict[str, Any]]:
-    from limbcli.stages.site_model.site_layers import parse_law
+    from limbcli.site_model.site_layers import parse_law
 
     return dict(map(parse_law, texts))
 

@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
+from limbcli.inference.monotone_interpolation import Monotone, columns_through
 from limbcli.model import Array
-from limbcli.monotone_interpolation import Monotone, columns_through
 
 _FAR = 10.0  # limit of the extrapolation of ln depth beyond a curve's ends
 _LARGER = 1e-6  # relative increase of force below which it, and so its logarithm, counts as unchanged

@@ -11,10 +11,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from limbcli.bodies import Drive, RigidBody, Spring
 from limbcli.effects.base import Effect, Parameter, Theta
 from limbcli.effects.reading import Reading
 from limbcli.model import LimbModel
+from limbcli.model.bodies import Drive, RigidBody, Spring
 
 COMPLIANCE = Parameter("support_compliance_mm_per_n", null=0.0, start=0.03, low=0.0, high=0.35, typical=0.05,
                        prior="5 to 100 N/mm")  # fmt: skip

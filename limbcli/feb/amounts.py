@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from limbcli.feb.ids import number
-from limbcli.formulas import Formula
+from limbcli.numbers.formulas import Formula
 
 Amount = float | Formula
 

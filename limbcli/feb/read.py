@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.bodies import RigidBody
 from limbcli.feb import read_loads
 from limbcli.feb.dialects import convert
 from limbcli.feb.info import read_info
@@ -37,6 +36,7 @@ from limbcli.feb.units import scaled, units_scale
 from limbcli.feb.xml import UNITS, Tag, drop_empty, open_model, units_of
 from limbcli.materials.laws import is_three_field
 from limbcli.model import FIBRES, Array, Curved, Domain, ElementMap, LimbModel, Material, Mesh, Step, Surface
+from limbcli.model.bodies import RigidBody
 
 IGNORED = "ignored"  # key in `info` of what was left out, since it cannot change a result; not written
 _OF_SHELLS = ("shell_thickness", "shell_normal_nodal")

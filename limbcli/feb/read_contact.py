@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Literal, cast
 
-from limbcli.bodies import Contact
 from limbcli.feb.read_loads import Scene, flag
 from limbcli.feb.read_mesh import refuse_repeated
 from limbcli.feb.xml import Tag
+from limbcli.model.bodies import Contact
 
 # FEBio's defaults of sliding-elastic for missing tags (FESlidingElasticInterface).
 CONTACT_DEFAULTS = {

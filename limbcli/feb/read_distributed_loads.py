@@ -14,8 +14,8 @@ from collections.abc import Callable
 from limbcli.feb.amounts import Amount, against
 from limbcli.feb.read_loads import Scene, flag
 from limbcli.feb.xml import Tag
-from limbcli.formulas import Formula
 from limbcli.model import Load
+from limbcli.numbers.formulas import Formula
 
 _AXES = ("x", "y", "z")
 _KNOWN = (

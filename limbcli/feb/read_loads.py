@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal, cast
 
-from limbcli.bodies import Drive, RigidBody, Spring
 from limbcli.errors import SolveError
 from limbcli.feb.read_mesh import MeshSection
 from limbcli.feb.xml import Tag
 from limbcli.model import Curve, NodeMap, Support
+from limbcli.model.bodies import Drive, RigidBody, Spring
 
 _INTERPOLATIONS = ("linear", "step", "smooth")
 _EXTENSIONS = ("constant", "extrapolate", "repeat", "repeat offset")

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from limbcli.bodies import RigidBody
 from limbcli.feb.law_tags import LawTag, lame, law_tags, tag_of_febio
 from limbcli.feb.xml import Tag
 from limbcli.model import Curved, ElementMap, Material, Value
+from limbcli.model.bodies import RigidBody
 
 _DEFAULTS = {"pressure_model": ("0", "default")}  # FEBio's own value of what laws do not have
 _DEFAULT_DENSITY = 1e-9

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from limbcli.bodies import RigidBody
 from limbcli.feb.read_mesh import MeshSection, Numbering
 from limbcli.feb.xml import Tag
 from limbcli.model import IntArray, LogRecord
+from limbcli.model.bodies import RigidBody
 
 _SET_OF = {"node_data": ("node_set",), "element_data": ("elem_set",)}
 _RECORDS = ("rigid_body_data", "node_data", "element_data")

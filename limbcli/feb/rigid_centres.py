@@ -12,10 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from limbcli.bodies import RigidBody
 from limbcli.fem.elements.element import shape
 from limbcli.fem.elements.quadrature import rule
 from limbcli.model import Array, Block, Mesh
+from limbcli.model.bodies import RigidBody
 
 
 def with_centres(

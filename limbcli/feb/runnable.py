@@ -12,8 +12,8 @@ from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import encoded, render
 from limbcli.feb.xml import UNITS, VERSION, is_native, model_text, open_model, units_of
+from limbcli.files.xml import parsed_xml
 from limbcli.model import LimbModel
-from limbcli.xml_files import parsed_xml
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from limbcli.bodies import Contact
 from limbcli.errors import CaseError
 from limbcli.model import Curve, Step
+from limbcli.model.bodies import Contact
 
 SECONDS_PER_MM = 0.1
 FIRST_STEP_S = 0.02

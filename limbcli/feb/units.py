@@ -7,10 +7,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from limbcli.bodies import Contact, Drive, RigidBody, Spring
 from limbcli.errors import CaseError
 from limbcli.feb.xml import UNITS, Tag, units_of
-from limbcli.formulas import Formula
 from limbcli.model import (
     Curved,
     ElementMap,
@@ -22,7 +20,9 @@ from limbcli.model import (
     Support,
     Value,
 )
-from limbcli.units import SYSTEMS
+from limbcli.model.bodies import Contact, Drive, RigidBody, Spring
+from limbcli.numbers.formulas import Formula
+from limbcli.numbers.units import SYSTEMS
 
 _STRESSES = frozenset(
     {"kappa", "mu", "lambda", "ksi", "T0", "c1", "c2", "c3", "c4", "c5", "c6"}

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from limbcli.bodies import Drive
 from limbcli.errors import CaseError
 from limbcli.feb.ids import Ids, number, vector
 from limbcli.feb.law_tags import LawTag, law_tags, tag_of_law, young
@@ -28,6 +27,7 @@ from limbcli.model import (
     Surface,
     Value,
 )
+from limbcli.model.bodies import Drive
 
 Row = tuple[str, tuple[tuple[str, str], ...], str | Markup]
 

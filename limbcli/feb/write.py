@@ -11,7 +11,6 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from limbcli.atomic_files import atomic_file
 from limbcli.config import templates_folder
 from limbcli.errors import CaseError
 from limbcli.feb.amounts import against, amounts, has_formulas
@@ -29,9 +28,10 @@ from limbcli.feb.views import (
     step_views,
     surface_rows,
 )
+from limbcli.files.atomic import atomic_file
+from limbcli.files.template_rendering import COMPILED, TemplateFolders, filled, refuse_unused
 from limbcli.model import LimbModel
 from limbcli.results import plain
-from limbcli.template_rendering import COMPILED, TemplateFolders, filled, refuse_unused
 
 _FOLDER = "feb"
 MAIN_TEMPLATE = f"{_FOLDER}/model.feb.j2"

@@ -13,7 +13,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
-from limbcli.bodies import Drive
 from limbcli.errors import SolveError
 from limbcli.fem.equilibrium.history import Histories
 from limbcli.fem.equilibrium.load_stepping import LoadStepping, remembers
@@ -24,6 +23,7 @@ from limbcli.fem.motion import load_curves
 from limbcli.fem.motion.state import Forces, State
 from limbcli.fem.system import System
 from limbcli.model import LimbModel, Step, Support
+from limbcli.model.bodies import Drive
 from limbcli.progress import SILENT, Progress
 
 

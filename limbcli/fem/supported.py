@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from limbcli import background_processes
-from limbcli.bodies import Contact
 from limbcli.errors import SolveError
 from limbcli.fem.record_fields import check_record
 from limbcli.materials import compile_material
 from limbcli.materials.stress import tangents_at_rest
 from limbcli.model import LimbModel
+from limbcli.model.bodies import Contact
 from limbcli.progress import Progress
 
 # Smallest admissible eigenvalue of the tangent at rest, as a fraction of the largest: the eigenvalues of a

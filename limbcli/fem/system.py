@@ -15,7 +15,6 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from limbcli.bodies import Drive
 from limbcli.fem.contacts.contact import make_pairs
 from limbcli.fem.contacts.contact_points import FACET, TRACTION, add_symmetric
 from limbcli.fem.contacts.contact_reach import near_nodes
@@ -28,6 +27,7 @@ from limbcli.fem.motion.distributed_loads import DistributedLoads, LoadedSurface
 from limbcli.fem.motion.rigid_loads import RigidLoads
 from limbcli.fem.motion.state import Forces, State
 from limbcli.model import Array, IntArray, LimbModel, Load, Support
+from limbcli.model.bodies import Drive
 
 _NOTHING = 1e-9  # force regarded as zero, as a fraction of tissue stiffness times tissue size squared
 _MOST_IN_ROOT = 4_000  # unknowns: their dense front takes 64 MB in single precision

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from pydicom.dataset import Dataset
 from pydicom.errors import InvalidDicomError
 
-from limbcli.dicom_files import has_preamble, read_dicom
 from limbcli.errors import CaseError
+from limbcli.files.dicom import has_preamble, read_dicom
 from limbcli.imaging.dicom_identity import one_body, public_name
 from limbcli.imaging.frames import (
     DICOM_DAMAGED,

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydicom.dataset import Dataset
 
-from limbcli.dicom_files import read_dicom, require_affordable
 from limbcli.errors import CaseError
+from limbcli.files.dicom import read_dicom, require_affordable
 from limbcli.imaging.frames import DICOM_DAMAGED
 from limbcli.imaging.volume import MOST_VOXELS, require_placed, require_unit_directions
 from limbcli.model import Array

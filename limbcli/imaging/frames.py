@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from pydicom.dataset import Dataset
 from pydicom.errors import BytesLengthException, InvalidDicomError
 
-from limbcli.dicom_files import require_affordable
 from limbcli.errors import CaseError
+from limbcli.files.dicom import require_affordable
 from limbcli.imaging.volume import DAMAGED, require_unit_directions
 from limbcli.model import Array
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from limbcli.atomic_files import atomic_file
 from limbcli.errors import CaseError
+from limbcli.files.atomic import atomic_file
 from limbcli.imaging.limbs import Side
 from limbcli.imaging.markers import MarkerCapsule, number_markers
 from limbcli.imaging.nifti import (

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.errors import CaseError
+from limbcli.files.unpacking import DAMAGED, UnpackingBudget
 from limbcli.imaging.nrrd import read_beside
 from limbcli.imaging.volume import MOST_VOXELS, Volume, require_placed, require_unit_directions
 from limbcli.model import Array
-from limbcli.unpacking import DAMAGED, UnpackingBudget
 
 _TYPES = {
     "MET_CHAR": "i1", "MET_UCHAR": "u1", "MET_SHORT": "i2", "MET_USHORT": "u2", "MET_INT": "i4",

@@ -17,12 +17,12 @@ from nibabel.spatialimages import HeaderDataError
 from nibabel.wrapstruct import WrapStructError
 from pydicom.errors import InvalidDicomError
 
-from limbcli.detached_data import beside
 from limbcli.errors import CaseError
+from limbcli.files.detached_data import beside
+from limbcli.files.unpacking import DAMAGED as NOT_UNPACKED
+from limbcli.files.unpacking import UnpackingBudget
+from limbcli.files.xml import own_text, parsed_xml
 from limbcli.imaging.volume import DAMAGED, MOST_VOXELS, RAS_FROM_LPS, Volume, require_placed
-from limbcli.unpacking import DAMAGED as NOT_UNPACKED
-from limbcli.unpacking import UnpackingBudget
-from limbcli.xml_files import own_text, parsed_xml
 
 # Fraction of the smallest side of a voxel: grids whose corners are this close are the same.
 SAME_PLACE = 0.5

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from limbcli.detached_data import beside
 from limbcli.errors import CaseError
+from limbcli.files.detached_data import beside
+from limbcli.files.unpacking import DAMAGED, UnpackingBudget
 from limbcli.imaging.volume import MOST_VOXELS, RAS_FROM_LPS, Volume, require_placed
 from limbcli.model import Array
-from limbcli.unpacking import DAMAGED, UnpackingBudget
 
 _TYPES = {
     "u1": ("uchar", "unsigned char", "uint8", "uint8_t"),

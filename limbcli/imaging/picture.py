@@ -19,7 +19,7 @@ from limbcli.imaging.segmentation import MARKER, Segmentation
 from limbcli.imaging.signed_distance import box_around
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
-from limbcli.patient_frame import side_of
+from limbcli.model.patient_frame import side_of
 
 _COLUMNS, _ROWS = 5, 4
 _SKIN, _BONES, _MARKER = "#ffd400", ("#ff3b30", "#28c8ff", "#7cfc00", "#ff8cff"), "#ff00ff"

@@ -16,13 +16,13 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from skimage import measure
 
-from limbcli.atomic_files import atomic_file
 from limbcli.errors import CaseError, MeshError
+from limbcli.files.atomic import atomic_file
 from limbcli.imaging.signed_distance import box_around, signed_distance
 from limbcli.imaging.volume import Volume
-from limbcli.meshlab import open_pymeshlab
+from limbcli.meshing.meshlab import open_pymeshlab
 from limbcli.model import Array, IntArray
-from limbcli.triangle_files import read_triangles
+from limbcli.surface_formats.triangle_files import read_triangles
 
 SMOOTH = 0.7  # mm: standard deviation of the Gaussian smoothing of the distance field
 _SHARE_OF_SLICE = 0.45  # ... or this fraction of the slice spacing, if that is more

@@ -17,8 +17,8 @@ from limbcli.inference.levenberg_marquardt import Fit
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.profile import Profile, best_of, profile_likelihood
 from limbcli.inference.residual import Objective
-from limbcli.interval_limits import noise_scale, threshold_95
 from limbcli.model import Array
+from limbcli.numbers.interval_limits import noise_scale, threshold_95
 from limbcli.progress import SILENT, Progress
 
 # Largest accepted error of the surrogate, in standard deviations of the data: at the best fit and the ends,

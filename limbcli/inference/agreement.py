@@ -19,7 +19,7 @@ from scipy.special import bdtr, chdtr, chdtrc
 
 from limbcli.inference.statistics import root_mean_square
 from limbcli.model import Array
-from limbcli.significant_digits import short
+from limbcli.numbers.significant_digits import short
 
 State = Literal["good", "doubtful", "bad", "untested"]
 ORDER: tuple[State, ...] = ("good", "untested", "doubtful", "bad")  # the worst decides for a whole

@@ -11,8 +11,8 @@ from limbcli.inference.levenberg_marquardt import Fit
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.profile import best_of
 from limbcli.inference.residual import Objective, Residual
-from limbcli.interval_limits import THRESHOLD_95
 from limbcli.model import Array
+from limbcli.numbers.interval_limits import THRESHOLD_95
 
 _HELD = 1e-3  # standard deviation of the penalty that constrains the quantity, in its own unit
 _STEP = 1e-4  # finite-difference step in ln theta for the quantity's derivatives

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.profile import Profile
-from limbcli.interval_limits import Flag
 from limbcli.model import Array
-from limbcli.significant_digits import short
+from limbcli.numbers.interval_limits import Flag
+from limbcli.numbers.significant_digits import short
 
 _NO_INFLUENCE = 1e-3  # relative change of the force by doubling a parameter, below which it has no influence
 _WEAK_RATIO = 3.0  # upper over lower end of the interval, above which a parameter is weakly identified

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.errors import FitError
+from limbcli.inference.monotone_interpolation import Monotone
 from limbcli.model import Array
-from limbcli.monotone_interpolation import Monotone
 
 
 @dataclass(frozen=True, eq=False)

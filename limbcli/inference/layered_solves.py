@@ -2,7 +2,7 @@
 
 `LayeredFamily` defines the readings; they are stored relative to a trend, that of springs in series. The file
 is made by tests/benchmarks/cohort_family.py with limbcli's reference solver (0.1.0), with the model and mesh
-of `stages.cohorts.family`; its members are a scrambled Sobol sequence.
+of `cohorts.family`; its members are a scrambled Sobol sequence.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.errors import ToolError
+from limbcli.inference.monotone_interpolation import Monotone
 from limbcli.model import Array, IntArray
-from limbcli.monotone_interpolation import Monotone
 
 FILE = Path(__file__).with_name("layered_family.csv")
 FORCE, CONVEXITY, MUSCLE_PART, SKIN_PART = range(4)

@@ -11,8 +11,8 @@ from limbcli.errors import FitError, SolveError
 from limbcli.inference.levenberg_marquardt import Fit, levenberg_marquardt
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.residual import Objective, Residual
-from limbcli.interval_limits import THRESHOLD_95
 from limbcli.model import Array
+from limbcli.numbers.interval_limits import THRESHOLD_95
 
 _TIGHT = 1e-4  # tolerance of the fits
 _CLOSE = 0.02  # tolerance of the deviance at an interval's end

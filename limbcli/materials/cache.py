@@ -14,7 +14,7 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
-from limbcli.kernel_folder import digest
+from limbcli.files.kernel_folder import digest
 
 _STAMP = "kernels.stamp"
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from limbcli.errors import MeasurementError
-from limbcli.units import (
+from limbcli.numbers.units import (
     ACCELERATION_UNITS_IN_G,
     FORCE_UNITS_IN_N,
     LENGTH_UNITS_IN_MM,

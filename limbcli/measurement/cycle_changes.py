@@ -20,7 +20,7 @@ import numpy as np
 from limbcli.measurement.cycles import LEVEL, CycleStudy, Difference
 from limbcli.measurement.levels import Levels
 from limbcli.model import Array
-from limbcli.significant_digits import short
+from limbcli.numbers.significant_digits import short
 
 TOLD_APART = 6.0  # difference of BIC beyond which the second best explanation is excluded (strong evidence)
 

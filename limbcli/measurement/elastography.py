@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from limbcli import units
-from limbcli.atomic_files import atomic_file
 from limbcli.errors import MeasurementError
 from limbcli.errors.problems import Problem, checked, raise_errors
+from limbcli.files.atomic import atomic_file
 from limbcli.measurement.tables import RawTable, problem, read_table
 from limbcli.model import Array
+from limbcli.numbers import units
 
 COLUMNS = ("lateral_mm", "depth_mm", "speed_m_per_s")
 SPEED_LOW_M_PER_S, SPEED_HIGH_M_PER_S = 0.3, 20.0

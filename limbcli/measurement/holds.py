@@ -246,7 +246,7 @@ def without_probe_weight(
     """
     from dataclasses import replace
 
-    from limbcli.units import GRAVITY_M_PER_S2
+    from limbcli.numbers.units import GRAVITY_M_PER_S2
 
     in_air = (trace.time >= tare_s[0]) & (trace.time <= tare_s[1]) & np.isfinite(trace.force)
     if not in_air.any():

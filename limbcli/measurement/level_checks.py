@@ -15,7 +15,7 @@ from limbcli.measurement.layer_checks import LayerNoise
 from limbcli.measurement.levels import FEWEST_LOADING, Levels
 from limbcli.measurement.tables import RawTable, problem
 from limbcli.model import Array
-from limbcli.units import mpa_from_pa
+from limbcli.numbers.units import mpa_from_pa
 
 # Range of values for a probe pressed on a calf by hand. Indentation of residual limbs: stiffness 0.3 to 8
 # N/mm over 2 to 30 mm (Zheng & Mak 1999; a footprint of 44 x 10 to 53 x 14 mm).

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from limbcli.errors import MeasurementError
 from limbcli.measurement.sheet import Sheet, cell, is_number
-from limbcli.units import TIME_UNITS_IN_S, unit_named
+from limbcli.numbers.units import TIME_UNITS_IN_S, unit_named
 
 _END_OF_HEADER = "***End_of_Header***"
 TIME = "X_Value"  # name of the time column; before every channel of a file with X_Columns Multi

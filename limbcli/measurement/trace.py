@@ -12,7 +12,7 @@ from limbcli.errors.problems import Problem, checked, errors_of
 from limbcli.measurement.level_checks import MAX_FORCE
 from limbcli.measurement.tables import problem, read_table
 from limbcli.model import Array
-from limbcli.units import TIME_UNITS_IN_S
+from limbcli.numbers.units import TIME_UNITS_IN_S
 
 RATES_HZ = (1.0, 10_000.0)  # of plausible records
 _SLACK = 1.01  # rates are of clocks, and of times that were rounded

@@ -271,7 +271,7 @@ def _read_dicom(path: Path, frame: int | None) -> _Frame:
 def _dicom_frame(path: Path, frame: int | None) -> _Frame:
     from pydicom.pixels import apply_color_lut, pixel_array
 
-    from limbcli.dicom_files import read_dicom, require_affordable
+    from limbcli.files.dicom import read_dicom, require_affordable
 
     dataset = read_dicom(path)
     require_affordable(dataset)

@@ -15,7 +15,7 @@ from limbcli.meshing.mending import Limb, long_axis
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
-from limbcli.patient_frame import side_of, toward_head
+from limbcli.model.patient_frame import side_of, toward_head
 
 FAR_FROM_SKIN = 30.0  # mm: a site farther than this from the skin is an error
 # Largest angle (deg) between a given long axis and the skin at which the axis is still taken as the probe's

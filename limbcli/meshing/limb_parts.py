@@ -20,7 +20,7 @@ from limbcli.meshing.anatomy import bone_named
 from limbcli.meshing.mending import Limb, long_axis
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
-from limbcli.patient_frame import toward_head
+from limbcli.model.patient_frame import toward_head
 
 PATCHES = ("fibular_head", "patellar_tendon", "tibial_end", "tibial_crest", "popliteal", "distal_end")
 AT_CUT_MM = 3.0  # a bone that comes this close to a cut is taken as cut there

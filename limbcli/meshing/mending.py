@@ -14,10 +14,10 @@ import numpy as np
 
 from limbcli.errors import MeshError
 from limbcli.meshing.distance import Heights
+from limbcli.meshing.meshlab import open_pymeshlab
 from limbcli.meshing.surfaces import Triangles, bodies, boundary_loops, join, undirected
-from limbcli.meshlab import open_pymeshlab
 from limbcli.model import Array
-from limbcli.patient_frame import HEAD
+from limbcli.model.patient_frame import HEAD
 
 _ELONGATED = 1.5  # length-to-width ratio of a body below which it does not show the direction of the limb
 ENDS = ("open", "flat")  # names of the planes where the limb itself was cut

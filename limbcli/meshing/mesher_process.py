@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 from limbcli.errors import MeshError, ToolError
+from limbcli.files.temporary_folders import end_with_parent, scratch_folder
 from limbcli.model import Array, IntArray
-from limbcli.temporary_folders import end_with_parent, scratch_folder
 
 _NO_ROOM = 75  # exit status of the process if the disk is full; no mesher uses it
 _FIX = "use another size (--size-mm), or repair the surfaces"

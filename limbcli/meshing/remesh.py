@@ -19,9 +19,9 @@ from limbcli.meshing.distance import Field
 from limbcli.meshing.domain import BONE, CUT, TissueDomain
 from limbcli.meshing.facets import collapse_short, edges_of, flip, keep_unfolded, relax, split_long
 from limbcli.meshing.improve import FIXED, NodeConstraints, put_back
+from limbcli.meshing.meshlab import open_pymeshlab
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.surfaces import Triangles, undirected
-from limbcli.meshlab import open_pymeshlab
 from limbcli.model import Array, IntArray
 
 # mm: neither curvature nor thin tissue reduces the edge length below this; a smaller requested size still can

@@ -8,9 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.bodies import Contact, Drive, RigidBody
 from limbcli.errors import CaseError
-from limbcli.mesh_bounds import ELEMENTS
 from limbcli.meshing.checks import LayersKept, SiteChecks, layers_kept, site_checks, to_cut
 from limbcli.meshing.crop import crop_planes
 from limbcli.meshing.domain import CUT, TissueDomain, make_domain
@@ -32,6 +30,8 @@ from limbcli.model import (
     Step,
     Support,
 )
+from limbcli.model.bodies import Contact, Drive, RigidBody
+from limbcli.numbers.mesh_bounds import ELEMENTS
 from limbcli.progress import SILENT, Progress
 
 # placeholder Ogden law until measurements are set: modulus (MPa), kappa over it, exponent

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
-from limbcli.bodies import Contact, Drive, RigidBody
 from limbcli.errors import MeshError
 from limbcli.meshing.probe import ProbeShape, probe_mesh
 from limbcli.meshing.regions import facets, quadratic
 from limbcli.model import Array, Block, Domain, IntArray, LimbModel, Material, Mesh, Step, Support, Surface
+from limbcli.model.bodies import Contact, Drive, RigidBody
 
 QUARTER = 4.0  # ratio of the whole probe's force to that on the quarter
 LAYERS = ("skin", "fat", "tissue")  # from the outside in; muscle is the tissue

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from limbcli.errors import MeshError
 from limbcli.model import Array, IntArray
-from limbcli.triangle_files import SUFFIXES, read_triangles
+from limbcli.surface_formats.triangle_files import SUFFIXES, read_triangles
 
 
 @dataclass(frozen=True, eq=False)

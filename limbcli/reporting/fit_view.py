@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.interval_limits import Flag
+from limbcli.numbers.interval_limits import Flag
 from limbcli.reporting.agreement_view import UNTESTED, AgreementView, agreement_view
 from limbcli.reporting.figures.convergence import FitWalk
 from limbcli.reporting.headline import Headline, headline

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from limbcli.interval_limits import Flag
-from limbcli.significant_digits import significant
+from limbcli.numbers.interval_limits import Flag
+from limbcli.numbers.significant_digits import significant
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from limbcli.numbers.significant_digits import significant
 from limbcli.reporting.reportlet import Cell
-from limbcli.significant_digits import significant
 
 DASH = "–"
 _MOST_IN_A_ROW = 4

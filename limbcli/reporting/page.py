@@ -15,9 +15,9 @@ from markupsafe import Markup, escape
 from limbcli.config import templates_folder
 from limbcli.drawing import data_file, save_figure
 from limbcli.errors.file_system import in_utf8
+from limbcli.files.template_rendering import COMPILED, TemplateFolders, filled, refuse_unused
 from limbcli.reporting.figures.style import style
 from limbcli.reporting.reportlet import Picture, Reportlet
-from limbcli.template_rendering import COMPILED, TemplateFolders, filled, refuse_unused
 
 _LARGE_BYTES = 200_000
 _MOST_PIXELS = 2400  # largest width of an embedded picture; enough for a printed page

@@ -15,8 +15,8 @@ from typing import Literal
 
 import numpy as np
 
-from limbcli import units
 from limbcli.model import Array, IntArray, LimbModel, Material
+from limbcli.numbers import units
 from limbcli.shear_waves import any_law, ogden
 from limbcli.shear_waves.ogden import OgdenTerms
 

@@ -9,9 +9,9 @@ import numpy as np
 from limbcli.errors import MeshError
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array, IntArray
+from limbcli.numbers.units import LENGTH_UNITS_IN_MM
 from limbcli.sockets.centre_line import CentreLine
 from limbcli.sockets.nearest import NearestPoints
-from limbcli.units import LENGTH_UNITS_IN_MM
 
 _ALIKE = (0.3, 3.0)  # size of a socket, as a multiple of its limb's, that needs no other unit
 _LEAST_OVERLAP_MM = 20.0

@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from limbcli.bodies import Contact, Drive, RigidBody
 from limbcli.errors import CaseError, SolveError
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array, Block, Curve, IntArray, LimbModel, LogRecord, Mesh, Step, Surface
+from limbcli.model.bodies import Contact, Drive, RigidBody
 from limbcli.progress import SILENT, Progress
 from limbcli.sockets.knee import KneeLoad
 from limbcli.solvers.reference import prepare

@@ -13,13 +13,14 @@ from functools import cache
 from pathlib import Path
 from typing import TextIO
 
-from limbcli.atomic_files import sha256
 from limbcli.errors import CaseError, LimbError, SolveError, ToolError
 from limbcli.feb.log import LogReader, check_complete, quote, read_log, warning_box
 from limbcli.feb.log_identity import check_belongs, marked
 from limbcli.feb.outline import Outline, check_output, read_outline
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
+from limbcli.files.atomic import sha256
+from limbcli.files.temporary_folders import ends_with_this_process
 from limbcli.model import LimbModel
 from limbcli.progress import Progress
 from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Simulation
@@ -27,7 +28,6 @@ from limbcli.solvers.febio_watch import HEARTBEAT_S, LogWatcher, default_limit_s
 from limbcli.solvers.law_check import can_be_checked, check_first_step
 from limbcli.solvers.tables import read_finished, read_tables
 from limbcli.solvers.untouched import is_without_force, logged_poses, without_force
-from limbcli.temporary_folders import ends_with_this_process
 
 BINARIES = ("febio4", "febio")
 VARIABLE = "LIMBCLI_FEBIO"

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from limbcli.atomic_files import atomic_file
-from limbcli.unpacking import DAMAGED, read_npz
+from limbcli.files.atomic import atomic_file
+from limbcli.files.unpacking import DAMAGED, read_npz
 from limbcli.version import __version__
 
 if TYPE_CHECKING:

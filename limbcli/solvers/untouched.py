@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from limbcli.bodies import Contact, RigidBody
 from limbcli.errors import SolveError
 from limbcli.model import Array, IntArray, LimbModel
+from limbcli.model.bodies import Contact, RigidBody
 from limbcli.solvers.base import Table
 
 if TYPE_CHECKING:

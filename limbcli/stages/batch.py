@@ -13,19 +13,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from limbcli.atomic_files import sha256
 from limbcli.case import Case
 from limbcli.errors import CaseError, LimbError
 from limbcli.errors.commands import pasted
+from limbcli.files.atomic import sha256
 from limbcli.progress import SILENT, Progress
+from limbcli.provenance.chain import Chain
+from limbcli.provenance.freshness import Memory, code_hash, key_of
+from limbcli.provenance.requested_options import in_words, options_of
 from limbcli.results import ERROR_FILE, StageResult, read_result, stage_folder
 from limbcli.stages.batching.fits_on_demand import FitOnDemand, extras, made_by_hand
 from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailure, keep_error
 from limbcli.stages.batching.steps import FIT_STATES, SITE_STAGES, parts_of, path_of, site_steps
 from limbcli.stages.machine.kernels import compile_ahead
-from limbcli.stages.provenance.chain import Chain
-from limbcli.stages.provenance.freshness import Memory, code_hash, key_of
-from limbcli.stages.provenance.requested_options import in_words, options_of
 
 DIAGNOSE = "diagnose"
 

@@ -10,7 +10,7 @@ from limbcli.case import Case
 from limbcli.config import default_out
 from limbcli.errors import CaseError, FitError, LimbError
 from limbcli.errors.commands import pasted
-from limbcli.output_lock import one_writer
+from limbcli.files.output_lock import one_writer
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.batch import batch
 from limbcli.stages.batch_task import in_words

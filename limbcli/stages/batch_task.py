@@ -162,7 +162,7 @@ class _Heard:
 
 
 def _first(part: BatchTask, call: Call, progress: Progress) -> PartOutcome:
-    from limbcli.output_lock import one_writer
+    from limbcli.files.output_lock import one_writer
 
     turn = one_writer(part.out, wait=call.wait, progress=progress)
     with turn if part.case.is_dir() else nullcontext():
@@ -176,7 +176,7 @@ def _first(part: BatchTask, call: Call, progress: Progress) -> PartOutcome:
 
 def _site(part: BatchTask, call: Call, progress: Progress) -> PartOutcome:
     from limbcli.case import Case
-    from limbcli.output_lock import site_writer
+    from limbcli.files.output_lock import site_writer
 
     assert part.site is not None
     with site_writer(part.out, part.site, wait=call.wait, progress=progress):
@@ -187,7 +187,7 @@ def _site(part: BatchTask, call: Call, progress: Progress) -> PartOutcome:
 
 def _diagnosis(part: BatchTask, call: Call, progress: Progress) -> PartOutcome:
     from limbcli.case import Case
-    from limbcli.output_lock import site_writer
+    from limbcli.files.output_lock import site_writer
 
     own = _so_far(part)
     with ExitStack() as turns:
@@ -199,7 +199,7 @@ def _diagnosis(part: BatchTask, call: Call, progress: Progress) -> PartOutcome:
 
 def _last(part: BatchTask, call: Call, progress: Progress) -> PartOutcome:
     from limbcli.case import Case
-    from limbcli.output_lock import one_writer
+    from limbcli.files.output_lock import one_writer
 
     own = _so_far(part)
     with one_writer(part.out, wait=call.wait, progress=progress):

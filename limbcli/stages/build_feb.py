@@ -14,25 +14,25 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.abaqus_files import write_abaqus
-from limbcli.atomic_files import sha256
 from limbcli.case import Case, Site
 from limbcli.case.noting import unnoted
 from limbcli.errors import MeasurementError
 from limbcli.feb.settings import Schedule, apart, least_level, schedule
 from limbcli.feb.write import write_feb
+from limbcli.files.atomic import sha256
 from limbcli.measurement.elastography import shear_modulus_from_wave_speed
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.regression import speed_against_force
 from limbcli.model import Array, LimbModel
-from limbcli.model_io import load_model
+from limbcli.model.abaqus_input import write_abaqus
+from limbcli.model.npz_file import load_model
+from limbcli.numbers.units import kpa_from_mpa, mpa_from_kpa
 from limbcli.progress import SILENT, Progress
+from limbcli.provenance.chain import Chain
+from limbcli.provenance.chain_inputs import note_templates, noted
+from limbcli.provenance.requested_options import requested_by_options, requested_of
 from limbcli.results import StageResult, StageWriter, open_stage
-from limbcli.solvers.base import MODEL_FILE
-from limbcli.stages.provenance.chain import Chain
-from limbcli.stages.provenance.chain_inputs import note_templates, noted
-from limbcli.stages.provenance.requested_options import requested_by_options, requested_of
-from limbcli.stages.site_model.indentation_model import (
+from limbcli.site_model.indentation_model import (
     C_KPA,
     PROBE,
     TISSUE,
@@ -43,16 +43,16 @@ from limbcli.stages.site_model.indentation_model import (
     touching_points,
     with_penalty,
 )
-from limbcli.stages.site_model.mesh_checks import check_within_tissue, warnings_now
-from limbcli.stages.site_model.site_layers import (
+from limbcli.site_model.mesh_checks import check_within_tissue, warnings_now
+from limbcli.site_model.site_layers import (
     LayerLaw,
     layer_laws,
     layers_in,
     locking_warning,
     with_layer_laws,
 )
-from limbcli.stages.site_model.site_levels import levels_of
-from limbcli.units import kpa_from_mpa, mpa_from_kpa
+from limbcli.site_model.site_levels import levels_of
+from limbcli.solvers.base import MODEL_FILE
 
 STAGE = "build-feb"
 ABAQUS_FILE = "model.inp"

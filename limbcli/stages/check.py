@@ -22,12 +22,12 @@ from limbcli.errors import CaseError, LimbError, MeasurementError
 from limbcli.errors.problems import Problem, errors_of
 from limbcli.measurement.levels import FEWEST_LOADING
 from limbcli.progress import SILENT, Progress
+from limbcli.site_model.cycle_words import cycle_lines
+from limbcli.site_model.site_levels import levels_of
+from limbcli.site_model.site_states import state_problems
 from limbcli.stages.check_geometry import geometry_findings
 from limbcli.stages.check_instruments import instrument_problems
 from limbcli.stages.check_layers import layer_lines, stated_layer_noise
-from limbcli.stages.site_model.cycle_words import cycle_lines
-from limbcli.stages.site_model.site_levels import levels_of
-from limbcli.stages.site_model.site_states import state_problems
 
 
 @dataclass(frozen=True)
@@ -262,7 +262,7 @@ def _too_few(site: Site) -> list[Problem]:
 
 def _other_distance(site: Site, file: str) -> list[Problem]:
     """Warn if the site's skin_bone_mm differs from the distance read at level 0."""
-    from limbcli.stages.site_model.mesh_checks import SKIN_BONE_TOLERANCE, skin_bone_of_levels
+    from limbcli.site_model.mesh_checks import SKIN_BONE_TOLERANCE, skin_bone_of_levels
 
     seen = skin_bone_of_levels(site)
     if site.skin_bone is None or seen is None or abs(site.skin_bone / seen - 1) <= SKIN_BONE_TOLERANCE:

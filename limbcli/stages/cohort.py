@@ -14,20 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.atomic_files import atomic_set, sha256
-from limbcli.errors import CaseError, MeasurementError
-from limbcli.errors.problems import Problem, checked, raise_errors
-from limbcli.inference.layered_family import LayeredFamily, layered_family
-from limbcli.inference.layered_solves import FORCE
-from limbcli.measurement.cohort_checks import checked_cohort
-from limbcli.measurement.cohort_table import CohortTable
-from limbcli.plain_text import text_cell
-from limbcli.progress import SILENT, Progress
-from limbcli.results import UNLIKE_OURS, StageResult, check_seal, plain, provenance, sealed
-from limbcli.stages.cohorts.compliance import compliance_left_out
-from limbcli.stages.cohorts.estimate import CohortNoise, SiteEstimate, estimate_sites, noise_of
-from limbcli.stages.cohorts.page import PICTURES, cohort_page, is_ours
-from limbcli.stages.cohorts.result import (
+from limbcli.cohorts.column_checks import checked_cohort
+from limbcli.cohorts.compliance import compliance_left_out
+from limbcli.cohorts.estimate import CohortNoise, SiteEstimate, estimate_sites, noise_of
+from limbcli.cohorts.page import PICTURES, cohort_page, is_ours
+from limbcli.cohorts.result import (
     UNTOLD_MUSCLE,
     UNTOLD_RATIO,
     family_ends,
@@ -38,6 +29,15 @@ from limbcli.stages.cohorts.result import (
     site_entry,
     summary_lines,
 )
+from limbcli.cohorts.table import CohortTable
+from limbcli.errors import CaseError, MeasurementError
+from limbcli.errors.problems import Problem, checked, raise_errors
+from limbcli.files.atomic import atomic_set, sha256
+from limbcli.files.plain_text import text_cell
+from limbcli.inference.layered_family import LayeredFamily, layered_family
+from limbcli.inference.layered_solves import FORCE
+from limbcli.progress import SILENT, Progress
+from limbcli.results import UNLIKE_OURS, StageResult, check_seal, plain, provenance, sealed
 
 STAGE, RESULT, ROWS, PAGE = "cohort", "cohort.json", "rows.csv", "cohort.html"
 _RECORDED = (ROWS, PAGE)  # files whose hashes the result records, to check that all are of the same run

@@ -18,39 +18,39 @@ import numpy as np
 
 from limbcli.case import Case, Site
 from limbcli.config import one_blas_thread
-from limbcli.diagnostics import decisions
-from limbcli.diagnostics.conclusions.sentences import sentences
-from limbcli.diagnostics.conclusions.verdict import Diagnosis
-from limbcli.diagnostics.engine import diagnose as diagnose_bench
-from limbcli.diagnostics.evidence.force_jump import force_jump
-from limbcli.diagnostics.model.forward_model import Explanation
-from limbcli.effects import EFFECTS, Effect, effect
-from limbcli.effects.base import NUMERICAL
-from limbcli.effects.own_file import effect_of_file
-from limbcli.errors import CaseError, LimbError, errors_of_site
-from limbcli.progress import SILENT, Progress
-from limbcli.results import StageResult, open_stage, plain, read_result
-from limbcli.stages.diagnosis.drainage import DrainageSolver
-from limbcli.stages.diagnosis.forward_model.measurement_menu import known
-from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
-from limbcli.stages.diagnosis.forward_model.surrogate import SiteCurves
-from limbcli.stages.diagnosis.mesh_error.mesh_correction import F_KAPPA
-from limbcli.stages.diagnosis.mesh_error.numerical_checks import Intervention, large_uncertainty
-from limbcli.stages.diagnosis.prepare import STAGE, Prepared, WorkingMesh, prepare, turned_by_90
-from limbcli.stages.diagnosis.report import (
+from limbcli.diagnosis.drainage import DrainageSolver
+from limbcli.diagnosis.explanations import decisions
+from limbcli.diagnosis.explanations.conclusions.sentences import sentences
+from limbcli.diagnosis.explanations.conclusions.verdict import Diagnosis
+from limbcli.diagnosis.explanations.engine import diagnose as diagnose_bench
+from limbcli.diagnosis.explanations.evidence.force_jump import force_jump
+from limbcli.diagnosis.explanations.model.forward_model import Explanation
+from limbcli.diagnosis.forward_model.measurement_menu import known
+from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
+from limbcli.diagnosis.forward_model.surrogate import SiteCurves
+from limbcli.diagnosis.mesh_error.mesh_correction import F_KAPPA
+from limbcli.diagnosis.mesh_error.numerical_checks import Intervention, large_uncertainty
+from limbcli.diagnosis.prepare import STAGE, Prepared, WorkingMesh, prepare, turned_by_90
+from limbcli.diagnosis.report import (
     candidates_picture,
     diagnosis_json,
     gap_picture,
     sizes_of,
     sizes_picture,
 )
-from limbcli.stages.diagnosis.written_model import write_diagnosed
+from limbcli.diagnosis.written_model import write_diagnosed
+from limbcli.effects import EFFECTS, Effect, effect
+from limbcli.effects.base import NUMERICAL
+from limbcli.effects.own_file import effect_of_file
+from limbcli.errors import CaseError, LimbError, errors_of_site
+from limbcli.progress import SILENT, Progress
+from limbcli.provenance.chain import check_earlier, note_earlier
+from limbcli.provenance.chain_inputs import CaseInputs
+from limbcli.provenance.requested_options import requested_by_options
+from limbcli.results import StageResult, open_stage, plain, read_result
+from limbcli.site_model.cycle_words import cycle_facts
+from limbcli.site_model.site_levels import all_levels_of
 from limbcli.stages.mesh import site_position
-from limbcli.stages.provenance.chain import check_earlier, note_earlier
-from limbcli.stages.provenance.chain_inputs import CaseInputs
-from limbcli.stages.provenance.requested_options import requested_by_options
-from limbcli.stages.site_model.cycle_words import cycle_facts
-from limbcli.stages.site_model.site_levels import all_levels_of
 
 _SAME_PLACE = 2.0  # mm, largest distance of two sites at the same place
 

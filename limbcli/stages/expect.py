@@ -36,8 +36,8 @@ from limbcli.case import Case
 from limbcli.case.toml_file import read_toml
 from limbcli.errors import CaseError, LimbError
 from limbcli.errors.problems import suggestion
+from limbcli.provenance.chain import Chain
 from limbcli.results import StageResult, read_result
-from limbcli.stages.provenance.chain import Chain
 
 EXPECTED_FILE = "expected.toml"
 _BY_SITE = {"site": "fit", "elements": "fit-elements", "states": "fit-states", "mesh": "mesh"}  # their stages

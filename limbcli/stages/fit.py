@@ -20,22 +20,7 @@ from limbcli.case import Case, Site
 from limbcli.errors import CaseError, SolveError
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
-from limbcli.inference.adaptive import Intervals
-from limbcli.inference.geometry_uncertainty import no_narrower
-from limbcli.inference.interval import Stiffness, force_intervals
-from limbcli.inference.prediction import SolvedPoints
-from limbcli.inference.two_step_fit import START_F_KAPPA, FittedStep, ForceDepth, two_step
-from limbcli.interval_limits import Flag
-from limbcli.measurement.indentation import Levels, level_warnings
-from limbcli.measurement.speed_noise import mean_speed_deviation
-from limbcli.model import Array, ElementMap, LimbModel
-from limbcli.progress import SILENT, Progress
-from limbcli.results import StageResult, StageWriter, open_stage
-from limbcli.solvers import choose
-from limbcli.solvers.base import Simulation, Solver
-from limbcli.solvers.reference import ReferenceSolver
-from limbcli.stages.build_feb import tissue_stiffness
-from limbcli.stages.fitting.boundary_check import (
+from limbcli.fitting.boundary_check import (
     ChangedBoundary,
     ChangedForces,
     boundary_modes,
@@ -43,26 +28,41 @@ from limbcli.stages.fitting.boundary_check import (
     moved_parameters,
     write_boundary_check,
 )
-from limbcli.stages.fitting.contact_check import forces_with_penalty, write_contact_check
-from limbcli.stages.fitting.cycles import through_cycle, write_cycle
-from limbcli.stages.fitting.exports import write_mat_file
-from limbcli.stages.fitting.force_curves import FileCurve, ReferenceCurve
-from limbcli.stages.fitting.geometry import site_geometry_uncertainty
-from limbcli.stages.fitting.geometry_result import write_geometry
-from limbcli.stages.fitting.layers import write_layers
-from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
-from limbcli.stages.fitting.options import FitOptions, check_choice, check_numbers
-from limbcli.stages.fitting.predicted_speeds import write_speeds
-from limbcli.stages.fitting.result import Identified, write_agreement, write_result, write_widening
-from limbcli.stages.fitting.solve_again import forces_again
-from limbcli.stages.fitting.stiffness_map import tissue_map, write_tissue_map
-from limbcli.stages.fitting.table import NAMES
-from limbcli.stages.provenance.chain import Chain
-from limbcli.stages.provenance.chain_inputs import note_templates, noted
-from limbcli.stages.site_model.indentation_model import with_tissue
-from limbcli.stages.site_model.site_layers import held_layers
-from limbcli.stages.site_model.site_levels import layer_noise, levels_of, speed_noise
-from limbcli.stages.site_model.site_states import one_state
+from limbcli.fitting.contact_check import forces_with_penalty, write_contact_check
+from limbcli.fitting.cycles import through_cycle, write_cycle
+from limbcli.fitting.exports import write_mat_file
+from limbcli.fitting.force_curves import FileCurve, ReferenceCurve
+from limbcli.fitting.geometry import site_geometry_uncertainty
+from limbcli.fitting.geometry_result import write_geometry
+from limbcli.fitting.layers import write_layers
+from limbcli.fitting.numerical_error import gain_deviation, studied_error
+from limbcli.fitting.options import FitOptions, check_choice, check_numbers
+from limbcli.fitting.predicted_speeds import write_speeds
+from limbcli.fitting.result import Identified, write_agreement, write_result, write_widening
+from limbcli.fitting.solve_again import forces_again
+from limbcli.fitting.stiffness_map import tissue_map, write_tissue_map
+from limbcli.fitting.table import NAMES
+from limbcli.inference.adaptive import Intervals
+from limbcli.inference.geometry_uncertainty import no_narrower
+from limbcli.inference.interval import Stiffness, force_intervals
+from limbcli.inference.prediction import SolvedPoints
+from limbcli.inference.two_step_fit import START_F_KAPPA, FittedStep, ForceDepth, two_step
+from limbcli.measurement.indentation import Levels, level_warnings
+from limbcli.measurement.speed_noise import mean_speed_deviation
+from limbcli.model import Array, ElementMap, LimbModel
+from limbcli.numbers.interval_limits import Flag
+from limbcli.progress import SILENT, Progress
+from limbcli.provenance.chain import Chain
+from limbcli.provenance.chain_inputs import note_templates, noted
+from limbcli.results import StageResult, StageWriter, open_stage
+from limbcli.site_model.indentation_model import with_tissue
+from limbcli.site_model.site_layers import held_layers
+from limbcli.site_model.site_levels import layer_noise, levels_of, speed_noise
+from limbcli.site_model.site_states import one_state
+from limbcli.solvers import choose
+from limbcli.solvers.base import Simulation, Solver
+from limbcli.solvers.reference import ReferenceSolver
+from limbcli.stages.build_feb import tissue_stiffness
 
 if TYPE_CHECKING:
     from limbcli.solvers.session import Solved

@@ -15,13 +15,20 @@ import numpy as np
 from limbcli.case import Case
 from limbcli.drawing import save_figure
 from limbcli.errors import SolveError
+from limbcli.fitting.cycles import through_cycle, write_cycle
+from limbcli.fitting.exports import write_table
+from limbcli.fitting.force_curves import ReferenceCurve
+from limbcli.fitting.options import COMPARISON
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.two_step_fit import FittedStep, two_step
 from limbcli.meshing.elements import with_element
 from limbcli.model import Array, LimbModel
+from limbcli.numbers.units import kpa_from_mpa
 from limbcli.progress import SILENT, Progress
+from limbcli.provenance.chain_inputs import noted
 from limbcli.reporting.figures.style import BLUE, INK, QUIET, VERMILION, new_figure, style
 from limbcli.results import StageResult, StageWriter, open_stage
+from limbcli.site_model.site_levels import levels_of
 from limbcli.stages.fit import (
     START,
     FitOptions,
@@ -30,13 +37,6 @@ from limbcli.stages.fit import (
     force_depth_data,
     initial_stiffness,
 )
-from limbcli.stages.fitting.cycles import through_cycle, write_cycle
-from limbcli.stages.fitting.exports import write_table
-from limbcli.stages.fitting.force_curves import ReferenceCurve
-from limbcli.stages.fitting.options import COMPARISON
-from limbcli.stages.provenance.chain_inputs import noted
-from limbcli.stages.site_model.site_levels import levels_of
-from limbcli.units import kpa_from_mpa
 
 STAGE = "fit-elements"
 ELEMENTS = ("tet4", "tet10")

@@ -21,6 +21,24 @@ from scipy.linalg import block_diag
 from limbcli.case import Case, Site
 from limbcli.effects.tissue import fibre_direction
 from limbcli.errors import CaseError, FitError, MeasurementError, SolveError
+from limbcli.fitting.boundary_check import (
+    BOUNDARIES,
+    ChangedForces,
+    changed_forces,
+    write_boundary_check,
+)
+from limbcli.fitting.contact_check import write_contact_check
+from limbcli.fitting.cycles import through_cycle, write_cycle
+from limbcli.fitting.exports import write_mat_file
+from limbcli.fitting.fibre_orientations import write_orientations
+from limbcli.fitting.fibre_rest_speed import rest_speed
+from limbcli.fitting.fibre_uncertainty import stated_deviation, write_direction_uncertainty
+from limbcli.fitting.force_curves import LawCurve
+from limbcli.fitting.geometry import NOT_ALLOWED_FOR
+from limbcli.fitting.joint_boundaries import allowing_for
+from limbcli.fitting.joint_result import law_row, write_comparison, write_joint
+from limbcli.fitting.laws import LAWS, FitLaw, first_shapes, law_named
+from limbcli.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.joint import JointProblem, JointTask, SiteMeasurement, joint_fit
 from limbcli.inference.prediction import SolvedPoints
@@ -30,33 +48,15 @@ from limbcli.measurement.indentation import Levels
 from limbcli.measurement.speed_noise import mean_speed_deviation
 from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
+from limbcli.provenance.chain_inputs import noted
+from limbcli.provenance.requested_options import in_words
 from limbcli.results import StageResult, StageWriter, open_stage
+from limbcli.site_model.layer_readings import LayerReadings, layer_readings
+from limbcli.site_model.site_layers import held_layers
+from limbcli.site_model.site_levels import levels_of, speed_noise
+from limbcli.site_model.site_states import one_state
 from limbcli.solvers.material_lines import MaterialLines
 from limbcli.stages.fit import FitOptions, built_model, check_numbers, initial_stiffness
-from limbcli.stages.fitting.boundary_check import (
-    BOUNDARIES,
-    ChangedForces,
-    changed_forces,
-    write_boundary_check,
-)
-from limbcli.stages.fitting.contact_check import write_contact_check
-from limbcli.stages.fitting.cycles import through_cycle, write_cycle
-from limbcli.stages.fitting.exports import write_mat_file
-from limbcli.stages.fitting.fibre_orientations import write_orientations
-from limbcli.stages.fitting.fibre_rest_speed import rest_speed
-from limbcli.stages.fitting.fibre_uncertainty import stated_deviation, write_direction_uncertainty
-from limbcli.stages.fitting.force_curves import LawCurve
-from limbcli.stages.fitting.geometry import NOT_ALLOWED_FOR
-from limbcli.stages.fitting.joint_boundaries import allowing_for
-from limbcli.stages.fitting.joint_result import law_row, write_comparison, write_joint
-from limbcli.stages.fitting.laws import LAWS, FitLaw, first_shapes, law_named
-from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
-from limbcli.stages.provenance.chain_inputs import noted
-from limbcli.stages.provenance.requested_options import in_words
-from limbcli.stages.site_model.layer_readings import LayerReadings, layer_readings
-from limbcli.stages.site_model.site_layers import held_layers
-from limbcli.stages.site_model.site_levels import levels_of, speed_noise
-from limbcli.stages.site_model.site_states import one_state
 
 STAGE = "fit-joint"
 

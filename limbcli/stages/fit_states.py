@@ -15,6 +15,13 @@ import numpy as np
 
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError, MeasurementError
+from limbcli.fitting.exports import write_mat_file
+from limbcli.fitting.geometry import NOT_ALLOWED_FOR
+from limbcli.fitting.laws import FitLaw, first_shapes, law_named
+from limbcli.fitting.numerical_error import gain_deviation, studied_error
+from limbcli.fitting.state_curve import StateCurve
+from limbcli.fitting.state_plan import StretchPlan, stretch_plan
+from limbcli.fitting.states_result import write_states
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.site_depth import SiteMeasurement
@@ -22,20 +29,13 @@ from limbcli.inference.states import StateMeasurement, StatesProblem, StatesTask
 from limbcli.measurement.elastography import shear_modulus_from_wave_speed
 from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
+from limbcli.provenance.chain_inputs import noted
+from limbcli.provenance.requested_options import requested_by_options
 from limbcli.results import StageResult, StageWriter, open_stage
+from limbcli.site_model.site_layers import held_layers
+from limbcli.site_model.site_states import MeasuredState, states_of
 from limbcli.stages.fit import FitOptions, built_model, check_numbers
 from limbcli.stages.fit_joint import JointOptions, Measured, check_noise, site_data
-from limbcli.stages.fitting.exports import write_mat_file
-from limbcli.stages.fitting.geometry import NOT_ALLOWED_FOR
-from limbcli.stages.fitting.laws import FitLaw, first_shapes, law_named
-from limbcli.stages.fitting.numerical_error import gain_deviation, studied_error
-from limbcli.stages.fitting.state_curve import StateCurve
-from limbcli.stages.fitting.state_plan import StretchPlan, stretch_plan
-from limbcli.stages.fitting.states_result import write_states
-from limbcli.stages.provenance.chain_inputs import noted
-from limbcli.stages.provenance.requested_options import requested_by_options
-from limbcli.stages.site_model.site_layers import held_layers
-from limbcli.stages.site_model.site_states import MeasuredState, states_of
 
 STAGE = "fit-states"
 _KNOTS = 6  # number of simulated depths

@@ -8,12 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from limbcli.bodies import Drive, RigidBody
 from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.errors.problems import raise_errors
 from limbcli.feb.write import write_feb
-from limbcli.mesh_bounds import LIMB_NODES
 from limbcli.meshing.anatomy import SKIN, limb_problems
 from limbcli.meshing.layers import Layer, layers_of
 from limbcli.meshing.limb_parts import LimbFrame, LimbParts, limb_frame, limb_parts
@@ -34,8 +32,23 @@ from limbcli.meshing.whole_limb import (
     with_surfaces,
 )
 from limbcli.model import Array, Domain, IntArray, LimbModel, Mesh, Step, Support, Surface
+from limbcli.model.bodies import Drive, RigidBody
+from limbcli.numbers.mesh_bounds import LIMB_NODES
+from limbcli.numbers.units import kpa_from_mpa
 from limbcli.progress import SILENT, Progress
+from limbcli.provenance.chain import Chain
+from limbcli.provenance.chain_inputs import note_templates, noted
+from limbcli.provenance.requested_options import requested_of
 from limbcli.results import StageResult, StageWriter, open_stage
+from limbcli.site_model.indentation_model import TISSUE
+from limbcli.site_model.site_layers import (
+    Layering,
+    LayerLaw,
+    Thickness,
+    layer_laws,
+    locking_warning,
+    with_layer_laws,
+)
 from limbcli.stages.limb_field.case_field import CaseField, case_field
 from limbcli.stages.limb_model.element_values import (
     ElementValues,
@@ -50,22 +63,9 @@ from limbcli.stages.limb_model.element_values import (
 )
 from limbcli.stages.limb_model.hand_over import LimbFiles, write_limb
 from limbcli.stages.mesh import site_position
-from limbcli.stages.provenance.chain import Chain
-from limbcli.stages.provenance.chain_inputs import note_templates, noted
-from limbcli.stages.provenance.requested_options import requested_of
 from limbcli.stages.segmenting.places import warnings_of_limb
-from limbcli.stages.site_model.indentation_model import TISSUE
-from limbcli.stages.site_model.site_layers import (
-    Layering,
-    LayerLaw,
-    Thickness,
-    layer_laws,
-    locking_warning,
-    with_layer_laws,
-)
 from limbcli.stiffness_field import LABELS, Draws, write_draws
 from limbcli.stiffness_field.draws import N_DRAWS
-from limbcli.units import kpa_from_mpa
 
 STAGE = "limb"
 _LAYER_CELL = 6.0  # mm, height of a layer's cells

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.atomic_files import atomic_file, atomic_folder
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.errors.problems import raise_errors
+from limbcli.files.atomic import atomic_file, atomic_folder
 from limbcli.measurement.bmode import BoneLine, follow_bone
 from limbcli.measurement.indentation import (
     Levels,
@@ -28,13 +28,13 @@ from limbcli.measurement.indentation import (
 )
 from limbcli.measurement.levels import LAYERS
 from limbcli.progress import SILENT, Progress
+from limbcli.provenance.chain_inputs import noted
 from limbcli.results import StageResult, StageWriter, open_stage
+from limbcli.site_model.site_levels import layer_noise
 from limbcli.stages.measuring.fibres import write_pennation
 from limbcli.stages.measuring.holds import Columns, column_problems, force_columns
 from limbcli.stages.measuring.images import box_of, images_of, measured_speeds, tissue_between
 from limbcli.stages.measuring.layers import layer_columns, read_borders
-from limbcli.stages.provenance.chain_inputs import noted
-from limbcli.stages.site_model.site_levels import layer_noise
 
 STAGE = "measure"
 

@@ -13,7 +13,6 @@ from limbcli.case import Case, Site
 from limbcli.case.noting import unnoted
 from limbcli.errors import CaseError
 from limbcli.errors.problems import raise_errors
-from limbcli.mesh_bounds import ELEMENTS, FAR_SIZE_MM, MARGIN_MM, SIZE_MM
 from limbcli.meshing.export import write_vtu
 from limbcli.meshing.frame import LARGEST_SLOPE_DEG, skin_point_at
 from limbcli.meshing.layers import Layer
@@ -25,24 +24,25 @@ from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_mesher import MIN_ANGLE_DEG, MIN_ANGLE_UNDER_PROBE_DEG
 from limbcli.meshing.site_model import MeshOptions, SiteModel, site_model
 from limbcli.meshing.surfaces import read_surface
-from limbcli.model_io import save_model
+from limbcli.model.npz_file import save_model
+from limbcli.numbers.mesh_bounds import ELEMENTS, FAR_SIZE_MM, MARGIN_MM, SIZE_MM
 from limbcli.progress import SILENT, Progress
+from limbcli.provenance.chain import Chain
+from limbcli.provenance.chain_inputs import CaseInputs
+from limbcli.provenance.requested_options import requested_of
 from limbcli.results import StageResult, StageWriter, open_stage
-from limbcli.stages.provenance.chain import Chain
-from limbcli.stages.provenance.chain_inputs import CaseInputs
-from limbcli.stages.provenance.requested_options import requested_of
-from limbcli.stages.segmenting.places import warnings_of_limb
-from limbcli.stages.site_model.fibres import with_fibres, write_fibres
-from limbcli.stages.site_model.mesh_checks import (
+from limbcli.site_model.fibres import with_fibres, write_fibres
+from limbcli.site_model.mesh_checks import (
     across_warnings,
     geometry_warnings,
     layer_warnings,
     measured_skin_bone,
     moved_warnings,
 )
-from limbcli.stages.site_model.mesh_inputs import MeshInputs
-from limbcli.stages.site_model.mesh_study import study_site
-from limbcli.stages.site_model.site_layers import Layering, Thickness, layer_laws, layers_in, with_layer_laws
+from limbcli.site_model.mesh_inputs import MeshInputs
+from limbcli.site_model.mesh_study import study_site
+from limbcli.site_model.site_layers import Layering, Thickness, layer_laws, layers_in, with_layer_laws
+from limbcli.stages.segmenting.places import warnings_of_limb
 
 
 def mesh(

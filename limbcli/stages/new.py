@@ -9,7 +9,6 @@ from pathlib import Path
 
 import jinja2
 
-from limbcli.atomic_files import atomic_folder
 from limbcli.case import CASE_FILE
 from limbcli.case.json_schema import FILE as SCHEMA_FILE
 from limbcli.case.json_schema import case_schema
@@ -18,6 +17,7 @@ from limbcli.config import templates_folder
 from limbcli.errors import CaseError
 from limbcli.errors.commands import typed
 from limbcli.errors.file_system import file_system_errors
+from limbcli.files.atomic import atomic_folder
 from limbcli.results import StageResult, provenance
 
 MRI, LEVELS, README = "mri", "levels.csv", "README.md"

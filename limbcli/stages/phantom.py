@@ -19,11 +19,12 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.atomic_files import atomic_folder
 from limbcli.case import Case
 from limbcli.case.schema import plain_name
 from limbcli.errors import CaseError
 from limbcli.errors.commands import typed
+from limbcli.files.atomic import atomic_folder
+from limbcli.files.temporary_folders import scratch_folder
 from limbcli.phantom import truth
 from limbcli.phantom.case_folder import LEVELS_HEADER, NoiseLaw, case_table, geometry_truth, site_table, toml
 from limbcli.phantom.dicom_series import write_series
@@ -37,7 +38,6 @@ from limbcli.stages.machine.kernels import compile_ahead
 from limbcli.stages.simulated_subjects.synth_options import SynthOptions
 from limbcli.stages.simulated_subjects.synth_truth import SyntheticSite, summary_of, truth_table
 from limbcli.stages.synth import measure_sites
-from limbcli.temporary_folders import scratch_folder
 
 TRUTH = "truth"
 LABELS = "labels.nii.gz"

@@ -9,6 +9,8 @@ from typing import Any
 from limbcli.case import Case
 from limbcli.config import templates_folder
 from limbcli.progress import SILENT, Progress
+from limbcli.provenance.chain_inputs import CaseInputs
+from limbcli.provenance.requested_options import requested_of
 from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.page import embed, render, save_pictures
 from limbcli.reporting.report_data import ReportData, SiteMaterial
@@ -18,8 +20,6 @@ from limbcli.reporting.sections.methods import FILE as METHODS_FILE
 from limbcli.reporting.sections.methods import methods_text
 from limbcli.reporting.sections.overview import Overview, overview
 from limbcli.results import StageResult, StageWriter, open_stage, provenance
-from limbcli.stages.provenance.chain_inputs import CaseInputs
-from limbcli.stages.provenance.requested_options import requested_of
 from limbcli.stages.report_pages.material import gather
 
 PAGE_FILE = "report.html"

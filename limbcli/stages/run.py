@@ -7,28 +7,28 @@ import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from limbcli.atomic_files import atomic_folder, sha256
 from limbcli.case import Case, Site
 from limbcli.case.schema import FAILED
 from limbcli.errors import CaseError, LimbError, SolveError
 from limbcli.feb.outline import Outline, read_outline
 from limbcli.feb.read import read_feb
 from limbcli.feb.runnable import Runnable, runnable
+from limbcli.files.atomic import atomic_folder, sha256
 from limbcli.measurement.indentation import Levels
 from limbcli.progress import PROGRESS_FILE, SILENT, Progress, recorded
+from limbcli.provenance.chain import Chain
+from limbcli.provenance.chain_inputs import noted
+from limbcli.provenance.requested_options import requested_by_options
 from limbcli.results import StageResult, StageWriter, open_stage, plain, stage_folder
+from limbcli.site_model.site_levels import levels_of
 from limbcli.solvers import choose
 from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Solver
 from limbcli.solvers.cautions import cautions
 from limbcli.solvers.febio import FebioSolver, plot_file
 from limbcli.solvers.reference import NAME as REFERENCE
 from limbcli.solvers.restart import RESTART_FILE
-from limbcli.stages.provenance.chain import Chain
-from limbcli.stages.provenance.chain_inputs import noted
-from limbcli.stages.provenance.requested_options import requested_by_options
 from limbcli.stages.running.files import write_simulation
 from limbcli.stages.running.vtu import write_series
-from limbcli.stages.site_model.site_levels import levels_of
 
 STAGE = "run"
 _OF_A_CASE = ("segment", "mesh", "build-feb", "fit")  # stages whose results show that a folder is a case's

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.atomic_files import sha256
 from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.errors.problems import Problem, raise_errors
+from limbcli.files.atomic import sha256
 from limbcli.imaging.bones import name_bones
 from limbcli.imaging.image_files import read_image
 from limbcli.imaging.label_files import read_label_file
@@ -31,9 +31,9 @@ from limbcli.imaging.segmentation import Segmentation, SegmentationHints, segmen
 from limbcli.imaging.surface import SMOOTH, ClosedSurface, surface_of
 from limbcli.imaging.volume import Volume
 from limbcli.progress import SILENT, Progress
+from limbcli.provenance.chain_inputs import noted
+from limbcli.provenance.requested_options import requested_of
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
-from limbcli.stages.provenance.chain_inputs import noted
-from limbcli.stages.provenance.requested_options import requested_of
 from limbcli.stages.segmenting.assumed import from_assumed
 from limbcli.stages.segmenting.label_maps import labelled_limb
 from limbcli.stages.segmenting.places import report_places

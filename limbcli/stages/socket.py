@@ -13,11 +13,15 @@ from limbcli.case.socket import SocketInput, read_socket
 from limbcli.errors import CaseError, SolveError
 from limbcli.errors.problems import raise_errors
 from limbcli.feb.write import write_feb
-from limbcli.mesh_bounds import PENETRATION_MM
 from limbcli.meshing.export import write_vtu
 from limbcli.model import Array, LimbModel
-from limbcli.model_io import load_model
+from limbcli.model.npz_file import load_model
+from limbcli.numbers.mesh_bounds import PENETRATION_MM
+from limbcli.numbers.units import kpa_from_mpa
 from limbcli.progress import SILENT, Progress
+from limbcli.provenance.chain import Chain
+from limbcli.provenance.chain_inputs import noted
+from limbcli.provenance.requested_options import requested_by_options
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.sockets.alignment import misplaced
 from limbcli.sockets.donning import DonningOptions, DonningResult, SocketState, don_and_load
@@ -32,10 +36,6 @@ from limbcli.stages.in_socket.patch_table import (
     write_patches,
 )
 from limbcli.stages.in_socket.pictures import pressure_picture
-from limbcli.stages.provenance.chain import Chain
-from limbcli.stages.provenance.chain_inputs import noted
-from limbcli.stages.provenance.requested_options import requested_by_options
-from limbcli.units import kpa_from_mpa
 
 STAGE = "socket"
 _MARGIN_MM = 10.0  # the contact sees the socket this much farther than the deepest interference

@@ -18,19 +18,22 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.atomic_files import atomic_file, atomic_folder
 from limbcli.case import CASE_FILE, Case, Site, StatedNoise
 from limbcli.errors import CaseError
+from limbcli.files.atomic import atomic_file, atomic_folder
+from limbcli.files.temporary_folders import scratch_folder
 from limbcli.model import LimbModel
-from limbcli.model_io import load_model
+from limbcli.model.npz_file import load_model
 from limbcli.phantom.case_folder import NoiseLaw, toml
 from limbcli.phantom.measured_files import write_levels, write_readings
 from limbcli.phantom.noise import Readings, measure
 from limbcli.phantom.protocol import TrueLevels
 from limbcli.progress import SILENT, Progress
+from limbcli.provenance.chain import Chain
 from limbcli.results import StageResult, provenance, read_result, stage_folder
+from limbcli.site_model.indentation_model import with_penalty
+from limbcli.site_model.site_layers import MRI, held_layers
 from limbcli.stages.expect import keep_expected
-from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.simulated_subjects.hidden_effects import check_beside_layers, in_order
 from limbcli.stages.simulated_subjects.indent import indent
 from limbcli.stages.simulated_subjects.known_stretches import (
@@ -45,9 +48,6 @@ from limbcli.stages.simulated_subjects.synth_case import (
 )
 from limbcli.stages.simulated_subjects.synth_options import Alter, SynthOptions
 from limbcli.stages.simulated_subjects.synth_truth import SyntheticSite, summary_of, truth_table
-from limbcli.stages.site_model.indentation_model import with_penalty
-from limbcli.stages.site_model.site_layers import MRI, held_layers
-from limbcli.temporary_folders import scratch_folder
 
 # Relative residual at convergence (norm of the residual over that of the forces): a value far below the noise
 # of the readings, and a stricter one for readings without noise.

@@ -23,14 +23,14 @@ from pathlib import Path
 import numpy as np
 from scipy.linalg import cho_solve
 
-from limbcli.atomic_files import atomic_file
 from limbcli.errors import FitError
+from limbcli.files.atomic import atomic_file
 from limbcli.model import Array
+from limbcli.numbers.units import kpa_from_mpa
 from limbcli.stiffness_field.coordinates import AnatomicalPlaces
 from limbcli.stiffness_field.field import Conditioned, StiffnessField
 from limbcli.stiffness_field.kernel import Features
 from limbcli.stiffness_field.readings import PARAMETERS
-from limbcli.units import kpa_from_mpa
 
 N_DRAWS = 50
 _FREQUENCIES = 256

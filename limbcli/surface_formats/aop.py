@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from limbcli.atomic_files import atomic_file
 from limbcli.errors import MeshError
+from limbcli.files.atomic import atomic_file
 from limbcli.model import Array, IntArray
 
 BoolArray = NDArray[np.bool_]

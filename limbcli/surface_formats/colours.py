@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from limbcli.unpacking import DAMAGED
+from limbcli.files.unpacking import DAMAGED
 
 _HEAD = 1 << 20  # bytes that are searched for a declaration
 _OF_TEXT = {

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 from lxml import etree
 
+from limbcli.files.unpacking import DAMAGED, UnpackingBudget
+from limbcli.files.xml import own_text, parsed_xml
 from limbcli.model import Array, IntArray
 from limbcli.surface_formats import lz4
 from limbcli.surface_formats.polygons import by_length, from_cells, from_strips
-from limbcli.unpacking import DAMAGED, UnpackingBudget
-from limbcli.xml_files import own_text, parsed_xml
 
 _TYPES = {"Int8": "i1", "UInt8": "u1", "Int16": "i2", "UInt16": "u2", "Int32": "i4", "UInt32": "u4",
           "Int64": "i8", "UInt64": "u8", "Float32": "f4", "Float64": "f8", "String": "u1"}  # fmt: skip

@@ -235,7 +235,7 @@ def test_segment_begins_before_sites_and_probe_are_known(tmp_path: Path):
 
 
 def test_a_second_writer_is_refused_where_nobody_waits(chain: dict[str, Any], tmp_path: Path):
-    from limbcli.output_lock import one_writer
+    from limbcli.files.output_lock import one_writer
 
     with one_writer(tmp_path), pytest.raises(limbcli.CaseError, match="is writing into this output folder"):
         limbcli.segment(chain["case"], out=tmp_path, wait=False)

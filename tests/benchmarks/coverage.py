@@ -21,18 +21,18 @@ import numpy as np
 
 from limbcli.errors import LimbError
 from limbcli.feb.settings import least_level, schedule
+from limbcli.fitting.force_curves import ReferenceCurve
+from limbcli.fitting.numerical_error import gain_deviation
 from limbcli.inference.interval import Stiffness, force_intervals
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.two_step_fit import ForceDepth, two_step
 from limbcli.meshing.elements import with_element
-from limbcli.model_io import load_model
+from limbcli.model.npz_file import load_model
+from limbcli.numbers.units import mpa_from_kpa
 from limbcli.phantom.protocol import depth_at_force
+from limbcli.site_model.indentation_model import indentation_model
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.fit import START
-from limbcli.stages.fitting.force_curves import ReferenceCurve
-from limbcli.stages.fitting.numerical_error import gain_deviation
-from limbcli.stages.site_model.indentation_model import indentation_model
-from limbcli.units import mpa_from_kpa
 
 FORCE_SD, DEPTH_SD, SPEED_SD = 0.1, 0.3, 0.05
 

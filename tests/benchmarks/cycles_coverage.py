@@ -21,11 +21,11 @@ from limbcli.case import Case
 from limbcli.errors import LimbError
 from limbcli.feb.settings import schedule
 from limbcli.measurement.cycles import study_cycles
+from limbcli.site_model.indentation_model import indentation_model
+from limbcli.site_model.site_levels import all_levels_of
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.fit import FitOptions, fit
-from limbcli.stages.site_model.indentation_model import indentation_model
-from limbcli.stages.site_model.site_levels import all_levels_of
 from tests.stages import block_case as block
 
 C, F_KAPPA, M = 0.008, 20.0, 4.0  # MPa

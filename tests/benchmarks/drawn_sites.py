@@ -44,12 +44,12 @@ from limbcli.phantom.beam import skin_bone_distance
 from limbcli.phantom.case_folder import PROBE, NoiseLaw, case_table, toml
 from limbcli.progress import SILENT
 from limbcli.shear_waves.speed import block_speeds
+from limbcli.site_model.indentation_model import with_penalty
 from limbcli.solvers.base import Simulation
 from limbcli.stages.build_feb import PROBE as PROBE_BODY
 from limbcli.stages.build_feb import TISSUE
 from limbcli.stages.simulated_subjects.hidden_effects import hide
 from limbcli.stages.simulated_subjects.indent import KnownTissue, Press
-from limbcli.stages.site_model.indentation_model import with_penalty
 
 Change = Callable[[LimbModel], LimbModel]
 PENALTY, TOLERANCE, FAR, FACES = 80.0, 1e-4, 14.0, (8000, 2500)  # faces of skin and of each bone

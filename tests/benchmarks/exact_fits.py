@@ -21,15 +21,15 @@ from pathlib import Path
 
 import numpy as np
 
-from limbcli.diagnostics.evidence.linear_evidence import LinearEvidence
-from limbcli.diagnostics.model.forward_model import Fitted
-from limbcli.diagnostics.model.linear import Whitener
+from limbcli.diagnosis.data.site_data import SiteData
+from limbcli.diagnosis.data.windows import Windows
+from limbcli.diagnosis.explanations.evidence.linear_evidence import LinearEvidence
+from limbcli.diagnosis.explanations.model.forward_model import Fitted
+from limbcli.diagnosis.explanations.model.linear import Whitener
+from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.effects.curves import Curves, force_at
 from limbcli.effects.reading import Reading
 from limbcli.errors import LimbError
-from limbcli.stages.diagnosis.data.site_data import SiteData
-from limbcli.stages.diagnosis.data.windows import Windows
-from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
 
 RESEMBLES = 1.0  # least ln Bayes factor that is printed
 ZEROS = ("depth-zero", "force-zero", "depth-gain")

@@ -23,11 +23,11 @@ from typing import Any
 import numpy as np
 
 from limbcli.case import Case
+from limbcli.cohorts.column_checks import checked_cohort
+from limbcli.cohorts.estimate import CohortNoise, noise_of
+from limbcli.cohorts.table import CohortTable
 from limbcli.errors import LimbError, MeasurementError
 from limbcli.errors.problems import checked
-from limbcli.measurement.cohort_checks import checked_cohort
-from limbcli.measurement.cohort_table import CohortTable
-from limbcli.stages.cohorts.estimate import CohortNoise, noise_of
 from limbcli.stages.diagnose import DiagnoseOptions, diagnose
 from limbcli.stages.segment import segment
 from tests.benchmarks.cohort import LEG, shared_table

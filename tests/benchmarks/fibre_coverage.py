@@ -19,14 +19,14 @@ import numpy as np
 
 from limbcli.errors import LimbError
 from limbcli.feb.settings import schedule
+from limbcli.fitting.fibre_rest_speed import rest_speed
+from limbcli.fitting.force_curves import LawCurve
+from limbcli.fitting.laws import LAWS, first_shapes
 from limbcli.inference.interpolation import pchip_inverse, pchip_sample
 from limbcli.inference.joint import JointTask, SiteMeasurement, joint_fit
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.model import ElementMap
-from limbcli.stages.fitting.fibre_rest_speed import rest_speed
-from limbcli.stages.fitting.force_curves import LawCurve
-from limbcli.stages.fitting.laws import LAWS, first_shapes
-from limbcli.stages.site_model.indentation_model import indentation_model
+from limbcli.site_model.indentation_model import indentation_model
 from tests.stages.block_case import block_model
 
 C = 0.006  # MPa

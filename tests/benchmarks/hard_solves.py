@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.case import Case
+from limbcli.diagnosis.prepare import size_for
 from limbcli.effects import EFFECTS
 from limbcli.errors import LimbError, SolveError
 from limbcli.feb.settings import schedule
@@ -37,17 +38,16 @@ from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_model import MeshOptions, site_model
 from limbcli.meshing.surfaces import read_surface
 from limbcli.model import LimbModel, Material
-from limbcli.model_io import load_model, save_model
+from limbcli.model.npz_file import load_model, save_model
 from limbcli.progress import SILENT
-from limbcli.solvers.reference import prepare
-from limbcli.stages.diagnosis.prepare import size_for
-from limbcli.stages.site_model.indentation_model import (
+from limbcli.site_model.indentation_model import (
     TISSUE,
     indentation_model,
     starting_depth,
     with_penalty,
 )
-from limbcli.stages.site_model.model_simplification import fewer_steps, softer_jumps
+from limbcli.site_model.model_simplification import fewer_steps, softer_jumps
+from limbcli.solvers.reference import prepare
 
 SHARED = Path(os.environ.get("LIMBCLI_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 SITES = SHARED / "febio-hidden"

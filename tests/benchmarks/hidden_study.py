@@ -3,7 +3,7 @@
     python tests/benchmarks/hidden_study.py --out out/hidden --repeats 4
 
 Every data set is one line of <out>/study.jsonl; what is there already is not done again. The data are
-those of tests/diagnostics/hidden_cases.py.
+those of tests/diagnosis/hidden_cases.py.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ PAIRS = (("force-zero", "swe-guided-wave"), ("depth-zero", "anisotropy"), ("forc
 
 def _cases():
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # run as a script
-    from tests.diagnostics import hidden_cases
+    from tests.diagnosis import hidden_cases
 
     return hidden_cases
 

@@ -19,15 +19,15 @@ import numpy as np
 
 from limbcli.errors import LimbError
 from limbcli.feb.settings import schedule
+from limbcli.fitting.force_curves import LawCurve
+from limbcli.fitting.laws import LAWS
+from limbcli.fitting.numerical_error import gain_deviation
 from limbcli.inference.interpolation import pchip_inverse, pchip_sample
 from limbcli.inference.joint import JointTask, SiteMeasurement, joint_fit
 from limbcli.inference.prediction import SolvedPoints
-from limbcli.model_io import load_model
-from limbcli.stages.fitting.force_curves import LawCurve
-from limbcli.stages.fitting.laws import LAWS
-from limbcli.stages.fitting.numerical_error import gain_deviation
-from limbcli.stages.site_model.indentation_model import indentation_model
-from limbcli.units import mpa_from_kpa
+from limbcli.model.npz_file import load_model
+from limbcli.numbers.units import mpa_from_kpa
+from limbcli.site_model.indentation_model import indentation_model
 
 FORCE_SD, DEPTH_SD, SPEED_SD, DENSITY = 0.1, 0.3, 0.05, 1000.0
 

@@ -5,7 +5,7 @@
 For every site of the FEBio study in the reference data (`febio-hidden`) with maps free of noise and without
 its hidden effect: segmented and meshed into FOLDER, its working mesh tied to its own as `diagnose` does, and
 ln speed of its parts at the true c, m and f_kappa (to first order) less FEBio's, at eight forces. A line a
-site; with --fit the constants of `stages.diagnosis.data.noise` by maximum likelihood, beside those
+site; with --fit the constants of `diagnosis.data.noise` by maximum likelihood, beside those
 that stand there, whose size is meant to be that of the worst site. What the limb's
 far side rests on is allowed for as in a diagnosis.
 """
@@ -24,22 +24,22 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize, minimize_scalar
 
 from limbcli.case import Case
+from limbcli.diagnosis.curves.curve_plan import FIRST_M
+from limbcli.diagnosis.data import noise
+from limbcli.diagnosis.data.windows import Windows
+from limbcli.diagnosis.forward_model.surrogate import AtPoints
+from limbcli.diagnosis.mesh_error.mesh_correction import F_KAPPA
+from limbcli.diagnosis.mesh_error.numerical_checks import (
+    _FAR_SIDE_LEFT,
+    INCOMPRESSIBILITY,
+    STIFFER,
+)
+from limbcli.diagnosis.prepare import Prepared, WorkingMesh, prepare
 from limbcli.effects import EFFECTS
 from limbcli.effects.curves import Curves
 from limbcli.effects.far_side import FAR_SIDE
 from limbcli.model import Array, IntArray
 from limbcli.progress import SILENT
-from limbcli.stages.diagnosis.curves.curve_plan import FIRST_M
-from limbcli.stages.diagnosis.data import noise
-from limbcli.stages.diagnosis.data.windows import Windows
-from limbcli.stages.diagnosis.forward_model.surrogate import AtPoints
-from limbcli.stages.diagnosis.mesh_error.mesh_correction import F_KAPPA
-from limbcli.stages.diagnosis.mesh_error.numerical_checks import (
-    _FAR_SIDE_LEFT,
-    INCOMPRESSIBILITY,
-    STIFFER,
-)
-from limbcli.stages.diagnosis.prepare import Prepared, WorkingMesh, prepare
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment
 

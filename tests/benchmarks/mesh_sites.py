@@ -111,7 +111,7 @@ def one(limb: Limb, point: Array, axis: str, sizes: Sizes, *, solve: str | None 
 
 def force(model: LimbModel, thinnest: float | None) -> float:
     """Probe force (N) at 4 mm, or at half of the tissue over bone where that is less."""
-    from limbcli.stages.site_model.mesh_study import reference_force
+    from limbcli.site_model.mesh_study import reference_force
 
     return reference_force(model, 4.0 if thinnest is None else min(4.0, 0.5 * thinnest))
 

@@ -24,11 +24,11 @@ from limbcli.feb.settings import schedule
 from limbcli.inference.interpolation import pchip_sample
 from limbcli.meshing.elements import with_element
 from limbcli.model import Array, LimbModel
-from limbcli.model_io import load_model
+from limbcli.model.npz_file import load_model
+from limbcli.site_model.indentation_model import indentation_model, starting_depth
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment
-from limbcli.stages.site_model.indentation_model import indentation_model, starting_depth
 
 CASE = Path(__file__).resolve().parents[2] / "cases" / "paper-parameters"
 FORCES = np.array([4.0, 8.0, 16.0, 24.0])  # N, of tet4

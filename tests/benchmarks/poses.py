@@ -19,14 +19,14 @@ import numpy as np
 
 from limbcli.case import Case
 from limbcli.feb.settings import schedule
+from limbcli.fitting.force_curves import LawCurve
+from limbcli.fitting.laws import LAWS
 from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_model import MeshOptions, site_model
 from limbcli.model import Array, LimbModel
+from limbcli.site_model.indentation_model import indentation_model
 from limbcli.stages.fit import FitOptions
 from limbcli.stages.fit_joint import JointOptions, fit_joint
-from limbcli.stages.fitting.force_curves import LawCurve
-from limbcli.stages.fitting.laws import LAWS
-from limbcli.stages.site_model.indentation_model import indentation_model
 from tests.meshing.test_pose import AXIS, PLACE, POSES, PROBE, posed
 from tests.stages import block_case as block
 

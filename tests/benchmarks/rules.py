@@ -38,15 +38,15 @@ from scipy.stats import binomtest, norm
 
 from limbcli.case import Case
 from limbcli.config import one_blas_thread
-from limbcli.diagnostics.conclusions.verdict import Diagnosis
-from limbcli.diagnostics.engine import _Run
-from limbcli.diagnostics.model.linear import LinearFit, Whitener
-from limbcli.diagnostics.search import Search
+from limbcli.diagnosis.explanations.conclusions.verdict import Diagnosis
+from limbcli.diagnosis.explanations.engine import _Run
+from limbcli.diagnosis.explanations.model.linear import LinearFit, Whitener
+from limbcli.diagnosis.explanations.search import Search
+from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
+from limbcli.diagnosis.prepare import WorkingMesh, prepare
 from limbcli.drawing import save_figure
 from limbcli.effects import EFFECTS
 from limbcli.progress import SILENT
-from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
-from limbcli.stages.diagnosis.prepare import WorkingMesh, prepare
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment
 

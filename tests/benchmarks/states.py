@@ -25,22 +25,22 @@ import numpy as np
 from limbcli.case import Case
 from limbcli.errors import LimbError
 from limbcli.feb.settings import schedule
+from limbcli.fitting.laws import LAWS
+from limbcli.fitting.numerical_error import gain_deviation
+from limbcli.fitting.state_curve import StateCurve
+from limbcli.fitting.state_plan import plan_of
 from limbcli.inference.curve_minimum import lowest_on_grid
 from limbcli.inference.derived import derived_interval
 from limbcli.inference.interpolation import pchip_inverse, pchip_sample
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.site_depth import SiteMeasurement
 from limbcli.inference.states import StateMeasurement, StatesTask, states_fit
-from limbcli.model_io import load_model
+from limbcli.model.npz_file import load_model
+from limbcli.numbers.units import mpa_from_kpa
+from limbcli.site_model.indentation_model import indentation_model
 from limbcli.stages.fit_states import first_simulations, knots_to, starts
-from limbcli.stages.fitting.laws import LAWS
-from limbcli.stages.fitting.numerical_error import gain_deviation
-from limbcli.stages.fitting.state_curve import StateCurve
-from limbcli.stages.fitting.state_plan import plan_of
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment
-from limbcli.stages.site_model.indentation_model import indentation_model
-from limbcli.units import mpa_from_kpa
 
 FORCE_SD, DEPTH_SD, SPEED_SD, DENSITY = 0.05, 0.2, 0.03, 1000.0
 GRID = np.linspace(np.log(0.35), np.log(1.8), 241)

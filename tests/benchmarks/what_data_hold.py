@@ -36,8 +36,16 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from limbcli.case import Case, Site
-from limbcli.diagnostics.model.forward_model import Fitted
-from limbcli.diagnostics.model.linear import LinearFit, Whitener
+from limbcli.diagnosis.data import held_forces
+from limbcli.diagnosis.data.held_forces import HeldForces
+from limbcli.diagnosis.data.noise import SmoothDepth
+from limbcli.diagnosis.data.site_data import SiteData
+from limbcli.diagnosis.data.windows import Windows, pitch_of
+from limbcli.diagnosis.explanations.model.forward_model import Fitted
+from limbcli.diagnosis.explanations.model.linear import LinearFit, Whitener
+from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
+from limbcli.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
+from limbcli.diagnosis.prepare import Prepared, WorkingMesh, _Preparation, prepare
 from limbcli.effects import EFFECTS
 from limbcli.effects.base import Effect, Theta, point_name
 from limbcli.effects.curves import force_at
@@ -47,14 +55,6 @@ from limbcli.measurement.indentation import read_trace
 from limbcli.measurement.map_noise import pixel_noise
 from limbcli.model import Array, IntArray
 from limbcli.progress import SILENT
-from limbcli.stages.diagnosis.data import held_forces
-from limbcli.stages.diagnosis.data.held_forces import HeldForces
-from limbcli.stages.diagnosis.data.noise import SmoothDepth
-from limbcli.stages.diagnosis.data.site_data import SiteData
-from limbcli.stages.diagnosis.data.windows import Windows, pitch_of
-from limbcli.stages.diagnosis.forward_model.site_forward_model import SiteForwardModel
-from limbcli.stages.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
-from limbcli.stages.diagnosis.prepare import Prepared, WorkingMesh, _Preparation, prepare
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment
 
@@ -274,7 +274,7 @@ def _from_onset(change: Array, effect: Effect, point: Theta) -> Array:
 
 
 def _maps_of(site: Site) -> list[Any]:
-    from limbcli.stages.site_model.site_levels import levels_of, maps_of
+    from limbcli.site_model.site_levels import levels_of, maps_of
 
     found = maps_of(site, levels_of(site))
     assert found is not None

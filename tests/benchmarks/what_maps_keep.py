@@ -23,12 +23,12 @@ from pathlib import Path
 import numpy as np
 from scipy.linalg import block_diag
 
+from limbcli.diagnosis.data.noise import MapNoise
+from limbcli.diagnosis.data.rows import SiteRows
+from limbcli.diagnosis.data.windows import Windows
 from limbcli.measurement.elastography import SweMap, read_maps
 from limbcli.measurement.map_noise import pixel_noise
 from limbcli.model import Array
-from limbcli.stages.diagnosis.data.noise import MapNoise
-from limbcli.stages.diagnosis.data.rows import SiteRows
-from limbcli.stages.diagnosis.data.windows import Windows
 
 SHARED = Path(os.environ.get("LIMBCLI_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 SITES = SHARED / "febio-hidden"

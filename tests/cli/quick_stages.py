@@ -20,8 +20,8 @@ from typing import Any
 
 from limbcli.case import Case, Site
 from limbcli.errors import MeshError
+from limbcli.provenance.chain_inputs import noted
 from limbcli.results import open_stage, read_result
-from limbcli.stages.provenance.chain_inputs import noted
 
 FILES = {"report": "report.html", "build-feb": "model.feb"}
 STAGES = ("segment", "mesh", "build-feb", "run", "fit", "report")

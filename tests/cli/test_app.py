@@ -187,7 +187,7 @@ def test_interruption_keeps_nothing_half_written_and_says_so(
 ):
     code = (
         "import sys, time; from pathlib import Path; from limbcli.cli import check, entry;"
-        "from limbcli.atomic_files import atomic_folder\n"
+        "from limbcli.files.atomic import atomic_folder\n"
         "def slow(case, **_):\n"
         "    with atomic_folder(case / 'stage') as work:\n"
         "        (work / 'half').write_text('x'); print('ready', flush=True); time.sleep(60)\n"

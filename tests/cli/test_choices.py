@@ -12,11 +12,11 @@ from typer.testing import CliRunner
 from limbcli.api.diagnosis import MEASURED
 from limbcli.cli.app import app, main
 from limbcli.cli.choices import effects
+from limbcli.diagnosis.forward_model.measurement_menu import items
 from limbcli.effects import EFFECTS
+from limbcli.fitting.laws import LAWS
 from limbcli.options import LawName, SolverName
 from limbcli.solvers import KINDS
-from limbcli.stages.diagnosis.forward_model.measurement_menu import items
-from limbcli.stages.fitting.laws import LAWS
 
 CASES = Path(__file__).resolve().parents[2] / "cases"
 

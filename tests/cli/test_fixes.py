@@ -12,8 +12,8 @@ from limbcli.cli.app import COMMANDS, command_options, main
 from limbcli.cli.fixes import case_of, for_command_line, out_of
 from limbcli.errors import CaseError, SolveError
 from limbcli.errors.commands import WITHOUT_OUT, pasted, pasted_text
+from limbcli.provenance.commands import CommandStep
 from limbcli.reporting.outcome import read_outcomes
-from limbcli.stages.provenance.commands import CommandStep
 from tests.case.test_case_text import two_sites
 
 PACKAGE = Path(__file__).resolve().parents[2] / "limbcli"

@@ -19,9 +19,9 @@ from limbcli.cli.error_output import report_error
 from limbcli.cli.terminal import emit
 from limbcli.drawing import write_data
 from limbcli.errors import CaseError
-from limbcli.plain_text import shown, text_cell
+from limbcli.files.plain_text import shown, text_cell
+from limbcli.fitting.exports import write_parameters, write_table
 from limbcli.results import StageResult
-from limbcli.stages.fitting.exports import write_parameters, write_table
 from tests.cohort_rows import people, written
 
 EVIL = "P\x1b]0;owned\x07\x1b[2J\x9b31m\u202egnp\r\x08\x7f\u2028"

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from limbcli import DiagnosisResult, FitResult
-from limbcli.atomic_files import sha256
+from limbcli.files.atomic import sha256
 
 WALKTHROUGH = Path(__file__).resolve().parents[2] / "docs" / "walkthrough.py"
 

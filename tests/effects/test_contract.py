@@ -10,7 +10,6 @@ import pytest
 from scipy.spatial import Delaunay
 
 import limbcli.effects
-from limbcli.bodies import RigidBody
 from limbcli.effects import EFFECTS, effect
 from limbcli.effects.base import Effect
 from limbcli.effects.curves import Curves
@@ -23,6 +22,7 @@ from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
 from limbcli.model import Block, ElementMap, LimbModel, Mesh, Surface
+from limbcli.model.bodies import RigidBody
 
 FOLDER = Path(limbcli.effects.__file__).parent
 NAMES = [each.name for each in EFFECTS]

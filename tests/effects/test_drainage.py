@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from limbcli.diagnosis.data.held_forces import STEP_S, HeldForces
 from limbcli.effects import effect, poroelasticity
 from limbcli.effects.curves import Curves
 from limbcli.effects.drainage import SPREADS, Drainage, HeldIndentation
 from limbcli.effects.reading import Protocol, Reading, read
 from limbcli.errors import SolveError
-from limbcli.stages.diagnosis.data.held_forces import STEP_S, HeldForces
 
 CURVES = Curves(np.linspace(0, 10, 21), 0.4 * np.linspace(0, 10, 21) ** 1.5, np.zeros((21, 0)), np.zeros(0))
 LEVELS = np.array([0.0, 2.0, 4.0, 6.0])

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from limbcli.diagnosis.curves.curve_plan import Solving
+from limbcli.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.effects import far_side as module
 from limbcli.effects.far_side import FAR_SIDE, far_side
 from limbcli.model import LimbModel, Support, Surface
-from limbcli.stages.diagnosis.curves.curve_plan import Solving
-from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
 from tests.stages import block_case as block
 
 

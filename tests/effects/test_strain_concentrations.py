@@ -16,7 +16,7 @@ from limbcli.effects.frozen_deformation import (
     strain_concentrations,
 )
 from limbcli.effects.places import Places, cell_means
-from tests.diagnostics.reduced import block_model
+from tests.diagnosis.reduced import block_model
 
 MODEL = block_model()
 CELLS = MODEL.mesh.blocks[0].cells

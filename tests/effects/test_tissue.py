@@ -9,7 +9,7 @@ import pytest
 
 from limbcli.effects.tissue import limb_axis, thickness
 from limbcli.model import Surface
-from tests.diagnostics.reduced import block_model
+from tests.diagnosis.reduced import block_model
 
 
 def with_bone(*planes):

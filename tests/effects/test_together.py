@@ -13,7 +13,7 @@ from limbcli.effects.reading import Reading
 from limbcli.effects.tissue import TISSUE, core
 from limbcli.materials import compile_material
 from limbcli.model import ElementMap, Material
-from tests.diagnostics.reduced import block_model
+from tests.diagnosis.reduced import block_model
 
 FAT = (effect("adipose-layer"), {"log_fat_softness": 1.0, "fat_thickness_mm": 8.0})
 SKIN = (effect("skin-layer"), {"log_skin_ratio": 3.0, "skin_thickness_mm": 1.5})

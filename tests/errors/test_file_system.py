@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from limbcli.atomic_files import atomic_file, atomic_folder, clear_partial, sha256
 from limbcli.case import Case
 from limbcli.errors import CaseError, LimbError, ToolError
 from limbcli.errors.file_system import not_in_utf8
 from limbcli.errors.unexpected import unforeseen
-from limbcli.output_lock import LOCK, one_writer
+from limbcli.files.atomic import atomic_file, atomic_folder, clear_partial, sha256
+from limbcli.files.output_lock import LOCK, one_writer
 from limbcli.stages.batch import batch
 from tests.stages.chain_case import write_case
 

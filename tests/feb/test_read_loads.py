@@ -11,8 +11,8 @@ from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
 from limbcli.fem.motion.load_curves import value
-from limbcli.formulas import Formula
 from limbcli.model import Load
+from limbcli.numbers.formulas import Formula
 
 
 def with_loads(punch: Path, folder: Path, loads: str, *more: tuple[str, str]) -> Path:

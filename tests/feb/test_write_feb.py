@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from lxml import etree
 
-from limbcli.bodies import Drive, RigidBody, Spring
 from limbcli.errors import CaseError, ToolError
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import render, write_feb
@@ -30,7 +29,8 @@ from limbcli.model import (
     Support,
     Surface,
 )
-from limbcli.model_io import differences
+from limbcli.model.bodies import Drive, RigidBody, Spring
+from limbcli.model.npz_file import differences
 
 
 def round_trip(model: LimbModel, folder: Path) -> LimbModel:

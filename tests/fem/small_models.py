@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from limbcli.bodies import Contact, Drive, RigidBody
 from limbcli.fem.elements.element import _TET10_EDGES
 from limbcli.materials import ogden_type
 from limbcli.model import Block, Curve, Domain, LimbModel, Material, Mesh, Step, Support, Surface
+from limbcli.model.bodies import Contact, Drive, RigidBody
 
 _SIX = ((0, 1, 2, 6), (0, 2, 3, 6), (0, 3, 7, 6), (0, 7, 4, 6), (0, 4, 5, 6), (0, 5, 1, 6))
 _TWO_WEDGES = ((0, 1, 2, 4, 5, 6), (0, 2, 3, 4, 6, 7))

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from small_models import block, punch
 
-from limbcli.bodies import Drive, RigidBody, Spring
 from limbcli.errors import SolveError
 from limbcli.feb.read import read_feb
 from limbcli.feb.records import read_records
@@ -22,6 +21,7 @@ from limbcli.fem.motion.rigid import BodyState, rotation_matrix, spring_forces, 
 from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
 from limbcli.model import LimbModel, Step, Support
+from limbcli.model.bodies import Drive, RigidBody, Spring
 from limbcli.progress import Progress
 
 QUICK = Settings(tolerance=1e-8, threads=1)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from small_models import block, cells_of, grid, top_facets
 
-from limbcli.bodies import Drive, RigidBody
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.equilibrium.newton import Settings
@@ -16,8 +15,9 @@ from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.motion.state import State
 from limbcli.fem.record_fields import cell_fields
 from limbcli.fem.system import System
-from limbcli.formulas import Formula
 from limbcli.model import Block, Domain, LimbModel, Load, Material, Mesh, Support, Surface
+from limbcli.model.bodies import Drive, RigidBody
+from limbcli.numbers.formulas import Formula
 
 TIGHT = Settings(tolerance=1e-11, threads=1)
 NEO = Material("neo_hooke", {"mu": 0.01, "lambda": 0.02}, density=1e-9)

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 from small_models import block
 
-from limbcli.bodies import Drive, RigidBody
 from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.system import System
 from limbcli.materials import ogden_type
 from limbcli.materials.fiber import JUMP
 from limbcli.model import Material
+from limbcli.model.bodies import Drive, RigidBody
 
 
 def test_tangent_agrees_with_differences_on_the_jump(rng: np.random.Generator) -> None:

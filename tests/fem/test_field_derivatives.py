@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from small_models import block, punch, under_a_rigid_half
 
-from limbcli.bodies import Drive, RigidBody, Spring
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.derivatives.field_derivatives import (
@@ -32,6 +31,7 @@ from limbcli.fem.motion.rigid import rotation_matrix
 from limbcli.fem.record_fields import BODY_FIELDS, CELL_FIELDS, NODE_FIELDS, record_rows
 from limbcli.materials import compile_material, ogden_type
 from limbcli.model import Block, Curved, Domain, ElementMap, LimbModel, LogRecord, Material, Step, Support
+from limbcli.model.bodies import Drive, RigidBody, Spring
 from limbcli.solvers.session import ReferenceSession
 
 TIGHT = Settings(tolerance=1e-12, threads=1)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from small_models import block, punch
 
-from limbcli.bodies import Drive
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis, Snapshot
 from limbcli.fem.contacts import friction_kernels
@@ -20,6 +19,7 @@ from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.system import System
 from limbcli.materials import ogden_type
 from limbcli.model import Curve, Curved, ElementMap, LimbModel, Material, Step, Support, Value
+from limbcli.model.bodies import Drive
 from limbcli.solvers.reference import prepare
 from limbcli.solvers.session import ReferenceSession
 from limbcli.solvers.session_parameters import nudged

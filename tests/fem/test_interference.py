@@ -10,7 +10,6 @@ import pytest
 from small_models import block, top_facets
 from tubes import LENGTH, OUTER, lame_pressure, tube
 
-from limbcli.bodies import Contact, Drive, RigidBody
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
 from limbcli.fem.analysis import Analysis, Snapshot
@@ -20,6 +19,7 @@ from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.system import System
 from limbcli.materials import ogden_type
 from limbcli.model import Block, Curve, LimbModel, Mesh, Step, Surface
+from limbcli.model.bodies import Contact, Drive, RigidBody
 
 SMALL = 0.02  # mm: 0.1 % of the radius
 MU, LAME = 0.01, 0.04  # MPa, of the tube's law at rest (c 0.02 MPa, f_kappa 2)

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from small_models import block, under_a_rigid_half
 
-from limbcli.bodies import Drive, RigidBody, Spring
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis, Snapshot
 from limbcli.fem.equilibrium.newton import Settings
 from limbcli.fem.motion.kinematics import Kinematics
 from limbcli.fem.motion.rigid import AT_REST, Body, spring_forces
 from limbcli.model import Support
+from limbcli.model.bodies import Drive, RigidBody, Spring
 
 QUICK = Settings(tolerance=1e-11, threads=1)
 

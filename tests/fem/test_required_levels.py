@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from small_models import punch
 
-from limbcli.bodies import Drive
 from limbcli.errors import SolveError
 from limbcli.fem.equilibrium.load_stepping import BRIEF_CUTS
 from limbcli.fem.equilibrium.stagnation import Stagnation
 from limbcli.fem.motion.state import Forces, State
 from limbcli.materials import ogden_type
 from limbcli.model import Array, LimbModel
+from limbcli.model.bodies import Drive
 from limbcli.solvers.session import ReferenceSession
 
 

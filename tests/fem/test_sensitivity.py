@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from small_models import punch
 
-from limbcli.bodies import Drive
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.derivatives.sensitivity import (
@@ -25,6 +24,7 @@ from limbcli.fem.equilibrium.newton import Settings
 from limbcli.fem.motion.rigid import rotation_matrix
 from limbcli.materials import ogden_type
 from limbcli.model import Curved, ElementMap, LimbModel, Material, Support
+from limbcli.model.bodies import Drive
 from limbcli.solvers.session import ReferenceSession
 
 TIGHT = Settings(tolerance=1e-12, threads=1)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from small_models import block, punch
 
-from limbcli.bodies import Drive, RigidBody
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.equilibrium.newton import Settings
@@ -18,6 +17,7 @@ from limbcli.fem.motion.state import State
 from limbcli.materials import ogden_type
 from limbcli.materials.stress import cauchy_stress
 from limbcli.model import Curve, Curved, LimbModel, Material, Step, Support
+from limbcli.model.bodies import Drive, RigidBody
 from limbcli.solvers.session import path_dependent
 
 QUICK = Settings(tolerance=1e-11, threads=1)

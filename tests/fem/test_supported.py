@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from small_models import punch
 
-from limbcli.bodies import Drive
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.equilibrium.newton import Settings
 from limbcli.fem.supported import check_supported, on_disk, refuse_limp
 from limbcli.model import Curved, ElementMap, Step
+from limbcli.model.bodies import Drive
 
 
 def test_kernels_that_were_compiled_are_found_on_disk():

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from limbcli.bodies import Contact, Drive, RigidBody
 from limbcli.materials import ogden_type
 from limbcli.model import Block, Curve, Domain, LimbModel, Mesh, Step, Support, Surface
+from limbcli.model.bodies import Contact, Drive, RigidBody
 
 INNER, OUTER, LENGTH = 10.0, 20.0, 10.0  # mm
 # The penalty grows by equal ratios: each step then takes up a similar part of the interference.

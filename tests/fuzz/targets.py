@@ -21,6 +21,7 @@ from PIL import Image
 from pydicom.uid import DeflatedExplicitVRLittleEndian
 
 from limbcli.case import read_case
+from limbcli.cohorts.column_checks import checked_cohort
 from limbcli.errors.problems import errors_of
 from limbcli.feb.log import check_complete, read_log
 from limbcli.feb.outline import read_outline
@@ -32,13 +33,12 @@ from limbcli.imaging.image_files import read_image as read_image_file
 from limbcli.imaging.label_files import read_label_file
 from limbcli.imaging.surface import read_surface
 from limbcli.imaging.volume import Volume
-from limbcli.measurement.cohort_checks import checked_cohort
 from limbcli.measurement.elastography import check_maps
 from limbcli.measurement.indentation import check_levels, check_trace
 from limbcli.measurement.recording import read_recording
 from limbcli.measurement.ultrasound_image import read_image
 from limbcli.meshing import surfaces
-from limbcli.model_io import load_model, save_model
+from limbcli.model.npz_file import load_model, save_model
 from limbcli.results import open_stage, read_result, stage_folder
 from limbcli.surface_formats.aop import AopLimb, write_aop
 from tests.cohort_rows import HEADER, row

@@ -28,7 +28,7 @@ from limbcli.imaging.surface import read_surface
 from limbcli.measurement.indentation import check_levels
 from limbcli.measurement.ultrasound_image import read_image
 from limbcli.meshing import surfaces
-from limbcli.model_io import load_model
+from limbcli.model.npz_file import load_model
 from tests.fuzz.targets import (
     TARGETS,
     Target,
@@ -178,7 +178,7 @@ def test_a_label_map_said_to_be_vast_is_refused_before_it_is_unpacked(tmp_path: 
 def test_a_model_file_that_unpacks_without_end_is_refused(tmp_path: Path, monkeypatch: Any) -> None:
     make_model(tmp_path)
     load_model(tmp_path / "model.npz")
-    monkeypatch.setattr("limbcli.model_io._LARGEST", 1000)
+    monkeypatch.setattr("limbcli.model.npz_file._LARGEST", 1000)
     refused(load_model, tmp_path / "model.npz")
 
 

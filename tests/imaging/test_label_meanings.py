@@ -10,9 +10,9 @@ import pytest
 from limb_images import Limb
 from scipy.spatial.transform import Rotation
 
-from limbcli.atomic_files import sha256
 from limbcli.case.label_sources import LabelSource
 from limbcli.errors import CaseError
+from limbcli.files.atomic import sha256
 from limbcli.imaging.label_files import label_lines, read_label_file, read_label_map
 from limbcli.imaging.label_names import PRESETS, meaning_of, preset_of
 from limbcli.imaging.labels import segmentation_from

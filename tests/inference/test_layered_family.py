@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from limbcli.cohorts.population import CohortModel
 from limbcli.errors import ToolError
-from limbcli.inference.cohort_model import CohortModel
 from limbcli.inference.layered_family import is_inside, layered_family
 from limbcli.inference.layered_solves import (
     COORDINATES,

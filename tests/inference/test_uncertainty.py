@@ -12,7 +12,7 @@ from limbcli.inference.identifiability import correlation, has_influence, log_co
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.profile import Profile
 from limbcli.inference.residual import Residual
-from limbcli.interval_limits import THRESHOLD_95, noise_scale, threshold_95
+from limbcli.numbers.interval_limits import THRESHOLD_95, noise_scale, threshold_95
 from limbcli.reporting.headline import headline
 
 F_KAPPA = FitParameter("f_kappa", 100.0, 0.01, 1000.0)

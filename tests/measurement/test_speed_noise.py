@@ -10,11 +10,11 @@ import pytest
 
 from limbcli.case import StatedNoise
 from limbcli.errors import MeasurementError
+from limbcli.fitting.options import FitOptions
 from limbcli.measurement.indentation import check_levels, read_levels
 from limbcli.measurement.layer_checks import LayerNoise
 from limbcli.measurement.speed_noise import SpeedNoise, mean_speed_deviation
 from limbcli.stages.fit import initial_stiffness
-from limbcli.stages.fitting.options import FitOptions
 
 SPEEDS = (2.06, 2.2, 2.19, 2.3, 2.6, 2.9, 2.7, 2.85)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.bodies import Contact, Drive, RigidBody
 from limbcli.feb.settings import schedule
 from limbcli.materials.ogden import ogden_type
 from limbcli.meshing.frame import SiteFrame, site_frame
@@ -16,8 +15,9 @@ from limbcli.meshing.regions import reachable
 from limbcli.meshing.site_model import MeshOptions, site_model
 from limbcli.meshing.whole_limb import HELD, LimbMeshOptions, limb_mesh
 from limbcli.model import Block, Domain, LimbModel, Mesh, Support, Surface
+from limbcli.model.bodies import Contact, Drive, RigidBody
+from limbcli.site_model.indentation_model import indentation_model
 from limbcli.solvers.session import ReferenceSession
-from limbcli.stages.site_model.indentation_model import indentation_model
 from tests.meshing.stump import stump
 
 START, DEPTH = 0.05, 2.0

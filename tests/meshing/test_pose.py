@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from limbcli.feb.settings import schedule
+from limbcli.fitting.numerical_error import gain_deviation
 from limbcli.meshing.frame import SiteFrame, site_frame
 from limbcli.meshing.mending import Limb, mend
 from limbcli.meshing.probe import ProbeShape
@@ -16,10 +17,9 @@ from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_model import MeshOptions, site_model
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
+from limbcli.site_model.indentation_model import indentation_model
+from limbcli.site_model.mesh_checks import across_warnings
 from limbcli.solvers.session import ReferenceSession
-from limbcli.stages.fitting.numerical_error import gain_deviation
-from limbcli.stages.site_model.indentation_model import indentation_model
-from limbcli.stages.site_model.mesh_checks import across_warnings
 from tests.stages.test_mesh import prism
 
 PROBE, PLACE, AXIS = ProbeShape(30.0, 12.0, 2.0), np.array([5.0, 28.6, 5.3]), np.array([1.0, 0.0, 0.0])

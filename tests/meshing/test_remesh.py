@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.mesh_bounds import SIZE_MM
 from limbcli.meshing.crop import crop_planes
 from limbcli.meshing.domain import BONE, CUT, SKIN, boundary, make_domain
 from limbcli.meshing.facets import edges_of
@@ -14,6 +13,7 @@ from limbcli.meshing.mending import mend
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.remesh import Boundary, Sizes, bad_places, remesh, size_field
 from limbcli.meshing.surfaces import Triangles
+from limbcli.numbers.mesh_bounds import SIZE_MM
 
 PROBE = ProbeShape(40.0, 14.0, 3.0)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pydicom
 import pytest
 
-from limbcli.atomic_files import sha256
+from limbcli.files.atomic import sha256
 from limbcli.phantom import mri, truth
 from limbcli.phantom.anatomy import Tissue
 from limbcli.phantom.dicom_series import write_series

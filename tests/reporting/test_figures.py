@@ -12,11 +12,11 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from limbcli.cohorts.figures import compliance, distributions
 from limbcli.drawing import figure_data
-from limbcli.interval_limits import THRESHOLD_95
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.regression import Line, speed_against_force
-from limbcli.reporting.figures.cohort import compliance, distributions
+from limbcli.numbers.interval_limits import THRESHOLD_95
 from limbcli.reporting.figures.convergence import FitWalk, Residuals, fit_walk, newton_residuals
 from limbcli.reporting.figures.cycles import Loop, cycles
 from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth

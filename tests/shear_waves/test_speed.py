@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli import units
 from limbcli.effects.frozen_deformation import SolvedDeformation, frozen_force
 from limbcli.materials import LAWS, compile_material
 from limbcli.materials.energy import program_energy
 from limbcli.materials.laws import WRAPPERS
 from limbcli.materials.ogden import ogden_type
 from limbcli.model import Block, Curved, Domain, ElementMap, LimbModel, Material, Mesh
+from limbcli.numbers import units
 from limbcli.shear_waves import any_law, ogden
 from limbcli.shear_waves.speed import block_speeds, element_speeds, material_speeds, shear_speed_m_per_s
 

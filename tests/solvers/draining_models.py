@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from limbcli.diagnosis.drainage import held_model, hold_of
 from limbcli.effects import poroelasticity
 from limbcli.materials.ogden import ogden_type
 from limbcli.model import Array, Block, Curve, Domain, LimbModel, LogRecord, Mesh, Step, Support
 from limbcli.progress import SILENT
 from limbcli.solvers.febio import FebioSolver
-from limbcli.stages.diagnosis.drainage import held_model, hold_of
 from tests.stages.block_case import block_model
 from tests.stages.draining_case import Staircase
 

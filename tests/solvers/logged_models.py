@@ -9,10 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from limbcli.bodies import Drive, RigidBody
 from limbcli.fem.record_fields import BODY_FIELDS, CELL_FIELDS, NODE_FIELDS
 from limbcli.materials import ogden_type
 from limbcli.model import Block, Curve, Curved, LimbModel, LogRecord, Material, Mesh, Step, Support
+from limbcli.model.bodies import Drive, RigidBody
 from tests.fem.small_models import block
 
 _ALONG = {"fiber": (0.6, 0.0, 0.8)}

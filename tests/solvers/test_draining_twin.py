@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from limbcli.diagnosis.data.held_forces import STEP_S, relaxing
+from limbcli.diagnosis.drainage import held_model, hold_of
 from limbcli.effects.drainage import Drainage, HeldIndentation, held_memory
 from limbcli.progress import SILENT
 from limbcli.solvers.febio import FebioSolver
-from limbcli.stages.diagnosis.data.held_forces import STEP_S, relaxing
-from limbcli.stages.diagnosis.drainage import held_model, hold_of
 from tests.solvers import draining_models as asked
 from tests.stages.block_case import block_model
 

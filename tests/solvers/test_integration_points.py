@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from limbcli.diagnosis.curves.node_table import NodeTable
+from limbcli.diagnosis.data.windows import Windows
 from limbcli.effects.frozen_deformation import SolvedDeformation
 from limbcli.shear_waves.speed import block_speeds
 from limbcli.solvers.integration_points import IntegrationPoints
-from limbcli.stages.diagnosis.curves.node_table import NodeTable
-from limbcli.stages.diagnosis.data.windows import Windows
 from tests.stages.block_case import block_model
 
 QUADRATIC = block_model("tet10", counts=(4, 2, 2))

@@ -8,9 +8,9 @@ import pytest
 from limbcli.errors import MeasurementError
 from limbcli.feb.settings import schedule
 from limbcli.fem.elements.element import shape
+from limbcli.site_model.indentation_model import indentation_model
 from limbcli.solvers.material_lines import displacements, material_lines
 from limbcli.solvers.session import ReferenceSession
-from limbcli.stages.site_model.indentation_model import indentation_model
 from tests.stages.block_case import block_model
 
 DEPTHS = [0.9, 1.8]

@@ -14,9 +14,9 @@ import pytest
 from limbcli.feb.settings import schedule
 from limbcli.feb.write import write_feb
 from limbcli.progress import SILENT
+from limbcli.site_model.indentation_model import indentation_model
+from limbcli.site_model.prestretch import in_state
 from limbcli.solvers.reference import ReferenceSolver
-from limbcli.stages.site_model.indentation_model import indentation_model
-from limbcli.stages.site_model.prestretch import in_state
 from tests.stages.block_case import block_model
 
 FEBIO = json.loads((Path(__file__).parents[1] / "data/febio-states.json").read_text())

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from limbcli.bodies import Contact, Drive, RigidBody
 from limbcli.case import Case
 from limbcli.feb.settings import schedule
 from limbcli.materials.ogden import ogden_type
@@ -18,11 +17,12 @@ from limbcli.measurement.indentation import read_levels
 from limbcli.meshing.probe import ProbeShape, probe_mesh
 from limbcli.meshing.regions import facets, quadratic
 from limbcli.model import Block, Curve, Domain, LimbModel, Mesh, Step, Support, Surface
-from limbcli.model_io import save_model
+from limbcli.model.bodies import Contact, Drive, RigidBody
+from limbcli.model.npz_file import save_model
 from limbcli.results import open_stage
+from limbcli.site_model.indentation_model import indentation_model, with_penalty
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.build_feb import TissueOptions, build_feb
-from limbcli.stages.site_model.indentation_model import indentation_model, with_penalty
 
 PROBE = ProbeShape(20.0, 10.0, 3.0)
 _HEX_TO_TETS = [[0, 1, 2, 6], [0, 2, 3, 6], [0, 3, 7, 6], [0, 7, 4, 6], [0, 4, 5, 6], [0, 5, 1, 6]]

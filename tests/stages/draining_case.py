@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.case import Case
+from limbcli.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.effects import poroelasticity
 from limbcli.feb.settings import schedule
 from limbcli.model import Array, Curve, LimbModel
-from limbcli.model_io import save_model
+from limbcli.model.npz_file import save_model
 from limbcli.progress import SILENT
 from limbcli.results import open_stage
+from limbcli.site_model.indentation_model import TRAVEL, indentation_model
 from limbcli.solvers.febio import FebioSolver
-from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
-from limbcli.stages.site_model.indentation_model import TRAVEL, indentation_model
 from tests.stages import block_case as block
 
 START, RAMP_S = 0.1, 1.0

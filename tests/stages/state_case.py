@@ -9,13 +9,13 @@ import numpy as np
 
 from limbcli.case import Case
 from limbcli.feb.settings import schedule
+from limbcli.fitting.laws import LAWS
+from limbcli.fitting.state_curve import StateCurve
 from limbcli.inference.interpolation import pchip_inverse, pchip_sample
-from limbcli.model_io import save_model
+from limbcli.model.npz_file import save_model
 from limbcli.results import open_stage
+from limbcli.site_model.indentation_model import indentation_model
 from limbcli.stages.build_feb import build_feb
-from limbcli.stages.fitting.laws import LAWS
-from limbcli.stages.fitting.state_curve import StateCurve
-from limbcli.stages.site_model.indentation_model import indentation_model
 from tests.stages import block_case as block
 
 C, LAW = 0.006, "ogden"  # MPa

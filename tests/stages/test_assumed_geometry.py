@@ -10,21 +10,21 @@ import numpy as np
 import pytest
 
 from limbcli.case import Case
+from limbcli.diagnosis.mesh_error.model_errors import USUAL_GAIN, assumed_gain
 from limbcli.errors import CaseError
+from limbcli.fitting.geometry import NOT_ALLOWED_FOR
+from limbcli.fitting.geometry_variations import depth_deviation
 from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
 from limbcli.meshing.frame import closest_on_triangles
 from limbcli.meshing.rods import Rod, tube
 from limbcli.phantom.protocol import LoadingProtocol
+from limbcli.provenance.chain import Chain
 from limbcli.results import read_result
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.check import check
-from limbcli.stages.diagnosis.mesh_error.model_errors import USUAL_GAIN, assumed_gain
 from limbcli.stages.fit import FitOptions, fit
 from limbcli.stages.fit_joint import JointOptions, fit_joint
-from limbcli.stages.fitting.geometry import NOT_ALLOWED_FOR
-from limbcli.stages.fitting.geometry_variations import depth_deviation
 from limbcli.stages.mesh import mesh
-from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.report import report
 from limbcli.stages.run import run
 from limbcli.stages.segment import segment

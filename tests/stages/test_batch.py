@@ -12,6 +12,8 @@ import pytest
 
 from limbcli.case import Case
 from limbcli.errors import CaseError, MeshError
+from limbcli.provenance.chain_inputs import noted
+from limbcli.provenance.requested_options import requested_by_options
 from limbcli.results import StageWriter, open_stage, read_result
 from limbcli.stages import batch as module
 from limbcli.stages import diagnose, fit_elements, fit_joint
@@ -19,8 +21,6 @@ from limbcli.stages.batch import BatchOptions, batch
 from limbcli.stages.build_feb import TissueOptions
 from limbcli.stages.fit import FitOptions
 from limbcli.stages.limb import LimbOptions
-from limbcli.stages.provenance.chain_inputs import noted
-from limbcli.stages.provenance.requested_options import requested_by_options
 from limbcli.stages.run import RunOptions
 from limbcli.stages.socket import SocketOptions
 from tests.case.test_case_text import two_sites

@@ -10,14 +10,7 @@ import pytest
 
 from limbcli.errors import SolveError
 from limbcli.feb.settings import schedule
-from limbcli.inference.prediction import Prediction, SolvedPoints
-from limbcli.inference.two_step_fit import ForceDepth
-from limbcli.model import LimbModel
-from limbcli.progress import Progress
-from limbcli.solvers.session import ReferenceSession
-from limbcli.stages.fit import FitOptions, fit
-from limbcli.stages.fit_joint import JointOptions, fit_joint
-from limbcli.stages.fitting.boundary_check import (
+from limbcli.fitting.boundary_check import (
     BOUNDARIES,
     ChangedForces,
     boundary_modes,
@@ -25,10 +18,17 @@ from limbcli.stages.fitting.boundary_check import (
     moved_parameters,
     write_boundary_check,
 )
-from limbcli.stages.fitting.force_curves import LawCurve
-from limbcli.stages.fitting.laws import LAWS
-from limbcli.stages.fitting.solve_again import forces_again
-from limbcli.stages.site_model.indentation_model import indentation_model
+from limbcli.fitting.force_curves import LawCurve
+from limbcli.fitting.laws import LAWS
+from limbcli.fitting.solve_again import forces_again
+from limbcli.inference.prediction import Prediction, SolvedPoints
+from limbcli.inference.two_step_fit import ForceDepth
+from limbcli.model import LimbModel
+from limbcli.progress import Progress
+from limbcli.site_model.indentation_model import indentation_model
+from limbcli.solvers.session import ReferenceSession
+from limbcli.stages.fit import FitOptions, fit
+from limbcli.stages.fit_joint import JointOptions, fit_joint
 from tests.stages import block_case as block
 
 BOTH = {0: "f_kappa", 1: "m"}

@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from limbcli.atomic_files import sha256
 from limbcli.case import Case
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.feb.read import read_feb
 from limbcli.feb.settings import apart, schedule
+from limbcli.files.atomic import sha256
 from limbcli.measurement.indentation import read_levels
 from limbcli.model import LimbModel
-from limbcli.model_io import load_model
+from limbcli.model.npz_file import load_model
 from limbcli.results import sealed
+from limbcli.site_model.indentation_model import start_at, starting_depth, touching_points
 from limbcli.stages.build_feb import TissueOptions, build_feb, simulated_depths
-from limbcli.stages.site_model.indentation_model import start_at, starting_depth, touching_points
 from tests.stages.block_case import make_case
 
 DEPTHS = np.array([0.8, 1.7, 3.25])

@@ -14,10 +14,12 @@ import nibabel as nib
 import numpy as np
 import pytest
 
-from limbcli.atomic_files import sha256
 from limbcli.case import Case
 from limbcli.cli.app import main
 from limbcli.errors import CaseError, ToolError
+from limbcli.files.atomic import sha256
+from limbcli.provenance import chain as chain_module
+from limbcli.provenance.chain import Chain, note_earlier
 from limbcli.results import open_stage, read_result, sealed
 from limbcli.stages import build_feb as build_feb_module
 from limbcli.stages import diagnose as diagnose_module
@@ -29,8 +31,6 @@ from limbcli.stages.diagnose import diagnose
 from limbcli.stages.fit_elements import compare_elements
 from limbcli.stages.fit_joint import fit_joint
 from limbcli.stages.measuring.images import tissue_between
-from limbcli.stages.provenance import chain as chain_module
-from limbcli.stages.provenance.chain import Chain, note_earlier
 from limbcli.stages.report import report
 from limbcli.stages.report_pages.material import gather
 from limbcli.stages.segment import segment

@@ -14,9 +14,9 @@ import pytest
 from limbcli.case import Case
 from limbcli.cli.app import main
 from limbcli.errors import CaseError
+from limbcli.site_model.mesh_checks import bone_warnings, measured_skin_bone
 from limbcli.stages.check import check
 from limbcli.stages.segment import segment
-from limbcli.stages.site_model.mesh_checks import bone_warnings, measured_skin_bone
 from tests.case.test_case_text import ONE_SITE, SITE
 
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -9,13 +9,13 @@ import pytest
 
 from limbcli.errors import SolveError
 from limbcli.feb.settings import schedule
+from limbcli.fitting.contact_check import write_contact_check
+from limbcli.fitting.force_curves import FIBRE_BAND, LawCurve
+from limbcli.fitting.laws import LAWS
 from limbcli.progress import SILENT, Progress
+from limbcli.site_model.indentation_model import TISSUE, indentation_model, with_penalty
+from limbcli.site_model.model_simplification import softer_jumps
 from limbcli.solvers.session import ReferenceSession
-from limbcli.stages.fitting.contact_check import write_contact_check
-from limbcli.stages.fitting.force_curves import FIBRE_BAND, LawCurve
-from limbcli.stages.fitting.laws import LAWS
-from limbcli.stages.site_model.indentation_model import TISSUE, indentation_model, with_penalty
-from limbcli.stages.site_model.model_simplification import softer_jumps
 from tests.stages import block_case as block
 
 C, SHAPE = 0.006, np.array([3.0, 0.9, 1.0])  # MPa; m, fibre_shear, fibre_tension

@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 
 from limbcli.case import Case
+from limbcli.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.effects import EFFECTS as KNOWN
 from limbcli.effects import effect
 from limbcli.effects.own_file import effect_of_file
 from limbcli.effects.reading import Protocol, Reading, read
 from limbcli.errors import CaseError, FitError, LimbError, MeasurementError
 from limbcli.feb.read import read_feb
-from limbcli.model_io import save_model
+from limbcli.model.npz_file import save_model
 from limbcli.progress import SILENT
+from limbcli.provenance.commands import CommandStep
 from limbcli.results import StageResult, open_stage
 from limbcli.stages.diagnose import DiagnoseOptions, _Diagnosed, chosen_effects, diagnose
-from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
-from limbcli.stages.provenance.commands import CommandStep
 from tests.case.test_case_text import two_sites
 from tests.stages import block_case as block
 

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from limbcli.cli.app import main
+from limbcli.diagnosis.data.held_forces import HeldForces
+from limbcli.diagnosis.drainage import DrainageSolver, Drained, drained
 from limbcli.effects import poroelasticity
 from limbcli.effects.curves import Curves
 from limbcli.errors import SolveError
@@ -19,8 +21,6 @@ from limbcli.progress import SILENT
 from limbcli.solvers.base import Simulation, Table
 from limbcli.solvers.febio import FebioSolver
 from limbcli.stages.diagnose import DiagnoseOptions, diagnose
-from limbcli.stages.diagnosis.data.held_forces import HeldForces
-from limbcli.stages.diagnosis.drainage import DrainageSolver, Drained, drained
 from tests.stages import block_case as block
 from tests.stages import draining_case
 

@@ -13,6 +13,7 @@ from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.phantom.protocol import LoadingProtocol
 from limbcli.results import StageResult
+from limbcli.site_model.site_levels import levels_of
 from limbcli.stages.check import check
 from limbcli.stages.diagnose import DiagnoseOptions, diagnose
 from limbcli.stages.segment import segment
@@ -20,7 +21,6 @@ from limbcli.stages.simulated_subjects.hidden_effects import hide
 from limbcli.stages.simulated_subjects.indent import KnownTissue
 from limbcli.stages.simulated_subjects.synth_case import borders_at_rest
 from limbcli.stages.simulated_subjects.synth_options import SynthOptions
-from limbcli.stages.site_model.site_levels import levels_of
 from limbcli.stages.synth import synth, truth_file
 from tests.stages.test_assumed_geometry import numbers
 

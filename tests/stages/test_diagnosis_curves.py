@@ -8,22 +8,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from limbcli.diagnosis.curves import site_models
+from limbcli.diagnosis.curves.curve_plan import Reach, SiteWork, Solving
+from limbcli.diagnosis.curves.site_simulations import SiteSimulations
+from limbcli.diagnosis.curves.site_solver import SiteSolver
+from limbcli.diagnosis.data.windows import Windows
+from limbcli.diagnosis.forward_model.changes import Changes
+from limbcli.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
+from limbcli.diagnosis.mesh_error.penetration import Penetration
 from limbcli.effects import effect
 from limbcli.effects.curves import Curves, depth_at, force_at
 from limbcli.errors import SolveError
 from limbcli.feb.settings import robust_step, schedule
 from limbcli.fem.equilibrium.solve_times import step_times
 from limbcli.progress import SILENT, Progress
+from limbcli.site_model.model_simplification import fewer_steps
 from limbcli.solvers.budget import Budget, BudgetSpent
-from limbcli.stages.diagnosis.curves import site_models
-from limbcli.stages.diagnosis.curves.curve_plan import Reach, SiteWork, Solving
-from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
-from limbcli.stages.diagnosis.curves.site_solver import SiteSolver
-from limbcli.stages.diagnosis.data.windows import Windows
-from limbcli.stages.diagnosis.forward_model.changes import Changes
-from limbcli.stages.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
-from limbcli.stages.diagnosis.mesh_error.penetration import Penetration
-from limbcli.stages.site_model.model_simplification import fewer_steps
 from tests.stages import block_case
 
 ALONE = Solving(threads=1)

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from limbcli.diagnosis.curves.curve_plan import Solving
+from limbcli.diagnosis.curves.site_simulations import SiteSimulations
+from limbcli.diagnosis.data.windows import Windows
+from limbcli.diagnosis.prepare import WorkingMesh, _Preparation
 from limbcli.effects import effect
 from limbcli.effects.tissue import TISSUE
 from limbcli.model import ElementMap
 from limbcli.progress import SILENT
-from limbcli.stages.diagnosis.curves.curve_plan import Solving
-from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
-from limbcli.stages.diagnosis.data.windows import Windows
-from limbcli.stages.diagnosis.prepare import WorkingMesh, _Preparation
 from tests.imaging.test_fibre_map import write as write_map
 from tests.stages import block_case
 from tests.stages.test_site_fibres import case_with, in_patient, made

@@ -9,21 +9,21 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from limbcli.diagnosis import written_model as written
+from limbcli.diagnosis.curves.curve_plan import Solving
+from limbcli.diagnosis.curves.site_simulations import SiteSimulations
+from limbcli.diagnosis.mesh_error.mesh_comparison import MeshComparison, Notes
+from limbcli.diagnosis.mesh_error.mesh_correction import MeshCorrection, own_curves, own_run
 from limbcli.effects.curves import Curves
 from limbcli.errors import CaseError
-from limbcli.model_io import save_model
+from limbcli.model.npz_file import save_model
 from limbcli.progress import SILENT
 from limbcli.results import open_stage
+from limbcli.site_model.site_layers import LayerLaw, with_layer_laws
 from limbcli.solvers.budget import BudgetSpent
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.build_feb import TissueOptions, build_feb
-from limbcli.stages.diagnosis import written_model as written
-from limbcli.stages.diagnosis.curves.curve_plan import Solving
-from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
-from limbcli.stages.diagnosis.mesh_error.mesh_comparison import MeshComparison, Notes
-from limbcli.stages.diagnosis.mesh_error.mesh_correction import MeshCorrection, own_curves, own_run
 from limbcli.stages.run import run
-from limbcli.stages.site_model.site_layers import LayerLaw, with_layer_laws
 from tests.stages import block_case as block
 from tests.stages.test_site_layers import layered_block
 
@@ -96,7 +96,7 @@ def test_a_penalty_in_proportion_to_the_edges_gives_meshes_the_same_contact(tmp_
 
 
 def test_a_solve_on_the_own_mesh_that_takes_too_much_is_stopped(tmp_path, monkeypatch):
-    monkeypatch.setattr("limbcli.stages.diagnosis.mesh_error.mesh_correction._LEAST_WORK", 1.0)
+    monkeypatch.setattr("limbcli.diagnosis.mesh_error.mesh_correction._LEAST_WORK", 1.0)
     simulations = _simulations(tmp_path)
     with pytest.raises(BudgetSpent):
         own_curves(block.block_model("tet4"), simulations, [5.0], size_ratio=1.0)[5.0]

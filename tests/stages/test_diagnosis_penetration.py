@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from limbcli.diagnosis.curves.curve_plan import Solving
+from limbcli.diagnosis.curves.site_simulations import SiteSimulations
+from limbcli.diagnosis.mesh_error.penetration import Penetration, penetration
 from limbcli.effects import effect
 from limbcli.effects.curves import Curves, log_force_at
-from limbcli.stages.diagnosis.curves.curve_plan import Solving
-from limbcli.stages.diagnosis.curves.site_simulations import SiteSimulations
-from limbcli.stages.diagnosis.mesh_error.penetration import Penetration, penetration
 from tests.stages import block_case
 
 DEPTHS = (0.5, 1.0, 2.0, 3.0, 4.0)

@@ -9,14 +9,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from limbcli.diagnosis import written_model as written
+from limbcli.diagnosis.forward_model.surrogate import AtPoints
+from limbcli.diagnosis.mesh_error.mesh_correction import F_KAPPA
 from limbcli.effects import effect
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Protocol, Reading
 from limbcli.feb.read import read_feb
 from limbcli.solvers.session import ReferenceSession
-from limbcli.stages.diagnosis import written_model as written
-from limbcli.stages.diagnosis.forward_model.surrogate import AtPoints
-from limbcli.stages.diagnosis.mesh_error.mesh_correction import F_KAPPA
 from tests.stages import block_case as block
 
 CURVES = Curves(np.array([0.0, 6.0, 12.0]), np.array([0.0, 2.0, 8.0]), np.zeros((3, 0)), np.zeros(0))

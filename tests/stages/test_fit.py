@@ -15,6 +15,8 @@ from limbcli.case import Case
 from limbcli.config import shares
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.feb.read import read_feb
+from limbcli.fitting.force_curves import FileCurve, ReferenceCurve
+from limbcli.fitting.numerical_error import gain_deviation
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.progress import Progress
 from limbcli.results import StageResult
@@ -22,8 +24,6 @@ from limbcli.solvers.febio import FebioSolver
 from limbcli.solvers.reference import ReferenceSolver
 from limbcli.stages.fit import START, FitOptions, fit, initial_stiffness
 from limbcli.stages.fit_joint import fit_joint
-from limbcli.stages.fitting.force_curves import FileCurve, ReferenceCurve
-from limbcli.stages.fitting.numerical_error import gain_deviation
 from tests.stages import block_case as block
 
 TRUTH = {"c": 0.008, "f_kappa": 150.0, "m": 3.0}

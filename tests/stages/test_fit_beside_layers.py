@@ -9,23 +9,23 @@ import pytest
 
 from limbcli.case import Case
 from limbcli.feb.settings import schedule
+from limbcli.fitting.force_curves import FileCurve, LawCurve, ReferenceCurve
+from limbcli.fitting.laws import LAWS
+from limbcli.fitting.state_curve import StateCurve
+from limbcli.fitting.state_plan import plan_of
 from limbcli.inference.interpolation import pchip_inverse, pchip_sample
 from limbcli.inference.site_depth import SiteMeasurement
 from limbcli.model import ElementMap, LimbModel
-from limbcli.model_io import save_model
+from limbcli.model.npz_file import save_model
 from limbcli.results import open_stage
+from limbcli.site_model.indentation_model import indentation_model
+from limbcli.site_model.prestretch import in_state
+from limbcli.site_model.site_layers import LayerLaw, with_layer_laws
 from limbcli.solvers.reference import ReferenceSolver
 from limbcli.stages.build_feb import TissueOptions, build_feb
 from limbcli.stages.fit import FitOptions, fit
 from limbcli.stages.fit_joint import JointOptions, fit_joint
 from limbcli.stages.fit_states import identify
-from limbcli.stages.fitting.force_curves import FileCurve, LawCurve, ReferenceCurve
-from limbcli.stages.fitting.laws import LAWS
-from limbcli.stages.fitting.state_curve import StateCurve
-from limbcli.stages.fitting.state_plan import plan_of
-from limbcli.stages.site_model.indentation_model import indentation_model
-from limbcli.stages.site_model.prestretch import in_state
-from limbcli.stages.site_model.site_layers import LayerLaw, with_layer_laws
 from tests.stages import block_case
 from tests.stages.test_site_layers import layered_block
 

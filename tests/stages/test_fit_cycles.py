@@ -12,15 +12,15 @@ import pytest
 import limbcli
 from limbcli.case import Case
 from limbcli.errors import CaseError
+from limbcli.fitting.cycles import write_cycle
 from limbcli.measurement.elastography import SweMap, write_map
+from limbcli.provenance.requested_options import in_words
+from limbcli.site_model.site_levels import levels_of, maps_of
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.check import check
 from limbcli.stages.fit import FitOptions, fit
-from limbcli.stages.fitting.cycles import write_cycle
-from limbcli.stages.provenance.requested_options import in_words
 from limbcli.stages.report import report
 from limbcli.stages.report_pages.material import gather
-from limbcli.stages.site_model.site_levels import levels_of, maps_of
 from tests.stages import block_case as block
 
 pytestmark = pytest.mark.slow

@@ -4,8 +4,8 @@ import json
 
 from scipy.io import loadmat
 
+from limbcli.fitting.exports import write_mat, write_mat_file
 from limbcli.results import open_stage
-from limbcli.stages.fitting.exports import write_mat, write_mat_file
 
 
 def test_no_name_of_a_matlab_file_takes_the_place_of_another(tmp_path):

@@ -12,24 +12,24 @@ from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
 from limbcli.feb.settings import schedule
+from limbcli.fitting.fibre_orientations import share_along, undetermined
+from limbcli.fitting.fibre_rest_speed import rest_speed
+from limbcli.fitting.force_curves import LawCurve
+from limbcli.fitting.laws import FIBRE_F_KAPPA, LAWS, law_named
 from limbcli.materials.energy import program_energy
 from limbcli.materials.program import compile_material
 from limbcli.model import ElementMap, LimbModel
-from limbcli.model_io import save_model
+from limbcli.model.npz_file import save_model
 from limbcli.results import StageResult, open_stage
 from limbcli.shear_waves.any_law import acoustic_tensor
 from limbcli.shear_waves.from_simulation import AT_REST, level_maps
+from limbcli.site_model.indentation_model import TISSUE, indentation_model
+from limbcli.site_model.model_simplification import softer_jumps
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.fit import FitOptions, check_choice
 from limbcli.stages.fit_joint import JointOptions, fit_joint
-from limbcli.stages.fitting.fibre_orientations import share_along, undetermined
-from limbcli.stages.fitting.fibre_rest_speed import rest_speed
-from limbcli.stages.fitting.force_curves import LawCurve
-from limbcli.stages.fitting.laws import FIBRE_F_KAPPA, LAWS, law_named
 from limbcli.stages.report import report
-from limbcli.stages.site_model.indentation_model import TISSUE, indentation_model
-from limbcli.stages.site_model.model_simplification import softer_jumps
 from tests.stages import block_case as block
 
 C, SHAPE = 0.006, np.array([3.0, 1.0, 0.5])  # MPa; m, fibre_shear, fibre_tension

@@ -11,17 +11,17 @@ from scipy.io import loadmat
 from limbcli.case import Case
 from limbcli.errors import CaseError, FitError, MeasurementError
 from limbcli.feb.settings import schedule
-from limbcli.model_io import save_model
+from limbcli.fitting.force_curves import LawCurve
+from limbcli.fitting.laws import LAWS, law_named
+from limbcli.fitting.numerical_error import edge_under_probe, gain_deviation
+from limbcli.model.npz_file import save_model
 from limbcli.results import open_stage
+from limbcli.site_model.indentation_model import indentation_model, with_penalty
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.build_feb import TissueOptions, build_feb
 from limbcli.stages.fit import FitOptions, check_choice
 from limbcli.stages.fit_elements import compare_elements
 from limbcli.stages.fit_joint import JointOptions, fit_joint
-from limbcli.stages.fitting.force_curves import LawCurve
-from limbcli.stages.fitting.laws import LAWS, law_named
-from limbcli.stages.fitting.numerical_error import edge_under_probe, gain_deviation
-from limbcli.stages.site_model.indentation_model import indentation_model, with_penalty
 from tests.stages import block_case as block
 
 pytestmark = pytest.mark.slow

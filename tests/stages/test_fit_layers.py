@@ -10,19 +10,19 @@ import pytest
 
 from limbcli.case import Case
 from limbcli.feb.settings import schedule
+from limbcli.fitting import layers as fitted_layers
+from limbcli.fitting.force_curves import LawCurve
+from limbcli.fitting.laws import LAWS
+from limbcli.fitting.layers import PredictedLayers
 from limbcli.measurement.levels import Levels
 from limbcli.reporting.figures.layers import LayerPicture, layers_figure
 from limbcli.reporting.sections.layers import layers
 from limbcli.results import open_stage
+from limbcli.site_model.indentation_model import indentation_model
 from limbcli.solvers.material_lines import material_lines
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.fit import FitOptions, fit
 from limbcli.stages.fit_joint import JointOptions, fit_joint
-from limbcli.stages.fitting import layers as fitted_layers
-from limbcli.stages.fitting.force_curves import LawCurve
-from limbcli.stages.fitting.laws import LAWS
-from limbcli.stages.fitting.layers import PredictedLayers
-from limbcli.stages.site_model.indentation_model import indentation_model
 from tests.stages import block_case as block
 
 C, SHAPE = 0.008, np.array([20.0, 5.0])

@@ -11,13 +11,13 @@ from limbcli.case import Case, StatedNoise
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.feb.read import read_feb
 from limbcli.feb.settings import schedule
+from limbcli.fitting.force_curves import ReferenceCurve
+from limbcli.fitting.stiffness_map import TissueMap, tissue_map
 from limbcli.measurement.elastography import SweMap, write_map
 from limbcli.model import ElementMap
+from limbcli.site_model.indentation_model import indentation_model, with_tissue
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.fit import START, FitOptions, check_choice, fit
-from limbcli.stages.fitting.force_curves import ReferenceCurve
-from limbcli.stages.fitting.stiffness_map import TissueMap, tissue_map
-from limbcli.stages.site_model.indentation_model import indentation_model, with_tissue
 from tests.stages import block_case as block
 
 pytestmark = pytest.mark.slow

@@ -5,13 +5,13 @@ from types import SimpleNamespace
 
 import pytest
 
+from limbcli.fitting.options import COMPARISON, FitOptions, check_choice
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.progress import SILENT
+from limbcli.provenance.commands import CommandStep
 from limbcli.results import StageResult
 from limbcli.stages import fit as stage
 from limbcli.stages import fit_elements, fit_states
-from limbcli.stages.fitting.options import COMPARISON, FitOptions, check_choice
-from limbcli.stages.provenance.commands import CommandStep
 
 ALL = FitOptions(
     c_kpa=8.0, c_deviation=0.2, tolerance=0.01, max_iterations=9, intervals=False, gain_deviation=0.1,

@@ -16,13 +16,13 @@ from limbcli.inference.derived import derived_interval
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.profile import best_of
 from limbcli.inference.residual import Residual
+from limbcli.provenance.chain import Chain
 from limbcli.results import StageResult
+from limbcli.site_model.site_states import states_of
 from limbcli.stages.expect import compare
 from limbcli.stages.fit import FitOptions, check_choice
 from limbcli.stages.fit_states import StatesOptions, fit_states, knots
-from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.report import report
-from limbcli.stages.site_model.site_states import states_of
 from tests.stages import block_case as block
 from tests.stages import state_case
 

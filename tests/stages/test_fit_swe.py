@@ -8,15 +8,15 @@ import pytest
 
 from limbcli.case import Case
 from limbcli.feb.settings import schedule
+from limbcli.fitting.predicted_speeds import write_speeds
 from limbcli.materials.ogden import ogden_type
 from limbcli.measurement.elastography import SweMap, read_map, write_map
 from limbcli.measurement.indentation import read_levels
 from limbcli.model import ElementMap
 from limbcli.results import open_stage, read_result
 from limbcli.shear_waves.speed import element_speeds
+from limbcli.site_model.indentation_model import indentation_model, with_tissue
 from limbcli.solvers.session import ReferenceSession
-from limbcli.stages.fitting.predicted_speeds import write_speeds
-from limbcli.stages.site_model.indentation_model import indentation_model, with_tissue
 from tests.stages import block_case as block
 
 pytestmark = pytest.mark.slow

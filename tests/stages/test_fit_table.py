@@ -8,15 +8,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from limbcli.fitting import result as fit_result
+from limbcli.fitting.result import summarise, write_agreement, write_curves
+from limbcli.fitting.table import Identified, step_agreement, step_table, total_covariance
 from limbcli.inference.interval import Stiffness
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.profile import Profile
 from limbcli.inference.two_step_fit import ForceDepth, two_step
 from limbcli.reporting.figures import profiles
 from limbcli.results import open_stage, read_result
-from limbcli.stages.fitting import result as fit_result
-from limbcli.stages.fitting.result import summarise, write_agreement, write_curves
-from limbcli.stages.fitting.table import Identified, step_agreement, step_table, total_covariance
 from tests.loading import module_at
 
 C, KNOTS = 0.008, np.linspace(1.0, 11.0, 11)

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from limbcli.provenance import freshness
+from limbcli.provenance.commands import CommandStep
+from limbcli.provenance.freshness import Memory, code_hash, key_of
 from limbcli.results import open_stage, read_result, stage_folder
-from limbcli.stages.provenance import freshness
-from limbcli.stages.provenance.commands import CommandStep
-from limbcli.stages.provenance.freshness import Memory, code_hash, key_of
 
 
 def make(out: Path) -> None:

@@ -10,11 +10,8 @@ import pytest
 
 from limbcli.case.parts import Imaging, Shape
 from limbcli.errors import MeshError
-from limbcli.meshing.morph import deeper
-from limbcli.meshing.rods import Rod
-from limbcli.model import Mesh
-from limbcli.stages.fitting.geometry import rod_in_model
-from limbcli.stages.fitting.geometry_variations import (
+from limbcli.fitting.geometry import rod_in_model
+from limbcli.fitting.geometry_variations import (
     USUAL_DEPTH,
     Variation,
     depth_deviation,
@@ -22,6 +19,9 @@ from limbcli.stages.fitting.geometry_variations import (
     varied_mesh,
     with_second_bone,
 )
+from limbcli.meshing.morph import deeper
+from limbcli.meshing.rods import Rod
+from limbcli.model import Mesh
 from tests.meshing.test_morph import block
 
 ROD = Rod(np.array([0.0, 0.0, -20.0]), np.array([0.0, 1.0, 0.0]), 5.0, -50.0, 50.0, np.array([0.0, 0.0, 1.0]))

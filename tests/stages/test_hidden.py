@@ -20,7 +20,7 @@ from limbcli.stages.simulated_subjects.hidden_effects import check_beside_layers
 from limbcli.stages.simulated_subjects.synth_options import SynthOptions
 from limbcli.stages.simulated_subjects.synth_truth import SyntheticSite, summary_of, truth_table
 from limbcli.stages.synth import read_off
-from tests.diagnostics.reduced import block_model
+from tests.diagnosis.reduced import block_model
 from tests.effects.test_together import ground
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from limbcli.drawing import figure_data
+from limbcli.fitting import joint_picture
 from limbcli.inference.joint import SiteMeasurement, SitePrediction
-from limbcli.stages.fitting import joint_picture
 
 FORCE = np.linspace(0.5, 8.0, 5)
 LAYER_DATA = type(SiteMeasurement.__dataclass_fields__["layers"].default)

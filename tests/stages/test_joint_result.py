@@ -4,9 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from limbcli.fitting.joint_result import judge_given_c, parameter_table
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.profile import Profile
-from limbcli.stages.fitting.joint_result import judge_given_c, parameter_table
 
 
 def test_what_is_said_of_c_is_in_kpa():

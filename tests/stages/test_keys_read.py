@@ -12,15 +12,15 @@ import pytest
 
 from limbcli.case import Case
 from limbcli.case.noting import noting, unnoted, with_values
+from limbcli.diagnosis.prepare import _Preparation
+from limbcli.provenance.chain import Chain
 from limbcli.results import StageResult, read_result, sealed
 from limbcli.stages import diagnose as diagnose_module
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.diagnose import DiagnoseOptions, diagnose
-from limbcli.stages.diagnosis.prepare import _Preparation
 from limbcli.stages.fit import FitOptions, fit
 from limbcli.stages.limb import LimbOptions, limb
 from limbcli.stages.mesh import mesh
-from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.report import report
 from limbcli.stages.run import run
 from limbcli.stages.segment import segment

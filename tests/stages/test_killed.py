@@ -14,8 +14,8 @@ import meshio
 import numpy as np
 import pytest
 
-from limbcli.atomic_files import sha256
 from limbcli.cli.app import main
+from limbcli.files.atomic import sha256
 from limbcli.results import read_result
 from tests.stages.test_mesh import CASE, prism
 

@@ -19,7 +19,7 @@ from limbcli.fem.analysis import Analysis
 from limbcli.meshing.surfaces import Triangles, read_surface
 from limbcli.meshing.whole_limb import LimbMesh, limb_mesh
 from limbcli.model import Curve, ElementMap, Step, Support
-from limbcli.model_io import load_model
+from limbcli.model.npz_file import load_model
 from limbcli.results import read_result
 from limbcli.stages import limb as stage
 from limbcli.stages.limb import LimbOptions, limb
@@ -212,7 +212,7 @@ def test_bones_are_fixed_and_the_cut_is_held(made):
 
 
 def test_a_change_of_the_surfaces_makes_the_result_stale(made, tmp_path):
-    from limbcli.stages.provenance.chain import Chain
+    from limbcli.provenance.chain import Chain
 
     case, out, result = made
     assert Chain(case, out).broken(read_result(out, "limb")) is None

@@ -18,17 +18,17 @@ from limbcli.errors.problems import errors_of
 from limbcli.meshing.anatomy import limb_problems
 from limbcli.meshing.checks import LayersKept, SiteChecks
 from limbcli.meshing.surfaces import Triangles
-from limbcli.model_io import load_model
+from limbcli.model.npz_file import load_model
 from limbcli.results import StageResult, read_result
-from limbcli.stages.mesh import mesh
-from limbcli.stages.segment import segment
-from limbcli.stages.segmenting.surfaces import read_surfaces, triangles_of
-from limbcli.stages.site_model.mesh_checks import (
+from limbcli.site_model.mesh_checks import (
     geometry_warnings,
     layer_warnings,
     moved_warnings,
     warnings_now,
 )
+from limbcli.stages.mesh import mesh
+from limbcli.stages.segment import segment
+from limbcli.stages.segmenting.surfaces import read_surfaces, triangles_of
 
 CASE = """format = 1
 [subject]

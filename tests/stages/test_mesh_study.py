@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from limbcli.case import Case
+from limbcli.fitting.numerical_error import studied_error
 from limbcli.meshing.mending import mend
 from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_model import MeshOptions
 from limbcli.meshing.surfaces import Triangles
 from limbcli.results import open_stage, read_result
-from limbcli.stages.fitting.numerical_error import studied_error
-from limbcli.stages.site_model.mesh_study import (
+from limbcli.site_model.mesh_study import (
     StudiedTissue,
     full_depth,
     reference_force,

@@ -12,7 +12,7 @@ from limbcli.case import Case
 from limbcli.measurement.elastography import shear_modulus_from_wave_speed
 from limbcli.measurement.indentation import read_levels
 from limbcli.meshing.elements import with_element
-from limbcli.model_io import load_model
+from limbcli.model.npz_file import load_model
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment
 from tests.benchmarks.paper_parameters import CASE, FORCES, PUBLISHED, forces_at

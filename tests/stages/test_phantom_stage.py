@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import typer
 
-from limbcli.atomic_files import sha256
 from limbcli.case import Case
 from limbcli.cli.app import app
 from limbcli.errors import CaseError
+from limbcli.files.atomic import sha256
 from limbcli.stages.phantom import PhantomOptions, phantom
 from limbcli.stages.simulated_subjects.synth_options import SynthOptions
 

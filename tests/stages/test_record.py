@@ -9,10 +9,10 @@ import pytest
 
 from limbcli.case import Case
 from limbcli.errors import CaseError
+from limbcli.provenance.chain import Chain
+from limbcli.provenance.chain_inputs import noted
 from limbcli.reporting.outcome import read_outcomes
 from limbcli.results import open_stage, read_result, sealed
-from limbcli.stages.provenance.chain import Chain
-from limbcli.stages.provenance.chain_inputs import noted
 from limbcli.stages.report_pages.stale import _altered_pictures
 from tests.case.test_case_text import two_sites
 

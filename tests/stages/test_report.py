@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 
 from limbcli.case import Case
 from limbcli.errors import CaseError, ToolError
+from limbcli.fitting.laws import LOCKING
 from limbcli.inference.agreement import chi_square_agreement
 from limbcli.reporting.fit_view import read_fit_view
 from limbcli.reporting.numbers import significant
@@ -31,7 +32,6 @@ from limbcli.reporting.sections.states import states
 from limbcli.reporting.sections.warning_box import CHANGES, SourcedWarning, warning_groups
 from limbcli.results import open_stage, read_result, sealed
 from limbcli.stages.batching.outcome import keep_error
-from limbcli.stages.fitting.laws import LOCKING
 from limbcli.stages.report import report
 from limbcli.stages.report_pages.failure import report_failure
 from limbcli.stages.report_pages.material import gather

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from limbcli.bodies import Contact, Drive, RigidBody
 from limbcli.errors import SolveError
 from limbcli.feb.write import write_feb
 from limbcli.model import (
@@ -23,6 +22,7 @@ from limbcli.model import (
     Support,
     Surface,
 )
+from limbcli.model.bodies import Contact, Drive, RigidBody
 from limbcli.results import StageResult
 from limbcli.stages.report_pages.simulated_state import read_deformed, read_residuals
 

@@ -11,9 +11,9 @@ import pytest
 from limbcli.case import Case, Site, StatedNoise
 from limbcli.errors import CaseError
 from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
+from limbcli.provenance.commands import CommandStep
+from limbcli.provenance.freshness import Memory
 from limbcli.stages.check_geometry import geometry_findings
-from limbcli.stages.provenance.commands import CommandStep
-from limbcli.stages.provenance.freshness import Memory
 from limbcli.stages.segment import segment
 from limbcli.surface_formats.aop import read_aop_limb
 from tests.meshing.conftest import tube

@@ -17,8 +17,10 @@ from limbcli.feb.read import read_feb
 from limbcli.feb.settings import schedule
 from limbcli.feb.write import write_feb
 from limbcli.model import ElementMap, LimbModel
-from limbcli.model_io import differences, load_model
+from limbcli.model.npz_file import differences, load_model
 from limbcli.results import read_result
+from limbcli.site_model.fibres import DEFAULT_DIRECTION, with_fibres
+from limbcli.site_model.indentation_model import indentation_model
 from limbcli.solvers.base import Simulation, Table
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.check import check
@@ -26,8 +28,6 @@ from limbcli.stages.mesh import mesh
 from limbcli.stages.report import report
 from limbcli.stages.running.vtu import write_step
 from limbcli.stages.segment import segment
-from limbcli.stages.site_model.fibres import DEFAULT_DIRECTION, with_fibres
-from limbcli.stages.site_model.indentation_model import indentation_model
 from tests.imaging.test_fibre_map import write as write_map
 from tests.stages.block_case import block_model
 from tests.stages.test_mesh import CASE, prism
@@ -226,7 +226,7 @@ def test_vtu_and_page_show_them_and_they_turn_with_the_tissue(made, model, tmp_p
 def test_another_direction_makes_the_mesh_stale(made):
     folder, out = made
     case = case_with(folder, TOLD.replace("2.0", "1.0"))
-    from limbcli.stages.provenance.chain import Chain
+    from limbcli.provenance.chain import Chain
 
     with pytest.raises(CaseError, match="fibres of site p1 changed"):
         Chain(case, out).result("mesh", site="p1")

@@ -13,13 +13,10 @@ from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
 from limbcli.feb.settings import schedule
 from limbcli.model import Block, Domain, LimbModel
-from limbcli.model_io import load_model, save_model
+from limbcli.model.npz_file import load_model, save_model
 from limbcli.results import StageResult, open_stage
-from limbcli.solvers.session import ReferenceSession
-from limbcli.stages.build_feb import TissueOptions, build_feb
-from limbcli.stages.fit import FitOptions, fit
-from limbcli.stages.site_model.indentation_model import indentation_model, window_cells
-from limbcli.stages.site_model.site_layers import (
+from limbcli.site_model.indentation_model import indentation_model, window_cells
+from limbcli.site_model.site_layers import (
     Layering,
     LayerLaw,
     layer_laws,
@@ -27,6 +24,9 @@ from limbcli.stages.site_model.site_layers import (
     thickness_of,
     with_layer_laws,
 )
+from limbcli.solvers.session import ReferenceSession
+from limbcli.stages.build_feb import TissueOptions, build_feb
+from limbcli.stages.fit import FitOptions, fit
 from tests.stages.block_case import block_model, make_case
 
 DEPTHS = np.array([0.8, 1.6, 2.4, 3.2])

@@ -9,17 +9,17 @@ import pytest
 
 from limbcli.case import Case
 from limbcli.errors import CaseError, MeasurementError
+from limbcli.fitting.state_plan import plan_of
 from limbcli.phantom.case_folder import NoiseLaw
 from limbcli.progress import SILENT
+from limbcli.provenance.chain import Chain
+from limbcli.provenance.chain_inputs import noted
 from limbcli.results import open_stage, read_result
+from limbcli.site_model.site_states import states_of
 from limbcli.stages.batching.outcome import BatchOptions
 from limbcli.stages.batching.steps import site_steps
 from limbcli.stages.check import check
-from limbcli.stages.fitting.state_plan import plan_of
-from limbcli.stages.provenance.chain import Chain
-from limbcli.stages.provenance.chain_inputs import noted
 from limbcli.stages.simulated_subjects.synth_case import case_table
-from limbcli.stages.site_model.site_states import states_of
 from tests.stages import state_case
 
 READ = {name: (np.array([0.0, 2.0, 4.0]), np.array([0.0, 1.0, 1.8]), np.array([1.6, 1.8, 2.1]))

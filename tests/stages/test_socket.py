@@ -17,8 +17,9 @@ from limbcli.case.socket import KneeInput, LinerInput, SocketInput
 from limbcli.errors import CaseError, MeshError, SolveError
 from limbcli.feb.read import read_feb
 from limbcli.meshing.surfaces import Triangles, read_surface
-from limbcli.model_io import load_model
+from limbcli.model.npz_file import load_model
 from limbcli.progress import SILENT
+from limbcli.provenance.chain import Chain
 from limbcli.results import read_result
 from limbcli.sockets.donning import DonningOptions
 from limbcli.stages import socket as stage
@@ -27,7 +28,6 @@ from limbcli.stages.in_socket.limb_in_socket import put_together
 from limbcli.stages.in_socket.patch_pressure import PatchPressure
 from limbcli.stages.in_socket.patch_table import WHOLE
 from limbcli.stages.limb import LimbOptions, limb
-from limbcli.stages.provenance.chain import Chain
 from limbcli.stages.segment import segment
 from limbcli.stages.socket import SocketOptions, socket
 from tests.stages.test_limb import write_case

@@ -13,17 +13,17 @@ from limbcli.feb.settings import schedule
 from limbcli.feb.write import write_feb
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fitting.laws import LAWS
+from limbcli.fitting.state_curve import StateCurve
+from limbcli.fitting.state_plan import plan_of
 from limbcli.inference.interpolation import pchip_sample
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.site_depth import SiteMeasurement
 from limbcli.inference.states import StateMeasurement, StatesProblem, StatesTask
 from limbcli.shear_waves.speed import material_speeds
+from limbcli.site_model.indentation_model import indentation_model
+from limbcli.site_model.prestretch import StretchAxes, prestretched, skin_rise, through_depths
 from limbcli.solvers.session import ReferenceSession
-from limbcli.stages.fitting.laws import LAWS
-from limbcli.stages.fitting.state_curve import StateCurve
-from limbcli.stages.fitting.state_plan import plan_of
-from limbcli.stages.site_model.indentation_model import indentation_model
-from limbcli.stages.site_model.prestretch import StretchAxes, prestretched, skin_rise, through_depths
 from tests.stages import block_case as block
 from tests.stages import state_case
 

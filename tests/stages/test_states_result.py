@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from limbcli.stages.fitting.states_result import _with_stretches_judged
+from limbcli.fitting.states_result import _with_stretches_judged
 
 NAME = "unloaded_stretch_around"
 

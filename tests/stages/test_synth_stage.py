@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from limbcli.atomic_files import atomic_folder
 from limbcli.case import Case
 from limbcli.errors import CaseError, LimbError
 from limbcli.feb.read import read_feb
+from limbcli.files.atomic import atomic_folder
 from limbcli.measurement.elastography import read_maps
 from limbcli.measurement.indentation import read_levels
 from limbcli.phantom.protocol import LoadingProtocol

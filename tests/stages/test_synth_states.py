@@ -15,7 +15,7 @@ from limbcli.case import Case
 from limbcli.case.parts import Stretch
 from limbcli.errors import CaseError
 from limbcli.measurement.indentation import read_levels
-from limbcli.model_io import load_model
+from limbcli.model.npz_file import load_model
 from limbcli.phantom.protocol import LoadingProtocol
 from limbcli.results import open_stage
 from limbcli.shear_waves.pixels import Window

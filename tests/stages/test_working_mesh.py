@@ -6,10 +6,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from limbcli.model_io import save_model
+from limbcli.diagnosis import prepare
+from limbcli.model.npz_file import save_model
 from limbcli.progress import SILENT
-from limbcli.stages.diagnosis import prepare
-from tests.diagnostics import reduced
+from tests.diagnosis import reduced
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from limbcli.errors import CaseError, MeshError
 from limbcli.imaging.surface import read_surface
 from limbcli.stages.segmenting.surfaces import frames_of
 from limbcli.surface_formats.aop import aop_limb, read_aop_limb, write_aop
-from limbcli.triangle_files import read_triangles
+from limbcli.surface_formats.triangle_files import read_triangles
 
 HEAD = "AAOP1\nAAOP1\nany words\nEND COMMENTS\nCYLINDRICAL\nLEFT\n1\nTIB \n2\n99\n0\n10\n99\n-90\n20\n"
 BODY = "4\n90\n3\n0\n0\n10\n30\n" + "10\n20\n10\n20\n" * 3

@@ -14,8 +14,8 @@ from limbcli.meshing.surfaces import read_surface as read_mesh_surface
 from limbcli.surface_formats import lz4
 from limbcli.surface_formats.colours import has_colours
 from limbcli.surface_formats.polygons import from_cells
-from limbcli.surface_frames import stated_frame
-from limbcli.triangle_files import SUFFIXES
+from limbcli.surface_formats.stated_frame import stated_frame
+from limbcli.surface_formats.triangle_files import SUFFIXES
 
 # Written by VTK 9.7.2: a box from (0, 0, 0) to (20, 10, 30) with normals, colours and the field SPACE = RAS
 WRITTEN_BY_VTK = sorted((Path(__file__).parents[1] / "data" / "vtk").glob("*.vt*"))

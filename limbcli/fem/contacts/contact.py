@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from limbcli.bodies import Contact
 from limbcli.errors import SolveError
 from limbcli.fem.contacts.contact_points import FACET, N_STATE
 from limbcli.fem.contacts.friction import FrictionPair
@@ -17,6 +16,7 @@ from limbcli.fem.elements.groups import Group
 from limbcli.fem.elements.quadrature import rule
 from limbcli.fem.motion.rigid import Body
 from limbcli.model import IntArray, LimbModel, Surface
+from limbcli.model.bodies import Contact
 
 _CORNERS = {"tri3": 3, "tri6": 3, "quad4": 4}
 

@@ -12,7 +12,6 @@ from functools import partial
 
 import numpy as np
 
-from limbcli.bodies import Contact
 from limbcli.fem.contacts import contact_kernels as kernels
 from limbcli.fem.contacts.contact_points import FACET, GAP, TRACTION, WEIGHT
 from limbcli.fem.contacts.contact_search import search
@@ -23,6 +22,7 @@ from limbcli.fem.elements.groups import Group
 from limbcli.fem.motion.rigid import BodyState
 from limbcli.materials.program import CurveAt
 from limbcli.model import Array, IntArray
+from limbcli.model.bodies import Contact
 
 _MOST_AUGMENTATIONS = 10  # FEBio's default of `maxaug`
 # Half-width of the fading zone at a rim, as a fraction of the soft facets' size, and its upper limit as a

@@ -11,13 +11,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from limbcli.bodies import Contact
 from limbcli.fem.contacts.patch import Patch
 from limbcli.fem.elements.groups import Group
 from limbcli.materials.program import CurveAt, Program
 from limbcli.materials.stress import _evaluate, penalty_modulus
 from limbcli.materials.tangent_change import tangent_change
 from limbcli.model import Array, IntArray
+from limbcli.model.bodies import Contact
 
 
 def penalties(

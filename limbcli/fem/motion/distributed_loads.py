@@ -21,8 +21,8 @@ from limbcli.fem.elements.element import shape
 from limbcli.fem.elements.groups import Group
 from limbcli.fem.elements.quadrature import rule
 from limbcli.fem.motion.rigid import Body, skew
-from limbcli.formulas import Formula
 from limbcli.model import Array, IntArray, LimbModel, Load
+from limbcli.numbers.formulas import Formula
 
 
 @dataclass(eq=False)

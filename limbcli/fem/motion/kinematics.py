@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from limbcli.bodies import Drive
 from limbcli.errors import SolveError
 from limbcli.fem.motion import load_curves
 from limbcli.fem.motion.rigid import (
@@ -17,6 +16,7 @@ from limbcli.fem.motion.rigid import (
 )
 from limbcli.fem.motion.state import State
 from limbcli.model import Array, IntArray, LimbModel, NodeMap, Support
+from limbcli.model.bodies import Drive
 
 _AXES = {"x": 0, "y": 1, "z": 2}
 

@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from limbcli.bodies import Drive, RigidBody, Spring
 from limbcli.errors import SolveError
 from limbcli.model import Array, IntArray, LimbModel
+from limbcli.model.bodies import Drive, RigidBody, Spring
 
 DOFS = ("x", "y", "z", "u", "v", "w")
 

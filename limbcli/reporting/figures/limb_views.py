@@ -12,7 +12,7 @@ from matplotlib.patches import Polygon
 from matplotlib.tri import Triangulation
 
 from limbcli.model import Array, IntArray
-from limbcli.patient_frame import side_of
+from limbcli.model.patient_frame import side_of
 from limbcli.reporting.figures.style import BLUE, INK, bare, literal, new_figure, style
 
 _HEIGHT, _NARROWEST, _WIDEST = 3.2, 1.3, 3.6  # inches

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from limbcli.interval_limits import THRESHOLD_95
 from limbcli.model import Array
+from limbcli.numbers.interval_limits import THRESHOLD_95
 from limbcli.reporting.figures.style import BLUE, INK, QUIET, VERMILION, new_figure, plain_log, style
 
 _ROOMY = 3  # largest number of panels wide enough for labels at 1, 2 and 5

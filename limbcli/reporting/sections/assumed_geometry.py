@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from limbcli.numbers.significant_digits import short
 from limbcli.reporting.numbers import DASH, interval, number, range_percent, signed_percent
 from limbcli.reporting.reportlet import Cell, PageTable, head
-from limbcli.significant_digits import short
 
 SYMBOLS = {"f_kappa": "f_κ", "m": "m"}
 

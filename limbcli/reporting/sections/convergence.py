@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from limbcli.interval_limits import THRESHOLD_95
+from limbcli.numbers.interval_limits import THRESHOLD_95
+from limbcli.numbers.significant_digits import significant
 from limbcli.reporting.figures.convergence import fit_walk, newton_residuals
 from limbcli.reporting.fit_view import OGDEN, StepView, read_fit_view
 from limbcli.reporting.numbers import number
@@ -13,7 +14,6 @@ from limbcli.reporting.reportlet import Picture, Reportlet, placeholder
 from limbcli.reporting.sections.assumed_geometry import SYMBOLS
 from limbcli.reporting.sections.parameters import interval_text
 from limbcli.results import StageResult
-from limbcli.significant_digits import significant
 
 TITLE = "Did the identification converge?"
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from limbcli.numbers.significant_digits import short
 from limbcli.reporting.fit_view import FitView, read_fit_view
 from limbcli.reporting.numbers import DASH, quantity
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Cell, Mood, PageTable, Picture, Reportlet, head, placeholder
 from limbcli.results import UNLIKE_OURS, StageResult
-from limbcli.significant_digits import short
 
 TITLE = "What is missing in the model, if anything?"
 _MOODS: Mapping[str, Mood] = {"adequate": "fine", "named": "warning"}

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from limbcli.numbers.significant_digits import significant
 from limbcli.reporting.numbers import DASH, interval, number, range_percent
 from limbcli.reporting.reportlet import Cell, PageTable, head
 from limbcli.reporting.sections.assumed_geometry import SYMBOLS
-from limbcli.significant_digits import significant
 
 _BOUNDARIES = {"cut_free": "cut plane free, not held", "far_side_held": "far side held, not free"}
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from limbcli.numbers.significant_digits import significant
 from limbcli.reporting.figures.limb_views import limb_place_figure
 from limbcli.reporting.fit_view import EstimateView, FitView, StepView, read_fit_view
 from limbcli.reporting.numbers import quantity
@@ -14,7 +15,6 @@ from limbcli.reporting.sections.diagnosis import in_short
 from limbcli.reporting.sections.next_steps import next_steps
 from limbcli.reporting.sections.parameters import parameter_warnings
 from limbcli.reporting.sections.warning_box import SourcedWarning, WarningGroup, warning_groups
-from limbcli.significant_digits import significant
 
 
 @dataclass(frozen=True)

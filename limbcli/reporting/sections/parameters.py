@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from limbcli.numbers.significant_digits import significant
 from limbcli.reporting.fit_view import MOONEY_RIVLIN, OGDEN, EstimateView, FitView, StepView, read_fit_view
 from limbcli.reporting.numbers import DASH, cell, interval, quantity
 from limbcli.reporting.outcome import Outcome
@@ -11,7 +12,6 @@ from limbcli.reporting.report_data import ReportData
 from limbcli.reporting.reportlet import Cell, Mood, PageTable, Reportlet, head, worst_mood
 from limbcli.reporting.sections.assumed_geometry import geometry_tables
 from limbcli.reporting.sections.model_checks import model_check_tables, noise_alone
-from limbcli.significant_digits import significant
 
 KEY, TITLE = "parameters", "Which tissue parameters, and how certain are they?"
 _NOTABLE = 1.5  # ratio of misfit to stated noise above which it is mentioned

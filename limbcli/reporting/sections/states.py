@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from limbcli.numbers.significant_digits import significant
 from limbcli.reporting.agreement_view import agreement_view
 from limbcli.reporting.fit_view import read_estimates
 from limbcli.reporting.numbers import DASH, cell, quantity
@@ -12,7 +13,6 @@ from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head, placeholder, worst_mood
 from limbcli.reporting.sections.parameters import estimate_cells
 from limbcli.results import StageResult
-from limbcli.significant_digits import significant
 
 TITLE = "In which state is the tissue least stiff, and in which is it unloaded?"
 _WAYS = ("along", "around")

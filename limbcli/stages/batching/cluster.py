@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Any
 
 from limbcli.config import THREADS
 from limbcli.errors import ToolError
+from limbcli.files.temporary_folders import scratch_folder
 from limbcli.progress import Progress
-from limbcli.stages.provenance.freshness import code_hash
-from limbcli.temporary_folders import scratch_folder
+from limbcli.provenance.freshness import code_hash
 from limbcli.version import __version__
 
 if TYPE_CHECKING:

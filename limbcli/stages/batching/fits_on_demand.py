@@ -12,14 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from limbcli.atomic_files import sha256
 from limbcli.case import Case
 from limbcli.errors import CaseError
+from limbcli.files.atomic import sha256
+from limbcli.fitting.options import FitOptions
 from limbcli.progress import SILENT, Progress
+from limbcli.provenance.chain import Chain
+from limbcli.provenance.requested_options import options_of
 from limbcli.results import ERROR_FILE, StageResult, read_result, stage_folder
-from limbcli.stages.fitting.options import FitOptions
-from limbcli.stages.provenance.chain import Chain
-from limbcli.stages.provenance.requested_options import options_of
 from limbcli.version import __version__
 
 

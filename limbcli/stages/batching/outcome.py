@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from limbcli.atomic_files import atomic_file
 from limbcli.errors import LimbError
+from limbcli.files.atomic import atomic_file
 from limbcli.results import ERROR_FILE, plain, stage_folder
 
 _KEPT = ("segment",)  # result is kept on failure, as it shows whether the label map has been edited since

@@ -9,10 +9,10 @@ from typing import Any
 
 from limbcli.case import Case
 from limbcli.progress import Progress
+from limbcli.provenance.requested_options import Requested, options_of
 from limbcli.results import stage_folder
 from limbcli.solvers import identity
 from limbcli.stages.batching.outcome import BatchOptions
-from limbcli.stages.provenance.requested_options import Requested, options_of
 
 SITE_STAGES = ("mesh", "build-feb", "run", "fit")
 FIT_STATES = "fit-states"  # run after the other stages, for a site that has states

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.model import Array, LimbModel
+from limbcli.numbers.units import kpa_from_mpa
 from limbcli.sockets.donning import SocketState
 from limbcli.stages.in_socket.limb_in_socket import PATCH
 from limbcli.stages.in_socket.patch_pressure import PatchPressure
-from limbcli.units import kpa_from_mpa
 
 WHOLE = "skin"  # name of the row of the whole skin
 QUANTITIES = ("contact_area_mm2", "mean_kpa", "p95_kpa", "peak_kpa", "mean_shear_kpa", "peak_shear_kpa")

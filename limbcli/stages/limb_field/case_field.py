@@ -14,9 +14,10 @@ from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
+from limbcli.numbers.units import kpa_from_mpa, mpa_from_kpa
+from limbcli.provenance.chain import Chain
 from limbcli.results import StageWriter
 from limbcli.stages.limb_field.site_results import LimbReadings, site_results
-from limbcli.stages.provenance.chain import Chain
 from limbcli.stiffness_field import (
     LABELS,
     PRIORS,
@@ -28,7 +29,6 @@ from limbcli.stiffness_field import (
     prior_of,
     stiffness_field,
 )
-from limbcli.units import kpa_from_mpa, mpa_from_kpa
 
 _REACH = 2 * 1.959964  # width of a 95 % interval, in standard deviations
 

@@ -17,11 +17,11 @@ from limbcli.errors.problems import raise_errors
 from limbcli.measurement.elastography import check_width, map_file, read_map
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.map_noise import PixelNoise, pixel_noise
+from limbcli.numbers.units import mpa_from_kpa
+from limbcli.provenance.chain import Chain
 from limbcli.results import UNLIKE_OURS, StageResult, StageWriter
-from limbcli.stages.provenance.chain import Chain
-from limbcli.stages.site_model.site_levels import levels_of, maps_of
+from limbcli.site_model.site_levels import levels_of, maps_of
 from limbcli.stiffness_field import Interval, MapReading, SiteReading, map_reading, region_below
-from limbcli.units import mpa_from_kpa
 
 _KEYS = {"c_kpa": "c", "m": "m", "f_kappa": "f_kappa"}
 _OF_FIT = (*_KEYS, "interval_95", "correlation")  # what the readings are made from

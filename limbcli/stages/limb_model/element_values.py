@@ -11,15 +11,15 @@ from limbcli.case import Case
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.materials.ogden import ogden_type
 from limbcli.model import Array, Block, ElementMap, IntArray, LimbModel
+from limbcli.numbers.units import kpa_from_mpa, mpa_from_kpa
+from limbcli.provenance.chain import Chain
 from limbcli.results import StageResult, StageWriter
+from limbcli.site_model.indentation_model import C_KPA
+from limbcli.site_model.site_levels import levels_of
 from limbcli.stages.build_feb import tissue_stiffness
 from limbcli.stages.limb_field.case_field import CaseField
-from limbcli.stages.provenance.chain import Chain
-from limbcli.stages.site_model.indentation_model import C_KPA
-from limbcli.stages.site_model.site_levels import levels_of
 from limbcli.stiffness_field import LABELS
 from limbcli.stiffness_field.draws import Draw
-from limbcli.units import kpa_from_mpa, mpa_from_kpa
 
 ASSUMED = "assumed"
 _SAMPLE = 2000  # elements over which m, f_kappa and draws are averaged

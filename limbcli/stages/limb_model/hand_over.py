@@ -11,17 +11,17 @@ from typing import Any
 import jinja2
 import numpy as np
 
-from limbcli.abaqus_files import write_abaqus
 from limbcli.config import templates_folder
 from limbcli.feb.write import write_feb
 from limbcli.meshing.export import write_vtu
 from limbcli.meshing.limb_parts import LimbFrame, LimbParts
 from limbcli.meshing.surfaces import Triangles, join
 from limbcli.model import Array, LimbModel
-from limbcli.model_io import save_model
+from limbcli.model.abaqus_input import write_abaqus
+from limbcli.model.npz_file import save_model
 from limbcli.results import StageResult, StageWriter
+from limbcli.site_model.indentation_model import TISSUE
 from limbcli.stages.segmenting.surfaces import write_upright_aop
-from limbcli.stages.site_model.indentation_model import TISSUE
 from limbcli.stiffness_field import LABELS
 from limbcli.version import __version__
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limbcli.bodies import Contact, Drive, RigidBody
+from limbcli.files.temporary_folders import scratch_folder
 from limbcli.materials import ogden_type
 from limbcli.meshing.regions import facets, quadratic
 from limbcli.model import (
@@ -33,9 +33,9 @@ from limbcli.model import (
     Support,
     Surface,
 )
+from limbcli.model.bodies import Contact, Drive, RigidBody
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.base import Solver
-from limbcli.temporary_folders import scratch_folder
 
 SIDE, HEIGHT, DEPTH = 8.0, 6.0, 2.0  # mm
 C, F_KAPPA, M = 0.008, 5.0, 4.0  # MPa, 1, 1

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from limbcli.case import Site
+from limbcli.fitting.cycles import contradiction
 from limbcli.measurement.cycles import CycleStudy
 from limbcli.measurement.indentation import Levels
 from limbcli.reporting.figures.cycles import Loop
 from limbcli.reporting.report_data import CycleMaterial
-from limbcli.stages.fitting.cycles import contradiction
-from limbcli.stages.site_model.cycle_words import capital, cycle_sentences
-from limbcli.stages.site_model.site_levels import cycles_of
+from limbcli.site_model.cycle_words import capital, cycle_sentences
+from limbcli.site_model.site_levels import cycles_of
 
 
 def cycle_material(site: Site, levels: Levels, fitted: int | None) -> CycleMaterial | None:

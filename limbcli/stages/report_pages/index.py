@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from limbcli.atomic_files import atomic_file
 from limbcli.drawing import data_file, write_data
 from limbcli.errors import CaseError
+from limbcli.files.atomic import atomic_file
 from limbcli.progress import SILENT, Progress
 from limbcli.reporting.figures.study import study_figure
 from limbcli.reporting.figures.style import style

@@ -14,18 +14,18 @@ from limbcli.errors import LimbError, MeasurementError
 from limbcli.errors.problems import errors_of
 from limbcli.measurement.indentation import Levels, check_levels, level_warnings
 from limbcli.measurement.regression import Line, speed_against_depth, speed_against_force
-from limbcli.patient_frame import side_of
+from limbcli.model.patient_frame import side_of
 from limbcli.progress import SILENT, Progress
 from limbcli.reporting.figures.force_depth import MeasuredCurve
 from limbcli.reporting.figures.wave_speed import SpeedReadings
 from limbcli.reporting.outcome import Outcome, Outcomes, read_outcomes
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.results import UNLIKE_OURS, StageResult
+from limbcli.site_model.site_levels import layer_noise
 from limbcli.stages.report_pages.cycles import cycle_material
 from limbcli.stages.report_pages.places import limb_place, limb_skin
 from limbcli.stages.report_pages.simulated_state import read_deformed, read_residuals
 from limbcli.stages.report_pages.stale import stale_results
-from limbcli.stages.site_model.site_levels import layer_noise
 
 
 def gather(case: Case, *, out: Path, progress: Progress = SILENT) -> ReportData:

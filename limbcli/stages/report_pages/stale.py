@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from limbcli.atomic_files import sha256
 from limbcli.case import Case
+from limbcli.files.atomic import sha256
+from limbcli.provenance.chain import BrokenLink, Chain
+from limbcli.provenance.commands import commands
 from limbcli.reporting.outcome import Outcomes
-from limbcli.stages.provenance.chain import BrokenLink, Chain
-from limbcli.stages.provenance.commands import commands
 
 
 def stale_results(case: Case, out: Path, outcomes: Outcomes) -> list[str]:

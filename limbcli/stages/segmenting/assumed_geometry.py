@@ -27,8 +27,8 @@ from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.rods import BoneHit, Rod, limb_axis, rods_for, tube
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
+from limbcli.site_model.mesh_checks import measured_skin_bone
 from limbcli.stages.segmenting.surfaces import read_body
-from limbcli.stages.site_model.mesh_checks import measured_skin_bone
 
 LENGTH = 300.0  # mm, length of a limb given by numbers: longer than any usual model with its margin
 SKIN_EDGE, BONE_EDGE = 2.0, 1.5  # mm, edge lengths of the triangles, as for imaged surfaces

@@ -10,7 +10,7 @@ import numpy as np
 from limbcli.imaging.bones import names_by_size_and_place
 from limbcli.meshing.mending import enclosed, long_axis
 from limbcli.meshing.surfaces import Triangles
-from limbcli.patient_frame import toward_head
+from limbcli.model.patient_frame import toward_head
 
 _KNOWN = ("tibia", "fibula", "femur", "patella")
 

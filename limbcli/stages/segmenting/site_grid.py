@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
+from limbcli.files.plain_text import text_cell
 from limbcli.meshing.facets import divided
 from limbcli.meshing.frame import proximal_direction, ray_hits
 from limbcli.meshing.mending import Limb
 from limbcli.meshing.places import triple
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
-from limbcli.plain_text import text_cell
 
 _STEP_MM, _MOST_ROWS = 20.0, 24
 _ANGLES = 12

@@ -31,7 +31,7 @@ from limbcli.stages.segmenting.bone_names import names_of_bodies, names_of_files
 from limbcli.stages.segmenting.places import report_places
 from limbcli.surface_formats.aop import aop_limb, read_aop_limb, write_aop
 from limbcli.surface_formats.colours import has_colours
-from limbcli.surface_frames import mixed_frames, stated_frame
+from limbcli.surface_formats.stated_frame import mixed_frames, stated_frame
 
 # Later steps use points and triangles. Triangles of drawn (CAD) bodies can span the whole limb and are
 # divided; those of a scan do so only at its flat ends, and are kept as given.

@@ -17,6 +17,7 @@ from limbcli.errors import CaseError, SolveError
 from limbcli.feb.settings import schedule
 from limbcli.materials.ogden import ogden_type
 from limbcli.model import Array, LimbModel
+from limbcli.numbers.units import mpa_from_kpa
 from limbcli.phantom.beam import skin_bone_distance
 from limbcli.phantom.protocol import LoadingProtocol, TrueLevels
 from limbcli.phantom.simulated import Indentation, Speed, true_levels
@@ -25,12 +26,11 @@ from limbcli.shear_waves.from_simulation import AT_REST, PointStates
 from limbcli.shear_waves.ogden import OgdenTerms
 from limbcli.shear_waves.pixels import Window
 from limbcli.shear_waves.speed import block_speeds, element_speeds
+from limbcli.site_model.prestretch import in_state, skin_rise, with_nodes_moved
 from limbcli.solvers.base import Simulation
 from limbcli.solvers.material_lines import displacements, material_lines
 from limbcli.solvers.session import ReferenceSession, path_dependent
 from limbcli.stages.build_feb import PROBE, TISSUE, indentation_model
-from limbcli.stages.site_model.prestretch import in_state, skin_rise, with_nodes_moved
-from limbcli.units import mpa_from_kpa
 
 Change = Callable[[LimbModel], LimbModel]
 FIRST_PIECE = 6.0

@@ -9,8 +9,8 @@ from limbcli.case import Case, Site
 from limbcli.case.parts import Stretch, StretchState
 from limbcli.errors import CaseError
 from limbcli.errors.problems import suggestion
-from limbcli.stages.fitting.state_plan import HIGH, LOW
-from limbcli.stages.site_model.prestretch import WAYS
+from limbcli.fitting.state_plan import HIGH, LOW
+from limbcli.site_model.prestretch import WAYS
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ import numpy as np
 
 from limbcli.case import CASE_FILE, Case, Site
 from limbcli.case.schema import INSTRUMENTS
-from limbcli.detached_data import detached_data
 from limbcli.errors import CaseError
+from limbcli.files.detached_data import detached_data
 from limbcli.model import Array
 from limbcli.phantom.case_folder import NoiseLaw
 from limbcli.results import StageResult

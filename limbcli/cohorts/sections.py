@@ -1,0 +1,320 @@
+"""The page of a cohort: displays the content of `cohort.json`, without computing anything."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from limbcli.cohorts import figures as drawn
+from limbcli.numbers.significant_digits import significant
+from limbcli.reporting.numbers import DASH, cell
+from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head
+
+Data = Mapping[str, Any]
+_NAMES = (
+    ("c_muscle_kpa", "c of muscle", "kPa"),
+    ("c_fat_kpa", "c of fat, in the bonded slab", "kPa"),
+    ("m", "m", ""),
+)
+_LISTED = 25
+
+
+def cohort_reportlets(data: Data) -> list[Reportlet]:
+    """The reportlets, one per question, in reading order."""
+    return [
+        population(data),
+        standing_out(data),
+        misfits(data),
+        one_tissue(data),
+        left_out(data),
+        grounds(data),
+    ]
+
+
+def population(data: Data) -> Reportlet:
+    rows = []
+    for site, own in data["sites"].items():
+        for k, (key, name, unit) in enumerate(_NAMES):
+            value = own["population"][key]
+            first = (Cell(f"{site} ({own['n_rows']} rows)", lead=True, down=3),) if k == 0 else ()
+            interval = f"{significant(value['low'])} to {significant(value['high'])}"
+            spread = (
+                f"×/÷ {value['spread_factor']:.2f} "
+                f"({_factor(value['spread_of_ln_low'])} to {_factor(value['spread_of_ln_high'])})"
+            )
+            beyond = value["beyond_family"]
+            middle = (
+                Cell(beyond, reason="the family ends there")
+                if beyond
+                else cell(value["geometric_mean"], unit=unit)
+            )
+            if beyond:
+                interval = spread = DASH
+            rows.append(
+                (
+                    *first,
+                    Cell(name),
+                    middle,
+                    Cell(interval),
+                    Cell(spread),
+                    Cell(f"{100 * value['mean_shrinkage']:.0f} %"),
+                )
+            )
+    names = (
+        "site",
+        "parameter",
+        "geometric mean of the people",
+        "95 % interval of the mean",
+        "spread between people",
+        "determined by the population",
+    )
+    table = PageTable(
+        "Population of every site: geometric means and spreads as factors",
+        (head(*names),),
+        tuple(rows),
+        numeric=False,
+    )
+    return Reportlet(
+        "population",
+        "What are the tissue properties of these people?",
+        pictures=(
+            Picture(
+                "distributions",
+                "c of muscle, c of fat and m of every row with 95 % intervals, and each site’s population",
+                figure=drawn.distributions(data["rows"], data["sites"]),
+            ),
+        ),
+        tables=(table,),
+        look_for="dots (people, with their 95 % intervals) that spread beyond their intervals: people "
+        "differ. The bar at the "
+        "right of each site is the population’s geometric mean (line) and spread (pale)",
+        bad="intervals as long as the pale bar, and a high share “determined by the population”: "
+        "the readings carry little "
+        "information about that parameter, and a person’s value is mostly the population’s",
+    )
+
+
+def _factor(ln: float) -> str:
+    return f"{math.exp(ln):.2f}"
+
+
+def standing_out(data: Data) -> Reportlet:
+    found = data["stands_out"]
+    people = tuple(
+        (
+            Cell(each["subject"], lead=True),
+            Cell(str(each["n_rows"])),
+            Cell(each["muscle"]),
+            cell(each["z"], digits=2),
+            cell(each["p_adjusted"], digits=2),
+        )
+        for each in found["people"][:_LISTED]
+    )
+    rows = tuple(
+        (
+            Cell(each["subject"], lead=True),
+            Cell(each["location"]),
+            Cell(str(each["line"])),
+            cell(each["p_adjusted"], digits=2),
+        )
+        for each in found["rows"][:_LISTED]
+    )
+    tables = []
+    if people:
+        tables.append(
+            PageTable(
+                f"People whose muscle differs over all of their sites{_first(found['people'])}",
+                (head("person", "rows", "muscle is", "z", "p, adjusted"),),
+                people,
+            )
+        )
+    if rows:
+        tables.append(
+            PageTable(
+                f"Rows outside what their site’s population predicts{_first(found['rows'])}",
+                (head("person", "site", "line", "p, adjusted"),),
+                rows,
+            )
+        )
+    rows_words = f"{len(found['rows'])} row{'' if len(found['rows']) == 1 else 's'}"
+    people_words = f"{len(found['people'])} {'person' if len(found['people']) == 1 else 'people'}"
+    counts = (
+        f"{rows_words} and {people_words} stand out at {100 * found['level']:g} %, adjusted for all looked "
+        "at (Holm)."
+    )
+    return Reportlet(
+        "stands-out",
+        "Who stands out?",
+        "warning" if tables else "fine",
+        tables=tuple(tables),
+        notes=(counts,),
+        look_for="the rows named here: consider a transcription error or a bad image first, then a person "
+        "unlike the others",
+        bad="a list as long as the table: then the model is wrong for this site, not the people",
+    )
+
+
+def _first(found: Sequence[object]) -> str:
+    """
+    >>> _first([1, 2]), _first(range(40))
+    ('', ', the first 25 of 40')
+    """
+    return f", the first {_LISTED} of {len(found)}" if len(found) > _LISTED else ""
+
+
+def misfits(data: Data) -> Reportlet:
+    return Reportlet(
+        "misfits",
+        "What does the model miss?",
+        pictures=(
+            Picture(
+                "misfits",
+                "measured and predicted share of fat and of skin in the shortening, one dot per row",
+                figure=drawn.misfits(data["rows"]),
+            ),
+        ),
+        look_for="dots on the line at the left: fat and muscle shorten as the fitted layers do",
+        bad="a cloud off the line. At the right nothing was fitted: skin is held five times as stiff as "
+        "muscle, and its "
+        "shortening is of the size of the marks’ noise",
+    )
+
+
+def one_tissue(data: Data) -> Reportlet:
+    rows = tuple(
+        (
+            Cell(site, lead=True),
+            cell(own["homogeneous"]["median_noise_deviations"], digits=2),
+            cell(own["homogeneous"]["median_absolute_noise_deviations"], digits=2),
+            Cell(f"{100 * own['homogeneous']['share_beyond_2']:.0f} %"),
+            cell(own["c_fat_over_c_muscle"], digits=2),
+        )
+        for site, own in data["sites"].items()
+    )
+    names = ("site", "median", "median of the absolute value", "rows beyond 2", "c of fat / c of muscle")
+    return Reportlet(
+        "one-tissue",
+        "Would one homogeneous tissue suffice?",
+        pictures=(
+            Picture(
+                "one-tissue",
+                "by how many noise deviations fat shortens more than one homogeneous tissue would, over "
+                "fat thickness",
+                figure=drawn.one_tissue(data["rows"]),
+            ),
+        ),
+        tables=(
+            PageTable(
+                "Fat’s shortening in excess of that of one tissue, in standard deviations of the edges’ "
+                "noise",
+                (head(*names),),
+                rows,
+            ),
+        ),
+        look_for="dots within the band: fat and muscle move like one tissue of the bonded slab. Below it, "
+        "fat shortens less: it is stiffer, or muscle slides on the bone, or skin and fascia are stiff",
+        bad="most dots outside: a homogeneous model deforms differently from the tissue",
+    )
+
+
+def left_out(data: Data) -> Reportlet:
+    found = data["compliance_left_out"]
+    key, title = "left-out", "How well is the compliance of held-out people predicted?"
+    if found["mean_absolute_difference_percent"] is None:
+        return Reportlet(key, title, "warning", warned=(found["reason"],))
+    same = found["same_folds"]
+    rows = [
+        ("this prediction, from thicknesses", found["mean_absolute_difference_percent"]),
+        ("springs in series, same folds", same["springs_in_series_percent"]),
+        ("linear, site by site, same folds", same["linear_site_by_site_percent"]),
+        ("each site’s mean, same folds", same["sites_mean_percent"]),
+    ]
+    person = found["with_person_columns"]
+    if person:
+        rows.insert(1, (f"with {', '.join(person['columns'])}", person["mean_absolute_difference_percent"]))
+    repeat = found["repeatability"]
+    rows.append(("of which marks and slope alone", repeat["percent_from_marks_and_slope_alone"]))
+    if repeat["percent_from_trials"] is not None:
+        rows.append(("of which repeatability (trials)", repeat["percent_from_trials"]))
+    low, high = found["interval_95_percent"]
+    worst = found["largest_row"]
+    table = PageTable(
+        "Mean of |predicted − measured| / measured, ten folds by person. With other people the first "
+        f"would be between {low:.1f} and {high:.1f} % (95 %); one row alone ({worst['subject']}, "
+        f"{worst['location']}, {worst['difference_percent']:.0f} % off) contributes "
+        f"{worst['share_of_the_mean_percent']:.1f} points of it",
+        (head("model", "percent"),),
+        tuple((Cell(name, lead=True), cell(value)) for name, value in rows),
+    )
+    return Reportlet(
+        key,
+        title,
+        pictures=(
+            Picture(
+                "left-out",
+                "predicted against measured compliance of held-out people, by site",
+                figure=drawn.compliance(found["rows"]),
+            ),
+        ),
+        tables=(table,),
+        look_for="dots along the line, within the grey band",
+        bad="one site off the line (its tissue differs), or a flat cloud (thickness is not predictive there)",
+        notes=(repeat["reason"],) if repeat.get("reason") else (),
+    )
+
+
+def grounds(data: Data) -> Reportlet:
+    noise, emulator = data["noise"], data["emulator"]
+    error = emulator["left_out_error"]
+    elsewhere = "taken from the others" if any(noise["from_data"].values()) else "assumed"
+    rows = [
+        (
+            f"noise of the {layer}’s shortening",
+            f"{significant(value, 2)} mm",
+            "from this table" if noise["from_data"][layer] else elsewhere,
+        )
+        for layer, value in noise["layer_shortened_mm"].items()
+    ]
+    rows += [
+        (
+            "noise of the stiffness",
+            f"{100 * noise['ln_stiffness']:.1f} %",
+            "from this table" if noise["ln_stiffness_from_data"] else "assumed",
+        ),
+        (
+            "simulations behind the emulator",
+            str(emulator["n_solves"]),
+            f"and {emulator['n_solves_on_finer_mesh']} on a finer mesh",
+        ),
+        (
+            "emulator’s error of the force",
+            f"{error['force_percent']:.1f} %",
+            "one standard deviation, held-out members",
+        ),
+        (
+            "emulator’s error of muscle’s share (logit)",
+            significant(error["logit_muscle_part"], 2),
+            "one standard deviation, held-out members",
+        ),
+    ]
+    return Reportlet(
+        "grounds",
+        "What are these numbers based on?",
+        tables=(
+            PageTable(
+                "Noise and emulator",
+                (head("what", "value", "whence"),),
+                tuple((Cell(a, lead=True), Cell(b or DASH), Cell(c)) for a, b, c in rows),
+                numeric=False,
+            ),
+        ),
+        look_for="noise well below a layer’s shortening, and an emulator error below it",
+        bad="an assumed noise: the intervals are only as reliable as that assumption",
+        notes=(
+            "The model is a flat layered slab on a rigid base under a face four times as long as wide: "
+            "the limb’s shape is not "
+            "known. c depends on this assumed shape; compare people at one site, and sites "
+            "only with care.",
+        ),
+    )

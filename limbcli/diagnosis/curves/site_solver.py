@@ -1,0 +1,162 @@
+"""Solves the models of one site in one solver session, each from levels of earlier solves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from limbcli.diagnosis.curves.curve_plan import USUAL_M, Reach, SiteWork, Solving
+from limbcli.diagnosis.curves.site_models import SiteModels
+from limbcli.diagnosis.curves.solve_memo import SolveMemo
+from limbcli.effects.ingredients import Ingredients, has_fitted_size, is_numerical, is_of_law_alone, names_of
+from limbcli.errors import SolveError
+from limbcli.model import Array, IntArray, LimbModel
+from limbcli.progress import Progress
+from limbcli.solvers.budget import Budget, BudgetSpent
+from limbcli.solvers.session import ReferenceSession, SessionResult
+
+if TYPE_CHECKING:
+    from limbcli.solvers.restart import Solved
+
+_STALLED = 5.0  # tolerance where contact points chatter, as a multiple of the usual tolerance
+
+
+@dataclass(frozen=True, eq=False)
+class Solve:
+    """A solved model, its result, and the work it took."""
+
+    model: LimbModel
+    result: SessionResult
+    work: int
+
+    @property
+    def rows(self) -> IntArray:
+        """Numbers of the levels (n,) among the converged times."""
+        times, levels = self.result.simulation.times, self.result.must_points.times
+        return np.asarray(np.abs(times[None, :] - levels[:, None]).argmin(axis=1))
+
+    @property
+    def depth(self) -> Array:
+        """Depths (1 + n,) in mm from first touch, the first of which is 0."""
+        offset = float(self.model.info.get("depth_offset_mm", 0.0))
+        return np.concatenate([[0.0], self.result.must_points.depths + offset])
+
+
+class SiteSolver:
+    """Solver of one site's models.
+
+    Models that differ from the usual one in their materials only share a session. Levels of the model without
+    effects are initial guesses for all; those of the last solve with the same effects, for a fit's repeated
+    solves.
+
+    times : s, of the load steps, by depth in mm
+    n_full, n_required : number of depths solved with full effort, and that must be reached
+    """
+
+    def __init__(
+        self, models: SiteModels, times: Mapping[float, float], *, reach: Reach, solving: Solving,
+        keep: Path | None, progress: Progress,
+    ):  # fmt: skip
+        self.models, self.times, self.reach, self.solving = models, times, reach, solving
+        self.n_full, self.n_required = (
+            reach.down_to(list(times), share=each) for each in (1.0, reach.enough)
+        )
+        self.memo, self.progress = SolveMemo(keep), progress
+        self.work = SiteWork(n_cells=len(models.usual.mesh.solid_blocks[0].cells))
+        self._session: ReferenceSession | None = None
+        self._leads: list[Solved] = []  # initial guesses from an earlier run
+        self._last_with: dict[tuple[str, ...], str] = {}  # names of effects -> key of the last solve
+
+    def solve(self, m: float, ingredients: Ingredients) -> Solve:
+        """Solve one model.
+
+        Raises
+        ------
+        SolveError
+            If not enough depths are reached; `BudgetSpent` if that is because of the work.
+        """
+        model = self.models.to_solve(m, ingredients, n_depths=len(self.times))
+        # numerical effects (mesh, cut, contact) enter every verdict; only the work of candidates is limited
+        numerical = is_numerical(ingredients)
+        candidate = bool(ingredients) and not numerical
+        n_full, budget, start = self.n_full, Budget(allowed=self.work.at_most), None
+        if numerical:
+            n_full = self.n_required
+        elif candidate:
+            fitted, needed = has_fitted_size(ingredients), self.n_required / len(self.times)
+            budget = self.work.of_candidate(has_friction=model.has_friction, fitted=fitted, needed=needed)
+            # at sizes of the first-order estimate, then of earlier fits: a repeated fit is close to them
+            key = self._last_with.get(names_of(ingredients)) if fitted and not model.has_friction else None
+            start = None if key is None else self.memo.levels(key)
+        try:
+            with self._session_for(model, m, ingredients) as session:
+                result = session.solve(
+                    model, records=True, required=self.n_required, full_effort=n_full,
+                    keep_levels=not ingredients, patient=not candidate, independent=True, start_levels=start,
+                    last=None if m == USUAL_M and not ingredients else n_full,
+                    enough_force=self.reach.enough_force, budget=budget,
+                )  # fmt: skip
+        except ArithmeticError as error:
+            raise SolveError(f"the law overflows ({error})", where="diagnose", fix="none") from error
+        except BudgetSpent as error:
+            raise BudgetSpent(
+                "it requires several times the work of the model without it",
+                where="diagnose", fix="run the written model separately", **error.facts,
+            ) from error  # fmt: skip
+        finally:
+            self.work.total += budget.spent
+        return Solve(model, result, budget.spent)
+
+    def keep(self, key: str, ingredients: Ingredients, levels: Solved | None) -> None:
+        """Keep the levels of a solve as initial guesses, in this run and later ones."""
+        if levels is not None and not is_numerical(ingredients):
+            self.memo.keep_levels(key, levels)
+            if ingredients:
+                self._last_with[names_of(ingredients)] = key
+
+    def resume(self, key: str, ingredients: Ingredients) -> None:
+        """Use the levels that an earlier run kept, as in that run."""
+        if ingredients:
+            if not is_numerical(ingredients):
+                self._last_with[names_of(ingredients)] = key
+        elif (levels := self.memo.levels(key)) is not None:
+            self._leads.append(levels)
+            if self._session is not None:
+                self._session.lead(levels)
+
+    def close(self) -> None:
+        if self._session is not None:
+            self._session.close()
+            self._session = None
+
+    @contextmanager
+    def _session_for(
+        self, model: LimbModel, m: float, ingredients: Ingredients
+    ) -> Iterator[ReferenceSession]:
+        """The shared session; for another mesh, contact or load one of its own, with the same guesses."""
+        if self._session is None:
+            self._session = self._new_session(self.models.usual)
+            for each in self._leads:
+                self._session.lead(each)
+        if self.solving.beside is not None and not ingredients:
+            other, levels = self.solving.beside.levels(m)
+            at = {self.times[depth]: u for depth, u in levels.items() if depth in self.times}
+            self._session.begin_beside(other, at)
+        if is_of_law_alone(self.models.usual, model):
+            yield self._session
+            return
+        with self._new_session(model) as own:
+            own.start_like(self._session)
+            yield own
+
+    def _new_session(self, model: LimbModel) -> ReferenceSession:
+        tolerance = self.solving.tolerance
+        return ReferenceSession(
+            model, progress=self.progress, tolerance=tolerance, stalled=_STALLED * tolerance,
+            threads=self.solving.threads,
+        )  # fmt: skip

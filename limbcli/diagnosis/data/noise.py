@@ -1,0 +1,301 @@
+"""Noise of a site's data: the stated noise of the readings, and the known errors of the model.
+
+Depth is the noisy reading; force and speeds are compared at the measured depth. An error e_d of the depth
+therefore shifts force, speeds and travel of a level together, which the covariance includes:
+residual of the force -K e_d, of ln speed -s e_d, of the travel -e_d (K, s: measured slopes).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.case import StatedNoise
+from limbcli.diagnosis.data.held_forces import HeldForces
+from limbcli.diagnosis.data.layers import layer_noise
+from limbcli.diagnosis.data.rows import TRAVEL_DEVIATION, ExtraMeasurement, SiteRows, Stacked, within
+from limbcli.diagnosis.explanations.model.noise import NoisePart, common, correlated, independent, of_groups
+from limbcli.effects.reading import Protocol
+from limbcli.measurement.indentation import Levels
+from limbcli.measurement.map_noise import PixelNoise
+from limbcli.model import Array, IntArray
+from limbcli.site_model.layer_readings import LayerReadings
+
+GAIN_OF_SPEEDS = "gain of all speeds"
+COMPRESSIBILITY = "model: f-kappa"
+STRAIN = "model: strain by the thickness"
+# Standard deviation of a common factor on all speeds: the scanner's calibration (assumed, as it is never
+# stated). The models' own error there is 0.2 % or less at rest (`tests/benchmarks/map_errors.py`).
+COMMON_GAIN = 0.02
+# Model error in a map: standard deviation of ln speed at the top of the map, per unit of strain (depth over
+# thickness) to the power _GROWS; a share _EVERYWHERE of it at any depth below the face, the rest decays over
+# _FADES_MM. It is correlated exponentially over _NEAR_MM, a share _WIDE_SHARE of its variance over _WIDE_MM,
+# and by _ALIKE between neighbouring levels. The likeliest of tied models against noise-free FEBio models at
+# thirteen sites (`tests/benchmarks/map_errors.py`), with a size as at the worst of them: they differ by a
+# factor of nine, and the fraction that applies is estimated with every explanation.
+_BELOW_FACE, _EVERYWHERE, _GROWS, _FADES_MM, _NEAR_MM, _ALIKE = 0.9, 0.2, 1.5, 14.0, 5.0, 0.91
+_WIDE_SHARE, _WIDE_MM = 0.2, 10.0
+# Besides, standard deviation of a level's mean ln speed, by the square of the strain: at the deepest maps of
+# these sites the means are up to 3.6 % too slow, 2.2 % root mean square at a strain of 0.36, whatever the
+# size above.
+_IN_LEVEL = 0.17
+_RESOLVED = 0.001  # standard deviation of a part's ln speed, independent of strain
+IN_MAPS, LEAST_IN_MAPS = "model: maps", 0.08  # name, and smallest fraction of the assumed error
+IN_MEAN = 0.07  # standard deviation of ln mean speed per unit of strain, where there is no map
+# Largest standard deviation of ln speed in a part that is incomplete in a map, or adjacent to an incomplete
+# part, at bone or at a hole. Meshes and the scanner differ in the visible fraction of such a part and in how
+# near the edge it is read (differences of 20 to 30 % beside bone, far less at most sites). The fraction that
+# applies is estimated from the data.
+_BESIDE_UNSEEN = 0.15
+BESIDE, LEAST_BESIDE = "model: maps, beside what is not shown", 0.1  # name, and smallest fraction of it
+_TOUCHES, _WHOLE = 1.5, 0.95  # adjacent: distance of centres in sides of a part; complete: fraction of pixels
+FEWEST_SMOOTH = 4  # fewest levels for a smooth depth-force curve
+_STEEP, _STRAIGHT = 0.01, 10.0  # range of `SmoothDepth.unit`, as a multiple of the largest force
+
+
+@dataclass(frozen=True, eq=False)
+class ModelError:
+    """An error of the model: one standard deviation of ln force (n_levels,) and ln speed (n_levels, n_parts).
+
+    correlation : between neighbouring levels; None: fully correlated, one common factor
+    depth : mm, common shift of the depth at every level except at rest; strain : common relative error of all
+    depths
+    """
+
+    name: str
+    log_force: Array
+    log_speed: Array
+    correlation: float | None = None
+    depth: float = 0.0
+    strain: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class MapNoise:
+    """Errors of maps: the noise of the pixels, and the model's own error.
+
+    middles (n_parts, 2) : mm, centres of the parts, lateral and below the face; size : (mm, mm) of the parts
+    pitch : mm, (lateral, depth) of the pixels; pixel : their noise; strain (n_levels,) : depth over thickness
+    """
+
+    middles: Array
+    size: tuple[float, float]
+    pitch: tuple[float, float]
+    pixel: PixelNoise
+    strain: Array
+
+    def of_pixels(self, rows: SiteRows, own: Array) -> Array:
+        """Covariance (n, n) of the parts from pixel noise; own (n,) : standard deviations if the pixels were
+        independent."""
+        sides = [
+            _side_correlation(self.pixel, np.subtract.outer(at, at), size, pitch)
+            for at, size, pitch in zip(self.middles.T, self.size, self.pitch, strict=True)
+        ]
+        counts = [max(round(size / pitch), 1) for size, pitch in zip(self.size, self.pitch, strict=True)]
+        together = self.pixel.share * sides[0] * sides[1]
+        n_pixels = counts[0] * counts[1]
+        together += np.eye(len(together)) * (1.0 - self.pixel.share) / n_pixels
+        part, level = rows.part - 1, rows.level
+        times = own * np.sqrt(n_pixels)
+        same = level[:, None] == level[None, :]
+        return np.asarray(np.where(same, together[np.ix_(part, part)], 0.0) * np.outer(times, times))
+
+    def of_model(self, rows: SiteRows, share: float) -> Array:
+        """Covariance (n, n) of the model error; share : factor on its usual size."""
+        part, level = rows.part - 1, rows.level
+        return maps_model_error(self.middles, part, np.abs(self.strain[level]), level, share=share)
+
+    def beside_unseen(self, rows: SiteRows, own: Array) -> Array:
+        """Covariance (n, n) of parts that are incomplete in their level's map or adjacent to such a part, or
+        to one that the model does not show; own (n,) : as in `of_pixels`."""
+        part, level = rows.part - 1, rows.level
+        n_pixels = np.zeros((len(self.strain), len(self.middles)))
+        n_pixels[level, part] = np.maximum(own, 1e-9) ** -2.0
+        whole = (n_pixels > 0) & (n_pixels >= _WHOLE * n_pixels.max(axis=0))
+        reach = _TOUCHES * np.array(self.size)
+        near = np.all(np.abs(self.middles[:, None] - self.middles[None]) < reach, axis=2)
+        beside = np.any(near[None] & ~whole[:, None, :], axis=2)
+        return np.diag(np.where(beside[level, part], _BESIDE_UNSEEN**2, 0.0))
+
+
+def maps_model_error(
+    middles: Array, part: IntArray, strain: Array, level: IntArray, *, share: float = 1.0
+) -> Array:
+    """Covariance (n, n) of ln speeds in parts of maps from the model error.
+
+    middles (n_parts, 2) : mm, lateral and below the face; part, level (n,) : indices of each datum
+    strain (n,) : depth over thickness; share : factor on its usual size
+    """
+    x, z = middles[part].T
+    size = _BELOW_FACE * (_EVERYWHERE + np.exp(-(z - middles[:, 1].min()) / _FADES_MM))
+    deviation = share * size * strain**_GROWS
+    apart = np.hypot(np.subtract.outer(x, x), np.subtract.outer(z, z))
+    alike = _ALIKE ** np.abs(np.subtract.outer(level, level))
+    near = (1 - _WIDE_SHARE) * np.exp(-apart / _NEAR_MM) + _WIDE_SHARE * np.exp(
+        -0.5 * (apart / _WIDE_MM) ** 2
+    )
+    found = alike * (near * np.outer(deviation, deviation) + _IN_LEVEL**2 * np.outer(strain**2, strain**2))
+    return np.asarray(found + (apart < 1e-9) * _RESOLVED**2)
+
+
+def _side_correlation(noise: PixelNoise, apart: Array, size: float, pitch: float) -> Array:
+    """Mean correlation along one side over all pairs of pixels of two parts whose centres are `apart` mm."""
+    n = max(round(size / pitch), 1)
+    at = (np.arange(n) - 0.5 * (n - 1)) * pitch
+    distance = apart[..., None, None] + np.subtract.outer(at, at)
+    if noise.smoothing <= 0:
+        return np.asarray((np.abs(distance) < 1e-9).mean(axis=(-2, -1)))
+    return np.asarray(np.exp(-(distance**2) / (4 * noise.smoothing**2)).mean(axis=(-2, -1)))
+
+
+def noise_parts(
+    protocol: Protocol, stacked: Stacked, slope: Array, noise: StatedNoise, keep: IntArray, *,
+    model_error: Sequence[ModelError], maps: MapNoise | None, map_share: float, travel_from: int,
+    layers: LayerReadings | None, held: HeldForces | None, extras: Sequence[ExtraMeasurement],
+) -> list[NoisePart]:  # fmt: skip
+    """All noise parts of a site's data.
+
+    slope (n,) : change of each datum with depth; travel_from : reference level of the probe's travel
+    maps : noise of the parts of maps, if there are any; map_share : fraction of the model's usual error in
+    them
+    """
+    rows, y, own = stacked.rows, stacked.y, stacked.own
+    source, is_map = noise.source, rows.among("map")
+    level = np.minimum(rows.level, len(protocol) - 1)
+    exact = (protocol.force == 0.0) & (protocol.depth == 0.0)
+    by_depth = np.where(exact[level], 0.0, slope) * noise.depth
+    parts = [
+        independent("measurement: own error of each reading", np.where(is_map, 0.0, own), source=source),
+        of_groups("measurement: depth, in all channels of a level", by_depth, rows.level, source=source),
+    ]
+    if is_map.any() and maps is not None:
+        mine = rows.where(is_map)
+        parts += [
+            within("measurement: pixels of the maps", is_map, maps.of_pixels(mine, own[is_map]), source),
+            within(IN_MAPS, is_map, maps.of_model(mine, map_share), "computed"),
+            within(BESIDE, is_map, maps.beside_unseen(mine, own[is_map]), "assumed"),
+            of_groups("measurement: speeds of a level", np.where(is_map, noise.swe_level_fraction, 0.0),
+                      rows.level, source=source),
+        ]  # fmt: skip
+    speeds = rows.among("swe", "map")
+    if speeds.any():
+        parts.append(common(GAIN_OF_SPEEDS, np.where(speeds, COMMON_GAIN, 0.0), source="assumed"))
+    for each in model_error:
+        direction = _model_direction(rows, y, each.log_force[keep], each.log_speed[keep])
+        pressed = protocol.depth[level]  # 0 at rest: no error there
+        shift = each.depth * (pressed > 0) + each.strain * pressed
+        direction = direction + shift * np.where(rows.among("travel"), 0.0, slope)
+        if each.correlation is None:
+            parts.append(common(each.name, direction, source="computed"))
+        else:
+            along, alike = rows.level.astype(float), each.correlation
+            parts.append(correlated(each.name, direction, along, correlation=alike, source="computed"))
+    parts += layer_noise(layers, protocol, rows, y, source)
+    if held is not None:
+        parts.append(within("measurement: forces in holds", rows.among("hold"), held.covariance, source))
+    parts += [
+        within(f"model: {each.name}", rows.among(each.name), each.model_error, "computed")
+        for each in extras if each.model_error is not None
+    ]  # fmt: skip
+    if (travels := rows.among("travel")).any():
+        # of the travel reading and the depth at the reference level; a depth of 0 is zero by definition
+        zero = np.hypot(TRAVEL_DEVIATION, noise.depth if protocol.depth[travel_from] != 0.0 else 0.0)
+        parts.append(common("measurement: zero of the travel", zero * travels, source=source))
+    return parts
+
+
+def _model_direction(rows: SiteRows, y: Array, log_force: Array, log_speed: Array) -> Array:
+    out, forces, speeds = np.zeros(len(rows)), rows.among("force"), rows.among("swe", "map")
+    out[forces] = y[forces] * log_force[rows.level[forces]]
+    out[speeds] = np.nan_to_num(log_speed[rows.level[speeds], rows.part[speeds]])
+    return out
+
+
+def depth_slopes(protocol: Protocol, rows: SiteRows, y: Array, map_slopes: Array | None = None) -> Array:
+    """Derivative of each datum with depth (n,), from smooth curves through the measured values; for parts of
+    maps from a model, `map_slopes` (n_levels, n_parts), where given.
+
+    Depth and speeds are fitted as functions of the force, which has little error: regression over a depth
+    with errors would underestimate steep slopes.
+    """
+    out = np.zeros(len(rows))
+    smooth = SmoothDepth.through(protocol)
+    for channel in rows.channels():
+        mine = rows.among(channel)
+        if channel == "map" and map_slopes is not None:
+            out[mine] = map_slopes[rows.level[mine], rows.part[mine] - 1]
+        elif channel == "travel":
+            out[mine] = 1.0
+        elif channel == "force":
+            out[mine] = smooth.slope(protocol.force[rows.level[mine]])
+        elif channel in ("swe", "map"):
+            place = smooth.place(protocol.force[rows.level[mine]])
+            n_places = len(np.unique(place))
+            if n_places >= 2:
+                curve = np.polynomial.Polynomial.fit(place, y[mine], 2 if n_places > 4 else 1)
+                out[mine] = curve.deriv()(place) / smooth.rate
+    return out
+
+
+def readings(levels: Levels) -> Protocol:
+    """The levels that have a force and a depth."""
+    known = np.isfinite(levels.force) & np.isfinite(levels.depth)
+    unloading = tuple((~levels.loading[known]).tolist())
+    return Protocol(levels.force[known], levels.depth[known], levels.hold[known], unloading=unloading)
+
+
+def deepest(protocol: Protocol) -> float:
+    """Largest depth (mm) of a smooth curve through the readings, limited to the largest reading."""
+    smooth, read = SmoothDepth.through(protocol), float(np.max(protocol.depth, initial=0.0))
+    if len(protocol) < FEWEST_SMOOTH:
+        return read
+    return min(float(np.max(smooth.at(protocol.force))), read)
+
+
+@dataclass(frozen=True)
+class SmoothDepth:
+    """depth = start + rate ln(1 + F/unit), in mm, mm, N: a force that grows linearly, then exponentially."""
+
+    start: float
+    rate: float
+    unit: float
+
+    @staticmethod
+    def through(protocol: Protocol) -> SmoothDepth:
+        """Least-squares fit to the depths, the noisier reading.
+
+        >>> force = np.linspace(0.0, 20.0, 11)
+        >>> found = SmoothDepth.through(Protocol(force, 3.0 * np.log1p(force / 2.0), force))
+        >>> round(found.rate, 2), round(found.unit, 2)
+        (3.0, 2.0)
+        """
+        largest = max(float(np.max(protocol.force, initial=0.0)), 1e-3)
+        if len(protocol) < FEWEST_SMOOTH or np.ptp(protocol.force) <= 0:
+            rate = max(float(np.ptp(protocol.depth)), 1e-9) / np.log1p(1.0 / _STRAIGHT)
+            return SmoothDepth(0.0, rate, _STRAIGHT * largest)
+        best, found = np.inf, SmoothDepth(0.0, 1e-9, largest)
+        for unit in largest * np.geomspace(_STEEP, _STRAIGHT, 61):
+            x = _place(protocol.force, unit)
+            rate, start = np.polyfit(x, protocol.depth, 1)
+            left = float(np.sum((protocol.depth - start - rate * x) ** 2))
+            if rate > 0 and left < best:
+                best, found = left, SmoothDepth(float(start), float(rate), float(unit))
+        return found
+
+    def at(self, force: Array) -> Array:
+        """mm at these forces."""
+        return self.start + self.rate * self.place(force)
+
+    def slope(self, force: Array) -> Array:
+        """N/mm at these forces."""
+        return np.asarray((np.maximum(force, 0.0) + self.unit) / self.rate)
+
+    def place(self, force: Array) -> Array:
+        """Coordinate along the curve: ln(1 + F/unit)."""
+        return _place(force, self.unit)
+
+
+def _place(force: Array, unit: float) -> Array:
+    return np.log1p(np.maximum(force, 0.0) / unit)

@@ -1,0 +1,197 @@
+"""A site's measurement channel by channel: rows, values, and each reading's own standard deviation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from limbcli.case import StatedNoise
+from limbcli.diagnosis.data.held_forces import HeldForces
+from limbcli.diagnosis.data.windows import Windows
+from limbcli.diagnosis.explanations.model.forward_model import Mask
+from limbcli.diagnosis.explanations.model.noise import NoisePart
+from limbcli.effects.curves import Curves
+from limbcli.effects.reading import Protocol, Reading
+from limbcli.measurement.elastography import SweMap
+from limbcli.measurement.indentation import Levels
+from limbcli.measurement.speed_noise import SpeedNoise, mean_speed_deviation
+from limbcli.model import Array, IntArray
+from limbcli.site_model.layer_readings import LayerReadings
+
+LAYER = "layer"  # channel of the layers' thicknesses
+TRAVEL_DEVIATION = 0.1  # mm, standard deviation of a travel read on a guide's scale
+THICKNESS_DEVIATION = 1.0  # mm, standard deviation of skin-bone distance: MRI voxel size and posture
+
+
+class Row(NamedTuple):
+    """One datum: channel, level, part of the window (or -1)."""
+
+    channel: str
+    level: int
+    part: int = -1
+
+
+@dataclass(frozen=True, eq=False)
+class SiteRows:
+    """Layout of data: channel, level and part of the window (or -1) of each, (n,)."""
+
+    channel: NDArray[np.str_]
+    level: IntArray
+    part: IntArray
+
+    @staticmethod
+    def of(channel: str, level: ArrayLike, part: ArrayLike = -1) -> SiteRows:
+        """SiteRows of one channel, at these levels (n,) and parts (n,)."""
+        levels = np.asarray(level, dtype=np.int64)
+        parts = np.broadcast_to(np.asarray(part, dtype=np.int64), levels.shape)
+        return SiteRows(np.full(len(levels), channel), levels, parts)
+
+    def __len__(self) -> int:
+        return len(self.level)
+
+    def __iter__(self) -> Iterator[Row]:
+        return map(Row, self.channel.tolist(), self.level.tolist(), self.part.tolist())
+
+    def among(self, *channels: str) -> Mask:
+        """Mask (n,) of the data of these channels."""
+        return np.isin(self.channel, channels)
+
+    def channels(self) -> list[str]:
+        """The channels, in order."""
+        return list(dict.fromkeys(self.channel.tolist()))
+
+    def where(self, mask: Mask) -> SiteRows:
+        return SiteRows(self.channel[mask], self.level[mask], self.part[mask])
+
+
+@dataclass(frozen=True, eq=False)
+class Stacked:
+    """Data in a row: layout, values y (n,), and their own standard deviations (n,)."""
+
+    rows: SiteRows
+    y: Array
+    own: Array
+
+    @staticmethod
+    def of(channel: str, level: ArrayLike, y: ArrayLike, own: ArrayLike, part: ArrayLike = -1) -> Stacked:
+        """The data of one channel; own, part : of each, or of all."""
+        rows = SiteRows.of(channel, level, part)
+        return Stacked(rows, np.asarray(y, dtype=float), np.broadcast_to(own, len(rows)).astype(float))
+
+    @staticmethod
+    def together(several: Sequence[Stacked]) -> Stacked:
+        rows = SiteRows(
+            *(np.concatenate([getattr(each.rows, name) for each in several])
+              for name in ("channel", "level", "part"))
+        )  # fmt: skip
+        y, own = (np.concatenate([getattr(each, name) for each in several]) for name in ("y", "own"))
+        return Stacked(rows, y, own)
+
+
+@dataclass(frozen=True, eq=False)
+class ExtraMeasurement:
+    """A further measurement.
+
+    see : its prediction by a model; y, deviation (n,) : measured values and their standard deviations
+    model_error : covariance (n, n) of the model's error in it; None: no further error
+    """
+
+    name: str
+    see: Callable[[Curves, Reading, Protocol], Array]
+    y: Array
+    deviation: Array
+    model_error: Array | None = None
+
+
+def measured_rows(
+    levels: Levels, keep: IntArray, protocol: Protocol, noise: StatedNoise, *, windows: Windows,
+    maps: Sequence[SweMap] | None, usable: Mask | None, layers: LayerReadings | None,
+    held: HeldForces | None, extras: Sequence[ExtraMeasurement],
+) -> Stacked:  # fmt: skip
+    """The data of all channels that a measurement has; keep (n_levels used,) : indices of the levels in the
+    protocol, usable : see `site_data`."""
+    return Stacked.together([
+        _force_rows(protocol, noise), _speed_rows(levels, keep, noise, windows, maps, usable),
+        _travel_rows(levels, keep), _thickness_rows(levels, keep), _layer_rows(layers, keep),
+        _hold_rows(held),
+        *(Stacked.of(each.name, np.arange(len(each.y)), each.y, each.deviation) for each in extras),
+    ])  # fmt: skip
+
+
+def _force_rows(protocol: Protocol, noise: StatedNoise) -> Stacked:
+    """Every level except those at 0 N and 0 mm, which are zero by definition."""
+    used = np.flatnonzero((protocol.force != 0.0) | (protocol.depth != 0.0))
+    return Stacked.of("force", used, protocol.force[used], noise.force)
+
+
+def _speed_rows(
+    levels: Levels, keep: IntArray, noise: StatedNoise, windows: Windows, maps: Sequence[SweMap] | None,
+    usable: Mask | None = None,
+) -> Stacked:  # fmt: skip
+    """Parts of the maps (`MapNoise` gives their covariance), or the mean speeds where there are no maps.
+
+    usable : parts (n_parts,) that the model shows at every level; None: all
+    """
+    if maps is not None and len(maps) == len(levels):
+        tables = np.array([windows.log_means(maps[k]) for k in keep]).reshape(-1, 2, 1 + windows.n_parts)
+        means, counts = tables[:, 0, 1:], tables[:, 1, 1:]
+        shown = np.isfinite(means) if usable is None else np.isfinite(means) & usable
+        level, part = np.nonzero(shown)
+        own = noise.swe_pixel_fraction / np.sqrt(np.maximum(counts[shown], 1))
+        return Stacked.of("map", level, means[shown], own, part + 1)
+    speeds = levels.swe_mean_m_per_s[keep]
+    used = np.flatnonzero(np.isfinite(speeds))
+    counted = replace(levels, swe_pixels=np.nan_to_num(levels.swe_pixels, nan=1.0))
+    stated = SpeedNoise(noise.swe_level_fraction, noise.swe_pixel_fraction)
+    own = mean_speed_deviation(counted, stated, with_scatter=False)[keep][used]
+    return Stacked.of("swe", used, np.log(speeds[used]), own, 0)
+
+
+def travel_zero(levels: Levels, keep: IntArray) -> int:
+    """Reference level of the travel, the first that has one: a guide's scale has an arbitrary origin."""
+    known = np.flatnonzero(np.isfinite(levels.probe_travel[keep]))
+    return int(known[0]) if len(known) else 0
+
+
+def _travel_rows(levels: Levels, keep: IntArray) -> Stacked:
+    """Travel relative to the level `travel_zero`, which itself yields no datum."""
+    travel, zero = levels.probe_travel[keep], travel_zero(levels, keep)
+    used = np.flatnonzero(np.isfinite(travel) & (np.arange(len(travel)) != zero))
+    return Stacked.of("travel", used, travel[used] - travel[zero : zero + 1], TRAVEL_DEVIATION)
+
+
+def _thickness_rows(levels: Levels, keep: IntArray) -> Stacked:
+    """The skin-bone distance at the first level."""
+    first = levels.skin_bone[keep[:1]]
+    first = first[np.isfinite(first)]
+    return Stacked.of("skin-bone", np.arange(len(first)), first, THICKNESS_DEVIATION)
+
+
+def _layer_rows(layers: LayerReadings | None, keep: IntArray) -> Stacked:
+    """Layer thicknesses under load; keep (n_levels used,) : indices of the levels in the protocol."""
+    if layers is None:
+        return Stacked.of(LAYER, [], [], 0.0)
+    table = layers.thickness[keep, : layers.n_counted].T
+    layer, level = np.nonzero(np.isfinite(table) & (keep > 0))
+    return Stacked.of(LAYER, level, table[layer, level], layers.deviation, layer)
+
+
+def _hold_rows(held: HeldForces | None) -> Stacked:
+    """The force ratios of each hold, numbered within it (the part); each part is a series.
+
+    Their covariance is that of `HeldForces`, as the ratios of one hold are correlated.
+    """
+    if held is None:
+        return Stacked.of("hold", [], [], 0.0)
+    return Stacked.of("hold", np.arange(len(held)), held.y, 0.0, held.place)
+
+
+def within(name: str, mask: Mask, covariance: Array, source: str) -> NoisePart:
+    """A noise part that affects only the data of a mask (n,), with this covariance."""
+    whole = np.zeros((len(mask), len(mask)))
+    whole[np.ix_(mask, mask)] = covariance
+    return NoisePart(name, whole, source)

@@ -1,0 +1,287 @@
+"""A site's measurement as input of the diagnosis: stacked channels, their noise, and groups of data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from limbcli.case import StatedNoise
+from limbcli.diagnosis.data.held_forces import HeldForces
+from limbcli.diagnosis.data.layers import layer_slopes
+from limbcli.diagnosis.data.noise import (
+    FEWEST_SMOOTH,
+    STRAIN,
+    MapNoise,
+    ModelError,
+    SmoothDepth,
+    depth_slopes,
+    noise_parts,
+    readings,
+)
+from limbcli.diagnosis.data.rows import (
+    LAYER,
+    ExtraMeasurement,
+    SiteRows,
+    measured_rows,
+    travel_zero,
+)
+from limbcli.diagnosis.data.windows import Windows, pitch_of
+from limbcli.diagnosis.explanations.model.forward_model import Data, Mask
+from limbcli.diagnosis.explanations.model.noise import Noise, common
+from limbcli.effects.curves import Curves, depth_at, force_at
+from limbcli.effects.reading import Protocol, Reading, Readout, borne_at_zero, read, relaxed, true_depth
+from limbcli.measurement.elastography import SweMap
+from limbcli.measurement.indentation import Levels
+from limbcli.measurement.map_noise import pixel_noise
+from limbcli.model import Array, IntArray
+from limbcli.site_model.layer_readings import LayerReadings
+
+USUAL_THICKNESS = 25.0  # mm, assumed tissue thickness where the beam meets no bone
+_STRAIN_STEP = 0.01  # relative step of the derivative with respect to all strains
+_DEPTH_OUTLIER_SD = 4.0  # largest error of a depth reading that is corrected, in its standard deviations
+_LEAST_N = 0.2  # N, smallest force from which a depth is determined
+# Channels that a measurement may have, as they are called where a misfit is localised.
+_CHANNELS = {
+    "force": "force", "swe": "mean speed", "map": "speed maps", "travel": "probe travel",
+    "skin-bone": "skin-bone distance", "layer": "layers", "hold": "force decay in holds",
+}  # fmt: skip
+_BY_LEVELS = ("force", "swe", "map")  # channels that are divided into thirds, and held out as blocks
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SiteData:
+    """The data of one site, and the layout of a prediction for them.
+
+    channels, missing : measured, and not measured; slope (n,) : change of each datum with depth
+    depth_error : mm, standard deviation of a depth reading
+    travel_from : reference level of the probe's travel
+    strain_deviation : relative standard deviation of all strains, the noise part `STRAIN`
+    bone_as_shown : the models' bone was placed where the image showed it, so that a wrong speed of sound
+    misplaces both
+    """
+
+    name: str
+    protocol: Protocol
+    rows: SiteRows
+    data: Data
+    channels: tuple[str, ...]
+    missing: tuple[str, ...]
+    held: HeldForces | None
+    extras: tuple[ExtraMeasurement, ...]
+    slope: Array
+    depth_error: float
+    travel_from: int
+    strain_deviation: float
+    bone_as_shown: bool
+
+    def with_share(self, name: str, share: float) -> SiteData:
+        """The data with the noise part `name` scaled to this fraction of its assumed size."""
+        return replace(self, data=replace(self.data, noise=self.data.noise.with_share(name, share)))
+
+    def with_strain_of(self, curves: Curves, reading: Reading) -> SiteData:
+        """The data with the error common to all strains along the derivative of these curves.
+
+        Its size is unchanged. The slopes of smooth curves through the readings, from which it was first
+        computed, differ from a model's by up to a tenth: in many parts of maps, a common factor of all depths
+        would be found by that difference.
+        """
+        part = next((each for each in self.data.noise.parts if each.name == STRAIN), None)
+        by_depth = self.slope * self.protocol.depth[self._levels]
+        first = np.where(self.rows.among("travel"), 0.0, by_depth)
+        if part is None or not first.any():
+            return self
+        more, less = (
+            self.predict(curves, replace(reading, depth_gain=reading.depth_gain * (1 + step)))
+            for step in (_STRAIN_STEP, -_STRAIN_STEP)
+        )
+        direction = np.where(first != 0.0, (more - less) / (2 * _STRAIN_STEP), 0.0)
+        moved = self.strain_deviation * direction
+        noise = self.data.noise.with_part(common(STRAIN, moved, source=part.source))
+        return replace(self, data=replace(self.data, noise=noise))
+
+    def predict(self, curves: Curves, reading: Reading) -> Array:
+        """The prediction (n,) of every datum at the depths that were read.
+
+        Depth is the noisy reading, and in thin or stiff tissue its error is too large to linearise the curves
+        at the depth read. Curves are therefore evaluated where they have the measured force, and extrapolated
+        to the depth read along the measured slopes, consistent with the noise model: an error of depth then
+        shifts the data in proportion. Parts of maps are evaluated where smooth curves through the readings
+        have the measured force, which rests on no model's force, and extrapolated along the slopes of the
+        model without effects.
+        """
+        further = self._further(curves, reading)
+        moved = replace(self.protocol, depth=self.protocol.depth + further)
+        speeds = "map" not in self._places or bool(reading.after)  # those of maps are read below
+        out = self._laid_out(read(curves, moved, reading, with_speeds=speeds), curves, reading)
+        out = out - self.slope * further[self._levels]
+        if "travel" in self._places:
+            out[self._places["travel"][0]] += further[self.travel_from]
+        if "map" in self._places:
+            places, levels, parts = self._places["map"]
+            smoothed = replace(self.protocol, depth=self.protocol.depth + self._to_smooth)
+            out[places] = read(curves, smoothed, reading).log_speed[levels, parts]
+            out[places] -= self.slope[places] * self._to_smooth[levels]
+        return out
+
+    @cached_property
+    def _to_smooth(self) -> Array:
+        """Distance (n_levels,) in mm from the depth read to that of a smooth curve through the readings.
+
+        At the depths as they were read, maps of a tissue whose speeds rise steeply would be off by more than
+        the noise model allows for, and a fit would find less of what makes them steep: guided waves in thin
+        tissue of half their size. Limited as `_further`; 0 in unloading and with few levels.
+        """
+        found = np.zeros(len(self.protocol))
+        loading = ~np.array(self.protocol.unloading or np.zeros(len(found)), dtype=bool)
+        if loading.sum() < FEWEST_SMOOTH or self.depth_error <= 0:
+            return found
+        force, depth, hold = (
+            each[loading] for each in (self.protocol.force, self.protocol.depth, self.protocol.hold)
+        )
+        smooth = SmoothDepth.through(Protocol(force, depth, hold)).at(self.protocol.force)
+        most = _DEPTH_OUTLIER_SD * self.depth_error
+        off = np.clip(smooth - self.protocol.depth, -most, most)
+        return np.where(loading & (self.protocol.depth > 0), off, found)
+
+    @cached_property
+    def _levels(self) -> IntArray:
+        """Level of every datum (n,); 0 for data without a level, whose slope is 0."""
+        return np.where(self.rows.level < len(self.protocol), self.rows.level, 0)
+
+    def _further(self, curves: Curves, reading: Reading) -> Array:
+        """Distance (n_levels,) in mm from the depth read to that at which the model has the measured force.
+
+        Limited to `_DEPTH_OUTLIER_SD` standard deviations of the depth.
+        """
+        found = np.zeros(len(self.protocol))
+        if self.depth_error <= 0:
+            return found
+        depth = true_depth(curves, self.protocol.depth, reading)
+        elastic = force_at(curves, depth)
+        borne = relaxed(curves, depth, self.protocol, reading)
+        wanted = (self.protocol.force - reading.force_zero) / reading.force_gain
+        wanted = wanted + borne_at_zero(curves, reading)
+        known = (depth > 0) & (elastic > _LEAST_N) & (borne > _LEAST_N) & (wanted > _LEAST_N)
+        if not known.any():
+            return found
+        there = depth_at(curves, elastic[known] * wanted[known] / borne[known])
+        most = _DEPTH_OUTLIER_SD * self.depth_error
+        found[known] = np.clip((there - depth[known]) / reading.depth_gain, -most, most)
+        return found
+
+    def _laid_out(self, shown: Readout, curves: Curves, reading: Reading) -> Array:
+        seen: dict[str, Array] = {
+            "force": shown.force, "travel": shown.travel - shown.travel[self.travel_from],
+            "skin-bone": np.array([shown.thickness * (reading.depth_gain if self.bone_as_shown else 1.0)]),
+        }  # fmt: skip
+        if self.held is not None:
+            seen["hold"] = self.held.predict(curves, reading)
+        seen |= {each.name: each.see(curves, reading, self.protocol) for each in self.extras}
+        out = np.empty(len(self.rows))
+        for channel, (places, levels, parts) in self._places.items():
+            if channel in ("swe", "map"):
+                out[places] = shown.log_speed[levels, parts]
+            elif channel == LAYER:
+                out[places] = shown.layers[levels, parts]
+            else:
+                out[places] = seen[channel][levels]
+        return out
+
+    @cached_property
+    def _places(self) -> dict[str, tuple[IntArray, IntArray, IntArray]]:
+        """For each channel: the indices of its data, and their levels and parts."""
+        places = {name: np.flatnonzero(self.rows.among(name)) for name in self.rows.channels()}
+        return {name: (k, self.rows.level[k], self.rows.part[k]) for name, k in places.items()}
+
+
+def site_data(
+    name: str, levels: Levels, noise: StatedNoise, *, windows: Windows, maps: Sequence[SweMap] | None = None,
+    model_error: Sequence[ModelError] = (), held: HeldForces | None = None,
+    extras: Sequence[ExtraMeasurement] = (), usable: Mask | None = None,
+    thickness: float = USUAL_THICKNESS, map_share: float = 1.0,
+    map_slopes: Array | None = None, layers: LayerReadings | None = None, bone_as_shown: bool = False,
+) -> SiteData:  # fmt: skip
+    """Stack the channels that this measurement has.
+
+    model_error : known model errors, for all rows of the level table
+    usable : parts (n_parts,) of a map that the model shows at every level; None: all
+    thickness : mm, skin to bone; map_share : factor on the usual model error in maps
+    map_slopes : 1/mm (n_levels, n_parts), derivative of a model's ln speeds with depth
+    layers : readings of the layers that the models track; bone_as_shown : see `SiteData`
+    """
+    keep = np.asarray(np.flatnonzero(np.isfinite(levels.force) & np.isfinite(levels.depth)), dtype=np.int64)
+    protocol = readings(levels)
+    smooth, zero = SmoothDepth.through(protocol), travel_zero(levels, keep)
+    stacked = measured_rows(
+        levels, keep, protocol, noise, windows=windows, maps=maps, usable=usable, layers=layers, held=held,
+        extras=extras,
+    )  # fmt: skip
+    rows, y = stacked.rows, stacked.y
+    slope = depth_slopes(protocol, rows, y, map_slopes)
+    slope = slope + layer_slopes(layers, protocol, smooth.place(protocol.force), rows, y)
+    of_maps = None if maps is None else map_noise(windows, maps, noise, smooth.at(protocol.force) / thickness)
+    parts = noise_parts(
+        protocol, stacked, slope, noise, keep, model_error=model_error, maps=of_maps, map_share=map_share,
+        travel_from=zero, layers=layers, held=held, extras=extras,
+    )  # fmt: skip
+    data = Data(
+        y, tuple(rows.channel.tolist()), rows.level.astype(float), Noise(tuple(parts)),
+        groups=_groups(rows, protocol, windows), blocks=_blocks(rows),
+        series=tuple(f"{row.channel} {row.part}" if row.part >= 0 else row.channel for row in rows),
+        place=_place(rows, windows),
+    )  # fmt: skip
+    channels = (*rows.channels(), *(("swe",) if "map" in rows.channels() else ()))
+    return SiteData(
+        name=name, protocol=protocol, rows=rows, data=data, channels=channels,
+        missing=tuple(each for each in _CHANNELS if each not in channels), held=held, extras=tuple(extras),
+        slope=slope, depth_error=noise.depth, travel_from=zero,
+        strain_deviation=next((each.strain for each in model_error if each.name == STRAIN), 0.0),
+        bone_as_shown=bone_as_shown,
+    )  # fmt: skip
+
+
+def map_noise(windows: Windows, maps: Sequence[SweMap], noise: StatedNoise, strain: Array) -> MapNoise:
+    """Noise of the parts of these maps; strain (n_levels,): depth over thickness."""
+    pitch = tuple(
+        pitch_of(np.concatenate([getattr(each, name) for each in maps])) for name in ("lateral", "depth")
+    )
+    size = (windows.right - windows.left) / windows.across, (windows.bottom - windows.top) / windows.down
+    pixel = pixel_noise(maps, usual=noise.swe_pixel_fraction)
+    return MapNoise(windows.middles, size, (pitch[0], pitch[1]), pixel, strain)
+
+
+def _groups(rows: SiteRows, protocol: Protocol, windows: Windows) -> dict[str, Mask]:
+    """Groups for localisation: channels, thirds of the levels by channel, unloading, regions of the map."""
+    groups: dict[str, Mask] = {}
+    for channel in rows.channels():
+        name = _CHANNELS.get(channel, channel)
+        mask = groups[name] = rows.among(channel)
+        if channel in _BY_LEVELS:
+            third = rows.level * 3 // max(len(protocol), 1)
+            for k, label in enumerate(("first", "middle", "last")):
+                groups[f"{name}, {label} third of the levels"] = mask & (third == k)
+    if any(protocol.unloading):
+        level = np.minimum(rows.level, len(protocol) - 1)
+        groups["force, unloading"] = rows.among("force") & np.array(protocol.unloading)[level]
+    regions, mapped = np.array(windows.names()), rows.among("map")
+    for label in dict.fromkeys(regions[1:].tolist()):
+        mask = mapped & (regions[np.where(mapped, rows.part, 0)] == label)
+        if mask.any():
+            groups[f"speed maps, {label}"] = mask
+    return groups
+
+
+def _place(rows: SiteRows, windows: Windows) -> Array:
+    """Position (n, 2) in mm of each datum's part of a map; NaN for other data."""
+    found, mapped = np.full((len(rows), 2), np.nan), rows.among("map")
+    found[mapped] = windows.middles[rows.part[mapped] - 1]
+    return found
+
+
+def _blocks(rows: SiteRows) -> dict[str, Mask]:
+    blocks = {f"levels {k + 1}, {k + 4}, ...": rows.level % 3 == k for k in range(3)}
+    several = [channel for channel in rows.channels() if len(rows.channels()) > 1]
+    return blocks | {f"channel {each}": rows.among(each) for each in several if each in _BY_LEVELS}

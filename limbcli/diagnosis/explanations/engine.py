@@ -1,0 +1,249 @@
+"""The complete diagnosis of one data set with one forward model: the probability of every explanation.
+
+1. The model is fitted without effects, and with every effect and pair of effects that matters (`search`);
+   each explanation gets its evidence (`evidence`) and, with its prior, its probability.
+2. The model is adequate if "nothing" is as probable as it is in 95 % of the measurements with nothing
+   missing, which draws from the noise show (`evidence.chance`).
+3. Else the effects that every likely explanation has are named if together these have 95 % and none of their
+   sizes may be none; if not, the set of explanations with 95 % is reported. If even the most probable one
+   fails the posterior predictive check, the verdict is unexplained.
+4. Sizes, c and m are averaged over explanations; what the data cannot show, and which measurement would say
+   most, follow from the same probabilities.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from limbcli.diagnosis.explanations import decisions
+from limbcli.diagnosis.explanations.check import Check, checked
+from limbcli.diagnosis.explanations.conclusions.blind_spots import BlindSpot, blind_spot
+from limbcli.diagnosis.explanations.conclusions.estimates import Estimates, estimates, sizes_95
+from limbcli.diagnosis.explanations.conclusions.next_measurement import NextStep, ranked
+from limbcli.diagnosis.explanations.conclusions.verdict import Diagnosis, Shrink, Word
+from limbcli.diagnosis.explanations.evidence.laplace import Posterior
+from limbcli.diagnosis.explanations.evidence.linear_evidence import LinearEvidence, least_by_chance
+from limbcli.diagnosis.explanations.model.forward_model import Explanation, Facts, Fitted, ForwardModel
+from limbcli.diagnosis.explanations.model.linear import LinearFit, Whitener
+from limbcli.diagnosis.explanations.model.noise import CommonError, common_errors
+from limbcli.diagnosis.explanations.residuals import Roughness, held_out_error, over_shared, roughness
+from limbcli.diagnosis.explanations.search import Explained, PriorOdds, Search, containing, credible, named
+from limbcli.errors import LimbError
+from limbcli.progress import SILENT, Progress
+
+_MOST_COMPARED = 6  # explanations compared in choosing the next measurement
+
+
+def diagnose(
+    forward_model: ForwardModel, *, max_effects: int = 2, seed: int = 7, propose: bool = True,
+    progress: Progress = SILENT,
+) -> Diagnosis:  # fmt: skip
+    """Diagnose one forward model. Deterministic for a given seed.
+
+    Raises
+    ------
+    LimbError
+        If the base model itself cannot be fitted.
+    """
+    return _Run(forward_model, max_effects, seed, propose, progress).all()
+
+
+@dataclass(eq=False)
+class _Run:
+    forward_model: ForwardModel
+    max_effects: int
+    seed: int
+    propose: bool
+    progress: Progress
+    rough: Roughness | None = None
+    limit: float = 0.0
+    several: list[Explained] = field(default_factory=list)
+    checks: dict[Explanation, Check] = field(default_factory=dict)
+
+    def all(self) -> Diagnosis:
+        model = self.forward_model
+        self.facts: dict[str, Facts] = {each.name: each for each in model.candidates}
+        base = model.fit((), {})
+        whiten = Whitener.of(model.data.noise.covariance)
+        state = self._state(base, whiten)
+        if state.nu >= 1:
+            self.rough = roughness(state, whiten, series=model.data.all_series(), order=model.data.order)
+        assumed = model.data.noise.is_assumed
+        relative = assumed or (self.rough is not None and self.rough.p < decisions.ROUGH_P)
+        self.search = Search(model, PriorOdds(0), self.facts, relative, self.progress)
+        nothing = self.search.fitted(base)
+        self.search.settled.add(())
+        if state.nu < 1:
+            self.search.linear[()] = LinearEvidence(state.residual, {})
+            self.several = [Explained((), 1.0, nothing.ln_evidence, nothing)]
+            return self._finish("untestable", "there are no more data than fitted parameters", ())
+        self.search.linearise(())
+        linear = self.search.linear[()]
+        self.search.odds = PriorOdds(len(linear.added), most_effects=self.max_effects)
+        self.limit = least_by_chance(linear, self.search.odds.ln_single, self._rng(1))
+        self.several = self.search.all()
+        return self._concluded()
+
+    def _rng(self, stream: int) -> np.random.Generator:
+        return np.random.default_rng([self.seed, stream])
+
+    def _concluded(self) -> Diagnosis:
+        best = self.several[0]
+        relative = self.search.relative
+        if best.posterior is not None and self._left_of(best).p < decisions.CHECKED and not relative:
+            words = " + ".join(best.explanation) or "nothing missing"
+            why = f"even the most probable explanation ({words}) leaves a residual beyond the noise"
+            return self._finish("unexplained", why, ())
+        if self.nothing >= self.limit:
+            if not relative:
+                return self._finish("adequate", "no effect is more probable than chance allows", ())
+            why = (
+                "the noise is assumed: the fit cannot be judged in absolute terms"
+                if self.forward_model.data.noise.is_assumed
+                else "the data scatter more than their stated noise"
+            )
+            return self._finish("untestable", f"{why}, and no effect is more probable than chance allows", ())
+        chosen = named(self.several)
+        if chosen:
+            p = containing(chosen, self.several)
+            alone = f"{' + '.join(chosen)} has a probability of {100 * p:.0f} %"
+            if chosen not in self.search.known:
+                return self._finish("ambiguous", f"{alone} to first order, but its fit failed", ())
+            if absent := self._of_any_size(chosen):
+                why = f"{alone}, but the size of {' and of '.join(absent)} may as well be none"
+                return self._finish("ambiguous", why, ())
+            return self._finish("named", alone, chosen)
+        n = len(credible(self.several))
+        why = f"{n} explanations together have a probability of {100 * decisions.CREDIBLE:.0f} %"
+        return self._finish("ambiguous", why, ())
+
+    def _of_any_size(self, chosen: Explanation) -> list[str]:
+        """Effects whose sizes all have their null value in their 95 % intervals. They may be probable all the
+        same where the models err in few of many data, as beside bone in maps."""
+        model = self.forward_model
+        intervals = self._averaged(self.search.known[chosen], imaged=bool(model.data.imaged.any())).intervals
+        found = []
+        for name in chosen:
+            sizes = [(prior.mean, *intervals[size]) for size, prior in model.size_priors(name).items()]
+            if sizes and all(low <= null <= high for null, low, high in sizes):
+                found.append(name)
+        return found
+
+    @property
+    def nothing(self) -> float:
+        """Probability of "nothing" against all single effects."""
+        ln = {
+            each.explanation: each.ln_evidence + self.search.odds.ln(each.explanation)
+            for each in self.several if len(each.explanation) < 2
+        }  # fmt: skip
+        return float(np.exp(ln[()] - np.logaddexp.reduce(list(ln.values()))))
+
+    def _state(self, fitted: Fitted, whiten: Whitener, *, as_it_stands: bool = False) -> LinearFit:
+        """The fit, whitened."""
+        residual = whiten(self.forward_model.data.y - fitted.prediction)
+        return LinearFit.of(residual, whiten(fitted.jacobian), as_it_stands=as_it_stands)
+
+    def _left_of(self, each: Explained) -> Check:
+        """Check of an explanation, or of the larger of its parts that was fitted."""
+        known = [found for e, found in self.search.known.items() if set(e) <= set(each.explanation)]
+        return self._checked(max(known, key=lambda one: (len(one.fitted.explanation), one.ln_evidence)))
+
+    def _checked(self, found: Posterior) -> Check:
+        key = found.fitted.explanation
+        if key not in self.checks:
+            whiten = self.search.whitener(found)
+            state = self._state(found.fitted, whiten, as_it_stands=True)
+            self.checks[key] = checked(self.forward_model.data, state, whiten, self._rng(2))
+        return self.checks[key]
+
+    # ------------------------------------------------------------ what is reported
+
+    def _finish(self, word: Word, reason: str, chosen: Explanation) -> Diagnosis:
+        search, best = self.search, self.several[0]
+        members = credible(self.several)
+        testable = word != "untestable" or bool(search.linear[()].added)
+        shown = chosen or (best.explanation if word in ("unexplained", "ambiguous") else ())
+        names = [name for name in self.facts if name in search.linear[()].added]
+        base = search.known[()]
+        return Diagnosis(
+            verdict=word, reason=reason, relative=search.relative, base=base.fitted,
+            nothing=self.nothing if testable else 1.0, adequate_from=self.limit,
+            explanations=tuple(self.several), confidence_set=tuple(each.explanation for each in members),
+            effects={name: containing((name,), self.several) for name in names}, chosen=chosen,
+            check=self._checked(base) if testable else None,
+            left=self._left_of(best) if testable else None, shrink=self._shrink(shown),
+            blind_spots=self._blind_spots(), next_steps=self._next_steps(members) if self.propose else (),
+            not_evaluated=search.not_evaluated, roughness=self.rough, facts=self.facts, seed=self.seed,
+            sizes=self._sizes(names),
+            common_errors={
+                each.explanation: self._common(each.posterior) for each in self.several if each.posterior
+            },
+        )  # fmt: skip
+
+    def _shrink(self, shown: Explanation) -> tuple[Shrink, ...]:
+        """Stages from the base model to the shown explanation, with its effects added one at a time; the last
+        one's c and m are averaged over all explanations."""
+        known, data = self.search.known, self.forward_model.data
+        while shown not in known:
+            shown = shown[:-1]
+        stages = [known[shown[:n]] for n in range(len(shown) + 1) if shown[:n] in known]
+        held_out = over_shared([held_out_error(data, each.fitted) for each in stages], data.blocks)
+        imaged = bool(data.imaged.any())
+        alone = (estimates([(1.0, each)], imaged=imaged) for each in stages[:-1])
+        values = [*alone, self._averaged(stages[-1], imaged=imaged)]
+        whiten, found = Whitener.of(data.noise.covariance), []
+        for each, held, own in zip(stages, held_out, values, strict=True):
+            state = self._state(each.fitted, whiten, as_it_stands=True)
+            z = (data.y - each.fitted.prediction) / data.deviation
+            rms = {name: float(np.sqrt(np.mean(z[mask] ** 2))) for name, mask in data.channels().items()}
+            one = each.fitted.explanation
+            found.append(Shrink(one, chi2=state.chi2, nu=state.nu, rms=rms, held_out=held, estimates=own))
+        return tuple(found)
+
+    def _averaged(self, mine: Posterior, *, imaged: bool) -> Estimates:
+        fits = [(each.probability, each.posterior) for each in self.several if each.posterior is not None]
+        others = [(p, one) for p, one in fits if one is not mine and p > 1e-3]
+        own = next(p for p, one in fits if one is mine)
+        return estimates([(max(own, 1e-6), mine), *others], imaged=imaged)
+
+    def _sizes(self, names: Sequence[str]) -> dict[str, dict[str, tuple[float, float]]]:
+        nulls = {
+            name: {size: prior.mean for size, prior in self.forward_model.size_priors(name).items()}
+            for name in names
+        }
+        return sizes_95(names, self.search.known, self.search.linear[()], nulls)
+
+    def _common(self, found: Posterior) -> tuple[CommonError, ...]:
+        whiten = self.search.whitener(found)
+        return common_errors(self.forward_model.data.noise, whiten, self._state(found.fitted, whiten))
+
+    def _blind_spots(self) -> tuple[BlindSpot, ...]:
+        """Detectability of every candidate at its typical size, the least detectable first."""
+        nothing, linear = self.search.known[()], self.search.linear[()]
+        whiten, found = self.search.whitener(nothing), []
+        odds = (1.0 - self.limit) / max(self.limit, 1e-12)
+        needed = math.log(max(odds, 1e-12)) - self.search.odds.ln_single if linear.added else 0.0
+        for name in linear.added:
+            added, plausible = linear.best(name), self.facts[name].typical
+            typical = np.array([plausible.get(size, 0.0) for size in added.direction.names])
+            if np.any(typical):
+                found.append(blind_spot(name, added, typical, nothing, whiten, ln_factor=needed))
+        return tuple(sorted(found, key=lambda spot: -spot.detectable_times_typical))
+
+    def _next_steps(self, members: Sequence[Explained]) -> tuple[NextStep, ...]:
+        """Measurements that would tell the likely explanations apart."""
+        fits = [each for each in members if each.posterior is not None][:_MOST_COMPARED]
+        if len(fits) < 2:
+            return ()
+        try:
+            proposals = self.forward_model.proposals(
+                [each.posterior.fitted for each in fits if each.posterior]
+            )
+        except LimbError as error:
+            self.search.not_evaluated["next measurement"] = error.what
+            return ()
+        return ranked(fits, proposals, self._rng(3))

@@ -1,0 +1,176 @@
+"""Evidence of an explanation: its likelihood, integrated over its parameters about the fit.
+
+Laplace's approximation with the sensitivities that the fit has: the integrand is normal in the parameters,
+truncated at their limits, so that a size that ends at its null value, or on a bound, is integrated on one
+side only. Errors of the model of unknown size (`Scalable`) are set to the size that makes the evidence
+largest, in every explanation anew.
+
+Source: MacKay 2003, Information Theory, Inference, and Learning Algorithms, chapters 27 and 28.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from limbcli.diagnosis.explanations.evidence.truncated import ln_probability
+from limbcli.diagnosis.explanations.model.forward_model import Fitted, Scalable
+from limbcli.diagnosis.explanations.model.linear import Whitener
+from limbcli.diagnosis.explanations.model.noise import Noise
+from limbcli.model import Array
+
+_STEP, _MOST_STEPS = 0.3, 12  # of ln of a share or level, in the search for the most probable one
+_KINK = 1.0  # gain in ln likelihood by a further linear step, from which the fit is taken as it stands
+_MOST_LEVEL = 10.0  # largest factor on stated noise of unknown level, and reciprocal of the least
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Evidence of one explanation, and its parameters' distribution about the fit.
+
+    ln_evidence : but for a constant common to all explanations of the same data
+    step, covariance : (p,), (p, p) mean of the parameters less the fitted values, and their covariance, both
+    without the limits
+    chi2 : of the residual at the fit; shares : of the scalable errors; level : factor on all noise
+    """
+
+    fitted: Fitted
+    ln_evidence: float
+    step: Array
+    covariance: Array
+    chi2: float
+    shares: Mapping[str, float]
+    level: float = 1.0
+
+    def noise(self, stated: Noise) -> Noise:
+        """The stated noise with the sizes of the scalable errors that this explanation has."""
+        for name, share in self.shares.items():
+            stated = stated.with_share(name, share)
+        return stated
+
+    @cached_property
+    def deviation(self) -> Array:
+        """(p,)"""
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+
+
+def posterior(
+    fitted: Fitted, y: Array, noise: Noise, scalable: Sequence[Scalable] = (), *, form: Array | None = None,
+    relative: bool = False,
+) -> Posterior:  # fmt: skip
+    """The posterior of a fit to the data y (n,).
+
+    form (n, n) : covariance of the error of the effects' own form; relative : the level of the noise is
+    unknown
+    """
+    known = {each.name: each for each in scalable if each.name in noise.names}
+    scaled = {part.name: part.covariance for part in noise.parts if part.name in known}
+    fixed = np.asarray(sum(part.covariance for part in noise.parts if part.name not in known))
+    fixed = fixed if form is None else fixed + form
+
+    def at(shares: Mapping[str, float]) -> Posterior:
+        total = fixed.copy()
+        for name, share in shares.items():
+            total += share**2 * scaled[name]
+        return _at(fitted, y, Whitener.of(total), shares, relative=relative)
+
+    best = at(dict.fromkeys(known, 1.0))
+    for name, each in known.items():
+        others = dict(best.shares)
+
+        def along(ln_share: float, name: str = name, others: dict[str, float] = others) -> Posterior:
+            return at({**others, name: math.exp(ln_share)})
+
+        best = _largest(along, best, 0.0, math.log(each.least), math.log(each.most))
+    return best
+
+
+def _largest(
+    along: Callable[[float], Posterior], first: Posterior, start: float, low: float, high: float
+) -> Posterior:
+    """The posterior with the largest evidence between two values of one unknown, from the known one at
+    `start`.
+
+    Steps up or down while the evidence rises, then the summit of the parabola through the best three.
+    """
+    found = {start: first}
+
+    def value(x: float) -> float:
+        if x not in found:
+            found[x] = along(x)
+        return found[x].ln_evidence
+
+    at, step = start, _STEP
+    for _ in range(_MOST_STEPS):
+        sides = [min(max(x, low), high) for x in (at - step, at + step)]
+        best = max((at, *sides), key=value)
+        if best == at:
+            break
+        at = best
+    left, right = (min(max(x, low), high) for x in (at - step, at + step))
+    if left < at < right:
+        rise, fall = (value(at) - value(left)) / (at - left), (value(at) - value(right)) / (right - at)
+        if rise + fall > 0:
+            value(min(max(at + 0.5 * step * (rise - fall) / (rise + fall), low), high))
+    return max(found.values(), key=lambda each: each.ln_evidence)
+
+
+def _at(
+    fitted: Fitted, y: Array, whiten: Whitener, shares: Mapping[str, float], *, relative: bool
+) -> Posterior:
+    r, J = whiten(y - fitted.prediction), whiten(fitted.jacobian)
+    ln_root = float(np.log(np.diag(whiten.factor)).sum())
+    if not relative:
+        return gaussian(fitted, r, J, ln_root, shares)
+
+    def along(ln_level: float) -> Posterior:
+        level = math.exp(ln_level)
+        return gaussian(fitted, r / level, J / level, ln_root + len(r) * ln_level, shares, level)
+
+    return _largest(along, along(0.0), 0.0, -math.log(_MOST_LEVEL), math.log(_MOST_LEVEL))
+
+
+def gaussian(
+    fitted: Fitted, r: Array, J: Array, ln_root: float, shares: Mapping[str, float], level: float = 1.0
+) -> Posterior:
+    """The posterior from the whitened residual r (n,) and sensitivities J (n, p); ln_root : half ln det
+    Sigma."""
+    priors = fitted.priors
+    A = J.T @ J + np.diag(priors.precision)
+    pull = J.T @ r + priors.precision * priors.shift
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
+    inverse = scale[:, None] * np.linalg.inv(A * np.outer(scale, scale)) * scale
+    inside = (priors.low < -1e-9) & (priors.high > 1e-9)
+    if inside.any():  # a fit that a kink of the model stopped is judged where it stands
+        free = np.linalg.pinv(A[np.ix_(inside, inside)])
+        if 0.5 * float(pull[inside] @ free @ pull[inside]) > _KINK:
+            pull = np.where(inside, 0.0, pull)
+    step = inverse @ pull
+    ln_prior = 0.5 * np.log(np.maximum(priors.precision, 1e-300)).sum()
+    ln_prior -= 0.5 * float(priors.precision @ priors.shift**2)
+    _, ln_det = np.linalg.slogdet(A * np.outer(scale, scale))
+    ln_det -= 2 * np.log(scale).sum()
+    ln = -0.5 * float(r @ r) + 0.5 * float(pull @ step) - 0.5 * ln_det + ln_prior - ln_root
+    ln += float(ln_probability(step[None], inverse, priors.low, priors.high)[0])
+    ln -= ln_prior_inside(fitted)
+    return Posterior(
+        fitted, ln_evidence=ln + fitted.ln_points, step=step, covariance=inverse, chi2=float(r @ r),
+        shares=dict(shares), level=level,
+    )  # fmt: skip
+
+
+def ln_prior_inside(fitted: Fitted) -> float:
+    """ln of the prior probability of the box, which the normal priors are divided by; uniform ones have it
+    1."""
+    priors, total = fitted.priors, 0.0
+    for k in np.flatnonzero(priors.is_normal).tolist():
+        one = slice(k, k + 1)
+        variance = np.full((1, 1), 1 / priors.precision[k])
+        total += float(
+            ln_probability(priors.shift[None, one], variance, priors.low[one], priors.high[one])[0]
+        )
+    return total

@@ -1,0 +1,151 @@
+"""Evidence of one effect more, to first order about a fit: linear algebra alone, for data or for draws.
+
+The draws show what probability of "nothing" occurs by chance where nothing is missing.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from limbcli.diagnosis.explanations import decisions
+from limbcli.diagnosis.explanations.evidence.truncated import ln_probability
+from limbcli.diagnosis.explanations.model.forward_model import Direction, Explanation, Fitted
+from limbcli.diagnosis.explanations.model.linear import Whitener
+from limbcli.diagnosis.explanations.model.noise import unit_errors
+from limbcli.diagnosis.explanations.model.priors import Prior
+from limbcli.model import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Added:
+    """Sensitivities of an added effect (or several) at one point of its grid, whitened, and its sizes'
+    priors.
+
+    columns : (n, q) whitened; seen : (n, q) the same, as far as the fitted parameters cannot reproduce them
+    """
+
+    direction: Direction
+    columns: Array
+    seen: Array
+    deviation: Array
+    low: Array
+    high: Array
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(q, q) of the sizes, given the data, without their limits."""
+        return np.asarray(np.linalg.inv(self.columns.T @ self.seen + np.diag(self.deviation**-2.0)))
+
+    @cached_property
+    def _constant(self) -> float:
+        nothing, prior = np.zeros((1, len(self.low))), np.diag(self.deviation**2)
+        inside = ln_probability(nothing, prior, self.low, self.high)
+        _, ln_det = np.linalg.slogdet(self.covariance / np.outer(self.deviation, self.deviation))
+        return float(0.5 * ln_det - inside[0])
+
+    def sizes(self, residual: Array) -> Array:
+        """Mean of the sizes (n_draws, q), without their limits, from whitened residuals (n_draws, n)."""
+        return np.asarray(residual @ self.seen @ self.covariance)
+
+    def ln_factor(self, residual: Array) -> Array:
+        """ln Bayes factor (n_draws,) of the fit with the effect over that without it."""
+        pull = residual @ self.seen
+        mean = pull @ self.covariance
+        ln = 0.5 * np.einsum("bi,bi->b", pull, mean) + self._constant
+        return np.asarray(ln + ln_probability(mean, self.covariance, self.low, self.high))
+
+    def beside(self, other: Added) -> Added:
+        """Both effects together."""
+        a, b = self.direction, other.direction
+        both = Direction(
+            np.hstack([a.columns, b.columns]), (*a.names, *b.names),
+            ", ".join(filter(None, (a.point, b.point))), {**a.at, **b.at},
+        )  # fmt: skip
+        return Added(
+            both, np.hstack([self.columns, other.columns]), np.hstack([self.seen, other.seen]),
+            *(np.concatenate([getattr(self, n), getattr(other, n)]) for n in ("deviation", "low", "high")),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class LinearEvidence:
+    """Bayes factors of one effect more about a fit.
+
+    residual : (n,) whitened, with the fitted parameters extrapolated to their prior means: at the fit, what
+        their priors hold back would count as the effect's
+    added : by effect, one `Added` for each point of its grid
+    """
+
+    residual: Array
+    added: Mapping[str, Sequence[Added]]
+
+    @staticmethod
+    def about(
+        fitted: Fitted, y: Array, whiten: Whitener, directions: Mapping[str, Sequence[Direction]],
+        priors: Mapping[str, Mapping[str, Prior]],
+    ) -> LinearEvidence:  # fmt: skip
+        J = whiten(fitted.jacobian)
+        normal = J.T @ J + np.diag(fitted.priors.precision)
+        added = {}
+        for name, several in directions.items():
+            found = []
+            for each in several:
+                columns = whiten(each.columns)
+                seen = columns - J @ np.linalg.solve(normal, J.T @ columns)
+                known = [priors[name][size] for size in each.names]
+                found.append(
+                    Added(each, columns, seen, np.array([p.deviation for p in known]),
+                          *(np.array([getattr(p, end) - p.mean for p in known]) for end in ("low", "high")))
+                )  # fmt: skip
+            if found:
+                added[name] = found
+        return LinearEvidence(whiten(y - fitted.prediction) - J @ fitted.priors.shift, added)
+
+    def ln_factor(self, name: str, residual: Array | None = None) -> Array:
+        """ln Bayes factor (n_draws,), averaged over the effect's grid; residual (n_draws, n): draws in place
+        of the data."""
+        drawn = self.residual[None] if residual is None else residual
+        table = np.array([each.ln_factor(drawn) for each in self.added[name]])
+        return np.asarray(np.logaddexp.reduce(table, axis=0) - np.log(len(table)))
+
+    def best(self, name: str) -> Added:
+        """The effect at the point of its grid that is most probable."""
+        return max(self.added[name], key=lambda each: float(each.ln_factor(self.residual[None])[0]))
+
+    def start(self, names: Sequence[str]) -> dict[str, float]:
+        """Sizes to start a fit with these effects from, as distances from null, and the fitted grid
+        values."""
+        several = [self.best(name) for name in names]
+        both = several[0] if len(several) == 1 else several[0].beside(several[1])
+        mean = np.clip(both.sizes(self.residual[None])[0], both.low, both.high)
+        return {**dict(zip(both.direction.names, mean.tolist(), strict=True)), **both.direction.at}
+
+    def ln_factors_of_pairs(self) -> dict[Explanation, float]:
+        """ln Bayes factor of all pairs, each effect at the most probable point of its grid."""
+        few = {name: self.best(name) for name in self.added}
+        lost = {name: -np.log(len(each)) for name, each in self.added.items()}
+        return {
+            (a, b): float(few[a].beside(few[b]).ln_factor(self.residual[None])[0]) + lost[a] + lost[b]
+            for a, b in itertools.combinations(few, 2)
+        }
+
+
+def least_by_chance(linear: LinearEvidence, ln_odds: float, rng: np.random.Generator) -> float:
+    """Probability of "nothing" against all single effects, below which a share `FALSE_ALARMS` of draws lies.
+
+    The draws are of the noise about the fit without effects, in the linear model that each effect is to first
+    order: no simulation is needed. 0 if there are no effects.
+
+    ln_odds : prior odds of a single effect over nothing
+    """
+    if not linear.added:
+        return 0.0
+    drawn = unit_errors(rng, (decisions.N_DRAWS, len(linear.residual)))
+    table = np.array([linear.ln_factor(name, drawn) for name in linear.added]) + ln_odds
+    ln_something = np.logaddexp.reduce(table, axis=0)
+    return float(np.quantile(1.0 / (1.0 + np.exp(ln_something)), decisions.FALSE_ALARMS))

@@ -1,0 +1,184 @@
+"""Interface between the diagnosis and the simulations: the `ForwardModel` protocol and its data types."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limbcli.diagnosis.explanations.model.noise import Noise
+from limbcli.diagnosis.explanations.model.priors import Prior, Priors
+from limbcli.model import Array
+
+Mask = NDArray[np.bool_]
+
+Explanation = tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """Sensitivities `columns` (n, q), not whitened, to the sizes `names` of an effect at its null value.
+
+    `point` names the point of the effect's grid; `at` : initial values of the fitted grid parameters there.
+    """
+
+    columns: Array
+    names: tuple[str, ...]
+    point: str = ""
+    at: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """The measured data, stacked into one vector.
+
+    y : (n,); channel : of every datum; order : (n,) position along its channel (level number)
+    groups : name -> (n,) bool, the parts tested to localise a misfit (channel, site, third of the levels ...)
+    blocks : name -> (n,) bool, the parts to be held out
+    series : of every datum, the series of levels it belongs to (a channel, one part of its maps); empty: the
+    channel
+    place : (n, 2) mm in an image, NaN for data without a position in an image
+    """
+
+    y: Array
+    channel: tuple[str, ...]
+    order: Array
+    noise: Noise
+    groups: Mapping[str, Mask] = field(default_factory=dict)
+    blocks: Mapping[str, Mask] = field(default_factory=dict)
+    series: tuple[str, ...] = ()
+    place: Array | None = None
+
+    def __len__(self) -> int:
+        return len(self.y)
+
+    @property
+    def deviation(self) -> Array:
+        return np.asarray(np.sqrt(np.diag(self.noise.covariance)))
+
+    @property
+    def imaged(self) -> Mask:
+        """Mask (n,) of the data that have a position in an image."""
+        if self.place is None:
+            return np.zeros(len(self), dtype=bool)
+        return np.asarray(np.isfinite(self.place).all(axis=1))
+
+    def channels(self) -> dict[str, Mask]:
+        """Mask (n,) of each channel."""
+        return _masks(self.channel)
+
+    def all_series(self) -> dict[str, Mask]:
+        """Mask (n,) of each series: the data of one quantity at successive levels."""
+        return _masks(self.series or self.channel)
+
+
+def _masks(labels: Sequence[str]) -> dict[str, Mask]:
+    return {name: np.array([each == name for each in labels]) for name in dict.fromkeys(labels)}
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A model fitted to the data, with some effects in it.
+
+    prediction : (n,); jacobian : (n, n_base + n_effect_parameters), the base parameters
+    first (in logs), then the effects' in the order of the explanation
+    values : of all parameters by name; at_bound : messages for parameters that ended on a bound, or outside
+    the physically possible range
+    point : of the effects' grids
+    without : (n,) prediction without the effects whose form is only approximate; None if there are none
+    priors : of the parameters, in the order of the Jacobian's columns
+    ln_points : ln of the mean likelihood over the effects' grid points, relative to that of the chosen one
+    """
+
+    explanation: Explanation
+    prediction: Array
+    jacobian: Array
+    base_names: tuple[str, ...]
+    values: Mapping[str, float]
+    effect_names: tuple[str, ...] = ()
+    at_bound: tuple[str, ...] = ()
+    point: str = ""
+    without: Array | None = None
+    priors: Priors = field(default_factory=lambda: Priors.about(np.zeros(0), ()))
+    ln_points: float = 0.0
+
+
+@dataclass(frozen=True)
+class Scalable:
+    """A part of the noise whose standard deviation is between `least` and `most` of what is assumed."""
+
+    name: str
+    least: float
+    most: float = 1.0
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Description of a candidate effect.
+
+    typical : by parameter, a plausible size as distance from the null value (for blind spots)
+    simulated : True if its effect is obtained from a simulation that includes it, False if from the
+    simulations without it
+    """
+
+    name: str
+    sentence: str
+    kind: str
+    typical: Mapping[str, float] = field(default_factory=dict)
+    simulated: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """A possible further measurement, and what each explanation predicts for it.
+
+    predictions : by explanation (m,); jacobians : (m, same columns as that Fitted's); covariance (m, m)
+    """
+
+    name: str
+    sentence: str
+    predictions: Mapping[Explanation, Array]
+    jacobians: Mapping[Explanation, Array]
+    covariance: Array
+
+
+class ForwardModel(Protocol):
+    """Forward model of one data set. Raises LimbError where it has no solution; the diagnosis then reports
+    the candidate as not evaluated."""
+
+    @property
+    def data(self) -> Data: ...
+
+    @property
+    def candidates(self) -> Sequence[Facts]: ...
+
+    @property
+    def scalable(self) -> Sequence[Scalable]:
+        """Errors of the model whose size is estimated in every explanation."""
+        ...
+
+    def fit(self, explanation: Explanation, start: Mapping[str, float]) -> Fitted:
+        """Fit the model with these effects; `start`: initial guesses of the effect parameters.
+
+        Where simulations are expensive this may be a fit of the surrogate, which `verified` then checks.
+        """
+        ...
+
+    def verified(self, fitted: Fitted) -> Fitted:
+        """The same fit, with its numbers taken from a simulation of the fitted model."""
+        ...
+
+    def directions(self, fitted: Fitted, name: str) -> Sequence[Direction]:
+        """Sensitivities (not whitened) of the prediction to one additional effect at its null value."""
+        ...
+
+    def size_priors(self, name: str) -> Mapping[str, Prior]:
+        """Prior of every size parameter of an effect, by its name in fits."""
+        ...
+
+    def proposals(self, fits: Sequence[Fitted]) -> Sequence[Proposal]:
+        """Possible further measurements, with the prediction of each of these fits."""
+        ...

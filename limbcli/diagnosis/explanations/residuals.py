@@ -1,0 +1,129 @@
+"""Descriptions of residuals: scatter about smooth curves, and prediction of held-out data.
+
+The scatter about smooth curves checks the stated noise; cross-validation shows whether an explanation
+predicts data that it was not fitted to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.special import chdtrc
+
+from limbcli.diagnosis.explanations.model.forward_model import Data, Fitted, Mask
+from limbcli.diagnosis.explanations.model.linear import LinearFit, Whitener
+from limbcli.diagnosis.explanations.model.noise import EXCESS
+from limbcli.model import Array
+
+# Degree of the smooth curves; least degrees of freedom of their scatter; ratio of a prediction's standard
+# deviation to that of its reading, above which a held-out block is skipped.
+_DEGREE, _LEAST_NU, _TOO_WIDE = 4, 5, 1.0
+
+
+@dataclass(frozen=True)
+class Roughness:
+    """Scatter about a quartic along each series: ratio = chi2/nu (1: as stated), p of this much or more."""
+
+    ratio: float
+    nu: int
+    p: float
+
+
+def roughness(
+    state: LinearFit, whiten: Whitener, *, series: Mapping[str, Mask], order: Array
+) -> Roughness | None:
+    """Compare the rough part of the residual with the stated noise; None if fewer than `_LEAST_NU` degrees of
+    freedom remain."""
+    n = len(order)
+    columns = [state.jacobian]
+    for mask in series.values():
+        x = order[mask]
+        t = 2 * (x - x.min()) / max(float(np.ptp(x)), 1e-12) - 1
+        degree = min(_DEGREE, len(np.unique(t)) - 1)
+        smooth = np.zeros((n, degree + 1))
+        smooth[mask] = np.polynomial.legendre.legvander(t, degree)
+        columns.append(whiten(smooth))
+    wide = LinearFit.of(state.residual, np.hstack(columns))
+    if wide.nu < _LEAST_NU:
+        return None
+    return Roughness(wide.chi2 / wide.nu, wide.nu, _p(wide))
+
+
+def _p(fit: LinearFit) -> float:
+    """p of the sum of squares of heavy-tailed errors, approximated by a scaled chi2 (Satterthwaite).
+
+    Mean nu, variance 2 nu + excess sum P_ii^2.
+    """
+    own = 1.0 - np.sum(fit.basis**2, axis=1)
+    scale = 1.0 + EXCESS * float(own @ own) / (2.0 * fit.nu)
+    return float(chdtrc(fit.nu / scale, fit.chi2 / scale))
+
+
+def held_out_error(data: Data, fitted: Fitted) -> dict[str, float]:
+    """Root-mean-square prediction error of held-out data, block by block and over all blocks.
+
+    In units of the noise's conditional standard deviation given the other data.
+
+    Each block is left out in turn, all parameters (including the effects') are refitted to the other data to
+    first order about the full fit, and the block is predicted. The prediction includes the expected value of
+    errors that the block shares with the other data: a model cannot predict the gain of a level or a scanner.
+    A block is skipped if it contains the data that determine a parameter, so that its prediction from the
+    other data is less precise than its readings (`_TOO_WIDE`).
+    """
+    J = fitted.jacobian[:, np.any(fitted.jacobian != 0.0, axis=0)]  # without parameters fixed on a bound
+    J = J / np.linalg.norm(J, axis=0)
+    residual, covariance = data.y - fitted.prediction, data.noise.covariance
+    found: dict[str, float] = {}
+    squares, n_data = 0.0, 0
+    for name, mask in determined_by_the_rest(data.blocks, J).items():
+        keep = ~mask
+        rest = cho_factor(covariance[np.ix_(keep, keep)], lower=True)
+        known = cho_solve(rest, np.column_stack([covariance[np.ix_(keep, mask)], J[keep], residual[keep]]))
+        of_errors, of_columns, of_residual = np.split(known, [mask.sum(), mask.sum() + J.shape[1]], axis=1)
+        normal = J[keep].T @ of_columns
+        spread = np.einsum("ij,jk,ik->i", J[mask], np.linalg.pinv(normal, rcond=1e-14), J[mask])
+        if np.sqrt(np.mean(spread / data.deviation[mask] ** 2)) > _TOO_WIDE:
+            continue
+        step = np.linalg.lstsq(normal, J[keep].T @ of_residual[:, 0], rcond=1e-14)[0]
+        error = residual - J @ step
+        off = error[mask] - of_errors.T @ error[keep]
+        left = covariance[np.ix_(mask, mask)] - covariance[np.ix_(mask, keep)] @ of_errors
+        square = float(np.sum(Whitener.of(left)(off) ** 2))
+        found[name] = float(np.sqrt(square / mask.sum()))
+        squares, n_data = squares + square, n_data + int(mask.sum())
+    if found:
+        found["all"] = float(np.sqrt(squares / n_data))
+    return found
+
+
+def over_shared(errors: Sequence[Mapping[str, float]], blocks: Mapping[str, Mask]) -> list[dict[str, float]]:
+    """The same errors, with "all" restricted to the blocks that every model predicts, for comparability.
+
+    >>> blocks = {"a": np.ones(3, bool), "b": np.ones(1, bool)}
+    >>> over_shared([{"a": 2.0, "b": 4.0, "all": 2.6}, {"a": 1.0, "all": 1.0}], blocks)[0]["all"]
+    2.0
+    """
+    shared = [name for name in blocks if all(name in each for each in errors)]
+    if not shared:
+        return [dict(each) for each in errors]
+    counts = [float(np.sum(blocks[name])) for name in shared]
+    return [
+        {**each, "all": float(np.sqrt(np.average([each[name] ** 2 for name in shared], weights=counts)))}
+        for each in errors
+    ]
+
+
+def determined_by_the_rest(blocks: Mapping[str, Mask], J: Array) -> dict[str, Mask]:
+    """Blocks that can be left out with every parameter still determined; J (n, p) : sensitivities."""
+    scale = np.where(np.linalg.norm(J, axis=0) > 0, np.linalg.norm(J, axis=0), 1.0)
+    usable = {}
+    for name, mask in blocks.items():
+        if not 0 < mask.sum() < len(mask):
+            continue
+        s = np.linalg.svd(J[~mask] / scale, compute_uv=False)
+        if len(s) == J.shape[1] and (not len(s) or s[-1] > 1e-6 * s[0]):
+            usable[name] = mask
+    return usable

@@ -1,0 +1,265 @@
+"""The explanations of a measurement and their probabilities: nothing, every effect, every pair of effects.
+
+All effects are fitted on the surrogate. Pairs are ranked by their linear evidence, about the fit without
+effects and about the fit of each effect that is likely; a pair that is likely is fitted as well. What is
+fitted and likely is simulated, until no explanation with a probability above `UNSETTLED` rests on an
+estimate.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from limbcli.diagnosis.explanations import decisions
+from limbcli.diagnosis.explanations.evidence.laplace import Posterior, posterior
+from limbcli.diagnosis.explanations.evidence.linear_evidence import LinearEvidence
+from limbcli.diagnosis.explanations.model.form_error import form_error
+from limbcli.diagnosis.explanations.model.forward_model import (
+    Data,
+    Direction,
+    Explanation,
+    Facts,
+    Fitted,
+    ForwardModel,
+)
+from limbcli.diagnosis.explanations.model.linear import Whitener
+from limbcli.errors import LimbError
+from limbcli.progress import SILENT, Progress
+
+_MOST_STEPS = 60  # fits and simulations of one search: far more than any needs
+
+
+@dataclass(frozen=True, eq=False)
+class Explained:
+    """An explanation and its probability.
+
+    posterior : None where the evidence is a linear estimate; simulated : the fit rests on simulations
+    """
+
+    explanation: Explanation
+    probability: float
+    ln_evidence: float
+    posterior: Posterior | None
+    simulated: bool = False
+
+
+@dataclass(frozen=True)
+class PriorOdds:
+    """Prior probabilities of explanations by `n_effects` effects that can be evaluated."""
+
+    n_effects: int
+    something: float = decisions.SOMETHING_MISSING
+    most_effects: int = 2
+
+    def ln(self, explanation: Explanation) -> float:
+        """
+        >>> odds = PriorOdds(10)
+        >>> [round(math.exp(odds.ln(each)), 4) for each in ((), ("a",), ("a", "b"))]
+        [0.4494, 0.0449, 0.0022]
+        """
+        n, one = max(self.n_effects, 1), self.something
+        weights = (1.0 - one, one / n, (one / n) ** 2 if self.most_effects > 1 else 0.0)
+        total = sum(w * k for w, k in zip(weights, (1, self.n_effects, n * (n - 1) / 2), strict=True))
+        return math.log(weights[len(explanation)] / total)
+
+    @property
+    def ln_single(self) -> float:
+        """Of a single effect over nothing."""
+        return self.ln(("any",)) - self.ln(())
+
+
+@dataclass(eq=False)
+class Search:
+    """Explanations of one data set.
+
+    known : posteriors of what was fitted; settled : what needs no further fit or simulation
+    linear : linear evidence of one effect more, about the fits of some explanations
+    relative : the noise level is estimated in every explanation
+    """
+
+    forward_model: ForwardModel
+    odds: PriorOdds
+    facts: Mapping[str, Facts]
+    relative: bool
+    progress: Progress = SILENT
+    known: dict[Explanation, Posterior] = field(default_factory=dict)
+    settled: set[Explanation] = field(default_factory=set)
+    simulated: set[Explanation] = field(default_factory=set)
+    linear: dict[Explanation, LinearEvidence] = field(default_factory=dict)
+    not_evaluated: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def data(self) -> Data:
+        return self.forward_model.data
+
+    def all(self) -> list[Explained]:
+        """All explanations, the most probable first."""
+        for name in self.linear[()].added:
+            self._fit((name,))
+        for _ in range(_MOST_STEPS):
+            found = self.explained()
+            if (open_ := self._next_open(found)) is not None:
+                self._settle(open_)
+                continue
+            further = [
+                (name,) for name in self.linear[()].added
+                if (name,) in self.known and (name,) not in self.linear
+                and containing((name,), found) > decisions.UNSETTLED
+            ]  # fmt: skip
+            if not further or self.odds.most_effects < 2:
+                break
+            self.linearise(further[0])
+        return self.explained()
+
+    def _next_open(self, found: Sequence[Explained]) -> Explanation | None:
+        """The next explanation to fit and simulate: of those that are likely, and before a pair its effects,
+        as simulation can raise the evidence of either; None if all are settled."""
+        for each in found:
+            if each.probability <= decisions.UNSETTLED:
+                break
+            for one in (*((name,) for name in each.explanation), each.explanation):
+                if one not in self.settled:
+                    return one
+        return None
+
+    def fitted(self, fitted: Fitted) -> Posterior:
+        """Add a fit."""
+        found = self.known[fitted.explanation] = posterior(
+            fitted, self.data.y, self.data.noise, self.forward_model.scalable,
+            form=form_error(self.data, fitted), relative=self.relative,
+        )  # fmt: skip
+        return found
+
+    def whitener(self, found: Posterior) -> Whitener:
+        """Of the noise with the scalable errors and the form error of this explanation."""
+        covariance = found.noise(self.data.noise).covariance
+        form = form_error(self.data, found.fitted)
+        return Whitener.of(found.level**2 * (covariance if form is None else covariance + form))
+
+    def linearise(self, explanation: Explanation) -> None:
+        """Linear evidence of one effect more about the fit of an explanation."""
+        found = self.known[explanation]
+        directions: dict[str, Sequence[Direction]] = {}
+        for k, name in enumerate(self.facts):
+            if name in explanation or (explanation and name not in self.linear[()].added):
+                continue
+            try:
+                several = self.forward_model.directions(found.fitted, name)
+            except LimbError as error:
+                if not explanation:
+                    self.not_evaluated[name] = error.what
+            else:
+                directions[name] = [each for each in several if np.any(each.columns)]
+            if not explanation:
+                self.progress.event("task", name="candidate " + name, done=k + 1, total=len(self.facts))
+        priors = {name: self.forward_model.size_priors(name) for name in directions}
+        self.linear[explanation] = LinearEvidence.about(
+            found.fitted, self.data.y, self.whitener(found), directions, priors
+        )
+
+    def explained(self) -> list[Explained]:
+        """The explanations with what is known of them now."""
+        ln_evidence = {each: found.ln_evidence for each, found in self.known.items()}
+        names = list(self.linear[()].added)
+        for name in names:  # whose fit failed
+            if (name,) not in ln_evidence:
+                ln_evidence[name,] = ln_evidence[()] + float(self.linear[()].ln_factor(name)[0])
+        if self.odds.most_effects > 1:
+            for pair, value in self._of_pairs(names).items():
+                ln_evidence.setdefault(pair, value)
+        ln = np.array([value + self.odds.ln(each) for each, value in ln_evidence.items()])
+        share = np.exp(ln - np.logaddexp.reduce(ln))
+        found = [
+            Explained(each, float(p), value, self.known.get(each), each in self.simulated)
+            for (each, value), p in zip(ln_evidence.items(), share, strict=True)
+        ]
+        return sorted(found, key=lambda one: (-one.probability, len(one.explanation)))
+
+    def _of_pairs(self, names: Sequence[str]) -> dict[Explanation, float]:
+        """Linear estimates: about the more probable of the fits of its two effects, where that was
+        linearised; else about the fit without effects."""
+        nothing = self.known[()].ln_evidence
+        found: dict[Explanation, float] = {}
+        for pair in itertools.combinations(names, 2):
+            about = [
+                self.known[(one,)].ln_evidence + float(self.linear[(one,)].ln_factor(other)[0])
+                for one, other in (pair, pair[::-1])
+                if (one,) in self.linear and other in self.linear[(one,)].added
+            ]  # fmt: skip
+            found[pair] = max(about) if about else nothing + self._ln_factors_of_pairs[pair]
+        return found
+
+    @cached_property
+    def _ln_factors_of_pairs(self) -> dict[Explanation, float]:
+        """About the fit without effects."""
+        return self.linear[()].ln_factors_of_pairs()
+
+    def _fit(self, explanation: Explanation) -> Posterior | None:
+        try:
+            start = self.linear[()].start(explanation)
+            found = self.fitted(self.forward_model.fit(explanation, start))
+        except LimbError as error:
+            self.not_evaluated[" + ".join(explanation)] = error.what
+            self.settled.add(explanation)
+            return None
+        if not any(self.facts[name].simulated for name in explanation):
+            self.settled.add(explanation)
+        return found
+
+    def _settle(self, explanation: Explanation) -> None:
+        """Fit the explanation unless it is, and simulate the fit if it needs that."""
+        found = self.known.get(explanation) or self._fit(explanation)
+        if found is None or explanation in self.settled:
+            self.settled.add(explanation)
+            return
+        label = " + ".join(explanation)
+        self.progress.event("note", text=f"refit with {label}")
+        self.settled.add(explanation)
+        try:
+            fitted = self.forward_model.verified(found.fitted)
+        except LimbError as error:
+            self.not_evaluated[label] = error.what
+            return
+        self.simulated.add(explanation)
+        self.linear.pop(explanation, None)
+        self.fitted(fitted)
+
+
+def containing(explanation: Explanation, several: Sequence[Explained]) -> float:
+    """Probability of all explanations that contain these effects.
+
+    >>> several = [Explained(e, p, 0.0, None) for e, p in ((("a",), 0.6), (("a", "b"), 0.3), ((), 0.1))]
+    >>> round(containing(("a",), several), 3)
+    0.9
+    """
+    return sum(each.probability for each in several if set(explanation) <= set(each.explanation))
+
+
+def credible(several: Sequence[Explained]) -> list[Explained]:
+    """The smallest set with the probability `CREDIBLE`; several : the most probable first."""
+    total, found = 0.0, []
+    for each in several:
+        found.append(each)
+        total += each.probability
+        if total >= decisions.CREDIBLE:
+            break
+    return found
+
+
+def named(several: Sequence[Explained]) -> Explanation:
+    """The most probable explanation that has, with those that contain it, the probability `CREDIBLE`; none if
+    there is no such one. It must be likely itself: of two effects that both show, neither is named alone.
+
+    several : the most probable first
+    """
+    for each in several:
+        likely = each.probability > decisions.UNSETTLED
+        if each.explanation and likely and containing(each.explanation, several) >= decisions.CREDIBLE:
+            return each.explanation
+    return ()

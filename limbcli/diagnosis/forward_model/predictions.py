@@ -1,0 +1,247 @@
+"""Predictions of explanations for the data of one site, or of several measurements of one place.
+
+Evaluated on each site's `surrogate` from c, m and the effects' parameters, at given points of the effects'
+grids.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.diagnosis.curves.site_simulations import SiteSimulations
+from limbcli.diagnosis.data.joint import joined
+from limbcli.diagnosis.data.site_data import SiteData
+from limbcli.diagnosis.explanations.conclusions.estimates import LN_M_DEVIATION, USUAL_M
+from limbcli.diagnosis.explanations.model.forward_model import Explanation, Fitted
+from limbcli.diagnosis.explanations.model.linear import Whitener
+from limbcli.diagnosis.explanations.model.priors import Prior
+from limbcli.diagnosis.forward_model.changes import only_febio
+from limbcli.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
+from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.curves import Curves
+from limbcli.effects.reading import Reading
+from limbcli.errors import FitError, SolveError
+from limbcli.model import Array
+
+NOTHING = AtPoints()
+M_BOUNDS = (1.0, 20.0)
+_DIFFERENCE = 1e-3
+_ON_BOUND = 1e-3  # distance from a bound, as a fraction of the range, within which a parameter is on it
+_ROOMY = 1.5  # standard deviation of the prior of a size, in plausible sizes
+
+
+@dataclass(frozen=True)
+class Slot:
+    """A parameter of an explanation: its name in the fit, and the site it applies to (None: all).
+
+    each_time : its size differs between measurements
+    """
+
+    name: str
+    parameter: Parameter
+    site: int | None = None
+    each_time: bool = False
+
+    @property
+    def prior(self) -> Prior:
+        """Normal about null, as wide as `_ROOMY` plausible sizes; uniform for a shape."""
+        p = self.parameter
+        if p.shape:
+            return Prior.uniform(p.low, p.high)
+        return Prior(p.null, _ROOMY * max(abs(p.typical - p.null), 1e-9), p.low, p.high)
+
+    def on_bound(self, value: float) -> str:
+        """Message where the value ended on a bound; empty elsewhere, and where it is null or a natural
+        bound."""
+        p = self.parameter
+        near = _ON_BOUND * (p.high - p.low)
+        if p.natural_bounds or (not p.shape and abs(value - p.null) <= near):
+            return ""
+        side = "lower" if value - p.low < near else "higher" if p.high - value < near else ""
+        bound = p.low if side == "lower" else p.high
+        return f"{self.name} ended on its {side} bound {bound:g}" if side else ""
+
+
+def held_points(effect: Effect) -> list[Theta]:
+    """The distinct points of an effect's grid, without the parameters that a fit varies."""
+    found: list[Theta] = []
+    for point in effect.grid:
+        if effect.held(point) not in found:
+            found.append(effect.held(point))
+    return found
+
+
+class Predictions:
+    """Predictions for sites that share the tissue and the candidate effects, their data, and the priors of
+    what is fitted.
+
+    data : of all sites; whiten : of their noise, as fits weight it
+    """
+
+    def __init__(self, sites: Sequence[SiteCurves]):
+        self.sites = tuple(sites)
+        channels = {channel for each in self.sites for channel in each.site.channels}
+        self.effects: dict[str, Effect] = {
+            name: each.measured_by(channels) for name, each in sites[0].effects.items()
+        }
+        self._join()
+
+    def allow_for(self, shares: Mapping[str, float]) -> None:
+        """Scale the noise parts of these names to fractions of their assumed sizes, at every site."""
+        for each in self.sites:
+            for name, share in shares.items():
+                each.site = each.site.with_share(name, share)
+        self._join()
+
+    def strain_along(self, fitted: Fitted) -> None:
+        """Take the error common to all strains along the derivative of this fit, at every site."""
+        for k, each in enumerate(self.sites):
+            each.site = each.site.with_strain_of(*self.curves_of(fitted, k))
+        self._join()
+
+    def _join(self) -> None:
+        self.data = joined([each.site for each in self.sites])
+        self.whiten = Whitener.of(self.data.noise.covariance)
+
+    @property
+    def site(self) -> SiteData:
+        """The first site's data."""
+        return self.sites[0].site
+
+    @property
+    def simulations(self) -> SiteSimulations:
+        return self.sites[0].simulations
+
+    def slots(self, explanation: Explanation) -> list[Slot]:
+        """The parameters of an explanation, in order."""
+        found = []
+        for name in explanation:
+            effect = self.effects[name]
+            for p in effect.parameters:
+                if effect.each_time and len(self.sites) > 1:
+                    found += [Slot(f"{p.name}@{s.site.name}", p, k, True) for k, s in enumerate(self.sites)]
+                else:
+                    found.append(Slot(p.name, p, each_time=effect.each_time))
+        return found
+
+    def sizes(self, name: str) -> list[Slot]:
+        """The size parameters of an effect."""
+        return [slot for slot in self.slots((name,)) if not slot.parameter.shape]
+
+    def theta(self, values: Mapping[str, float], explanation: Explanation, site: int) -> dict[str, float]:
+        """Effect parameters of one site, by their own names."""
+        return {
+            slot.parameter.name: float(values[slot.name])
+            for slot in self.slots(explanation) if slot.site in (None, site)
+        }  # fmt: skip
+
+    def model_of(self, fitted: Fitted) -> AtPoints:
+        """The effects of a fit, at the points of their grids that were chosen."""
+        chosen: list[Theta] = []
+        for effect in (self.effects[name] for name in fitted.explanation):
+            held = held_points(effect)
+            match = [q for q in held if all(fitted.values.get(k) == v for k, v in q.items())]
+            chosen.append(match[0] if match else held[0])
+        return AtPoints(fitted.explanation, tuple(chosen))
+
+    def x_of(self, fitted: Fitted) -> Array:
+        """Parameter vector of a fit, as for `predict`."""
+        values = fitted.values
+        sizes = [values[slot.name] for slot in self.slots(fitted.explanation)]
+        return np.array([np.log(values["c_kpa"] / 1e3), np.log(values["m"]), *sizes])
+
+    def predict(self, x: Array, model: AtPoints = NOTHING) -> Array:
+        """Prediction (n,) for x: ln c, ln m, then the effects' parameters in order.
+
+        Raises
+        ------
+        SolveError
+            If there is no solution, or it is not finite.
+        """
+        names = model.explanation
+        values = dict(zip([s.name for s in self.slots(names)], x[2:].tolist(), strict=True))
+        c, m = float(np.exp(x[0])), float(np.exp(x[1]))
+        parts = [each.predict(c, m, model, self.theta(values, names, k)) for k, each in enumerate(self.sites)]
+        found = parts[0] if len(parts) == 1 else np.concatenate(parts)
+        if not np.isfinite(found).all():
+            raise SolveError("the prediction is not a number", where="diagnose", fix="look at levels.csv")
+        return found
+
+    def curves_of(self, fitted: Fitted, site: int = 0) -> tuple[Curves, Reading]:
+        """The fitted curves of a site, and the reading model applied to them."""
+        theta = self.theta(fitted.values, fitted.explanation, site)
+        c, m = fitted.values["c_kpa"] / 1e3, fitted.values["m"]
+        return self.sites[site].read(c, m, self.model_of(fitted), theta)
+
+    def jacobian(self, x: Array, model: AtPoints) -> Array:
+        sizes = [1.0, 1.0, *(slot.parameter.step for slot in self.slots(model.explanation))]
+        steps = np.diag(_DIFFERENCE * np.array(sizes))
+        return np.stack([self._slope(x, step, model) / step[k] for k, step in enumerate(steps)], axis=1)
+
+    def _slope(self, x: Array, step: Array, model: AtPoints) -> Array:
+        """Change over this step by central differences, or by a one-sided difference if one side has no
+        solution.
+
+        Raises
+        ------
+        SolveError
+            If neither side has a solution.
+        """
+        sides, problem = {}, None
+        for sign in (1.0, -1.0):
+            try:
+                sides[sign] = self.predict(x + sign * step, model)
+            except SolveError as error:
+                problem = error
+        if not sides and problem is not None:
+            raise problem
+        if len(sides) < 2:
+            sides[0.0] = self.predict(x, model)
+        upper, lower = max(sides), min(sides)
+        return np.asarray((sides[upper] - sides[lower]) / (upper - lower))
+
+    def priors(self, explanation: Explanation) -> tuple[Prior, ...]:
+        """Priors of ln c, ln m, and the effects' parameters."""
+        low, high = self.bounds(())
+        return (
+            Prior.uniform(float(low[0]), float(high[0])),
+            Prior(float(np.log(USUAL_M)), LN_M_DEVIATION, float(low[1]), float(high[1])),
+            *(slot.prior for slot in self.slots(explanation)),
+        )
+
+    def check_channels(self, explanation: Explanation) -> None:
+        """
+        Raises
+        ------
+        FitError, SolveError
+            If an effect requires data that were not measured, a bone, or FEBio.
+        """
+        has = {channel for each in self.sites for channel in each.site.channels}
+        has |= {"bone"} if all(each.has_bone for each in self.sites) else set()
+        for name in explanation:
+            for each in self.sites:
+                if name in each.refused:
+                    raise each.refused[name]
+            if self.effects[name].febio_only:
+                raise only_febio(self.effects[name])
+            lacking = [each for each in self.effects[name].needs if each not in has]
+            if "bone" in lacking:
+                raise FitError(
+                    "it requires a bone under the probe, where the model has none", where=f"effect {name}",
+                    fix="check the site's position and the bones' surfaces",
+                )  # fmt: skip
+            if lacking:
+                raise FitError(
+                    f"it requires data that were not measured: {', '.join(lacking)}", where=f"effect {name}",
+                    fix="measure it; see the next measurement",
+                )  # fmt: skip
+
+    def bounds(self, explanation: Explanation) -> tuple[Array, Array]:
+        parameters = [slot.parameter for slot in self.slots(explanation)]
+        c = self.simulations.c
+        low = np.array([np.log(c / 20), np.log(M_BOUNDS[0]), *(p.low for p in parameters)])
+        high = np.array([np.log(c * 20), np.log(M_BOUNDS[1]), *(p.high for p in parameters)])
+        return low, high

@@ -1,0 +1,343 @@
+"""Preparation of a site for the diagnosis: working mesh, curves, numerical checks, data.
+
+Every simulation is cached in `<out>/diagnose/.work-<site>`, so that an interrupted diagnosis can be
+resumed.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from limbcli.case import Case, Site
+from limbcli.case.noting import with_values
+from limbcli.diagnosis.curves.curve_plan import FIRST_M, Reach, nearest_m, where_solved
+from limbcli.diagnosis.curves.site_simulations import SiteSimulations
+from limbcli.diagnosis.data.held_forces import held_forces
+from limbcli.diagnosis.data.layers import BorderLines
+from limbcli.diagnosis.data.noise import deepest, readings
+from limbcli.diagnosis.data.rows import ExtraMeasurement
+from limbcli.diagnosis.data.site_data import SiteData, site_data
+from limbcli.diagnosis.data.windows import Windows
+from limbcli.diagnosis.drainage import NAME as POROELASTICITY
+from limbcli.diagnosis.drainage import DrainageSolver, Drained, drained
+from limbcli.diagnosis.forward_model.surrogate import SiteCurves
+from limbcli.diagnosis.mesh_error.mesh_comparison import Notes
+from limbcli.diagnosis.mesh_error.mesh_correction import F_KAPPA, MeshCorrection, own_layers
+from limbcli.diagnosis.mesh_error.model_errors import ModelErrors
+from limbcli.diagnosis.mesh_error.numerical_checks import USUAL_C, Intervention, NumericalChecks
+from limbcli.effects.base import Effect
+from limbcli.errors import CaseError, LimbError, MeasurementError
+from limbcli.files.atomic import atomic_file, sha256
+from limbcli.measurement.elastography import shear_modulus_from_wave_speed
+from limbcli.measurement.indentation import read_trace
+from limbcli.meshing.frame import LARGEST_SLOPE_DEG
+from limbcli.meshing.probe import ProbeShape
+from limbcli.meshing.remesh import Sizes
+from limbcli.meshing.site_model import MeshOptions, site_model
+from limbcli.model import LimbModel
+from limbcli.model.npz_file import load_model, save_model
+from limbcli.progress import Progress
+from limbcli.results import plain, read_result
+from limbcli.site_model.fibres import with_fibres
+from limbcli.site_model.layer_readings import layer_readings
+from limbcli.site_model.mesh_checks import check_within_tissue, measured_skin_bone
+from limbcli.site_model.site_levels import levels_of, maps_of
+from limbcli.site_model.site_states import one_state
+from limbcli.stages.mesh import read_limb, site_position
+from limbcli.version import __version__
+
+STAGE = "diagnose"
+_N_DEPTHS = 6  # number of equal depth steps down to the depth needed
+# Depth needed as a multiple of the deepest reading. One further depth, as depths may be read too small: mm
+# beyond it, at most this fraction of the tissue thickness.
+_BEYOND, _FURTHER, _FURTHER_SHARE = 1.05, 2.5, 0.075
+_ROUND = 0.5  # mm, to which the depth needed is rounded up
+_TIMES_FORCE = 4.0  # simulated force over the largest reading: tissue may be softer than the speed implies
+# mm, smallest edge lengths at curved surfaces (bone is approximated coarsely), and at thin bones and clefts.
+# A bone near the end of a face may not be met (28 % less force), until corrected to the site's own mesh.
+_BENDS, _THIN = 8.0, 6.0
+_LAYERS, _FINEST, _COARSEST = 3.0, 2.5, 5.0  # elements between skin and bone; mm, limits of their edge length
+
+
+@dataclass(frozen=True)
+class WorkingMesh:
+    """Options of the working mesh.
+
+    size, far_size : mm, edges under the probe and far from it (size None: from `size_for`)
+    interventions : whether numerical effects such as crop and contact are simulated
+    """
+
+    size: float | None = None
+    far_size: float = 14.0
+    interventions: bool = True
+
+
+@dataclass
+class Prepared:
+    """One prepared site: its data and curves, the numerical checks on its mesh, and notes to report.
+
+    size : mm, of the working mesh's edges under the probe
+    """
+
+    site: Site
+    size: float
+    simulations: SiteSimulations
+    curves: SiteCurves
+    interventions: list[Intervention]
+    notes: Notes
+
+    def close(self) -> None:
+        self.simulations.close()
+
+
+def prepare(
+    case: Case, site: Site, effects: Mapping[str, Effect], *, out: Path, mesh: WorkingMesh,
+    extras: Sequence[ExtraMeasurement] = (), draining: DrainageSolver | None = None, progress: Progress,
+) -> Prepared:  # fmt: skip
+    """Mesh the site, solve without effects, run the numerical checks, and stack the data.
+
+    draining : solver for draining tissue; None: poroelasticity is not simulated
+
+    Raises
+    ------
+    CaseError
+        If `segment` has not been run.
+    MeasurementError
+        If the levels cannot be used.
+    SolveError
+        If the model without effects cannot be solved.
+    """
+    return _Preparation(case, site, out, mesh, progress).all(effects, extras, draining)
+
+
+def turned_by_90(
+    case: Case, prepared: Prepared, *, out: Path, mesh: WorkingMesh, progress: Progress
+) -> SiteCurves:
+    """Curves of the same measurement with the probe's long side turned by 90 degrees.
+
+    Raises
+    ------
+    MeshError, SolveError
+        If the place cannot be meshed or simulated with the turned probe.
+    """
+    site, known = prepared.site, prepared.curves
+    other = with_values(site, name=f"{site.name}-turned", long_axis=_across(site, prepared.simulations.model))
+    progress.event("note", text=f"{site.name} with the probe turned by 90 degrees")
+    simulations = _Preparation(case, other, out, replace(mesh, size=prepared.size), progress).simulations()
+    curves = SiteCurves(
+        known.site, simulations, known.effects, penetration=known.penetration, refused=known.refused,
+        progress=progress,
+    )  # fmt: skip
+    nearest = sorted(known.nodes, key=lambda m: abs(np.log(m / known.changes.m)))
+    try:
+        curves.solve_nodes(nearest[:2])
+        curves.changes.m = nearest_m(curves.nodes, known.changes.m)
+    finally:
+        simulations.close()
+    return curves
+
+
+def size_for(skin_bone: float | None) -> float:
+    """Edge length under the probe (mm): a third of the distance to the bone, limited to 2.5 to 5.
+
+    >>> size_for(None), size_for(34.0), size_for(9.0), size_for(4.0)
+    (5.0, 5.0, 3.0, 2.5)
+    """
+    return _COARSEST if skin_bone is None else float(np.clip(skin_bone / _LAYERS, _FINEST, _COARSEST))
+
+
+def _up_to(step: float, value: float) -> float:
+    """The smallest multiple of `step` above `value`.
+
+    >>> _up_to(0.5, 7.2), _up_to(0.5, 7.5)
+    (7.5, 8.0)
+    """
+    return step * float(np.floor(value / step) + 1.0)
+
+
+def _across(site: Site, model: LimbModel) -> str | tuple[float, float, float]:
+    """Direction across the probe's long axis: along the limb if the probe was across it, and vice versa."""
+    if isinstance(site.long_axis, str):
+        return "axial" if site.long_axis == "transverse" else "transverse"
+    entries = model.info.get("patient_from_model", np.eye(4).ravel())
+    y = np.array(entries, dtype=float).reshape(4, 4)[:3, 1]
+    return float(y[0]), float(y[1]), float(y[2])
+
+
+class _Preparation:
+    def __init__(self, case: Case, site: Site, out: Path, mesh: WorkingMesh, progress: Progress):
+        self.case, self.site, self.out, self.mesh, self.progress = case, site, out, mesh, progress
+        self.work = out / STAGE / f".work-{site.name}"
+        self.levels = levels_of(site)
+        self.maps = maps_of(site, self.levels)
+        self.windows = Windows.usual(case.probe.length) if self.maps is None else Windows.of_maps(self.maps)
+        self.skin_bone = self._skin_bone()
+        check_within_tissue(float(np.max(self.levels.depth)), self.skin_bone, site)
+        self.size = size_for(self.skin_bone) if mesh.size is None else mesh.size
+        self.borders: BorderLines | None = None  # in the working mesh, once it is made
+        self.notes = Notes()
+        if site.states:
+            self.notes.warnings.append(one_state(site))
+
+    def all(
+        self, effects: Mapping[str, Effect], extras: Sequence[ExtraMeasurement],
+        draining: DrainageSolver | None,
+    ) -> Prepared:  # fmt: skip
+        simulations = self.simulations()
+        try:
+            where_solved(simulations.curves, FIRST_M)  # failures are reported where the curves are used
+            numerics = NumericalChecks(
+                case=self.case, site=self.site, levels=self.levels, simulations=simulations, out=self.out,
+                size=self.size, notes=self.notes, progress=self.progress,
+            )  # fmt: skip
+            correction = numerics.correction(solves=self.mesh.interventions)
+            interventions = numerics.interventions() if self.mesh.interventions else []
+            data = self._data(numerics, correction, interventions, extras)
+            refused: dict[str, LimbError] = {}
+            if POROELASTICITY in effects and draining is not None:
+                found = self._drained(draining, data, simulations)
+                if found.effect is not None:
+                    effects = {**effects, POROELASTICITY: found.effect}
+                if found.refused is not None:
+                    refused[POROELASTICITY] = found.refused
+        except LimbError:
+            simulations.close()
+            raise
+        curves = SiteCurves(
+            data, simulations, effects, correction=correction, penetration=numerics.penetration,
+            refused=refused, progress=self.progress,
+        )  # fmt: skip
+        return Prepared(
+            site=self.site, size=self.size, simulations=simulations, curves=curves,
+            interventions=interventions, notes=self.notes,
+        )  # fmt: skip
+
+    def simulations(self) -> SiteSimulations:
+        """Simulations down to the deepest reading and beyond, as far as the solver converges.
+
+        They use a fixed reference stiffness and rounded depths, so that other measurements of the same place
+        can reuse them.
+        """
+        needed = _up_to(_ROUND, _BEYOND * deepest(readings(self.levels)))
+        depths = needed / _N_DEPTHS * np.r_[0.5, np.arange(1, _N_DEPTHS + 1)]
+        thick = self.skin_bone
+        further = _FURTHER if thick is None else min(_FURTHER, _FURTHER_SHARE * thick)
+        meshed, fibres = with_fibres(self.case, self.site, self._working_mesh())
+        self.notes.data["fibres"] = fibres.source
+        self.borders = self._borders_in(meshed)
+        return SiteSimulations(
+            meshed, [*depths.tolist(), needed + further], c=USUAL_C, f_kappa=F_KAPPA,
+            windows=self.windows, keep=self.work, density_kg_per_m3=self.site.density_kg_per_m3,
+            progress=self.progress, borders=self.borders,
+            reach=Reach(needed=needed, enough_force=self._enough_force()),
+        )  # fmt: skip
+
+    def _enough_force(self) -> float | None:
+        """Force in N at the reference stiffness that is larger than any reading, rounded up to a power of two
+        so that curves can be reused; None without a wave speed at rest, from which the tissue's stiffness is
+        estimated."""
+        largest, speed = float(np.nanmax(self.levels.force)), self.levels.swe_mean_m_per_s[:1]
+        if not (self.levels.begins_at_zero and np.isfinite(speed).all() and largest > 0):
+            return None
+        modulus = shear_modulus_from_wave_speed(speed, density_kg_per_m3=self.site.density_kg_per_m3)
+        at_usual = _TIMES_FORCE * largest * USUAL_C / (2.0 * float(modulus[0]))
+        return float(2.0 ** np.ceil(np.log2(at_usual)))
+
+    def _borders_in(self, meshed: LimbModel) -> BorderLines | None:
+        """The layers' borders in the working mesh; layers that do not fit are excluded with a warning."""
+        layers = layer_readings(self.levels, self.site)
+        if layers is None or not layers.n_counted:
+            return None
+        borders = BorderLines(layers)
+        try:
+            borders.check(meshed)
+        except MeasurementError as error:
+            self.notes.warnings.append(f"the layers are not used: {error.what}")
+            return None
+        return borders
+
+    def _skin_bone(self) -> float | None:
+        """Tissue thickness in mm under the probe's centre, from the site's own mesh, else as measured."""
+        try:
+            found = read_result(self.out, "mesh", site=self.site.name).data["checks"]["skin_bone_mm"]
+        except (LimbError, KeyError):
+            found = None
+        return float(found) if found is not None else measured_skin_bone(self.site)
+
+    def _working_mesh(self) -> LimbModel:
+        """A coarse mesh of the site; without surfaces (no `segment`), the site's own mesh."""
+        own = self.out / "mesh" / self.site.name / "model.npz"
+        if not (self.out / "segment" / "segment.json").is_file() and own.is_file():
+            if layers := own_layers(self.site, self.out):
+                raise CaseError(
+                    f"the site's own mesh has {layers} as well as the tissue, and there are no "
+                    "surfaces to make the diagnosis' mesh from",
+                    where=f"site {self.site.name}",
+                    fix=f"limbcli segment {self.case.folder}, or mesh the site without layers",
+                )
+            self.work.mkdir(parents=True, exist_ok=True)
+            self.notes.warnings.append("there are no surfaces: the site's own mesh is the working mesh")
+            return load_model(own)
+        segmented = read_result(self.out, "segment")
+        surfaces = [sha256(path) for path in sorted(segmented.folder.glob("*.ply"))]
+        place = site_position(self.site, segmented)
+        recipe = [surfaces, place, self.site.long_axis, vars(self.case.probe), self.case.model.margin,
+                  self.size, self.mesh.far_size, _BENDS, _THIN, LARGEST_SLOPE_DEG, __version__]  # fmt: skip
+        text = json.dumps(plain(recipe))
+        self.work.mkdir(parents=True, exist_ok=True)
+        kept, key = self.work / "model.npz", self.work / "model.json"
+        if kept.is_file() and key.is_file() and key.read_text(encoding="utf-8") == text:
+            return load_model(kept)
+        self.progress.event("note", text="making the working mesh")
+        probe = ProbeShape(self.case.probe.length, self.case.probe.width, self.case.probe.edge_radius)
+        sizes = Sizes(under_probe=self.size, far=self.mesh.far_size, bends=_BENDS, thin=_THIN)
+        meshing = MeshOptions(element="tet10", margin=self.case.model.margin, sizes=sizes)
+        limb = read_limb(segmented)
+        model = site_model(limb, place, self.site.long_axis, probe, meshing, name=self.site.name).model
+        key.unlink(missing_ok=True)  # the cached mesh is valid only if both files exist
+        save_model(model, kept)
+        with atomic_file(key) as path:
+            path.write_text(text, encoding="utf-8")
+        return load_model(kept)  # reloaded, so that a resumed diagnosis uses an identical model
+
+    def _data(
+        self, numerics: NumericalChecks, correction: MeshCorrection, interventions: Sequence[Intervention],
+        extras: Sequence[ExtraMeasurement],
+    ) -> SiteData:  # fmt: skip
+        held = None
+        if self.site.trace is not None:
+            try:
+                held, why = held_forces(read_trace(self.site.trace), self.levels)
+            except MeasurementError as error:
+                why = error.what
+            if held is None:
+                self.notes.data["holds_not_used"] = why
+        errors = ModelErrors(numerics)
+        levels = self.levels
+        if np.isfinite(levels.skin_bone).any() and not errors.has_bone:
+            self.notes.warnings.append(
+                "skin_bone_mm is not used: in the model the beam reaches no bone under the probe's centre"
+            )
+            levels = replace(levels, skin_bone=np.full(len(levels), np.nan))
+        return site_data(
+            self.site.name, levels, self.site.noise, windows=self.windows, maps=self.maps,
+            model_error=errors.all(correction, interventions), held=held, extras=extras,
+            usable=errors.parts_seen(), thickness=errors.thickness, map_share=correction.map_share,
+            map_slopes=errors.map_slopes(), layers=None if self.borders is None else self.borders.layers,
+            bone_as_shown=bool(self.case.imaging.assumed),
+        )  # fmt: skip
+
+    def _drained(self, draining: DrainageSolver, data: SiteData, simulations: SiteSimulations) -> Drained:
+        found = drained(
+            draining, data.held, str(self.notes.data.get("holds_not_used", "")), simulations,
+            deepest=simulations.needed, keep=self.work, progress=self.progress,
+        )  # fmt: skip
+        self.notes.warnings.extend(found.warnings)
+        if found.facts:
+            self.notes.data["drainage"] = found.facts
+        return found

@@ -1,0 +1,255 @@
+"""The diagnosis as JSON data, and its figures."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from limbcli.diagnosis.data.joint import slices
+from limbcli.diagnosis.data.noise import COMPRESSIBILITY
+from limbcli.diagnosis.data.site_data import SiteData
+from limbcli.diagnosis.explanations import decisions
+from limbcli.diagnosis.explanations.check import Check
+from limbcli.diagnosis.explanations.conclusions.sentences import recommended
+from limbcli.diagnosis.explanations.conclusions.verdict import Diagnosis, Shrink
+from limbcli.diagnosis.explanations.model.noise import CommonError
+from limbcli.diagnosis.explanations.search import Explained
+from limbcli.diagnosis.forward_model.predictions import Slot
+from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
+from limbcli.diagnosis.mesh_error.numerical_checks import f_kappa_at
+from limbcli.diagnosis.sizes import reported_sizes
+from limbcli.drawing import save_figure
+from limbcli.effects.base import Parameter
+
+_WITHIN = 1.96  # half-width of a 95 % interval, in standard deviations
+# Root-mean-square error of f_kappa as it is estimated beside c and m, in standard deviations of its prior.
+_F_KAPPA_ERROR = 0.7
+
+
+def diagnosis_json(found: Diagnosis, site: SiteData, forward_model: SiteForwardModel) -> dict[str, Any]:
+    """All results of the diagnosis for diagnosis.json; units are in the keys."""
+    best = recommended(found)
+    return {
+        "site": site.name,
+        "verdict": found.verdict,
+        "reason": found.reason,
+        "noise": {
+            "is_relative": found.relative,
+            "parts": site.data.noise.provenance(),
+            "estimated_fractions": dict(forward_model.shares),
+            "scatter_over_stated": found.roughness.ratio if found.roughness else None,
+        },
+        "channels": list(site.channels),
+        "channels_missing": list(site.missing),
+        "probability_of_nothing": found.nothing,
+        "adequate_from_probability": found.adequate_from,
+        "where": _parts(found.check),
+        "left": _parts(found.left),
+        "candidates": _candidates(found),
+        "explanations": [_explained(each, found) for each in found.explanations[:_MOST_EXPLANATIONS]],
+        "confidence_set": [list(each) for each in found.confidence_set],
+        "added": list(found.chosen),
+        "common_errors": [vars(each) for each in found.common_errors.get(found.chosen, ())],
+        "f_kappa": f_kappa_estimate(found.common_errors.get(found.chosen, ())),
+        "shrink": [_stage(stage) for stage in found.shrink],
+        "blind_spots": [
+            {**vars(spot), "undetectable_at_typical_size": spot.is_undetectable, "matters": spot.matters}
+            for spot in found.blind_spots
+        ],
+        "next_measurement": {
+            "recommended": best.name if best else None,
+            "expected_probability": best.expected_probability if best else None,
+            "menu": [vars(step) for step in found.next_steps],
+        },
+        "sizes_95": reported_sizes(
+            sizes_of(forward_model, site), found.sizes, found.estimates.values["c_kpa"]
+        ),
+        "not_evaluated": dict(found.not_evaluated),
+        "seed": found.seed,
+    }
+
+
+def _parts(check: Check | None) -> list[dict[str, Any]]:
+    return [] if check is None else [vars(each) for each in check.parts]
+
+
+def _candidates(found: Diagnosis) -> list[dict[str, Any]]:
+    """The effects, the most probable first; evidence and estimate are those of the effect alone."""
+    alone = {each.explanation: each for each in found.explanations if len(each.explanation) < 2}
+    nothing, rows = alone[()].ln_evidence, []
+    for name, probability in sorted(found.effects.items(), key=lambda item: -item[1]):
+        one, fitted = alone.get((name,)), found.fits.get((name,))
+        rows.append({
+            "name": name, "sentence": found.facts[name].sentence, "kind": found.facts[name].kind,
+            "probability": probability, "ln_bayes_factor": one.ln_evidence - nothing if one else None,
+            "estimate": {size: fitted.values[size] for size in fitted.effect_names} if fitted else {},
+            "at": fitted.point if fitted else "",
+        })  # fmt: skip
+    return rows
+
+
+def _explained(each: Explained, found: Diagnosis) -> dict[str, Any]:
+    fitted = found.fits.get(each.explanation)
+    return {
+        "explanation": list(each.explanation), "probability": each.probability,
+        "ln_evidence": each.ln_evidence,
+        "fitted": fitted is not None, "simulated": each.simulated,
+        "values": dict(fitted.values) if fitted else {}, "at_bound": list(fitted.at_bound) if fitted else [],
+        "f_kappa": f_kappa_estimate(found.common_errors.get(each.explanation, ())),
+    }  # fmt: skip
+
+
+def f_kappa_estimate(errors: Sequence[CommonError]) -> dict[str, Any] | None:
+    """f_kappa of a fit with its 95 % interval, which other errors of the model widen, and that of the prior;
+    an end that is open is None. None if its influence was not computed."""
+    found = next((each for each in errors if each.name == COMPRESSIBILITY), None)
+    if found is None:
+        return None
+    ends = (-_WITHIN, _WITHIN)
+    deviation = min(float(np.hypot(found.deviation, _F_KAPPA_ERROR)), 1.0)
+    return {
+        "value": _finite(f_kappa_at(found.value)),
+        "interval_95": [_finite(f_kappa_at(found.value + side * deviation)) for side in ends],
+        "prior_95": [_finite(f_kappa_at(side)) for side in ends],
+    }
+
+
+def _finite(value: float) -> float | None:
+    """The value; None where it is infinite, for an interval that is open there."""
+    return value if np.isfinite(value) else None
+
+
+def _stage(stage: Shrink) -> dict[str, Any]:
+    estimates = stage.estimates
+    return {
+        "explanation": list(stage.explanation), "chi2": stage.chi2, "nu": stage.nu,
+        "chi2_per_nu": stage.chi2_per_nu, "rms": dict(stage.rms), "held_out": dict(stage.held_out),
+        "values": dict(estimates.values),
+        "intervals_95": {name: list(ends) for name, ends in estimates.intervals.items()},
+        "c_and_m_over": estimates.over, "not_told_by_the_data": list(estimates.open),
+        "prior": estimates.prior,
+    }  # fmt: skip
+
+
+_MOST_EXPLANATIONS = 40  # in diagnosis.json, the most probable ones
+_GAP_COLUMNS = 3  # panels side by side, so that their text remains legible in print
+_GAP_NAME = 20  # largest number of characters of a site's name above a panel
+_MOST_SIZES = 10.0  # upper limit of the axis of detectable sizes, in plausible sizes
+_WIDEST = 4.0  # limits of the axis of size intervals, in plausible sizes
+_THINNEST = 0.02  # narrowest visible bar, in plausible sizes
+_SHOWN = {"force": "force", "swe": "mean wave speed", "map": "wave-speed map", "travel": "probe travel",
+          "layer": "layers", "hold": "force decay in holds"}  # fmt: skip
+
+
+def gap_picture(found: Diagnosis, sites: Sequence[SiteData], path: Path) -> None:
+    """Residuals in standard deviations without and with the effects: one panel per channel and site."""
+    channels = [c for c in _SHOWN if any(row.channel == c for site in sites for row in site.rows)]
+    columns = min(len(channels), _GAP_COLUMNS)
+    rows = -(-len(channels) // columns)
+    figure = Figure(figsize=(2.9 * columns, 2.7 * rows * len(sites) + 0.4), layout="constrained")
+    axes = figure.subplots(rows * len(sites), columns, squeeze=False)
+    for site, inside, lines in zip(sites, slices(sites), np.split(axes, len(sites)), strict=True):
+        for ax, channel in zip_longest(lines.flat, channels):
+            if channel is None:
+                ax.set_axis_off()
+                continue
+            _gap(ax, found, site, inside, channel)
+            name = f"{textwrap.shorten(site.name, _GAP_NAME)}: " if len(sites) > 1 else ""
+            ax.set_title(f"{name}{_SHOWN[channel]}", fontsize=9)
+        for line in lines:
+            line[0].set_ylabel("measured − predicted\n[standard deviations]")
+    handles, labels = next(ax for ax in axes.flat if ax.lines[1:]).get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=9, loc="outside lower center", ncols=len(labels))
+    save_figure(figure, path, dpi=150)
+
+
+def _gap(ax: Any, found: Diagnosis, site: SiteData, inside: slice, channel: str) -> None:
+    stages = [(found.base, "base model", "#7a7a7a", "o")]
+    last = found.shrink[-1].explanation
+    if last and last in found.fits:
+        stages.append((found.fits[last], "with " + " + ".join(last), "#0072b2", "s"))
+    mask = np.array([row.channel == channel for row in site.rows])
+    at = np.arange(int(mask.sum()), dtype=float)
+    if channel != "hold":
+        at = np.array([site.protocol.depth[row.level] for row in site.rows if row.channel == channel])
+    ax.axhspan(-2, 2, color="#eef1f4", zorder=0, label="within two deviations")
+    ax.axhline(0, color="#22303c", lw=0.8)
+    for fitted, label, color, marker in stages:
+        z = (site.data.y - fitted.prediction[inside]) / site.data.deviation
+        ax.plot(at, z[mask], marker, ms=4, color=color, label=label, alpha=0.85)
+    ax.set_xlabel("force ratios of the holds, in order" if channel == "hold" else "depth [mm]")
+
+
+def candidates_picture(found: Diagnosis, path: Path) -> None:
+    """Probability and detectable size of every candidate."""
+    effects = sorted(found.effects.items(), key=lambda item: item[1])
+    figure = Figure(figsize=(8.4, 0.28 * max(len(effects), 4) + 1.2), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
+    names = [name for name, _ in effects]
+    color = ["#d55e00" if p >= decisions.CREDIBLE else "#9aa5b1" for _, p in effects]
+    left.barh(names, [p for _, p in effects], color=color)
+    left.axvline(decisions.CREDIBLE, color="#22303c", lw=0.8, ls="--")
+    left.set_xlim(0.0, 1.0)
+    left.set_xlabel(f"probability that it is missing\n(dashed: {decisions.CREDIBLE:g})")
+    spots = {spot.name: spot for spot in found.blind_spots}
+    sizes = [min(spots[n].detectable_times_typical, _MOST_SIZES) if n in spots else np.nan for n in names]
+    right.barh(names, sizes, color="#56b4e9")
+    right.axvline(1.0, color="#22303c", lw=0.8, ls="--")
+    right.set_xlim(0.0, _MOST_SIZES)
+    right.set_xlabel(
+        "size detected with 80 % power\n(in plausible sizes; right of dashed:\n"
+        f"undetectable; {_MOST_SIZES:g}: or more)"
+    )
+    save_figure(figure, path, dpi=150)
+
+
+def sizes_of(forward_model: SiteForwardModel, site: SiteData) -> dict[str, list[Slot]]:
+    """Size parameters of every effect; those of this site where each measurement has a separate parameter."""
+    known = forward_model.predictions
+    here = [each.site.name for each in known.sites].index(site.name)
+    return {name: [slot for slot in known.sizes(name) if slot.site in (None, here)] for name in known.effects}
+
+
+def sizes_picture(found: Diagnosis, sizes: Mapping[str, Sequence[Slot]], path: Path) -> None:
+    """The interval of every effect's size when it alone is added, in plausible sizes; 0 is no effect.
+
+    A triangle marks an interval that lies entirely outside the axis limits or beyond the largest size
+    searched.
+    """
+    rows = [
+        (f"{name}: {slot.name}",
+         _in_plausible_sizes(slot.parameter, found.sizes[name][slot.name]))
+        for name, mine in sizes.items() if name in found.sizes
+        for slot in mine if slot.name in found.sizes[name]
+    ]  # fmt: skip
+    figure = Figure(figsize=(8.4, 0.26 * max(len(rows), 4) + 1.2), layout="constrained")
+    axes = figure.subplots()
+    for k, (_, ends) in enumerate(rows):
+        low, high = np.clip(ends, -_WIDEST, _WIDEST)
+        color = "#9aa5b1" if low <= 0.0 <= high else "#d55e00"
+        axes.barh(k, high - low, left=low, height=0.6, color=color)
+        if high - low < _THINNEST:
+            axes.plot(low, k, ">" if low > 0 else "<", color=color, clip_on=False)
+    axes.set_yticks(range(len(rows)), [name for name, _ in rows], fontsize=8)
+    axes.axvline(0.0, color="#22303c", lw=0.8)
+    axes.axvline(1.0, color="#22303c", lw=0.8, ls="--")
+    axes.set_xlim(-_WIDEST, _WIDEST)
+    axes.invert_yaxis()
+    axes.set_xlabel(
+        "size in plausible sizes, 95 % (dashed: plausible; orange: 0 is outside;\n"
+        "triangle: larger than the searched sizes, or than this frame)"
+    )
+    save_figure(figure, path, dpi=150)
+
+
+def _in_plausible_sizes(p: Parameter, ends: tuple[float, float]) -> tuple[float, float]:
+    """An interval of a parameter's value, clipped to its bounds, in plausible sizes and increasing order."""
+    low, high = (float(np.clip(x, p.low, p.high) - p.null) for x in ends)
+    first, last = sorted((low / (p.typical - p.null), high / (p.typical - p.null)))
+    return first, last

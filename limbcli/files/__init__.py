@@ -1,0 +1,1 @@
+"""Files as such: written whole, unpacked within limits, parsed safely; folders and locks."""

@@ -1,0 +1,158 @@
+"""Effect of the model's boundaries on the force: solve the fitted model again with other ones.
+
+A model is held where it was cut from the limb, and its far side is free. A limb gives way beyond the cut, so
+that the force is too high, and where its far side rests on something the force is too low. No column of a
+case says how a limb was held. The truth lies between the model and the two extremes, and half of what each
+of them changes counts as one standard deviation of the force.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.effects.base import Effect
+from limbcli.effects.crop import EFFECT as CROP
+from limbcli.effects.far_side import FAR_SIDE
+from limbcli.errors import SolveError
+from limbcli.inference.prediction import SolvedPoints, sampled
+from limbcli.inference.two_step_fit import ForceDepth
+from limbcli.model import Array, LimbModel
+from limbcli.numbers.significant_digits import short
+from limbcli.progress import SILENT, Progress
+from limbcli.results import StageWriter
+
+_SHARE = 0.5  # standard deviation of ln force, as a share of what the other boundary changes
+_FAR = 2.0  # factor on a parameter up to which its linear estimate is given
+
+
+@dataclass(frozen=True)
+class ChangedBoundary:
+    """A boundary other than the model's: key in the result, and how a sentence calls it."""
+
+    key: str
+    words: str
+    effect: Effect
+
+    def of(self, model: LimbModel) -> LimbModel:
+        """The model with this boundary; the same object where that is the model's own."""
+        return self.effect.apply(model, self.effect.start)
+
+
+BOUNDARIES = (
+    ChangedBoundary("cut_free", "if the cut plane were free", CROP),
+    ChangedBoundary("far_side_held", "if the far side of the limb were held", FAR_SIDE),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class ChangedForces:
+    """Forces of the fitted model with another boundary, as ratios (n_reached,) to its own; None without them.
+
+    error : why it could not be solved; None also where the model has no such boundary
+    """
+
+    boundary: ChangedBoundary
+    ratio: Array | None = None
+    error: SolveError | None = None
+
+
+def changed_forces(
+    model: LimbModel, forces: Array, again: Callable[[ChangedBoundary], Array], *,
+    progress: Progress = SILENT,
+) -> list[ChangedForces]:  # fmt: skip
+    """The forces with each of `BOUNDARIES`.
+
+    model, forces (n_levels,) N : the fitted model
+    again : the forces (n_reached,) N of the same model with another boundary; raises SolveError
+    """
+    found = []
+    for boundary in BOUNDARIES:
+        if boundary.of(model) is model:
+            found.append(ChangedForces(boundary))
+            continue
+        progress.event("note", text=f"the fitted model {boundary.words}")
+        try:
+            solved = again(boundary)
+            found.append(ChangedForces(boundary, solved / np.maximum(forces[: len(solved)], 1e-9)))
+        except SolveError as error:
+            found.append(ChangedForces(boundary, error=error))
+    return found
+
+
+def boundary_modes(changed: Sequence[ChangedForces], n_levels: int) -> Array:
+    """Changes of ln force (n_modes, n_levels), one standard deviation each: half of what a boundary changes.
+
+    The other extreme then lies two standard deviations from the model. Beyond the last level that was reached
+    the change is that of this level.
+    """
+    modes = [_SHARE * np.log(np.maximum(each.ratio, 1e-9)) for each in changed if each.ratio is not None]
+    return np.array([np.pad(each, (0, n_levels - len(each)), mode="edge") for each in modes]).reshape(
+        len(modes), n_levels
+    )
+
+
+def write_boundary_check(
+    changed: Sequence[ChangedForces], depths: Array, writer: StageWriter, *,
+    parameters: Callable[[Array], Mapping[str, float]] | None = None, site: str | None = None,
+) -> None:  # fmt: skip
+    """Write `boundary_check` of a fit and a line of the summary for every boundary.
+
+    depths (n_levels,) mm : levels of the fitted model
+    parameters : ratio of forces (n_reached,) -> the parameters with which that model fits the same data
+    site : name of the site, in a fit of several sites, each of which has its own check
+    """
+    data, at = writer.data, ""
+    if site is not None:
+        data, at = writer.data.setdefault("boundary_check", {}), f"{site}: "
+    found: dict[str, dict[str, object]] = {}
+    data["boundary_check" if site is None else site] = found
+    for each in changed:
+        boundary, ratio = each.boundary, each.ratio
+        if ratio is None:
+            why = each.error.what if each.error is not None else "the model has no such boundary"
+            found[boundary.key] = {"not_evaluated": why}
+            if each.error is not None:
+                writer.warnings.append(
+                    f"{at}the force {boundary.words} was not evaluated: {why}; no interval allows for it"
+                )
+            continue
+        n = len(ratio)
+        moved: Mapping[str, float] = {}
+        if parameters is not None:
+            with suppress(SolveError):  # of the derivatives, where a solver has to run for them
+                moved = parameters(ratio)
+        found[boundary.key] = {"depths_mm": depths[:n], "force_change_fraction": ratio - 1.0, **moved}
+        worst = int(np.argmax(np.abs(ratio - 1.0)))
+        words = f"{100 * abs(ratio[worst] - 1.0):.1f} % {'higher' if ratio[worst] > 1 else 'lower'}"
+        fits = " and ".join(f"{name} {short(value, 2)}" for name, value in moved.items())
+        writer.summary.append(
+            f"{at}{boundary.words}, the force would be {words} at {depths[worst]:.1f} mm"
+            + (f" (about {fits} would then fit)" if fits else "")
+        )
+
+
+def moved_parameters(
+    curve: SolvedPoints, knots: Array, data: ForceDepth, theta: Array, free: Mapping[int, str], ratio: Array
+) -> dict[str, float]:
+    """The parameters with which a model whose forces at `knots` are `ratio` (n_reached,) times the curve's
+    fits the same data: one Gauss-Newton step in their logarithms; none if one of them moves by more than a
+    factor of `_FAR`, as a linear estimate says nothing there.
+
+    free : index in theta and name of those that may move
+    """
+    if not free:
+        return {}
+    columns = list(free)
+    reached = data.depth <= knots[len(ratio) - 1]
+    at = sampled(curve, knots, data.depth[reached], free=columns, fixed=theta)(theta[columns])
+    assert at.jacobian is not None
+    times = np.interp(data.depth[reached], knots[: len(ratio)], ratio)
+    slopes = times[:, None] * at.jacobian * theta[columns]
+    step = np.linalg.lstsq(slopes, at.values * (1.0 - times), rcond=None)[0]
+    if np.abs(step).max() > np.log(_FAR):
+        return {}
+    return dict(zip(free.values(), (theta[columns] * np.exp(step)).tolist(), strict=True))

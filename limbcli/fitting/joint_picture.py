@@ -1,0 +1,110 @@
+"""The figures of a joint fit: depth, speed and layers with the force (one row per site), and the profiles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from limbcli.drawing import save_figure
+from limbcli.inference.adaptive import Intervals
+from limbcli.inference.joint import SiteMeasurement, SitePrediction
+from limbcli.measurement.levels import LAYERS
+from limbcli.numbers.units import kpa_from_mpa
+from limbcli.reporting.figures.profiles import ProfileCurve, profile_figure
+from limbcli.reporting.figures.style import BLUE, GREEN, INK, VERMILION, new_figure, style
+from limbcli.results import StageWriter
+
+
+def draw_joint(
+    sites: Sequence[SiteMeasurement], predict: Callable[[int], SitePrediction], found: Intervals,
+    writer: StageWriter, *, file: str = "fit-joint.png", of: str = "site",
+) -> None:  # fmt: skip
+    """Draw fit-joint.png and profiles.png; `of`: what a row of panels represents ("site" or "state")."""
+    with style():
+        layered = any(len(each.layers) for each in sites)
+        figure = new_figure(10.4 if layered else 7.6, 3.0 * len(sites))
+        panels = figure.subplots(len(sites), 3 if layered else 2, squeeze=False)
+        for k, (data, (left, right, *more)) in enumerate(zip(sites, panels, strict=True)):
+            seen = predict(k)
+            order = np.argsort(data.force)
+            left.errorbar(
+                data.depth, data.force, xerr=data.depth_deviation, yerr=data.force_deviation,
+                fmt="o", ms=4, color=INK, label="measured (±1 SD)",
+            )  # fmt: skip
+            left.plot(
+                np.r_[0, seen.depth[order]], np.r_[0, data.force[order]], color=VERMILION, label="joint fit"
+            )
+            left.set(xlabel="indentation depth [mm]", ylabel="probe force [N]", title=f"{of} {data.name}")
+            left.legend(loc="upper left")
+            speed = np.exp(data.log_speed)
+            right.errorbar(
+                data.speed_force, speed, yerr=speed * data.speed_deviation, fmt="o", ms=4, color=INK,
+                label="measured (±1 SD)",
+            )  # fmt: skip
+            order = np.argsort(data.speed_force)
+            right.plot(
+                data.speed_force[order], np.exp(seen.log_speed)[order], color=VERMILION, label="joint fit"
+            )
+            right.set_label(f"{of} {data.name}, speed")
+            right.set(xlabel="probe force [N]", ylabel="shear-wave speed [m/s]")
+            if not len(speed):
+                _nothing(right, "no speeds enter")
+            for each in more:
+                each.set_label(f"{of} {data.name}, layers")
+                _layers(each, data, seen)
+        save_figure(figure, writer.file("picture", file))
+    _draw_profiles(found, writer)
+
+
+def _layers(axes: Axes, data: SiteMeasurement, seen: SitePrediction) -> None:
+    """Thickness of every layer that enters the likelihood, against force."""
+    axes.set(xlabel="probe force [N]", ylabel="thickness [mm]")
+    if not len(data.layers):
+        _nothing(axes, "no layers enter")
+        return
+    for j, colour in zip(np.unique(data.layers.layer), (INK, BLUE, GREEN), strict=False):
+        here = np.flatnonzero(data.layers.layer == j)
+        order = here[np.argsort(data.layers.force[here])]
+        spread = np.sqrt(np.diag(data.layers.covariance)[order])
+        force, name = data.layers.force[order], LAYERS[j]
+        read = data.layers.thickness[order]
+        axes.errorbar(force, read, yerr=spread, fmt="o", ms=4, color=colour, label=f"{name} (±1 SD)")
+        axes.plot(force, seen.layers[order], color=colour, label=f"{name}, joint fit")
+    axes.legend(loc="best")
+
+
+def _nothing(axes: Axes, words: str) -> None:
+    """An empty panel with the reason as text and no ticks."""
+    axes.set(xticks=[], yticks=[])
+    axes.text(0.5, 0.5, words, ha="center", transform=axes.transAxes)
+
+
+def _draw_profiles(found: Intervals, writer: StageWriter) -> None:
+    profiles = []
+    for k, (name, each) in enumerate(found.profiles.items()):
+        unit = kpa_from_mpa(1.0) if name == "c" else 1.0
+        values = unit * each.values
+        profiles.append(
+            ProfileCurve(
+                _short(name),
+                values,
+                each.deviance,
+                unit * float(found.best[k]),
+                "kPa" if name == "c" else "–",
+                found.threshold,
+                (unit * each.low, unit * each.high),
+            )
+        )
+    save_figure(profile_figure(profiles), writer.file("profiles", "profiles.png"))
+
+
+def _short(name: str) -> str:
+    """A parameter's name, shortened to fit in a panel.
+
+    >>> _short("unloaded_stretch_along"), _short("stretch_along_bent"), _short("f_kappa")
+    ('unloaded along', 'along bent', 'f_kappa')
+    """
+    first, stretch, rest = name.partition("stretch_")
+    return f"{first}{rest}".replace("_", " ") if stretch else name

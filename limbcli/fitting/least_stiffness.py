@@ -1,0 +1,161 @@
+"""The stretch at which the speed at rest is lowest, by the fitted law and by the measured states alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from limbcli.fitting.state_curve import StateCurve
+from limbcli.fitting.state_plan import StretchPlan
+from limbcli.inference.adaptive import Intervals
+from limbcli.inference.curve_minimum import LowestPoint, lowest_of_points, lowest_on_grid
+from limbcli.inference.derived import DerivedInterval, derived_interval
+from limbcli.inference.states import StatesProblem
+from limbcli.model import Array
+
+_GRID = np.linspace(
+    np.log(0.35), np.log(1.8), 241
+)  # the minimum of the law's curve may lie outside the range of the states
+_PACE = 0.04  # step in ln stretch of the search for the ends of an interval
+_AT_END = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class LeastStiffness:
+    """The minimum of the speed at rest in one direction (`way`).
+
+    by_law : ln stretch at the minimum of the law's curve, with its interval, on the case's scale if the case
+        gives stretches; of_states : the same by a parabola through the states, None if fewer than three
+        states give different stretches
+    counted : scale of the stretches, "case" or "unloaded" (relative to the unloaded length)
+    measured : ln of the least and greatest stretch of the states, at the best fit
+    """
+
+    way: str
+    counted: str
+    by_law: DerivedInterval
+    of_states: LowestPoint | None
+    measured: tuple[float, float]
+
+    @property
+    def is_beyond(self) -> bool:
+        """Whether the minimum lies outside the measured states, and so is extrapolated by the law."""
+        return not self.measured[0] <= self.by_law.value <= self.measured[1]
+
+    @property
+    def is_determined(self) -> bool:
+        return not (self.by_law.open_low or self.by_law.open_high)
+
+    def words(self) -> str:
+        """The result in one sentence, including whether the data determine it."""
+        frame = (
+            "on the stretch scale of the case"
+            if self.counted == "case"
+            else "of the unloaded tissue's length"
+        )
+        if not self.is_determined:
+            return (
+                f"{self.way} the limb, these data do not determine the state of least stiffness: "
+                f"{self._excluded()}. The speeds at rest do not curve enough over the "
+                "stretches measured; measure states "
+                "further apart, especially shorter ones"
+            )
+        at, low, high = np.exp([self.by_law.value, self.by_law.low, self.by_law.high])
+        return (
+            f"{self.way} the limb, the speed at rest is lowest at a stretch of {at:.2f} (95 %: {low:.2f} to "
+            f"{high:.2f}), {frame}"
+            + ("; no state was measured beyond it, so it rests on the law's curve" if self.is_beyond else "")
+        )
+
+    def _excluded(self) -> str:
+        low, high = np.exp([self.by_law.low, self.by_law.high])
+        if self.by_law.open_low and self.by_law.open_high:
+            return "no searched stretch is excluded"
+        if self.by_law.open_low:
+            return f"only stretches above {high:.2f} are excluded (95 %)"
+        return f"only stretches below {low:.2f} are excluded (95 %)"
+
+    def to_json(self) -> dict[str, Any]:
+        """stretch, low, high (dimensionless); an open end of the interval is null."""
+        law, states = self.by_law, self.of_states
+        of_states: dict[str, Any] = {"stretch": None, "low": None, "high": None, "told": False}
+        if states is not None:
+            values = (
+                None if each is None else float(np.exp(each)) for each in (states.at, states.low, states.high)
+            )
+            of_states = {
+                **dict(zip(("stretch", "low", "high"), values, strict=True)),
+                "told": states.has_curvature,
+            }
+        return {
+            "stretch": float(np.exp(law.value)),
+            "low": None if law.open_low else float(np.exp(law.low)),
+            "high": None if law.open_high else float(np.exp(law.high)),
+            "told": self.is_determined, "beyond_measured_states": self.is_beyond,
+            "counted_from": self.counted,
+            "words": self.words(), "by_parabola_through_states": of_states,
+        }  # fmt: skip
+
+
+def least_stiffness(
+    problem: StatesProblem, found: Intervals, curve: StateCurve, plan: StretchPlan,
+    given: Callable[[str], Sequence[float | None]],
+) -> list[LeastStiffness]:  # fmt: skip
+    """One result for every direction (way) in which states are stretched.
+
+    given : way -> the stretches given for the states
+    """
+    return [_of_way(problem, found, curve, plan, way, given(way)) for way in plan.ways]
+
+
+def _of_way(
+    problem: StatesProblem, found: Intervals, curve: StateCurve, plan: StretchPlan, way: str,
+    given: Sequence[float | None],
+) -> LeastStiffness:  # fmt: skip
+    column, names = plan.ways.index(way), [each.name for each in problem.parameters]
+    searched = f"unloaded_stretch_{way}"
+    place = names.index(searched) if searched in names else None
+    zero = plan.unloaded.get(way, 1.0)
+    in_case = any(each is not None for each in given)
+    grid = np.ones((len(_GRID), len(plan.ways)))
+    grid[:, column] = np.exp(_GRID)
+
+    def counted(theta: Array) -> float:
+        """ln of the stretch, on the case's scale, at which the tissue is unloaded."""
+        return float(np.log(theta[place] if place is not None else zero)) if in_case else 0.0
+
+    def quantity(theta: Array) -> float:
+        return counted(theta) + lowest_on_grid(_GRID, curve.even_speeds(problem.curve_shape(theta), grid))
+
+    low, high = _GRID[0] + _AT_END, _GRID[-1] - _AT_END
+    if place is not None:
+        parameter = problem.parameters[place]
+        low, high = low + np.log(parameter.low), high + np.log(parameter.high)
+    elif in_case:
+        low, high = low + np.log(zero), high + np.log(zero)
+    by_law = derived_interval(
+        problem.objective(), problem.parameters, found.fit, quantity, low=low, high=high, pace=_PACE,
+        scale=found.scale, threshold=found.threshold,
+    )  # fmt: skip
+    values = problem.stretch_values(found.best)
+    logs = [counted(found.best) + np.log(plan.elastic(k, way, values)) for k in range(len(given))]
+    measured = (float(min(logs)), float(max(logs)))
+    return LeastStiffness(
+        way, "case" if in_case else "unloaded", by_law, _of_states(problem, given), measured
+    )
+
+
+def _of_states(problem: StatesProblem, given: Sequence[float | None]) -> LowestPoint | None:
+    rows = [k for k, each in enumerate(given) if each is not None]
+    if len({given[k] for k in rows}) < 3:
+        return None
+    several = [problem.task.states[k].data for k in rows]
+    at_rest = [int(np.argmin(each.speed_force)) for each in several]
+    return lowest_of_points(
+        np.log([float(given[k] or 1.0) for k in rows]),
+        np.array([each.log_speed[j] for each, j in zip(several, at_rest, strict=True)]),
+        np.array([each.speed_deviation[j] for each, j in zip(several, at_rest, strict=True)]),
+    )

@@ -1,0 +1,172 @@
+"""Options of `fit`, and checks that they are compatible."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from limbcli.errors import CaseError
+from limbcli.measurement.levels import LAST
+from limbcli.provenance.requested_options import in_words, requested_by_options
+from limbcli.site_model.indentation_model import C_KPA
+
+OBJECTIVES = ("force", "joint", "states")
+COMPARISON = "--compare-element"
+
+# Fields of FitOptions that have no effect on each kind of fit. `joint` and `states` search on a surrogate
+# with its own stopping rule and always compute intervals; a comparison of elements is of two plain fits.
+_OF_FORCE = ("tolerance", "max_iterations", "intervals", "templates", "time_limit_s")
+_SAYS_NOTHING: Mapping[str, Sequence[str]] = {
+    "joint": _OF_FORCE,
+    "states": (
+        "c_kpa", "c_deviation", "contact_check", "boundary_check", "cycle", "stiffness_map", *_OF_FORCE,
+    ),
+    COMPARISON: (
+        "c_deviation", "intervals", "gain_deviation", "contact_check", "boundary_check", "templates",
+        "time_limit_s",
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """Options of the fit.
+
+    c_kpa : c given by hand (None: from the shear-wave speed at level 0), with its relative
+        standard deviation `c_deviation` (None: that of the shear-wave reading)
+    stiffness_map : use c(x), element by element, from the shear-wave map of level 0
+    intervals : compute profile intervals (more simulations) instead of standard errors only
+    gain_deviation : relative numerical error of the force that intervals include (None: from
+        `mesh --study` if it was run, else by element type and edge length)
+    cycle : the cycle whose loading is fitted, a number or "last" (the last one with three levels of loading)
+    contact_check : solve the fitted model again with a stiffer contact and report the change
+    boundary_check : the same with the cut plane free, and with the far side of the limb held; the intervals
+        allow for both
+    """
+
+    c_kpa: float | None = None
+    c_deviation: float | None = None
+    stiffness_map: bool = False
+    tolerance: float = 1e-3
+    max_iterations: int = 50
+    max_interval_solves: int = 12
+    intervals: bool = True
+    gain_deviation: float | None = None
+    contact_check: bool = True
+    boundary_check: bool = True
+    cycle: str = LAST
+    templates: Path | None = None
+    time_limit_s: float | None = None
+
+    def requested(self, kind: str = "force") -> dict[str, Any]:
+        """The options needed to repeat a run of this kind (an objective or `COMPARISON`).
+
+        >>> FitOptions(tolerance=0.01, contact_check=False).requested(COMPARISON)
+        {'tolerance': 0.01}
+        """
+        unheard = _SAYS_NOTHING.get(kind, ())
+        return {key: value for key, value in requested_by_options(self).items() if key not in unheard}
+
+
+def check_choice(
+    objective: str,
+    *,
+    compare_element: bool,
+    solver: str,
+    stiffness_map: bool = False,
+    joint_only: Sequence[str] = (),
+    options: FitOptions | None = None,
+    febio: Path | None = None,
+) -> None:
+    """Check that these options are compatible.
+
+    joint_only : given options that apply only to the joint fit (or that of states)
+    options : the other options; one that has no effect on the requested fit is an error
+
+    Raises
+    ------
+    CaseError
+        If the objective is unknown, if FEBio is requested for a fit that only the reference solver supports,
+        or a stiffness map for a fit with a single c, or if an option has no effect on the requested fit.
+    """
+    if objective not in OBJECTIVES:
+        fix = f"use {', '.join(OBJECTIVES[:-1])} or {OBJECTIVES[-1]}"
+        raise CaseError(f"there is no objective {objective!r}", where="--objective", fix=fix)
+    joint = objective != "force"
+    if joint and compare_element:
+        raise CaseError(
+            "two conflicting options are given",
+            where=f"--objective {objective}, --compare-element",
+            fix="give one at a time",
+        )
+    if joint_only and not joint:
+        raise CaseError(
+            f"{joint_only[0]} has no effect on the fit of the force alone",
+            where=joint_only[0],
+            fix="add --objective joint (or states), or omit it",
+        )
+    if solver == "febio" and (joint or compare_element):
+        raise CaseError(
+            "this requires derivatives that FEBio does not provide",
+            where="--solver febio",
+            fix="omit --solver: the reference solver supports it",
+        )
+    if febio is not None and (joint or compare_element):
+        raise CaseError(
+            "this requires derivatives that FEBio does not provide",
+            where="--febio",
+            fix="omit --febio: the reference solver supports it",
+        )
+    if stiffness_map and (joint or compare_element):
+        raise CaseError(
+            "a stiffness map is supported only by the fit of the force alone",
+            where="--stiffness-map",
+            fix=f"omit --objective {objective} and --compare-element, or the map",
+        )
+    if objective == "states" and "--compare-laws" in joint_only:
+        raise CaseError(
+            "laws are compared by the joint fit only",
+            where="--compare-laws, --objective states",
+            fix="give one law (--law), or use --objective joint",
+        )
+    choice = COMPARISON if compare_element else f"--objective {objective}"
+    unheard = _SAYS_NOTHING.get(COMPARISON if compare_element else objective, ())
+    given = {key: value for key, value in (options.requested() if options else {}).items() if key in unheard}
+    if given:
+        raise CaseError(
+            f"{in_words(given)} has no effect on {choice}",
+            where=choice,
+            fix="omit it, or fit the force alone (--objective force)",
+        )
+
+
+def check_numbers(options: FitOptions, *, gain_deviation: float | None = None) -> None:
+    """Check the range of numbers given by hand.
+
+    gain_deviation : that of another fit's own options, which replaces the one in `options`
+
+    Raises
+    ------
+    CaseError
+        If one is out of range; the message names the option and its range.
+    """
+    if options.cycle != LAST and not (options.cycle.isdecimal() and int(options.cycle) >= 1):
+        fix = "give the number of a cycle (1, 2, ...) or last"
+        raise CaseError(f"--cycle is {options.cycle!r}", where="--cycle", fix=fix)
+    gain_deviation = options.gain_deviation if gain_deviation is None else gain_deviation
+    rules = (
+        ("--c-kpa", options.c_kpa, *C_KPA, "c = 2 mu in kPa; soft tissue has 2 to 50"),
+        ("--c-deviation-fraction", options.c_deviation, 0.0, 2.0, "a share of c, e.g. 0.1"),
+        ("--tolerance", options.tolerance, 1e-9, 0.1, "relative, e.g. 1e-3"),
+        ("--time-limit-s", options.time_limit_s, 1e-3, 1e9, "seconds"),
+        ("--gain-deviation-fraction", gain_deviation, 0.0, 2.0, "a share of the force, e.g. 0.03"),
+    )
+    for name, value, low, high, meaning in rules:
+        if value is not None and not low <= value <= high:
+            raise CaseError(
+                f"{name} is {value:g}; possible values are {low:g} to {high:g}",
+                where=name,
+                fix=f"give {meaning}",
+            )

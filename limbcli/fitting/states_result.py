@@ -1,0 +1,157 @@
+"""The outputs of the fit of several states: fit-states.json, tables, figures, and each state for FEBio."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from limbcli.case import Site
+from limbcli.effects.tissue import fibre_direction
+from limbcli.feb.write import write_feb
+from limbcli.fitting.exports import parameter_rows, write_exports
+from limbcli.fitting.joint_picture import draw_joint
+from limbcli.fitting.joint_result import (
+    parameter_table,
+    warn_locking,
+    warn_poor,
+    write_level_table,
+)
+from limbcli.fitting.laws import FitLaw
+from limbcli.fitting.least_stiffness import LeastStiffness, least_stiffness
+from limbcli.fitting.state_curve import StateCurve
+from limbcli.fitting.state_plan import StretchPlan
+from limbcli.fitting.states_picture import draw_states, stretch_ends
+from limbcli.inference.adaptive import Intervals
+from limbcli.inference.states import StatesProblem
+from limbcli.model import LimbModel
+from limbcli.numbers.interval_limits import Flag
+from limbcli.reporting.headline import headline
+from limbcli.results import StageWriter
+from limbcli.site_model.indentation_model import TISSUE
+from limbcli.site_model.prestretch import WAYS, through_depths
+
+_WIDE = 1.35  # ratio of the ends of a stretch's interval above which it is called weakly identified
+
+
+def write_states(
+    writer: StageWriter, site: Site, model: LimbModel, law: FitLaw, plan: StretchPlan, curve: StateCurve,
+    problem: StatesProblem, found: Intervals,
+) -> None:  # fmt: skip
+    """Write fit-states.json, tables, exports, figures and a model of each state."""
+    parameters = _with_stretches_judged(parameter_table(problem, found), plan)
+    values = {name: each["value"] for name, each in parameters.items()}
+    c, shape = float(found.best[0]), found.best[1 : 1 + problem.n_shape]
+    names = [each.name for each in site.states]
+    lowest = least_stiffness(problem, found, curve, plan, lambda way: _stated(site, way))
+    writer.data.update(
+        objective="states", law=law.name, law_words=law.words, **values, **law.fixed, parameters=parameters,
+        flags={name: each["flag"] for name, each in parameters.items()},
+        interval_95={name: [each["low"], each["high"]] for name, each in parameters.items()},
+        states={name: _state(k, site, plan, curve, problem, found) for k, name in enumerate(names)},
+        least_stiffness={each.way: each.to_json() for each in lowest},
+        taken_as_unloaded={way: plan.unloaded[way] for way in plan.taken},
+        undetermined=_undetermined(parameters, plan, lowest),
+        gain=problem.gain(found.best), gain_deviation_fraction=problem.task.gain_deviation,
+        chi_square=found.chi_square, n_freedom=found.n_freedom, noise_scale=float(np.sqrt(found.scale)),
+        element="+".join(sorted({block.kind for block in model.mesh.solid_blocks})),
+        n_solves=problem.task.curve.n_solves, solver="reference",
+    )  # fmt: skip
+    fitted = model.with_material(TISSUE, law.along(fibre_direction(model)).material(c, shape))
+    several = [each.data for each in problem.task.states]
+    write_level_table(writer, several, lambda k: problem.predict(k, found.best))
+    write_exports(writer, parameter_rows(site.name, law.name, parameters), fitted)
+    draw_joint(
+        several, lambda k: problem.predict(k, found.best), found, writer, file="fit-states.png", of="state"
+    )
+    draw_states(writer, site, plan, curve, problem, found, lowest)
+    _write_models(writer, site, model, curve, problem, found)
+    _report(writer, parameters, lowest, law, found)
+
+
+def _stated(site: Site, way: str) -> list[float | None]:
+    return [getattr(each.stretch, way) for each in site.states]
+
+
+def _with_stretches_judged(table: dict[str, dict[str, Any]], plan: StretchPlan) -> dict[str, dict[str, Any]]:
+    """Flag stretches with wide intervals as weak: a useful stretch is known to a few hundredths, while the
+    general limit, a factor of three, is as wide as all possible values."""
+    for parameter in plan.parameters:
+        each = table[parameter.name]
+        low, high = each["low"], each["high"]
+        if each["flag"] == Flag.IDENTIFIED and high / low > _WIDE:
+            each["flag"] = Flag.WEAK
+            each["headline"] = str(headline(each["value"], low, high, each["flag"]))
+            each["words"] = f"{parameter.name} is only weakly identified: {low:.3g} to {high:.3g} (95 %)."
+    return table
+
+
+def _state(
+    k: int, site: Site, plan: StretchPlan, curve: StateCurve, problem: StatesProblem, found: Intervals
+) -> dict[str, Any]:
+    """One state: its given stretches, its elastic stretches with their intervals, its speed at rest."""
+    data, seen = problem.task.states[k].data, problem.predict(k, found.best)
+    values, out = problem.stretch_values(found.best), {}
+    for way in WAYS:
+        known = plan.is_known(k, way)
+        low, high = stretch_ends(k, way, plan, found)
+        out[f"stretch_{way}"] = {
+            "told": _stated(site, way)[k], "value": plan.elastic(k, way, values), "low": low, "high": high,
+            "known": known,
+        }  # fmt: skip
+    rest = int(np.argmin(data.speed_force))
+    return {
+        **out,
+        "swe_at_rest_m_per_s": float(np.exp(data.log_speed[rest])),
+        "swe_at_rest_fitted_m_per_s": float(np.exp(seen.log_speed[rest])),
+        "n_levels": len(data.force),
+        "depth_rms_mm": float(np.sqrt(np.mean((data.depth - seen.depth) ** 2))),
+        "speed_rms_fraction": float(np.sqrt(np.mean((data.log_speed - seen.log_speed) ** 2))),
+    }
+
+
+def _undetermined(
+    parameters: dict[str, dict[str, Any]], plan: StretchPlan, lowest: Sequence[LeastStiffness]
+) -> list[str]:
+    """One sentence for each quantity that these data do not determine."""
+    stretches = [each.name for each in plan.parameters]
+    found = [
+        f"not determined by these data: {each['words'].rstrip('.')}"
+        for name, each in parameters.items()
+        if each["low"] is None
+        or each["high"] is None
+        or (name in stretches and each["flag"] != Flag.IDENTIFIED)
+    ]
+    return found + [each.words() for each in lowest if not each.is_determined]
+
+
+def _write_models(
+    writer: StageWriter, site: Site, model: LimbModel, curve: StateCurve, problem: StatesProblem,
+    found: Intervals,
+) -> None:  # fmt: skip
+    """Write <state>.feb: the fitted law with the state's prestretch, driven through the simulated depths."""
+    depths = [float(each) for each in curve.depths]
+    base = through_depths(model, depths, clear=False)
+    for k, state in enumerate(site.states):
+        fitted = curve.in_state(base, problem.place(k, found.best), c=problem.c_of_curve(found.best))
+        write_feb(fitted, writer.file(f"feb_{state.name}", f"{state.name}.feb"))
+
+
+def _report(
+    writer: StageWriter, parameters: dict[str, dict[str, Any]], lowest: Sequence[LeastStiffness], law: FitLaw,
+    found: Intervals,
+) -> None:  # fmt: skip
+    warn_poor(found, writer)
+    for name, each in parameters.items():
+        writer.summary.append(f"{name}: {each['headline']}; {each['words']}")
+    writer.summary += [each.words() for each in lowest]
+    for way, stretch in writer.data["taken_as_unloaded"].items():
+        writer.summary.append(
+            f"{way} the limb all states that give it have a stretch of {stretch:g}: taken as unloaded there"
+        )
+    writer.summary.append(f"chi-square {found.chi_square:.1f} for {found.n_freedom} degrees of freedom")
+    writer.warnings += writer.data["undetermined"]
+    warn_locking(law, writer)
+    for theta in found.unsolved:
+        writer.warnings.append(f"no simulation converged at {np.array2string(theta, precision=3)}")

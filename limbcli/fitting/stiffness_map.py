@@ -1,0 +1,178 @@
+"""The stiffness map of a fit: c(x) from the level-0 wave speeds on the elements of a site's model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from limbcli.case import Site
+from limbcli.drawing import save_figure
+from limbcli.errors import CaseError, MeasurementError, MeshError
+from limbcli.errors.problems import raise_errors
+from limbcli.inference.interval import Stiffness
+from limbcli.measurement.elastography import SweMap, check_mean, check_width, map_file, read_map
+from limbcli.measurement.indentation import Levels
+from limbcli.measurement.stiffness_map import FADE, SMOOTHING, stiffness_at
+from limbcli.model import Array, Block, ElementMap, LimbModel
+from limbcli.numbers.units import kpa_from_mpa
+from limbcli.reporting.figures.stiffness import StiffnessSection, stiffness_figure
+from limbcli.results import StageWriter
+from limbcli.site_model.indentation_model import PROBE, TISSUE
+
+_MOST_OUTSIDE = 0.2  # share of the map's pixels outside the model's tissue above which a warning is given
+
+
+@dataclass(frozen=True, eq=False)
+class TissueMap:
+    """c of every element of the tissue (MPa), and the shear-wave map from which it was computed.
+
+    median : median of the map, MPa, which is also c of all elements far from the map
+    n_inside : number of elements within the image; n_outside : number of pixels outside the model's tissue
+    """
+
+    c: ElementMap
+    swe: SweMap
+    median: float
+    n_inside: int
+    n_outside: int
+
+    @property
+    def words(self) -> str:
+        low, high = (kpa_from_mpa(float(each)) for each in (self.c.values.min(), self.c.values.max()))
+        return (
+            f"2 rho v^2 of the shear-wave map at level 0, element by element: median "
+            f"{kpa_from_mpa(self.median):.2f} kPa, {low:.2f} to {high:.2f} kPa"
+        )
+
+    def stiffness(self, site: Site) -> Stiffness:
+        """The median, and the standard deviation of its logarithm, which combines the error common to all
+        pixels of a level with the error of a single pixel divided by the square root of their number."""
+        noise = site.noise
+        own = noise.swe_pixel_fraction / np.sqrt(len(self.swe))
+        return Stiffness(self.median, 2.0 * float(np.hypot(noise.swe_level_fraction, own)))
+
+
+def tissue_map(model: LimbModel, site: Site, *, row: int = 0) -> TissueMap:
+    """c(x) = 2 rho v0(x)^2 at the centre of every tissue element, from the site's level-0 map.
+
+    row : row of the level in levels.csv, which is also the number of its map
+
+    Raises
+    ------
+    CaseError
+        If the site has no maps.
+    MeasurementError
+        If the map of level 0 is missing, faulty, too small, or outside the model.
+    MeshError
+        If the tissue is not a single block.
+    """
+    swe = _level_0(site, row)
+    raise_errors(check_width(swe, probe_length(model)), MeasurementError)
+    block = _tissue_block(model)
+    middles = model.mesh.points[block.cells].mean(axis=1)
+    found = stiffness_at(swe, middles, density_kg_per_m3=site.density_kg_per_m3)
+    if not found.inside.any():
+        raise MeasurementError(
+            f"the shear-wave map of level 0 lies outside the model: lateral {_range(swe.lateral)}, "
+            f"depth {_range(swe.depth)} hold none of its {len(middles)} elements",
+            where=str(swe.path),
+            fix="lateral_mm is 0 under the probe's centre, depth_mm is 0 at its face and grows downwards",
+        )
+    c = ElementMap(f"{TISSUE}_c", block.name, found.c)
+    return TissueMap(c, swe, found.median, int(found.inside.sum()), _without_tissue(swe, middles))
+
+
+def probe_length(model: LimbModel) -> float:
+    """Length of the probe's face along x, mm; 0 if the model has no probe."""
+    blocks = next((each.blocks for each in model.bodies if each.name == PROBE), ())
+    nodes = [model.mesh.block(name).cells.ravel() for name in blocks]
+    return float(np.ptp(model.mesh.points[np.concatenate(nodes), 0])) if nodes else 0.0
+
+
+def _level_0(site: Site, row: int) -> SweMap:
+    if site.swe_maps is None:
+        raise CaseError(
+            f"site {site.name} has no shear-wave maps to make a stiffness map from",
+            where="case.toml, [[site]]",
+            fix='give their folder (swe_maps = "folder"), or fit without --stiffness-map',
+        )
+    path = map_file(site.swe_maps, row)
+    if not path.is_file():
+        raise MeasurementError(
+            f"there is no shear-wave map of level 0 ({path.name})",
+            where=str(site.swe_maps),
+            fix="export the map at 0 N, or fit without --stiffness-map",
+        )
+    return read_map(path)
+
+
+def _tissue_block(model: LimbModel) -> Block:
+    names = [each.block for each in model.domains if each.material == TISSUE]
+    if len(names) != 1:
+        raise MeshError(
+            f"{len(names)} blocks are made of {TISSUE!r}; a stiffness map needs one",
+            where=", ".join(names) or "the model has none",
+            fix="mesh without layers, or fit without --stiffness-map",
+        )
+    return model.mesh.block(names[0])
+
+
+def _range(values: Array) -> str:
+    return f"{values.min():g} to {values.max():g} mm"
+
+
+def _without_tissue(swe: SweMap, middles: Array) -> int:
+    """Number of pixels without an element nearby, relative to the local element size."""
+    tree = cKDTree(middles)
+    places = np.column_stack([swe.lateral, np.zeros(len(swe)), -swe.depth])
+    distance, nearest = tree.query(places)
+    spacing = tree.query(middles[nearest], k=min(9, len(middles)))[0][:, -1]
+    return int((distance > spacing).sum())
+
+
+def write_tissue_map(
+    found: TissueMap, model: LimbModel, levels: Levels, site: Site, writer: StageWriter
+) -> None:
+    """Write the map's entry in fit.json and its figure, and a warning if it disagrees with the levels."""
+    assert found.swe.path is not None
+    writer.used("swe_map_level_0", found.swe.path)
+    values = kpa_from_mpa(found.c.values)
+    writer.data["stiffness_map"] = {
+        "map": found.swe.path.name, "n_pixels": len(found.swe), "n_pixels_without_tissue": found.n_outside,
+        "n_elements": len(values), "n_elements_within_image": found.n_inside,
+        "median_kpa": kpa_from_mpa(found.median),
+        "low_kpa": float(values.min()), "high_kpa": float(values.max()),
+        "smoothing_mm": SMOOTHING, "fade_mm": FADE,
+        "extruded": "along elevation; outside the image it fades into the median",
+    }  # fmt: skip
+    writer.summary.append(
+        f"stiffness map: {found.n_inside} of {len(values)} elements within the image ({found.words})"
+    )
+    writer.warnings.extend(_warnings(found, levels))
+    block = model.mesh.block(found.c.block)
+    section = StiffnessSection(
+        model.mesh.points, block.kind, block.cells, values, found.swe.lateral, found.swe.depth,
+        {name: dict(each.facets) for name, each in model.mesh.surfaces.items() if name in ("skin", "bone")},
+    )  # fmt: skip
+    save_figure(stiffness_figure(section), writer.file("stiffness_map", "stiffness-map.png"))
+
+
+def _warnings(found: TissueMap, levels: Levels) -> list[str]:
+    warnings = []
+    if found.n_outside > _MOST_OUTSIDE * len(found.swe):
+        warnings.append(
+            f"{found.n_outside} of {len(found.swe)} pixels of the stiffness map are where the model "
+            "has no tissue: check lateral_mm, depth_mm and the site's position"
+        )
+    if not levels.begins_at_zero:
+        warnings.append(
+            f"there is no level 0: the stiffness map is that of {levels.force[0]:g} N and "
+            f"{levels.depth[0]:g} mm, of tissue that is already loaded"
+        )
+    odd = check_mean(found.swe, float(levels.swe_mean_m_per_s[0]))
+    return warnings + [
+        f"{map_file(Path(), int(levels.rows[0])).name}: {each.what} ({each.fix})" for each in odd
+    ]

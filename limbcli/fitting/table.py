@@ -1,0 +1,269 @@
+"""The numbers of fit.json: values, standard errors, intervals and verdicts of each step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from limbcli.inference.adaptive import Intervals
+from limbcli.inference.agreement import FitAgreement, force_agreement
+from limbcli.inference.geometry_uncertainty import at_depths, shifts
+from limbcli.inference.identifiability import (
+    Verdict,
+    correlation,
+    force_variance,
+    has_influence,
+    log_covariance,
+    verdict,
+)
+from limbcli.inference.interpolation import pchip_sample
+from limbcli.inference.interval import Stiffness
+from limbcli.inference.prediction import SolvedPoints, slopes_at
+from limbcli.inference.profile import ends_beyond
+from limbcli.inference.two_step_fit import FittedStep, ForceDepth, sensitivities
+from limbcli.model import Array
+from limbcli.numbers.interval_limits import Flag
+from limbcli.numbers.units import kpa_from_mpa
+from limbcli.reporting.headline import headline
+
+NAMES = ("f_kappa", "m")
+_LEAST_EXPECTED = 0.5  # lower limit of the expected chi-square: with as many parameters as levels it is 0
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """All results of the two steps.
+
+    modes : changes of ln force (n_modes, n_knots), one standard deviation each, by what is not known of the
+    model's geometry and boundaries
+    gains : numerical error of ln force at each step's parameters; empty: that of `stiffness`
+    """
+
+    curve: SolvedPoints
+    knots: Array
+    data: ForceDepth
+    stiffness: Stiffness
+    c_source: str
+    start: Array
+    steps: Sequence[FittedStep]
+    intervals: Sequence[Intervals] | None
+    cold_seconds: float
+    why_no_intervals: str = "no interval was requested"
+    modes: Array | None = None
+    gains: Sequence[float] = ()
+
+    def gain_of(self, step: FittedStep) -> float:
+        """Numerical error of ln force at the step's parameters, one standard deviation."""
+        if not self.gains:
+            return self.stiffness.gain_deviation
+        return self.gains[next(k for k, each in enumerate(self.steps) if each is step)]
+
+    def simulated(self, theta: Array, depths: Array) -> Array:
+        values = self.curve(theta).values
+        return pchip_sample(np.r_[0.0, self.knots], np.r_[0.0, values], depths).values
+
+
+def step_table(found: Identified, k: int) -> dict[str, Any]:
+    """One step of the identification as plain values; keys contain the units."""
+    step, c = found.steps[k], found.stiffness.c
+    f_kappa, m = (float(each) for each in step.theta)
+    covariance = total_covariance(found, step)
+    deviation = np.sqrt(np.diag(covariance))
+    verdicts = _verdicts(found, k, covariance)
+    values = {"c_kpa": kpa_from_mpa(c), "f_kappa": f_kappa, "m": m, "kappa_kpa": kpa_from_mpa(c * f_kappa)}
+    errors = {
+        "c_kpa": values["c_kpa"] * deviation[0],
+        "f_kappa": f_kappa * deviation[1],
+        "m": m * deviation[2],
+    }
+    spread = covariance[0, 0] + covariance[1, 1] + 2 * covariance[0, 1]
+    errors["kappa_kpa"] = values["kappa_kpa"] * float(np.sqrt(spread))
+    intervals = _intervals(found, k, values["c_kpa"])
+    rho = correlation(covariance)
+    searched = [parameter.name for parameter in step.fit.parameters]
+    return {
+        **values,
+        "r2": step.r2, "rmse_n": step.rmse, "cost_n2": step.fit.cost, "reason": step.fit.reason,
+        "n_iterations": step.fit.n_iterations, "n_solves": step.n_solves, "seconds": step.seconds,
+        "numerical_error_fraction": found.gain_of(step),
+        "standard_error": errors,
+        "interval_95": intervals,
+        "correlation": float(rho[1, 2]),
+        "correlations": {"f_kappa,m": rho[1, 2], "c,f_kappa": rho[0, 1], "c,m": rho[0, 2]},
+        "flags": {name: each.flag for name, each in verdicts.items()},
+        "words": {name: each.words for name, each in verdicts.items()},
+        "parameters": {
+            name: _parameter(found, values[name], intervals.get(name), verdicts[name], errors[name])
+            for name in ("c_kpa", *NAMES) if name in verdicts
+        },
+        "profiles": _profiles(found, k),
+        "history": [
+            {"cost_n2": each.cost, **dict(zip(searched, each.theta, strict=True))}
+            for each in step.fit.history
+        ],
+    }  # fmt: skip
+
+
+def total_covariance(found: Identified, step: FittedStep) -> Array:
+    """Covariance (3, 3) of ln c, ln f_kappa, ln m; NaN for parameters not searched or without influence.
+
+    If the data scatter more than their stated noise, the noise is scaled as for the intervals.
+    """
+    answer = sensitivities(found.curve, found.knots, found.data, step.theta)
+    assert answer.jacobian is not None
+    variance = _variance(found, step)
+    free = inside(step)
+    columns = answer.jacobian[:, free]
+    sigma_c = found.stiffness.log_deviation
+    by_c = answer.values * c_share(found)
+    covariance = np.full((3, 3), np.nan)
+    covariance[0, 0] = sigma_c**2
+    if not free:
+        return covariance
+    if not variance.any():  # without stated noise there is no standard error
+        return covariance
+    held = np.column_stack([by_c, answer.values])  # by ln c, and by an error common to all forces
+    deviations = np.array([sigma_c, found.gain_of(step)])
+    variance = variance * _noise_scale(found, step, columns, variance, held * deviations)
+    block = log_covariance(columns, variance, nuisance=held, nuisance_deviation=deviations)
+    if found.modes is not None:
+        moved = shifts(columns, _spread(found, step, found.modes))
+        block = block + moved.T @ moved
+    places = [1 + k for k in free]
+    covariance[np.ix_(places, places)] = block
+    if np.isfinite(block).all():
+        carried = -(sigma_c**2) * np.linalg.pinv(columns) @ by_c
+        covariance[0, places] = covariance[places, 0] = carried
+    return covariance
+
+
+def _noise_scale(found: Identified, step: FittedStep, columns: Array, variance: Array, held: Array) -> float:
+    """Factor by which the noise's variance exceeds the stated one: that of the intervals, else by residuals.
+
+    columns (n, p) : sensitivities
+    held (n, k) : N, effect of one standard deviation of each quantity held fixed
+
+    The residuals are compared with those expected of an unweighted fit from the noise and these errors.
+    """
+    if found.intervals:
+        return found.intervals[_place(found, step)].scale
+    left = np.eye(len(variance)) - columns @ np.linalg.pinv(columns)
+    expected = np.diag(left @ (np.diag(variance) + held @ held.T) @ left.T)
+    chi_square = np.sum(step.fit.residual[found.data.loaded] ** 2 / variance)
+    return max(1.0, float(chi_square / max(np.sum(expected / variance), _LEAST_EXPECTED)))
+
+
+def c_share(found: Identified) -> Array:
+    """d ln force / d ln c (n,) at the loaded levels: 1 if the model has no layers of fixed stiffness."""
+    depth, share = found.data.depth[found.data.loaded], found.stiffness.share
+    return np.ones(len(depth)) if share is None else at_depths(share[None], found.knots, depth)[:, 0]
+
+
+def _spread(found: Identified, step: FittedStep, modes: Array) -> Array:
+    """Change of force (n, n_modes), N, at the loaded levels by one standard deviation of each mode."""
+    answer = sensitivities(found.curve, found.knots, found.data, step.theta)
+    depth = found.data.depth[found.data.loaded]
+    return np.asarray(answer.values[:, None] * at_depths(modes, found.knots, depth))
+
+
+def step_agreement(found: Identified, step: FittedStep) -> FitAgreement:
+    """FitAgreement of a step's curve with the measured forces, by the noise that the fit counted."""
+    order = np.argsort(found.data.depth[found.data.loaded], kind="stable")
+    residual = step.fit.residual[found.data.loaded][order]
+    intervals = found.intervals[_place(found, step)] if found.intervals else None
+    return force_agreement(
+        residual, counted_deviation(found, step)[order], step.r2, n_free=len(step.free),
+        likelihood=(intervals.chi_square, intervals.n_freedom) if intervals else None,
+    )  # fmt: skip
+
+
+def counted_deviation(found: Identified, step: FittedStep) -> Array:
+    """Standard deviation of the force (n,), N, that the fit counted at the loaded levels."""
+    return np.sqrt(_variance(found, step))
+
+
+def _place(found: Identified, step: FittedStep) -> int:
+    return next(k for k, each in enumerate(found.steps) if each is step)
+
+
+def _variance(found: Identified, step: FittedStep) -> Array:
+    """Variance of the force residuals (n,), N^2."""
+    data = found.data
+    slope = slopes_at(found.curve, found.knots, data.depth[data.loaded], step.theta)
+    return force_variance(slope, force_deviation=data.force_deviation, depth_deviation=data.depth_deviation)
+
+
+def inside(step: FittedStep) -> list[int]:
+    """The searched parameters that did not end on a bound."""
+    pairs = zip(step.free, step.fit.parameters, step.fit.theta, strict=True)
+    return [k for k, parameter, value in pairs if parameter.at_bound(float(value)) is None]
+
+
+def _verdicts(found: Identified, k: int, covariance: Array) -> dict[str, Verdict]:
+    step = found.steps[k]
+    answer = sensitivities(found.curve, found.knots, found.data, step.theta)
+    assert answer.jacobian is not None
+    influence = has_influence(answer.jacobian, answer.values)
+    rho = np.nan_to_num(correlation(covariance))
+    verdicts = {"c_kpa": Verdict(Flag.FIXED, f"c is held fixed: {found.c_source}.")}
+    for parameter, index in zip(step.fit.parameters, step.free, strict=True):
+        profile = found.intervals[k].profiles.get(parameter.name) if found.intervals else None
+        others = [("c", rho[1 + index, 0])]
+        others += [(NAMES[j], rho[1 + index, 1 + j]) for j in step.free if j != index]
+        verdicts[parameter.name] = verdict(
+            parameter, float(step.theta[index]), profile,
+            influence=bool(influence[index]), correlations=others,
+            log_deviation=float(np.sqrt(covariance[1 + index, 1 + index])),
+            why_no_profile=found.why_no_intervals,
+        )  # fmt: skip
+    return verdicts
+
+
+def _intervals(found: Identified, k: int, c_kpa: float) -> dict[str, list[float | None]]:
+    """[low, high] by parameter; None where the interval is open up to the parameter's bound."""
+    sigma = found.stiffness.log_deviation
+    intervals: dict[str, list[float | None]] = {
+        "c_kpa": [c_kpa * float(np.exp(-1.96 * sigma)), c_kpa * float(np.exp(1.96 * sigma))]
+    }
+    for name, profile in (found.intervals[k].profiles if found.intervals else {}).items():
+        intervals[name] = [
+            None if profile.open_low else profile.low, None if profile.open_high else profile.high
+        ]  # fmt: skip
+    return intervals
+
+
+def _parameter(
+    found: Identified, value: float, interval: Sequence[float | None] | None, verdict: Verdict, error: float
+) -> dict[str, Any]:
+    low, high = interval or (None, None)
+    reason = "open to both bounds: no value is excluded" if interval else found.why_no_intervals
+    return {
+        "value": value, "low": low, "high": high, "standard_error": error,
+        "headline": str(headline(
+            value, low, high, verdict.flag, bound=verdict.bound, computed=interval is not None
+        )),
+        "interval_reason": reason if low is None and high is None else "",
+        "flag": verdict.flag, "bound": verdict.bound, "words": verdict.words,
+    }  # fmt: skip
+
+
+def _profiles(found: Identified, k: int) -> dict[str, dict[str, Any]]:
+    """The profile likelihoods: parameter values, increase of -2 ln likelihood, and its limit at 95 %.
+
+    extended_to_fit : the interval ends at the published fit, where the curve is already above the limit
+    """
+    if not found.intervals:
+        return {}
+    limit = found.intervals[k].threshold
+    return {
+        name: {
+            "values": each.values,
+            "deviance": each.deviance,
+            "limit": limit,
+            "extended_to_fit": ends_beyond(each, limit),
+        }
+        for name, each in found.intervals[k].profiles.items()
+    }

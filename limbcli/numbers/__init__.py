@@ -1,0 +1,1 @@
+"""Units, limits, interpolation, and numbers as text."""
