@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
+import rooms
 import typer
 from typer.cli import get_docs_for_click
 
@@ -40,7 +41,7 @@ def write_all(folder: Path) -> None:
     folder.mkdir(exist_ok=True)
     pages = {f"command-{name}": command_page(name) for name in COMMANDS}
     pages |= {"case-keys": case_keys(), "effects": effects(), "laws": laws()}
-    pages |= {"benchmarks": benchmarks()}
+    pages |= {"benchmarks": benchmarks(), "rooms": rooms.table()}
     pages |= {
         f"figures-{path.stem}": _beside(path.read_text(encoding="utf-8")) for path in FIGURES.glob("*.md")
     }
@@ -48,6 +49,7 @@ def write_all(folder: Path) -> None:
         path = folder / f"{name}.md"
         if not path.is_file() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
+    rooms.draw(folder / "rooms.svg")
     for path in folder.glob("*.md"):
         if path.stem not in pages:
             path.unlink()

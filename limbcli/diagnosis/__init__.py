@@ -1,1 +1,1 @@
-"""The simulation part of the stage `diagnose`: preparation of sites, forward model, and results."""
+"""Which effect a site's model lacks: its simulations, data, surrogate and errors; `explanations/` decides."""

@@ -46,9 +46,9 @@ from limbcli.results import plain, read_result
 from limbcli.site_model.fibres import with_fibres
 from limbcli.site_model.layer_readings import layer_readings
 from limbcli.site_model.mesh_checks import check_within_tissue, measured_skin_bone
+from limbcli.site_model.segmented_limb import read_limb, site_position
 from limbcli.site_model.site_levels import levels_of, maps_of
 from limbcli.site_model.site_states import one_state
-from limbcli.stages.mesh import read_limb, site_position
 from limbcli.version import __version__
 
 STAGE = "diagnose"

@@ -1,1 +1,1 @@
-"""Parts of `fit`: force curves, laws, options, uncertainty of geometry, mesh and contact, and results."""
+"""What a fit consists of: force curves, laws, uncertainty of geometry, mesh and contact, results."""

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from limbcli.case import Site
 from limbcli.case.noting import unnoted
+from limbcli.errors import MeasurementError
+from limbcli.feb.settings import apart, least_level
 from limbcli.measurement.cycles import CycleStudy, study_cycles
 from limbcli.measurement.elastography import SweMap, read_maps
 from limbcli.measurement.indentation import LayerNoise, Levels, read_levels
 from limbcli.measurement.levels import LAST
 from limbcli.measurement.speed_noise import SpeedNoise
+from limbcli.model import Array
 
 
 def layer_noise(site: Site) -> LayerNoise:
@@ -56,3 +61,24 @@ def maps_of(site: Site, levels: Levels) -> list[SweMap] | None:
 def cycles_of(site: Site, levels: Levels) -> CycleStudy:
     """The site's cycles, compared using the noise stated by its case; levels : of all cycles."""
     return study_cycles(levels, force_deviation=site.noise.force, depth_deviation=site.noise.depth)
+
+
+def simulated_depths(levels: Levels) -> Array:
+    """The distinct loading depths, sorted (mm), without those at first touch, which need no simulation.
+
+    Depths less than 0.02 mm apart are merged.
+
+    Raises
+    ------
+    MeasurementError
+        If no loading level is deeper than the initial depth of the simulation.
+    """
+    depths = np.unique(levels.depth[levels.loading])
+    depths = depths[depths > least_level()]
+    if len(depths) == 0:
+        raise MeasurementError(
+            f"no loading level is deeper than {least_level():g} mm",
+            where=str(levels.path),
+            fix="check the column depth_mm: it increases from 0 with the load, in mm",
+        )
+    return np.array(apart(depths.tolist()))

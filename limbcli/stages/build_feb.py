@@ -17,13 +17,13 @@ import numpy as np
 from limbcli.case import Case, Site
 from limbcli.case.noting import unnoted
 from limbcli.errors import MeasurementError
-from limbcli.feb.settings import Schedule, apart, least_level, schedule
+from limbcli.feb.settings import Schedule, schedule
 from limbcli.feb.write import write_feb
 from limbcli.files.atomic import sha256
 from limbcli.measurement.elastography import shear_modulus_from_wave_speed
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.regression import speed_against_force
-from limbcli.model import Array, LimbModel
+from limbcli.model import LimbModel
 from limbcli.model.abaqus_input import write_abaqus
 from limbcli.model.npz_file import load_model
 from limbcli.numbers.units import kpa_from_mpa, mpa_from_kpa
@@ -51,7 +51,7 @@ from limbcli.site_model.site_layers import (
     locking_warning,
     with_layer_laws,
 )
-from limbcli.site_model.site_levels import levels_of
+from limbcli.site_model.site_levels import levels_of, simulated_depths
 from limbcli.solvers.base import MODEL_FILE
 
 STAGE = "build-feb"
@@ -192,27 +192,6 @@ def no_level_0(levels: Levels, site: Site) -> str | None:
     )
     c_kpa = kpa_from_mpa(2 * float(modulus[0]))
     return why + f"; the line through {line.n} speeds gives {c_kpa:.3g} kPa at 0 N (--c-kpa {c_kpa:.3g})"
-
-
-def simulated_depths(levels: Levels) -> Array:
-    """The distinct loading depths, sorted (mm), without those at first touch, which need no simulation.
-
-    Depths less than 0.02 mm apart are merged.
-
-    Raises
-    ------
-    MeasurementError
-        If no loading level is deeper than the initial depth of the simulation.
-    """
-    depths = np.unique(levels.depth[levels.loading])
-    depths = depths[depths > least_level()]
-    if len(depths) == 0:
-        raise MeasurementError(
-            f"no loading level is deeper than {least_level():g} mm",
-            where=str(levels.path),
-            fix="check the column depth_mm: it increases from 0 with the load, in mm",
-        )
-    return np.array(apart(depths.tolist()))
 
 
 def _report_layers(writer: StageWriter, laws: Mapping[str, LayerLaw]) -> None:

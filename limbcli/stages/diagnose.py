@@ -49,8 +49,8 @@ from limbcli.provenance.chain_inputs import CaseInputs
 from limbcli.provenance.requested_options import requested_by_options
 from limbcli.results import StageResult, open_stage, plain, read_result
 from limbcli.site_model.cycle_words import cycle_facts
+from limbcli.site_model.segmented_limb import site_position
 from limbcli.site_model.site_levels import all_levels_of
-from limbcli.stages.mesh import site_position
 
 _SAME_PLACE = 2.0  # mm, largest distance of two sites at the same place
 

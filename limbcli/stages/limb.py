@@ -41,6 +41,7 @@ from limbcli.provenance.chain_inputs import note_templates, noted
 from limbcli.provenance.requested_options import requested_of
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.site_model.indentation_model import TISSUE
+from limbcli.site_model.segmented_limb import site_position
 from limbcli.site_model.site_layers import (
     Layering,
     LayerLaw,
@@ -62,7 +63,6 @@ from limbcli.stages.limb_model.element_values import (
     with_element_values,
 )
 from limbcli.stages.limb_model.hand_over import LimbFiles, write_limb
-from limbcli.stages.mesh import site_position
 from limbcli.stages.segmenting.places import warnings_of_limb
 from limbcli.stiffness_field import LABELS, Draws, write_draws
 from limbcli.stiffness_field.draws import N_DRAWS

@@ -16,14 +16,13 @@ from limbcli.errors.problems import raise_errors
 from limbcli.meshing.export import write_vtu
 from limbcli.meshing.frame import LARGEST_SLOPE_DEG, skin_point_at
 from limbcli.meshing.layers import Layer
-from limbcli.meshing.mending import Limb, mend
+from limbcli.meshing.mending import Limb
 from limbcli.meshing.picture import mesh_picture
 from limbcli.meshing.places import place_problems
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_mesher import MIN_ANGLE_DEG, MIN_ANGLE_UNDER_PROBE_DEG
 from limbcli.meshing.site_model import MeshOptions, SiteModel, site_model
-from limbcli.meshing.surfaces import read_surface
 from limbcli.model.npz_file import save_model
 from limbcli.numbers.mesh_bounds import ELEMENTS, FAR_SIZE_MM, MARGIN_MM, SIZE_MM
 from limbcli.progress import SILENT, Progress
@@ -41,6 +40,7 @@ from limbcli.site_model.mesh_checks import (
 )
 from limbcli.site_model.mesh_inputs import MeshInputs
 from limbcli.site_model.mesh_study import study_site
+from limbcli.site_model.segmented_limb import read_limb, site_position
 from limbcli.site_model.site_layers import Layering, Thickness, layer_laws, layers_in, with_layer_laws
 from limbcli.stages.segmenting.places import warnings_of_limb
 
@@ -127,35 +127,6 @@ def mesh_options(
         if not low <= value <= high:
             raise CaseError(f"{name} is {value:g}", where=case.subject, fix=f"give {low:g} to {high:g} mm")
     return MeshOptions(element=element or case.model.element, margin=margin, sizes=sizes)
-
-
-def read_limb(segmented: StageResult) -> Limb:
-    """The surfaces written by `segment`, repaired."""
-    paths = sorted(segmented.path(name) for name in segmented.files if name.startswith("bone_"))
-    skin = read_surface(segmented.folder / "skin.ply")
-    return mend(skin, [read_surface(each) for each in paths], where=str(segmented.folder))
-
-
-def site_position(site: Site, segmented: StageResult) -> tuple[float, float, float]:
-    """Position of a site (LPS, mm): as given, or that of its marker.
-
-    Raises
-    ------
-    CaseError
-        If the marker was not found in the images.
-    """
-    if site.position is not None:
-        return site.position
-    markers = {each["number"]: each["position_mm"] for each in segmented.data.get("markers", [])}
-    if site.marker not in markers:
-        known = ", ".join(map(str, sorted(markers))) or "none"
-        raise CaseError(
-            f"marker {site.marker} was not found (markers in the images: {known})",
-            where=f"site {site.name}",
-            fix="see the contact sheet of `limbcli segment`, or give position_mm instead of marker",
-        )
-    x, y, z = markers[site.marker]
-    return float(x), float(y), float(z)
 
 
 def mesh_site(

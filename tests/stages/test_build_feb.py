@@ -19,7 +19,8 @@ from limbcli.model import LimbModel
 from limbcli.model.npz_file import load_model
 from limbcli.results import sealed
 from limbcli.site_model.indentation_model import start_at, starting_depth, touching_points
-from limbcli.stages.build_feb import TissueOptions, build_feb, simulated_depths
+from limbcli.site_model.site_levels import simulated_depths
+from limbcli.stages.build_feb import TissueOptions, build_feb
 from tests.stages.block_case import make_case
 
 DEPTHS = np.array([0.8, 1.7, 3.25])
