@@ -13,7 +13,7 @@ from limbcli.measurement.indentation import Levels
 from limbcli.model import LimbModel
 from limbcli.results import StageWriter
 from limbcli.site_model.indentation_model import PROBE, start_at, starting_depth
-from limbcli.site_model.site_levels import all_levels_of, cycles_of
+from limbcli.site_model.site_levels import all_levels_of, cycles_of, simulated_depths
 
 _SAME_TOUCH = 0.02  # mm, shift of first touch against cycle 1 below which it is not mentioned
 
@@ -23,8 +23,6 @@ def through_cycle(model: LimbModel, levels: Levels, site: Site) -> LimbModel:
 
     `build-feb` drives it through those of the last cycle, for which the model is returned unchanged.
     """
-    from limbcli.stages.build_feb import simulated_depths  # not needed by the report
-
     usual = all_levels_of(site)
     if int(levels.cycle[0]) == usual.chosen_cycle():
         return model
