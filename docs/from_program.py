@@ -24,6 +24,8 @@ TABLES = {
     "[probe]": schema.PROBE,
     "[model]": schema.MODEL,
     "[socket]": schema.SOCKET,
+    "[socket.knee]": schema.KNEE,
+    "[socket.liner]": schema.LINER,
     "[[site]]": schema.SITE,
     "[[site.pennation]]": schema.PENNATION,
     "[[site.state]]": schema.STATE,
