@@ -13,7 +13,7 @@ import pytest
 from limbcli.files import kernel_folder
 from limbcli.files.kernel_folder import VARIABLE, keep_kernels
 
-ROOT = Path(kernel_folder.__file__).parents[1]
+ROOT = Path(kernel_folder.__file__).parents[2]
 # A kernel, and a function in another file that it calls.
 CALLED = "from numba import njit\n@njit(cache=True)\ndef twice(x):\n    return {factor} * x\n"
 CALLER = """

@@ -23,8 +23,8 @@ from limbcli.imaging.nifti import label_names_of, open_nifti
 from limbcli.imaging.surface import read_surface
 from limbcli.surface_formats.vtk_xml import read_vtk_xml
 
-PUNCH = Path(__file__).resolve().parent / "data" / "feb" / "punch.feb"
-PACKAGE = Path(__file__).resolve().parents[1] / "limbcli"
+PUNCH = Path(__file__).resolve().parents[1] / "data" / "feb" / "punch.feb"
+PACKAGE = Path(__file__).resolve().parents[2] / "limbcli"
 IN_ATTRIBUTE = '<!DOCTYPE x [<!ENTITY one "1">]>\n'
 DEFAULTS = '<!DOCTYPE x [<!ATTLIST Nodes name CDATA "other">]>\n'
 EXTERNAL = '<!DOCTYPE x SYSTEM "file:///etc/hostname">\n'
@@ -179,7 +179,7 @@ def test_nothing_else_in_the_package_parses_xml() -> None:
     found = [
         str(path.relative_to(PACKAGE))
         for path in sorted(PACKAGE.rglob("*.py"))
-        if path.name != "xml_files.py" and parses.search(path.read_text(encoding="utf-8"))
+        if path != PACKAGE / "files" / "xml.py" and parses.search(path.read_text(encoding="utf-8"))
     ]
     assert found == []
 

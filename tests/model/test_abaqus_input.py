@@ -18,7 +18,7 @@ from limbcli.materials.program import compile_material
 from limbcli.model import Block, Domain, ElementMap, LimbModel, Material, Mesh, Surface
 from limbcli.model.abaqus_input import AbaqusOgden, abaqus_ogden, write_abaqus
 
-PUNCH = Path(__file__).parent / "data" / "feb" / "punch.feb"
+PUNCH = Path(__file__).parents[1] / "data" / "feb" / "punch.feb"
 OGDEN = Material("ogden", {"c1": 0.004, "m1": 3.0, "c2": 0.006, "m2": -5.0, "kappa": 0.4})
 LAWS = [
     OGDEN,

@@ -31,6 +31,7 @@ def test_options_of_every_kind_of_fit_are_taken_again(kind):
 
 def test_states_fitted_after_the_force_remember_only_what_speaks_to_them(tmp_path, monkeypatch):
     monkeypatch.setattr(fit_states, "_fit_site", lambda *_: None)
+    monkeypatch.setattr(fit_states, "noted", lambda case, _: case)
     (made,) = fit_states.fit_states(
         CASE, out=tmp_path, options=FitOptions(c_kpa=8.0, contact_check=False, boundary_check=False)
     )
@@ -39,6 +40,7 @@ def test_states_fitted_after_the_force_remember_only_what_speaks_to_them(tmp_pat
 
 def test_a_comparison_made_from_python_does_too(tmp_path, monkeypatch):
     monkeypatch.setattr(fit_elements, "_compare_site", lambda *_: None)
+    monkeypatch.setattr(fit_elements, "noted", lambda case, _: case)
     requested = FitOptions(c_kpa=8.0, contact_check=False, boundary_check=False)
     (made,) = fit_elements.compare_elements(CASE, out=tmp_path, options=requested)
     assert made.data["asked"] == {"c_kpa": 8.0}

@@ -87,7 +87,7 @@ def test_key_follows_the_content_of_files(tmp_path: Path):
 
 
 def test_the_whole_package_counts_as_its_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    assert Path(freshness.__file__).parents[2] == freshness.PACKAGE
+    assert Path(freshness.__file__).parents[1] == freshness.PACKAGE
     monkeypatch.setattr(freshness, "PACKAGE", tmp_path)
     law = tmp_path / "materials" / "ogden.py"
     law.parent.mkdir()
