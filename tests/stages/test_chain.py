@@ -20,6 +20,7 @@ from limbcli.errors import CaseError, ToolError
 from limbcli.files.atomic import sha256
 from limbcli.provenance import chain as chain_module
 from limbcli.provenance.chain import Chain, note_earlier
+from limbcli.provenance.chain_inputs import noted
 from limbcli.results import open_stage, read_result, sealed
 from limbcli.stages import build_feb as build_feb_module
 from limbcli.stages import diagnose as diagnose_module
@@ -215,7 +216,9 @@ def test_the_report_tells_every_change(root: Path, change: str):
 def test_a_diagnosis_rests_on_the_thickness_that_the_case_tells(root: Path):
     case, out = Case.open(root / "case"), root / "out"
     with open_stage(out, "diagnose", subject="S1", site="p1") as writer:
-        note_earlier(case, out, case.site("p1"), writer)
+        site = noted(case, writer).site("p1")
+        note_earlier(out, site, writer)
+        assert site.skin_bone is None
     assert writer.result is not None
     assert Chain(case, out).broken(writer.result) is None
     in_case('trace = "trace.csv"', 'trace = "trace.csv"\nskin_bone_mm = 20.0')(root)

@@ -50,9 +50,16 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         chain_case.imaged(patch)
         prepared_only(patch)
-        for work, options in STAGES.values():
+        for stage, (work, options) in STAGES.items():
             work(case, out=root / "out", **options)
+            if stage == "limb":
+                shutil.copytree(root / "out", root / "limb-out")
     return root
+
+
+def out_of(root: Path, stage: str) -> Path:
+    """The results as they were when the stage was made: a later diagnosis makes a limb out of date."""
+    return root / ("limb-out" if stage == "limb" else "out")
 
 
 def prepared_only(patch: pytest.MonkeyPatch) -> None:
@@ -77,7 +84,7 @@ def prepared_only(patch: pytest.MonkeyPatch) -> None:
 
 
 def result_of(root: Path, stage: str) -> StageResult:
-    return read_result(root / "out", stage, site=None if stage in OF_CASE else "p1")
+    return read_result(out_of(root, stage), stage, site=None if stage in OF_CASE else "p1")
 
 
 def recorded(root: Path, stage: str) -> set[str]:
@@ -106,7 +113,7 @@ def test_every_key_changed_after_a_stage_is_noticed_exactly_where_it_was_asked(
     wrong = {}
     for key, (change, _) in changed_keys.CHANGES.items():
         changed_keys.write_changed(tmp_path / "case", change)
-        broken = Chain(Case.open(tmp_path / "case"), made / "out").broken(result)
+        broken = Chain(Case.open(tmp_path / "case"), out_of(made, stage)).broken(result)
         if (broken is not None) != asked(key, names):
             wrong[key] = broken.what if broken else "not noticed"
     assert not wrong
