@@ -12,6 +12,7 @@ import numpy as np
 
 from limbcli.imaging.markers import MarkerCapsule
 from limbcli.imaging.surface import ClosedSurface
+from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 
 _BLUR = 3.0  # mm around a capsule affected by its brightness
@@ -29,7 +30,7 @@ def without_bumps(skin: ClosedSurface, markers: Sequence[MarkerCapsule]) -> tupl
     surface with the same triangles; mm by which the skin at each marker was lowered (negative: raised)
     """
     points = skin.points.copy()
-    normals = _vertex_normals(skin)
+    normals = Triangles(skin.points, skin.triangles).point_normals
     moved = []
     for marker in markers:
         points, depth = _smoothed(points, normals, marker)
@@ -70,13 +71,3 @@ def _local(offsets: Array, axis: Array) -> tuple[Array, Array, Array]:
     first = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     first /= np.linalg.norm(first)
     return offsets @ first, offsets @ np.cross(axis, first), offsets @ axis
-
-
-def _vertex_normals(skin: ClosedSurface) -> Array:
-    """Outward unit normals (n, 3); 0 at points without triangles."""
-    a, b, c = (skin.points[skin.triangles[:, k]] for k in range(3))
-    faces = np.cross(b - a, c - a)
-    normals = np.zeros_like(skin.points)
-    for k in range(3):
-        np.add.at(normals, skin.triangles[:, k], faces)
-    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12))

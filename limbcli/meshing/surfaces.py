@@ -39,6 +39,14 @@ class Triangles:
         return np.linalg.norm(self.area_vectors, axis=1)
 
     @property
+    def point_normals(self) -> Array:
+        """Unit normals (n, 3), weighted by the areas of the faces at a point; 0 at points without faces."""
+        found = np.zeros_like(self.points, dtype=float)
+        for column in self.faces.T:
+            np.add.at(found, column, self.area_vectors)
+        return found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-300)
+
+    @property
     def centroids(self) -> Array:
         return self.corners.mean(axis=1)
 

@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from limbcli.errors import MeshError
+from limbcli.feb.law_tags import lame
+from limbcli.meshing.quality import volumes
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array, Block, Domain, IntArray, LimbModel, Material, Surface
 
@@ -28,9 +30,8 @@ class Liner:
 
     @property
     def material(self) -> Material:
-        mu = self.youngs_modulus / (2.0 * (1.0 + self.poisson))
-        lame = 2.0 * mu * self.poisson / (1.0 - 2.0 * self.poisson)
-        return Material("neo_hooke", {"mu": mu, "lambda": lame})
+        mu, lam = lame(self.youngs_modulus, self.poisson)
+        return Material("neo_hooke", {"mu": mu, "lambda": lam})
 
 
 def with_liner(limb: LimbModel, liner: Liner, *, skin: str = "skin") -> LimbModel:
@@ -68,11 +69,7 @@ def with_liner(limb: LimbModel, liner: Liner, *, skin: str = "skin") -> LimbMode
 
 def grown(surface: Triangles, thickness: float) -> Triangles:
     """A surface moved outward along the normals of its points, mm."""
-    normals = np.zeros_like(surface.points)
-    for k in range(3):
-        np.add.at(normals, surface.faces[:, k], surface.area_vectors)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
-    return Triangles(surface.points + thickness * normals, surface.faces)
+    return Triangles(surface.points + thickness * surface.point_normals, surface.faces)
 
 
 def _split(corners: IntArray, outer: IntArray) -> IntArray:
@@ -123,14 +120,8 @@ def _curved(
     )
 
 
-def _volumes(points: Array, cells: IntArray) -> Array:
-    a, b, c, d = (points[cells[:, k]] for k in range(4))
-    return np.asarray(np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) / 6.0)
-
-
 def _refuse_folds(points: Array, cells: IntArray, thickness: float) -> None:
-    volumes = _volumes(points, cells)
-    if (folded := np.flatnonzero(volumes <= 0)).size:
+    if (folded := np.flatnonzero(volumes(points, cells) <= 0)).size:
         place = points[cells[folded[0], :4]].mean(axis=0)
         raise MeshError(
             f"the liner of {thickness:g} mm would fold at ({', '.join(f'{each:.0f}' for each in place)}): "

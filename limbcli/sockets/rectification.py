@@ -93,7 +93,7 @@ def rectified(
         t = np.clip((skin.points @ toward_tip - table.brim_mm) / table.flare_width_mm, 0.0, 1.0)
         inside = t * t * (3.0 - 2.0 * t)
         amount = inside * amount - (1.0 - inside) * table.flare_mm
-    moved = Triangles(skin.points - amount[:, None] * _normals(skin), skin.faces)
+    moved = Triangles(skin.points - amount[:, None] * skin.point_normals, skin.faces)
     kept = np.ones(len(skin.faces), dtype=bool)
     if table.brim_mm is not None:
         kept = (skin.points @ toward_tip)[skin.faces].min(axis=1) >= table.brim_mm
@@ -113,11 +113,3 @@ def rectified(
             fix="make the rectification there smaller, or the transition wider",
         )
     return moved.part(kept).flipped()
-
-
-def _normals(surface: Triangles) -> Array:
-    """Unit normals (n_points, 3), weighted by the areas of the facets around a point."""
-    out = np.zeros_like(surface.points)
-    for k in range(3):
-        np.add.at(out, surface.faces[:, k], surface.area_vectors)
-    return np.asarray(out / np.maximum(np.linalg.norm(out, axis=1), 1e-300)[:, None])

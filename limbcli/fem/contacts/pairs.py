@@ -132,8 +132,10 @@ class Pair:
         after = self.multipliers()
         if self.used:
             self.set_multipliers(self.used)
-        yield
-        self.set_multipliers(after)
+        try:
+            yield
+        finally:
+            self.set_multipliers(after)
 
     @property
     def is_augmented(self) -> bool:

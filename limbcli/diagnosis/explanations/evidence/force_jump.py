@@ -9,13 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtri
 
+from limbcli.diagnosis.explanations import decisions
 from limbcli.diagnosis.explanations.model.forward_model import Data, Fitted
 from limbcli.diagnosis.explanations.model.linear import LinearFit, Whitener
 
-_SIGNIFICANT = 15.0  # chi2, least reduction by a jump; chance gives 11 once in 100 measurements of 14 levels
 _FEWEST = 2  # readings before and after a jump
-_AS_GOOD = 2.0  # chi2 by which a jump may explain less than the chosen effect
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ def force_jump(data: Data, base: Fitted, *, explained: float) -> ForceJump | Non
 
     base : the fit without effects; explained : chi2 by which the chosen effects reduce its misfit
 
-    To first order in the base parameters. The place of a jump is chosen among those between all levels, for
-    which 2 ln(their number) is taken off its chi2.
+    To first order in the base parameters. The place of a jump is chosen among those between all levels:
+    its p is multiplied by their number, and 2 ln(their number) is taken off its chi2.
     """
     whiten = Whitener.of(data.noise.covariance)
     fit = LinearFit.of(whiten(data.y - base.prediction), whiten(base.jacobian))
@@ -61,6 +61,6 @@ def force_jump(data: Data, base: Fitted, *, explained: float) -> ForceJump | Non
                 pull = float(step @ left)
                 found.append(ForceJump(pull / length, int(level), pull**2 / length))
     best = max(found, key=lambda each: each.chi2, default=None)
-    if best is None or best.chi2 < _SIGNIFICANT:
+    if best is None or best.chi2 < chdtri(1, decisions.CHECKED / len(found)):
         return None
-    return best if best.chi2 - 2.0 * np.log(len(found)) >= explained - _AS_GOOD else None
+    return best if best.chi2 - 2.0 * np.log(len(found)) >= explained else None
