@@ -13,10 +13,11 @@ from limbcli.fitting.exports import parameter_rows, write_exports, write_table
 from limbcli.fitting.fibre_orientations import write_moduli
 from limbcli.fitting.joint_picture import draw_joint
 from limbcli.fitting.laws import FIBRE_F_KAPPA, LOCKING, FitLaw
-from limbcli.inference.adaptive import EstimationProblem, Intervals
+from limbcli.inference.adaptive import Intervals
 from limbcli.inference.agreement import chi_square_agreement
 from limbcli.inference.identifiability import Verdict, are_determined, correlation, verdict
 from limbcli.inference.joint import JointProblem, JointTask, SiteMeasurement, SitePrediction, held_out_error
+from limbcli.inference.likelihood import Likelihood
 from limbcli.inference.parameter import FitParameter
 from limbcli.measurement.levels import LAYERS
 from limbcli.model import LimbModel
@@ -104,7 +105,7 @@ def warn_locking(law: FitLaw, writer: StageWriter) -> None:
     )
 
 
-def parameter_table(problem: EstimationProblem, found: Intervals) -> dict[str, dict[str, Any]]:
+def parameter_table(problem: Likelihood, found: Intervals) -> dict[str, dict[str, Any]]:
     """Table of c (kPa) and the other profiled parameters: value, error, interval, flag and words."""
     n = len(problem.profiled)
     logs = found.fit.jacobian * found.fit.theta

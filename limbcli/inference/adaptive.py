@@ -8,15 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
 from limbcli.errors import SolveError
-from limbcli.inference.levenberg_marquardt import Fit
-from limbcli.inference.parameter import FitParameter
+from limbcli.inference.least_squares import Fit
+from limbcli.inference.likelihood import Likelihood
 from limbcli.inference.profile import Profile, best_of, profile_likelihood
-from limbcli.inference.residual import Objective
 from limbcli.model import Array
 from limbcli.numbers.interval_limits import noise_scale, threshold_95
 from limbcli.progress import SILENT, Progress
@@ -29,52 +27,6 @@ _NEAR = 0.05  # distance in ln theta within which a point counts as solved
 # interval: an end that is decades away from the fit is not needed to 30 %.
 _END_NEAR, _END_NEAR_SHARE = 0.3, 0.1
 _SETTLES = 4  # largest number of refits with updated weights
-
-
-class EstimationProblem(Protocol):
-    """An estimation problem that is evaluated on surrogates.
-
-    parameters : the whole vector theta, on the log scale
-    profiled : indices of the parameters to profile
-    simulated : indices of the parameters that are inputs of a simulation
-    n_freedom : number of data minus number of parameters
-    """
-
-    parameters: list[FitParameter]
-    profiled: tuple[int, ...]
-    simulated: tuple[int, ...]
-    n_freedom: int
-
-    def objective(self) -> Objective:
-        """Residuals in standard deviations, on the current surrogates."""
-        ...
-
-    def settle(self, theta: Array) -> bool:
-        """Recompute the weights of the residuals at this fit; returns whether they changed."""
-        ...
-
-    def starts(self) -> list[Array]: ...
-
-    def uncertainty(self, theta: Array) -> float:
-        """Error of the surrogates at theta, in standard deviations of the data."""
-        ...
-
-    def distance(self, theta: Array) -> float:
-        """Distance to the nearest simulated point, in ln of the parameters that need a simulation."""
-        ...
-
-    def solve(self, theta: Array) -> None:
-        """Simulate at theta and refresh the surrogates; raises SolveError if the model cannot be solved
-        there."""
-        ...
-
-    def within_reach(self, theta: Array) -> Array:
-        """theta, moved towards the solved points to where a simulation can be expected to converge."""
-        ...
-
-    def solved_at(self, theta: Array) -> Array:
-        """The parameters with which theta is simulated."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,18 +51,8 @@ class Intervals:
     unsolved: tuple[Array, ...] = ()
 
 
-def drawn_in(theta: Array, solved: Array, shape: Sequence[FitParameter]) -> Array:
-    """theta (c, shape..., ...) with its shape limited to one step factor beyond the solved points (n, >=
-    n_shape)."""
-    near = theta.copy()
-    for k, parameter in enumerate(shape):
-        low, high = solved[:, k].min(), solved[:, k].max()
-        near[1 + k] = np.clip(theta[1 + k], low / parameter.step_factor, high * parameter.step_factor)
-    return near
-
-
 def adaptive_profiles(
-    problem: EstimationProblem, *, max_solves: int, estimate: Array | None = None, progress: Progress = SILENT
+    problem: Likelihood, *, max_solves: int, estimate: Array | None = None, progress: Progress = SILENT
 ) -> Intervals:
     """Profile likelihoods from as few simulations as the accuracy of the intervals allows.
 
@@ -137,7 +79,7 @@ def _accepted(name: str, side: int) -> float:
 
 
 class _Work:
-    def __init__(self, problem: EstimationProblem, estimate: Array | None):
+    def __init__(self, problem: Likelihood, estimate: Array | None):
         self.problem, self.estimate = problem, estimate
         self.unsolved: list[Array] = []
         self.refused: list[Array] = []

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limbcli.inference.levenberg_marquardt import Fit
+from limbcli.inference.least_squares import Fit
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.profile import best_of
 from limbcli.inference.residual import Objective, Residual

@@ -2,8 +2,7 @@
 
 Each mode is ln of the ratio of the force of a varied model to that of the fitted one, for a variation by one
 standard deviation, at the simulated depths. A mode shifts all levels together, so it adds covariance to the
-residuals: V = diag(noise) + U U', with U the modes in N at the measured depths. The residuals are whitened by
-the Cholesky factor of V.
+residuals: V = diag(noise) + U U', with U the modes in N at the measured depths.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ import numpy as np
 
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.profile import Profile
-from limbcli.inference.residual import Objective, Residual
 from limbcli.model import Array
 
 
@@ -27,23 +25,6 @@ def at_depths(modes: Array, knots: Array, depth: Array) -> Array:
     array([0.1, 0.2])
     """
     return np.stack([np.interp(depth, knots, each) for each in modes], axis=1)
-
-
-def whitened(objective: Objective, deviation: Array, spread: Array) -> Objective:
-    """Whiten the first n residuals, given in standard deviations (n,), for modes in N (n, n_modes)."""
-    scaled = spread / deviation[:, None]
-    factor = np.linalg.cholesky(np.eye(len(deviation)) + scaled @ scaled.T)
-    n = len(deviation)
-
-    def white(theta: Array, derivative: bool = True) -> Residual:
-        base = objective(theta, derivative)
-        values = np.r_[np.linalg.solve(factor, base.values[:n]), base.values[n:]]
-        if base.jacobian is None:
-            return Residual(values)
-        upper = np.linalg.solve(factor, base.jacobian[:n])
-        return Residual(values, np.vstack([upper, base.jacobian[n:]]))
-
-    return white
 
 
 def shifts(columns: Array, moved: Array) -> Array:

@@ -16,11 +16,11 @@ import numpy as np
 
 from limbcli.inference.adaptive import Intervals, adaptive_profiles
 from limbcli.inference.emulator import Emulator
-from limbcli.inference.geometry_uncertainty import at_depths, whitened
+from limbcli.inference.geometry_uncertainty import at_depths
 from limbcli.inference.identifiability import force_variance
+from limbcli.inference.likelihood import ForceBlock, Likelihood, Place
 from limbcli.inference.parameter import FitParameter
-from limbcli.inference.prediction import Prediction, Predictor, SolvedPoints, sampled, slopes_at
-from limbcli.inference.residual import Objective, force_residual, with_prior
+from limbcli.inference.prediction import SolvedPoints, sampled, slopes_at
 from limbcli.inference.two_step_fit import ForceDepth, search_parameters
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
@@ -95,101 +95,53 @@ def force_intervals(
     return adaptive_profiles(problem, max_solves=max_solves, estimate=estimate, progress=progress)
 
 
-class _ForceProblem:
-    """Estimation problem; theta = (c, the free ones of f_kappa and m, and a gain where layers have a fixed
+class _ForceProblem(Likelihood):
+    """Likelihood of the force; theta = (c, the free ones of f_kappa and m, and a gain beside layers of fixed
     stiffness)."""
 
     def __init__(
         self, curve: SolvedPoints, knots: Array, data: ForceDepth, stiffness: Stiffness, fitted: Array,
         free: tuple[int, ...], shape_modes: Array | None = None,
     ):  # fmt: skip
-        self.curve, self.knots, self.stiffness, self.fitted, self.free = curve, knots, stiffness, fitted, free
-        self.depth, self.force = data.depth[data.loaded], data.force[data.loaded]
-        slope = slopes_at(curve, knots, self.depth, fitted)
-        self.deviation = np.sqrt(
-            force_variance(slope, force_deviation=data.force_deviation, depth_deviation=data.depth_deviation)
-        )
-        shape = [p.started_at(float(t)).in_logs() for p, t in zip(search_parameters(), fitted, strict=True)]
-        (c, _), *others = stiffness.nuisances()
-        self.parameters = [c, *(shape[k] for k in free), *(each for each, _ in others)]
-        self.share = np.ones(len(self.depth))
-        if stiffness.share is not None:
-            self.share = at_depths(stiffness.share[None], knots, self.depth)[:, 0]
-        self.profiled = self.simulated = tuple(range(1, 1 + len(free)))
-        self.n_freedom = max(len(self.force) - len(free), 1)
-        self.emulator = Emulator(curve)
-        self.spread: Array | None = None  # N (n, n_modes)
+        depth, force = data.depth[data.loaded], data.force[data.loaded]
+        variance = force_variance(
+            slopes_at(curve, knots, depth, fitted),
+            force_deviation=data.force_deviation, depth_deviation=data.depth_deviation,
+        )  # fmt: skip
+        covariance = np.diag(variance)
         if shape_modes is not None and len(shape_modes):
-            known = sampled(curve, knots, self.depth, free=(0, 1), fixed=fitted)(fitted, derivative=False)
-            self.spread = known.values[:, None] * at_depths(shape_modes, knots, self.depth)
-
-    def objective(self) -> Objective:
-        predict = sampled(self.emulator, self.knots, self.depth, free=(0, 1), fixed=self.fitted)
-        scaled = _times_c(predict, self.stiffness.c, self.share, self.fitted, self.free)
-        force = force_residual(scaled, self.force, deviation=self.deviation)
-        if self.spread is not None:
-            force = whitened(force, self.deviation, self.spread)
-        for place, (each, deviation) in zip((0, -1), self.stiffness.nuisances(), strict=False):
-            force = with_prior(force, place, mean=each.start, log_deviation=deviation)
-        return force
-
-    def settle(self, theta: Array) -> bool:
-        """Always False: the weights are those of the published fit."""
-        return False
-
-    def starts(self) -> list[Array]:
-        """The fit, and the three solved points whose forces are closest to those of the fit."""
-        target = self.curve(self.fitted).values
-        visited = sorted(self.curve.solved, key=lambda each: float(np.sum((each[1].values - target) ** 2)))
-        thetas = [self.fitted, *(theta for theta, _ in visited[1:4])]
-        gain = np.ones(len(self.parameters) - 1 - len(self.free))
-        return [np.r_[self.stiffness.c, theta[list(self.free)], gain] for theta in thetas]
-
-    def uncertainty(self, theta: Array) -> float:
-        shape = self.solved_at(theta)
-        error = self.emulator.deviation(shape) * self.emulator(shape).values
-        factor = (theta[0] / self.stiffness.c) ** self.share
-        return float(np.linalg.norm(factor * np.interp(self.depth, self.knots, error) / self.deviation))
-
-    def distance(self, theta: Array) -> float:
-        return self.emulator.distance(self.solved_at(theta))
-
-    def solve(self, theta: Array) -> None:
-        self.curve(self.solved_at(theta), (0, 1))
-        self.emulator.refresh()
-
-    def within_reach(self, theta: Array) -> Array:
-        """theta, limited to one step factor beyond the solved points."""
-        solved = np.array([each for each, _ in self.curve.solved])
-        near = theta.copy()
-        for k, (parameter, column) in enumerate(zip(self.parameters[1:], self.free, strict=False), 1):
-            low, high = solved[:, column].min(), solved[:, column].max()
-            near[k] = np.clip(theta[k], low / parameter.step_factor, high * parameter.step_factor)
-        return near
+            known = sampled(curve, knots, depth, free=(0, 1), fixed=fitted)(fitted, derivative=False)
+            moved = known.values[:, None] * at_depths(shape_modes, knots, depth)
+            covariance = covariance + moved @ moved.T
+        share = np.ones(len(depth))
+        if stiffness.share is not None:
+            share = at_depths(stiffness.share[None], knots, depth)[:, 0]
+        shape = [p.started_at(float(t)).in_logs() for p, t in zip(search_parameters(), fitted, strict=True)]
+        (c, _), *others = nuisances = stiffness.nuisances()
+        parameters = [c, *(shape[k] for k in free), *(each for each, _ in others)]
+        last = 1 + len(free)
+        place = Place.of(
+            len(parameters), c0=stiffness.c, shape=(), gain=last if others else None,
+            offset=np.where(np.isin((0, 1), free), 0.0, np.log(fitted)),
+            factors=np.array([
+                np.eye(len(parameters))[1 + free.index(k)] if k in free else np.zeros(len(parameters))
+                for k in (0, 1)
+            ]),
+        )  # fmt: skip
+        block = ForceBlock(Emulator(curve), place, knots, depth, force, covariance, share)
+        target = curve(fitted).values
+        visited = sorted(curve.solved, key=lambda each: float(np.sum((each[1].values - target) ** 2)))
+        starts = [fitted, *(theta for theta, _ in visited[1:4])]  # closest to the forces of the fit
+        super().__init__(
+            parameters, [block],
+            [np.r_[stiffness.c, theta[list(free)], np.ones(len(others))] for theta in starts],
+            profiled=range(1, last), n_shape=len(free),
+            priors=[
+                (k, each.start, deviation)
+                for k, (each, deviation) in zip((0, last), nuisances, strict=False)
+            ],
+        )  # fmt: skip
 
     def solved_at(self, theta: Array) -> Array:
-        full = self.fitted.copy()
-        full[list(self.free)] = theta[1 : 1 + len(self.free)]
-        return full
-
-
-def _times_c(predict: Predictor, c0: float, share: Array, fixed: Array, free: tuple[int, ...]) -> Predictor:
-    """Force as a function of (c, free shape parameters[, gain]).
-
-    It is proportional to (c / c0) to the power of its share (n,), and to the gain.
-    """
-    last = 1 + len(free)
-
-    def scaled(theta: Array, *, derivative: bool = True) -> Prediction:
-        shape = fixed.copy()
-        shape[list(free)] = theta[1:last]
-        base = predict(shape, derivative=derivative)
-        factor = (theta[0] / c0) ** share * np.prod(theta[last:])
-        values = factor * base.values
-        if base.jacobian is None:
-            return Prediction(values)
-        columns = [values * share / theta[0], *(factor * base.jacobian[:, k] for k in free)]
-        columns += [values / gain for gain in theta[last:]]
-        return Prediction(values, np.column_stack(columns))
-
-    return scaled
+        """f_kappa and m."""
+        return self.blocks[0].place(theta)[2]

@@ -1,12 +1,9 @@
-"""Joint likelihood of depth at given force and of shear-wave speed, for one or several sites.
+"""Joint fit of one or several sites by depth at given force, shear-wave speed and layers.
 
 Force is controlled and depth is the noisy reading, so the residual is a depth: the measured depth minus the
 depth at which the simulation reaches the measured force. The wave speed of a level enters by its logarithm,
 and the thickness of its layers directly, both at the simulated depth of that force. All sites share c and the
-other parameters of the law ("shape"); each site has its own gain for the numerical error of its mesh. At
-fixed shape every stress is proportional to c, so forces scale with c and speeds with its square root, and
-only changes of the shape need simulations. This does not hold where layers with a fixed stiffness of their
-own are in the model; there the curves have c as an additional parameter.
+other parameters of the law ("shape"); each site has its own gain for the numerical error of its mesh.
 """
 
 from __future__ import annotations
@@ -17,18 +14,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from limbcli.errors import FitError
-from limbcli.inference.adaptive import Intervals, adaptive_profiles, drawn_in
+from limbcli.inference.adaptive import Intervals, adaptive_profiles
 from limbcli.inference.emulator import Emulator
+from limbcli.inference.likelihood import C_STEP_FACTOR, Likelihood, Place, SiteBlock
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.prediction import SolvedPoints
-from limbcli.inference.residual import Objective, Residual
+from limbcli.inference.profile import best_of
 from limbcli.inference.site_depth import (
-    DepthWeights,
     RestSpeed,
     SiteMeasurement,
     SitePrediction,
     invert,
-    predict_beside_layers,
     predict_site,
     rest_speed_by_c,
 )
@@ -42,15 +38,26 @@ __all__ = [
     "JointTask",
     "SiteMeasurement",
     "SitePrediction",
+    "gain_of_mesh",
     "held_out_error",
     "invert",
     "joint_fit",
     "predict_site",
+    "start_c",
 ]
 
 C_SPAN = 10.0  # factor from the start value of c to either of its bounds
-C_STEP_FACTOR = 2.0  # largest factor of c from the solved points to a new one, where c is simulated
 _LEAST = 1e-4  # lower limit of the standard deviation of the prior on ln c
+
+
+def start_c(c0: float) -> FitParameter:
+    """The parameter c (MPa)."""
+    return FitParameter("c", c0, c0 / C_SPAN, c0 * C_SPAN, "log")
+
+
+def gain_of_mesh(name: str = "gain") -> FitParameter:
+    """The parameter by which the mesh's error multiplies forces."""
+    return FitParameter(name, 1.0, 0.2, 5.0, "log")
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,144 +85,43 @@ class JointTask:
         return bool(self.beside_layers) and self.beside_layers[k]
 
 
-class JointProblem:
-    """Estimation problem for `adaptive_profiles`; theta = (c, shape..., a gain for each site whose gain is
-    uncertain)."""
+class JointProblem(Likelihood):
+    """Likelihood of the sites; theta = (c, shape..., a gain for each site whose gain is uncertain)."""
+
+    blocks: list[SiteBlock]
 
     def __init__(self, task: JointTask, starts: Sequence[Array]):
         self.task = task
-        self.n_shape = len(task.shape)
+        n = 1 + len(task.shape)
         self.gained = [k for k, each in enumerate(task.data) if each.gain_deviation > 0.0]
-        self.parameters = [
-            FitParameter("c", task.c0, task.c0 / C_SPAN, task.c0 * C_SPAN, "log"),
+        parameters = [
+            start_c(task.c0),
             *(each.in_logs() for each in task.shape),
-            *(FitParameter(f"gain {task.data[k].name}", 1.0, 0.2, 5.0, "log") for k in self.gained),
+            *(gain_of_mesh(f"gain {task.data[k].name}") for k in self.gained),
         ]
-        self.profiled = tuple(range(1 + self.n_shape))
-        self.simulated = self.profiled if any(task.beside_layers) else self.profiled[1:]
-        self.emulators = [Emulator(each) for each in task.curves]
-        self._starts = list(starts)
-        n_data = sum(len(each.force) + len(each.log_speed) + len(each.layers) for each in task.data)
-        self.n_freedom = max(n_data - 1 - self.n_shape + (task.c_deviation is not None), 1)
-        self._weights = DepthWeights(task.data, self.predict, self.starts()[0])
+        priors = [(n + j, 1.0, task.data[k].gain_deviation) for j, k in enumerate(self.gained)]
+        if task.c_deviation is not None:
+            priors.append((0, task.c0, max(task.c_deviation, _LEAST)))
+        blocks = []
+        for k, (data, curve, rest) in enumerate(zip(task.data, task.curves, task.log_speed_0, strict=True)):
+            beside = task.is_beside_layers(k)
+            gain = n + self.gained.index(k) if k in self.gained else None
+            place = Place.of(len(parameters), c0=task.c0, shape=range(1, n), beside_layers=beside, gain=gain)
+            blocks.append(SiteBlock(data, Emulator(curve), place, rest_speed_by_c(rest) if beside else rest))
+        ones = np.ones(len(self.gained))
+        super().__init__(
+            parameters, blocks, [np.r_[each, ones] for each in starts],
+            profiled=range(n), priors=priors, n_shape=n - 1,
+        )  # fmt: skip
 
-    # ------------------------------------------------------------ residuals
-
-    def predict(self, k: int, theta: Array, *, data: SiteMeasurement | None = None) -> SitePrediction:
+    def predict(self, k: int, theta: Array) -> SitePrediction:
         """Prediction of site k at theta by the surrogates."""
-        data, gain, rest = data or self.task.data[k], self._gain(k, theta), self.task.log_speed_0[k]
-        place = self.place(k, theta)
-        if self.task.is_beside_layers(k):
-            rest = rest_speed_by_c(rest)
-            return predict_beside_layers(self.emulators[k], data, place, gain=gain, log_speed_0=rest)
-        ratio = float(theta[0]) / self.task.c0
-        return predict_site(self.emulators[k], data, place, c_ratio=ratio, gain=gain, log_speed_0=rest)
+        return self.blocks[k].predict(theta)
 
     def place(self, k: int, theta: Array) -> Array:
         """Parameters of the curve of site k: the law's shape, preceded by c / c0 where layers have a fixed
         stiffness."""
-        shape = self.solved_at(theta)
-        return np.r_[theta[0] / self.task.c0, shape] if self.task.is_beside_layers(k) else shape
-
-    def objective(self) -> Objective:
-        def residual(theta: Array, derivative: bool = True) -> Residual:
-            rows, slopes = [], []
-            for k, data in enumerate(self.task.data):
-                found = self.predict(k, theta)
-                rows += [(data.depth - found.depth) / self._weights[k]]
-                slopes += [self._spread(-found.depth_slope / self._weights[k][:, None], k, theta)]
-                rows += [(data.log_speed - found.log_speed) / data.speed_deviation]
-                slopes += [self._spread(-found.log_speed_slope / data.speed_deviation[:, None], k, theta)]
-                rows += [data.layers.whitened(data.layers.thickness - found.layers)]
-                slopes += [self._spread(-data.layers.whitened(found.layers_slope), k, theta)]
-            priors, prior_slopes = self._priors(theta)
-            return Residual(np.concatenate([*rows, priors]), np.vstack([*slopes, prior_slopes]))
-
-        return residual
-
-    def _spread(self, slope: Array, k: int, theta: Array) -> Array:
-        """Map derivatives of a site by (ln c, ln gain, ln shape) to derivatives by theta."""
-        wide = np.zeros((len(slope), len(theta)))
-        wide[:, 0] = slope[:, 0] / theta[0]
-        wide[:, 1 : 1 + self.n_shape] = slope[:, 2:] / theta[1 : 1 + self.n_shape]
-        if k in self.gained:
-            place = 1 + self.n_shape + self.gained.index(k)
-            wide[:, place] = slope[:, 1] / theta[place]
-        return wide
-
-    def _priors(self, theta: Array) -> tuple[Array, Array]:
-        places = [1 + self.n_shape + j for j in range(len(self.gained))]
-        deviations = [self.task.data[k].gain_deviation for k in self.gained]
-        centres = [1.0] * len(places)
-        if self.task.c_deviation is not None:
-            places, deviations = [0, *places], [max(self.task.c_deviation, _LEAST), *deviations]
-            centres = [self.task.c0, *centres]
-        values = np.array(
-            [np.log(theta[p] / m) / s for p, m, s in zip(places, centres, deviations, strict=True)]
-        )
-        slopes = np.zeros((len(places), len(theta)))
-        for row, (place, deviation) in enumerate(zip(places, deviations, strict=True)):
-            slopes[row, place] = 1.0 / (theta[place] * deviation)
-        return values, slopes
-
-    def _gain(self, k: int, theta: Array) -> float:
-        return float(theta[1 + self.n_shape + self.gained.index(k)]) if k in self.gained else 1.0
-
-    # ------------------------------------------------------------ interface of adaptive_profiles
-
-    def settle(self, theta: Array) -> bool:
-        return self._weights.settle(theta)
-
-    def starts(self) -> list[Array]:
-        return [np.r_[each, np.ones(len(self.gained))] for each in self._starts]
-
-    def uncertainty(self, theta: Array) -> float:
-        total = 0.0
-        for k, data in enumerate(self.task.data):
-            n, deviation = len(data.knots), self.emulators[k].deviation(self.place(k, theta))
-            found = self.predict(k, theta)
-            force = np.interp(found.depth, data.knots, deviation[:n]) * data.force / found.stiffness
-            total += float(np.sum((force / self._weights[k]) ** 2))
-            if len(data.log_speed):
-                at = np.interp(data.speed_force, data.force, found.depth)
-                speed = np.interp(at, data.knots, deviation[n : 2 * n]) * (data.speed_force > 0.0)
-                total += float(np.sum((speed / data.speed_deviation) ** 2))
-            if len(data.layers):
-                borders = deviation[-n * len(data.layers.rest) :].max() * data.layers.rest
-                total += float(np.sum(data.layers.whitened(borders[data.layers.layer]) ** 2))
-        return float(np.sqrt(total))
-
-    def distance(self, theta: Array) -> float:
-        return max(each.distance(self.place(k, theta)) for k, each in enumerate(self.emulators))
-
-    def solve(self, theta: Array) -> None:
-        for k, (curve, emulator) in enumerate(zip(self.task.curves, self.emulators, strict=True)):
-            place = self.place(k, theta)
-            curve(place, tuple(range(len(place))))
-            emulator.refresh()
-
-    def within_reach(self, theta: Array) -> Array:
-        near = theta
-        for k, curve in enumerate(self.task.curves):
-            beside = self.task.is_beside_layers(k)
-            solved = np.array([each for each, _ in curve.solved])
-            near = drawn_in(near, solved[:, int(beside) :], self.task.shape)
-            if beside:
-                near[0] = c_drawn_in(near[0], solved[:, 0], self.task.c0)
-        return near
-
-    def solved_at(self, theta: Array) -> Array:
-        """The law's shape parameters."""
-        return np.asarray(theta[1 : 1 + self.n_shape])
-
-
-def c_drawn_in(c: float, solved: Array, c0: float) -> float:
-    """c limited to one step factor beyond the simulated values; solved : (n,) of c / c0.
-
-    >>> c_drawn_in(0.05, np.array([0.5, 2.0]), 0.01)
-    0.04
-    """
-    return float(np.clip(c, c0 * solved.min() / C_STEP_FACTOR, c0 * solved.max() * C_STEP_FACTOR))
+        return self.blocks[k].place(theta)[2]
 
 
 def joint_fit(
@@ -248,8 +154,6 @@ def held_out_error(problem: JointProblem, found: Intervals, *, n_folds: int = 3)
     The remaining levels are fitted again each time (on the surrogates), so a law with more parameters has no
     advantage. NaN where there are no speeds.
     """
-    from limbcli.inference.profile import best_of
-
     depth_errors, speed_errors = [], []
     for fold in range(n_folds):
         left = [np.arange(len(each.force)) % n_folds == fold for each in problem.task.data]

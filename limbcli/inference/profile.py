@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.errors import FitError, SolveError
-from limbcli.inference.levenberg_marquardt import Fit, levenberg_marquardt
+from limbcli.inference.least_squares import Fit, least_squares_fit
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.residual import Objective, Residual
 from limbcli.model import Array
@@ -72,9 +72,7 @@ def best_of(objective: Objective, parameters: Sequence[FitParameter], starts: Se
         started = [p.in_logs().started_at(float(t)) for p, t in zip(parameters, start, strict=True)]
         try:
             fits.append(
-                levenberg_marquardt(
-                    objective, started, tolerance=_TIGHT, max_iterations=100, must_settle=False
-                )
+                least_squares_fit(objective, started, tolerance=_TIGHT, max_iterations=100, must_settle=False)
             )
         except (FitError, SolveError):
             continue

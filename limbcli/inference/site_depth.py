@@ -6,8 +6,8 @@ depth at which the simulation reaches the measured force.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,6 @@ from limbcli.inference.interpolation import pchip_inverse, pchip_sample
 from limbcli.inference.prediction import PredictedCurve
 from limbcli.inference.site_layers import NO_LAYERS, LayerData
 from limbcli.model import Array
-
-_SAME_WEIGHT = 0.02  # change of ln weight below which the weights count as unchanged
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,31 +77,6 @@ class SitePrediction:
     layers_slope: Array
 
 
-class DepthWeights:
-    """Standard deviations (n,) mm of each site's depths, from the stiffness of its curve at one theta."""
-
-    def __init__(
-        self, data: Sequence[SiteMeasurement], predict: Callable[[int, Array], SitePrediction], theta: Array
-    ):
-        self._data, self._predict = data, predict
-        self._here = self._at(theta)
-
-    def __getitem__(self, k: int) -> Array:
-        return self._here[k]
-
-    def settle(self, theta: Array) -> bool:
-        """Recompute the weights at this theta if any changes by more than 2 %; returns whether it did."""
-        there = self._at(theta)
-        changes = [np.abs(np.log(a / b)).max(initial=0.0) for a, b in zip(there, self._here, strict=True)]
-        if max(changes, default=0.0) <= _SAME_WEIGHT:
-            return False
-        self._here = there
-        return True
-
-    def _at(self, theta: Array) -> list[Array]:
-        return [each.weights_at(self._predict(k, theta).stiffness) for k, each in enumerate(self._data)]
-
-
 RestSpeed = float | Callable[[Array], tuple[float, Array]]
 """ln of the speed in unloaded tissue, or a function: shape -> that value and its derivatives by ln shape."""
 
@@ -160,24 +133,6 @@ def predict_site(
     return SitePrediction(
         depth, reached_by[:m], stiffness[:m], log_speed, log_speed_by, thickness, thickness_by
     )
-
-
-def predict_beside_layers(
-    curve: PredictedCurve, data: SiteMeasurement, place: Array, *, gain: float, log_speed_0: RestSpeed
-) -> SitePrediction:
-    """Prediction as by `predict_site`, where layers with a fixed stiffness make c a parameter of the
-    simulation.
-
-    curve : function of (c / c0, shape...), here `place`
-    log_speed_0 : function of the same parameters, or a number at c0
-    """
-    found = predict_site(curve, data, place, c_ratio=1.0, gain=gain, log_speed_0=log_speed_0)
-    # Derivatives by c are those of the curve itself, not of a force proportional to c.
-    columns = [2, 1, *range(3, 2 + len(place))]
-    return replace(
-        found, depth_slope=found.depth_slope[:, columns], log_speed_slope=found.log_speed_slope[:, columns],
-        layers_slope=found.layers_slope[:, columns],
-    )  # fmt: skip
 
 
 def rest_speed_by_c(log_speed_0: RestSpeed) -> Callable[[Array], tuple[float, Array]]:

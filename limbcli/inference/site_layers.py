@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.inference.interpolation import pchip_sample
+from limbcli.inference.whitening import Whitener
 from limbcli.model import Array, IntArray
 
 
@@ -36,12 +37,12 @@ class LayerData:
         return len(self.force)
 
     @cached_property
-    def _factor(self) -> Array:
-        return np.asarray(np.linalg.cholesky(self.covariance), dtype=float)
+    def _whiten(self) -> Whitener:
+        return Whitener.of(self.covariance)
 
     def whitened(self, values: Array) -> Array:
         """Values (n, ...) mm, whitened by the Cholesky factor of the covariance."""
-        return np.asarray(np.linalg.solve(self._factor, values)) if len(self) else values
+        return self._whiten(values) if len(self) else values
 
     def without(self, gone: NDArray[np.bool_]) -> LayerData:
         """The data without some readings: (n,) bool."""

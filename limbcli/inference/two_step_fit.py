@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from limbcli.errors import FitError
 from limbcli.inference.emulator import Emulator
-from limbcli.inference.levenberg_marquardt import Fit, Guide, levenberg_marquardt
+from limbcli.inference.least_squares import Fit, Guide, least_squares_fit
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS, FitParameter
 from limbcli.inference.prediction import Prediction, SolvedPoints, sampled
 from limbcli.inference.residual import force_residual
@@ -119,7 +119,7 @@ def _step(
     parameters = [search_parameters(*start)[k] for k in free]
     predict = sampled(curve, knots, data.depth, free=free, fixed=start)
     before, clock = curve.n_solves, time.perf_counter()
-    fit = levenberg_marquardt(
+    fit = least_squares_fit(
         force_residual(predict, data.force), parameters,
         tolerance=tolerance, max_iterations=max_iterations, progress=progress,
         guide=_guide(parameters, free, start, curve, knots, data) if guided else None,
@@ -147,7 +147,7 @@ def _guide(
         predict = sampled(Emulator(curve), knots, data.depth, free=free, fixed=start)
         near = [p.within_step(float(t)).in_logs() for p, t in zip(parameters, theta, strict=True)]
         objective = force_residual(predict, data.force)
-        return levenberg_marquardt(objective, near, tolerance=1e-5, must_settle=False).theta
+        return least_squares_fit(objective, near, tolerance=1e-5, must_settle=False).theta
 
     return guess
 

@@ -25,11 +25,11 @@ from limbcli.diagnosis.data.site_data import SiteData
 from limbcli.diagnosis.data.windows import Windows
 from limbcli.diagnosis.explanations.evidence.linear_evidence import LinearEvidence
 from limbcli.diagnosis.explanations.model.forward_model import Fitted
-from limbcli.diagnosis.explanations.model.linear import Whitener
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.effects.curves import Curves, force_at
 from limbcli.effects.reading import Reading
 from limbcli.errors import LimbError
+from limbcli.inference.whitening import Whitener
 
 RESEMBLES = 1.0  # least ln Bayes factor that is printed
 ZEROS = ("depth-zero", "force-zero", "depth-gain")

@@ -40,12 +40,13 @@ from limbcli.case import Case
 from limbcli.config import one_blas_thread
 from limbcli.diagnosis.explanations.conclusions.verdict import Diagnosis
 from limbcli.diagnosis.explanations.engine import _Run
-from limbcli.diagnosis.explanations.model.linear import LinearFit, Whitener
+from limbcli.diagnosis.explanations.model.linear import LinearFit
 from limbcli.diagnosis.explanations.search import Search
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.prepare import WorkingMesh, prepare
 from limbcli.drawing import save_figure
 from limbcli.effects import EFFECTS
+from limbcli.inference.whitening import Whitener
 from limbcli.progress import SILENT
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment

@@ -42,7 +42,7 @@ from limbcli.diagnosis.data.noise import SmoothDepth
 from limbcli.diagnosis.data.site_data import SiteData
 from limbcli.diagnosis.data.windows import Windows, pitch_of
 from limbcli.diagnosis.explanations.model.forward_model import Fitted
-from limbcli.diagnosis.explanations.model.linear import LinearFit, Whitener
+from limbcli.diagnosis.explanations.model.linear import LinearFit
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
 from limbcli.diagnosis.prepare import Prepared, WorkingMesh, _Preparation, prepare
@@ -51,6 +51,7 @@ from limbcli.effects.base import Effect, Theta, point_name
 from limbcli.effects.curves import force_at
 from limbcli.effects.reading import read
 from limbcli.errors import LimbError
+from limbcli.inference.whitening import Whitener
 from limbcli.measurement.indentation import read_trace
 from limbcli.measurement.map_noise import pixel_noise
 from limbcli.model import Array, IntArray

@@ -11,8 +11,9 @@ from scipy.stats import binom, chi2
 from limbcli.diagnosis.explanations import check, decisions
 from limbcli.diagnosis.explanations.check import Check, checked
 from limbcli.diagnosis.explanations.model.forward_model import Data
-from limbcli.diagnosis.explanations.model.linear import LinearFit, Whitener
+from limbcli.diagnosis.explanations.model.linear import LinearFit
 from limbcli.diagnosis.explanations.model.noise import Noise, independent, unit_errors
+from limbcli.inference.whitening import Whitener
 from tests.diagnosis import toy
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from limbcli.diagnosis import report
 from limbcli.diagnosis.data.noise import COMPRESSIBILITY
-from limbcli.diagnosis.explanations.model.linear import LinearFit, Whitener
+from limbcli.diagnosis.explanations.model.linear import LinearFit
 from limbcli.diagnosis.explanations.model.noise import (
     CommonError,
     Noise,
@@ -16,6 +16,7 @@ from limbcli.diagnosis.explanations.model.noise import (
     correlated,
     independent,
 )
+from limbcli.inference.whitening import Whitener
 
 N = 40
 

@@ -10,12 +10,12 @@ from limbcli.diagnosis.explanations.conclusions.estimates import LN_M_DEVIATION,
 from limbcli.diagnosis.explanations.evidence.laplace import Posterior, posterior
 from limbcli.diagnosis.explanations.evidence.linear_evidence import LinearEvidence
 from limbcli.diagnosis.explanations.model.forward_model import Direction, Fitted
-from limbcli.diagnosis.explanations.model.linear import Whitener
 from limbcli.diagnosis.explanations.model.noise import Noise, independent
 from limbcli.diagnosis.explanations.model.priors import Prior, Priors
 from limbcli.diagnosis.forward_model.predictions import Slot
 from limbcli.diagnosis.sizes import reported_sizes
 from limbcli.effects import EFFECTS
+from limbcli.inference.whitening import Whitener
 from tests.diagnosis import toy
 
 LN_C, LN_M = Prior.uniform(*np.log([0.3, 120.0])), Prior(np.log(USUAL_M), LN_M_DEVIATION, 0.0, np.log(20.0))

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.diagnosis.explanations.model.linear import LinearFit, Whitener
+from limbcli.diagnosis.explanations.model.linear import LinearFit
+from limbcli.inference.whitening import Whitener
 
 
 def _held(rng, weight: float, *, n: int = 14, free: int = 2, held: int = 2):

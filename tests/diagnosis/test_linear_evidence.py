@@ -8,9 +8,9 @@ from scipy import stats
 
 from limbcli.diagnosis.explanations.evidence.linear_evidence import LinearEvidence
 from limbcli.diagnosis.explanations.model.forward_model import Direction, Fitted
-from limbcli.diagnosis.explanations.model.linear import Whitener
 from limbcli.diagnosis.explanations.model.noise import Noise, common, independent
 from limbcli.diagnosis.explanations.model.priors import Prior, Priors
+from limbcli.inference.whitening import Whitener
 
 N = 14
 OF_TISSUE = Prior(0.0, 5.0)

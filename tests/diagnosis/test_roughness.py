@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from limbcli.diagnosis.explanations.model.forward_model import Data
-from limbcli.diagnosis.explanations.model.linear import LinearFit, Whitener
+from limbcli.diagnosis.explanations.model.linear import LinearFit
 from limbcli.diagnosis.explanations.model.noise import Noise, independent
 from limbcli.diagnosis.explanations.residuals import roughness
+from limbcli.inference.whitening import Whitener
 
 N_LEVELS, PARTS = 9, 4
 

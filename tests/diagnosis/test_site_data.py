@@ -13,13 +13,14 @@ from limbcli.diagnosis.data.held_forces import HeldForces
 from limbcli.diagnosis.data.noise import ModelError, deepest, depth_slopes
 from limbcli.diagnosis.data.site_data import site_data
 from limbcli.diagnosis.data.windows import Windows
-from limbcli.diagnosis.explanations.model.linear import LinearFit, Whitener
+from limbcli.diagnosis.explanations.model.linear import LinearFit
 from limbcli.diagnosis.explanations.residuals import roughness
 from limbcli.diagnosis.forward_model.predictions import Predictions
 from limbcli.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
 from limbcli.effects import effect
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Protocol, Reading, read
+from limbcli.inference.whitening import Whitener
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
 

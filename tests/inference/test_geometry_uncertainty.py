@@ -6,21 +6,8 @@ import numpy as np
 import pytest
 
 from limbcli.inference.adaptive import Intervals
-from limbcli.inference.geometry_uncertainty import at_depths, no_narrower, shifts, whitened
+from limbcli.inference.geometry_uncertainty import at_depths, no_narrower, shifts
 from limbcli.inference.profile import Profile, ends_beyond
-from limbcli.inference.residual import Residual
-
-
-def test_whitening_gives_the_likelihood_of_the_full_covariance(rng):
-    n = 6
-    values, jacobian = rng.normal(size=n + 1), rng.normal(size=(n + 1, 2))
-    deviation, spread = rng.uniform(0.5, 2.0, n), rng.normal(size=(n, 2))
-    white = whitened(lambda *_: Residual(values, jacobian), deviation, spread)(np.zeros(2), True)
-    raw = values[:n] * deviation
-    covariance = np.diag(deviation**2) + spread @ spread.T
-    assert white.cost == pytest.approx(raw @ np.linalg.solve(covariance, raw) + values[n] ** 2)
-    slope = (jacobian[:n] * deviation[:, None]).T @ np.linalg.solve(covariance, raw)
-    assert white.jacobian.T @ white.values == pytest.approx(slope + jacobian[n] * values[n])
 
 
 def test_a_mode_like_a_parameter_moves_that_parameter_alone(rng):

@@ -6,7 +6,7 @@ import pytest
 from limbcli.errors import SolveError
 from limbcli.inference import interval as interval_module
 from limbcli.inference.interval import Stiffness, force_intervals
-from limbcli.inference.levenberg_marquardt import levenberg_marquardt
+from limbcli.inference.least_squares import least_squares_fit
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.profile import profile_likelihood
@@ -44,7 +44,7 @@ def test_profile_of_a_linear_model_is_its_textbook_interval(rng):
         return Residual(data - design @ theta, -design)
 
     parameters = [FitParameter(n, 40.0, 1e-3, 1e5, "log") for n in ("a", "b")]
-    best = levenberg_marquardt(objective, parameters, tolerance=1e-8)
+    best = least_squares_fit(objective, parameters, tolerance=1e-8)
     deviation = np.sqrt(np.linalg.inv(design.T @ design)[1, 1])
     found = profile_likelihood(objective, parameters, best, 1)
     np.testing.assert_allclose(

@@ -20,8 +20,9 @@ from scipy.linalg import orth
 
 from limbcli.diagnosis.explanations import decisions
 from limbcli.diagnosis.explanations.model.forward_model import Data, Mask
-from limbcli.diagnosis.explanations.model.linear import LinearFit, Whitener
+from limbcli.diagnosis.explanations.model.linear import LinearFit
 from limbcli.diagnosis.explanations.model.noise import unit_errors
+from limbcli.inference.whitening import Whitener
 from limbcli.model import Array
 
 WHOLE = "whole"

@@ -28,11 +28,12 @@ from limbcli.diagnosis.explanations.conclusions.verdict import Diagnosis, Shrink
 from limbcli.diagnosis.explanations.evidence.laplace import Posterior
 from limbcli.diagnosis.explanations.evidence.linear_evidence import LinearEvidence, least_by_chance
 from limbcli.diagnosis.explanations.model.forward_model import Explanation, Facts, Fitted, ForwardModel
-from limbcli.diagnosis.explanations.model.linear import LinearFit, Whitener
+from limbcli.diagnosis.explanations.model.linear import LinearFit
 from limbcli.diagnosis.explanations.model.noise import CommonError, common_errors
 from limbcli.diagnosis.explanations.residuals import Roughness, held_out_error, over_shared, roughness
 from limbcli.diagnosis.explanations.search import Explained, PriorOdds, Search, containing, credible, named
 from limbcli.errors import LimbError
+from limbcli.inference.whitening import Whitener
 from limbcli.progress import SILENT, Progress
 
 _MOST_COMPARED = 6  # explanations compared in choosing the next measurement

@@ -14,8 +14,9 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtrc
 
 from limbcli.diagnosis.explanations.model.forward_model import Data, Fitted, Mask
-from limbcli.diagnosis.explanations.model.linear import LinearFit, Whitener
+from limbcli.diagnosis.explanations.model.linear import LinearFit
 from limbcli.diagnosis.explanations.model.noise import EXCESS
+from limbcli.inference.whitening import Whitener
 from limbcli.model import Array
 
 # Degree of the smooth curves; least degrees of freedom of their scatter; ratio of a prediction's standard

@@ -28,8 +28,8 @@ from limbcli.diagnosis.explanations.model.forward_model import (
     Fitted,
     ForwardModel,
 )
-from limbcli.diagnosis.explanations.model.linear import Whitener
 from limbcli.errors import LimbError
+from limbcli.inference.whitening import Whitener
 from limbcli.progress import SILENT, Progress
 
 _MOST_STEPS = 60  # fits and simulations of one search: far more than any needs

@@ -16,7 +16,6 @@ from limbcli.diagnosis.data.joint import joined
 from limbcli.diagnosis.data.site_data import SiteData
 from limbcli.diagnosis.explanations.conclusions.estimates import LN_M_DEVIATION, USUAL_M
 from limbcli.diagnosis.explanations.model.forward_model import Explanation, Fitted
-from limbcli.diagnosis.explanations.model.linear import Whitener
 from limbcli.diagnosis.explanations.model.priors import Prior
 from limbcli.diagnosis.forward_model.changes import only_febio
 from limbcli.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
@@ -24,6 +23,7 @@ from limbcli.effects.base import Effect, Parameter, Theta
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Reading
 from limbcli.errors import FitError, SolveError
+from limbcli.inference.whitening import Whitener
 from limbcli.model import Array
 
 NOTHING = AtPoints()

@@ -140,7 +140,7 @@ def _identification(fits: list[FitView]) -> str:
     return (
         f"{_TISSUE} The parameters were identified as published [Ranger 2023]: c was {source} and held "
         "fixed; f_kappa (with m = 2), then f_kappa and m, were fitted to the measured force over depth by "
-        f"Levenberg-Marquardt iterations of the simulation ({solvers}). Intervals (95 %) are those of the "
+        f"least-squares iterations of the simulation ({solvers}). Intervals (95 %) are those of the "
         "profile likelihood [Raue 2009]; they "
         f"count {'; '.join(dict.fromkeys(map(_noise, fits)))}."
     )

@@ -12,7 +12,7 @@ from scipy.special import ndtri
 from limbcli.diagnosis.explanations import decisions
 from limbcli.diagnosis.explanations.evidence.laplace import Posterior
 from limbcli.diagnosis.explanations.evidence.linear_evidence import Added
-from limbcli.diagnosis.explanations.model.linear import Whitener
+from limbcli.inference.whitening import Whitener
 from limbcli.model import Array
 
 _Z = float(ndtri(decisions.POWER))

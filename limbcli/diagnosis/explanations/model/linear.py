@@ -5,48 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky, null_space
-from scipy.linalg.lapack import dtrtrs
+from scipy.linalg import null_space
 
-from limbcli.errors import FitError
 from limbcli.model import Array
 
 _RANK = 1e-8
-
-
-@dataclass(frozen=True, eq=False)
-class Whitener:
-    """Cholesky factor L of Sigma = L L': `whiten(x)` is L^-1 x, for x (n,) or (n, k)."""
-
-    factor: Array
-
-    @staticmethod
-    def of(covariance: Array) -> Whitener:
-        """
-        Raises
-        ------
-        FitError
-            If the covariance is not positive definite.
-        """
-        try:
-            return Whitener(np.asfortranarray(cholesky(covariance, lower=True)))
-        except np.linalg.LinAlgError as error:
-            raise FitError(
-                "the noise of the data is not a positive definite covariance",
-                where="noise model",
-                fix="give every channel a standard deviation above zero in [site.noise]",
-            ) from error
-
-    def __call__(self, x: Array) -> Array:
-        """
-        Raises
-        ------
-        ValueError
-            If x is not finite.
-        """
-        # LAPACK is called directly: for few data, scipy's checks take ten times as long as the solve
-        found, _ = dtrtrs(self.factor, np.asarray_chkfinite(x), lower=1)
-        return np.asarray(found)
 
 
 def _span(jacobian: Array) -> Array:

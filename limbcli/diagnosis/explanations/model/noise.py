@@ -21,7 +21,8 @@ from functools import cached_property
 
 import numpy as np
 
-from limbcli.diagnosis.explanations.model.linear import LinearFit, Whitener
+from limbcli.diagnosis.explanations.model.linear import LinearFit
+from limbcli.inference.whitening import Whitener
 from limbcli.model import Array, IntArray
 
 ASSUMED = "assumed"

@@ -1,11 +1,11 @@
-"""Levenberg-Marquardt with bounds, beside scipy's trust-region reflective method."""
+"""Bounded least squares beside scipy's trust-region reflective method, and with a guide."""
 
 import numpy as np
 import pytest
 from scipy.optimize import least_squares, lsq_linear
 
 from limbcli.errors import FitError, SolveError
-from limbcli.inference.levenberg_marquardt import levenberg_marquardt
+from limbcli.inference.least_squares import least_squares_fit
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.residual import Residual
 
@@ -37,7 +37,7 @@ def parameters(scale="ratio", low=(1e-3, 1e-3), high=(1e3, 1e3), start=(1.0, 1.0
 @pytest.mark.parametrize("start", [(1.0, 1.0), (50.0, 0.05), (0.02, 9.0)])
 def test_exact_data_are_recovered_from_near_and_far(scale, start):
     data, _ = decay((7.0, 1.3))
-    fit = levenberg_marquardt(objective_for(data), parameters(scale, start=start), max_iterations=200)
+    fit = least_squares_fit(objective_for(data), parameters(scale, start=start), max_iterations=200)
     np.testing.assert_allclose(fit.theta, (7.0, 1.3), rtol=1e-3)
 
 
@@ -48,7 +48,7 @@ def test_noisy_data_give_the_minimum_that_scipy_finds(box, rng):
     data = decay((7.0, 1.3))[0] + 0.3 * rng.standard_normal(len(TIMES))
     low, high = box
     start = np.clip((2.0, 1.0), low, high)
-    fit = levenberg_marquardt(objective_for(data), parameters("ratio", low, high, start), tolerance=1e-7)
+    fit = least_squares_fit(objective_for(data), parameters("ratio", low, high, start), tolerance=1e-7)
     twin = least_squares(
         lambda theta: data - decay(theta)[0], np.clip(start, np.array(low) * 1.01, np.array(high) * 0.99),
         bounds=box, xtol=1e-12, ftol=1e-12,
@@ -63,7 +63,7 @@ def test_the_rosenbrock_valley_is_followed_to_its_end():
         return Residual(np.array([10 * (y - x**2), 1 - x]), np.array([[-20 * x, 10.0], [-1.0, 0.0]]))
 
     start = [FitParameter("x", 0.1, 1e-3, 10.0), FitParameter("y", 3.0, 1e-3, 10.0)]
-    fit = levenberg_marquardt(objective, start, tolerance=1e-6, max_iterations=200)
+    fit = least_squares_fit(objective, start, tolerance=1e-6, max_iterations=200)
     np.testing.assert_allclose(fit.theta, (1.0, 1.0), rtol=1e-4)
 
 
@@ -71,7 +71,7 @@ def test_no_point_outside_the_bounds_is_ever_tried(rng):
     data = decay((7.0, 1.3))[0] + 0.3 * rng.standard_normal(len(TIMES))
     calls = []
     low, high = (1e-3, 1.5), (4.0, 3.0)
-    levenberg_marquardt(objective_for(data, calls), parameters("ratio", low, high, (0.5, 2.0)))
+    least_squares_fit(objective_for(data, calls), parameters("ratio", low, high, (0.5, 2.0)))
     tried = np.array(calls)
     assert np.all(tried >= np.array(low))
     assert np.all(tried <= np.array(high))
@@ -85,7 +85,7 @@ def test_a_trial_without_answer_is_stepped_back_from():
             raise SolveError("stopped", where="here", fix="none")
         return objective_for(data)(theta)
 
-    fit = levenberg_marquardt(fragile, parameters(start=(0.5, 3.0)), max_iterations=200)
+    fit = least_squares_fit(fragile, parameters(start=(0.5, 3.0)), max_iterations=200)
     np.testing.assert_allclose(fit.theta, (7.0, 1.3), rtol=1e-3)
 
 
@@ -94,16 +94,16 @@ def test_no_answer_at_the_start_is_an_error():
         raise SolveError("stopped", where="here", fix="none")
 
     with pytest.raises(SolveError):
-        levenberg_marquardt(broken, parameters())
+        least_squares_fit(broken, parameters())
     nan = Residual(np.full(3, np.nan), np.ones((3, 2)))
     with pytest.raises(FitError, match="not a number"):
-        levenberg_marquardt(lambda theta, derivative=True: nan, parameters())
+        least_squares_fit(lambda theta, derivative=True: nan, parameters())
 
 
 def test_a_fit_that_does_not_settle_says_so():
     data, _ = decay((7.0, 1.3))
     with pytest.raises(FitError, match="did not converge in 2 iterations") as caught:
-        levenberg_marquardt(objective_for(data), parameters(start=(0.02, 9.0)), max_iterations=2)
+        least_squares_fit(objective_for(data), parameters(start=(0.02, 9.0)), max_iterations=2)
     assert "force-depth.png" in str(caught.value), "fit.png is of a fit that ended"
 
 
@@ -116,7 +116,7 @@ def test_a_derivative_is_asked_for_only_at_accepted_points(rng):
         values, jacobian = decay(theta)
         return Residual(data - values, -jacobian if derivative else None)
 
-    fit = levenberg_marquardt(lazy, parameters(start=(0.02, 9.0)), max_iterations=200)
+    fit = least_squares_fit(lazy, parameters(start=(0.02, 9.0)), max_iterations=200)
     assert sum(points) == len(fit.history)
 
 
@@ -136,6 +136,6 @@ def test_nearly_collinear_parameters_do_not_stop_in_a_corner_of_their_bounds(rng
             return Residual(design @ theta - data, design)
 
         parameters = [FitParameter(name, 1.0, 0.5, 2.5) for name in ("a", "b")]
-        fit = levenberg_marquardt(objective, parameters, tolerance=1e-8, must_settle=False)
+        fit = least_squares_fit(objective, parameters, tolerance=1e-8, must_settle=False)
         expected = 2.0 * lsq_linear(design, data, (0.5, 2.5)).cost
         assert fit.cost == pytest.approx(expected, rel=1e-4)
