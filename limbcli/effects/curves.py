@@ -131,17 +131,7 @@ def depth_of_force(curves: Curves, force: float) -> float:
     curve, end = curves.force_curve, float(curves.depth[-1])
     if force >= curves.force[-1]:
         return min(end + (force - float(curves.force[-1])) / max(float(curve.slope(end)), 1e-9), 2.0 * end)
-    k = int(np.argmax(curves.force > force)) if force > 0 else 1
-    low, high = float(curves.depth[k - 1]), float(curves.depth[k])
-    if force <= 0:
-        return low
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        if float(curve(middle)) < force:
-            low = middle
-        else:
-            high = middle
-    return 0.5 * (low + high)
+    return float(curve.inverse(np.array([force]))[0]) if force > 0 else float(curves.depth[0])
 
 
 def columns_at(curves: Curves, depth: Array) -> Array:

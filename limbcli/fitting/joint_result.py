@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -45,16 +45,10 @@ def write_joint(
     fitted = model.with_material("tissue", own.material(c, problem.solved_at(found.best)))
     values = {name: each["value"] for name, each in parameters.items()}
     gains = {measured[k][0]: float(found.best[1 + problem.n_shape + j]) for j, k in enumerate(problem.gained)}
+    write_numbers(writer, "joint", law, parameters, found, [each for _, each in measured], n_solves)
     writer.data.update(
-        objective="joint", law=law.name, law_words=law.words, **values,
-        **law.fixed, parameters=parameters,
-        kappa_kpa=values["c_kpa"] * {**values, **law.fixed}["f_kappa"],
-        flags={name: each["flag"] for name, each in parameters.items()},
-        interval_95={name: [each["low"], each["high"]] for name, each in parameters.items()},
+        kappa_kpa=values["c_kpa"] * {**values, **law.fixed}["f_kappa"], sites=[name for name, _ in measured],
         gains=gains, gain_deviations={each.name: each.gain_deviation for each in problem.task.data},
-        chi_square=found.chi_square, n_freedom=found.n_freedom, noise_scale=float(np.sqrt(found.scale)),
-        element="+".join(sorted({b.kind for _, model in measured for b in model.mesh.solid_blocks})),
-        n_solves=n_solves, sites=[name for name, _ in measured], solver="reference",
     )  # fmt: skip
     rows = parameter_rows("+".join(writer.data["sites"]), law.name, parameters)
     write_level_table(writer, problem.task.data, lambda k: problem.predict(k, found.best))
@@ -73,6 +67,22 @@ def write_joint(
     writer.summary.append(f"chi-square {found.chi_square:.1f} for {found.n_freedom} degrees of freedom")
     for theta in found.unsolved:
         writer.warnings.append(f"no simulation converged at {np.array2string(theta, precision=3)}")
+
+
+def write_numbers(
+    writer: StageWriter, objective: str, law: FitLaw, parameters: Mapping[str, Mapping[str, Any]],
+    found: Intervals, models: Sequence[LimbModel], n_solves: int,
+) -> None:  # fmt: skip
+    """Write what the fits of sites and of states have in common; `parameters`: of `parameter_table`."""
+    writer.data.update(
+        objective=objective, law=law.name, law_words=law.words,
+        **{name: each["value"] for name, each in parameters.items()}, **law.fixed, parameters=parameters,
+        flags={name: each["flag"] for name, each in parameters.items()},
+        interval_95={name: [each["low"], each["high"]] for name, each in parameters.items()},
+        chi_square=found.chi_square, n_freedom=found.n_freedom, noise_scale=float(np.sqrt(found.scale)),
+        element="+".join(sorted({block.kind for each in models for block in each.mesh.solid_blocks})),
+        n_solves=n_solves, solver="reference",
+    )  # fmt: skip
 
 
 def warn_poor(found: Intervals, writer: StageWriter) -> None:
@@ -124,8 +134,7 @@ def parameter_table(problem: Likelihood, found: Intervals) -> dict[str, dict[str
             replace(profile, low=unit * profile.low, high=unit * profile.high),
         )
         spoken: Verdict = verdict(own, unit * value, seen, influence=True, correlations=others, unit=named)
-        low = None if profile.open_low else unit * profile.low
-        high = None if profile.open_high else unit * profile.high
+        low, high = seen.limits
         table["c_kpa" if k == 0 else parameter.name] = {
             "value": unit * value,
             "headline": str(headline(unit * value, low, high, spoken.flag, unit=named)),

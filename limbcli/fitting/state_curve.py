@@ -10,7 +10,7 @@ import numpy as np
 from limbcli.effects.tissue import fibre_direction
 from limbcli.errors import SolveError
 from limbcli.fitting.laws import FitLaw
-from limbcli.inference.interpolation import pchip_sample
+from limbcli.inference.monotone_interpolation import pchip_sample
 from limbcli.inference.prediction import Prediction
 from limbcli.meshing.fibres import mean_axis
 from limbcli.model import Array, ElementMap, LimbModel, Material

@@ -35,8 +35,7 @@ def stretch_ends(k: int, way: str, plan: StretchPlan, found: Intervals) -> tuple
     if not len(places):
         return base, base
     profile = found.profiles[plan.parameters[int(places[0])].name]
-    low = None if profile.open_low else profile.low
-    high = None if profile.open_high else profile.high
+    low, high = profile.limits
     if plan.factors[k, w, int(places[0])] > 0:
         return low, high
     return None if high is None else base / high, None if low is None else base / low

@@ -17,6 +17,7 @@ from limbcli.fitting.joint_result import (
     warn_locking,
     warn_poor,
     write_level_table,
+    write_numbers,
 )
 from limbcli.fitting.laws import FitLaw
 from limbcli.fitting.least_stiffness import LeastStiffness, least_stiffness
@@ -41,22 +42,16 @@ def write_states(
 ) -> None:  # fmt: skip
     """Write fit-states.json, tables, exports, figures and a model of each state."""
     parameters = _with_stretches_judged(parameter_table(problem, found), plan)
-    values = {name: each["value"] for name, each in parameters.items()}
     c, shape = float(found.best[0]), found.best[1 : 1 + problem.n_shape]
     names = [each.name for each in site.states]
     lowest = least_stiffness(problem, found, curve, plan, lambda way: _stated(site, way))
+    write_numbers(writer, "states", law, parameters, found, [model], problem.task.curve.n_solves)
     writer.data.update(
-        objective="states", law=law.name, law_words=law.words, **values, **law.fixed, parameters=parameters,
-        flags={name: each["flag"] for name, each in parameters.items()},
-        interval_95={name: [each["low"], each["high"]] for name, each in parameters.items()},
         states={name: _state(k, site, plan, curve, problem, found) for k, name in enumerate(names)},
         least_stiffness={each.way: each.to_json() for each in lowest},
         taken_as_unloaded={way: plan.unloaded[way] for way in plan.taken},
         undetermined=_undetermined(parameters, plan, lowest),
         gain=problem.gain(found.best), gain_deviation_fraction=problem.task.gain_deviation,
-        chi_square=found.chi_square, n_freedom=found.n_freedom, noise_scale=float(np.sqrt(found.scale)),
-        element="+".join(sorted({block.kind for block in model.mesh.solid_blocks})),
-        n_solves=problem.task.curve.n_solves, solver="reference",
     )  # fmt: skip
     fitted = model.with_material(TISSUE, law.along(fibre_direction(model)).material(c, shape))
     several = [each.data for each in problem.task.states]

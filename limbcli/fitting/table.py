@@ -10,7 +10,7 @@ import numpy as np
 
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.agreement import FitAgreement, force_agreement
-from limbcli.inference.geometry_uncertainty import at_depths, shifts
+from limbcli.inference.geometry_uncertainty import at_depths, ends, shifts
 from limbcli.inference.identifiability import (
     Verdict,
     correlation,
@@ -19,8 +19,8 @@ from limbcli.inference.identifiability import (
     log_covariance,
     verdict,
 )
-from limbcli.inference.interpolation import pchip_sample
 from limbcli.inference.interval import Stiffness
+from limbcli.inference.monotone_interpolation import pchip_sample
 from limbcli.inference.prediction import SolvedPoints, slopes_at
 from limbcli.inference.profile import ends_beyond
 from limbcli.inference.two_step_fit import FittedStep, ForceDepth, sensitivities
@@ -228,11 +228,7 @@ def _intervals(found: Identified, k: int, c_kpa: float) -> dict[str, list[float 
     intervals: dict[str, list[float | None]] = {
         "c_kpa": [c_kpa * float(np.exp(-1.96 * sigma)), c_kpa * float(np.exp(1.96 * sigma))]
     }
-    for name, profile in (found.intervals[k].profiles if found.intervals else {}).items():
-        intervals[name] = [
-            None if profile.open_low else profile.low, None if profile.open_high else profile.high
-        ]  # fmt: skip
-    return intervals
+    return intervals | (ends(found.intervals[k]) if found.intervals else {})
 
 
 def _parameter(

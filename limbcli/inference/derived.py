@@ -9,7 +9,7 @@ import numpy as np
 
 from limbcli.inference.least_squares import Fit
 from limbcli.inference.parameter import FitParameter
-from limbcli.inference.profile import best_of
+from limbcli.inference.profile import best_of, walk
 from limbcli.inference.residual import Objective, Residual
 from limbcli.model import Array
 from limbcli.numbers.interval_limits import THRESHOLD_95
@@ -66,37 +66,13 @@ def derived_interval(
             return np.inf, fit.theta
         return (objective(fit.theta, False).cost - best.cost) / scale, fit.theta
 
-    ends, opens = [], []
-    for sign, stop in ((-1.0, low), (1.0, high)):
-        inside, theta, is_open = value, best.theta, True
-        for _ in range(int(np.ceil(abs(stop - value) / pace))):
-            outside = float(np.clip(inside + sign * pace, low, high))
-            deviance, moved = at(outside, theta)
-            if not np.isfinite(deviance):  # the walk ends at the parameter bounds, not because of the data
-                break
-            if deviance > threshold:
-                inside = _crossing(at, inside, theta, outside, threshold)
-                is_open = False
-                break
-            inside, theta = outside, moved
-        ends.append(inside)
-        opens.append(is_open)
-    return DerivedInterval(value, ends[0], ends[1], opens[0], opens[1])
-
-
-def _crossing(
-    at: Callable[[float, Array], tuple[float, Array]], near: float, theta: Array, far: float, threshold: float
-) -> float:
-    """Value at which the deviance reaches the threshold, by bisection between `near` (fitted by theta) and
-    `far`."""
-    for _ in range(4):
-        middle = 0.5 * (near + far)
-        deviance, moved = at(middle, theta)
-        if deviance > threshold:
-            far = middle
-        else:
-            near, theta = middle, moved
-    return 0.5 * (near + far)
+    sides = []
+    for stop in (low, high):
+        steps = np.arange(1.0, np.ceil(abs(stop - value) / pace) + 1.0)
+        grid = np.clip(value + np.sign(stop - value) * pace * steps, low, high)
+        sides.append(walk(at, (value, 0.0, best.theta), grid, threshold))
+    down, up = sides
+    return DerivedInterval(value, down.end, up.end, down.is_open, up.is_open)
 
 
 def _slopes(quantity: Callable[[Array], float], theta: Array) -> Array:

@@ -91,10 +91,7 @@ def _root_at(profile: Profile, values: Array) -> Array:
 
 def ends(intervals: Intervals) -> dict[str, list[float | None]]:
     """[low, high] by parameter; None where an interval is open."""
-    return {
-        name: [None if each.open_low else each.low, None if each.open_high else each.high]
-        for name, each in intervals.profiles.items()
-    }
+    return {name: list(each.limits) for name, each in intervals.profiles.items()}
 
 
 def total_share(modes: Sequence[Array]) -> float:

@@ -88,7 +88,7 @@ class JointTask:
 class JointProblem(Likelihood):
     """Likelihood of the sites; theta = (c, shape..., a gain for each site whose gain is uncertain)."""
 
-    blocks: list[SiteBlock]
+    blocks: Sequence[SiteBlock]
 
     def __init__(self, task: JointTask, starts: Sequence[Array]):
         self.task = task
@@ -117,11 +117,6 @@ class JointProblem(Likelihood):
     def predict(self, k: int, theta: Array) -> SitePrediction:
         """Prediction of site k at theta by the surrogates."""
         return self.blocks[k].predict(theta)
-
-    def place(self, k: int, theta: Array) -> Array:
-        """Parameters of the curve of site k: the law's shape, preceded by c / c0 where layers have a fixed
-        stiffness."""
-        return self.blocks[k].place(theta)[2]
 
 
 def joint_fit(

@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 
 from limbcli.inference.emulator import Emulator
-from limbcli.inference.interpolation import pchip_sample
+from limbcli.inference.monotone_interpolation import pchip_sample
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.prediction import Prediction
 from limbcli.inference.residual import Objective, Residual
@@ -75,9 +75,14 @@ class Place:
 class Block(Protocol):
     """Data of one simulated curve; slopes are by ln theta."""
 
-    emulator: Emulator
-    place: Place
-    n_data: int
+    @property
+    def emulator(self) -> Emulator: ...
+
+    @property
+    def place(self) -> Place: ...
+
+    @property
+    def n_data(self) -> int: ...
 
     def residual(self, theta: Array) -> tuple[Array, Array]:
         """Values (n,) in standard deviations and slopes (n, n_theta)."""
@@ -238,7 +243,7 @@ class Likelihood:
         priors : (index, mean, standard deviation of the logarithm)
         n_shape : number of the law's parameters, which follow c; simulations step outwards in these and c
         """
-        self.parameters, self.blocks, self.profiled = list(parameters), list(blocks), tuple(profiled)
+        self.parameters, self.blocks, self.profiled = list(parameters), blocks, tuple(profiled)
         self.n_shape, self._starts, self._priors = n_shape, list(starts), list(priors)
         several = np.vstack([each.place.factors[2:] for each in blocks])
         self.simulated = tuple(np.flatnonzero(several.any(axis=0)).tolist())
@@ -270,6 +275,11 @@ class Likelihood:
 
     def starts(self) -> list[Array]:
         return list(self._starts)
+
+    def place(self, k: int, theta: Array) -> Array:
+        """Parameters of the curve of block k: the law's shape, preceded by c / c0 where layers have a fixed
+        stiffness, and followed by the stretches of a state."""
+        return self.blocks[k].place(theta)[2]
 
     def uncertainty(self, theta: Array) -> float:
         """Error of the surrogates at theta, in standard deviations of the data."""

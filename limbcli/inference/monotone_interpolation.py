@@ -15,7 +15,22 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from limbcli.errors import FitError
 from limbcli.model import Array, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """A curve evaluated at given places.
+
+    values : (n,)
+    slopes : (n,) d value / d place
+    weights : (n, n_knots) d value / d knot value
+    """
+
+    values: Array
+    slopes: Array
+    weights: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,17 +70,15 @@ class Monotone:
         """Derivative (*at.shape, ...)."""
         return self._rates(*self._piece(at))
 
-    def read(self, at: Array) -> tuple[Array, Array, Array]:
-        """For one curve with values (n_knots,): values, slopes (n_places,) and weights (n_places, n_knots).
-
-        The weights are the derivatives of the values with respect to the values at the knots.
+    def read(self, at: Array) -> Sample:
+        """One curve with values (n_knots,) at places (n,).
 
         >>> curve = Monotone.through(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 2.0]))
-        >>> curve.read(np.array([1.5]))
-        (array([1.5]), array([1.]), array([[-0.125,  0.75 ,  0.375]]))
+        >>> curve.read(np.array([1.5])).weights
+        array([[-0.125,  0.75 ,  0.375]])
         """
         piece = self._piece(at)
-        return self._values(*piece), self._rates(*piece), self._weights(*piece)
+        return Sample(self._values(*piece), self._rates(*piece), self._weights(*piece))
 
     def _values(self, k: IntArray, t: Array, h: Array) -> Array:
         y0, y1, d0, d1 = self.values[k], self.values[k + 1], self.slopes[k], self.slopes[k + 1]
@@ -112,6 +125,55 @@ class Monotone:
         t = np.asarray((at - self.knots[k]) / h)
         more = (1,) * (self.values.ndim - 1)
         return k, np.reshape(t, t.shape + more), np.reshape(h, h.shape + more)
+
+
+def pchip_sample(knots: Array, values: Array, places: Array) -> Sample:
+    """Evaluate the shape-preserving piecewise cubic through (knots, values) at `places`.
+
+    The same curve as `scipy.interpolate.PchipInterpolator` and MATLAB's `pchip`.
+
+    Parameters
+    ----------
+    knots : (n_knots,) strictly increasing, n_knots >= 2
+    values : (n_knots,)
+    places : (n,) within the knots
+
+    Raises
+    ------
+    FitError
+        If the knots do not increase, or a place lies outside them.
+
+    >>> sample = pchip_sample(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 4.0]), np.array([0.5, 2.0]))
+    >>> sample.values
+    array([0.3125, 4.    ])
+    """
+    _check(knots, values, places)
+    return Monotone.through(knots, values).read(places)
+
+
+def pchip_inverse(knots: Array, values: Array, wanted: Array) -> Array:
+    """Places within the knots at which the curve through increasing values equals `wanted`.
+
+    >>> pchip_inverse(np.arange(4.0), 2 * np.arange(4.0), np.array([0.0, 3.0, 9.0])).round(9)
+    array([0. , 1.5, 3. ])
+    """
+    return Monotone.through(knots, values).inverse(wanted)
+
+
+def _check(knots: Array, values: Array, places: Array) -> None:
+    if len(knots) < 2 or len(knots) != len(values) or np.any(knots[1:] <= knots[:-1]):
+        raise FitError(
+            "the simulated curve's depths do not increase",
+            where=f"{len(knots)} points",
+            fix="check force-depth.csv of the run: it must contain every depth level once",
+        )
+    slack = 1e-9 * max(1.0, float(np.abs(knots).max()))
+    if np.any(places < knots[0] - slack) or np.any(places > knots[-1] + slack):
+        raise FitError(
+            f"a measured depth lies outside the simulated {knots[0]:.3f} to {knots[-1]:.3f} mm",
+            where=f"measured {places.min():.3f} to {places.max():.3f} mm",
+            fix="build the model again so that its load covers the measurement: limbcli build-feb",
+        )
 
 
 def _slopes(knots: Array, values: Array) -> Array:
@@ -249,13 +311,4 @@ def _columns(knots, values, at, out):  # type: ignore[no-untyped-def]
         if n < 2:
             continue
         _slopes_of(x, y, n, slope)
-        for i in range(len(at)):
-            if np.isnan(at[i]):
-                continue
-            inside = min(max(at[i], x[0]), x[n - 1])
-            k = 0
-            while k < n - 2 and inside >= x[k + 1]:
-                k += 1
-            h = x[k + 1] - x[k]
-            found = _hermite(y[k], y[k + 1], slope[k], slope[k + 1], h, (inside - x[k]) / h)
-            out[i, c] = found + max(at[i] - x[n - 1], 0.0) * slope[n - 1]
+        _with_lines(x[:n], y[:n], slope, at, 0.0, slope[n - 1], np.inf, out[:, c])

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from limbcli.errors import SolveError
-from limbcli.inference.interpolation import pchip_sample
+from limbcli.inference.monotone_interpolation import pchip_sample
 from limbcli.model import Array
 
 

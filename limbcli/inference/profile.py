@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +17,8 @@ from limbcli.numbers.interval_limits import THRESHOLD_95
 _TIGHT = 1e-4  # tolerance of the fits
 _CLOSE = 0.02  # tolerance of the deviance at an interval's end
 _FEWEST = 6  # smallest number of points on one side of the best fit
-_Point = tuple[float, float, Array]  # value, deviance, theta
+Point = tuple[float, float, Array]  # x, deviance, theta; x : ln of a parameter, or another quantity
+Held = Callable[[float, Array], tuple[float, Array]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +47,11 @@ class Profile:
     @property
     def is_open(self) -> bool:
         return self.open_low or self.open_high
+
+    @property
+    def limits(self) -> tuple[float | None, float | None]:
+        """low and high; None where the interval is open."""
+        return None if self.open_low else self.low, None if self.open_high else self.high
 
 
 def ends_beyond(profile: Profile, limit: float) -> bool:
@@ -105,99 +111,95 @@ def profile_likelihood(
 
     Source: Venzon and Moolgavkar 1988, Appl. Stat. 37:87; Raue et al. 2009, Bioinformatics 25:1923.
     """
-    walker = _Walker(objective, tuple(parameters), best, index, scale, n_points)
-    down, up = walker.walk(-1, threshold), walker.walk(+1, threshold)
-    points = [*reversed(down.points), (best.theta[index], 0.0, best.theta), *up.points]
-    values = np.array([value for value, _, _ in points])
+    others = [k for k in range(len(parameters)) if k != index]
+
+    def at(x: float, guess: Array) -> tuple[float, Array]:
+        """(deviance, theta) with this parameter held at exp(x) and the others refitted."""
+        value = float(np.exp(x))
+
+        def held(part: Array, derivative: bool = True) -> Residual:
+            theta = np.insert(part, index, value)
+            full = objective(theta, derivative)
+            return Residual(full.values, None if full.jacobian is None else full.jacobian[:, others])
+
+        if not others:
+            return (objective(np.array([value]), False).cost - best.cost) / scale, np.array([value])
+        fit = best_of(held, [parameters[k] for k in others], [guess[others]])
+        return (fit.cost - best.cost) / scale, np.insert(fit.theta, index, value)
+
+    low, start, high = np.log([parameters[index].low, best.theta[index], parameters[index].high])
+    middle = (float(start), 0.0, best.theta)
+    sides = []
+    for stop in (low, high):
+        n = int(np.ceil(abs(stop - start) * n_points / (high - low)))
+        side = walk(at, middle, np.linspace(start, stop, n + 1)[1:], threshold)
+        sides.append(replace(side, points=_filled(at, middle, side.points)))
+    down, up = sides
+    points = [*reversed(down.points), middle, *up.points]
+    ends = [float(np.clip(np.exp(each.end), parameters[index].low, parameters[index].high)) for each in sides]
     return Profile(
-        parameters[index].name, values, np.array([each for _, each, _ in points]),
-        np.array([theta for _, _, theta in points]),
-        float(down.end[index]), float(up.end[index]), down.is_open, up.is_open,
-        np.array([down.end, up.end]),
+        parameters[index].name, np.exp([x for x, _, _ in points]), np.array([each for _, each, _ in points]),
+        np.array([theta for _, _, theta in points]), ends[0], ends[1], down.is_open, up.is_open,
+        np.array([down.theta, up.theta]),
     )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
-class _Side:
-    points: list[_Point]
-    end: Array
+class Side:
+    """A walk outwards: its points, its end with theta there, and whether the data exclude nothing."""
+
+    points: list[Point]
+    end: float
+    theta: Array
     is_open: bool
 
 
-class _Walker:
-    def __init__(
-        self, objective: Objective, parameters: tuple[FitParameter, ...], best: Fit, index: int,
-        scale: float, n_points: int,
-    ):  # fmt: skip
-        self.objective, self.parameters, self.best = objective, parameters, best
-        self.index, self.scale, self.n_points = index, scale, n_points
+def walk(at: Held, start: Point, grid: Array, threshold: float) -> Side:
+    """Follow the deviance from the best fit along the grid (n,) until it exceeds the threshold, then locate
+    the crossing.
 
-    def walk(self, sign: int, threshold: float) -> _Side:
-        """Step along the grid until the deviance exceeds the threshold, then locate the crossing."""
-        parameter = self.parameters[self.index]
-        start = float(self.best.theta[self.index])
-        points: list[_Point] = []
-        stop = parameter.high if sign > 0 else parameter.low
-        pace = np.log(parameter.high / parameter.low) / self.n_points
-        n = int(np.ceil(abs(np.log(stop / start)) / pace))
-        if n == 0:
-            return _Side([], self.best.theta, True)
-        grid = start * np.exp(np.linspace(0.0, np.log(stop / start), n + 1)[1:])
-        inside: _Point = (start, 0.0, self.best.theta)
-        for value in grid:
-            here = (float(value), *self.at(float(value), inside[2]))
-            if here[1] > threshold:
-                end, more = self._crossing(inside, here, threshold)
-                points = sorted([*points, *more], key=lambda point: sign * point[0])
-                return _Side(self._filled(points), end, False)
-            points.append(here)
-            inside = here
-        return _Side(points, inside[2], True)
+    at : (x, a theta nearby) -> (deviance, theta) with the quantity held at x; infinite where no parameters
+        within their bounds give x, at which the walk ends
+    """
+    points: list[Point] = []
+    inside = start
+    for x in grid.tolist():
+        here = (x, *at(x, inside[2]))
+        if not np.isfinite(here[1]):
+            break
+        if here[1] > threshold:
+            more = _crossing(at, inside, here, threshold)
+            points = sorted([*points, *more], key=lambda point: abs(point[0] - start[0]))
+            return Side(points, more[-1][0], more[-1][2], False)
+        points.append(here)
+        inside = here
+    return Side(points, inside[0], inside[2], True)
 
-    def _filled(self, points: list[_Point]) -> list[_Point]:
-        """Replace the points of a short side by enough points for a smooth curve."""
-        if len(points) >= _FEWEST:
-            return points
-        start, last = float(self.best.theta[self.index]), points[-1]
-        more: list[_Point] = []
-        for share in np.arange(1, _FEWEST) / _FEWEST:
-            value = float(start * (last[0] / start) ** share)
-            more.append((value, *self.at(value, more[-1][2] if more else self.best.theta)))
-        return [*more, last]
 
-    def _crossing(self, inside: _Point, outside: _Point, threshold: float) -> tuple[Array, list[_Point]]:
-        """Theta where the deviance reaches the threshold, by a bracketed secant search: the deviance's root
-        is nearly linear in ln theta."""
-        found = []
-        for _ in range(12):
-            low, high = (np.sqrt(max(point[1], 0.0)) for point in (inside, outside))
-            share = min(max((np.sqrt(threshold) - low) / (high - low), 0.1), 0.9)
-            value = float(inside[0] * (outside[0] / inside[0]) ** share)
-            deviance, theta = self.at(value, inside[2])
-            found.append((value, deviance, theta))
-            if abs(deviance - threshold) < _CLOSE or abs(np.log(outside[0] / inside[0])) < 1e-3:
-                break
-            if deviance > threshold:
-                outside = found[-1]
-            else:
-                inside = found[-1]
-        return found[-1][2], found
+def _crossing(at: Held, inside: Point, outside: Point, threshold: float) -> list[Point]:
+    """Points up to that where the deviance reaches the threshold, by a bracketed secant search: the
+    deviance's root is nearly linear."""
+    found: list[Point] = []
+    for _ in range(12):
+        low, high = (np.sqrt(max(point[1], 0.0)) for point in (inside, outside))
+        share = min(max((np.sqrt(threshold) - low) / (high - low), 0.1), 0.9)
+        x = float(inside[0] + share * (outside[0] - inside[0]))
+        found.append((x, *at(x, inside[2])))
+        if abs(found[-1][1] - threshold) < _CLOSE or abs(outside[0] - inside[0]) < 1e-3:
+            break
+        if found[-1][1] > threshold:
+            outside = found[-1]
+        else:
+            inside = found[-1]
+    return found
 
-    def at(self, value: float, guess: Array) -> tuple[float, Array]:
-        """(deviance, theta) with this parameter held at `value` and the others refitted."""
-        others = [k for k in range(len(self.parameters)) if k != self.index]
-        if not others:
-            theta = np.array([value])
-            return self._deviance(self.objective(theta, False).cost), theta
 
-        def held(part: Array, derivative: bool = True) -> Residual:
-            theta = np.insert(part, self.index, value)
-            full = self.objective(theta, derivative)
-            return Residual(full.values, None if full.jacobian is None else full.jacobian[:, others])
-
-        parameters = [self.parameters[k] for k in others]
-        fit = best_of(held, parameters, [guess[others]])
-        return self._deviance(fit.cost), np.insert(fit.theta, self.index, value)
-
-    def _deviance(self, cost: float) -> float:
-        return (cost - self.best.cost) / self.scale
+def _filled(at: Held, start: Point, points: list[Point]) -> list[Point]:
+    """Replace the points of a short side by enough points for a smooth curve."""
+    if not points or len(points) >= _FEWEST:
+        return points
+    more: list[Point] = []
+    for share in np.arange(1, _FEWEST) / _FEWEST:
+        x = float(start[0] + share * (points[-1][0] - start[0]))
+        more.append((x, *at(x, more[-1][2] if more else start[2])))
+    return [*more, points[-1]]

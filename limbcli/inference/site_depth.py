@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from limbcli.inference.interpolation import pchip_inverse, pchip_sample
+from limbcli.inference.monotone_interpolation import pchip_inverse, pchip_sample
 from limbcli.inference.prediction import PredictedCurve
 from limbcli.inference.site_layers import NO_LAYERS, LayerData
 from limbcli.model import Array

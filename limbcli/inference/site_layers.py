@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from limbcli.inference.interpolation import pchip_sample
+from limbcli.inference.monotone_interpolation import pchip_sample
 from limbcli.inference.whitening import Whitener
 from limbcli.model import Array, IntArray
 

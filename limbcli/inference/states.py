@@ -69,7 +69,7 @@ class StatesTask:
 class StatesProblem(Likelihood):
     """Likelihood of the states; theta = (c, shape..., stretches..., gain if it is uncertain)."""
 
-    blocks: list[SiteBlock]
+    blocks: Sequence[SiteBlock]
 
     def __init__(self, task: StatesTask, starts: Sequence[Array]):
         self.task = task
@@ -95,10 +95,6 @@ class StatesProblem(Likelihood):
             parameters, blocks, [np.r_[each, ones] for each in starts], profiled=range(last),
             priors=[(last, 1.0, task.gain_deviation)] if gained else [], n_shape=first - 1,
         )  # fmt: skip
-
-    def place(self, k: int, theta: Array) -> Array:
-        """Parameters of the curve in state k: the law's shape, then the stretches of that state."""
-        return self.blocks[k].place(theta)[2]
 
     def curve_shape(self, theta: Array) -> Array:
         """Shape parameters passed to the curve, preceded by c / c0 where layers have a fixed stiffness."""

@@ -21,7 +21,7 @@ import numpy as np
 from limbcli.case import Case
 from limbcli.errors import SolveError
 from limbcli.feb.settings import schedule
-from limbcli.inference.interpolation import pchip_sample
+from limbcli.inference.monotone_interpolation import pchip_sample
 from limbcli.meshing.elements import with_element
 from limbcli.model import Array, LimbModel
 from limbcli.model.npz_file import load_model

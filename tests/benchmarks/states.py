@@ -31,7 +31,7 @@ from limbcli.fitting.state_curve import StateCurve
 from limbcli.fitting.state_plan import plan_of
 from limbcli.inference.curve_minimum import lowest_on_grid
 from limbcli.inference.derived import derived_interval
-from limbcli.inference.interpolation import pchip_inverse, pchip_sample
+from limbcli.inference.monotone_interpolation import pchip_inverse, pchip_sample
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.site_depth import SiteMeasurement
 from limbcli.inference.states import StateMeasurement, StatesTask, states_fit

@@ -78,7 +78,7 @@ STARTS = [np.array([C0, 100.0, 2.0]), np.array([C0, 20.0, 4.0])]
 def test_inversion_undoes_the_curve(simulated):
     knots = np.r_[0.0, KNOTS]
     force = np.r_[0.0, simulated.force(KNOTS, C0, 50.0, 4.0)]
-    from limbcli.inference.interpolation import pchip_sample
+    from limbcli.inference.monotone_interpolation import pchip_sample
 
     places = np.linspace(0.3, 10.9, 17)
     np.testing.assert_allclose(

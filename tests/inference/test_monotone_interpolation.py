@@ -29,7 +29,7 @@ def test_weights_are_differences_by_the_knots_values(kind, rng):
     if kind == "with flats":  # a flat piece is a kink of the curve: its own two values are left alone
         values[4], fixed[4:6] = values[5], True
     at = np.r_[knots[0], rng.uniform(knots[0], knots[-1], 30), knots[-1]]
-    _, _, weights = Monotone.through(knots, values).read(at)
+    weights = Monotone.through(knots, values).read(at).weights
     for k in np.flatnonzero(~fixed):
         move = 1e-6 * np.eye(n)[k]
         up, down = (Monotone.through(knots, values + sign * move)(at) for sign in (1, -1))

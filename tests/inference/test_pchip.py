@@ -5,7 +5,7 @@ import pytest
 from scipy.interpolate import PchipInterpolator
 
 from limbcli.errors import FitError
-from limbcli.inference.interpolation import pchip_sample
+from limbcli.inference.monotone_interpolation import pchip_sample
 
 
 @pytest.mark.parametrize("shape", ["monotone", "wavy", "two knots", "three knots"])

@@ -11,7 +11,7 @@ from limbcli.case import Case
 from limbcli.feb.settings import schedule
 from limbcli.fitting.laws import LAWS
 from limbcli.fitting.state_curve import StateCurve
-from limbcli.inference.interpolation import pchip_inverse, pchip_sample
+from limbcli.inference.monotone_interpolation import pchip_inverse, pchip_sample
 from limbcli.model.npz_file import save_model
 from limbcli.results import open_stage
 from limbcli.site_model.indentation_model import indentation_model

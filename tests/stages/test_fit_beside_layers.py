@@ -13,7 +13,7 @@ from limbcli.fitting.force_curves import FileCurve, LawCurve, ReferenceCurve
 from limbcli.fitting.laws import LAWS
 from limbcli.fitting.state_curve import StateCurve
 from limbcli.fitting.state_plan import plan_of
-from limbcli.inference.interpolation import pchip_inverse, pchip_sample
+from limbcli.inference.monotone_interpolation import pchip_inverse, pchip_sample
 from limbcli.inference.site_depth import SiteMeasurement
 from limbcli.model import ElementMap, LimbModel
 from limbcli.model.npz_file import save_model

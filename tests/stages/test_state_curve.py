@@ -16,7 +16,7 @@ from limbcli.fem.equilibrium.newton import Settings
 from limbcli.fitting.laws import LAWS
 from limbcli.fitting.state_curve import StateCurve
 from limbcli.fitting.state_plan import plan_of
-from limbcli.inference.interpolation import pchip_sample
+from limbcli.inference.monotone_interpolation import pchip_sample
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.site_depth import SiteMeasurement
 from limbcli.inference.states import StateMeasurement, StatesProblem, StatesTask
