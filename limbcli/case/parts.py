@@ -58,7 +58,7 @@ class Shape:
         return (0.0, -self.radius, 0.0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Imaging:
     """Source of the geometry: an MRI series, a label map, surfaces, or external measurements.
 
@@ -188,7 +188,7 @@ class StatedNoise:
     layer: float = 0.2
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Site:
     """A position, a probe orientation and one measurement.
 

@@ -97,18 +97,18 @@ def _table(raw: RawTable, path: Path) -> CohortTable:
     }
     used = {*REQUIRED, FACE, PRESSURE}
     return CohortTable(
-        text[PERSON],
-        text[SITE],
-        text[TRIAL],
-        text[SEX],
-        columns["max_force_n"],
-        face,
-        thickness,
-        strain * thickness,
-        columns["stiffness_mpa_per_mm"],
-        {name: each for name, each in columns.items() if name not in used},
-        np.array(raw.lines),
-        path,
+        person=text[PERSON],
+        site=text[SITE],
+        trial=text[TRIAL],
+        sex=text[SEX],
+        force=columns["max_force_n"],
+        face=face,
+        thickness=thickness,
+        shortened=strain * thickness,
+        slope=columns["stiffness_mpa_per_mm"],
+        others={name: each for name, each in columns.items() if name not in used},
+        lines=np.array(raw.lines),
+        path=path,
     )
 
 

@@ -68,7 +68,7 @@ _MAY_BE_EMPTY = frozenset(
 )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class CohortTable:
     """Complete rows; arrays (n_rows,). face mm2; thickness, shortened (n_rows, 3: skin, fat, muscle) mm.
 

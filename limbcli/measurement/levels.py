@@ -17,7 +17,7 @@ FEWEST_LOADING = 3  # smallest number of loading levels for a curve
 LAST = "last"  # selects the last cycle with that many
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Levels:
     """One measurement, a row per force level, in the order measured; all arrays (n_levels,).
 

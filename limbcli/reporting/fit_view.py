@@ -19,7 +19,7 @@ MOONEY_RIVLIN, OGDEN = "mooney-rivlin", "ogden"
 STEP_NAMES = {MOONEY_RIVLIN: "Mooney-Rivlin type", OGDEN: "Ogden type"}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class EstimateView:
     """One parameter of one step: value, 95 % interval and verdict."""
 
@@ -62,7 +62,7 @@ class EstimateView:
         return replace(self, name=name, value=value, unit=unit, low=low, high=high, standard_error=None)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class StepView:
     """One identification: the Mooney-Rivlin type (m = 2) or the Ogden type."""
 
@@ -92,7 +92,7 @@ class StepView:
         return f_kappa.times(self.c_kpa, "κ′", "kPa") if f_kappa else None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class FitView:
     element: str
     solver: str

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -74,6 +74,7 @@ class Outcome:
     site: str | None
     status: Status
     command: str
+    _: KW_ONLY
     result: StageResult | None = None
     failure: Failure | None = None
     held_by: str = ""
@@ -162,7 +163,7 @@ def _outcome(out: Path, stage: str, site: str | None, case_name: str, subject: s
             what = f"the result is of {result.subject}, but the case is of {subject}"
             failure, result = Failure("CaseError", what, str(folder), command), None
     status: Status = "failed" if failure else ("done" if result else "missing")
-    return Outcome(stage, site, status, command, result, failure)
+    return Outcome(stage, site, status, command, result=result, failure=failure)
 
 
 def _failed_run(folder: Path, stage: str) -> Failure | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 
 from limbcli.case import Case
@@ -39,6 +39,7 @@ class SiteMaterial:
 
     name: str
     place: str
+    _: KW_ONLY
     measured: MeasuredCurve | None = None
     why_no_levels: str = ""
     speeds: SpeedReadings | None = None
@@ -54,7 +55,7 @@ class SiteMaterial:
     on_limb: LimbPlace | None = None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ReportData:
     case: Case
     case_name: str

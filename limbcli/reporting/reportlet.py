@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -115,6 +115,7 @@ class Reportlet:
     title: str
     mood: Mood = "neutral"
     site: str | None = None
+    _: KW_ONLY
     pictures: tuple[Picture, ...] = ()
     tables: tuple[PageTable, ...] = ()
     look_for: str = ""

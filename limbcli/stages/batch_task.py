@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, nullcontext
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ WAITING = "waiting"  # first word of the note that a part waits for a lock held 
 NOT_BEGUN = StartedCase("", done=False)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Call:
     """Settings common to all parts of a batch.
 
@@ -53,6 +53,7 @@ class BatchTask:
     case: Path
     out: Path
     kind: str
+    _: KW_ONLY
     sites: tuple[str, ...] = ()
     begun: StartedCase = NOT_BEGUN
     keys: tuple[str, ...] = ()

@@ -43,7 +43,7 @@ ELEMENTS = ("tet4", "tet10")
 SWEEP = (10.0, 100.0, 650.0)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ElementFit:
     """Results with one element type: depths (n,) mm, forces (n,) N at the start values and after the fit,
     the last force at each f_kappa of the sweep, and the two steps of the fit.
@@ -117,7 +117,16 @@ def _compare_site(
         finally:
             curve.close()
         found.append(
-            ElementFit(element, curve.depths, start, np.array(sweep), steps, forces, linear, _unknowns(same))
+            ElementFit(
+                element=element,
+                depths=curve.depths,
+                start_force=start,
+                sweep_force=np.array(sweep),
+                steps=steps,
+                fitted_force=forces,
+                linear_force=linear,
+                n_unknowns=_unknowns(same),
+            )
         )
     _write(writer, found, kpa_from_mpa(stiffness.c), source, data.depth, data.force)
 

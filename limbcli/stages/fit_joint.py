@@ -76,7 +76,7 @@ class JointOptions:
     max_solves: int = 16
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Measured:
     """A site's contribution to the fit: its model and its levels.
 
@@ -187,7 +187,15 @@ def _measured(case: Case, site: Site, out: Path, writer: StageWriter, options: F
             writer.warnings.append(f"site {site.name}: layers are not used: {problem.what}")
     is_known = options.c_kpa is not None or np.isfinite(levels.swe_mean_m_per_s[0])
     c = initial_stiffness(levels, site, options)[0].c if is_known else None
-    return Measured(site, model, levels, c, error, layers if lines else None, lines)
+    return Measured(
+        site=site,
+        model=model,
+        levels=levels,
+        c=c,
+        studied_error=error,
+        layers=layers if lines else None,
+        lines=lines,
+    )
 
 
 def _report_free(measured: Sequence[Measured], options: FitOptions, writer: StageWriter) -> None:

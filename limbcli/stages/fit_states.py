@@ -144,7 +144,7 @@ def _fit_site(
 
 def state_data(site: Site, model: LimbModel, each: MeasuredState, depths: Array) -> SiteMeasurement:
     """A state's loading levels with their stated noise; depths : of the simulated levels (mm)."""
-    taken = Measured(site, model, each.levels, 0.0)
+    taken = Measured(site=site, model=model, levels=each.levels, c=0.0)
     return replace(site_data(taken, depths, JointOptions(), speeds=True), name=each.state.name)
 
 

@@ -73,7 +73,7 @@ _UNLIKE = 1.5  # ratio of a layer's largest to its smallest thickness above whic
 _ASSUMED_TUBE = "numbers"  # kind of the assumed geometry without a distal end
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LimbOptions:
     """Options of a limb's model: those of its mesh, and its stiffness (kPa) if given by hand.
 
@@ -173,7 +173,9 @@ def limb(
             title=f"{case.subject}: the limb",
         )
         write_limb(
-            LimbFiles(model, frame, case.limb, surface, parts, columns_of(values)),
+            LimbFiles(
+                model=model, frame=frame, side=case.limb, skin=surface, parts=parts, values=columns_of(values)
+            ),
             writer,
             segmented,
             templates,

@@ -49,7 +49,7 @@ EDITED = "edited labels"
 Seed = tuple[str, tuple[float, float, float]]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Options:
     seeds: tuple[Seed, ...]
     smooth: float
@@ -107,7 +107,14 @@ def segment(
         If the input cannot be used; the message gives the reason and the remedy.
     """
     progress.event("stage", name="segment")
-    options = _Options(_checked(seeds, case), smooth, threshold, limb, accept_bones, aop)
+    options = _Options(
+        seeds=_checked(seeds, case),
+        smooth=smooth,
+        threshold=threshold,
+        limb=limb,
+        accept_bones=accept_bones,
+        aop=aop,
+    )
     edited = None if fresh else edited_labels(out)
     if edited is not None:
         _check_edited(case, out, edited)

@@ -43,7 +43,7 @@ VIEWS = (
 )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class LimbPlace:
     """A site on its limb, "left" or "right"; mm, patient LPS.
 

@@ -36,7 +36,7 @@ class StageBadge:
     words: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SiteGlance:
     name: str
     place: str
@@ -58,7 +58,7 @@ class SiteGlance:
         return "failed" if self.mood == "failed" and not self.facts else MOOD_WORDS[self.mood]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Overview:
     mood: Mood
     sentence: str
@@ -92,12 +92,12 @@ def overview(page: ReportData) -> Overview:
     if page.case.imaging.assumed:
         sentence = f"{sentence_of(page.case.imaging.assumed)} {sentence}"
     return Overview(
-        _overall(sites, bool(failures), bool(warnings)),
-        sentence,
-        sites,
-        failures,
-        tuple(warnings),
-        ranked,
+        mood=_overall(sites, bool(failures), bool(warnings)),
+        sentence=sentence,
+        sites=sites,
+        failures=failures,
+        warnings=tuple(warnings),
+        warning_groups=ranked,
     )
 
 
@@ -149,10 +149,20 @@ def _site(page: ReportData, site: SiteMaterial) -> SiteGlance:
         stopped = next((each for each in stages if each.status == "failed"), None)
         if stopped is not None and stopped.failure is not None:
             sentence = f"No parameters: {stopped.stage} failed ({stopped.failure.headline})."
-            return SiteGlance(site.name, site.place, "failed", sentence, (), pills)
+            return SiteGlance(
+                name=site.name, place=site.place, mood="failed", sentence=sentence, facts=(), pills=pills
+            )
         following = next(each for each in stages if each.status != "done")
         sentence = f"No parameters yet: {following.stage} has not been run."
-        return SiteGlance(site.name, site.place, "missing", sentence, (), pills, following.command)
+        return SiteGlance(
+            name=site.name,
+            place=site.place,
+            mood="missing",
+            sentence=sentence,
+            facts=(),
+            pills=pills,
+            command=following.command,
+        )
     view = read_fit_view(result)
     facts = _facts(view)
     moods = {each.mood for each in facts}
@@ -160,12 +170,12 @@ def _site(page: ReportData, site: SiteMaterial) -> SiteGlance:
     step = view.last
     weak = tuple(each.name for each in step.estimates if not each.is_sound) if step else ()
     return SiteGlance(
-        site.name,
-        site.place,
-        mood,
-        _site_sentence(view),
-        facts,
-        pills,
+        name=site.name,
+        place=site.place,
+        mood=mood,
+        sentence=_site_sentence(view),
+        facts=facts,
+        pills=pills,
         weak=weak,
         poor=view.poor,
         doubtful=view.doubtful,
@@ -205,7 +215,9 @@ def _facts(view: FitView) -> tuple[Fact, ...]:
 
 def _at_rest(view: FitView, step: StepView) -> list[Fact]:
     """µ, E and c at rest, each with its interval: what papers quote."""
-    c = step.estimate("c") or EstimateView("c", step.c_kpa, "kPa", None, None, "", "fixed")
+    c = step.estimate("c") or EstimateView(
+        name="c", value=step.c_kpa, unit="kPa", low=None, high=None, interval_why="", flag="fixed"
+    )
     source = view.c_source or "of unknown origin"
     named = (
         ("µ at rest, shear modulus", 0.5, "c/2"),

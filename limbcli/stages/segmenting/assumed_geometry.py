@@ -39,7 +39,7 @@ _DEPTH_OFF = 1.0  # mm, deviation of a shared bone's depth from a site's measure
 BONE = "bone_1"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ThicknessComparison:
     """One site's skin-bone distance (mm): measured, with its source, and in the surfaces made."""
 
@@ -57,7 +57,7 @@ class ThicknessComparison:
         }  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class AssumedLimb:
     """Surfaces by the names used by `segment`, the bones as rods, and each site's skin-bone distance."""
 
@@ -185,12 +185,16 @@ def _of_numbers(shape: Shape, case: Case) -> AssumedLimb:
         if _is_aside(shape, made):
             aside.append(site.name)
             depth, source = seen_depth(site) or (made or depth, source)
-        sites[site.name] = ThicknessComparison(depth, source, made, BONE, _triple(point), _triple(normal))
+        sites[site.name] = ThicknessComparison(
+            measured=depth, source=source, made=made, bone=BONE, point=_triple(point), normal=_triple(normal)
+        )
     warnings = tuple(
         f"site {name} is not anterior, where [imaging] shape gives the layers: the tissue "
         "thickness there is that of the round limb" for name in aside
     )  # fmt: skip
-    return AssumedLimb(surfaces, {BONE: bone}, sites, (), shape, warnings)
+    return AssumedLimb(
+        surfaces=surfaces, bones={BONE: bone}, sites=sites, notes=(), shape=shape, warnings=warnings
+    )
 
 
 def _of_a_scan(case: Case) -> AssumedLimb:
@@ -215,10 +219,17 @@ def _of_a_scan(case: Case) -> AssumedLimb:
             each, (depth, source) = seen[name], _known(case.site(name))
             made = rod.depth_under(each.point, -each.normal)
             sites[name] = ThicknessComparison(
-                depth, source, made, bone, _triple(each.point), _triple(each.normal)
+                measured=depth,
+                source=source,
+                made=made,
+                bone=bone,
+                point=_triple(each.point),
+                normal=_triple(each.normal),
             )
             warnings += _disagreement(name, depth, made, names)
-    return AssumedLimb(whole, bones, sites, tuple(notes), None, tuple(warnings))
+    return AssumedLimb(
+        surfaces=whole, bones=bones, sites=sites, notes=tuple(notes), shape=None, warnings=tuple(warnings)
+    )
 
 
 def _disagreement(name: str, measured: float, made: float | None, names: list[str]) -> list[str]:
