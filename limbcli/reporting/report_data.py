@@ -34,7 +34,8 @@ class CycleMaterial:
 class SiteMaterial:
     """Measurement of one site, and the data that are read by other packages.
 
-    If an item is None, the corresponding `why_*` gives the reason, in words for the page.
+    If an item is None, the corresponding `why_*` gives the reason, in words for the page; that of `deformed`
+    is empty if the model has not been run.
     """
 
     name: str
@@ -48,7 +49,7 @@ class SiteMaterial:
     why_no_line: str = ""
     deformed: DeformedState | None = None
     deformed_source: str = ""
-    why_not_deformed: str = "the model has not been run"
+    why_not_deformed: str = ""
     residuals: Residuals | None = None
     warnings: tuple[str, ...] = ()
     cycles: CycleMaterial | None = None

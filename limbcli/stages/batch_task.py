@@ -19,7 +19,6 @@ from limbcli.stages.batching.steps import SITE_STAGES
 
 FIRST, SITE, DIAGNOSIS, LAST = "first", "site", "diagnosis", "last"
 FIRST_STAGE = {FIRST: "segment", SITE: SITE_STAGES[0], DIAGNOSIS: DIAGNOSE, LAST: "report"}
-WAITING = "waiting"  # first word of the note that a part waits for a lock held by another process
 NOT_BEGUN = StartedCase("", done=False)
 
 
@@ -118,7 +117,7 @@ class _EventLog:
         if kind == "stage":
             is_new, self._stage = facts["name"] != self._stage, str(facts["name"])
         else:
-            is_new = kind == "note" and str(facts.get("text", "")).startswith(WAITING)
+            is_new = kind == "note" and bool(facts.get("waiting"))
         if is_new or time.monotonic() - self._last > self._every_s:
             self._last = time.monotonic()
             text = facts["text"] if is_new and kind == "note" else ""

@@ -244,7 +244,6 @@ class _Diagnosed:
             write_diagnosed(
                 found, forward_model, mine, writer, out=self.out, number=k, templates=self.options.templates
             )
-        assert writer.result is not None
         return writer.result
 
 

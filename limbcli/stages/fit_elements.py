@@ -85,7 +85,6 @@ def compare_elements(
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
             writer.data["asked"] = options.requested(COMPARISON)
             _compare_site(noted(case, writer), site.name, out, writer, options, progress)
-        assert writer.result is not None
         results.append(writer.result)
     return results
 

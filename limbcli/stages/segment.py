@@ -139,7 +139,6 @@ def segment(
             )
         if aop:
             write_skin_aop(case, writer)
-    assert writer.result is not None
     return writer.result
 
 

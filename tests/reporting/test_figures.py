@@ -243,7 +243,7 @@ def test_tables_beside_figures_name_every_curve():
     back = np.r_[np.zeros(9, bool), True, True]
     measured = MeasuredCurve(DEPTH, 1.5 * DEPTH, 0.3, 0.1, unloading=back)
     loops = [Loop(k, (DEPTH, DEPTH), (DEPTH[::-1], DEPTH), 3.0, 1.0, 0.1) for k in (1, 2)]
-    known = EstimateView(name="c", value=5.0, unit="kPa", low=4.0, high=7.0, interval_why="", flag="fixed")
+    known = EstimateView(name="c", value=5.0, unit="kPa", low=4.0, high=7.0, flag="fixed")
     rows = [StudyRow("A p1", {"c": known}), StudyRow("B p1", {"c": replace(known, high=None, flag="weak")})]
     middle = {"beyond_family": None, "geometric_mean": 2.0, "spread_factor": 1.2, "low": 1.8, "high": 2.2}
     names = ("c_muscle_kpa", "c_fat_kpa", "m")
@@ -282,7 +282,7 @@ def test_cycles_and_sites_of_a_cohort_can_be_told_apart():
 
 def test_long_names_leave_room_for_the_parameters_of_a_study():
     names = [f"Patient-mit-sehr-langem-Namen-{k} (Ordner {k}) medial proximal" for k in range(12)]
-    known = EstimateView(name="c", value=5.0, unit="kPa", low=4.0, high=7.0, interval_why="", flag="fixed")
+    known = EstimateView(name="c", value=5.0, unit="kPa", low=4.0, high=7.0, flag="fixed")
     figure = drawn(study_figure([StudyRow(name, {"c": known}) for name in names]))
     assert all(axes.bbox.width > 0.2 * figure.bbox.width for axes in figure.axes)
     labels = [each.get_window_extent() for each in figure.axes[0].get_yticklabels()]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from limbcli.reporting.figures.study import study_figure
 from limbcli.reporting.figures.style import style
 from limbcli.reporting.fit_view import FitView, read_fit_view
 from limbcli.reporting.index import HEADINGS, IndexRow, relative, study_rows
-from limbcli.reporting.outcome import Failure, problems_of
+from limbcli.reporting.outcome import Failure, failure_of
 from limbcli.reporting.page import data_uri, render
 from limbcli.reporting.reportlet import worst_mood
 from limbcli.results import ERROR_FILE, UNLIKE_OURS, StageResult, provenance, read_result, stage_folder
@@ -70,7 +69,6 @@ def report_index(folder: Path, *, templates: Path | None = None, progress: Progr
         "rows": rows, "headings": HEADINGS, "own": own, "n_subjects": len(outs),
         "study": _picture(rows, folder),
         "name": folder.resolve().name,
-        "made_on": own["finished_utc"].replace("T", " ").replace("Z", " UTC"),
     }  # fmt: skip
     html = render("index.html.j2", facts, templates=templates)
     with atomic_file(folder / INDEX_FILE) as path:
@@ -131,7 +129,7 @@ def _row(out: Path, report: StageResult, site: str, link: str) -> IndexRow:
     )  # fmt: skip
     if failures:
         state = f"{failures[0]['stage']} failed: {failures[0]['what'].splitlines()[0]}"
-        shown, view = tuple(_failure(each) for each in failures), _fitted_all_the_same(out, report, site)
+        shown, view = tuple(failure_of(each) for each in failures), _fitted_all_the_same(out, report, site)
         return replace(row, mood="failed", state=state, view=view, failures=shown)
     try:
         fitted = read_result(out, "fit", site=site)
@@ -157,11 +155,6 @@ def _fitted_all_the_same(out: Path, report: StageResult, site: str) -> FitView |
     return read_fit_view(fitted) if fitted.subject == report.subject else None
 
 
-def _failure(content: Mapping[str, Any]) -> Failure:
-    error, what, where, fix = (str(content.get(key) or "–") for key in ("error", "what", "where", "fix"))
-    return Failure(error, what, where, fix, problems_of(content) or problems_of(content.get("facts")))
-
-
 def _row_without_report(out: Path, error: CaseError) -> IndexRow:
     """The row of a subject without a readable report: failed if a stage recorded a failure or the report is
     damaged, else not finished yet."""
@@ -174,7 +167,7 @@ def _row_without_report(out: Path, error: CaseError) -> IndexRow:
         try:
             content = json.loads(path.read_text())
             state = f"{path.parent.relative_to(out)} failed: {content['what'].splitlines()[0]}"
-            return replace(row, mood="failed", state=state, failures=(_failure(content),))
+            return replace(row, mood="failed", state=state, failures=(failure_of(content),))
         except UNLIKE_OURS:
             continue
     if not (stage_folder(out, "report") / "report.json").is_file():
