@@ -70,7 +70,7 @@ def _verdict(data: Mapping[str, Any]) -> str:
 def _markers(markers: object) -> PageTable | None:
     if not isinstance(markers, list) or not markers:
         return None
-    rows = []
+    rows: list[tuple[Cell | str, ...]] = []
     for each in markers:
         if not isinstance(each, Mapping):
             continue

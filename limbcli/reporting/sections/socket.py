@@ -70,7 +70,7 @@ def _table(data: Mapping[str, Any]) -> PageTable:
         (each["load_n"], each["patch"], each["quantity"]): (each["low"], each["high"])
         for each in (data.get("intervals") or {}).get("patches", ())
     }
-    rows = []
+    rows: list[tuple[Cell | str, ...]] = []
     for each in data["patches"]:
         load, patch = each["load_n"], each["patch"]
         cells = [_cell(each[name], limits.get((load, patch, name))) for name in _COLUMNS]

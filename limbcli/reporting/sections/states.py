@@ -80,7 +80,7 @@ def _parameters(data: Mapping[str, Any]) -> PageTable:
 def _states(data: Mapping[str, Any]) -> PageTable:
     rows = (
         (
-            str(name),
+            Cell(str(name), lead=True),
             *(_stretch(each.get(f"stretch_{way}") or {}) for way in _WAYS),
             cell(each.get("swe_at_rest_m_per_s")),
             cell(each.get("swe_at_rest_fitted_m_per_s")),
