@@ -97,19 +97,12 @@ def _table(raw: RawTable, path: Path) -> CohortTable:
     }
     used = {*REQUIRED, FACE, PRESSURE}
     return CohortTable(
-        person=text[PERSON],
-        site=text[SITE],
-        trial=text[TRIAL],
-        sex=text[SEX],
-        force=columns["max_force_n"],
-        face=face,
-        thickness=thickness,
-        shortened=strain * thickness,
+        person=text[PERSON], site=text[SITE], trial=text[TRIAL], sex=text[SEX],
+        force=columns["max_force_n"], face=face, thickness=thickness, shortened=strain * thickness,
         slope=columns["stiffness_mpa_per_mm"],
         others={name: each for name, each in columns.items() if name not in used},
-        lines=np.array(raw.lines),
-        path=path,
-    )
+        lines=np.array(raw.lines), path=path,
+    )  # fmt: skip
 
 
 def _listed(wrong: Rows, lines: Array, path: Path, words: Callable[[int], str], fix: str) -> list[Problem]:

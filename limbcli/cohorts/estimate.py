@@ -76,16 +76,9 @@ def estimate_sites(
             model, seen, covariance, start=START, prior_deviation=PRIOR_DEVIATION, people=part.person,
             seed=seed,
         )  # fmt: skip
-        found.append(
-            SiteEstimate(
-                name=site,
-                rows=rows,
-                model=model,
-                readings=seen,
-                noise=covariance,
-                population=population,
-                found=own,
-            )
-        )
+        found.append(SiteEstimate(
+            name=site, rows=rows, model=model, readings=seen, noise=covariance, population=population,
+            found=own,
+        ))  # fmt: skip
         progress.event("task", name="sites", done=k + 1, total=len(table.sites))
     return found

@@ -61,14 +61,9 @@ def _panel(
     speed = np.exp(curve.even_speeds(problem.curve_shape(found.best), stretches)) * np.sqrt(ratio)
     lowest = (float(by_law[0]), float(by_law[1]), float(by_law[2])) if each.is_determined else None
     return StatesPanel(
-        way=way,
-        counted=each.counted,
-        readings=readings,
-        stretch=grid,
-        speed=speed,
-        unloaded=zero,
+        way=way, counted=each.counted, readings=readings, stretch=grid, speed=speed, unloaded=zero,
         lowest=lowest,
-    )
+    )  # fmt: skip
 
 
 def _reading(

@@ -193,14 +193,9 @@ def compare(
     covariance = np.diag(of_first) + weights @ np.diag(of_last) @ weights.T
     covariance += 1e-12 * np.eye(len(at))  # mm^2: keeps the matrix invertible without noise
     return Difference(
-        earlier=earlier,
-        later=later,
-        force=force,
-        depth=gap,
-        covariance=covariance,
-        slope=own_slope,
+        earlier=earlier, later=later, force=force, depth=gap, covariance=covariance, slope=own_slope,
         earlier_depth=depth - levels.depth[first[0]],
-    )
+    )  # fmt: skip
 
 
 def _loading(levels: Levels, cycle: int) -> IntArray:

@@ -115,18 +115,10 @@ def _compare_site(
             linear = forces if not found else _forces_with(memory, found[0].steps[-1].theta, writer)
         finally:
             curve.close()
-        found.append(
-            ElementFit(
-                element=element,
-                depths=curve.depths,
-                start_force=start,
-                sweep_force=np.array(sweep),
-                steps=steps,
-                fitted_force=forces,
-                linear_force=linear,
-                n_unknowns=_unknowns(same),
-            )
-        )
+        found.append(ElementFit(
+            element=element, depths=curve.depths, start_force=start, sweep_force=np.array(sweep), steps=steps,
+            fitted_force=forces, linear_force=linear, n_unknowns=_unknowns(same),
+        ))  # fmt: skip
     _write(writer, found, kpa_from_mpa(stiffness.c), source, data.depth, data.force)
 
 

@@ -187,14 +187,9 @@ def _measured(case: Case, site: Site, out: Path, writer: StageWriter, options: F
     is_known = options.c_kpa is not None or np.isfinite(levels.swe_mean_m_per_s[0])
     c = initial_stiffness(levels, site, options)[0].c if is_known else None
     return Measured(
-        site=site,
-        model=model,
-        levels=levels,
-        c=c,
-        studied_error=error,
-        layers=layers if lines else None,
+        site=site, model=model, levels=levels, c=c, studied_error=error, layers=layers if lines else None,
         lines=lines,
-    )
+    )  # fmt: skip
 
 
 def _report_free(measured: Sequence[Measured], options: FitOptions, writer: StageWriter) -> None:

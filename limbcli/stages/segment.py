@@ -108,13 +108,9 @@ def segment(
     """
     progress.event("stage", name="segment")
     options = _Options(
-        seeds=_checked(seeds, case),
-        smooth=smooth,
-        threshold=threshold,
-        limb=limb,
-        accept_bones=accept_bones,
-        aop=aop,
-    )
+        seeds=_checked(seeds, case), smooth=smooth, threshold=threshold, limb=limb,
+        accept_bones=accept_bones, aop=aop,
+    )  # fmt: skip
     edited = None if fresh else edited_labels(out)
     if edited is not None:
         _check_edited(case, out, edited)

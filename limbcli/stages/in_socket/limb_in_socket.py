@@ -109,17 +109,9 @@ def put_together(model: LimbModel, given: SocketInput, writer: StageWriter) -> L
         limb, touching = with_liner(limb, Liner(**vars(given.liner))), LINER
     knee = None if given.knee is None else _knee_load(limb, frame, given.knee)
     return LimbInSocket(
-        limb=limb,
-        frame=frame,
-        skin=skin,
-        points=points,
-        face=face,
-        fit=fit,
-        words=words,
-        alignment=alignment,
-        touching=touching,
-        knee=knee,
-    )
+        limb=limb, frame=frame, skin=skin, points=points, face=face, fit=fit, words=words,
+        alignment=alignment, touching=touching, knee=knee,
+    )  # fmt: skip
 
 
 def _knee_load(limb: LimbModel, frame: LimbFrame, given: KneeInput) -> KneeLoad:

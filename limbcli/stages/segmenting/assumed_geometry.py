@@ -192,9 +192,7 @@ def _of_numbers(shape: Shape, case: Case) -> AssumedLimb:
         f"site {name} is not anterior, where [imaging] shape gives the layers: the tissue "
         "thickness there is that of the round limb" for name in aside
     )  # fmt: skip
-    return AssumedLimb(
-        surfaces=surfaces, bones={BONE: bone}, sites=sites, notes=(), shape=shape, warnings=warnings
-    )
+    return AssumedLimb(surfaces=surfaces, bones={BONE: bone}, sites=sites, shape=shape, warnings=warnings)
 
 
 def _of_a_scan(case: Case) -> AssumedLimb:
@@ -219,17 +217,11 @@ def _of_a_scan(case: Case) -> AssumedLimb:
             each, (depth, source) = seen[name], _known(case.site(name))
             made = rod.depth_under(each.point, -each.normal)
             sites[name] = ThicknessComparison(
-                measured=depth,
-                source=source,
-                made=made,
-                bone=bone,
-                point=_triple(each.point),
+                measured=depth, source=source, made=made, bone=bone, point=_triple(each.point),
                 normal=_triple(each.normal),
-            )
+            )  # fmt: skip
             warnings += _disagreement(name, depth, made, names)
-    return AssumedLimb(
-        surfaces=whole, bones=bones, sites=sites, notes=tuple(notes), shape=None, warnings=tuple(warnings)
-    )
+    return AssumedLimb(surfaces=whole, bones=bones, sites=sites, notes=tuple(notes), warnings=tuple(warnings))
 
 
 def _disagreement(name: str, measured: float, made: float | None, names: list[str]) -> list[str]:

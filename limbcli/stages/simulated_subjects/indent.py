@@ -85,14 +85,9 @@ def indent(
     expected = skin_bone_distance(model)
     cap = min(_DEEPEST, protocol.max_strain * expected) if expected else _DEEPEST
     press = Press(
-        meshed=model,
-        tissue=tissue,
-        spacing=spacing,
-        tolerance=tolerance,
-        progress=progress,
-        change=change,
+        meshed=model, tissue=tissue, spacing=spacing, tolerance=tolerance, progress=progress, change=change,
         stretch=stretch,
-    )
+    )  # fmt: skip
     model, simulation = press.until(_ENOUGH * protocol.max_force, cap)
     seen = model if change_for_waves is None else press.bare(change_for_waves, simulation)
     if stretch is not None:
