@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from limbcli.numbers.interval_limits import Flag
-from limbcli.numbers.significant_digits import significant
 from limbcli.reporting.agreement_view import AgreementView
 from limbcli.reporting.figures.limb_views import limb_place_figure
 from limbcli.reporting.fit_view import EstimateView, FitView, StepView, read_fit_view
-from limbcli.reporting.numbers import quantity
+from limbcli.reporting.numbers import interval, quantity
 from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import MOOD_WORDS, Mood, Picture, worst_mood
@@ -219,9 +218,8 @@ def _at_rest(view: FitView, step: StepView) -> list[Fact]:
     facts = []
     for title, factor, remark in named:
         own = c.times(factor, title, "kPa") or c
-        reach = ""
-        if own.low is not None and own.high is not None:
-            reach = f"95 %: {significant(own.low)} to {significant(own.high)}; "
+        known = own.low is not None and own.high is not None
+        reach = f"95 %: {interval((own.low, own.high))}; " if known else ""
         facts.append(Fact(title, quantity(own.value, "kPa"), reach + remark, "neutral"))
     return facts
 
@@ -242,7 +240,7 @@ def _estimate(each: EstimateView) -> Fact:
     """
     remark = each.flag
     if each.low is not None and each.high is not None:
-        remark += f", 95 %: {significant(each.low)} to {significant(each.high)}"
+        remark += f", 95 %: {interval((each.low, each.high))}"
     return Fact(_TITLES[each.name], each.headline.text, remark, "fine" if each.is_sound else "warning")
 
 

@@ -19,7 +19,6 @@ from limbcli.case.noting import unnoted
 from limbcli.case.parts import Shape
 from limbcli.errors import CaseError
 from limbcli.errors.problems import Problem, errors_of, raise_errors
-from limbcli.imaging.surface import ClosedSurface
 from limbcli.meshing.frame import proximal_direction, site_frame
 from limbcli.meshing.mending import Limb, mend, skin_and_bones
 from limbcli.meshing.places import place_problems
@@ -61,7 +60,7 @@ class ThicknessComparison:
 class AssumedLimb:
     """Surfaces by the names used by `segment`, the bones as rods, and each site's skin-bone distance."""
 
-    surfaces: Mapping[str, ClosedSurface]
+    surfaces: Mapping[str, Triangles]
     bones: Mapping[str, Rod]
     sites: Mapping[str, ThicknessComparison]
     notes: tuple[str, ...] = ()
@@ -177,7 +176,7 @@ def _is_aside(shape: Shape, made: float | None) -> bool:
 
 def _of_numbers(shape: Shape, case: Case) -> AssumedLimb:
     skin, bone = _rods(shape)
-    surfaces = {"skin": _closed(skin.surface(edge=SKIN_EDGE)), BONE: _closed(bone.surface(edge=BONE_EDGE))}
+    surfaces = {"skin": skin.surface(edge=SKIN_EDGE), BONE: bone.surface(edge=BONE_EDGE)}
     sites, aside = {}, []
     for site in case.sites:
         point, normal = _on_tube(shape, site)
@@ -200,7 +199,7 @@ def _of_a_scan(case: Case) -> AssumedLimb:
     assert path is not None
     assert radius is not None
     skin, warnings = read_body(path, case.imaging)
-    pieces = skin_and_bones(Triangles(skin.points, skin.triangles))
+    pieces = skin_and_bones(skin)
     notes = [f"{len(pieces) - 1} smaller bodies of {path.name} are excluded"] if len(pieces) > 1 else []
     limb = mend(pieces[0], [], where=str(path))
     proximal = proximal_direction(limb)
@@ -208,10 +207,10 @@ def _of_a_scan(case: Case) -> AssumedLimb:
     raise_errors(errors_of(place_problems(limb.skin, places, where=str(case.file))), CaseError)
     seen = {site.name: _seen(site, limb, case) for site in case.sites}
     axis = limb_axis(limb, np.array([each.point for each in seen.values()]), proximal)
-    bones, sites, whole = {}, {}, {"skin": _closed(pieces[0])}
+    bones, sites, whole = {}, {}, {"skin": pieces[0]}
     for number, (rod, names) in enumerate(rods_for(seen, limb, axis, radius), 1):
         bone = f"bone_{number}"
-        bones[bone], whole[bone] = rod, _closed(rod.surface(edge=BONE_EDGE))
+        bones[bone], whole[bone] = rod, rod.surface(edge=BONE_EDGE)
         notes.append(f"{bone}: as measured at {', '.join(names)}, {rod.high - rod.low:.0f} mm long")
         for name in names:
             each, (depth, source) = seen[name], _known(case.site(name))
@@ -246,10 +245,6 @@ def _known(site: Site) -> tuple[float, str]:
     found = seen_depth(site)
     assert found is not None
     return found
-
-
-def _closed(surface: Triangles) -> ClosedSurface:
-    return ClosedSurface(surface.points, surface.faces)
 
 
 def _triple(point: Any) -> tuple[float, float, float]:
