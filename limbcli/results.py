@@ -133,7 +133,12 @@ def _refuse_foreign(target: Path, work: Path, stage: str) -> None:
 
 
 class StageWriter:
-    """Collects the results of a stage while it works in its own folder (`work`)."""
+    """Collects the results of a stage while it works in its own folder (`work`).
+
+    result : set once the block of `open_stage` has ended without an error
+    """
+
+    result: StageResult
 
     def __init__(self, *, stage: str, subject: str, site: str | None, work: Path, target: Path):
         self.stage, self.subject, self.site = stage, subject, site
@@ -146,7 +151,6 @@ class StageWriter:
         self._paths: dict[str, Path] = {}
         self.made_from: dict[str, dict[str, Any]] = {"case": {}, "files": {}, "results": {}}
         self.extra_provenance: dict[str, Any] = {}
-        self.result: StageResult | None = None
         self._start = time.time()
 
     def file(self, name: str, filename: str) -> Path:

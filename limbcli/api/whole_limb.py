@@ -131,9 +131,8 @@ def limb(
     from limbcli.stages import limb as stage
 
     options = stage.LimbOptions(
-        element, nodes, cut_mm, distal_cut, thickness(skin_mm, "skin_mm"),
-        thickness(fat_mm, "fat_mm"), c_kpa, site_size_mm,
-        tuple(draws),
+        element=element, nodes=nodes, cut=cut_mm, distal_cut=distal_cut, c_kpa=c_kpa, site_size=site_size_mm,
+        skin_layer=thickness(skin_mm, "skin_mm"), fat_layer=thickness(fat_mm, "fat_mm"), draws=tuple(draws),
     )  # fmt: skip
     with at_work(case, out, wait=wait, progress=progress, images_only=True) as work:
         return stage.limb(

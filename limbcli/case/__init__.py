@@ -34,7 +34,7 @@ __all__ = ["CASE_FILE", "Case", "Imaging", "ModelOptions", "Probe", "Site", "Sta
 CASE_FILE = "case.toml"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Case:
     """One subject's folder, read and checked."""
 

@@ -66,7 +66,6 @@ def read_imaging(
     if fibres is not None and not fibres.name.lower().endswith((".nii", ".nii.gz")):
         what = f"imaging.fibres: {fibres.name!r} is not a NIfTI file"
         problems.append(Problem(what, file, "save the principal directions as .nii or .nii.gz"))
-    sources = (paths["mri"], labels, paths["skin"] or paths["bodies"], tuple(bones), radius, shape)
     stated = table.get("skin_scale_fraction")
     scale = SKIN_SCALE if stated is None else float(stated)
     unit, mm_per_unit = table.get("unit") or "", table.get("scale")
@@ -74,7 +73,11 @@ def read_imaging(
         mm_per_unit = LENGTH_UNITS_IN_MM[unit]
     mirrored = table.get("limb") is not None and limb is not None and table["limb"] != limb
     length = None if mm_per_unit is None else float(mm_per_unit)
-    imaging = Imaging(*sources, fibres, frame, scale, length, unit, mirrored)
+    imaging = Imaging(
+        mri=mri, labels=labels, skin=paths["skin"] or paths["bodies"], bones=tuple(bones), bone_radius=radius,
+        shape=shape, fibres=fibres, fibre_frame=frame, skin_scale=scale, mm_per_unit=length, unit=unit,
+        mirrored=mirrored,
+    )  # fmt: skip
     return imaging, problems + found
 
 

@@ -58,7 +58,7 @@ class Shape:
         return (0.0, -self.radius, 0.0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Imaging:
     """Source of the geometry: an MRI series, a label map, surfaces, or external measurements.
 
@@ -104,17 +104,22 @@ class Imaging:
         >>> Imaging(mri=Path("mri")).assumed
         ''
         """
+        return self.assumed_shape and f"{NOT_IMAGED}: {self.assumed_shape}"
+
+    @property
+    def assumed_shape(self) -> str:
+        """The shape that was assumed, in words; empty if all was imaged."""
         if self.shape is not None:
             one = self.shape
             return (
-                f"{NOT_IMAGED}: a straight round limb of {one.circumference:g} mm circumference, "
+                f"a straight round limb of {one.circumference:g} mm circumference, "
                 f"{one.skin_bone:g} mm from skin to bone (skin {one.skin:g}, fat {one.fat:g}, muscle "
                 f"{one.muscle:g}), one round bone of {one.bone_radius:g} mm radius"
             )
         if self.bone_radius is None:
             return ""
         return (
-            f"{NOT_IMAGED}: the bone is a straight round rod of {self.bone_radius:g} mm radius, at "
+            f"the bone is a straight round rod of {self.bone_radius:g} mm radius, at "
             "the depth measured by ultrasound below each site; the skin is a scan"
         )
 
@@ -188,7 +193,7 @@ class StatedNoise:
     layer: float = 0.2
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Site:
     """A position, a probe orientation and one measurement.
 

@@ -53,7 +53,7 @@ class KneeInput:
     about_lateral: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SocketInput:
     """A socket as the case gives it.
 

@@ -1,1 +1,1 @@
-"""Parts of `cohort`: the family of models, the estimate, compliance of left-out people, the page."""
+"""Parts of `cohort`: the table, the estimate, compliance of left-out people, the page."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -97,24 +98,19 @@ def _table(raw: RawTable, path: Path) -> CohortTable:
     }
     used = {*REQUIRED, FACE, PRESSURE}
     return CohortTable(
-        text[PERSON],
-        text[SITE],
-        text[TRIAL],
-        text[SEX],
-        columns["max_force_n"],
-        face,
-        thickness,
-        strain * thickness,
-        columns["stiffness_mpa_per_mm"],
-        {name: each for name, each in columns.items() if name not in used},
-        np.array(raw.lines),
-        path,
-    )
+        person=text[PERSON], site=text[SITE], trial=text[TRIAL], sex=text[SEX],
+        force=columns["max_force_n"], face=face, thickness=thickness, shortened=strain * thickness,
+        slope=columns["stiffness_mpa_per_mm"],
+        others={name: each for name, each in columns.items() if name not in used},
+        lines=np.array(raw.lines), path=path,
+    )  # fmt: skip
 
 
-def _listed(wrong: Rows, lines: Array, path: Path, words: Callable[[int], str], fix: str) -> list[Problem]:
-    """A problem for each of the first wrong rows, and one for the remaining rows."""
-    rows = np.flatnonzero(wrong)
+def _listed(
+    complete: Rows, lines: Array, path: Path, wrong: Rows, words: Callable[[int], str], fix: str
+) -> list[Problem]:
+    """A problem for each of the first complete rows that are wrong, and one for the remaining ones."""
+    rows = np.flatnonzero(complete & wrong)
     found = [problem(words(k), path, fix, line=int(lines[k])) for k in rows[:_SHOWN]]
     if len(rows) > _SHOWN:
         found.append(problem(f"and {len(rows) - _SHOWN} more rows like these", path, fix))
@@ -124,9 +120,10 @@ def _listed(wrong: Rows, lines: Array, path: Path, words: Callable[[int], str], 
 def _unnamed(raw: RawTable, complete: Rows, path: Path, name: str, noun: str) -> list[Problem]:
     """Rows without person or site: they would all be treated as one person, or one site."""
     return _listed(
-        complete & np.array([not cell for cell in raw.texts[name]]),
+        complete,
         np.array(raw.lines),
         path,
+        np.array([not cell for cell in raw.texts[name]]),
         lambda k: f"the {noun} is missing",
         f"enter the {noun} in every row, even if it is the same as in the row above",
     )
@@ -136,9 +133,10 @@ def _without_skin(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
     skin = raw.numbers["skin_mm"]
     others = np.isfinite(raw.numbers["fat_mm"]) | np.isfinite(raw.numbers["muscle_mm"])
     return _listed(
-        complete & others & (~np.isfinite(skin) | (skin == 0.0)),
+        complete,
         np.array(raw.lines),
         path,
+        others & (~np.isfinite(skin) | (skin == 0.0)),
         lambda k: "there are layers below the skin, but no skin thickness: skin_mm is empty or 0",
         "also mark the border between skin and fat: without it the fat's thickness includes the skin's",
     )
@@ -153,12 +151,11 @@ def _impossible(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
 def _units(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
     columns, lines = raw.numbers, np.array(raw.lines)
     table = _table(raw, path)
+    listed = partial(_listed, complete, lines, path)
     whole, force, strain = columns["thickness_mm"], columns["max_force_n"], columns["total_strain"]
     depth = strain * whole
-    found = _listed(
-        complete & ~((whole >= _WHOLE[0]) & (whole <= _WHOLE[1])),
-        lines,
-        path,
+    found = listed(
+        ~((whole >= _WHOLE[0]) & (whole <= _WHOLE[1])),
         lambda k: f"thickness_mm is {whole[k]:g}: its unit looks wrong",
         "give millimetres",
     )
@@ -168,25 +165,19 @@ def _units(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
         what = f"the skin is {middle:.2g} mm thick in the median of all rows: the unit of lengths looks wrong"
         what += " (usual are 1 to 2 mm, which are 0.1 to 0.2 cm, or 0.04 to 0.08 inch)"
         found.append(problem(what, path, "give skin_mm and all other lengths in millimetres"))
-    found += _listed(
-        complete & ~((force >= _FORCE[0]) & (force <= _FORCE[1])),
-        lines,
-        path,
+    found += listed(
+        ~((force >= _FORCE[0]) & (force <= _FORCE[1])),
         lambda k: f"max_force_n is {force[k]:g}: its unit looks wrong",
         "give newtons",
     )
-    found += _listed(
-        complete & ~((table.face >= _FACE[0]) & (table.face <= _FACE[1])),
-        lines,
-        path,
+    found += listed(
+        ~((table.face >= _FACE[0]) & (table.face <= _FACE[1])),
         lambda k: f"the probe's face is {table.face[k]:g} mm2: a unit of face, force or pressure looks wrong",
         "give face_mm2 in mm2, or max_pressure_mpa in MPa and max_force_n in N",
     )
     percent = np.max([np.abs(columns[f"{each}_strain"]) for each in ("total", *LAYERS)], axis=0)
-    found += _listed(
-        complete & (percent > 2.0),
-        lines,
-        path,
+    found += listed(
+        percent > 2.0,
         lambda k: f"a strain is {percent[k]:g}: its unit looks wrong",
         "give shortening over thickness (0.2, not 20)",
     )
@@ -198,10 +189,8 @@ def _units(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
         explained |= rows
         fix = "give the slope in MPa/mm, forces in N, faces in mm2 and lengths in mm"
         found.append(problem(words, path, fix, line=int(lines[np.argmax(rows)])))
-    found += _listed(
-        complete & ~explained & (depth > 0) & ~((off > 1 / _SLOPE_OFF) & (off < _SLOPE_OFF)),
-        lines,
-        path,
+    found += listed(
+        ~explained & (depth > 0) & ~((off > 1 / _SLOPE_OFF) & (off < _SLOPE_OFF)),
         lambda k: (
             f"stiffness_mpa_per_mm is {table.slope[k]:g} but pressure over "
             f"displacement is {secant[k]:.3g}: "
@@ -221,9 +210,10 @@ def _pressure_against_force(raw: RawTable, complete: Rows, path: Path) -> list[P
     middle = float(np.median(ratio[wrong]))
     units = pressure_units(middle) if middle > 0 else ""
     return _listed(
-        wrong,
+        complete,
         np.array(raw.lines),
         path,
+        wrong,
         lambda k: (
             f"max_pressure_mpa is {columns[PRESSURE][k]:g}, but max_force_n over face_mm2 is "
             f"{columns['max_force_n'][k] / columns[FACE][k]:.3g}: they differ by the factor {ratio[k]:.3g}"
@@ -236,30 +226,25 @@ def _pressure_against_force(raw: RawTable, complete: Rows, path: Path) -> list[P
 def _contradictions(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
     columns, lines = raw.numbers, np.array(raw.lines)
     table = _table(raw, path)
+    listed = partial(_listed, complete, lines, path)
     whole, depth = columns["thickness_mm"], columns["total_strain"] * columns["thickness_mm"]
     apart = np.abs(table.whole - whole)
-    found = _listed(
-        complete & (table.thickness <= 0).any(axis=1),
-        lines,
-        path,
+    found = listed(
+        (table.thickness <= 0).any(axis=1),
         lambda k: (
             "interfaces cross at first contact: "
             + ", ".join(f"{n} {table.thickness[k, j]:g} mm" for j, n in enumerate(LAYERS))
         ),
         "a layer's lower border lies below its upper one; mark them again",
     )
-    found += _listed(
-        complete & (apart > _SUM_MM + _SUM_SHARE * whole),
-        lines,
-        path,
+    found += listed(
+        apart > _SUM_MM + _SUM_SHARE * whole,
         lambda k: f"the layers add up to {table.whole[k]:.2f} mm, thickness_mm is {whole[k]:.2f}",
         "adjacent layers must share their borders; correct thickness_mm or a layer",
     )
     crossing = (table.shortened >= table.thickness) & (table.thickness > 0)
-    found += _listed(
-        complete & crossing.any(axis=1),
-        lines,
-        path,
+    found += listed(
+        crossing.any(axis=1),
         lambda k: (
             f"interfaces cross under load: the {LAYERS[int(np.argmax(crossing[k]))]} shortens by its "
             f"whole thickness"
@@ -267,25 +252,19 @@ def _contradictions(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
         "mark the image at the largest force again; a strain stays below 1",
     )
     missed = np.abs(table.depth - depth)
-    found += _listed(
-        complete & (missed > _SUM_MM + 0.02 * np.abs(depth)),
-        lines,
-        path,
+    found += listed(
+        missed > _SUM_MM + 0.02 * np.abs(depth),
         lambda k: f"the layers shorten by {table.depth[k]:.2f} mm, the total by {depth[k]:.2f}",
         "correct total_strain or a layer's strain",
     )
-    found += _listed(
-        complete & (depth <= 0),
-        lines,
-        path,
+    found += listed(
+        depth <= 0,
         lambda k: f"the total thickness increases under load: total_strain is {columns['total_strain'][k]:g}",
         "shortening counts positive; mark both images again",
     )
     below = table.shortened[:, 1:].sum(axis=1)
-    found += _listed(
-        complete & (depth > 0) & (below < _LEAST_BELOW * depth),
-        lines,
-        path,
+    found += listed(
+        (depth > 0) & (below < _LEAST_BELOW * depth),
         lambda k: (
             f"fat and muscle together do not shorten under load: {table.shortened[k, 1]:.2f} and "
             f"{table.shortened[k, 2]:.2f} mm, of {depth[k]:.2f} mm"
@@ -293,10 +272,8 @@ def _contradictions(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
         "shortening counts positive; mark the borders of both images again",
     )
     line, parabola = (columns.get(f"r2_{name}", np.full(len(lines), np.nan)) for name in ("line", "parabola"))
-    found += _listed(
-        complete & ((line > 1.0) | (parabola > 1.0) | (parabola < line - _R2_ROUNDING)),
-        lines,
-        path,
+    found += listed(
+        (line > 1.0) | (parabola > 1.0) | (parabola < line - _R2_ROUNDING),
         lambda k: (
             f"r2_line is {line[k]:g} and r2_parabola {parabola[k]:g}: neither exceeds 1, and a parabola fits "
             "no worse than a line"
@@ -304,10 +281,8 @@ def _contradictions(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
         "correct them, or leave both empty (are they in percent, or exchanged?)",
     )
     girth = columns.get("circumference_mm", np.full(len(lines), np.nan))
-    found += _listed(
-        complete & (np.nan_to_num(girth, nan=np.inf) <= np.pi * whole),
-        lines,
-        path,
+    found += listed(
+        np.nan_to_num(girth, nan=np.inf) <= np.pi * whole,
         lambda k: (
             f"a circumference of {girth[k]:g} mm is smaller than the layers allow: a limb {whole[k]:g} mm "
             f"thick "
@@ -393,9 +368,10 @@ def _grown(table: CohortTable, noise: EdgeNoise) -> list[Problem]:
     limit = np.maximum(_GROWTH_SIGMAS * noise.shortened, _LEAST_GROWTH)
     growing: Rows = np.asarray(table.shortened < -limit)
     return _listed(
-        np.asarray(growing.any(axis=1)),
+        np.ones(len(growing), dtype=bool),
         table.lines,
         table.path,
+        np.asarray(growing.any(axis=1)),
         lambda k: (
             f"the {LAYERS[j := int(np.argmax(growing[k]))]} grows by {-table.shortened[k, j]:.2f} mm "
             f"under load, more than the noise of its edges ({noise.shortened[j]:.2f} mm) allows"

@@ -22,7 +22,7 @@ from limbcli.model import Array, IntArray
 from limbcli.progress import SILENT, Progress
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class SiteEstimate:
     """One site's rows (indices in the table), their model and the estimates."""
 
@@ -76,6 +76,9 @@ def estimate_sites(
             model, seen, covariance, start=START, prior_deviation=PRIOR_DEVIATION, people=part.person,
             seed=seed,
         )  # fmt: skip
-        found.append(SiteEstimate(site, rows, model, seen, covariance, population, own))
+        found.append(SiteEstimate(
+            name=site, rows=rows, model=model, readings=seen, noise=covariance, population=population,
+            found=own,
+        ))  # fmt: skip
         progress.event("task", name="sites", done=k + 1, total=len(table.sites))
     return found

@@ -20,14 +20,7 @@ def cohort_page(data: Mapping[str, Any], out: Path, name: str, *, templates: Pat
     reportlets = cohort_reportlets(data)
     (out / PICTURES).mkdir()
     shown = embed(reportlets, save_pictures(reportlets, out / PICTURES))
-    own = data["provenance"]
-    facts = {
-        "data": data,
-        "reportlets": reportlets,
-        "shown": shown,
-        "own": own,
-        "made_on": own["finished_utc"].replace("T", " ").replace("Z", " UTC"),
-    }
+    facts = {"data": data, "reportlets": reportlets, "shown": shown, "own": data["provenance"]}
     html = render(TEMPLATE, facts, templates=templates)
     (out / name).write_text(html, encoding="utf-8")
     return out / name

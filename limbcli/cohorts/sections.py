@@ -9,7 +9,7 @@ from typing import Any
 from limbcli.cohorts import figures as drawn
 from limbcli.numbers.significant_digits import significant
 from limbcli.reporting.numbers import DASH, cell
-from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head
+from limbcli.reporting.reportlet import Cell, Picture, Reportlet, table
 
 Data = Mapping[str, Any]
 _NAMES = (
@@ -22,14 +22,7 @@ _LISTED = 25
 
 def cohort_reportlets(data: Data) -> list[Reportlet]:
     """The reportlets, one per question, in reading order."""
-    return [
-        population(data),
-        standing_out(data),
-        misfits(data),
-        one_tissue(data),
-        left_out(data),
-        grounds(data),
-    ]
+    return [make(data) for make in (population, standing_out, misfits, one_tissue, left_out, grounds)]
 
 
 def population(data: Data) -> Reportlet:
@@ -43,49 +36,24 @@ def population(data: Data) -> Reportlet:
                 f"×/÷ {value['spread_factor']:.2f} "
                 f"({_factor(value['spread_of_ln_low'])} to {_factor(value['spread_of_ln_high'])})"
             )
-            beyond = value["beyond_family"]
-            middle = (
-                Cell(beyond, reason="the family ends there")
-                if beyond
-                else cell(value["geometric_mean"], unit=unit)
-            )
-            if beyond:
+            middle = cell(value["geometric_mean"], unit=unit)
+            if value["beyond_family"]:
+                middle = Cell(value["beyond_family"], reason="the family ends there")
                 interval = spread = DASH
-            rows.append(
-                (
-                    *first,
-                    Cell(name),
-                    middle,
-                    Cell(interval),
-                    Cell(spread),
-                    Cell(f"{100 * value['mean_shrinkage']:.0f} %"),
-                )
-            )
+            known = f"{100 * value['mean_shrinkage']:.0f} %"
+            rows.append((*first, Cell(name), middle, Cell(interval), Cell(spread), Cell(known)))
     names = (
-        "site",
-        "parameter",
-        "geometric mean of the people",
-        "95 % interval of the mean",
-        "spread between people",
-        "determined by the population",
-    )
-    table = PageTable(
-        "Population of every site: geometric means and spreads as factors",
-        (head(*names),),
-        tuple(rows),
-        numeric=False,
-    )
+        "site", "parameter", "geometric mean of the people", "95 % interval of the mean",
+        "spread between people", "determined by the population",
+    )  # fmt: skip
+    caption = "Population of every site: geometric means and spreads as factors"
+    alt = "c of muscle, c of fat and m of every row with 95 % intervals, and each site’s population"
+    figure = drawn.distributions(data["rows"], data["sites"])
     return Reportlet(
         "population",
         "What are the tissue properties of these people?",
-        pictures=(
-            Picture(
-                "distributions",
-                "c of muscle, c of fat and m of every row with 95 % intervals, and each site’s population",
-                figure=drawn.distributions(data["rows"], data["sites"]),
-            ),
-        ),
-        tables=(table,),
+        pictures=(Picture("distributions", alt, figure=figure),),
+        tables=(table(caption, names, rows, numeric=False),),
         look_for="dots (people, with their 95 % intervals) that spread beyond their intervals: people "
         "differ. The bar at the "
         "right of each site is the population’s geometric mean (line) and spread (pale)",
@@ -101,42 +69,21 @@ def _factor(ln: float) -> str:
 
 def standing_out(data: Data) -> Reportlet:
     found = data["stands_out"]
-    people = tuple(
-        (
-            Cell(each["subject"], lead=True),
-            Cell(str(each["n_rows"])),
-            Cell(each["muscle"]),
-            cell(each["z"], digits=2),
-            cell(each["p_adjusted"], digits=2),
-        )
+    people = [
+        (each["subject"], str(each["n_rows"]), each["muscle"], _two(each["z"]), _two(each["p_adjusted"]))
         for each in found["people"][:_LISTED]
-    )
-    rows = tuple(
-        (
-            Cell(each["subject"], lead=True),
-            Cell(each["location"]),
-            Cell(str(each["line"])),
-            cell(each["p_adjusted"], digits=2),
-        )
+    ]
+    rows = [
+        (each["subject"], each["location"], str(each["line"]), _two(each["p_adjusted"]))
         for each in found["rows"][:_LISTED]
-    )
+    ]
     tables = []
     if people:
-        tables.append(
-            PageTable(
-                f"People whose muscle differs over all of their sites{_first(found['people'])}",
-                (head("person", "rows", "muscle is", "z", "p, adjusted"),),
-                people,
-            )
-        )
+        caption = f"People whose muscle differs over all of their sites{_first(found['people'])}"
+        tables.append(table(caption, ("person", "rows", "muscle is", "z", "p, adjusted"), people))
     if rows:
-        tables.append(
-            PageTable(
-                f"Rows outside what their site’s population predicts{_first(found['rows'])}",
-                (head("person", "site", "line", "p, adjusted"),),
-                rows,
-            )
-        )
+        caption = f"Rows outside what their site’s population predicts{_first(found['rows'])}"
+        tables.append(table(caption, ("person", "site", "line", "p, adjusted"), rows))
     rows_words = f"{len(found['rows'])} row{'' if len(found['rows']) == 1 else 's'}"
     people_words = f"{len(found['people'])} {'person' if len(found['people']) == 1 else 'people'}"
     counts = (
@@ -155,6 +102,10 @@ def standing_out(data: Data) -> Reportlet:
     )
 
 
+def _two(value: object) -> Cell:
+    return cell(value, digits=2)
+
+
 def _first(found: Sequence[object]) -> str:
     """
     >>> _first([1, 2]), _first(range(40))
@@ -164,16 +115,11 @@ def _first(found: Sequence[object]) -> str:
 
 
 def misfits(data: Data) -> Reportlet:
+    alt = "measured and predicted share of fat and of skin in the shortening, one dot per row"
     return Reportlet(
         "misfits",
         "What does the model miss?",
-        pictures=(
-            Picture(
-                "misfits",
-                "measured and predicted share of fat and of skin in the shortening, one dot per row",
-                figure=drawn.misfits(data["rows"]),
-            ),
-        ),
+        pictures=(Picture("misfits", alt, figure=drawn.misfits(data["rows"])),),
         look_for="dots on the line at the left: fat and muscle shorten as the fitted layers do",
         bad="a cloud off the line. At the right nothing was fitted: skin is held five times as stiff as "
         "muscle, and its "
@@ -182,36 +128,26 @@ def misfits(data: Data) -> Reportlet:
 
 
 def one_tissue(data: Data) -> Reportlet:
-    rows = tuple(
+    rows = (
         (
-            Cell(site, lead=True),
-            cell(own["homogeneous"]["median_noise_deviations"], digits=2),
-            cell(own["homogeneous"]["median_absolute_noise_deviations"], digits=2),
-            Cell(f"{100 * own['homogeneous']['share_beyond_2']:.0f} %"),
-            cell(own["c_fat_over_c_muscle"], digits=2),
+            site,
+            _two(own["homogeneous"]["median_noise_deviations"]),
+            _two(own["homogeneous"]["median_absolute_noise_deviations"]),
+            f"{100 * own['homogeneous']['share_beyond_2']:.0f} %",
+            _two(own["c_fat_over_c_muscle"]),
         )
         for site, own in data["sites"].items()
     )
     names = ("site", "median", "median of the absolute value", "rows beyond 2", "c of fat / c of muscle")
+    caption = "Fat’s shortening in excess of that of one tissue, in standard deviations of the edges’ noise"
+    alt = (
+        "by how many noise deviations fat shortens more than one homogeneous tissue would, over fat thickness"
+    )
     return Reportlet(
         "one-tissue",
         "Would one homogeneous tissue suffice?",
-        pictures=(
-            Picture(
-                "one-tissue",
-                "by how many noise deviations fat shortens more than one homogeneous tissue would, over "
-                "fat thickness",
-                figure=drawn.one_tissue(data["rows"]),
-            ),
-        ),
-        tables=(
-            PageTable(
-                "Fat’s shortening in excess of that of one tissue, in standard deviations of the edges’ "
-                "noise",
-                (head(*names),),
-                rows,
-            ),
-        ),
+        pictures=(Picture("one-tissue", alt, figure=drawn.one_tissue(data["rows"])),),
+        tables=(table(caption, names, rows),),
         look_for="dots within the band: fat and muscle move like one tissue of the bonded slab. Below it, "
         "fat shortens less: it is stiffer, or muscle slides on the bone, or skin and fascia are stiff",
         bad="most dots outside: a homogeneous model deforms differently from the tissue",
@@ -239,25 +175,20 @@ def left_out(data: Data) -> Reportlet:
         rows.append(("of which repeatability (trials)", repeat["percent_from_trials"]))
     low, high = found["interval_95_percent"]
     worst = found["largest_row"]
-    table = PageTable(
+    models = table(
         "Mean of |predicted − measured| / measured, ten folds by person. With other people the first "
         f"would be between {low:.1f} and {high:.1f} % (95 %); one row alone ({worst['subject']}, "
         f"{worst['location']}, {worst['difference_percent']:.0f} % off) contributes "
         f"{worst['share_of_the_mean_percent']:.1f} points of it",
-        (head("model", "percent"),),
-        tuple((Cell(name, lead=True), cell(value)) for name, value in rows),
+        ("model", "percent"),
+        ((name, cell(value)) for name, value in rows),
     )
+    alt = "predicted against measured compliance of held-out people, by site"
     return Reportlet(
         key,
         title,
-        pictures=(
-            Picture(
-                "left-out",
-                "predicted against measured compliance of held-out people, by site",
-                figure=drawn.compliance(found["rows"]),
-            ),
-        ),
-        tables=(table,),
+        pictures=(Picture("left-out", alt, figure=drawn.compliance(found["rows"])),),
+        tables=(models,),
         look_for="dots along the line, within the grey band",
         bad="one site off the line (its tissue differs), or a flat cloud (thickness is not predictive there)",
         notes=(repeat["reason"],) if repeat.get("reason") else (),
@@ -268,47 +199,24 @@ def grounds(data: Data) -> Reportlet:
     noise, emulator = data["noise"], data["emulator"]
     error = emulator["left_out_error"]
     elsewhere = "taken from the others" if any(noise["from_data"].values()) else "assumed"
+    here, held_out = "from this table", "one standard deviation, held-out members"
     rows = [
-        (
-            f"noise of the {layer}’s shortening",
-            f"{significant(value, 2)} mm",
-            "from this table" if noise["from_data"][layer] else elsewhere,
-        )
+        (f"noise of the {layer}’s shortening", f"{significant(value, 2)} mm",
+         here if noise["from_data"][layer] else elsewhere)
         for layer, value in noise["layer_shortened_mm"].items()
-    ]
+    ]  # fmt: skip
     rows += [
-        (
-            "noise of the stiffness",
-            f"{100 * noise['ln_stiffness']:.1f} %",
-            "from this table" if noise["ln_stiffness_from_data"] else "assumed",
-        ),
-        (
-            "simulations behind the emulator",
-            str(emulator["n_solves"]),
-            f"and {emulator['n_solves_on_finer_mesh']} on a finer mesh",
-        ),
-        (
-            "emulator’s error of the force",
-            f"{error['force_percent']:.1f} %",
-            "one standard deviation, held-out members",
-        ),
-        (
-            "emulator’s error of muscle’s share (logit)",
-            significant(error["logit_muscle_part"], 2),
-            "one standard deviation, held-out members",
-        ),
-    ]
+        ("noise of the stiffness", f"{100 * noise['ln_stiffness']:.1f} %",
+         here if noise["ln_stiffness_from_data"] else "assumed"),
+        ("simulations behind the emulator", str(emulator["n_solves"]),
+         f"and {emulator['n_solves_on_finer_mesh']} on a finer mesh"),
+        ("emulator’s error of the force", f"{error['force_percent']:.1f} %", held_out),
+        ("emulator’s error of muscle’s share (logit)", significant(error["logit_muscle_part"], 2), held_out),
+    ]  # fmt: skip
     return Reportlet(
         "grounds",
         "What are these numbers based on?",
-        tables=(
-            PageTable(
-                "Noise and emulator",
-                (head("what", "value", "whence"),),
-                tuple((Cell(a, lead=True), Cell(b or DASH), Cell(c)) for a, b, c in rows),
-                numeric=False,
-            ),
-        ),
+        tables=(table("Noise and emulator", ("what", "value", "whence"), rows, numeric=False),),
         look_for="noise well below a layer’s shortening, and an emulator error below it",
         bad="an assumed noise: the intervals are only as reliable as that assumption",
         notes=(

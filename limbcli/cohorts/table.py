@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from limbcli.errors.problems import Problem, suggestion
+from limbcli.errors.problems import Problem, similar
 from limbcli.measurement.tables import RawTable, csv_rows, problem, read_table
 from limbcli.model import Array
 
@@ -68,7 +68,7 @@ _MAY_BE_EMPTY = frozenset(
 )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class CohortTable:
     """Complete rows; arrays (n_rows,). face mm2; thickness, shortened (n_rows, 3: skin, fat, muscle) mm.
 
@@ -151,8 +151,7 @@ def read_cohort(path: Path) -> tuple[RawTable | None, list[Problem]]:
     table, problems = read_table(path, required=required, optional=optional, texts=texts)
     problems = [*_lacking(header, path), *problems] if header else problems
     for name in sorted(spare):
-        hint = suggestion(name, known)
-        fix = hint if hint.startswith("did you mean") else "none needed, if this is intended"
+        fix = similar(name, known) or "none needed, if this is intended"
         problems.append(problem(f"column {name!r} is not used", path, fix, line=1, warning=True))
     if table is None:
         return None, problems

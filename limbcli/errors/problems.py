@@ -92,10 +92,13 @@ def suggestion(name: str, known: Iterable[str]) -> str:
     "known here: 'length_mm'"
     """
     known = sorted(known)
-    near = get_close_matches(name, known, n=1, cutoff=0.6)
-    if near:
-        return f"did you mean {near[0]!r}?" + _other_unit(name.lower(), near[0])
-    return "known here: " + ", ".join(repr(each) for each in known)
+    return similar(name, known) or "known here: " + ", ".join(repr(each) for each in known)
+
+
+def similar(name: str, known: Iterable[str]) -> str:
+    """The same, but empty if no known name is similar."""
+    near = get_close_matches(name, sorted(known), n=1, cutoff=0.6)
+    return f"did you mean {near[0]!r}?" + _other_unit(name.lower(), near[0]) if near else ""
 
 
 def _other_unit(name: str, near: str) -> str:

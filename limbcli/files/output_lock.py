@@ -118,7 +118,8 @@ def _locked(folder: Path, name: str, *, wait: bool, progress: Progress, alone: b
                 fix="wait for it to finish (omit --no-wait), or give another --out",
             )
         if not is_announced:
-            progress.event("note", text=f"waiting: {holder} is writing into {folder} (--no-wait refuses)")
+            text = f"waiting: {holder} is writing into {folder} (--no-wait refuses)"
+            progress.event("note", text=text, waiting=True)
             is_announced = True
         time.sleep(_LOOK_S)
 

@@ -59,7 +59,10 @@ def _panel(
     ratio = problem.c_of_curve(found.best) / problem.task.c0
     speed = np.exp(curve.even_speeds(problem.curve_shape(found.best), stretches)) * np.sqrt(ratio)
     lowest = (float(by_law[0]), float(by_law[1]), float(by_law[2])) if each.is_determined else None
-    return StatesPanel(way, each.counted, readings, grid, speed, zero, lowest)
+    return StatesPanel(
+        way=way, counted=each.counted, readings=readings, stretch=grid, speed=speed, unloaded=zero,
+        lowest=lowest,
+    )  # fmt: skip
 
 
 def _reading(

@@ -152,10 +152,11 @@ def write_tissue_map(
         f"stiffness map: {found.n_inside} of {len(values)} elements within the image ({found.words})"
     )
     writer.warnings.extend(_warnings(found, levels))
-    block = model.mesh.block(found.c.block)
+    block, own = model.mesh.block(found.c.block), model.mesh.surfaces
     section = StiffnessSection(
-        model.mesh.points, block.kind, block.cells, values, found.swe.lateral, found.swe.depth,
-        {name: dict(each.facets) for name, each in model.mesh.surfaces.items() if name in ("skin", "bone")},
+        points=model.mesh.points, kind=block.kind, cells=block.cells, c_kpa=values,
+        lateral=found.swe.lateral, depth=found.swe.depth,
+        surfaces={name: dict(own[name].facets) for name in ("skin", "bone") if name in own},
     )  # fmt: skip
     save_figure(stiffness_figure(section), writer.file("stiffness_map", "stiffness-map.png"))
 

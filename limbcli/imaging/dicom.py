@@ -34,6 +34,7 @@ from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
 _PIXELS = ("PixelData", *FLOAT_PIXELS)
+_NAMED = 4  # so many files or values a message names
 _PARALLEL = 1e-3  # largest change of a direction cosine between slices of one series
 _OWN_UIDS = 0.4  # with more distinct series UIDs than this fraction of the images, the UIDs are uninformative
 _DOUBLED = 0.05  # slices closer than this fraction of the slice spacing are duplicates
@@ -315,5 +316,5 @@ def _facts(dataset: Dataset, volume: Volume) -> dict[str, Any]:
     }
 
 
-def _some(names: list[str], most: int = 4) -> str:
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")

@@ -1,7 +1,8 @@
 """DICOM Segmentation objects (PS3.3 A.51): binary or fractional segments frame by frame, or one label map.
 
 In a label map (Segmentation Type LABELMAP, PS3.3 C.8.20.2) a pixel's value is the number of its segment, and
-frames have no segment of their own.
+frames have no segment of their own. Read here because highdicom 0.28 rejects files that lack the preamble or
+an attribute that is of no use here (such as Segmented Property Category).
 """
 
 from __future__ import annotations

@@ -23,13 +23,11 @@ class TissueIntensities:
     """Normalised image: muscle is 1 everywhere, fat is `fat`, air and cortex are near 0.
 
     values : float32 array, the image divided by the local level of muscle
-    muscle_signal : level of muscle in the image's own units (middle of the limb)
     fat : ratio of fat to muscle
     noise : standard deviation of the signal inside muscle, muscle = 1
     """
 
     values: NDArray[np.float32]
-    muscle_signal: float
     fat: float
     noise: float
 
@@ -39,14 +37,14 @@ class TissueIntensities:
         return 0.5 * (1.0 + self.fat)
 
 
-def otsu(values: Array, n_bins: int = 256) -> float:
+def otsu(values: Array) -> float:
     """The threshold that best separates values into two groups (Otsu 1979).
 
     >>> values = np.concatenate([np.full(50, 1.0), np.full(50, 5.0)])
     >>> 1.0 < otsu(values) < 5.0
     True
     """
-    counts, edges = np.histogram(values, bins=n_bins)
+    counts, edges = np.histogram(values, bins=256)
     centres = 0.5 * (edges[1:] + edges[:-1])
     below = np.cumsum(counts)
     above = below[-1] - below
@@ -98,7 +96,7 @@ def normalise(volume: Volume, limb: NDArray[np.bool_]) -> TissueIntensities:
     muscle = float(np.exp(intensities[0]))
     values = (volume.values / (shading * muscle)).astype(np.float32)
     fat_ratio = float(np.exp(intensities[1] - intensities[0]))
-    return TissueIntensities(values=values, muscle_signal=muscle, fat=fat_ratio, noise=_noise(values, limb))
+    return TissueIntensities(values=values, fat=fat_ratio, noise=_noise(values, limb))
 
 
 def _deep(inside: NDArray[np.bool_], spacing: Array) -> NDArray[np.bool_]:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from limbcli.imaging.surface import ClosedSurface
 from limbcli.imaging.volume import Volume
+from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 
 _PATCH = 6.0  # mm: radius around a point over which normal and thickness are averaged
@@ -28,7 +28,7 @@ class Layers:
     point: tuple[float, float, float]
 
 
-def layers_at(position: Array, skin: ClosedSurface, fat: Volume) -> Layers | None:
+def layers_at(position: Array, skin: Triangles, fat: Volume) -> Layers | None:
     """Thickness of skin and subcutaneous fat at the skin point nearest to a position.
 
     Medians over the skin within 6 mm, along the mean normal there; None if most of the rays meet no fat near
@@ -36,7 +36,7 @@ def layers_at(position: Array, skin: ClosedSurface, fat: Volume) -> Layers | Non
 
     position : patient LPS (3,), mm;  fat : Volume of bool
     """
-    corner = skin.points[skin.triangles]
+    corner = skin.points[skin.faces]
     normals = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     centres = corner.mean(axis=1)
     nearest = skin.points[np.argmin(np.linalg.norm(skin.points - position, axis=1))]

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from limbcli.imaging.markers import MarkerCapsule
-from limbcli.imaging.surface import ClosedSurface
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 
@@ -22,7 +21,7 @@ _FEWEST = 12
 _LARGEST_MOVE = 4.0  # mm: a larger displacement of the skin is not due to a marker and is not made
 
 
-def without_bumps(skin: ClosedSurface, markers: Sequence[MarkerCapsule]) -> tuple[ClosedSurface, list[float]]:
+def without_bumps(skin: Triangles, markers: Sequence[MarkerCapsule]) -> tuple[Triangles, list[float]]:
     """The skin with each marker's footprint projected onto a quadric fitted to the surrounding skin.
 
     Returns
@@ -30,12 +29,12 @@ def without_bumps(skin: ClosedSurface, markers: Sequence[MarkerCapsule]) -> tupl
     surface with the same triangles; mm by which the skin at each marker was lowered (negative: raised)
     """
     points = skin.points.copy()
-    normals = Triangles(skin.points, skin.triangles).point_normals
+    normals = skin.point_normals
     moved = []
     for marker in markers:
         points, depth = _smoothed(points, normals, marker)
         moved.append(depth)
-    return ClosedSurface(points, skin.triangles), moved
+    return Triangles(points, skin.faces), moved
 
 
 def _smoothed(points: Array, normals: Array, marker: MarkerCapsule) -> tuple[Array, float]:

@@ -1,7 +1,8 @@
 """Read MetaImage volumes (`.mha`, or `.mhd` with its data beside it), as ITK and 3D Slicer write them.
 
 Format: itk.org/Wiki/ITK/MetaIO/Documentation. Positions are in patient LPS, as ITK reads them; every row of
-TransformMatrix is the direction of one axis.
+TransformMatrix is the direction of one axis. Read here because ITK 5.4 takes a missing TransformMatrix or
+ElementSpacing for the identity or 1 mm, and returns arbitrary values of packed data of unstated size.
 """
 
 from __future__ import annotations

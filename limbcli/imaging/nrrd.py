@@ -1,7 +1,9 @@
 """Read NRRD volumes as written by 3D Slicer (`.nrrd`, `.seg.nrrd`): label maps and images.
 
 Format: teem.sourceforge.net/nrrd/format.html (NRRD0001 to NRRD0005, data in the file itself or in one file
-beside it, encodings raw, gzip, bzip2 and ascii).
+beside it, encodings raw, gzip, bzip2 and ascii). Read here because pynrrd 1.1 skips bytes of packed data
+twice, follows a data file out of the folder and unpacks without a limit; ITK 5.4 has no bzip2, and reads
+files that do not define the patient's axes (`space dimension` in place of `space`).
 """
 
 from __future__ import annotations

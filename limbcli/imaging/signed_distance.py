@@ -9,6 +9,7 @@ from scipy import ndimage
 from limbcli.model import Array
 
 REACH = 8.0  # mm: distances are clipped to this
+_EVENED_BY = 0.5  # mm, standard deviation of the Gaussian that smooths an edge
 _ANISOTROPIC = 1.6  # slices thicker than pixels by this factor are processed slice by slice
 
 
@@ -73,10 +74,10 @@ def _distance(mask: NDArray[np.bool_], spacing: Array) -> NDArray[np.float32]:
     return np.clip(np.where(mask, inside - half, half - outside), -REACH, REACH).astype(np.float32)
 
 
-def evened(mask: NDArray[np.bool_], spacing: Array, *, by: float = 0.5) -> NDArray[np.bool_]:
-    """Smooth rough edges and jumps between slices, in the distance field (Gaussian of `by` mm)."""
+def evened(mask: NDArray[np.bool_], spacing: Array) -> NDArray[np.bool_]:
+    """Smooth rough edges and jumps between slices, in the distance field (Gaussian)."""
     window = box_around(mask, np.ceil(4.0 / spacing))
-    sigma = [by / spacing[0], by / spacing[1], min(by, by / spacing[2])]
+    sigma = [_EVENED_BY / spacing[0], _EVENED_BY / spacing[1], min(_EVENED_BY, _EVENED_BY / spacing[2])]
     field = ndimage.gaussian_filter(signed_distance(mask[window], spacing), sigma, mode="nearest")
     smooth = np.zeros_like(mask)
     smooth[window] = field > 0

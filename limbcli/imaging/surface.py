@@ -6,14 +6,11 @@ any shrinkage; where the limb leaves the image, the surface is closed by the fla
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from skimage import measure
 
 from limbcli.errors import CaseError, MeshError
@@ -21,6 +18,7 @@ from limbcli.files.atomic import atomic_file
 from limbcli.imaging.signed_distance import box_around, signed_distance
 from limbcli.imaging.volume import Volume
 from limbcli.meshing.meshlab import open_pymeshlab
+from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array, IntArray
 from limbcli.surface_formats.triangle_files import read_triangles
 
@@ -28,37 +26,7 @@ SMOOTH = 0.7  # mm: standard deviation of the Gaussian smoothing of the distance
 _SHARE_OF_SLICE = 0.45  # ... or this fraction of the slice spacing, if that is more
 
 
-@dataclass(frozen=True, eq=False)
-class ClosedSurface:
-    """points (n, 3) mm patient LPS; triangles (m, 3) with outward normals."""
-
-    points: Array
-    triangles: IntArray
-
-    @property
-    def volume(self) -> float:
-        """Enclosed volume, mm^3; positive if normals point outward (divergence theorem)."""
-        a, b, c = (self.points[self.triangles[:, n]] for n in range(3))
-        return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
-
-    @property
-    def is_closed(self) -> bool:
-        """Whether every edge belongs to exactly two triangles that traverse it in opposite directions."""
-        start, end = self.triangles.astype(np.int64).ravel(), np.roll(self.triangles, -1, axis=1).ravel()
-        n = len(self.points)
-        forward = np.unique(start * n + end)  # a key for each directed edge
-        return len(forward) == len(start) and np.array_equal(forward, np.unique(end * n + start))
-
-    @property
-    def n_parts(self) -> int:
-        """Number of components that share no point."""
-        a, b = self.triangles[:, [0, 1, 2]].ravel(), self.triangles[:, [1, 2, 0]].ravel()
-        used, numbers = np.unique(np.concatenate([a, b]), return_inverse=True)
-        graph = coo_matrix((np.ones(len(a)), (numbers[: len(a)], numbers[len(a) :])), shape=(len(used),) * 2)
-        return int(connected_components(graph, directed=False)[0])
-
-
-def surface_of(mask: Volume, *, edge: float, smooth: float = SMOOTH, where: str = "surface") -> ClosedSurface:
+def surface_of(mask: Volume, *, edge: float, smooth: float = SMOOTH, where: str = "surface") -> Triangles:
     """The closed surface of a mask.
 
     Parameters
@@ -69,7 +37,7 @@ def surface_of(mask: Volume, *, edge: float, smooth: float = SMOOTH, where: str 
 
     Returns
     -------
-    ClosedSurface in patient LPS, watertight and two-manifold
+    Triangles in patient LPS, watertight and two-manifold
 
     Raises
     ------
@@ -97,7 +65,7 @@ def surface_of(mask: Volume, *, edge: float, smooth: float = SMOOTH, where: str 
     return surface
 
 
-def _marching_cubes(mask: Volume, *, edge: float, smooth: float, where: str) -> ClosedSurface:
+def _marching_cubes(mask: Volume, *, edge: float, smooth: float, where: str) -> Triangles:
     spacing = mask.spacing
     window = box_around(mask.values, np.ceil(6.0 / spacing))
     field = signed_distance(mask.values[window], spacing)
@@ -119,8 +87,8 @@ def _marching_cubes(mask: Volume, *, edge: float, smooth: float, where: str) -> 
     values = _largest_part(values)
     points, triangles, *_ = measure.marching_cubes(values, 0.0, gradient_direction="ascent")
     index = np.stack([np.interp(points[:, n], np.arange(len(axes[n])), axes[n]) for n in range(3)], axis=1)
-    surface = ClosedSurface(mask.to_patient(index), triangles.astype(np.int64))
-    return surface if surface.volume > 0 else replace(surface, triangles=surface.triangles[:, ::-1].copy())
+    surface = Triangles(mask.to_patient(index), triangles.astype(np.int64))
+    return surface if surface.volume > 0 else surface.flipped()
 
 
 def _grid(n: int, step: float, window: slice) -> Array:
@@ -150,13 +118,13 @@ def _largest_part(values: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.where(holes, tiny, values)
 
 
-def remeshed(surface: ClosedSurface, *, edge: float) -> ClosedSurface:
+def remeshed(surface: Triangles, *, edge: float) -> Triangles:
     """Remesh with nearly equilateral triangles of about `edge` mm; sharp edges (over 40 degrees) are kept."""
     pymeshlab = open_pymeshlab()
 
     meshes = pymeshlab.MeshSet(verbose=False)
     centre = surface.points.mean(axis=0)
-    meshes.add_mesh(pymeshlab.Mesh(surface.points - centre, surface.triangles.astype(np.int32)))
+    meshes.add_mesh(pymeshlab.Mesh(surface.points - centre, surface.faces.astype(np.int32)))
     meshes.meshing_merge_close_vertices(threshold=pymeshlab.PureValue(1e-3 * edge))
     meshes.meshing_isotropic_explicit_remeshing(
         iterations=4, targetlen=pymeshlab.PureValue(edge), featuredeg=40.0, adaptive=False
@@ -167,13 +135,13 @@ def remeshed(surface: ClosedSurface, *, edge: float) -> ClosedSurface:
     meshes.meshing_remove_unreferenced_vertices()
     mesh = meshes.current_mesh()
     triangles = np.asarray(mesh.face_matrix(), dtype=np.int64)
-    return ClosedSurface(np.asarray(mesh.vertex_matrix()) + centre, triangles)
+    return Triangles(np.asarray(mesh.vertex_matrix()) + centre, triangles)
 
 
-def write_surface(path: Path, surface: ClosedSurface) -> None:
+def write_surface(path: Path, surface: Triangles) -> None:
     """Write a binary PLY, mm, patient LPS; the same surface gives the same bytes (no time stamp)."""
-    faces = np.zeros(len(surface.triangles), [("n", "u1"), ("corners", "<i4", 3)])
-    faces["n"], faces["corners"] = 3, surface.triangles
+    faces = np.zeros(len(surface.faces), [("n", "u1"), ("corners", "<i4", 3)])
+    faces["n"], faces["corners"] = 3, surface.faces
     head = (
         "ply\nformat binary_little_endian 1.0\ncomment limbcli: units mm, patient LPS\ncomment SPACE=LPS\n"
         f"element vertex {len(surface.points)}\nproperty float x\nproperty float y\nproperty float z\n"
@@ -184,7 +152,7 @@ def write_surface(path: Path, surface: ClosedSurface) -> None:
         partial.write_bytes(content)
 
 
-def read_surface(path: Path) -> ClosedSurface:
+def read_surface(path: Path) -> Triangles:
     """Read triangles from an STL, PLY, OBJ or 3MF file, in patient LPS and mm, and merge coincident points.
 
     Raises
@@ -204,8 +172,8 @@ def read_surface(path: Path) -> ClosedSurface:
             else "a point of the surface is not a number"
         )
         raise CaseError(what, where=str(path), fix=fix)
-    surface = joined(ClosedSurface(points, faces))
-    if not len(surface.triangles):
+    surface = joined(Triangles(points, faces))
+    if not len(surface.faces):
         raise CaseError("the surface's triangles have no area", where=str(path), fix=fix)
     return surface
 
@@ -221,12 +189,12 @@ def once(triangles: IntArray) -> IntArray:
     return triangles[np.sort(np.unique(turned, axis=0, return_index=True)[1])]
 
 
-def joined(surface: ClosedSurface) -> ClosedSurface:
+def joined(surface: Triangles) -> Triangles:
     """Merge coincident points; drop degenerate and duplicate triangles, and unused points."""
     size = np.ptp(surface.points, axis=0).max()
     keys = np.round(surface.points / max(1e-6 * size, 1e-9)).astype(np.int64)
     _, first, numbers = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    triangles = numbers.ravel()[surface.triangles]
+    triangles = numbers.ravel()[surface.faces]
     whole = (np.diff(np.sort(triangles, axis=1), axis=1) > 0).all(axis=1)
     used, renumbered = np.unique(once(triangles[whole]), return_inverse=True)
-    return ClosedSurface(surface.points[first[used]], renumbered.reshape(-1, 3).astype(np.int64))
+    return Triangles(surface.points[first[used]], renumbered.reshape(-1, 3).astype(np.int64))

@@ -2,7 +2,7 @@
 
 `LayeredFamily` defines the readings; they are stored relative to a trend, that of springs in series. The file
 is made by tests/benchmarks/cohort_family.py with limbcli's reference solver (0.1.0), with the model and mesh
-of `cohorts.family`; its members are a scrambled Sobol sequence.
+of `tests/benchmarks/layered_member.py`; its members are a scrambled Sobol sequence.
 """
 
 from __future__ import annotations

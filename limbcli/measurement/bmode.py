@@ -21,6 +21,8 @@ from limbcli.model import Array
 
 _STRIP_WIDTH = 10.0  # width of the strip around the centre line, mm
 _BANDS = 5
+_LEAST_DEPTH = 4.0  # mm below the probe face at which the search for the bone begins
+_LARGEST_CHANGE = 8.0  # mm, search range between adjacent levels
 _TEMPLATE_HALF = 2.5  # half height of the template around the line, mm
 _WORST_CORRELATION = 0.3
 _SHADOW = 4.0  # smallest height of image below the bone, mm
@@ -46,13 +48,11 @@ class BoneLine:
     correlation: float
 
 
-def find_bone(image: UltrasoundImage, *, least: float = 4.0) -> BoneLine:
+def find_bone(image: UltrasoundImage) -> BoneLine:
     """Detect the bone line of a single image: bright right across the strip, with shadow below.
 
     An aponeurosis is as bright, but the muscle behind it still echoes; behind bone the image is dark compared
     with the tissue above. If nothing satisfies this, no bone is reported.
-
-    least : mm below the probe face at which the search begins
 
     Raises
     ------
@@ -61,7 +61,7 @@ def find_bone(image: UltrasoundImage, *, least: float = 4.0) -> BoneLine:
     """
     strip, step = _strip(image)
     smooth = gaussian_filter(strip, (0.4 / step, 1.0 / step))
-    row, brightness, shade = _darkest_behind(smooth, round(least / step), step)
+    row, brightness, shade = _darkest_behind(smooth, round(_LEAST_DEPTH / step), step)
     if row is None or brightness < _LEAST_BRIGHTNESS or shade > _DARKEST_SHADE:
         raise MeasurementError(
             "no bone line is visible: nothing bright across the image with shadow below it",
@@ -102,13 +102,11 @@ def follow_bone(
     images: Sequence[UltrasoundImage],
     *,
     bone: float | Sequence[float] | None = None,
-    largest_change: float = 8.0,
 ) -> list[BoneLine]:
     """The skin-bone distance at every level.
 
     bone : mm below the probe face at the first level, or at every level (then there is no search); None:
         detected automatically
-    largest_change : search range between adjacent levels, mm
 
     Raises
     ------
@@ -122,7 +120,7 @@ def follow_bone(
     first = find_bone(images[0]) if bone is None else BoneLine(bone, _BY_HAND, 1.0)
     lines = [first]
     for previous, image in pairwise(images):
-        lines.append(follow_line(previous, image, lines[-1], largest_change))
+        lines.append(follow_line(previous, image, lines[-1], _LARGEST_CHANGE))
     return lines
 
 

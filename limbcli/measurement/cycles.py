@@ -41,7 +41,7 @@ class Energy:
         return self.lost / self.work
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Difference:
     """Difference of a later loading from an earlier one, at the forces of the earlier one that both reach.
 
@@ -192,7 +192,10 @@ def compare(
     of_last = depth_deviation**2 + (knot_slope * force_deviation) ** 2
     covariance = np.diag(of_first) + weights @ np.diag(of_last) @ weights.T
     covariance += 1e-12 * np.eye(len(at))  # mm^2: keeps the matrix invertible without noise
-    return Difference(earlier, later, force, gap, covariance, own_slope, depth - levels.depth[first[0]])
+    return Difference(
+        earlier=earlier, later=later, force=force, depth=gap, covariance=covariance, slope=own_slope,
+        earlier_depth=depth - levels.depth[first[0]],
+    )  # fmt: skip
 
 
 def _loading(levels: Levels, cycle: int) -> IntArray:

@@ -30,7 +30,7 @@ _GRAVITY_OFF = 0.15
 _SPIKE = 8.0  # robust standard deviations from the hold's median beyond which a sample is a spike
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Hold:
     """One hold: its time, its mean force, and how unsteady it was.
 

@@ -17,7 +17,7 @@ FEWEST_LOADING = 3  # smallest number of loading levels for a curve
 LAST = "last"  # selects the last cycle with that many
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Levels:
     """One measurement, a row per force level, in the order measured; all arrays (n_levels,).
 
@@ -95,9 +95,10 @@ class Levels:
         CaseError
             If there is no such cycle, or it has fewer than three levels of loading.
 
-        >>> nan = np.full(4, np.nan)
-        >>> four = np.arange(4.0)
-        >>> some = Levels(four, four, nan, nan, nan, ("load",) * 4, nan, nan, nan, Path("x"))
+        >>> four, nan = np.arange(4.0), np.full(4, np.nan)
+        >>> columns = ("swe_mean_m_per_s", "swe_sd_m_per_s", "swe_pixels", "hold", "probe_travel")
+        >>> unread = dict.fromkeys((*columns, "skin_bone"), nan)
+        >>> some = Levels(force=four, depth=four, phase=("load",) * 4, path=Path("x"), **unread)
         >>> some.chosen_cycle(), some.chosen_cycle("1")
         (1, 1)
         """

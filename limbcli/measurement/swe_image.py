@@ -29,6 +29,7 @@ _MOST_UNLIKE = (
     0.5  # of the coloured pixels: above this fraction, the matching ones match by chance, at wrong speeds
 )
 _BAR_COLOURS = 192
+_SAMPLED_MM = 0.5  # spacing of the samples: adjacent screen pixels are not independent readings
 _CHUNK = 4096
 
 Box = tuple[int, int, int, int]
@@ -77,10 +78,8 @@ class DecodedMap:
         )
 
 
-def decode_overlay(image: UltrasoundImage, overlay: Overlay, *, pixel: float = 0.5) -> DecodedMap:
+def decode_overlay(image: UltrasoundImage, overlay: Overlay) -> DecodedMap:
     """The wave-speed map of a colour-overlay image, in the probe frame.
-
-    pixel : mm, spacing at which the box is sampled (adjacent screen pixels are not independent readings)
 
     Raises
     ------
@@ -91,7 +90,7 @@ def decode_overlay(image: UltrasoundImage, overlay: Overlay, *, pixel: float = 0
     _check_box(image, overlay.box_pixels, "box_pixels")
     _check_box(image, overlay.bar_pixels, "bar_pixels")
     colours, speeds = bar_colours(image, overlay)
-    columns, rows, lateral, depth = _samples(image, overlay.box_pixels, pixel)
+    columns, rows, lateral, depth = _samples(image, overlay.box_pixels, _SAMPLED_MM)
     rgb = image.rgb[rows, columns].astype(np.float64)
     coloured = np.ptp(rgb, axis=1) >= _LEAST_COLOUR * overlay.opacity
     index, fit, ambiguous = _nearest(rgb[coloured], colours, overlay.opacity)

@@ -59,6 +59,14 @@ class Triangles:
         """
         return float(np.einsum("ij,ij->", self.centroids - self.points.mean(0), self.area_vectors) / 3)
 
+    @property
+    def is_closed(self) -> bool:
+        """Whether every edge belongs to exactly two triangles that traverse it in opposite directions."""
+        start, end = self.faces.astype(np.int64).ravel(), np.roll(self.faces, -1, axis=1).ravel()
+        n = len(self.points)
+        forward = np.unique(start * n + end)  # a key for each directed edge
+        return len(forward) == len(start) and np.array_equal(forward, np.unique(end * n + start))
+
     def moved(self, transform: Array) -> Triangles:
         """The surface after a rigid 4 x 4 transform."""
         return Triangles(self.points @ transform[:3, :3].T + transform[:3, 3], self.faces)

@@ -68,6 +68,7 @@ class LimbMeshOptions:
 class LimbMesh:
     """The mesh, its cut planes by name, and the findings of its construction.
 
+    altered : where bone or tissue was changed so that it can be meshed
     expected : volume (mm3) of the tissue between the surfaces that were meshed
     size : usual edge length (mm)
     curved_share : fraction of the skin's and bones' mid-side nodes that lie on the curved surface
@@ -75,7 +76,7 @@ class LimbMesh:
 
     mesh: Mesh
     planes: Mapping[str, Plane]
-    notes: tuple[str, ...]
+    altered: tuple[str, ...]
     maker: str
     size: float
     expected: float
@@ -172,8 +173,7 @@ def limb_mesh(
     volume, kinds, size = _sized(filled, core, options, progress)
     mesh, curved = _assembled(volume, kinds, bones, domain, planes, options)
     progress.event("task", name="limb: mesh", done=3, total=3)
-    notes = (*limb.notes, *domain.notes, *volume.notes)
-    return LimbMesh(mesh, planes, notes, volume.maker, size, boundary(domain).volume, curved)
+    return LimbMesh(mesh, planes, domain.notes, volume.maker, size, boundary(domain).volume, curved)
 
 
 def _fine(domain: TissueDomain, options: LimbMeshOptions) -> Field:

@@ -31,7 +31,7 @@ class Tissue(IntEnum):
     MARKER = 7
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Bone:
     """A long bone with a slightly triangular, tapering section and a bevelled, rounded distal end.
 
@@ -79,7 +79,7 @@ class Capsule:
         return capsule(points, self.center - reach, self.center + reach, self.radius)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Anatomy:
     """The whole limb. Half widths (x) and half depths (y): mm at the end of the cap, and mm per mm of z."""
 

@@ -18,7 +18,7 @@ LAYER_COLUMNS = ("skin_mm", "fat_mm", "muscle_mm")
 _PROBE_DOWN_G = (0.0, -0.05, -0.99)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Readings:
     """One measurement as it would be recorded, one row per level.
 

@@ -9,6 +9,7 @@ import numpy as np
 from limbcli.model import Array
 
 Implicit = Callable[[Array], Array]
+_NEWTON_STEPS = 6
 
 
 def rounded_intersection(a: Array, b: Array, *, radius: float) -> Array:
@@ -42,10 +43,10 @@ def gradient(shape: Implicit, points: Array, *, step: float = 1e-3) -> Array:
     return np.stack(columns, axis=1)
 
 
-def project(shape: Implicit, points: Array, *, iterations: int = 6) -> Array:
+def project(shape: Implicit, points: Array) -> Array:
     """Points moved onto the surface f = 0 along its gradient (Newton's method)."""
     moved = np.array(points, dtype=float)
-    for _ in range(iterations):
+    for _ in range(_NEWTON_STEPS):
         slope = gradient(shape, moved)
         square = np.maximum(np.einsum("ij,ij->i", slope, slope), 1e-12)
         moved -= (shape(moved) / square)[:, None] * slope

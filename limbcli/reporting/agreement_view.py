@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
+from limbcli.inference.agreement import State
 from limbcli.reporting.numbers import number
 from limbcli.reporting.reportlet import Mood
 
-_MOODS: Mapping[str, Mood] = {"good": "fine", "doubtful": "warning", "bad": "failed", "untested": "warning"}
+_MOODS: Mapping[State, Mood] = {"good": "fine", "doubtful": "warning", "bad": "failed", "untested": "warning"}
 _SILENT = (
     "not tested: this result does not say whether the model agrees with the data; run `limbcli fit` again"
 )
@@ -23,7 +24,7 @@ class AgreementView:
     too_close : whether the differences are smaller than the counted noise allows
     """
 
-    state: str
+    state: State
     words: str
     rms: float | None = None
     too_close: bool = False
@@ -67,7 +68,7 @@ def agreement_view(data: Mapping[str, Any], part: str = "") -> AgreementView:
         found = found.get(part)
     if not isinstance(found, Mapping) or found.get("state") not in _MOODS:
         return UNTESTED
-    state = str(found["state"])
+    state = cast(State, found["state"])
     told = found.get("words") or next(
         (each["words"] for each in parts if each.get("state") == state), _SILENT
     )

@@ -16,22 +16,22 @@ from limbcli.reporting.numbers import DASH, number
 from limbcli.results import StageResult
 
 MOONEY_RIVLIN, OGDEN = "mooney-rivlin", "ogden"
+LINEAR = "tet4"  # the element that locks
 STEP_NAMES = {MOONEY_RIVLIN: "Mooney-Rivlin type", OGDEN: "Ogden type"}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class EstimateView:
     """One parameter of one step: value, 95 % interval and verdict."""
 
     name: str
     value: float | None
-    unit: str
-    low: float | None
-    high: float | None
-    interval_why: str
     flag: str
+    unit: str = ""
+    low: float | None = None
+    high: float | None = None
+    interval_why: str = ""
     words: str = ""
-    standard_error: float | None = None
     bound: str = ""
     computed: bool = True
 
@@ -43,14 +43,9 @@ class EstimateView:
     def headline(self) -> Headline:
         """The value, or words if the data do not determine one."""
         return headline(
-            self.value,
-            self.low,
-            self.high,
-            self.flag,
-            unit=self.unit,
-            bound=self.bound,
-            computed=self.computed,
-        )
+            self.value, self.low, self.high, self.flag,
+            unit=self.unit, bound=self.bound, computed=self.computed,
+        )  # fmt: skip
 
     def times(self, factor: float | None, name: str, unit: str) -> EstimateView | None:
         """Estimate of the parameter times a quantity that is held fixed (kappa' = f_kappa c)."""
@@ -59,10 +54,10 @@ class EstimateView:
         value, low, high = (
             None if each is None else factor * each for each in (self.value, self.low, self.high)
         )
-        return replace(self, name=name, value=value, unit=unit, low=low, high=high, standard_error=None)
+        return replace(self, name=name, value=value, unit=unit, low=low, high=high)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class StepView:
     """One identification: the Mooney-Rivlin type (m = 2) or the Ogden type."""
 
@@ -92,7 +87,7 @@ class StepView:
         return f_kappa.times(self.c_kpa, "κ′", "kPa") if f_kappa else None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class FitView:
     element: str
     solver: str
@@ -107,16 +102,6 @@ class FitView:
     speeds: AgreementView | None = None
     whole: AgreementView = UNTESTED
 
-    @property
-    def poor(self) -> str:
-        """The sentence about a fit that disagrees with its data; "" if it does not."""
-        return self.whole.words if self.whole.state == "bad" else ""
-
-    @property
-    def doubtful(self) -> str:
-        """The sentence about a fit whose agreement is doubtful; "" if it is not."""
-        return self.whole.words if self.whole.state == "doubtful" else ""
-
     def step(self, key: str) -> StepView | None:
         return next((each for each in self.steps if each.key == key), None)
 
@@ -128,9 +113,9 @@ class FitView:
 def read_fit_view(result: StageResult) -> FitView:
     """The fit of one site, from its result."""
     data = result.data
-    locks = "tet4" in str(data.get("element", ""))
+    element = str(data.get("element", DASH))
     steps = tuple(
-        _step(key, content, locks=locks)
+        _step(key, content, element)
         for key, content in data.get("steps", {}).items()
         if isinstance(content, Mapping)
     )
@@ -140,7 +125,7 @@ def read_fit_view(result: StageResult) -> FitView:
         walk for key, content in data.get("steps", {}).items() if (walk := _walk(key, content)) is not None
     )
     return FitView(
-        element=str(data.get("element", DASH)),
+        element=element,
         solver=solver or DASH,
         c_source=str(data.get("c_source") or "").replace("2 mu ", "2 µ "),
         c_is_given=isinstance(options, Mapping) and number(options.get("c_kpa")) is not None,
@@ -163,15 +148,13 @@ def _has_speeds(data: Mapping[str, Any]) -> bool:
 _UNITS = {"f_kappa": ("f_κ", ""), "m": ("m", ""), "c_kpa": ("c", "kPa"), "kappa_kpa": ("κ′", "kPa")}
 
 
-def _step(key: str, content: Mapping[str, Any], *, locks: bool) -> StepView:
+def _step(key: str, content: Mapping[str, Any], element: str) -> StepView:
     names = ("c_kpa", "m", "f_kappa", "kappa_kpa", "r2", "rmse_n", "seconds", "correlation")
     return StepView(
         key=key,
         label=STEP_NAMES.get(key, key),
         reason=str(content.get("reason") or ""),
-        estimates=read_estimates(
-            content.get("parameters", {}), locks=locks, computed=content.get("interval_95")
-        ),
+        estimates=read_estimates(content.get("parameters", {}), element, computed=content.get("interval_95")),
         n_iterations=_count(content.get("n_iterations")),
         n_solves=_count(content.get("n_solves")),
         **{name: number(content.get(name)) for name in names},
@@ -179,13 +162,14 @@ def _step(key: str, content: Mapping[str, Any], *, locks: bool) -> StepView:
 
 
 def read_estimates(
-    parameters: Mapping[str, Any], *, locks: bool, computed: Collection[str] | None = None
+    parameters: Mapping[str, Any], element: object, *, computed: Collection[str] | None = None
 ) -> tuple[EstimateView, ...]:
     """The table `parameters` of a fit.
 
-    locks : the fit used four-node tetrahedra
+    element : of the fitted models, as in the result
     computed : names of the parameters with an interval; None: all
     """
+    locks = LINEAR in str(element)
     return tuple(
         _estimate(name, each, locks=locks, computed=computed is None or name in computed)
         for name, each in parameters.items()
@@ -210,7 +194,7 @@ def _estimate(name: str, content: Mapping[str, Any], *, locks: bool, computed: b
         words=str(content.get("words") or ""),
         bound=str(content.get("bound") or ""),
         computed=computed,
-        **{key: number(content.get(key)) for key in ("value", "low", "high", "standard_error")},
+        **{key: number(content.get(key)) for key in ("value", "low", "high")},
     )
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 from limbcli.numbers.interval_limits import Flag
 from limbcli.numbers.significant_digits import significant
+from limbcli.reporting.numbers import interval
 
 
 @dataclass(frozen=True)
@@ -69,11 +70,9 @@ def headline(
         if flag == Flag.AT_BOUND:
             return Headline(f"at the {f'{bound} ' if bound else ''}bound of the search")
         return replace(number, remark="no interval")
-    if high is None:
-        return Headline(f"above {significant(low or 0.0)}", unit)
-    if low is None:
-        return Headline(f"below {significant(high)}", unit)
-    ends = f"{significant(low)} to {significant(high)}"
+    ends = interval((low, high))
+    if low is None or high is None:
+        return Headline(ends, unit)
     if flag == Flag.AT_BOUND:
         return Headline(ends, unit, is_number=True)
     return replace(number, remark=f"{'weakly' if flag == Flag.WEAK else flag}, {ends}")

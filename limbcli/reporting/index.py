@@ -15,7 +15,7 @@ from limbcli.reporting.reportlet import Cell, Mood
 from limbcli.reporting.sections.parameters import interval_text, with_verdict
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class IndexRow:
     """One site of one subject; `link` is relative to the index page, "" if there is no report.
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from limbcli.numbers.significant_digits import significant
-from limbcli.reporting.reportlet import Cell
+from limbcli.reporting.reportlet import Cell, PageTable, table
 
 DASH = "–"
 _MOST_IN_A_ROW = 4
@@ -138,6 +138,11 @@ def plain_rows(data: Mapping[str, Any], *, prefix: str = "", unit: str = "") -> 
         elif (shown := _shown(value, of, by=" × " if words.endswith(_EXTENTS) else ", ")) is not None:
             rows.append((Cell(label, lead=True), shown))
     return rows
+
+
+def figures_table(caption: str, data: Mapping[str, Any]) -> PageTable:
+    """The values of a result (`plain_rows`) as a table."""
+    return table(caption, ("figure", "value"), plain_rows(data), numeric=False)
 
 
 def _shown(value: object, unit: str, *, by: str) -> Cell | None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from limbcli.case.schema import FAILED
 from limbcli.errors import CaseError
@@ -63,6 +63,12 @@ def problems_of(facts: object) -> tuple[Mapping[str, str], ...]:
     )
 
 
+def failure_of(content: Mapping[str, Any]) -> Failure:
+    """A failure from the record of its error, in which `problems` may lie among the facts."""
+    error, what, where, fix = (str(content.get(name) or "–") for name in ("error", "what", "where", "fix"))
+    return Failure(error, what, where, fix, problems_of(content) or problems_of(content.get("facts")))
+
+
 @dataclass(frozen=True, eq=False)
 class Outcome:
     """One stage of one site (or of the subject). A failed stage may still have an older result.
@@ -74,6 +80,7 @@ class Outcome:
     site: str | None
     status: Status
     command: str
+    _: KW_ONLY
     result: StageResult | None = None
     failure: Failure | None = None
     held_by: str = ""
@@ -109,14 +116,13 @@ class Outcomes:
     def failed(self) -> tuple[Outcome, ...]:
         return tuple(each for each in self.all if each.status == "failed")
 
-    def warnings(self) -> list[tuple[str, str]]:
-        """(source, text); a warning that later stages repeat is listed once."""
-        seen: dict[str, str] = {}
-        for outcome in self.done:
-            assert outcome.result is not None
-            for text in outcome.result.warnings:
-                seen.setdefault(text, outcome.label)
-        return [(label, text) for text, label in seen.items()]
+    def warnings(self) -> list[tuple[Outcome, str]]:
+        """Each warning with its stage; one that later stages repeat is listed once."""
+        seen: dict[str, Outcome] = {}
+        for outcome in self.all:
+            for text in outcome.result.warnings if outcome.result is not None else ():
+                seen.setdefault(text, outcome)
+        return [(outcome, text) for text, outcome in seen.items()]
 
 
 def read_outcomes(
@@ -147,10 +153,19 @@ def _held(outcome: Outcome, before: Outcome | None) -> Outcome:
     return replace(outcome, status="missing", failure=None, held_by=before.label)
 
 
+def command_of(stage: str, site: str | None, *, out: Path, case_name: str) -> str:
+    """The command that runs a stage.
+
+    >>> command_of("fit-states", "p1", out=Path("out"), case_name="S1")
+    'limbcli fit S1 --objective states --site p1 --out out'
+    """
+    words = _COMMANDS.get(stage, f"{stage} {{case}}").format(case=typed(case_name))
+    return f"limbcli {words}" + (f" --site {site}" if site else "") + f" --out {typed(out)}"
+
+
 def _outcome(out: Path, stage: str, site: str | None, case_name: str, subject: str) -> Outcome:
     folder = stage_folder(out, stage, site)
-    words = _COMMANDS.get(stage, f"{stage} {{case}}").format(case=typed(case_name))
-    command = f"limbcli {words}" + (f" --site {site}" if site else "") + f" --out {typed(out)}"
+    command = command_of(stage, site, out=out, case_name=case_name)
     failure = _failure(folder / ERROR_FILE) or _failed_run(folder, stage)
     result = None
     if (folder / f"{stage}.json").is_file():
@@ -162,18 +177,14 @@ def _outcome(out: Path, stage: str, site: str | None, case_name: str, subject: s
             what = f"the result is of {result.subject}, but the case is of {subject}"
             failure, result = Failure("CaseError", what, str(folder), command), None
     status: Status = "failed" if failure else ("done" if result else "missing")
-    return Outcome(stage, site, status, command, result, failure)
+    return Outcome(stage, site, status, command, result=result, failure=failure)
 
 
 def _failed_run(folder: Path, stage: str) -> Failure | None:
     """Failure of the last run, if it wrote a report of it beside the place of a result; or None."""
     path = folder.with_name(folder.name + FAILED) / f"{stage}.json"
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))["data"]["failure"]
-        error, what, where, fix = (
-            str(content.get(name) or "–") for name in ("error", "what", "where", "fix")
-        )
-        return Failure(error, what, where, fix)
+        return failure_of(json.loads(path.read_text(encoding="utf-8"))["data"]["failure"])
     except (OSError, *UNLIKE_OURS):
         return None
 
@@ -183,11 +194,7 @@ def _failure(path: Path) -> Failure | None:
     if not path.is_file():
         return None
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        error, what, where, fix = (
-            str(content.get(name) or "–") for name in ("error", "what", "where", "fix")
-        )
-        return Failure(error, what, where, fix, problems_of(content.get("facts")))
+        return failure_of(json.loads(path.read_text(encoding="utf-8")))
     except UNLIKE_OURS:
         what = "the stage failed; its note cannot be read"
         return Failure("unknown", what, str(path), "run the stage again")

@@ -86,6 +86,8 @@ def render(template: str, facts: Mapping[str, Any], *, templates: Path | None = 
     """Render a template of `templates/report/` to text that can be encoded as UTF-8; the user's folder takes
     precedence.
 
+    facts : what the template shows; "own": the provenance of the page
+
     Raises
     ------
     CaseError
@@ -105,7 +107,9 @@ def render(template: str, facts: Mapping[str, Any], *, templates: Path | None = 
         lstrip_blocks=True,
     )
     environment.filters["symbols"] = symbols
-    text = filled(environment, template, facts, ours="templates/report")
+    finished = facts.get("own", {}).get("finished_utc", "")
+    made_on = finished.replace("T", " ").replace("Z", " UTC")
+    text = filled(environment, template, {"made_on": made_on, **facts}, ours="templates/report")
     if templates is not None:
         refuse_unused(environment, folders[0], folders[-1])
     return in_utf8(text)

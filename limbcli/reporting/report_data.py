@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 
 from limbcli.case import Case
@@ -34,11 +34,13 @@ class CycleMaterial:
 class SiteMaterial:
     """Measurement of one site, and the data that are read by other packages.
 
-    If an item is None, the corresponding `why_*` gives the reason, in words for the page.
+    If an item is None, the corresponding `why_*` gives the reason, in words for the page; that of `deformed`
+    is empty if the model has not been run.
     """
 
     name: str
     place: str
+    _: KW_ONLY
     measured: MeasuredCurve | None = None
     why_no_levels: str = ""
     speeds: SpeedReadings | None = None
@@ -47,14 +49,14 @@ class SiteMaterial:
     why_no_line: str = ""
     deformed: DeformedState | None = None
     deformed_source: str = ""
-    why_not_deformed: str = "the model has not been run"
+    why_not_deformed: str = ""
     residuals: Residuals | None = None
     warnings: tuple[str, ...] = ()
     cycles: CycleMaterial | None = None
     on_limb: LimbPlace | None = None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ReportData:
     case: Case
     case_name: str

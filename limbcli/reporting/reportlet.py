@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 from matplotlib.figure import Figure
 
 from limbcli.reporting.outcome import Failure, Outcome
+from limbcli.results import StageResult
 
 Mood = Literal["fine", "warning", "failed", "missing", "neutral"]
 # What a colour says, in words: colour alone says nothing to who cannot see it. Neutral: nothing is tested.
@@ -115,6 +116,7 @@ class Reportlet:
     title: str
     mood: Mood = "neutral"
     site: str | None = None
+    _: KW_ONLY
     pictures: tuple[Picture, ...] = ()
     tables: tuple[PageTable, ...] = ()
     look_for: str = ""
@@ -145,6 +147,30 @@ def placeholder(key: str, title: str, outcome: Outcome) -> Reportlet:
     if outcome.held_by:
         notes.append(f"“{outcome.held_by}” failed before it; resolve that first.")
     return Reportlet(key, title, "missing", outcome.site, notes=tuple(notes), command=outcome.command)
+
+
+def table(
+    caption: str, titles: Sequence[str], rows: Iterable[Sequence[Cell | str]], *, numeric: bool = True
+) -> PageTable:
+    """A table with one heading row; a text becomes a cell, and the first text of a row its heading."""
+    cells = (
+        tuple(each if isinstance(each, Cell) else Cell(each, lead=k == 0) for k, each in enumerate(row))
+        for row in rows
+    )
+    return PageTable(caption, (head(*titles),), tuple(cells), numeric=numeric)
+
+
+def pictures_of(result: StageResult, texts: Mapping[str, tuple[str, str]]) -> tuple[Picture, ...]:
+    """The pictures that a stage wrote; those that it did not write are left out.
+
+    texts : by the file's key in the result, or its name: the picture's name and alternative text
+    """
+    found = []
+    for key, (name, alt) in texts.items():
+        path = result.folder / result.files.get(key, key)
+        if path.is_file():
+            found.append(Picture(name, alt, source=path, vector=False))
+    return tuple(found)
 
 
 def head(*texts: str) -> tuple[Cell, ...]:

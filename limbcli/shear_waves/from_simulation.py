@@ -142,12 +142,13 @@ def level_maps(
 
 def mean_speeds(
     model: LimbModel, simulation: Simulation, rows: IntArray, *, density_kg_per_m3: float,
-    window: Window = MEAN_WINDOW, face_depths: Array | None = None,
+    face_depths: Array | None = None,
 ) -> Array:  # fmt: skip
     """Mean predicted speed over the scanner's window, m/s (n_levels,); arguments as in `level_maps`."""
     maps = level_maps(
-        model, simulation, rows, density_kg_per_m3=density_kg_per_m3, window=window, face_depths=face_depths
-    )
+        model, simulation, rows, density_kg_per_m3=density_kg_per_m3, window=MEAN_WINDOW,
+        face_depths=face_depths,
+    )  # fmt: skip
     return np.array([float(each.speed_m_per_s.mean()) for each in maps])
 
 

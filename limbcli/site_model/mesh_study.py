@@ -97,7 +97,6 @@ def study_site(
             )
         progress.event("task", name=f"{STAGE} {site.name}", done=len(wanted), total=len(wanted))
         _report(writer, found, options, depth, tissue, title=f"{case.subject}, site {site.name}")
-    assert writer.result is not None
     return writer.result
 
 

@@ -197,7 +197,9 @@ class _Together:
         if not sites:
             return self._last(way)
         case, out = way.outcome.case, way.outcome.out
-        return [self._submit(way, BatchTask(case, out, SITE, (site,), done.begun)) for site in sites]
+        return [
+            self._submit(way, BatchTask(case, out, SITE, sites=(site,), begun=done.begun)) for site in sites
+        ]
 
     def _diagnoses(self, way: CaseProgress) -> list[Future]:
         """Submit the diagnosis of each place whose sites have all finished."""
@@ -207,7 +209,12 @@ class _Together:
         outcome, begun = way.outcome, way.first.begun
         keys = [tuple(way.keys[name] for name in place) for place in ready]
         return [
-            self._submit(way, BatchTask(outcome.case, outcome.out, DIAGNOSIS, place, begun, own, outcome))
+            self._submit(
+                way,
+                BatchTask(
+                    outcome.case, outcome.out, DIAGNOSIS, sites=place, begun=begun, keys=own, outcome=outcome
+                ),
+            )
             for place, own in zip(ready, keys, strict=True)
         ]
 
@@ -215,7 +222,12 @@ class _Together:
         assert way.first is not None
         keys = tuple(way.keys[site] for site in way.first.sites if site in way.keys)
         outcome, begun = way.outcome, way.first.begun
-        return [self._submit(way, BatchTask(outcome.case, outcome.out, LAST, (), begun, keys, outcome))]
+        return [
+            self._submit(
+                way,
+                BatchTask(outcome.case, outcome.out, LAST, sites=(), begun=begun, keys=keys, outcome=outcome),
+            )
+        ]
 
     def _ended(self, way: CaseProgress) -> list[Future]:
         self.n_cases_done += 1

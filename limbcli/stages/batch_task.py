@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, nullcontext
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +19,10 @@ from limbcli.stages.batching.steps import SITE_STAGES
 
 FIRST, SITE, DIAGNOSIS, LAST = "first", "site", "diagnosis", "last"
 FIRST_STAGE = {FIRST: "segment", SITE: SITE_STAGES[0], DIAGNOSIS: DIAGNOSE, LAST: "report"}
-WAITING = "waiting"  # first word of the note that a part waits for a lock held by another process
 NOT_BEGUN = StartedCase("", done=False)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Call:
     """Settings common to all parts of a batch.
 
@@ -53,6 +52,7 @@ class BatchTask:
     case: Path
     out: Path
     kind: str
+    _: KW_ONLY
     sites: tuple[str, ...] = ()
     begun: StartedCase = NOT_BEGUN
     keys: tuple[str, ...] = ()
@@ -117,7 +117,7 @@ class _EventLog:
         if kind == "stage":
             is_new, self._stage = facts["name"] != self._stage, str(facts["name"])
         else:
-            is_new = kind == "note" and str(facts.get("text", "")).startswith(WAITING)
+            is_new = kind == "note" and bool(facts.get("waiting"))
         if is_new or time.monotonic() - self._last > self._every_s:
             self._last = time.monotonic()
             text = facts["text"] if is_new and kind == "note" else ""

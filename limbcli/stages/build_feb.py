@@ -103,7 +103,6 @@ def build_feb(
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
             writer.data["asked"] = {**requested_by_options(options), **requested_of({"templates": templates})}
             _build_site(noted(case, writer), site.name, out, writer, options, templates)
-        assert writer.result is not None
         results.append(writer.result)
     return results
 

@@ -87,12 +87,12 @@ _Geometry = tuple[dict[str, "Triangles"], str, list[Problem], list[str]]
 
 
 def _surfaces(case: Case) -> _Geometry:
-    from limbcli.stages.segmenting.surfaces import read_surfaces, triangles_of
+    from limbcli.stages.segmenting.surfaces import read_surfaces
 
     surfaces, _, left_out = read_surfaces(case)
     fix = "none needed, if these are scraps of the scan"
     found = [Problem(each, str(case.imaging.skin), fix, severity="warning") for each in left_out]
-    return triangles_of(surfaces), str(case.imaging.skin), found, []
+    return surfaces, str(case.imaging.skin), found, []
 
 
 def _assumed(case: Case) -> list[Problem]:
@@ -100,13 +100,12 @@ def _assumed(case: Case) -> list[Problem]:
     from limbcli.errors.problems import errors_of
     from limbcli.stages.segmenting.assumed import FIX
     from limbcli.stages.segmenting.assumed_geometry import assumed_limb, assumed_problems
-    from limbcli.stages.segmenting.surfaces import triangles_of
 
     found = [Problem(case.imaging.assumed, str(case.file), FIX, severity="warning"), *assumed_problems(case)]
     if errors_of(found):
         return found
     limb = assumed_limb(case)
-    return found + _of_limb(case, triangles_of(limb.surfaces), str(case.imaging.skin or case.file))
+    return found + _of_limb(case, limb.surfaces, str(case.imaging.skin or case.file))
 
 
 def _images(case: Case) -> list[Problem]:
@@ -146,7 +145,6 @@ def _label_map(case: Case) -> _Geometry:
     from limbcli.imaging.surface import surface_of
     from limbcli.meshing.anatomy import SKIN
     from limbcli.stages.segmenting.label_maps import labelled_limb
-    from limbcli.stages.segmenting.surfaces import triangles_of
 
     path = str(case.imaging.label_maps[0].path)
     limb = labelled_limb(case, side=case.limb)
@@ -154,5 +152,5 @@ def _label_map(case: Case) -> _Geometry:
     names = parts.bone_names or name_bones(parts.bones)
     bones = {f"bone_{name}": each for name, each in zip(names, parts.bones, strict=True)}
     masks = {SKIN: parts.skin, **bones}
-    surfaces = triangles_of({name: surface_of(each, edge=_EDGE, where=name) for name, each in masks.items()})
+    surfaces = {name: surface_of(each, edge=_EDGE, where=name) for name, each in masks.items()}
     return surfaces, path, list(limb.problems), list(limb.lines)

@@ -55,7 +55,7 @@ from limbcli.site_model.site_levels import all_levels_of
 _SAME_PLACE = 2.0  # mm, largest distance of two sites at the same place
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DiagnoseOptions:
     """Options of `diagnose`.
 
@@ -162,7 +162,7 @@ def chosen_effects(options: DiagnoseOptions) -> tuple[Effect, ...]:
     return (*named, *(each for each in own if each not in named))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Diagnosed:
     """Diagnosis of the measurements of one place, from preparation to results."""
 
@@ -244,7 +244,6 @@ class _Diagnosed:
             write_diagnosed(
                 found, forward_model, mine, writer, out=self.out, number=k, templates=self.options.templates
             )
-        assert writer.result is not None
         return writer.result
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -120,7 +120,6 @@ def fit(
             writer.data["asked"] = options.requested()
             note_templates(writer, options.templates)
             _fit_site(noted(case, writer), site.name, out, writer, engine, options, progress)
-        assert writer.result is not None
         results.append(writer.result)
     return results
 
@@ -167,27 +166,20 @@ def _fit_site(
                 "uncertainty of the parameters cannot be determined"
             )
         elif options.intervals:
-            limit = options.max_interval_solves
-            wide = None
-            if len(modes):  # first, as the solves at their ends serve the narrower ones too
-                wide = _intervals(curve, knots, data, known, steps, limit, progress, modes)
-            intervals = of_noise = _intervals(curve, knots, data, known, steps, limit, progress)
+            search = _IntervalSearch(
+                curve=curve, knots=knots, data=data, known=known, steps=steps,
+                max_solves=options.max_interval_solves, progress=progress,
+            )  # fmt: skip
+            # the wide ones first, as the solves at their ends serve the narrower ones too
+            wide = search.intervals(modes) if len(modes) else None
+            intervals = of_noise = search.intervals()
             if wide is not None:
                 intervals = (no_narrower(wide[0], of_noise[0]), no_narrower(wide[1], of_noise[1]))
         identified = Identified(
-            curve,
-            knots,
-            data,
-            known[-1],
-            c_source,
-            START,
-            steps,
-            intervals,
-            cold,
-            why_none,
-            modes if len(modes) else None,
-            gains,
-        )
+            curve=curve, knots=knots, data=data, stiffness=known[-1], c_source=c_source, start=START,
+            steps=steps, intervals=intervals, cold_seconds=cold, why_no_intervals=why_none,
+            modes=modes if len(modes) else None, gains=gains,
+        )  # fmt: skip
         simulation = _write_fitted_run(fitted, solver, levels_there, writer, options, progress)
         write_result(identified, fitted, simulation, writer, site, seconds=time.perf_counter() - clock)
         write_cycle(levels, site, writer)
@@ -233,24 +225,36 @@ def _changed_boundaries(
     return changed_forces(fitted, forces, again, progress=progress)
 
 
-def _intervals(
-    curve: SolvedPoints, knots: Array, data: ForceDepth, known: Sequence[Stiffness],
-    steps: Sequence[FittedStep], limit: int, progress: Progress, modes: Array | None = None,
-) -> tuple[Intervals, Intervals]:  # fmt: skip
-    """Profile-likelihood intervals of both steps.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _IntervalSearch:
+    """What profile likelihoods of both steps need.
 
-    known : c and its uncertainty at each step; limit : greatest number of additional simulations
-    modes : changes of ln force by uncertain geometry and boundaries, to be included; None without them
+    known : c and its uncertainty at each step; max_solves : greatest number of additional simulations
     """
-    theta = steps[-1].theta
-    curve.expect(limit + _FIRST_SOLVES)
-    full = force_intervals(
-        curve, knots, data, known[-1], theta, max_solves=limit, shape_modes=modes, progress=progress
-    )
-    first = force_intervals(
-        curve, knots, data, known[0], steps[0].theta, free=(0,), max_solves=_FIRST_SOLVES, shape_modes=modes
-    )
-    return first, full
+
+    curve: SolvedPoints
+    knots: Array
+    data: ForceDepth
+    known: Sequence[Stiffness]
+    steps: Sequence[FittedStep]
+    max_solves: int
+    progress: Progress
+
+    def intervals(self, modes: Array | None = None) -> tuple[Intervals, Intervals]:
+        """Profile-likelihood intervals of both steps.
+
+        modes : changes of ln force by uncertain geometry and boundaries, to be included; None without them
+        """
+        self.curve.expect(self.max_solves + _FIRST_SOLVES)
+        full = force_intervals(
+            self.curve, self.knots, self.data, self.known[-1], self.steps[-1].theta,
+            max_solves=self.max_solves, shape_modes=modes, progress=self.progress,
+        )  # fmt: skip
+        first = force_intervals(
+            self.curve, self.knots, self.data, self.known[0], self.steps[0].theta, free=(0,),
+            max_solves=_FIRST_SOLVES, shape_modes=modes,
+        )  # fmt: skip
+        return first, full
 
 
 def _tissue_c(

@@ -43,7 +43,7 @@ ELEMENTS = ("tet4", "tet10")
 SWEEP = (10.0, 100.0, 650.0)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ElementFit:
     """Results with one element type: depths (n,) mm, forces (n,) N at the start values and after the fit,
     the last force at each f_kappa of the sweep, and the two steps of the fit.
@@ -85,7 +85,6 @@ def compare_elements(
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
             writer.data["asked"] = options.requested(COMPARISON)
             _compare_site(noted(case, writer), site.name, out, writer, options, progress)
-        assert writer.result is not None
         results.append(writer.result)
     return results
 
@@ -116,9 +115,10 @@ def _compare_site(
             linear = forces if not found else _forces_with(memory, found[0].steps[-1].theta, writer)
         finally:
             curve.close()
-        found.append(
-            ElementFit(element, curve.depths, start, np.array(sweep), steps, forces, linear, _unknowns(same))
-        )
+        found.append(ElementFit(
+            element=element, depths=curve.depths, start_force=start, sweep_force=np.array(sweep), steps=steps,
+            fitted_force=forces, linear_force=linear, n_unknowns=_unknowns(same),
+        ))  # fmt: skip
     _write(writer, found, kpa_from_mpa(stiffness.c), source, data.depth, data.force)
 
 

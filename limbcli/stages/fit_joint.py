@@ -76,7 +76,7 @@ class JointOptions:
     max_solves: int = 16
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Measured:
     """A site's contribution to the fit: its model and its levels.
 
@@ -167,7 +167,6 @@ def fit_joint(
         writer.data["asked"] = {**options.requested("joint"), "gain_deviation": joint.gain_deviation}
         writer.data["seconds"] = time.perf_counter() - clock
         write_mat_file(writer)
-    assert writer.result is not None
     return writer.result
 
 
@@ -187,7 +186,10 @@ def _measured(case: Case, site: Site, out: Path, writer: StageWriter, options: F
             writer.warnings.append(f"site {site.name}: layers are not used: {problem.what}")
     is_known = options.c_kpa is not None or np.isfinite(levels.swe_mean_m_per_s[0])
     c = initial_stiffness(levels, site, options)[0].c if is_known else None
-    return Measured(site, model, levels, c, error, layers if lines else None, lines)
+    return Measured(
+        site=site, model=model, levels=levels, c=c, studied_error=error, layers=layers if lines else None,
+        lines=lines,
+    )  # fmt: skip
 
 
 def _report_free(measured: Sequence[Measured], options: FitOptions, writer: StageWriter) -> None:
@@ -253,7 +255,10 @@ def _identify(
         data.append(site_data(each, curve.depths, joint, speeds=speeds))
     prior = None if any(len(each.log_speed) for each in data) else _c_prior(measured, options)
     beside = [curve.law.has_ratio for curve in exact]
-    task = JointTask(curves, data, law.shape, c0, log_speed_0, prior, beside)
+    task = JointTask(
+        curves=curves, data=data, shape=law.shape, c0=c0, log_speed_0=log_speed_0, c_deviation=prior,
+        beside_layers=beside,
+    )  # fmt: skip
     starts = [np.r_[c0, shape] for shape in first_shapes(law)]
     return joint_fit(task, starts, max_solves=joint.max_solves, progress=progress)
 
@@ -315,9 +320,11 @@ def site_data(measured: Measured, knots: Array, joint: JointOptions, *, speeds: 
     given = joint.gain_deviation if joint.gain_deviation is not None else measured.studied_error
     deviation = mean_speed_deviation(levels, speed_noise(measured.site))[seen]
     return SiteMeasurement(
-        measured.site.name, knots, levels.force[rows], levels.depth[rows], noise.force, noise.depth,
-        np.maximum(levels.force[seen], 0.0), np.log(levels.swe_mean_m_per_s[seen]),
-        np.maximum(deviation, 1e-4), gain_deviation(measured.model, given), _layer_data(measured),
+        name=measured.site.name, knots=knots, force=levels.force[rows], depth=levels.depth[rows],
+        force_deviation=noise.force, depth_deviation=noise.depth,
+        speed_force=np.maximum(levels.force[seen], 0.0), log_speed=np.log(levels.swe_mean_m_per_s[seen]),
+        speed_deviation=np.maximum(deviation, 1e-4),
+        gain_deviation=gain_deviation(measured.model, given), layers=_layer_data(measured),
     )  # fmt: skip
 
 

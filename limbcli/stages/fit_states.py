@@ -84,7 +84,7 @@ def fit_states(
     """
     states, options = states or StatesOptions(), options or FitOptions()
     check_numbers(options, gain_deviation=states.gain_deviation)
-    law = law_named(states.law)
+    law_named(states.law)  # before any work
     selected = [site for site in case.selected(sites) if site.states]
     if not selected:
         raise CaseError(
@@ -97,20 +97,19 @@ def fit_states(
         progress.event("stage", name=STAGE, site=site.name)
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
             clock = time.perf_counter()
-            _fit_site(noted(case, writer), site.name, out, writer, law, states, options, progress)
+            _fit_site(noted(case, writer), site.name, out, writer, states, options, progress)
             writer.data["asked"] = {**options.requested("states"), **requested_by_options(states)}
             writer.data["seconds"] = time.perf_counter() - clock
             write_mat_file(writer)
-        assert writer.result is not None
         results.append(writer.result)
     return results
 
 
 def _fit_site(
-    case: Case, name: str, out: Path, writer: StageWriter, law: FitLaw, states: StatesOptions,
-    options: FitOptions, progress: Progress,
+    case: Case, name: str, out: Path, writer: StageWriter, states: StatesOptions, options: FitOptions,
+    progress: Progress,
 ) -> None:  # fmt: skip
-    site = case.site(name)
+    site, law = case.site(name), law_named(states.law)
     plan = stretch_plan(site)
     measured = states_of(site)
     check_noise(site, speeds=True)
@@ -144,7 +143,7 @@ def _fit_site(
 
 def state_data(site: Site, model: LimbModel, each: MeasuredState, depths: Array) -> SiteMeasurement:
     """A state's loading levels with their stated noise; depths : of the simulated levels (mm)."""
-    taken = Measured(site, model, each.levels, 0.0)
+    taken = Measured(site=site, model=model, levels=each.levels, c=0.0)
     return replace(site_data(taken, depths, JointOptions(), speeds=True), name=each.state.name)
 
 
@@ -163,8 +162,9 @@ def identify(
         for each, offset, factors in zip(data, plan.offsets, plan.factors, strict=True)
     ]
     task = StatesTask(
-        memory, curve.even_speed, states, law.shape, plan.parameters, c0, gain, curve.law.has_ratio
-    )
+        curve=memory, even_speed=curve.even_speed, states=states, shape=law.shape,
+        stretches=plan.parameters, c0=c0, gain_deviation=gain, beside_layers=curve.law.has_ratio,
+    )  # fmt: skip
     return states_fit(task, starts(c0, law, plan), max_rounds=max_rounds, progress=progress)
 
 

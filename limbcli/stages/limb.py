@@ -73,7 +73,7 @@ _UNLIKE = 1.5  # ratio of a layer's largest to its smallest thickness above whic
 _ASSUMED_TUBE = "numbers"  # kind of the assumed geometry without a distal end
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LimbOptions:
     """Options of a limb's model: those of its mesh, and its stiffness (kPa) if given by hand.
 
@@ -132,12 +132,9 @@ def limb(
         tube = _is_tube(segmented)
         places = _places(case, segmented, skin, writer)
         mesh_options = LimbMeshOptions(
-            options.element or case.model.element,
-            options.nodes,
-            options.cut,
-            options.distal_cut or tube,
-            layers,
-        )
+            element=options.element or case.model.element, nodes=options.nodes, cut=options.cut,
+            distal_cut=options.distal_cut or tube, layers=layers,
+        )  # fmt: skip
         if options.site_size is not None:
             at = tuple((float(x), float(y), float(z)) for x, y, z in places.values())
             mesh_options = replace(mesh_options, fine_at=at, fine_size=options.site_size)
@@ -159,26 +156,21 @@ def limb(
         _report(writer, found, model, parts, frame, stiffness, values)
         if field is not None:
             _report_field(writer, field, values)
-            _write_draws(writer, field, model, centroids, sizes, options.draws, templates, progress)
+            _write_draws(writer, field, model, options.draws, templates, progress)
         _report_layers(writer, layers, sources, laws, mesh_options.element)
         writer.warnings.extend(warnings_of_limb(segmented))
         if tube and DISTAL_CUT in found.planes:
             writer.warnings.append("the assumed limb has no distal end: it is cut there, and free")
-        limb_picture(
-            writer.file("picture", "limb.png"),
-            frame,
-            surface,
-            parts,
-            sites=places,
-            title=f"{case.subject}: the limb",
-        )
+        picture, title = writer.file("picture", "limb.png"), f"{case.subject}: the limb"
+        limb_picture(picture, frame, surface, parts, sites=places, title=title)
         write_limb(
-            LimbFiles(model, frame, case.limb, surface, parts, columns_of(values)),
+            LimbFiles(
+                model=model, frame=frame, side=case.limb, skin=surface, parts=parts, values=columns_of(values)
+            ),
             writer,
             segmented,
             templates,
         )
-    assert writer.result is not None
     return writer.result
 
 
@@ -233,13 +225,14 @@ def _report_field(writer: StageWriter, field: CaseField, values: ElementValues) 
 
 
 def _write_draws(
-    writer: StageWriter, field: CaseField, model: LimbModel, centroids: Array, sizes: Array,
-    numbers: tuple[int, ...], templates: Path | None, progress: Progress,
+    writer: StageWriter, field: CaseField, model: LimbModel, numbers: tuple[int, ...],
+    templates: Path | None, progress: Progress,
 ) -> None:  # fmt: skip
     """draws.csv, and the models of some draws."""
+    tissue = model.mesh.block(TISSUE)
+    centroids, sizes = cell_centroids(model.mesh, tissue), volumes(model.mesh.points, tissue.cells)
     draws, few = Draws(field.field), sample_of(len(centroids))
     write_draws(writer.file("draws", "draws.csv"), draws.table(centroids[few], sizes[few]))
-    tissue = model.mesh.block(TISSUE)
     for n, k in enumerate(dict.fromkeys(numbers)):
         progress.event("task", name="limb: models of draws", done=n, total=len(numbers))
         drawn = model_of_draw(model, tissue, draws.draw(k), centroids, sizes)
@@ -431,7 +424,7 @@ def _report(
         writer.summary.append(
             f"c = {kpa_from_mpa(stiffness.c):.2f} kPa everywhere (assumed): {stiffness.source}"
         )
-    writer.warnings.extend(each for each in found.notes if "pushed inside" in each or "shut in" in each)
+    writer.warnings.extend(found.altered)
 
 
 def _report_layers(

@@ -73,7 +73,6 @@ def measure(
                     f"the maps in {site.swe_maps.name} already existed and are kept: to "
                     "use the new ones, copy them there from the output folder (swe)"
                 )
-        assert writer.result is not None
         if write:
             _write_levels(site, rows, writer.result)
             _write_maps(site, writer.result)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -137,10 +136,8 @@ def mesh_site(
     layer_sources: dict[str, str],
     out: Path,
     progress: Progress,
-    *,
-    facts: Mapping[str, Any] | None = None,
 ) -> StageResult:
-    """Mesh one site and write its folder below `out`; `facts` are stored in its result.
+    """Mesh one site and write its folder below `out`.
 
     Raises
     ------
@@ -159,7 +156,6 @@ def mesh_site(
         )
     with open_stage(out, "mesh", subject=case.subject, site=site.name) as writer:
         writer.data["asked"] = inputs.requested
-        writer.data.update(facts or {})
         inputs.note(writer, site)
         for path in sorted(each for each in map(segmented.path, segmented.files) if each.suffix == ".ply"):
             writer.used(path.name, path)
@@ -180,7 +176,6 @@ def mesh_site(
         _report(writer, found, options, limb, segmented, site)
         write_fibres(fibres, model, probe, site, writer)
         _report_layers(writer, options.layers, layer_sources, found)
-    assert writer.result is not None
     return writer.result
 
 

@@ -58,7 +58,6 @@ def report(
         writer.summary.append(f"page: {writer.target / PAGE_FILE}")
         writer.warnings += [each.text for each in glance.warnings]
         writer.warnings += [f"site {site.name}: {site.why_not_deformed}" for site in _not_drawn(page)]
-    assert writer.result is not None
     return writer.result
 
 
@@ -77,7 +76,6 @@ def _write_page(
     case = page.case
     facts = {
         "subject": case.subject, "limb": case.limb, "probe": _probe(case), "sites": case.sites,
-        "made_on": own["finished_utc"].replace("T", " ").replace("Z", " UTC"),
         "own": own, "overview": glance, "groups": chapters, "shown": embed(reportlets, files),
         "has_scene": any(each.scene for reportlet in reportlets for each in reportlet.pictures),
     }  # fmt: skip
@@ -89,8 +87,7 @@ def _write_page(
 
 def _not_drawn(page: ReportData) -> list[SiteMaterial]:
     """Sites with a simulation whose model or records cannot be read (truncated or damaged)."""
-    never_run = SiteMaterial.why_not_deformed
-    return [each for each in page.sites if each.deformed is None and each.why_not_deformed != never_run]
+    return [each for each in page.sites if each.deformed is None and each.why_not_deformed]
 
 
 def _probe(case: Case) -> str:

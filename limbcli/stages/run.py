@@ -103,7 +103,6 @@ def run_file(
     with open_stage(out, STAGE, subject=model_name(feb)) as writer:
         _simulate(feb, model, writer, engine, options, progress)
     shutil.rmtree(out / f"{STAGE}{FAILED}", ignore_errors=True)
-    assert writer.result is not None
     return writer.result
 
 
@@ -159,7 +158,6 @@ def _run_site(
         writer.data["asked"] = requested_by_options(options)
         _simulate(feb, runnable(feb), writer, engine, options, progress, levels=levels, site=site)
     shutil.rmtree(stage_folder(out, STAGE, site.name + FAILED), ignore_errors=True)
-    assert writer.result is not None
     return writer.result
 
 

@@ -28,8 +28,9 @@ from limbcli.imaging.marker_skin import without_bumps
 from limbcli.imaging.picture import contact_sheet
 from limbcli.imaging.quality import assess
 from limbcli.imaging.segmentation import Segmentation, SegmentationHints, segment_limb
-from limbcli.imaging.surface import SMOOTH, ClosedSurface, surface_of
+from limbcli.imaging.surface import SMOOTH, surface_of
 from limbcli.imaging.volume import Volume
+from limbcli.meshing.surfaces import Triangles
 from limbcli.progress import SILENT, Progress
 from limbcli.provenance.chain_inputs import noted
 from limbcli.provenance.requested_options import requested_of
@@ -49,7 +50,7 @@ EDITED = "edited labels"
 Seed = tuple[str, tuple[float, float, float]]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Options:
     seeds: tuple[Seed, ...]
     smooth: float
@@ -107,7 +108,10 @@ def segment(
         If the input cannot be used; the message gives the reason and the remedy.
     """
     progress.event("stage", name="segment")
-    options = _Options(_checked(seeds, case), smooth, threshold, limb, accept_bones, aop)
+    options = _Options(
+        seeds=_checked(seeds, case), smooth=smooth, threshold=threshold, limb=limb,
+        accept_bones=accept_bones, aop=aop,
+    )  # fmt: skip
     edited = None if fresh else edited_labels(out)
     if edited is not None:
         _check_edited(case, out, edited)
@@ -132,7 +136,6 @@ def segment(
             )
         if aop:
             write_skin_aop(case, writer)
-    assert writer.result is not None
     return writer.result
 
 
@@ -298,7 +301,7 @@ def _write(
     contact_sheet(sheet, image, found, names, title=f"{case.subject}, distal to proximal; quality: {verdict}")
 
 
-def _thinned(name: str, bone: Volume, surface: ClosedSurface) -> list[str]:
+def _thinned(name: str, bone: Volume, surface: Triangles) -> list[str]:
     """A warning if smoothing removed a large part of a thin bone's volume."""
     gone = 1.0 - surface.volume / (float(bone.values.sum()) * bone.voxel_volume)
     if gone <= _GONE:
@@ -316,7 +319,7 @@ def _report_markers(found: Segmentation, lowered: list[float], writer: StageWrit
         writer.summary.append(f"{len(found.markers)} skin marker(s), numbered from distal to proximal")
 
 
-def _report_layers(case: Case, found: Segmentation, skin: ClosedSurface, writer: StageWriter) -> None:
+def _report_layers(case: Case, found: Segmentation, skin: Triangles, writer: StageWriter) -> None:
     """Report the thickness of skin and fat under each site whose position is known."""
     places = {each.number: each.position for each in found.markers}
     layers = {}

@@ -46,6 +46,9 @@ _MOST_WITH_FRICTION = 20_000  # nodes above which friction gets a warning: with 
 _BALANCE = 1e-4  # of the largest force: a larger remainder is an error
 
 
+Intervals = dict[tuple[float, str, str], Interval]  # by load, patch and quantity
+
+
 @dataclass(frozen=True)
 class SocketOptions:
     """align : place the socket by its shape, as `align` in the case
@@ -92,7 +95,15 @@ def socket(
         masks = patch_masks(together.limb)
         rows = patch_rows(result.states, masks, together.skin.areas)
         _report(writer, result, rows, together)
-        intervals = _intervals(given, donning, together, limb, rows, options, writer, progress)
+        intervals: Intervals = {}
+        if options.intervals and "draws" in limb.files:
+            drawn = drawn_values(
+                limb.path("draws"), given.friction, given.friction_deviation,
+                tilt_deg=given.tilt_deviation, shift_mm=given.shift_deviation,
+            )  # fmt: skip
+            intervals = _intervals(together, donning, drawn, rows, writer, progress)
+        elif options.intervals:
+            writer.summary.append("no intervals: the limb has no draws, because no site tells its stiffness")
         write_patches(writer.file("patches", "patches.csv"), rows, intervals)
         for state in result.states:
             name = _name(state)
@@ -106,7 +117,6 @@ def socket(
         write_feb(result.model, writer.file("feb", "socket.feb"))
         _write_vtu(writer.file("vtu", "socket.vtu"), result, together)
         writer.warnings.extend(limb.warnings)
-    assert writer.result is not None
     return writer.result
 
 
@@ -162,15 +172,10 @@ def _solved(together: LimbInSocket, donning: DonningOptions, progress: Progress)
 
 
 def _intervals(
-    given: SocketInput, donning: DonningOptions, together: LimbInSocket, limb: StageResult,
-    rows: list[PatchPressure], options: SocketOptions, writer: StageWriter, progress: Progress,
-) -> dict[tuple[float, str, str], Interval]:  # fmt: skip
-    """Intervals over the limb's draws, none where it has none; their error and shares in the result."""
-    if not options.intervals:
-        return {}
-    if "draws" not in limb.files:
-        writer.summary.append("no intervals: the limb has no draws, because no site tells its stiffness")
-        return {}
+    together: LimbInSocket, donning: DonningOptions, drawn: Array, rows: list[PatchPressure],
+    writer: StageWriter, progress: Progress,
+) -> Intervals:  # fmt: skip
+    """Intervals over the limb's draws (`drawn_values`); their error and shares in the result."""
     masks = patch_masks(together.limb)
 
     def solved(model: LimbModel, friction: float, pose: Pose) -> list[PatchPressure]:
@@ -179,12 +184,8 @@ def _intervals(
         states = don_and_load(model, face, changed, progress=progress).states
         return patch_rows(states, masks, together.skin.areas)
 
-    drawn = drawn_values(
-        limb.path("draws"), given.friction, given.friction_deviation,
-        tilt_deg=given.tilt_deviation, shift_mm=given.shift_deviation,
-    )  # fmt: skip
     try:
-        found = pressure_intervals(together.limb, given.friction, rows, drawn, solved, progress)
+        found = pressure_intervals(together.limb, donning.friction, rows, drawn, solved, progress)
     except SolveError as error:
         writer.warnings.append(f"{error.what}; {error.fix}")
         return {}

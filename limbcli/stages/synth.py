@@ -226,7 +226,9 @@ def _measure_site(
             stretch=None if state is None else (state.along, state.around),
         )
         readings = read_off(true, law, options, number, state=None if state is None else k)
-        found.append(SyntheticSite(site.name, true, readings, law, facts, state))
+        found.append(
+            SyntheticSite(site=site.name, true=true, readings=readings, law=law, facts=facts, state=state)
+        )
     return found
 
 

@@ -19,10 +19,10 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import qmc
 
-from limbcli.cohorts.family import STRAINS, Answer, Member, solve_member
 from limbcli.errors import SolveError
 from limbcli.inference import layered_solves as solves
-from limbcli.meshing.slab import CellCounts
+from tests.benchmarks.layered_member import STRAINS, Answer, Member, solve_member
+from tests.benchmarks.layered_slab import CellCounts
 
 FILE = Path(__file__).resolve().parents[2] / "limbcli" / "inference" / "layered_family.csv"
 COLUMNS = (

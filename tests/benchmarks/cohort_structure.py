@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limbcli.cohorts import family
 from limbcli.feb.settings import schedule
 from limbcli.materials.ogden import ogden_type
-from limbcli.meshing.slab import CellCounts, Slab
 from limbcli.model import Block, Domain, LimbModel
 from limbcli.solvers.session import ReferenceSession
+from tests.benchmarks import layered_member as family
+from tests.benchmarks.layered_slab import CellCounts, Slab
 
 STRAINS = (0.05, 0.12, 0.2)
 RATIOS = (0.5, 1.0, 4.0, 15.0)

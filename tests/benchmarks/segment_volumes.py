@@ -47,7 +47,16 @@ def measure(name: str) -> dict[str, float | str]:
             series = Path(folder) / "mri"
             write_dicom(series, limb.image(shape=shape, spacing=spacing, samples=1)[0])
         probe = Probe(name="", length=53.0, width=14.0, edge_radius=3.0)
-        case = Case(Path(folder), "S1", "left", Imaging(mri=series), probe, ModelOptions(), (), {})
+        case = Case(
+            folder=Path(folder),
+            subject="S1",
+            limb="left",
+            imaging=Imaging(mri=series),
+            probe=probe,
+            model=ModelOptions(),
+            sites=(),
+            raw={},
+        )
         start, start_cpu = time.perf_counter(), time.process_time()
         result = segment(case, out=Path(folder) / "out")
         seconds, cpu = time.perf_counter() - start, time.process_time() - start_cpu

@@ -200,6 +200,8 @@ def measured(
     force[0], depth[0] = (0.0, 0.0) if reading is None else (force[0], 0.0)
     nan = np.full(n_levels, np.nan)
     return Levels(
-        force, depth, speed, nan, np.full(n_levels, 500.0), ("load",) * n_levels,
-        np.full(n_levels, hold), nan, nan, Path("levels.csv"),
+        force=force, depth=depth, swe_mean_m_per_s=speed, swe_sd_m_per_s=nan,
+        swe_pixels=np.full(n_levels, 500.0),
+        phase=("load",) * n_levels,
+        hold=np.full(n_levels, hold), probe_travel=nan, skin_bone=nan, path=Path("levels.csv"),
     )  # fmt: skip

@@ -43,7 +43,18 @@ def record(rng, *, shares=(), depth=True, noise=0.02, hold=HOLD_S) -> Trace:
 def levels() -> Levels:
     n, nan = len(DEPTHS), np.full(len(DEPTHS), np.nan)
     force = 0.12 * DEPTHS**1.5
-    return Levels(force, DEPTHS, nan, nan, nan, ("load",) * n, np.full(n, HOLD_S), nan, nan, Path("x"))
+    return Levels(
+        force=force,
+        depth=DEPTHS,
+        swe_mean_m_per_s=nan,
+        swe_sd_m_per_s=nan,
+        swe_pixels=nan,
+        phase=("load",) * n,
+        hold=np.full(n, HOLD_S),
+        probe_travel=nan,
+        skin_bone=nan,
+        path=Path("x"),
+    )
 
 
 def test_relaxing_force_of_a_ramp_is_the_convolution():

@@ -172,7 +172,16 @@ def test_fat_in_a_finer_mesh_is_recovered_by_its_layers(layered_block, rng):
     so, noise = read(truth, protocol), StatedNoise(0.02, 0.03, layer=0.05, source="repeats")
     off = [sd * np.r_[0.0, rng.standard_normal(n - 1)] for sd in (noise.force, noise.depth)]
     levels = Levels(
-        so.force + off[0], protocol.depth + off[1], nan, nan, nan, ("load",) * n, nan, nan, nan, Path("x")
+        force=so.force + off[0],
+        depth=protocol.depth + off[1],
+        swe_mean_m_per_s=nan,
+        swe_sd_m_per_s=nan,
+        swe_pixels=nan,
+        phase=("load",) * n,
+        hold=nan,
+        probe_travel=nan,
+        skin_bone=nan,
+        path=Path("x"),
     )
     seen = replace(layers, thickness=so.layers + noise.layer * rng.standard_normal((n, 2)))
     simulations = SiteSimulations(layered_block, depths, c=0.006, solving=ALONE, borders=BorderLines(seen))

@@ -37,7 +37,16 @@ def errors_of(
     simulations = SimpleNamespace(curves=lambda m: curves, windows=windows)
     nan = np.full(N, np.nan)
     levels = Levels(
-        np.arange(N) * 1.0, DEPTH, nan, nan, nan, ("load",) * N, nan, nan, nan, Path("levels.csv")
+        force=np.arange(N) * 1.0,
+        depth=DEPTH,
+        swe_mean_m_per_s=nan,
+        swe_sd_m_per_s=nan,
+        swe_pixels=nan,
+        phase=("load",) * N,
+        hold=nan,
+        probe_travel=nan,
+        skin_bone=nan,
+        path=Path("levels.csv"),
     )
     return ModelErrors(
         SimpleNamespace(

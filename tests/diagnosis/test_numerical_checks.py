@@ -46,7 +46,18 @@ def test_levels_on_the_way_back_err_by_their_depth_as_those_on_the_way_do():
         n = len(force)
         nan, phase = np.full(n, np.nan), ("load",) * 11 + ("unload",) * (n - 11)
         depth = 3.0 * np.log1p(force / 2.0)
-        found = Levels(force, depth, nan, nan, nan, phase, np.ones(n), nan, nan, Path("x"))
+        found = Levels(
+            force=force,
+            depth=depth,
+            swe_mean_m_per_s=nan,
+            swe_sd_m_per_s=nan,
+            swe_pixels=nan,
+            phase=phase,
+            hold=np.ones(n),
+            probe_travel=nan,
+            skin_bone=nan,
+            path=Path("x"),
+        )
         site = SimpleNamespace(noise=StatedNoise(force=0.1, depth=0.3))
         checks = NumericalChecks(None, site, found, None, out=Path(), size=5.0, notes=None, progress=None)
         sizes.append(checks._judged("crop", curve(1.4), stiffer, "").deviations)
@@ -91,7 +102,18 @@ def test_numerical_checks_are_made_at_the_m_that_the_measured_force_follows():
         n = len(depth)
         nan, one = np.full(n, np.nan), np.ones(n)
         force = 3.0 * depth ** (1.02 + 0.1 * m) * (1 + 0.02 * np.cos(9 * depth))
-        levels = Levels(force, depth, nan, nan, nan, ("load",) * n, one, nan, nan, Path("x"))
+        levels = Levels(
+            force=force,
+            depth=depth,
+            swe_mean_m_per_s=nan,
+            swe_sd_m_per_s=nan,
+            swe_pixels=nan,
+            phase=("load",) * n,
+            hold=one,
+            probe_travel=nan,
+            skin_bone=nan,
+            path=Path("x"),
+        )
         numerics = NumericalChecks(
             None, None, levels, Book(), out=Path(), size=5.0, notes=None, progress=None
         )

@@ -289,7 +289,16 @@ def measured_on_steep(depth_error) -> Levels:
     depth = np.log1p(force / 0.3) / 1.1
     nan, speed = np.full(14, np.nan), np.exp(0.7 + 0.1 * depth + 0.02 * depth**2)
     return Levels(
-        force, depth + depth_error, speed, nan, np.full(14, 100.0), ("load",) * 14, nan, nan, nan, Path("x")
+        force=force,
+        depth=depth + depth_error,
+        swe_mean_m_per_s=speed,
+        swe_sd_m_per_s=nan,
+        swe_pixels=np.full(14, 100.0),
+        phase=("load",) * 14,
+        hold=nan,
+        probe_travel=nan,
+        skin_bone=nan,
+        path=Path("x"),
     )
 
 

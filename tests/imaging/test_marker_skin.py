@@ -8,12 +8,12 @@ from scipy.spatial import Delaunay
 
 from limbcli.imaging.marker_skin import without_bumps
 from limbcli.imaging.markers import MarkerCapsule
-from limbcli.imaging.surface import ClosedSurface
+from limbcli.meshing.surfaces import Triangles
 
 RADIUS, LENGTH = 45.0, 80.0
 
 
-def tube(bump: float, at: float = 0.3) -> tuple[ClosedSurface, MarkerCapsule, np.ndarray]:
+def tube(bump: float, at: float = 0.3) -> tuple[Triangles, MarkerCapsule, np.ndarray]:
     """A limb of radius 45 mm along z, its sides only, with a bump 5 mm wide; and where that is."""
     rng = np.random.default_rng(7)
     grid = np.stack(np.meshgrid(np.arange(0, 2 * np.pi * RADIUS, 2.0), np.arange(0, LENGTH, 2.0)), -1)
@@ -25,10 +25,10 @@ def tube(bump: float, at: float = 0.3) -> tuple[ClosedSurface, MarkerCapsule, np
     points = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
     place = (RADIUS + 4.0) * np.array([np.cos(at), np.sin(at), 0.0]) + [0, 0, LENGTH / 2]
     marker = MarkerCapsule(1, tuple(place.tolist()), 250.0)
-    return ClosedSurface(points, triangles.astype(np.int64)), marker, away
+    return Triangles(points, triangles.astype(np.int64)), marker, away
 
 
-def radius(surface: ClosedSurface) -> np.ndarray:
+def radius(surface: Triangles) -> np.ndarray:
     return np.hypot(surface.points[:, 0], surface.points[:, 1])
 
 
@@ -38,7 +38,7 @@ def test_bump_under_a_marker_is_taken_off_and_the_rest_stays():
     assert moved[0] == pytest.approx(0.7, abs=0.12)
     assert np.abs(radius(mended) - RADIUS)[away < 8].max() < 0.12
     assert np.array_equal(mended.points[away > 20], skin.points[away > 20])
-    assert mended.triangles is skin.triangles
+    assert mended.faces is skin.faces
 
 
 def test_smooth_skin_is_left_where_it_is():

@@ -7,8 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from limbcli.errors import CaseError, MeshError
-from limbcli.imaging.surface import ClosedSurface, joined, read_surface, surface_of, write_surface
+from limbcli.imaging.surface import joined, read_surface, surface_of, write_surface
 from limbcli.imaging.volume import Volume
+from limbcli.meshing.surfaces import Triangles, bodies
 
 
 def cylinder(*, spacing=(1.0, 1.0, 3.0), shape=(60, 60, 20), radius=22.0, mirrored=False):
@@ -25,7 +26,7 @@ def cylinder(*, spacing=(1.0, 1.0, 3.0), shape=(60, 60, 20), radius=22.0, mirror
 def test_a_cylinder_through_the_image_is_closed_with_its_true_volume(mirrored):
     surface = surface_of(cylinder(mirrored=mirrored), edge=2.5)
     assert surface.is_closed
-    assert surface.n_parts == 1
+    assert len(bodies(surface)) == 1
     assert surface.volume == pytest.approx(np.pi * 22.0**2 * 60.0, rel=0.01)
 
 
@@ -63,7 +64,7 @@ def test_specks_and_holes_do_not_reach_the_surface():
     mask = cylinder()
     mask.values[2, 2, 5] = True
     mask.values[28:31, 28:31, 9:11] = False
-    assert surface_of(mask, edge=2.5).n_parts == 1
+    assert len(bodies(surface_of(mask, edge=2.5))) == 1
 
 
 def test_surfaces_survive_files(tmp_path):
@@ -76,9 +77,9 @@ def test_surfaces_survive_files(tmp_path):
 
 def test_a_triangle_soup_is_joined_into_a_closed_surface():
     surface = surface_of(cylinder(), edge=4.0)
-    soup = ClosedSurface(
-        surface.points[surface.triangles].reshape(-1, 3),
-        np.arange(3 * len(surface.triangles)).reshape(-1, 3),
+    soup = Triangles(
+        surface.points[surface.faces].reshape(-1, 3),
+        np.arange(3 * len(surface.faces)).reshape(-1, 3),
     )
     assert not soup.is_closed
     assert joined(soup).is_closed
@@ -86,15 +87,15 @@ def test_a_triangle_soup_is_joined_into_a_closed_surface():
 
 def test_triangles_that_a_file_holds_twice_count_once():
     once = surface_of(cylinder(), edge=5.0)
-    twice = np.vstack([once.triangles, np.roll(once.triangles[::2], 1, axis=1)])
-    found = joined(ClosedSurface(once.points, twice))
+    twice = np.vstack([once.faces, np.roll(once.faces[::2], 1, axis=1)])
+    found = joined(Triangles(once.points, twice))
     assert found.is_closed
     assert found.volume == pytest.approx(once.volume)
 
 
 def test_an_open_surface_is_seen_as_open():
     surface = surface_of(cylinder(), edge=4.0)
-    assert not ClosedSurface(surface.points, surface.triangles[1:]).is_closed
+    assert not Triangles(surface.points, surface.faces[1:]).is_closed
 
 
 def test_a_file_that_is_no_surface_is_refused(tmp_path):

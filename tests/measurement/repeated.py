@@ -43,7 +43,7 @@ def repeated(
         depth = depth + 0.3 * rng.standard_normal(len(depth))
     nan = np.full(len(force), np.nan)
     return Levels(
-        force, depth, nan, nan, nan, tuple(columns["phase"]), nan, moved if travel else nan, nan,
-        Path("x.csv"),
-        cycle=np.array(columns["cycle"], dtype=np.int64),
+        force=force, depth=depth, swe_mean_m_per_s=nan, swe_sd_m_per_s=nan, swe_pixels=nan,
+        phase=tuple(columns["phase"]), hold=nan, probe_travel=moved if travel else nan, skin_bone=nan,
+        path=Path("x.csv"), cycle=np.array(columns["cycle"], dtype=np.int64),
     )  # fmt: skip

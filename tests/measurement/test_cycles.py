@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,10 @@ def parallelogram() -> Levels:
     depth = np.array([0.0, 2.0, 4.0, 4.0, 2.0])
     nan = np.full(5, np.nan)
     phase = ("load",) * 3 + ("unload",) * 2
-    return Levels(force, depth, nan, nan, nan, phase, nan, nan, nan, Path("x.csv"))
+    return Levels(
+        force=force, depth=depth, swe_mean_m_per_s=nan, swe_sd_m_per_s=nan, swe_pixels=nan, phase=phase,
+        hold=nan, probe_travel=nan, skin_bone=nan, path=Path("x.csv"),
+    )  # fmt: skip
 
 
 def test_energy_is_the_area_of_the_loop():
@@ -42,10 +46,7 @@ def test_energy_of_a_loop_that_stays_open_is_that_above_its_last_level():
     levels = parallelogram()
     force = levels.force.copy()
     force[-1] = 2.0  # at 2 mm, where loading had 2 N too: from there on
-    found = cycle_energy(
-        Levels(force, levels.depth, *[levels.swe_mean_m_per_s] * 3, levels.phase,
-               *[levels.hold] * 3, levels.path), 1, 0.1, 0.3,
-    )  # fmt: skip
+    found = cycle_energy(replace(levels, force=force), 1, 0.1, 0.3)
     assert not found.closed
     assert found.work == pytest.approx(8.0, abs=1e-12)
     assert found.lost == pytest.approx(8.0 - 6.0, abs=1e-12)
@@ -56,7 +57,10 @@ def test_a_loop_is_closed_by_the_first_touch_of_the_next_cycle():
     closed, nan, n = parallelogram(), np.full(7, np.nan), 5
     force, depth = np.r_[closed.force, 2.0, 6.0], np.r_[closed.depth, 3.0, 4.5]
     phase, cycle = (*closed.phase[: n - 1], *("load",) * 3), np.array([1.0] * (n - 1) + [2.0] * 3)
-    levels = Levels(force, depth, nan, nan, nan, phase, nan, nan, nan, Path("x.csv"), cycle=cycle)
+    unread = dict.fromkeys(
+        ("swe_mean_m_per_s", "swe_sd_m_per_s", "swe_pixels", "hold", "probe_travel", "skin_bone"), nan
+    )
+    levels = Levels(force=force, depth=depth, phase=phase, path=Path("x.csv"), cycle=cycle, **unread)
     found, alone = cycle_energy(levels, 1, 0.1, 0.3), cycle_energy(closed, 1, 0.1, 0.3)
     assert (found.work, found.lost, found.closed) == (alone.work, alone.lost, True)
     assert found.lost_deviation == pytest.approx(alone.lost_deviation)
@@ -65,7 +69,10 @@ def test_a_loop_is_closed_by_the_first_touch_of_the_next_cycle():
 def test_a_difference_is_largest_where_its_own_deviation_is_least():
     covariance = np.diag([1.0, 0.01, 0.25])
     three = np.arange(3.0)
-    found = Difference(1, 2, three, np.array([2.0, -0.5, 1.0]), covariance, three, three)
+    found = Difference(
+        earlier=1, later=2, force=three, depth=np.array([2.0, -0.5, 1.0]), covariance=covariance, slope=three,
+        earlier_depth=three,
+    )  # fmt: skip
     assert found.largest == 1  # five deviations; two of the others
 
 

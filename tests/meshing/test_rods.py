@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from limbcli.errors import CaseError
-from limbcli.imaging.surface import ClosedSurface
 from limbcli.meshing.frame import closest_on_triangles
 from limbcli.meshing.mending import mend
 from limbcli.meshing.rods import BoneHit, Rod, limb_axis, rods_for, tube
+from limbcli.meshing.surfaces import Triangles
 
 
 def closed(surface) -> bool:
-    made = ClosedSurface(surface.points, surface.faces)
+    made = Triangles(surface.points, surface.faces)
     return made.is_closed and made.volume > 0
 
 

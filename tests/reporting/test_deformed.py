@@ -23,8 +23,9 @@ def state(**changes: object) -> DeformedState:
     skin = {"quad4": np.array([[4, 5, 6, 7]])}
     cut = {"quad4": np.array([[0, 3, 2, 1], [0, 1, 5, 4]])}
     base = DeformedState(
-        CORNERS, displacement, "tet4", TETS, skin, {}, {"quad4": np.array([[4, 5, 6, 7]])},
-        np.array([0.0, 0.0, -0.5]), 0.5, np.full(6, 0.75), cut,
+        points=CORNERS, displacement=displacement, kind="tet4", cells=TETS, skin=skin, bone={},
+        probe={"quad4": np.array([[4, 5, 6, 7]])},
+        probe_shift=np.array([0.0, 0.0, -0.5]), depth=0.5, stretch=np.full(6, 0.75), cut=cut,
     )  # fmt: skip
     return replace(base, **changes)
 

@@ -48,7 +48,14 @@ def maps(n: int, *, measured: bool) -> list[LevelMaps]:
 
 def tetrahedron() -> StiffnessSection:
     points = np.array([[0.0, -1, 0], [9, 1, 0], [0, 1, -9], [9, -1, -9]])
-    return StiffnessSection(points, "tet4", np.arange(4)[None], np.array([8.0]), DEPTH, DEPTH)
+    return StiffnessSection(
+        points=points,
+        kind="tet4",
+        cells=np.arange(4)[None],
+        c_kpa=np.array([8.0]),
+        lateral=DEPTH,
+        depth=DEPTH,
+    )
 
 
 def figures() -> dict[str, Figure]:
@@ -183,7 +190,15 @@ def test_no_legend_lies_over_what_is_drawn():
     walks = [FitWalk(key, key, cost, {"m": cost}) for key in ("mooney-rivlin", "ogden")]
     loops = [Loop(k, (DEPTH, DEPTH**0.5), (DEPTH[::-1], DEPTH[::-1])) for k in range(1, 13)]
     readings = [StateReading(f"state {k}", 1.0 + 1e-3 * k, 0.9, 1.2, 2.0, 0.1) for k in range(4)]
-    panel = StatesPanel("along", "case", readings, 0.9 + DEPTH / 30, 2.0 + DEPTH, 1.0, None)
+    panel = StatesPanel(
+        way="along",
+        counted="case",
+        readings=readings,
+        stretch=0.9 + DEPTH / 30,
+        speed=2.0 + DEPTH,
+        unloaded=1.0,
+        lowest=None,
+    )
     for figure in (
         force_depth(measured, [curve("start", 9.0), curve("ogden", 1.5)]),
         fit_walk(walks), cycles(loops), states_figure([panel]), profile_figure([valley("m")]),
@@ -228,7 +243,7 @@ def test_tables_beside_figures_name_every_curve():
     back = np.r_[np.zeros(9, bool), True, True]
     measured = MeasuredCurve(DEPTH, 1.5 * DEPTH, 0.3, 0.1, unloading=back)
     loops = [Loop(k, (DEPTH, DEPTH), (DEPTH[::-1], DEPTH), 3.0, 1.0, 0.1) for k in (1, 2)]
-    known = EstimateView("c", 5.0, "kPa", 4.0, 7.0, "", "fixed")
+    known = EstimateView(name="c", value=5.0, unit="kPa", low=4.0, high=7.0, flag="fixed")
     rows = [StudyRow("A p1", {"c": known}), StudyRow("B p1", {"c": replace(known, high=None, flag="weak")})]
     middle = {"beyond_family": None, "geometric_mean": 2.0, "spread_factor": 1.2, "low": 1.8, "high": 2.2}
     names = ("c_muscle_kpa", "c_fat_kpa", "m")
@@ -267,7 +282,7 @@ def test_cycles_and_sites_of_a_cohort_can_be_told_apart():
 
 def test_long_names_leave_room_for_the_parameters_of_a_study():
     names = [f"Patient-mit-sehr-langem-Namen-{k} (Ordner {k}) medial proximal" for k in range(12)]
-    known = EstimateView("c", 5.0, "kPa", 4.0, 7.0, "", "fixed")
+    known = EstimateView(name="c", value=5.0, unit="kPa", low=4.0, high=7.0, flag="fixed")
     figure = drawn(study_figure([StudyRow(name, {"c": known}) for name in names]))
     assert all(axes.bbox.width > 0.2 * figure.bbox.width for axes in figure.axes)
     labels = [each.get_window_extent() for each in figure.axes[0].get_yticklabels()]

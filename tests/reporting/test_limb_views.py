@@ -16,7 +16,15 @@ def placed(outward: tuple[float, float, float], place: tuple[float, float, float
     along = np.cross([0.0, 0.0, 1.0], outward)
     face = np.array(place) + np.array([-20.0, 20.0, 20.0, -20.0])[:, None] * along
     face[:, 2] += [-5.0, -5.0, 5.0, 5.0]
-    return LimbPlace("p1", "left", BOX, SIDES, np.array(place), np.array(outward), face)
+    return LimbPlace(
+        name="p1",
+        limb="left",
+        points=BOX,
+        triangles=SIDES,
+        place=np.array(place),
+        outward=np.array(outward),
+        face=face,
+    )
 
 
 @pytest.mark.parametrize(
@@ -51,5 +59,7 @@ def test_the_probes_face_is_drawn_at_its_place_and_left_is_where_the_viewer_sees
 
 def test_a_site_without_a_mesh_is_marked_by_a_cross():
     limb = placed((0.0, -1.0, 0.0), (0.0, -30.0, 50.0))
-    figure = limb_place_figure(LimbPlace("p1", "left", BOX, SIDES, limb.place, limb.outward))
+    figure = limb_place_figure(
+        LimbPlace(name="p1", limb="left", points=BOX, triangles=SIDES, place=limb.place, outward=limb.outward)
+    )
     assert [row[6:8] for row in figure_data(figure) if row[4] == "p1"] == [(0.0, 50.0)]

@@ -53,7 +53,8 @@ def test_a_warning_that_is_passed_on_is_listed_once(tmp_path):
     for stage, site in (("segment", None), ("mesh", "p1")):
         with open_stage(tmp_path, stage, subject="S1", site=site) as writer:
             writer.warnings.append("the fibula is thin")
-    assert read_outcomes(tmp_path, ("p1",)).warnings() == [("segment", "the fibula is thin")]
+    ((outcome, text),) = read_outcomes(tmp_path, ("p1",)).warnings()
+    assert (outcome.label, text) == ("segment", "the fibula is thin")
 
 
 def test_stages_behind_a_failed_one_are_held_up_not_failed(tmp_path):

@@ -14,9 +14,10 @@ from limbcli.diagnosis.mesh_error.model_errors import USUAL_GAIN, assumed_gain
 from limbcli.errors import CaseError
 from limbcli.fitting.geometry import NOT_ALLOWED_FOR
 from limbcli.fitting.geometry_variations import depth_deviation
-from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
+from limbcli.imaging.surface import read_surface, write_surface
 from limbcli.meshing.frame import closest_on_triangles
 from limbcli.meshing.rods import Rod, tube
+from limbcli.meshing.surfaces import Triangles
 from limbcli.phantom.protocol import LoadingProtocol
 from limbcli.provenance.chain import Chain
 from limbcli.results import read_result
@@ -83,14 +84,14 @@ def scanned(folder: Path, *, place: str = "position_mm = [0, -31.8, 10]", first:
     """A round skin, coarse so as to be quick; the B-mode image shows bone."""
     folder.mkdir(exist_ok=True)
     skin = tube(RADIUS, 160.0).surface(edge=4.0)
-    write_surface(folder / "skin.ply", ClosedSurface(skin.points, skin.faces))
+    write_surface(folder / "skin.ply", Triangles(skin.points, skin.faces))
     return numbers(folder, shape=SCAN.replace(".stl", ".ply"), place=place, more=",skin_bone_mm", first=first)
 
 
 def beam_length(folder: Path, point: np.ndarray) -> float:
     """mm from a point to the bone."""
     bone = read_surface(folder / "bone_1.ply")
-    nearest = closest_on_triangles(point, bone.points[bone.triangles])
+    nearest = closest_on_triangles(point, bone.points[bone.faces])
     return float(np.linalg.norm(nearest - point, axis=1).min())
 
 
@@ -296,7 +297,7 @@ def flank_and_slope(folder: Path, *, angle_deg: float, slope: float) -> Case:
     across = towards - (towards @ axis) * axis
     bone = Rod(centre, axis, radius, -60.0, 60.0, across / np.linalg.norm(across))
     for name, each in (("skin", skin.surface(edge=4.0)), ("bone", bone.surface(edge=3.0))):
-        write_surface(folder / f"{name}.ply", ClosedSurface(each.points, each.faces))
+        write_surface(folder / f"{name}.ply", Triangles(each.points, each.faces))
     imaging = 'skin = "skin.ply"\nbones = ["bone.ply"]'
     (folder / "case.toml").write_text(
         CASE.format(imaging=imaging, place=f"position_mm = [0, {-RADIUS:.4f}, 0]")

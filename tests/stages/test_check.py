@@ -14,6 +14,7 @@ import pytest
 from limbcli.case import Case
 from limbcli.cli.app import main
 from limbcli.errors import CaseError
+from limbcli.meshing.surfaces import Triangles
 from limbcli.site_model.mesh_checks import bone_warnings, measured_skin_bone
 from limbcli.stages.check import check
 from limbcli.stages.segment import segment
@@ -182,13 +183,13 @@ def test_exit_code_is_that_of_the_measurement_where_only_that_is_wrong(folder: P
 
 @pytest.mark.slow
 def test_a_bone_elsewhere_and_sites_off_the_skin_are_told(tmp_path: Path):
-    from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
+    from limbcli.imaging.surface import read_surface, write_surface
 
     shutil.copytree(REPOSITORY / "cases" / "paper-parameters", tmp_path / "case")
     folder = tmp_path / "case"
     assert not [each.what for each in check(folder).problems if each.severity == "error"]
     tibia = read_surface(folder / "surfaces" / "tibia.ply")
-    moved = ClosedSurface(tibia.points + np.array([200.0, 0, 0]), tibia.triangles)
+    moved = Triangles(tibia.points + np.array([200.0, 0, 0]), tibia.faces)
     write_surface(folder / "surfaces" / "tibia.ply", moved)
     text = (folder / "case.toml").read_text()
     (folder / "case.toml").write_text(text.replace("[3.0, 36.0, 0.0]", "[3.0, 136.0, 0.0]", 1))

@@ -16,7 +16,6 @@ from limbcli.cli.app import main
 from limbcli.cohorts.column_checks import checked_cohort
 from limbcli.cohorts.compliance import _person_share, _Slab
 from limbcli.cohorts.estimate import estimate_sites, noise_of
-from limbcli.cohorts.family import Member, solve_member
 from limbcli.cohorts.population import CohortModel, readings, row_modes_of
 from limbcli.cohorts.result import holm, natural, person_scores
 from limbcli.errors import CaseError, MeasurementError
@@ -24,6 +23,7 @@ from limbcli.inference.layered_family import is_inside, layered_family
 from limbcli.inference.layered_solves import FILE, HIGH, LOW, read_solved
 from limbcli.stages.cohort import _refuse_foreign, cohort, read_cohort
 from tests.benchmarks.cohort_structure import SHAPES, STRUCTURES, Structure, strains_and_force
+from tests.benchmarks.layered_member import Member, solve_member
 from tests.cohort_rows import people, written
 
 MEAN = np.log([0.006, 0.010, 4.0])

@@ -172,7 +172,14 @@ def written(folder: Path, monkeypatch: pytest.MonkeyPatch, given: list[str], *si
     case = SimpleNamespace(subject="B1")
     inputs = SimpleNamespace(into=lambda writer: None)
     run = _Diagnosed(
-        case, [each.site for each in prepared], folder, (), DiagnoseOptions(), None, SILENT, inputs
+        case=case,
+        sites=[each.site for each in prepared],
+        out=folder,
+        effects=(),
+        options=DiagnoseOptions(),
+        draining=None,
+        progress=SILENT,
+        inputs=inputs,
     )
     return run._write(None, forward_model, prepared, 0)
 

@@ -89,8 +89,10 @@ def test_layers_of_a_later_cycle_have_the_numbers_of_its_rows_in_the_file(tmp_pa
     """As in swe.csv: a row of either is found in levels.csv by its number."""
     nan, three, thickness = np.full(3, np.nan), np.arange(3.0), np.array([[1.5, 5.0], [1.4, 4.5], [1.3, 4.0]])
     levels = Levels(
-        three, three, nan, nan, nan, ("load",) * 3, nan, nan, nan, tmp_path / "levels.csv",
-        {"skin": thickness[:, 0], "fat": thickness[:, 1]}, np.full(3, 2), np.array([5, 6, 7]), 8,
+        force=three, depth=three, swe_mean_m_per_s=nan, swe_sd_m_per_s=nan, swe_pixels=nan,
+        phase=("load",) * 3, hold=nan, probe_travel=nan, skin_bone=nan, path=tmp_path / "levels.csv",
+        layers={"skin": thickness[:, 0], "fat": thickness[:, 1]}, cycle=np.full(3, 2),
+        rows=np.array([5, 6, 7]), n_in_file=8,
     )  # fmt: skip
     found = PredictedLayers(np.arange(3), thickness, 0.0)
     monkeypatch.setattr(fitted_layers, "predict_layers", lambda *_: found)

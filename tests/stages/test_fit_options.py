@@ -59,5 +59,8 @@ def test_a_second_search_for_intervals_announces_its_own_simulations(monkeypatch
     monkeypatch.setattr(stage, "force_intervals", lambda *_, **__: told.append(curve.at_most))
     step = SimpleNamespace(theta=None)
     for curve.n_solves in (8, 22):
-        stage._intervals(SolvedPoints(curve), None, None, [None, None], [step, step], 12, SILENT)
+        stage._IntervalSearch(
+            curve=SolvedPoints(curve), knots=None, data=None, known=[None, None], steps=[step, step],
+            max_solves=12, progress=SILENT,
+        ).intervals()  # fmt: skip
     assert told == [22, 22, 36, 36]

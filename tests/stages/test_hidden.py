@@ -40,7 +40,15 @@ def _trace() -> np.ndarray:
 def _readings() -> Readings:
     true = _true()
     layers = np.array([[1.5, 5.0]] * 3)
-    return Readings(true.force, true.depth, true.maps, 30.0 - true.depth, 6.0, _trace(), layers=layers)
+    return Readings(
+        force=true.force,
+        depth=true.depth,
+        maps=true.maps,
+        skin_bone=30.0 - true.depth,
+        hold=6.0,
+        trace=_trace(),
+        layers=layers,
+    )
 
 
 def shown(text: str) -> Readings:
@@ -142,7 +150,9 @@ def test_readings_are_distorted_alike_in_whatever_order_it_is_asked_for(names):
 def test_the_truth_tells_which_of_its_levels_were_not_read():
     plan = SynthOptions(noise=0.0, hidden=(hide("depth-zero=1.2"),))
     readings = read_off(_true(), NoiseLaw().times(0.0), plan, 0)
-    site = SyntheticSite("p1", _true(), readings, NoiseLaw(), {"element": "tet4", "n_elements": 3})
+    site = SyntheticSite(
+        site="p1", true=_true(), readings=readings, law=NoiseLaw(), facts={"element": "tet4", "n_elements": 3}
+    )
     (true,) = truth_table([site], plan)["site"]
     assert np.delete(true["force_n"], true["levels_not_read"]) == pytest.approx(readings.force)
     assert "p1: 2 levels" in summary_of(site)

@@ -64,7 +64,14 @@ def test_friction_is_pressed_in_even_steps_and_resists() -> None:
     )
     assert len(rubbed.depth) == len(free.depth) == 4
     assert (rubbed.depth[1:] < free.depth[1:]).all()
-    press = Press(block_model(), KnownTissue(), 1.0, 1e-3, SILENT, hide("friction=0.5").in_model)
+    press = Press(
+        meshed=block_model(),
+        tissue=KnownTissue(),
+        spacing=1.0,
+        tolerance=1e-3,
+        progress=SILENT,
+        change=hide("friction=0.5").in_model,
+    )
     step = press._loaded(3.3).steps[0]
     times = np.diff([0.0, *step_times(step, every=True)])
     assert np.ptp(times) < 1e-9

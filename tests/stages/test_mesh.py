@@ -28,7 +28,7 @@ from limbcli.site_model.mesh_checks import (
 )
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment
-from limbcli.stages.segmenting.surfaces import read_surfaces, triangles_of
+from limbcli.stages.segmenting.surfaces import read_surfaces
 
 CASE = """format = 1
 [subject]
@@ -168,7 +168,7 @@ def test_drawn_bodies_whose_triangles_span_the_limb_are_a_limb(folder, tmp_path)
         ("tibia", prism(8.0, -60.0, 60.0, along=2)),
     ):
         meshio.write(tmp_path / "drawn" / f"{name}.ply", meshio.Mesh(body.points, [("triangle", body.faces)]))
-    surfaces = triangles_of(read_surfaces(Case.open(tmp_path / "drawn"))[0])
+    surfaces = read_surfaces(Case.open(tmp_path / "drawn"))[0]
     assert errors_of(limb_problems(surfaces, limb="left", where="drawn")) == []
     assert surfaces["skin"].volume == pytest.approx(prism(30.0, -60.0, 60.0).volume)
     corners = surfaces["skin"].corners

@@ -29,7 +29,7 @@ from limbcli.reporting.sections.next_steps import next_steps
 from limbcli.reporting.sections.overview import overview
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.reporting.sections.states import states
-from limbcli.reporting.sections.warning_box import CHANGES, SourcedWarning, warning_groups
+from limbcli.reporting.sections.warning_box import Changes, SourcedWarning, changes_of, warning_groups
 from limbcli.results import open_stage, read_result, sealed
 from limbcli.stages.batching.outcome import keep_error
 from limbcli.stages.report import report
@@ -607,10 +607,10 @@ def test_warnings_are_ranked_by_what_they_can_change_and_told_once(tmp_path):
     content["data"]["boundary_check"] = {"cut_free": {"force_change_fraction": [-0.07, -0.1]}}
     path.write_text(json.dumps(sealed(content)))
     glance = overview(gather(case, out=out))
-    kinds = [each.kind for each in glance.warnings]
-    assert kinds == sorted(kinds, key=list(CHANGES).index)
+    kinds = [each.changes for each in glance.warnings]
+    assert kinds == sorted(kinds, key=list(Changes).index)
     assert len({each.text for each in glance.warnings}) == len(glance.warnings)
-    (model,) = [each for each in glance.warning_groups if each.changes == CHANGES["model"]]
+    (model,) = [each for each in glance.warning_groups if each.changes == Changes.MODEL]
     assert "cut plane free, not held: force -10.0 to -7.0 %" in model.size
     html = report(case, out=out).path("page").read_text(encoding="utf-8")
     for each in glance.warnings:
@@ -620,7 +620,8 @@ def test_warnings_are_ranked_by_what_they_can_change_and_told_once(tmp_path):
 
 def test_many_warnings_fold_those_that_change_no_parameter_directly(tmp_path):
     page = gather(make_case(tmp_path / "case"), out=tmp_path / "out")
-    told = [SourcedWarning(source, f"w{n}") for n, source in enumerate(("fit p1", *["mesh p1"] * 4))]
+    stages = ("fit", *["mesh"] * 4)
+    told = [SourcedWarning(f"{stage} p1", f"w{n}", changes_of(stage)) for n, stage in enumerate(stages)]
     assert [each.folded for each in warning_groups(told, page)] == [False, True]
     assert [each.folded for each in warning_groups(told[:3], page)] == [False, False]
 

@@ -14,7 +14,8 @@ import pytest
 
 from limbcli.case import Case, Imaging, ModelOptions, Probe, Site, StatedNoise
 from limbcli.errors import CaseError
-from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
+from limbcli.imaging.surface import read_surface, write_surface
+from limbcli.meshing.surfaces import Triangles
 from limbcli.phantom.dicom_series import write_series
 from limbcli.phantom.mri import acquire, tissue_fractions
 from limbcli.phantom.subject import make_subject
@@ -178,7 +179,7 @@ def test_a_bone_in_another_frame_and_unit_lies_where_it_was_and_it_is_said(segme
     _, first, _ = segmented
     tibia = read_surface(first.path("bone_tibia"))
     rows = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in tibia.points * [-1e-3, -1e-3, 1e-3]]
-    rows += [f"f {a} {b} {c}" for a, b, c in tibia.triangles + 1]
+    rows += [f"f {a} {b} {c}" for a, b, c in tibia.faces + 1]
     head = "# 3D Slicer output. SPACE=RAS\n# where 1 unit = 1000.000000 mm\n"
     (tmp_path / "tibia.obj").write_text(head + "\n".join(rows))
     case = case_with(tmp_path, skin=first.path("skin"), bones=(tmp_path / "tibia.obj",))
@@ -198,8 +199,8 @@ def test_one_file_with_all_bodies_is_taken_apart(segmented, tmp_path):
     _, first, _ = segmented
     parts = [read_surface(first.path(name)) for name in ("bone_tibia", "skin", "bone_fibula")]
     starts = np.cumsum([0, *(len(each.points) for each in parts)])
-    triangles = [each.triangles + start for each, start in zip(parts, starts[:-1], strict=True)]
-    whole = ClosedSurface(np.vstack([each.points for each in parts]), np.vstack(triangles))
+    triangles = [each.faces + start for each, start in zip(parts, starts[:-1], strict=True)]
+    whole = Triangles(np.vstack([each.points for each in parts]), np.vstack(triangles))
     write_surface(tmp_path / "limb.ply", whole)
     result = segment(case_with(tmp_path, skin=tmp_path / "limb.ply"), out=tmp_path / "out")
     assert "3 bodies" in result.summary[0]
@@ -217,8 +218,8 @@ def test_a_bone_with_a_wall_round_its_marrow_is_whole(segmented, tmp_path, sense
     tibia = read_surface(first.path("bone_tibia"))
     middle = tibia.points.mean(axis=0)
     inner = middle + 0.5 * (tibia.points - middle)
-    triangles = np.vstack([tibia.triangles, len(tibia.points) + tibia.triangles[:, ::sense]])
-    write_surface(tmp_path / "tibia.ply", ClosedSurface(np.vstack([tibia.points, inner]), triangles))
+    triangles = np.vstack([tibia.faces, len(tibia.points) + tibia.faces[:, ::sense]])
+    write_surface(tmp_path / "tibia.ply", Triangles(np.vstack([tibia.points, inner]), triangles))
     result = segment(
         case_with(tmp_path, skin=first.path("skin"), bones=(tmp_path / "tibia.ply",)), out=tmp_path
     )
@@ -229,7 +230,7 @@ def test_a_bone_with_a_wall_round_its_marrow_is_whole(segmented, tmp_path, sense
 def test_surfaces_turned_inside_out_are_turned_and_said_so(segmented, tmp_path):
     _, first, _ = segmented
     skin = read_surface(first.path("skin"))
-    write_surface(tmp_path / "skin.ply", ClosedSurface(skin.points, skin.triangles[:, ::-1].copy()))
+    write_surface(tmp_path / "skin.ply", Triangles(skin.points, skin.faces[:, ::-1].copy()))
     case = case_with(tmp_path, skin=tmp_path / "skin.ply", bones=(first.path("bone_tibia"),))
     result = segment(case, out=tmp_path)
     assert read_surface(result.path("skin")).volume > 0
@@ -239,12 +240,12 @@ def test_surfaces_turned_inside_out_are_turned_and_said_so(segmented, tmp_path):
 def test_an_open_skin_has_its_volume_and_its_normals_wherever_it_lies(segmented, tmp_path):
     _, first, _ = segmented
     skin, tibia = (read_surface(first.path(name)) for name in ("skin", "bone_tibia"))
-    height = skin.points[skin.triangles].mean(axis=1)[:, 2]
-    opened = skin.triangles[height < np.quantile(height, 0.9)]
+    height = skin.points[skin.faces].mean(axis=1)[:, 2]
+    opened = skin.faces[height < np.quantile(height, 0.9)]
     volumes = []
     for number, shift in enumerate(np.diag([0.0, 0.0, 900.0])[[0, 2]]):  # the phantom lies at -418 mm
-        for name, surface, triangles in (("skin", skin, opened), ("tibia", tibia, tibia.triangles)):
-            write_surface(tmp_path / f"{name}.ply", ClosedSurface(surface.points + shift, triangles))
+        for name, surface, triangles in (("skin", skin, opened), ("tibia", tibia, tibia.faces)):
+            write_surface(tmp_path / f"{name}.ply", Triangles(surface.points + shift, triangles))
         case = case_with(tmp_path, skin=tmp_path / "skin.ply", bones=(tmp_path / "tibia.ply",))
         result = segment(case, out=tmp_path / str(number))
         assert not any("inward" in line for line in result.warnings)
@@ -256,7 +257,7 @@ def test_an_open_skin_has_its_volume_and_its_normals_wherever_it_lies(segmented,
 def test_surfaces_in_metres_are_refused(segmented, tmp_path):
     _, first, _ = segmented
     skin = read_surface(first.path("skin"))
-    write_surface(tmp_path / "skin.ply", ClosedSurface(skin.points / 1e3, skin.triangles))
+    write_surface(tmp_path / "skin.ply", Triangles(skin.points / 1e3, skin.faces))
     with pytest.raises(CaseError, match="mm across"):
         segment(case_with(tmp_path, skin=tmp_path / "skin.ply"), out=tmp_path)
 

@@ -10,7 +10,8 @@ import pytest
 
 from limbcli.case import Case, Site, StatedNoise
 from limbcli.errors import CaseError
-from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
+from limbcli.imaging.surface import read_surface, write_surface
+from limbcli.meshing.surfaces import Triangles
 from limbcli.provenance.commands import CommandStep
 from limbcli.provenance.freshness import Memory
 from limbcli.stages.check_geometry import geometry_findings
@@ -31,7 +32,7 @@ def limb(folder: Path, *, fibula_at: float = 18.0, bones: tuple[str, ...] = ("ti
         "fibula": tube((x, 2, -90), (x, 2, 90), (6, 6), around=24),
     }
     for name, each in bodies.items():
-        write_surface(folder / f"{name}.ply", ClosedSurface(each.points, each.faces))
+        write_surface(folder / f"{name}.ply", Triangles(each.points, each.faces))
     paths = tuple(folder / f"{name}.ply" for name in bones)
     return case_with(folder, skin=folder / "skin.ply", bones=paths)
 
@@ -48,7 +49,7 @@ def test_a_bone_outside_is_refused_with_its_distance_place_and_remedy(tmp_path):
 def test_every_bone_outside_is_named(tmp_path):
     case = limb(tmp_path, fibula_at=70.0)
     patella = tube((0, -80, -20), (0, -80, 20), (15, 15))
-    write_surface(tmp_path / "patella.ply", ClosedSurface(patella.points, patella.faces))
+    write_surface(tmp_path / "patella.ply", Triangles(patella.points, patella.faces))
     imaging = replace(case.imaging, bones=(*case.imaging.bones, tmp_path / "patella.ply"))
     with pytest.raises(CaseError) as caught:
         segment(replace(case, imaging=imaging), out=tmp_path / "out")

@@ -27,6 +27,5 @@ def test_repairs_of_a_reader_are_told_but_are_no_warnings(tmp_path: Path, monkey
     options = SimpleNamespace(hints=lambda limb: None)
     with open_stage(tmp_path / "out", "segment", subject="S1") as writer:
         module._from_series(case, tmp_path / "mri", options, writer, SILENT)  # type: ignore[arg-type]
-    assert writer.result is not None
     assert TRIVIA in writer.result.summary
     assert writer.result.warnings == (MATTERS,)

@@ -228,7 +228,17 @@ def test_friction_on_a_large_limb_is_named_as_the_reason(monkeypatch):
 def row(c: float, friction: float, shift: float = 0.0) -> PatchPressure:
     """A table of one row that is linear in ln c, friction and a shift of the socket."""
     mean = 40.0 + 10.0 * np.log(c) - 20.0 * (friction - 0.3) + 2.0 * shift
-    return PatchPressure(400.0, WHOLE, 1.0, 1.0, mean, mean, mean, 1.0, 1.0)
+    return PatchPressure(
+        load_n=400.0,
+        patch=WHOLE,
+        area_mm2=1.0,
+        contact_area_mm2=1.0,
+        mean_kpa=mean,
+        p95_kpa=mean,
+        peak_kpa=mean,
+        mean_shear_kpa=1.0,
+        peak_shear_kpa=1.0,
+    )
 
 
 def test_intervals_of_a_linear_table_are_those_of_its_draws(tmp_path: Path):

@@ -9,7 +9,8 @@ import pytest
 
 from limbcli.case import Case, read_case
 from limbcli.errors import CaseError
-from limbcli.imaging.surface import ClosedSurface, read_surface
+from limbcli.imaging.surface import read_surface
+from limbcli.meshing.surfaces import Triangles
 from limbcli.stages.check import check
 from limbcli.stages.segment import segment
 from limbcli.stages.segmenting.surfaces import read_surfaces
@@ -38,7 +39,7 @@ def case_folder(folder: Path, imaging: str, position: str = "[0.0, -40.0, 0.0]")
     return folder
 
 
-def tube(x: float, y: float, radius: float, low: float, high: float) -> ClosedSurface:
+def tube(x: float, y: float, radius: float, low: float, high: float) -> Triangles:
     """A round cylinder along z (mm), closed by lids, with outward normals."""
     n, heights = 24, np.linspace(low, high, 25)
     angles = 2 * np.pi * np.arange(n) / n
@@ -52,17 +53,17 @@ def tube(x: float, y: float, radius: float, low: float, high: float) -> ClosedSu
             a, b, c, d = row * n + k, row * n + j, (row + 1) * n + k, (row + 1) * n + j
             faces += [[a, b, d], [a, d, c]]
         faces += [[len(points) - 2, j, k], [len(points) - 1, last * n + k, last * n + j]]
-    return ClosedSurface(points, np.array(faces))
+    return Triangles(points, np.array(faces))
 
 
 SKIN, TIBIA, FIBULA = tube(0, 0, 40, -100, 100), tube(-8, -10, 12, -90, 90), tube(16, 8, 6, -90, 90)
 
 
-def write_bodies(path: Path, *surfaces: ClosedSurface, factor: float = 1.0, header: str = "") -> None:
+def write_bodies(path: Path, *surfaces: Triangles, factor: float = 1.0, header: str = "") -> None:
     """All in one ASCII STL, lengths multiplied by `factor`."""
     lines = [f"solid limb {header}"]
     for each in surfaces:
-        for corners in factor * each.points[each.triangles]:
+        for corners in factor * each.points[each.faces]:
             rows = (f"vertex {x:.9g} {y:.9g} {z:.9g}" for x, y, z in corners)
             lines += ["facet normal 0 0 0", "outer loop", *rows, "endloop", "endfacet"]
     path.write_text("\n".join([*lines, "endsolid\n"]))

@@ -28,7 +28,7 @@ UNKNOWN = "#dfe4e8"
 BONE = "#7a4b12"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class DeformedState:
     """Model of a site at the deepest level.
 

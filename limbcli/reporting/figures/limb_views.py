@@ -43,7 +43,7 @@ VIEWS = (
 )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class LimbPlace:
     """A site on its limb, "left" or "right"; mm, patient LPS.
 
@@ -69,7 +69,10 @@ class LimbPlace:
     def words(self) -> str:
         """
         >>> skin = np.array([[0.0, 0, -50], [9, 0, 10], [0, 9, 10]])
-        >>> LimbPlace("p1", "left", skin, np.array([[0, 1, 2]]), np.zeros(3), np.array([0.6, 1.0, 0.4])).words
+        >>> LimbPlace(
+        ...     name="p1", limb="left", points=skin, triangles=np.array([[0, 1, 2]]), place=np.zeros(3),
+        ...     outward=np.array([0.6, 1.0, 0.4]),
+        ... ).words
         'posterior and lateral, 50 mm above the lower end of the limb in the images'
         """
         height = float(self.place[2] - self.points[:, 2].min())

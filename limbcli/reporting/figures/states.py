@@ -34,7 +34,7 @@ class StateReading:
     deviation: float
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class StatesPanel:
     """One direction of stretch.
 

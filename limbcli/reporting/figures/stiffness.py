@@ -22,7 +22,7 @@ from limbcli.reporting.figures.style import INK, bare, new_figure, style
 _COLOURS = {"skin": INK, "bone": "#7a4b12"}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class StiffnessSection:
     """points (n_points, 3) mm; cells of `kind` with c_kpa (n_cells,); the map's pixels, mm; outlines."""
 

@@ -10,7 +10,7 @@ from limbcli.reporting.figures.convergence import fit_walk, newton_residuals
 from limbcli.reporting.fit_view import OGDEN, StepView, read_fit_view
 from limbcli.reporting.numbers import number
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import Picture, Reportlet, placeholder
+from limbcli.reporting.reportlet import Picture, Reportlet, pictures_of, placeholder
 from limbcli.reporting.sections.assumed_geometry import SYMBOLS
 from limbcli.reporting.sections.parameters import interval_text
 from limbcli.results import StageResult
@@ -52,25 +52,24 @@ PROFILES_TITLE = "How well do the data constrain each parameter?"
 def profiles(page: ReportData, site: SiteMaterial) -> Reportlet | None:
     """Profile likelihoods computed by the fit, or None if there are none."""
     result = page.outcomes.of("fit", site.name).usable
-    if result is None or "profiles" not in result.files:
-        return None
-    path = result.path("profiles")
-    if not path.is_file():
-        return None
-    step, wording = read_fit_view(result).last, _limit_words(result)
     alt = f"Profile likelihood of each parameter of site {site.name}; the shaded range is its 95 % interval."
+    key = f"profiles-{site.name}"
+    pictures = pictures_of(result, {"profiles": (key, alt)}) if result is not None else ()
+    if result is None or not pictures:
+        return None
+    step = read_fit_view(result).last
     return Reportlet(
-        f"profiles-{site.name}",
+        key,
         PROFILES_TITLE,
         "fine" if step and all(each.is_sound for each in step.estimates) else "warning",
         site.name,
-        pictures=(Picture(f"profiles-{site.name}", alt, source=path, vector=False),),
+        pictures=pictures,
         look_for="a valley with steep sides around the fitted value: the data exclude values beyond the "
         "shaded range (the curve weights the levels by their noise, the published fit weights them "
         "equally, so the minimum may lie beside the fitted value)",
         bad="a curve that stays below the 95 % line on one side of its panel: the data exclude "
         "nothing in that direction, and the fitted value is where the search happened to stop",
-        notes=wording,
+        notes=_limit_words(result),
         answer=_told(step),
     )
 

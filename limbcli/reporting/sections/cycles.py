@@ -5,7 +5,7 @@ from __future__ import annotations
 from limbcli.reporting.figures.cycles import Loop, cycles
 from limbcli.reporting.numbers import DASH
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head
+from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, table
 
 TITLE = "Is the response repeatable over loading cycles?"
 
@@ -40,9 +40,9 @@ def repeated_loading(page: ReportData, site: SiteMaterial) -> Reportlet | None:
 
 
 def _table(loops: tuple[Loop, ...]) -> PageTable:
-    rows = tuple(
+    rows = (
         (
-            Cell(str(each.number), lead=True),
+            str(each.number),
             Cell(f"{each.loading[1].max():.1f}") if len(each.loading[1]) else _none("no loading was read"),
             Cell(f"{each.loading[0][0]:.2f}") if len(each.loading[0]) else _none("no loading was read"),
             _none("no unloading was read")
@@ -54,10 +54,10 @@ def _table(loops: tuple[Loop, ...]) -> PageTable:
         )
         for each in loops
     )
-    names = head(
-        "cycle", "largest force [N]", "depth at its start [mm]", "energy lost [N mm]", "of the work [%]"
-    )
-    return PageTable("Loading cycles (± one standard deviation from the stated noise)", (names,), rows)
+    names = (
+        "cycle", "largest force [N]", "depth at its start [mm]", "energy lost [N mm]", "of the work [%]",
+    )  # fmt: skip
+    return table("Loading cycles (± one standard deviation from the stated noise)", names, rows)
 
 
 def _none(reason: str) -> Cell:

@@ -11,6 +11,7 @@ from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Picture, Reportlet, placeholder
 
 TITLE = "Does the model deform like a limb?"
+_NOT_RUN = "the model has not been run"
 
 
 def deformation(page: ReportData, site: SiteMaterial) -> Reportlet:
@@ -21,7 +22,7 @@ def deformation(page: ReportData, site: SiteMaterial) -> Reportlet:
         outcome = page.outcomes.of("run", site.name)
         if outcome.status != "done":
             return placeholder(key, TITLE, outcome)
-        return Reportlet(key, TITLE, "missing", site.name, notes=(site.why_not_deformed,))
+        return Reportlet(key, TITLE, "missing", site.name, notes=(site.why_not_deformed or _NOT_RUN,))
     most = float(state.depth)
     pictures = (
         Picture(

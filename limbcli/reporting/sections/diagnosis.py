@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from limbcli.numbers.significant_digits import short
 from limbcli.reporting.fit_view import FitView, read_fit_view
 from limbcli.reporting.numbers import DASH, quantity
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import Cell, Mood, PageTable, Picture, Reportlet, head, placeholder
+from limbcli.reporting.reportlet import (
+    Mood,
+    PageTable,
+    Reportlet,
+    pictures_of,
+    placeholder,
+    table,
+)
 from limbcli.results import UNLIKE_OURS, StageResult
 
 TITLE = "What is missing in the model, if anything?"
@@ -41,7 +48,9 @@ def _section(key: str, site: SiteMaterial, result: StageResult, fit: FitView | N
         TITLE,
         mood,
         site.name,
-        pictures=_pictures(result, site.name),
+        pictures=pictures_of(
+            result, {k: (f"diagnosis-{k}-{site.name}", words) for k, words in _PICTURES.items()}
+        ),
         tables=(_candidates(data),),
         more=(_explanations(data), _shrunk(data), _blind(data), *_sizes(data), *_common(data)),
         look_for="residuals of the base model (grey) that leave the band of two standard deviations, "
@@ -103,25 +112,11 @@ def in_words(data: Mapping[str, Any]) -> str:
     return f"{first}the misfit (chi2/nu, with the error of the model counted) {went}"
 
 
-def _pictures(result: StageResult, name: str) -> tuple[Picture, ...]:
-    texts = {
-        "gap": "Measured minus predicted in deviations, before and after",
-        "candidates": "Probability and detectable size of every candidate",
-        "sizes": "Size of each effect, in units of its plausible size (95 %)",
-    }
-    return tuple(
-        Picture(f"diagnosis-{key}-{name}", words, source=result.path(key))
-        for key, words in texts.items()
-        if key in result.files and result.path(key).is_file()
-    )
-
-
-def _table(
-    title: str, titles: Sequence[str], rows: Sequence[Sequence[str]], *, numeric: bool = True
-) -> PageTable:
-    """A table whose first column names its rows."""
-    cells = tuple(tuple(Cell(text, lead=k == 0) for k, text in enumerate(row)) for row in rows)
-    return PageTable(title, (head(*titles),), cells, numeric=numeric)
+_PICTURES = {
+    "gap": "Measured minus predicted in deviations, before and after",
+    "candidates": "Probability and detectable size of every candidate",
+    "sizes": "Size of each effect, in units of its plausible size (95 %)",
+}
 
 
 def _candidates(data: Mapping[str, Any]) -> PageTable:
@@ -131,7 +126,7 @@ def _candidates(data: Mapping[str, Any]) -> PageTable:
         rows.append((each["name"], each["sentence"], f"{each['probability']:.3f}", size or DASH))
     rows += [(name, f"not evaluated: {why}", DASH, DASH) for name, why in data["not_evaluated"].items()]
     titles = ("candidate", "interpretation", "probability", "estimate when it alone is added")
-    return _table("Candidates, the most probable first", titles, rows, numeric=False)
+    return table("Candidates, the most probable first", titles, rows, numeric=False)
 
 
 def _explanations(data: Mapping[str, Any]) -> PageTable:
@@ -144,7 +139,7 @@ def _explanations(data: Mapping[str, Any]) -> PageTable:
             "simulated" if each["simulated"] else "fitted" if each["fitted"] else "estimated",
         ))  # fmt: skip
     titles = ("explanation", "probability", "c (kPa)", "m", "by")
-    return _table("Explanations that together have 95 %", titles, rows)
+    return table("Explanations that together have 95 %", titles, rows)
 
 
 def _shrunk(data: Mapping[str, Any]) -> PageTable:
@@ -159,7 +154,7 @@ def _shrunk(data: Mapping[str, Any]) -> PageTable:
             _interval(stage, "c_kpa"), _interval(stage, "m"),
         ))  # fmt: skip
     titles = ("model", "chi2/nu", "held-out error (deviations)", "c (kPa), 95 %", "m, 95 %")
-    return _table("How the misfit decreased", titles, rows)
+    return table("How the misfit decreased", titles, rows)
 
 
 def _interval(stage: Mapping[str, Any], name: str) -> str:
@@ -190,7 +185,7 @@ def _blind(data: Mapping[str, Any]) -> PageTable:
     titles = (
         "effect", "visible share", "detectable size (plausible sizes)", "bias if undetected (deviations)",
     )  # fmt: skip
-    return _table("What these data can detect", titles, rows)
+    return table("What these data can detect", titles, rows)
 
 
 def _sizes(data: Mapping[str, Any]) -> tuple[PageTable, ...]:
@@ -200,7 +195,7 @@ def _sizes(data: Mapping[str, Any]) -> tuple[PageTable, ...]:
         for effect, sizes in data.get("sizes_95", {}).items() for name, ends in sizes.items()
     ]  # fmt: skip
     titles = ("effect", "size", "from", "to (95 %)")
-    return (_table("Size of each effect when it alone is added", titles, rows),) if rows else ()
+    return (table("Size of each effect when it alone is added", titles, rows),) if rows else ()
 
 
 def _common(data: Mapping[str, Any]) -> tuple[PageTable, ...]:
@@ -210,6 +205,4 @@ def _common(data: Mapping[str, Any]) -> tuple[PageTable, ...]:
         for each in data.get("common_errors", ())
     ]
     titles = ("error", "estimate (prior deviations)", "left of the prior's deviation")
-    return (
-        (_table("Errors of model and instruments, fitted with their priors", titles, rows),) if rows else ()
-    )
+    return (table("Errors of model and instruments, fitted with their priors", titles, rows),) if rows else ()

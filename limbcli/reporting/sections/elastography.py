@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from limbcli.errors import CaseError
 from limbcli.measurement.regression import Line
 from limbcli.reporting.curves import read_predicted_speeds
@@ -9,7 +11,7 @@ from limbcli.reporting.figures.wave_speed import PredictedSpeeds, line_text, wav
 from limbcli.reporting.fit_view import read_fit_view
 from limbcli.reporting.numbers import DASH, cell, number, quantity
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head
+from limbcli.reporting.reportlet import Cell, Picture, Reportlet, pictures_of, table
 from limbcli.results import StageResult
 
 TITLE = "Does the shear-wave speed rise with load, as the model predicts?"
@@ -44,16 +46,16 @@ def elastography(page: ReportData, site: SiteMaterial) -> Reportlet:
     if site.why_no_line:
         warned += (site.why_no_line,)
     lines = (("force", "N", site.against_force), ("depth", "mm", site.against_depth))
-    rows = tuple(_row(name, unit, line, site.why_no_line) for name, unit, line in lines)
-    names = head("speed against", "slope", "standard error", "speed at zero [m/s]", "R² [–]", "levels")
-    table = PageTable(f"Straight lines through the speeds at site {site.name}", (names,), rows)
+    rows = (_row(name, unit, line, site.why_no_line) for name, unit, line in lines)
+    names = ("speed against", "slope", "standard error", "speed at zero [m/s]", "R² [–]", "levels")
+    slopes = table(f"Straight lines through the speeds at site {site.name}", names, rows)
     return Reportlet(
         key,
         TITLE,
         speeds.mood if speeds else "warning" if site.why_no_line else "neutral",
         site.name,
         pictures=(_speeds(site, predicted), *_pictures(site, fit)),
-        tables=(table,) if site.speeds is not None else (),
+        tables=(slopes,) if site.speeds is not None else (),
         look_for=_LOOK + (_LOOK_PREDICTED if predicted else ""),
         bad=_BAD + (_BAD_PREDICTED if predicted else ""),
         notes=_notes(fit) if predicted else (),
@@ -81,20 +83,18 @@ def _speeds(site: SiteMaterial, predicted: PredictedSpeeds | None) -> Picture:
     return Picture(f"wave-speed-{site.name}", alt, figure=figure)
 
 
-def _pictures(site: SiteMaterial, fit: StageResult | None) -> list[Picture]:
+def _pictures(site: SiteMaterial, fit: StageResult | None) -> tuple[Picture, ...]:
     """Maps of the fit, if it wrote them."""
+    if fit is None:
+        return ()
     texts = {
         "swe_maps_picture": f"Shear-wave maps at site {site.name}, level by level, in the probe's frame: "
         "measured where measured, predicted by the fitted model, and the difference.",
         "stiffness_map": f"Section through the model at site {site.name} with the stiffness c of every "
         "element, from the shear-wave map at level 0.",
     }
-    found = []
-    for name, alt in texts.items():
-        path = fit.path(name) if fit and name in fit.files else None
-        if path is not None and path.is_file():
-            found.append(Picture(f"{path.stem}-{site.name}", alt, source=path, vector=False))
-    return found
+    names = {key: Path(fit.files[key]).stem for key in texts if key in fit.files}
+    return pictures_of(fit, {key: (f"{name}-{site.name}", texts[key]) for key, name in names.items()})
 
 
 def _notes(fit: StageResult | None) -> tuple[str, ...]:

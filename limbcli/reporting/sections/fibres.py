@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import Picture, Reportlet
+from limbcli.reporting.reportlet import Reportlet, pictures_of
 
 TITLE = "Which way do the muscle fibres run?"
 _USE = (
@@ -22,15 +22,13 @@ def fibres(page: ReportData, site: SiteMaterial) -> Reportlet | None:
     if result is None or not isinstance(found, Mapping):
         return None
     key = f"fibres-{site.name}"
-    path = result.folder / result.files.get("fibre_picture", "fibres.png")
     alt = f"Two cuts through site {site.name} with the direction of the muscle fibres as short lines."
-    pictures = (Picture(key, alt, source=path, vector=False),) if path.is_file() else ()
     return Reportlet(
         key,
         TITLE,
         "neutral",
         site.name,
-        pictures=pictures,
+        pictures=pictures_of(result, {"fibre_picture": (key, alt)}),
         look_for="lines that run as the muscle does: along the limb, or at its pennation angle",
         bad="lines that point out of the skin or cross the limb (wrong frame, flipped "
         "sign), or an unmeasured direction where a result depends on it",

@@ -8,7 +8,7 @@ from typing import Any
 
 from limbcli.reporting.numbers import DASH
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import Cell, PageTable, Reportlet, head
+from limbcli.reporting.reportlet import Cell, Reportlet, table
 from limbcli.reporting.sections.convergence import convergence, profiles
 from limbcli.reporting.sections.cycles import repeated_loading
 from limbcli.reporting.sections.deformation import deformation
@@ -86,14 +86,8 @@ def _is_gap(reportlet: Reportlet) -> bool:
 def _together(site: SiteMaterial, gaps: list[Reportlet]) -> Reportlet:
     """Combine several questions that cannot be answered yet: the reason for each, and the command that
     provides it."""
-    rows = tuple(
-        (
-            Cell(each.title, lead=True),
-            Cell(" ".join(each.notes)),
-            Cell(each.command) if each.command else Cell(DASH, reason="see the reason beside it"),
-        )
-        for each in gaps
-    )
+    unknown = Cell(DASH, reason="see the reason beside it")
+    rows = [(each.title, " ".join(each.notes), each.command or unknown) for each in gaps]
     caption = f"Sections not yet available at site {site.name}"
-    table = PageTable(caption, (head("question", "why not", "made by"),), rows, numeric=False)
-    return Reportlet(f"gaps-{site.name}", "What is still missing?", "missing", site.name, tables=(table,))
+    missing = table(caption, ("question", "why not", "made by"), rows, numeric=False)
+    return Reportlet(f"gaps-{site.name}", "What is still missing?", "missing", site.name, tables=(missing,))

@@ -6,12 +6,21 @@ from collections.abc import Mapping
 from typing import Any
 
 from limbcli.reporting.agreement_view import agreement_view
-from limbcli.reporting.fit_view import EstimateView, read_estimates
+from limbcli.reporting.fit_view import read_estimates
 from limbcli.reporting.numbers import DASH, cell, quantity
 from limbcli.reporting.report_data import ReportData
-from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head, placeholder, worst_mood
+from limbcli.reporting.reportlet import (
+    Cell,
+    PageTable,
+    Picture,
+    Reportlet,
+    pictures_of,
+    placeholder,
+    table,
+    worst_mood,
+)
 from limbcli.reporting.sections.model_checks import model_check_tables
-from limbcli.reporting.sections.parameters import estimate_cells
+from limbcli.reporting.sections.parameters import estimates_table
 from limbcli.results import StageResult
 
 TITLE = "What do depth and shear waves show together?"
@@ -27,16 +36,16 @@ def joint(page: ReportData) -> Reportlet | None:
     if result is None:
         return placeholder("fit-joint", TITLE, outcome)
     data = result.data
-    locks = "tet4" in str(data.get("element", ""))
-    estimates = read_estimates(data.get("parameters", {}), locks=locks)
+    estimates = read_estimates(data.get("parameters", {}), data.get("element"))
     sites = ", ".join(map(str, data.get("sites", [])))
+    law = data.get("law_words") or data.get("law") or DASH
     met, sound = agreement_view(data), all(each.is_sound for each in estimates)
     return Reportlet(
         "fit-joint",
         TITLE,
         worst_mood(met.mood, "fine" if sound and not result.warnings else "warning"),
-        pictures=tuple(_pictures(result, sites)),
-        tables=(_table(estimates, data, sites), *_checks(data)),
+        pictures=_pictures(result, sites),
+        tables=(estimates_table(f"Joint fit of {sites}: {law}; c is free", estimates), *_checks(data)),
         look_for="curves through the points of both columns, chi-square near its degrees of freedom, and "
         "a c that agrees with the shear-wave reading at zero load: one tissue explains both",
         bad="a fit that follows one column and misses the other, or parameters that leave the intervals of "
@@ -47,24 +56,10 @@ def joint(page: ReportData) -> Reportlet | None:
     )
 
 
-def _pictures(result: StageResult, sites: str) -> list[Picture]:
-    texts = {
-        "picture": ("joint-curves", f"Force over depth and shear-wave speed over force at {sites}, with the "
-                    "joint fit."),
-        "profiles": ("joint-profiles", "Joint profile likelihood over c and the law's other parameters."),
-    }  # fmt: skip
-    return [
-        Picture(name, alt, source=result.path(key), vector=False)
-        for key, (name, alt) in texts.items()
-        if key in result.files and result.path(key).is_file()
-    ]
-
-
-def _table(estimates: tuple[EstimateView, ...], data: Mapping[str, Any], sites: str) -> PageTable:
-    rows = tuple(tuple(estimate_cells(each)) for each in estimates)
-    law = data.get("law_words") or data.get("law") or DASH
-    names = head("parameter", "value", "95 % interval", "verdict")
-    return PageTable(f"Joint fit of {sites}: {law}; c is free", (names,), rows, numeric=False)
+def _pictures(result: StageResult, sites: str) -> tuple[Picture, ...]:
+    curves = f"Force over depth and shear-wave speed over force at {sites}, with the joint fit."
+    ends = "Joint profile likelihood over c and the law's other parameters."
+    return pictures_of(result, {"picture": ("joint-curves", curves), "profiles": ("joint-profiles", ends)})
 
 
 def _checks(data: Mapping[str, Any]) -> list[PageTable]:
@@ -116,16 +111,15 @@ def laws(page: ReportData) -> Reportlet | None:
     result = outcome.usable if outcome is not None else None
     if result is None or not result.data.get("laws"):
         return None
-    rows = tuple(_law_row(each) for each in result.data["laws"])
-    names = head(
-        "law", "parameters", "held-out depth [mm]", "held-out speed [%]", "chi-square", "c [kPa]", "its shape"
-    )
+    names = (
+        "law", "parameters", "held-out depth [mm]", "held-out speed [%]", "chi-square", "c [kPa]",
+        "its shape",
+    )  # fmt: skip
+    caption = "Laws, best first, by the root-mean-square error of held-out levels"
     return Reportlet(
         "laws",
         LAWS_TITLE,
-        tables=(
-            PageTable("Laws, best first, by the root-mean-square error of held-out levels", (names,), rows),
-        ),
+        tables=(table(caption, names, map(_law_row, result.data["laws"])),),
         look_for="a law that is better by more than the noise of the depth; among equally good laws the one "
         "with fewer parameters",
         bad="laws compared by R²: it is near 1 for any rising curve. Where all laws are off by "

@@ -6,7 +6,7 @@ from typing import Any
 
 from limbcli.reporting.numbers import quantity
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import Picture, Reportlet
+from limbcli.reporting.reportlet import Reportlet, pictures_of
 
 TITLE = "Do skin, fat and muscle move as the model moves them?"
 
@@ -15,19 +15,20 @@ def layers(page: ReportData, site: SiteMaterial) -> Reportlet | None:
     """Measured and predicted layers, level by level; None if the site has none."""
     result = page.outcomes.of("fit", site.name).result
     layers = result.data.get("layers") if result else None
-    if result is None or not isinstance(layers, dict) or "layers_picture" not in result.files:
+    if result is None or not isinstance(layers, dict):
         return None
-    path = result.path("layers_picture")
-    if not path.is_file():
+    key = f"layers-{site.name}"
+    pictures = pictures_of(result, {"layers_picture": (key, _alt(layers, site.name))})
+    if not pictures:
         return None
     p = layers.get("p")
     fits = not isinstance(p, int | float) or p >= 0.01
     return Reportlet(
-        f"layers-{site.name}",
+        key,
         TITLE,
         "neutral" if not isinstance(p, int | float) else "fine" if fits else "warning",
         site.name,
-        pictures=(Picture(f"layers-{site.name}", _alt(layers, site.name), source=path, vector=False),),
+        pictures=pictures,
         look_for="points on the borders of the bands at every level: then one tissue moves as the layers do. "
         "The layer on the bone adds no information beyond the depth",
         bad="a layer that gets thinner much faster than its band (fat is softer than the rest), or hardly "

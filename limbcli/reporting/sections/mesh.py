@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from limbcli.reporting.numbers import plain_rows
+from limbcli.reporting.numbers import figures_table
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import PageTable, Picture, Reportlet, head, placeholder
+from limbcli.reporting.reportlet import Reportlet, pictures_of, placeholder
 
 TITLE = "Is the mesh fine enough where it matters, and sound everywhere?"
 
@@ -16,22 +16,17 @@ def mesh(page: ReportData, site: SiteMaterial) -> Reportlet:
     result = outcome.usable
     if result is None:
         return placeholder(key, TITLE, outcome)
-    path = result.folder / result.files.get("picture", "mesh.png")
     alt = (
         f"The mesh at site {site.name}: the skin with the probe's contact area, and a section with the bones."
     )
-    pictures = (Picture(f"mesh-{site.name}", alt, source=path, vector=False),) if path.is_file() else ()
-    rows = tuple(plain_rows(result.data))
-    table = PageTable(
-        f"Figures of the mesh at site {site.name}", (head("figure", "value"),), rows, numeric=False
-    )
+    figures = figures_table(f"Figures of the mesh at site {site.name}", result.data)
     return Reportlet(
         key,
         TITLE,
         "warning" if result.warnings else "fine",
         site.name,
-        pictures=pictures,
-        more=(table,) if rows else (),
+        pictures=pictures_of(result, {"picture": (f"mesh-{site.name}", alt)}),
+        more=(figures,) if figures.rows else (),
         look_for="small elements under the probe whose size grows smoothly outwards, bones as clean "
         "holes, and the probe flat on the skin",
         bad="slivers, sudden jumps in element size, a bone that touches the skin or meets the cut faces "

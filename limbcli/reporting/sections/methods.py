@@ -94,8 +94,8 @@ def _data(page: ReportData, stage: str, site: str | None = None) -> Mapping[str,
 
 def _geometry(page: ReportData) -> str:
     data = _data(page, "segment")
-    if page.case.imaging.assumed:
-        return f"The {page.case.limb} limb was not imaged: {page.case.imaging.assumed.partition(': ')[2]}."
+    if shape := page.case.imaging.assumed_shape:
+        return f"The {page.case.limb} limb was not imaged: {shape}."
     image = data.get("image")
     if data.get("source") == "mri" and isinstance(image, Mapping):
         kind = "CT" if image.get("modality") == "CT" else "MRI"

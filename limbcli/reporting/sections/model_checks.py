@@ -7,7 +7,7 @@ from typing import Any
 
 from limbcli.numbers.significant_digits import significant
 from limbcli.reporting.numbers import DASH, interval, number, range_percent
-from limbcli.reporting.reportlet import Cell, PageTable, head
+from limbcli.reporting.reportlet import Cell, PageTable, table
 from limbcli.reporting.sections.assumed_geometry import SYMBOLS
 
 _BOUNDARIES = {"cut_free": "cut plane free, not held", "far_side_held": "far side held, not free"}
@@ -32,8 +32,8 @@ def model_check_tables(site: str, data: Mapping[str, Any]) -> tuple[PageTable, .
         f"Site {site}: the fitted model with other assumptions. How the limb was held is not measured: half "
         "of what a boundary changes counts as one standard deviation of the force"
     )
-    names = head("changed", "force, over the levels", "f_κ that would fit", "m that would fit")
-    return (PageTable(caption, (names,), tuple(rows)),)
+    names = ("changed", "force, over the levels", "f_κ that would fit", "m that would fit")
+    return (table(caption, names, rows),)
 
 
 def model_check_words(data: Mapping[str, Any]) -> str:

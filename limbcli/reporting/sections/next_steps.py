@@ -7,6 +7,7 @@ from typing import Any
 
 from limbcli.reporting.fit_view import FitView
 from limbcli.reporting.numbers import number
+from limbcli.reporting.outcome import command_of
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 
 
@@ -20,7 +21,7 @@ def next_steps(page: ReportData, site: SiteMaterial, view: FitView) -> tuple[str
             "Check the units, signs and zeros of force and depth, then repeat the measurement: no "
             "curve of the law fits these levels."
         )
-    elif view.poor:
+    elif view.whole.state == "bad":
         is_named = found is not None and found.get("verdict") == "named"
         steps.append(
             "The law fitted to the force does not predict the shear-wave speeds under load: "
@@ -36,7 +37,7 @@ def next_steps(page: ReportData, site: SiteMaterial, view: FitView) -> tuple[str
     if found is not None:
         steps += _proposed(found.get("next_measurement"))
     else:
-        command = page.outcomes.of("fit", site.name).command.replace("limbcli fit", "limbcli diagnose", 1)
+        command = command_of("diagnose", site.name, out=page.out, case_name=page.case_name)
         steps.append(f"Run the diagnosis to see which measurement would be most informative: {command}")
     if view.noise_source == "assumed":
         steps.append(

@@ -5,10 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from limbcli.reporting.numbers import DASH, cell, plain_rows
+from limbcli.reporting.numbers import DASH, cell, figures_table
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head, placeholder
-from limbcli.results import StageResult
+from limbcli.reporting.reportlet import (
+    Cell,
+    Reportlet,
+    pictures_of,
+    placeholder,
+    table,
+)
 
 ELEMENTS_TITLE = "How much of f_κ is due to the element type?"
 STUDY_TITLE = "How much of the force is due to mesh and crop?"
@@ -25,8 +30,8 @@ def elements(page: ReportData, site: SiteMaterial) -> Reportlet | None:
     if result is None:
         return placeholder(key, ELEMENTS_TITLE, outcome)
     found = result.data.get("elements", {})
-    rows = tuple(_element_row(name, each) for name, each in found.items())
-    names = head("element", "unknowns", "f_κ [–]", "m [–]", "f_κ at m = 2 [–]", "R² [–]", "RMSE [N]")
+    rows = (_element_row(name, each) for name, each in found.items())
+    names = ("element", "unknowns", "f_κ [–]", "m [–]", "f_κ at m = 2 [–]", "R² [–]", "RMSE [N]")
     alt = (
         f"Site {site.name}: forces of tet4 and tet10 on the same mesh at the same parameters and after "
         "each fit, and how the last force grows with f_κ."
@@ -35,8 +40,8 @@ def elements(page: ReportData, site: SiteMaterial) -> Reportlet | None:
         key,
         ELEMENTS_TITLE,
         site=site.name,
-        pictures=_picture(result, f"elements-{site.name}", alt),
-        tables=(PageTable(f"The same mesh in two elements at site {site.name}", (names,), rows),),
+        pictures=pictures_of(result, {"picture": (f"elements-{site.name}", alt)}),
+        tables=(table(f"The same mesh in two elements at site {site.name}", names, rows),),
         look_for="dotted curves that coincide and right-hand curves that are flat: then the "
         "element type does not matter",
         bad="a tet4 curve that rises with f_κ where tet10's is flat. The element locks, and the f_κ fitted "
@@ -67,7 +72,6 @@ def mesh_study(page: ReportData, site: SiteMaterial) -> Reportlet | None:
     result = outcome.usable
     if result is None:
         return placeholder(key, STUDY_TITLE, outcome)
-    rows = tuple(plain_rows(result.data))
     error = result.data.get("numerical_error_fraction")
     alt = f"Site {site.name}: force at full depth over element size and over the margin of the model."
     return Reportlet(
@@ -75,8 +79,8 @@ def mesh_study(page: ReportData, site: SiteMaterial) -> Reportlet | None:
         STUDY_TITLE,
         "warning" if result.warnings or not isinstance(error, float) or error > _LARGE else "fine",
         site.name,
-        pictures=_picture(result, f"mesh-study-{site.name}", alt),
-        more=(PageTable(f"Mesh study at site {site.name}", (head("figure", "value"),), rows, numeric=False),),
+        pictures=pictures_of(result, {"picture": (f"mesh-study-{site.name}", alt)}),
+        more=(figures_table(f"Mesh study at site {site.name}", result.data),),
         look_for="curves that level off towards small elements and wide margins, and a numerical error well "
         "below the noise of the measurement",
         bad="a force that still moves at the mesh in use: that share of it is numerical error, and no "
@@ -85,9 +89,3 @@ def mesh_study(page: ReportData, site: SiteMaterial) -> Reportlet | None:
         notes=result.summary,
         warned=result.warnings,
     )
-
-
-def _picture(result: StageResult, name: str, alt: str) -> tuple[Picture, ...]:
-    if "picture" not in result.files or not result.path("picture").is_file():
-        return ()
-    return (Picture(name, alt, source=result.path("picture"), vector=False),)

@@ -4,17 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from limbcli.numbers.significant_digits import significant
+from limbcli.numbers.interval_limits import Flag
+from limbcli.reporting.agreement_view import AgreementView
 from limbcli.reporting.figures.limb_views import limb_place_figure
 from limbcli.reporting.fit_view import EstimateView, FitView, StepView, read_fit_view
-from limbcli.reporting.numbers import quantity
+from limbcli.reporting.numbers import interval, quantity
 from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import MOOD_WORDS, Mood, Picture, worst_mood
 from limbcli.reporting.sections.diagnosis import in_short
 from limbcli.reporting.sections.next_steps import next_steps
 from limbcli.reporting.sections.parameters import parameter_warnings
-from limbcli.reporting.sections.warning_box import SourcedWarning, WarningGroup, warning_groups
+from limbcli.reporting.sections.warning_box import (
+    Changes,
+    SourcedWarning,
+    WarningGroup,
+    changes_of,
+    warning_groups,
+)
 
 
 @dataclass(frozen=True)
@@ -36,18 +43,23 @@ class StageBadge:
     words: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SiteGlance:
+    """The card of a site.
+
+    fit : whether the model agrees with the data; None without a fit
+    weak : names of the parameters that the data do not determine
+    """
+
     name: str
     place: str
     mood: Mood
     sentence: str
-    facts: tuple[Fact, ...]
     pills: tuple[StageBadge, ...]
+    facts: tuple[Fact, ...] = ()
     command: str = ""
+    fit: AgreementView | None = None
     weak: tuple[str, ...] = ()
-    poor: str = ""
-    doubtful: str = ""
     next_steps: tuple[str, ...] = ()
     diagnosis: str = ""
     picture: Picture | None = None
@@ -58,7 +70,7 @@ class SiteGlance:
         return "failed" if self.mood == "failed" and not self.facts else MOOD_WORDS[self.mood]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Overview:
     mood: Mood
     sentence: str
@@ -78,27 +90,26 @@ _PILL_WORDS: dict[str, tuple[Mood, str]] = {
 def overview(page: ReportData) -> Overview:
     """Cards, stage badges and warnings for the top of the page."""
     sites = tuple(_on_limb(_site(page, site), site) for site in page.sites)
-    every = [("report", text) for text in page.notices]
-    every += [(f"levels {site.name}", text) for site in page.sites for text in site.warnings]
-    every += page.outcomes.warnings()
-    every += [("parameters", text) for text in parameter_warnings(page)]
-    first: dict[str, str] = {}
-    for source, text in every:
-        first.setdefault(text, source)
-    ranked = warning_groups([SourcedWarning(source, text) for text, source in first.items()], page)
+    every = [SourcedWarning("report", text, Changes.PAGE) for text in page.notices]
+    for site in page.sites:
+        every += [SourcedWarning(f"levels {site.name}", text, Changes.LEVELS) for text in site.warnings]
+    for outcome, text in page.outcomes.warnings():
+        every.append(SourcedWarning(outcome.label, text, changes_of(outcome.stage)))
+    every += [SourcedWarning("parameters", text, Changes.PARAMETERS) for text in parameter_warnings(page)]
+    first: dict[str, SourcedWarning] = {}
+    for each in every:
+        first.setdefault(each.text, each)
+    ranked = warning_groups(list(first.values()), page)
     warnings = [each for group in ranked for each in group.warnings]
     failures = page.outcomes.failed
     sentence = _sentence(sites, failures, len(warnings))
     if page.case.imaging.assumed:
         sentence = f"{sentence_of(page.case.imaging.assumed)} {sentence}"
+    mood = _overall(sites, bool(failures), bool(warnings))
     return Overview(
-        _overall(sites, bool(failures), bool(warnings)),
-        sentence,
-        sites,
-        failures,
-        tuple(warnings),
-        ranked,
-    )
+        mood=mood, sentence=sentence, sites=sites, failures=failures, warnings=tuple(warnings),
+        warning_groups=ranked,
+    )  # fmt: skip
 
 
 def sentence_of(words: str) -> str:
@@ -121,13 +132,14 @@ def _overall(sites: tuple[SiteGlance, ...], failed: bool, warned: bool) -> Mood:
 def _sentence(sites: tuple[SiteGlance, ...], failures: tuple[Outcome, ...], n_warnings: int) -> str:
     fitted = [each for each in sites if each.facts]
     weak = [f"{', '.join(each.weak)} at {each.name}" for each in fitted if each.weak]
-    poor = [each.name for each in fitted if each.poor]
-    text = "".join(f"Poor fit at {each.name}: {each.poor}. " for each in fitted if each.poor)
-    text += "".join(f"Doubtful fit at {each.name}: {each.doubtful}. " for each in fitted if each.doubtful)
+    judged = [(each.name, each.fit) for each in fitted if each.fit is not None]
+    text = ""
+    for state, words in (("bad", "Poor"), ("doubtful", "Doubtful")):
+        text += "".join(f"{words} fit at {name}: {fit.words}. " for name, fit in judged if fit.state == state)
     text += (
         f"The tissue was fitted at {len(fitted)} of {len(sites)} {'site' if len(sites) == 1 else 'sites'}."
     )
-    if fitted and not weak and not poor:
+    if fitted and not weak and not any(fit.state == "bad" for _, fit in judged):
         text += " All fitted parameters are identified."
     if weak:
         text += f" Not reliable as tissue properties: {'; '.join(weak)}."
@@ -149,29 +161,21 @@ def _site(page: ReportData, site: SiteMaterial) -> SiteGlance:
         stopped = next((each for each in stages if each.status == "failed"), None)
         if stopped is not None and stopped.failure is not None:
             sentence = f"No parameters: {stopped.stage} failed ({stopped.failure.headline})."
-            return SiteGlance(site.name, site.place, "failed", sentence, (), pills)
+            return SiteGlance(name=site.name, place=site.place, mood="failed", sentence=sentence, pills=pills)
         following = next(each for each in stages if each.status != "done")
         sentence = f"No parameters yet: {following.stage} has not been run."
-        return SiteGlance(site.name, site.place, "missing", sentence, (), pills, following.command)
+        return SiteGlance(
+            name=site.name, place=site.place, mood="missing", sentence=sentence, pills=pills,
+            command=following.command,
+        )  # fmt: skip
     view = read_fit_view(result)
     facts = _facts(view)
-    moods = {each.mood for each in facts}
-    mood = worst_mood(view.whole.mood, *moods)
-    step = view.last
-    weak = tuple(each.name for each in step.estimates if not each.is_sound) if step else ()
+    weak = tuple(each.name for each in view.last.estimates if not each.is_sound) if view.last else ()
     return SiteGlance(
-        site.name,
-        site.place,
-        mood,
-        _site_sentence(view),
-        facts,
-        pills,
-        weak=weak,
-        poor=view.poor,
-        doubtful=view.doubtful,
-        next_steps=next_steps(page, site, view),
-        diagnosis=in_short(page, site) or "",
-    )
+        name=site.name, place=site.place, mood=worst_mood(view.whole.mood, *(each.mood for each in facts)),
+        sentence=_site_sentence(view), facts=facts, pills=pills, fit=view.whole, weak=weak,
+        next_steps=next_steps(page, site, view), diagnosis=in_short(page, site) or "",
+    )  # fmt: skip
 
 
 def _on_limb(glance: SiteGlance, site: SiteMaterial) -> SiteGlance:
@@ -197,15 +201,14 @@ def _facts(view: FitView) -> tuple[Fact, ...]:
     facts = [*_at_rest(view, step)]
     facts += [_estimate(each) for each in step.estimates if each.name in ("m", "f_κ") and each.is_sound]
     size = step.rmse_n if view.force.rms is None else view.force.rms
-    missed = Fact("force misfit under load (RMS)", quantity(size, "N", digits=2), "")
-    remark = f"R² {quantity(step.r2, '', digits=4)}"
-    missed = replace(missed, remark=f"{view.force.state}; {remark}", mood=view.force.mood)
+    remark = f"{view.force.state}; R² {quantity(step.r2, '', digits=4)}"
+    missed = Fact("force misfit under load (RMS)", quantity(size, "N", digits=2), remark, view.force.mood)
     return (missed, *facts) if view.force.state == "bad" else (*facts, missed)
 
 
 def _at_rest(view: FitView, step: StepView) -> list[Fact]:
     """µ, E and c at rest, each with its interval: what papers quote."""
-    c = step.estimate("c") or EstimateView("c", step.c_kpa, "kPa", None, None, "", "fixed")
+    c = step.estimate("c") or EstimateView(name="c", value=step.c_kpa, unit="kPa", flag=Flag.FIXED)
     source = view.c_source or "of unknown origin"
     named = (
         ("µ at rest, shear modulus", 0.5, "c/2"),
@@ -215,9 +218,8 @@ def _at_rest(view: FitView, step: StepView) -> list[Fact]:
     facts = []
     for title, factor, remark in named:
         own = c.times(factor, title, "kPa") or c
-        reach = ""
-        if own.low is not None and own.high is not None:
-            reach = f"95 %: {significant(own.low)} to {significant(own.high)}; "
+        known = own.low is not None and own.high is not None
+        reach = f"95 %: {interval((own.low, own.high))}; " if known else ""
         facts.append(Fact(title, quantity(own.value, "kPa"), reach + remark, "neutral"))
     return facts
 
@@ -233,12 +235,12 @@ _TITLES = {"m": "m, stiffening", "f_κ": "f_κ, resistance to volume change"}
 
 def _estimate(each: EstimateView) -> Fact:
     """
-    >>> _estimate(EstimateView("m", 4.1, "", 3.6, 4.7, "", "identified")).remark
+    >>> _estimate(EstimateView(name="m", value=4.1, low=3.6, high=4.7, flag="identified")).remark
     'identified, 95 %: 3.60 to 4.70'
     """
     remark = each.flag
     if each.low is not None and each.high is not None:
-        remark += f", 95 %: {significant(each.low)} to {significant(each.high)}"
+        remark += f", 95 %: {interval((each.low, each.high))}"
     return Fact(_TITLES[each.name], each.headline.text, remark, "fine" if each.is_sound else "warning")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 from limbcli.numbers.significant_digits import significant
@@ -9,7 +10,7 @@ from limbcli.reporting.fit_view import MOONEY_RIVLIN, OGDEN, EstimateView, FitVi
 from limbcli.reporting.numbers import DASH, cell, interval, quantity
 from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.report_data import ReportData
-from limbcli.reporting.reportlet import Cell, Mood, PageTable, Reportlet, head, worst_mood
+from limbcli.reporting.reportlet import Cell, Mood, PageTable, Reportlet, head, table, worst_mood
 from limbcli.reporting.sections.assumed_geometry import geometry_tables
 from limbcli.reporting.sections.model_checks import model_check_tables, noise_alone
 
@@ -50,11 +51,7 @@ def parameters(page: ReportData) -> Reportlet:
 
 def parameter_warnings(page: ReportData) -> list[str]:
     """Reasons why these numbers may not describe the tissue: noise that was assumed or exceeded."""
-    views = _views(page)
-    told = {
-        f"Site {site}: poor fit: {view.poor}." for site, view in views.items()
-    }  # the first sentence of the page
-    return [each for each in _notes(views)[1] if each not in told]
+    return [f"Site {site}: {text}" for site, view in _views(page).items() for text in _noise_words(view)]
 
 
 def _views(page: ReportData) -> dict[str | None, FitView]:
@@ -114,7 +111,7 @@ def with_verdict(shown: Cell, estimate: EstimateView | None) -> Cell:
 
 def _details(site: str, view: FitView) -> PageTable:
     """All parameters of all steps: value, interval, flag and computational effort."""
-    names = head("type", "parameter", "value", "95 % interval", "verdict")
+    names = ("type", "parameter", "value", "95 % interval", "verdict")
     rows = []
     for step in view.steps:
         for k, each in enumerate(step.estimates):
@@ -124,13 +121,19 @@ def _details(site: str, view: FitView) -> PageTable:
         f"Site {site}: confidence interval and identifiability of each parameter ({view.element}, "
         f"{view.solver})"
     )
-    return PageTable(caption, (names,), tuple(rows), numeric=False)
+    return table(caption, names, rows, numeric=False)
+
+
+def estimates_table(caption: str, estimates: Iterable[EstimateView]) -> PageTable:
+    """One row for each parameter of a fit."""
+    names = ("parameter", "value", "95 % interval", "verdict")
+    return table(caption, names, map(estimate_cells, estimates), numeric=False)
 
 
 def estimate_cells(each: EstimateView) -> tuple[Cell, ...]:
     """Name, value, 95 % interval and verdict; words without a number have no unit.
 
-    >>> c = EstimateView("c", 50.0, "kPa", 1.0, 90.0, "", "no influence")
+    >>> c = EstimateView(name="c", value=50.0, unit="kPa", low=1.0, high=90.0, flag="no influence")
     >>> [cell.text.replace("\u00a0", " ") for cell in estimate_cells(c)]
     ['c', 'not identifiable', '1.00 to 90.0 kPa', 'no influence']
     """
@@ -150,7 +153,7 @@ def estimate_cells(each: EstimateView) -> tuple[Cell, ...]:
 def interval_text(each: EstimateView) -> str:
     """An interval with at least one known end, without its unit.
 
-    >>> interval_text(EstimateView("m", 4.0, "", 3.0, None, "", "weak"))
+    >>> interval_text(EstimateView(name="m", value=4.0, low=3.0, flag="weak"))
     'above\xa03.00'
     """
     return interval((each.low, each.high)).replace(" ", "\u00a0")
@@ -159,7 +162,8 @@ def interval_text(each: EstimateView) -> str:
 def _notes(views: dict[str | None, FitView]) -> tuple[list[str], list[str]]:
     notes, warned = [], []
     for site, view in views.items():
-        warned += [f"Site {site}: poor fit: {view.poor}."] if view.poor else []
+        if view.whole.state == "bad":
+            warned.append(f"Site {site}: poor fit: {view.whole.words}.")
         notes.append(f"Site {site}: c is {view.c_source or 'of unknown origin'}.")
         notes += [f"Site {site}, {_effort(step)}" for step in view.steps]
         warned += [f"Site {site}: {text}" for text in _noise_words(view)]

@@ -8,7 +8,7 @@ from typing import Any
 from limbcli.reporting.numbers import DASH, quantity
 from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.report_data import ReportData
-from limbcli.reporting.reportlet import Cell, PageTable, Reportlet, head
+from limbcli.reporting.reportlet import Cell, PageTable, Reportlet, table
 
 KEY, TITLE = "provenance", "How was this page made?"
 
@@ -32,16 +32,16 @@ def provenance(page: ReportData, own: Mapping[str, Any]) -> Reportlet:
 def _commands(done: tuple[Outcome, ...], own: Mapping[str, Any]) -> PageTable:
     rows = [
         (
-            Cell(label, lead=True),
-            Cell(str(made.get("command", DASH))),
-            Cell(str(made.get("limbcli", DASH))),
-            Cell(str(made.get("finished_utc", DASH)).replace("T", " ").removesuffix("Z")),
-            Cell(quantity(made.get("seconds"), "s", digits=2, reason="not yet finished")),
+            label,
+            str(made.get("command", DASH)),
+            str(made.get("limbcli", DASH)),
+            str(made.get("finished_utc", DASH)).replace("T", " ").removesuffix("Z"),
+            quantity(made.get("seconds"), "s", digits=2, reason="not yet finished"),
         )
         for label, made in _made(done, own)
     ]
-    names = head("stage", "command", "limbcli", "finished (UTC)", "took")
-    return PageTable("Commands", (names,), tuple(rows), numeric=False)
+    names = ("stage", "command", "limbcli", "finished (UTC)", "took")
+    return table("Commands", names, rows, numeric=False)
 
 
 def _made(done: tuple[Outcome, ...], own: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
@@ -49,7 +49,7 @@ def _made(done: tuple[Outcome, ...], own: Mapping[str, Any]) -> list[tuple[str, 
 
 
 def _solvers(done: tuple[Outcome, ...]) -> PageTable:
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[tuple[Cell | str, ...]] = []
     for each in done:
         if each.result is None or each.stage not in ("run", "fit", "fit-joint", "fit-states"):
             continue
@@ -59,16 +59,16 @@ def _solvers(done: tuple[Outcome, ...]) -> PageTable:
             facts, solver = {**facts, **solver, "solver_version": solver.get("version")}, solver.get("name")
         rows.append(
             (
-                Cell(each.label, lead=True),
+                each.label,
                 _cell_or_why(solver, "not in the result"),
                 _cell_or_why(facts.get("solver_version"), "not reported by the solver"),
                 _cell_or_why(facts.get("linear_solver"), "not reported by the solver"),
             )
         )
-    names = head("stage", "solver that ran", "version", "linear solver")
+    names = ("stage", "solver that ran", "version", "linear solver")
     if not rows:
         rows = [(Cell(DASH, lead=True, reason="no simulation has been run"), *[Cell(DASH)] * 3)]
-    return PageTable("Solver", (names,), tuple(rows), numeric=False)
+    return table("Solver", names, rows, numeric=False)
 
 
 def _cell_or_why(value: object, why_not: str) -> Cell:
@@ -79,9 +79,8 @@ def _inputs(done: tuple[Outcome, ...], own: Mapping[str, Any]) -> PageTable:
     rows = []
     for label, made in _made(done, own):
         for name, digest in (made.get("inputs_sha256") or {}).items():
-            rows.append((Cell(label, lead=True), Cell(str(name)), Cell(str(digest))))
-    names = head("stage", "input", "SHA-256")
-    return PageTable("Inputs", (names,), tuple(rows), numeric=False)
+            rows.append((label, str(name), str(digest)))
+    return table("Inputs", ("stage", "input", "SHA-256"), rows, numeric=False)
 
 
 def _versions(done: tuple[Outcome, ...], own: Mapping[str, Any]) -> PageTable:
@@ -95,5 +94,5 @@ def _versions(done: tuple[Outcome, ...], own: Mapping[str, Any]) -> PageTable:
         }.items():
             if version:
                 versions.setdefault(str(name), {})[str(version)] = None
-    rows = tuple((Cell(name, lead=True), Cell(", ".join(found))) for name, found in versions.items())
-    return PageTable("Versions", (head("package", "version"),), rows, numeric=False)
+    rows = ((name, ", ".join(found)) for name, found in versions.items())
+    return table("Versions", ("package", "version"), rows, numeric=False)

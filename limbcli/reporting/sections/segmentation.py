@@ -5,9 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from limbcli.reporting.numbers import DASH, cell, plain_rows
+from limbcli.reporting.numbers import DASH, cell, figures_table
 from limbcli.reporting.report_data import ReportData
-from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head, placeholder
+from limbcli.reporting.reportlet import (
+    Cell,
+    PageTable,
+    Reportlet,
+    pictures_of,
+    placeholder,
+    table,
+)
 
 KEY, TITLE = "segmentation", "Are skin and bones outlined correctly?"
 TITLE_ASSUMED = "What is assumed about the limb's shape?"
@@ -33,25 +40,20 @@ def segmentation(page: ReportData) -> Reportlet:
     result = outcome.usable
     if result is None:
         return placeholder(KEY, TITLE, outcome)
-    sheet = result.folder / result.files.get("contact_sheet", "contact-sheet.png")
-    pictures: tuple[Picture, ...] = ()
-    if sheet.is_file():
-        alt = f"Slices of the imaging of subject {page.case.subject} with outlines of skin and bones."
-        if page.case.imaging.assumed:
-            alt = f"Sections of the assumed limb of subject {page.case.subject}: skin, bone and beam."
-        pictures = (Picture("segmentation", alt, source=sheet, vector=False),)
+    alt = f"Slices of the imaging of subject {page.case.subject} with outlines of skin and bones."
+    if page.case.imaging.assumed:
+        alt = f"Sections of the assumed limb of subject {page.case.subject}: skin, bone and beam."
     tables = tuple(each for each in (_markers(result.data.get("markers")),) if each)
     rest = {key: value for key, value in result.data.items() if key not in _HANDLED}
-    figures = tuple(plain_rows(rest))
-    more = (PageTable("Figures of the segmentation", (head("figure", "value"),), figures, numeric=False),)
+    figures = figures_table("Figures of the segmentation", rest)
     look_for, bad = _CAPTION_ASSUMED if page.case.imaging.assumed else _CAPTION
     return Reportlet(
         KEY,
         TITLE_ASSUMED if page.case.imaging.assumed else TITLE,
         "warning" if result.warnings or _verdict(result.data) not in ("", "good") else "fine",
-        pictures=pictures,
+        pictures=pictures_of(result, {"contact_sheet": ("segmentation", alt)}),
         tables=tables,
-        more=more if figures else (),
+        more=(figures,) if figures.rows else (),
         look_for=look_for,
         bad=bad,
         notes=result.summary,
@@ -68,7 +70,7 @@ def _verdict(data: Mapping[str, Any]) -> str:
 def _markers(markers: object) -> PageTable | None:
     if not isinstance(markers, list) or not markers:
         return None
-    rows = []
+    rows: list[tuple[Cell | str, ...]] = []
     for each in markers:
         if not isinstance(each, Mapping):
             continue
@@ -76,6 +78,6 @@ def _markers(markers: object) -> PageTable | None:
         cells = [Cell(DASH, reason="no position in the result")] * 3
         if isinstance(place, list) and len(place) == 3:
             cells = [cell(value, digits=4) for value in place]
-        rows.append((Cell(str(each.get("number", DASH)), lead=True), *cells))
-    names = head("marker", "L (left) [mm]", "P (posterior) [mm]", "S (head) [mm]")
-    return PageTable("Skin markers, patient frame (LPS)", (names,), tuple(rows))
+        rows.append((str(each.get("number", DASH)), *cells))
+    names = ("marker", "L (left) [mm]", "P (posterior) [mm]", "S (head) [mm]")
+    return table("Skin markers, patient frame (LPS)", names, rows)

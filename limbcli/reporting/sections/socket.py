@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,15 @@ import numpy as np
 from limbcli.reporting.figures.scene import pressure_scene
 from limbcli.reporting.numbers import quantity
 from limbcli.reporting.report_data import ReportData
-from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head, placeholder
+from limbcli.reporting.reportlet import (
+    Cell,
+    PageTable,
+    Picture,
+    Reportlet,
+    pictures_of,
+    placeholder,
+    table,
+)
 from limbcli.results import StageResult
 
 TITLE = "How does the socket press on the limb?"
@@ -30,7 +39,7 @@ def socket(page: ReportData) -> Reportlet | None:
         "socket",
         TITLE,
         "warning" if result.warnings else "neutral",
-        pictures=tuple(_pictures(result)),
+        pictures=_pictures(result),
         tables=(_table(result.data),),
         look_for="pressure spread over the patches that bear load, and forces that leave nothing over",
         bad="a rim of high pressure at the brim or the proximal cut, pressure on single facets, or skin far "
@@ -40,28 +49,15 @@ def socket(page: ReportData) -> Reportlet | None:
     )
 
 
-def _pictures(result: StageResult) -> list[Picture]:
+def _pictures(result: StageResult) -> tuple[Picture, ...]:
     """Pictures of the states, and a 3-D view of the last one (its picture, where there is no WebGL)."""
-    names = [name for name in result.files if name.startswith("picture_") and result.path(name).is_file()]
-    return [
-        Picture(
-            name.replace("_", "-"),
-            "Pressure on the skin from four sides and unrolled about the limb's axis.",
-            source=result.path(name),
-            vector=False,
-        )
-        for name in names
-    ] + [
-        Picture(
-            "socket-3d",
-            "Pressure on the skin under the last load.",
-            source=result.path(names[-1]),
-            vector=False,
-            scene=_scene(result),
-        )
-        for _ in names[-1:]
-        if "skin" in result.files and result.path("skin").is_file()
-    ]
+    alt = "Pressure on the skin from four sides and unrolled about the limb's axis."
+    names = [name for name in result.files if name.startswith("picture_")]
+    found = pictures_of(result, {name: (name.replace("_", "-"), alt) for name in names})
+    if not found or "skin" not in result.files or not result.path("skin").is_file():
+        return found
+    alt = "Pressure on the skin under the last load."
+    return (*found, replace(found[-1], name="socket-3d", alt=alt, scene=_scene(result)))
 
 
 def _scene(result: StageResult) -> dict[str, Any]:
@@ -74,17 +70,15 @@ def _table(data: Mapping[str, Any]) -> PageTable:
         (each["load_n"], each["patch"], each["quantity"]): (each["low"], each["high"])
         for each in (data.get("intervals") or {}).get("patches", ())
     }
-    rows = []
+    rows: list[tuple[Cell | str, ...]] = []
     for each in data["patches"]:
         load, patch = each["load_n"], each["patch"]
         cells = [_cell(each[name], limits.get((load, patch, name))) for name in _COLUMNS]
         when = f"{load:g} N" if load else "donned"
-        area = Cell(quantity(each["contact_area_mm2"] / 100.0, "cm²", digits=2))
-        rows.append((Cell(f"{when}: {patch.replace('_', ' ')}", lead=True), area, *cells))
-    names = head("load and patch", "in contact", "mean", "95th percentile", "peak", "mean shear")
-    return PageTable(
-        "Pressure and shear on the skin, kPa (95 % over the limb's draws)", (names,), tuple(rows)
-    )
+        area = quantity(each["contact_area_mm2"] / 100.0, "cm²", digits=2)
+        rows.append((f"{when}: {patch.replace('_', ' ')}", area, *cells))
+    names = ("load and patch", "in contact", "mean", "95th percentile", "peak", "mean shear")
+    return table("Pressure and shear on the skin, kPa (95 % over the limb's draws)", names, rows)
 
 
 def _cell(value: float, limits: tuple[float, float] | None) -> Cell:

@@ -10,8 +10,17 @@ from limbcli.reporting.agreement_view import agreement_view
 from limbcli.reporting.fit_view import read_estimates
 from limbcli.reporting.numbers import DASH, cell, quantity
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head, placeholder, worst_mood
-from limbcli.reporting.sections.parameters import estimate_cells
+from limbcli.reporting.reportlet import (
+    Cell,
+    PageTable,
+    Picture,
+    Reportlet,
+    pictures_of,
+    placeholder,
+    table,
+    worst_mood,
+)
+from limbcli.reporting.sections.parameters import estimates_table
 from limbcli.results import StageResult
 
 TITLE = "In which state is the tissue least stiff, and in which is it unloaded?"
@@ -28,7 +37,6 @@ def states(page: ReportData, site: SiteMaterial) -> Reportlet | None:
     if result is None:
         return placeholder(key, TITLE, outcome)
     data = result.data
-    locks = "tet4" in str(data.get("element", ""))
     met = agreement_view(data)
     determined = not data.get("undetermined")
     return Reportlet(
@@ -36,8 +44,8 @@ def states(page: ReportData, site: SiteMaterial) -> Reportlet | None:
         TITLE,
         worst_mood(met.mood, "fine" if determined and not result.warnings else "warning"),
         site.name,
-        pictures=tuple(_pictures(result, site.name)),
-        tables=(_parameters(data, locks=locks), _states(data)),
+        pictures=_pictures(result, site.name),
+        tables=(_parameters(data), _states(data)),
         look_for="states on both sides of the lowest point, a curve through all of them, and one law "
         "that fits force and speed in each: then the stretch at which the tissue is unloaded is determined "
         "by the data",
@@ -49,32 +57,28 @@ def states(page: ReportData, site: SiteMaterial) -> Reportlet | None:
     )
 
 
-def _pictures(result: StageResult, site: str) -> list[Picture]:
-    texts = {
-        "states": ("stretch", f"Shear-wave speed at rest over stretch: the states of site {site} and "
-        "the law."),
-        "picture": ("states", f"Force over depth and speed over force in each state of site {site}, "
-        "with the fit."),
-        "profiles": ("states-profiles", "Profile likelihood over the law's parameters and the "
-        "stretches."),
-    }  # fmt: skip
-    return [
-        Picture(f"{name}-{site}", alt, source=result.path(key), vector=False)
-        for key, (name, alt) in texts.items()
-        if key in result.files and result.path(key).is_file()
-    ]
+def _pictures(result: StageResult, site: str) -> tuple[Picture, ...]:
+    law = f"Shear-wave speed at rest over stretch: the states of site {site} and the law."
+    curves = f"Force over depth and speed over force in each state of site {site}, with the fit."
+    ends = "Profile likelihood over the law's parameters and the stretches."
+    return pictures_of(
+        result,
+        {
+            "states": (f"stretch-{site}", law),
+            "picture": (f"states-{site}", curves),
+            "profiles": (f"states-profiles-{site}", ends),
+        },
+    )
 
 
-def _parameters(data: Mapping[str, Any], *, locks: bool) -> PageTable:
-    estimates = read_estimates(data.get("parameters", {}), locks=locks)
+def _parameters(data: Mapping[str, Any]) -> PageTable:
+    estimates = read_estimates(data.get("parameters", {}), data.get("element"))
     law = data.get("law_words") or data.get("law") or DASH
-    names = head("parameter", "value", "95 % interval", "verdict")
-    rows = tuple(tuple(estimate_cells(each)) for each in estimates)
-    return PageTable(f"One law for all states: {law}; c is free", (names,), rows, numeric=False)
+    return estimates_table(f"One law for all states: {law}; c is free", estimates)
 
 
 def _states(data: Mapping[str, Any]) -> PageTable:
-    rows = tuple(
+    rows = (
         (
             Cell(str(name), lead=True),
             *(_stretch(each.get(f"stretch_{way}") or {}) for way in _WAYS),
@@ -84,10 +88,10 @@ def _states(data: Mapping[str, Any]) -> PageTable:
         )
         for name, each in (data.get("states") or {}).items()
     )
-    names = head(
-        "state", "stretch along", "stretch around", "SWE at rest [m/s]", "fitted [m/s]", "depth misfit [mm]"
-    )
-    return PageTable("States, with their stretches over the unloaded tissue (95 %)", (names,), rows)
+    names = (
+        "state", "stretch along", "stretch around", "SWE at rest [m/s]", "fitted [m/s]", "depth misfit [mm]",
+    )  # fmt: skip
+    return table("States, with their stretches over the unloaded tissue (95 %)", names, rows)
 
 
 def _stretch(stretch: Mapping[str, Any]) -> Cell:

@@ -2,49 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
-from limbcli.reporting.outcome import EXTRA_SITE_STAGES, EXTRA_SUBJECT_STAGES
 from limbcli.reporting.report_data import ReportData
 from limbcli.reporting.sections.model_checks import model_check_words
 
-PAGE, LEVELS, PARAMETERS, MODEL, LIMB, DIAGNOSIS = (
-    "report", "levels", "parameters", "model", "limb", "diagnose",
-)  # fmt: skip
-# What a warning of a kind can change; the first matters most.
-CHANGES: Mapping[str, str] = {
-    PAGE: "Whether these results belong together",
-    LEVELS: "Measured force, depth and speed, and with them every parameter",
-    PARAMETERS: "Parameters and their intervals",
-    MODEL: "Simulated force (geometry, mesh, contact)",
-    LIMB: "Whole limb, and the pressure in its socket; no parameter of the fit",
-    DIAGNOSIS: "Diagnosis only; no parameter of the fit",
-}
-_FITS = {"fit", *(each for each in (*EXTRA_SUBJECT_STAGES, *EXTRA_SITE_STAGES) if each.startswith("fit"))}
+
+class Changes(StrEnum):
+    """What a warning of a kind can change; the first matters most."""
+
+    PAGE = "Whether these results belong together"
+    LEVELS = "Measured force, depth and speed, and with them every parameter"
+    PARAMETERS = "Parameters and their intervals"
+    MODEL = "Simulated force (geometry, mesh, contact)"
+    LIMB = "Whole limb, and the pressure in its socket; no parameter of the fit"
+    DIAGNOSIS = "Diagnosis only; no parameter of the fit"
+
+
+# by stage; warnings of the other stages are of the model
+_OF_STAGES = {"limb": Changes.LIMB, "socket": Changes.LIMB, "diagnose": Changes.DIAGNOSIS} | dict.fromkeys(
+    ("fit", "fit-joint", "fit-states", "fit-elements"), Changes.PARAMETERS
+)
 _FEW = 4  # so many are shown without folding those that change no parameter directly
 
 
 @dataclass(frozen=True)
 class SourcedWarning:
-    """A warning and its source: a stage with its site, "levels p1", "parameters" or "report"."""
+    """A warning, its source in words (a stage with its site, "levels p1"), and what it can change."""
 
     source: str
     text: str
+    changes: Changes
 
-    @property
-    def kind(self) -> str:
-        """One of CHANGES.
 
-        >>> [SourcedWarning(each, "").kind for each in ("fit p1", "mesh p1", "levels p1", "socket")]
-        ['parameters', 'model', 'levels', 'limb']
-        """
-        first = self.source.partition(" ")[0]
-        if first in _FITS:
-            return PARAMETERS
-        if first == "socket":
-            return LIMB
-        return first if first in CHANGES else MODEL
+def changes_of(stage: str) -> Changes:
+    """What a warning of a stage can change."""
+    return _OF_STAGES.get(stage, Changes.MODEL)
 
 
 @dataclass(frozen=True)
@@ -55,7 +50,7 @@ class WarningGroup:
     folded : whether the page shows them only on demand
     """
 
-    changes: str
+    changes: Changes
     size: str
     warnings: tuple[SourcedWarning, ...]
     folded: bool
@@ -64,11 +59,11 @@ class WarningGroup:
 def warning_groups(warnings: Sequence[SourcedWarning], page: ReportData) -> tuple[WarningGroup, ...]:
     """The groups that are not empty, the most important first."""
     groups = []
-    for kind, changes in CHANGES.items():
-        own = tuple(each for each in warnings if each.kind == kind)
-        folded = kind in (MODEL, LIMB, DIAGNOSIS) and len(warnings) > _FEW
+    for kind in Changes:
+        own = tuple(each for each in warnings if each.changes == kind)
+        folded = kind in (Changes.MODEL, Changes.LIMB, Changes.DIAGNOSIS) and len(warnings) > _FEW
         if own:
-            groups.append(WarningGroup(changes, _size(page) if kind == MODEL else "", own, folded))
+            groups.append(WarningGroup(kind, _size(page) if kind == Changes.MODEL else "", own, folded))
     return tuple(groups)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +59,7 @@ class CaseOutcome:
 
     case: Path
     out: Path
+    _: KW_ONLY
     ran: list[str] = field(default_factory=list)
     fresh: list[str] = field(default_factory=list)
     kept: dict[str, str] = field(default_factory=dict)

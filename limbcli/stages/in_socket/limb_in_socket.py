@@ -37,7 +37,7 @@ _HOLE = 0.1  # of a face's extent: a larger hole besides its opening is refused
 _NEAR_CUT_MM = 15.0  # the held cut disturbs the pressures this far
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class LimbInSocket:
     """limb : upright; skin : its facets without unused points, `points` their numbers in the model
 
@@ -108,7 +108,10 @@ def put_together(model: LimbModel, given: SocketInput, writer: StageWriter) -> L
         words += f"; a liner of {given.liner.thickness:g} mm is bonded to the skin"
         limb, touching = with_liner(limb, Liner(**vars(given.liner))), LINER
     knee = None if given.knee is None else _knee_load(limb, frame, given.knee)
-    return LimbInSocket(limb, frame, skin, points, face, fit, words, alignment, touching, knee)
+    return LimbInSocket(
+        limb=limb, frame=frame, skin=skin, points=points, face=face, fit=fit, words=words,
+        alignment=alignment, touching=touching, knee=knee,
+    )  # fmt: skip
 
 
 def _knee_load(limb: LimbModel, frame: LimbFrame, given: KneeInput) -> KneeLoad:

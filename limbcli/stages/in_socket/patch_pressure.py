@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PatchPressure:
     """A patch of the skin under one load; `load_n` 0: after donning; patch "skin": all of it.
 

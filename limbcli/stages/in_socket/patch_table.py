@@ -49,14 +49,15 @@ def patch_rows(
             )
             touching = pressure > 0
             weight = size[touching]
-            rows.append(
-                PatchPressure(
-                    state.load_n, name, float(areas[mask].sum()), float(weight.sum()),
-                    _mean(pressure[touching], weight), _quantile(pressure[touching], weight, 0.95),
-                    kpa_from_mpa(float(pressure.max(initial=0.0))),
-                    _mean(shear[touching], weight), kpa_from_mpa(float(shear.max(initial=0.0))),
-                )
-            )  # fmt: skip
+            rows.append(PatchPressure(
+                load_n=state.load_n, patch=name,
+                area_mm2=float(areas[mask].sum()), contact_area_mm2=float(weight.sum()),
+                mean_kpa=_mean(pressure[touching], weight),
+                p95_kpa=_quantile(pressure[touching], weight, 0.95),
+                peak_kpa=kpa_from_mpa(float(pressure.max(initial=0.0))),
+                mean_shear_kpa=_mean(shear[touching], weight),
+                peak_shear_kpa=kpa_from_mpa(float(shear.max(initial=0.0))),
+            ))  # fmt: skip
     return rows
 
 

@@ -28,7 +28,7 @@ from limbcli.version import __version__
 FEB, README = "limb.feb", "README.txt"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class LimbFiles:
     """A limb's model, frame and side, its skin's facets, its parts, and the tissue's values by name
     (n_cells,)."""

@@ -44,6 +44,10 @@ class TissueBetween:
         return low, self.bottom[level] if known and self.bottom is not None else np.inf
 
     @property
+    def is_known(self) -> bool:
+        return self.top is not None or self.bottom is not None
+
+    @property
     def words(self) -> str:
         parts = [] if self.top is None else [f"from {self.top:.1f} mm (skin and fat as segment found them)"]
         if self.bottom is not None:
@@ -199,7 +203,7 @@ def within_tissue(
     """
     lateral = tuple(table["roi_lateral_mm"] or (-np.inf, np.inf))
     stated = tuple(table["roi_depth_mm"]) if table["roi_depth_mm"] else None
-    if stated is None and tissue.words:
+    if stated is None and tissue.is_known:
         writer.summary.append(f"speeds are those of the depths {tissue.words}")
     if stated is None and tissue.top is None:
         writer.warnings.append(

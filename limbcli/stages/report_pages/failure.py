@@ -22,21 +22,12 @@ def report_failure(folder: Path, error: LimbError, *, out: Path) -> StageResult:
     shown = pasted(error, folder, out)
     failure = Failure(type(shown).__name__, shown.what, shown.where, shown.fix, problems_of(shown.facts))
     name = folder.resolve().name
-    own = provenance()
     with open_stage(out, "report", subject=name) as writer:
-        facts = {
-            "subject": name,
-            "made_on": own["finished_utc"].replace("T", " ").replace("Z", " UTC"),
-            "own": own,
-            "failure": failure,
-            "command": f"limbcli check {typed(folder)}",
-        }
+        command = f"limbcli check {typed(folder)}"
+        facts = {"subject": name, "own": provenance(), "failure": failure, "command": command}
         page = render("failure.html.j2", facts)
         writer.file("page", PAGE_FILE).write_text(page, encoding="utf-8")
-        writer.data["mood"] = "failed"
-        writer.data["failures"] = [{"stage": "check", "site": None, **vars(failure)}]
-        writer.data["n_warnings"] = 0
-        writer.data["sites"] = {}
+        failures = [{"stage": "check", "site": None, **vars(failure)}]
+        writer.data.update(mood="failed", failures=failures, n_warnings=0, sites={})
         writer.summary.append(f"the case cannot be used: {error.what}")
-    assert writer.result is not None
     return writer.result

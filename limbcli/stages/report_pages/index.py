@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -17,10 +16,10 @@ from limbcli.reporting.figures.study import study_figure
 from limbcli.reporting.figures.style import style
 from limbcli.reporting.fit_view import FitView, read_fit_view
 from limbcli.reporting.index import HEADINGS, IndexRow, relative, study_rows
-from limbcli.reporting.outcome import Failure, problems_of
+from limbcli.reporting.outcome import Failure, failure_of
 from limbcli.reporting.page import data_uri, render
 from limbcli.reporting.reportlet import worst_mood
-from limbcli.results import ERROR_FILE, UNLIKE_OURS, StageResult, plain, provenance, read_result, stage_folder
+from limbcli.results import ERROR_FILE, UNLIKE_OURS, StageResult, provenance, read_result, stage_folder
 
 INDEX_FILE = "index.html"
 
@@ -70,7 +69,6 @@ def report_index(folder: Path, *, templates: Path | None = None, progress: Progr
         "rows": rows, "headings": HEADINGS, "own": own, "n_subjects": len(outs),
         "study": _picture(rows, folder),
         "name": folder.resolve().name,
-        "made_on": own["finished_utc"].replace("T", " ").replace("Z", " UTC"),
     }  # fmt: skip
     html = render("index.html.j2", facts, templates=templates)
     with atomic_file(folder / INDEX_FILE) as path:
@@ -124,29 +122,26 @@ def _rows(out: Path, folder: Path) -> list[IndexRow]:
 
 def _row(out: Path, report: StageResult, site: str, link: str) -> IndexRow:
     failures = [each for each in report.data.get("failures", []) if each.get("site") in (site, None)]
-    n_warnings = int(report.data.get("n_warnings", 0))
-    name, assumed = out.resolve().name, str(report.data.get("geometry_assumed") or "")
+    row = IndexRow(
+        folder=out.resolve().name, subject=report.subject, site=site, mood="missing", state="not fitted yet",
+        n_warnings=int(report.data.get("n_warnings", 0)), link=link,
+        assumed=str(report.data.get("geometry_assumed") or ""),
+    )  # fmt: skip
     if failures:
         state = f"{failures[0]['stage']} failed: {failures[0]['what'].splitlines()[0]}"
-        shown, view = tuple(_failure(each) for each in failures), _fitted_all_the_same(out, report, site)
-        return IndexRow(name, report.subject, site, "failed", state, n_warnings, link, view, shown, assumed)
+        shown, view = tuple(failure_of(each) for each in failures), _fitted_all_the_same(out, report, site)
+        return replace(row, mood="failed", state=state, view=view, failures=shown)
     try:
         fitted = read_result(out, "fit", site=site)
     except CaseError:
-        return IndexRow(
-            name, report.subject, site, "missing", "not fitted yet", n_warnings, link, assumed=assumed
-        )
+        return row
     if fitted.subject != report.subject:  # consistent with the report page
-        state = f"the fit is of {fitted.subject}"
-        return IndexRow(name, report.subject, site, "missing", state, n_warnings, link, assumed=assumed)
+        return replace(row, state=f"the fit is of {fitted.subject}")
     view, shown_fit = read_fit_view(fitted), report.value(f"fitted_utc/{site}")
     is_shown = shown_fit in (None, fitted.provenance.get("finished_utc"))
     older = "" if is_shown else "again after its report was made: make the report again"
-    mood = worst_mood(view.whole.mood, "warning" if n_warnings or older else "fine")
-    return IndexRow(
-        name, report.subject, site, mood, "fitted", n_warnings, link,
-        view, assumed=assumed, older=older,
-    )  # fmt: skip
+    mood = worst_mood(view.whole.mood, "warning" if row.n_warnings or older else "fine")
+    return replace(row, mood=mood, state="fitted", view=view, older=older)
 
 
 def _fitted_all_the_same(out: Path, report: StageResult, site: str) -> FitView | None:
@@ -160,27 +155,22 @@ def _fitted_all_the_same(out: Path, report: StageResult, site: str) -> FitView |
     return read_fit_view(fitted) if fitted.subject == report.subject else None
 
 
-def _failure(content: Mapping[str, Any]) -> Failure:
-    error, what, where, fix = (str(content.get(key) or "–") for key in ("error", "what", "where", "fix"))
-    return Failure(error, what, where, fix, problems_of(content) or problems_of(content.get("facts")))
-
-
 def _row_without_report(out: Path, error: CaseError) -> IndexRow:
     """The row of a subject without a readable report: failed if a stage recorded a failure or the report is
     damaged, else not finished yet."""
     name = out.resolve().name
-    state, shown = error.what, Failure("CaseError", error.what, error.where, error.fix)
-    is_damaged = (stage_folder(out, "report") / "report.json").is_file()
-    is_failed = is_damaged
+    row = IndexRow(
+        folder=name, subject=name, site="", mood="missing", state="not finished: it has no report yet",
+        n_warnings=0, link="",
+    )  # fmt: skip
     for path in sorted(out.glob("**/error.json")):
         try:
             content = json.loads(path.read_text())
-            what = content["what"].splitlines()[0]
-            state, shown = f"{path.parent.relative_to(out)} failed: {what}", _failure(content)
-            is_failed = True
-            break
+            state = f"{path.parent.relative_to(out)} failed: {content['what'].splitlines()[0]}"
+            return replace(row, mood="failed", state=state, failures=(failure_of(content),))
         except UNLIKE_OURS:
             continue
-    if not is_failed:
-        return IndexRow(name, name, "", "missing", "not finished: it has no report yet", 0, "")
-    return IndexRow(name, name, "", "failed", str(plain(state)), 0, "", failures=(shown,))
+    if not (stage_folder(out, "report") / "report.json").is_file():
+        return row
+    shown = Failure("CaseError", error.what, error.where, error.fix)
+    return replace(row, mood="failed", state=error.what, failures=(shown,))

@@ -39,13 +39,9 @@ def gather(case: Case, *, out: Path, progress: Progress = SILENT) -> ReportData:
         sites.append(replace(found, on_limb=limb_place(case, site, skin, outcomes)))
     progress.event("task", name="report: reading results", done=len(names), total=len(names))
     return ReportData(
-        case,
-        str(case.folder),
-        out,
-        outcomes,
-        tuple(sites),
-        (*stale_results(case, out, outcomes), *_older_results(outcomes, names)),
-    )
+        case=case, case_name=str(case.folder), out=out, outcomes=outcomes, sites=tuple(sites),
+        notices=(*stale_results(case, out, outcomes), *_older_results(outcomes, names)),
+    )  # fmt: skip
 
 
 def _fitted_cycle(outcomes: Outcomes, name: str) -> int | None:

@@ -46,14 +46,9 @@ def _framed(case: Case, site: Site, skin: Triangles, meshed: StageResult | None)
     across = np.cross(outward, along)
     half = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * [case.probe.length / 2, case.probe.width / 2]
     return LimbPlace(
-        site.name,
-        case.limb,
-        skin.points,
-        skin.faces,
-        place,
-        outward,
-        place + half @ np.stack([along, across]),
-    )
+        name=site.name, limb=case.limb, points=skin.points, triangles=skin.faces, place=place,
+        outward=outward, face=place + half @ np.stack([along, across]),
+    )  # fmt: skip
 
 
 def _unframed(case: Case, site: Site, skin: Triangles, segmented: StageResult | None) -> LimbPlace | None:
@@ -65,7 +60,10 @@ def _unframed(case: Case, site: Site, skin: Triangles, segmented: StageResult | 
     if place is None:
         return None
     point = np.array(place, float)
-    return LimbPlace(site.name, case.limb, skin.points, skin.faces, point, point - _middle(skin, point))
+    return LimbPlace(
+        name=site.name, limb=case.limb, points=skin.points, triangles=skin.faces, place=point,
+        outward=point - _middle(skin, point),
+    )  # fmt: skip
 
 
 def _middle(skin: Triangles, point: Array) -> Array:

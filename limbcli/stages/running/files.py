@@ -163,10 +163,10 @@ def draw_curve(
     from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth
     from limbcli.reporting.figures.style import new_figure, style
 
-    depth, force = np.r_[0.0, curve[:, 1]], np.r_[0.0, curve[:, 2]]
-    label = f"simulated, start values ({simulation.solver} {simulation.version})"
+    by = f"({simulation.solver} {simulation.version})"
     if levels is not None:
         noise = unnoted(site).noise if site is not None else None  # of the picture
+        depth, force = np.r_[0.0, curve[:, 1]], np.r_[0.0, curve[:, 2]]
         measured = MeasuredCurve(
             depth=levels.depth,
             force=levels.force,
@@ -174,15 +174,15 @@ def draw_curve(
             force_sd=noise.force if noise else None,
             unloading=~levels.loading,
         )
-        save_figure(force_depth(measured, [SimulatedCurve("start", label, depth, force)]), path)
+        simulated = SimulatedCurve("start", f"simulated, start values {by}", depth, force)
+        save_figure(force_depth(measured, [simulated]), path)
         return
     with style():
         figure = new_figure()
         axes = figure.add_subplot()
-        axes.plot(curve[:, 1], curve[:, 2], "-", color="C0", label=label.replace(", start values", ""))
+        axes.plot(curve[:, 1], curve[:, 2], "-", color="C0", label=f"simulated {by}")
         marked = at_must_points(curve, must_points)
         axes.plot(marked[:, 1], marked[:, 2], "o", color="C0", markersize=5, label="must-points")
-        axes.set_xlabel("probe depth / mm")
-        axes.set_ylabel("force on the tissue / N")
+        axes.set(xlabel="probe depth / mm", ylabel="force on the tissue / N")
         axes.legend()
         save_figure(figure, path)

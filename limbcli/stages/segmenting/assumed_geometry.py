@@ -19,7 +19,6 @@ from limbcli.case.noting import unnoted
 from limbcli.case.parts import Shape
 from limbcli.errors import CaseError
 from limbcli.errors.problems import Problem, errors_of, raise_errors
-from limbcli.imaging.surface import ClosedSurface
 from limbcli.meshing.frame import proximal_direction, site_frame
 from limbcli.meshing.mending import Limb, mend, skin_and_bones
 from limbcli.meshing.places import place_problems
@@ -39,7 +38,7 @@ _DEPTH_OFF = 1.0  # mm, deviation of a shared bone's depth from a site's measure
 BONE = "bone_1"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ThicknessComparison:
     """One site's skin-bone distance (mm): measured, with its source, and in the surfaces made."""
 
@@ -57,11 +56,11 @@ class ThicknessComparison:
         }  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class AssumedLimb:
     """Surfaces by the names used by `segment`, the bones as rods, and each site's skin-bone distance."""
 
-    surfaces: Mapping[str, ClosedSurface]
+    surfaces: Mapping[str, Triangles]
     bones: Mapping[str, Rod]
     sites: Mapping[str, ThicknessComparison]
     notes: tuple[str, ...] = ()
@@ -177,7 +176,7 @@ def _is_aside(shape: Shape, made: float | None) -> bool:
 
 def _of_numbers(shape: Shape, case: Case) -> AssumedLimb:
     skin, bone = _rods(shape)
-    surfaces = {"skin": _closed(skin.surface(edge=SKIN_EDGE)), BONE: _closed(bone.surface(edge=BONE_EDGE))}
+    surfaces = {"skin": skin.surface(edge=SKIN_EDGE), BONE: bone.surface(edge=BONE_EDGE)}
     sites, aside = {}, []
     for site in case.sites:
         point, normal = _on_tube(shape, site)
@@ -185,12 +184,14 @@ def _of_numbers(shape: Shape, case: Case) -> AssumedLimb:
         if _is_aside(shape, made):
             aside.append(site.name)
             depth, source = seen_depth(site) or (made or depth, source)
-        sites[site.name] = ThicknessComparison(depth, source, made, BONE, _triple(point), _triple(normal))
+        sites[site.name] = ThicknessComparison(
+            measured=depth, source=source, made=made, bone=BONE, point=_triple(point), normal=_triple(normal)
+        )
     warnings = tuple(
         f"site {name} is not anterior, where [imaging] shape gives the layers: the tissue "
         "thickness there is that of the round limb" for name in aside
     )  # fmt: skip
-    return AssumedLimb(surfaces, {BONE: bone}, sites, (), shape, warnings)
+    return AssumedLimb(surfaces=surfaces, bones={BONE: bone}, sites=sites, shape=shape, warnings=warnings)
 
 
 def _of_a_scan(case: Case) -> AssumedLimb:
@@ -198,7 +199,7 @@ def _of_a_scan(case: Case) -> AssumedLimb:
     assert path is not None
     assert radius is not None
     skin, warnings = read_body(path, case.imaging)
-    pieces = skin_and_bones(Triangles(skin.points, skin.triangles))
+    pieces = skin_and_bones(skin)
     notes = [f"{len(pieces) - 1} smaller bodies of {path.name} are excluded"] if len(pieces) > 1 else []
     limb = mend(pieces[0], [], where=str(path))
     proximal = proximal_direction(limb)
@@ -206,19 +207,20 @@ def _of_a_scan(case: Case) -> AssumedLimb:
     raise_errors(errors_of(place_problems(limb.skin, places, where=str(case.file))), CaseError)
     seen = {site.name: _seen(site, limb, case) for site in case.sites}
     axis = limb_axis(limb, np.array([each.point for each in seen.values()]), proximal)
-    bones, sites, whole = {}, {}, {"skin": _closed(pieces[0])}
+    bones, sites, whole = {}, {}, {"skin": pieces[0]}
     for number, (rod, names) in enumerate(rods_for(seen, limb, axis, radius), 1):
         bone = f"bone_{number}"
-        bones[bone], whole[bone] = rod, _closed(rod.surface(edge=BONE_EDGE))
+        bones[bone], whole[bone] = rod, rod.surface(edge=BONE_EDGE)
         notes.append(f"{bone}: as measured at {', '.join(names)}, {rod.high - rod.low:.0f} mm long")
         for name in names:
             each, (depth, source) = seen[name], _known(case.site(name))
             made = rod.depth_under(each.point, -each.normal)
             sites[name] = ThicknessComparison(
-                depth, source, made, bone, _triple(each.point), _triple(each.normal)
-            )
+                measured=depth, source=source, made=made, bone=bone, point=_triple(each.point),
+                normal=_triple(each.normal),
+            )  # fmt: skip
             warnings += _disagreement(name, depth, made, names)
-    return AssumedLimb(whole, bones, sites, tuple(notes), None, tuple(warnings))
+    return AssumedLimb(surfaces=whole, bones=bones, sites=sites, notes=tuple(notes), warnings=tuple(warnings))
 
 
 def _disagreement(name: str, measured: float, made: float | None, names: list[str]) -> list[str]:
@@ -243,10 +245,6 @@ def _known(site: Site) -> tuple[float, str]:
     found = seen_depth(site)
     assert found is not None
     return found
-
-
-def _closed(surface: Triangles) -> ClosedSurface:
-    return ClosedSurface(surface.points, surface.faces)
 
 
 def _triple(point: Any) -> tuple[float, float, float]:

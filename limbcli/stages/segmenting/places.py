@@ -10,7 +10,6 @@ import numpy as np
 from limbcli.case import Case
 from limbcli.errors import MeshError
 from limbcli.errors.problems import Problem
-from limbcli.imaging.surface import ClosedSurface
 from limbcli.meshing.mending import mend
 from limbcli.meshing.places import place_faults, problem_of, triple
 from limbcli.meshing.surfaces import Triangles
@@ -23,7 +22,7 @@ PICTURE, TABLE = "site-grid.png", "site-grid.csv"
 
 def report_places(
     case: Case,
-    surfaces: Mapping[str, ClosedSurface],
+    surfaces: Mapping[str, Triangles],
     markers: Sequence[Mapping[str, Any]],
     writer: StageWriter,
 ) -> None:
@@ -34,18 +33,17 @@ def report_places(
     for each in markers:
         place = np.array(each["position_mm"])
         writer.summary.append(f"marker {each['number']}: position_mm = {triple(place)} (its middle)")
-    triangles = {name: Triangles(each.points, each.triangles) for name, each in surfaces.items()}
     places = {each.name: np.array(each.position) for each in case.sites if each.position is not None}
-    faults = place_faults(triangles["skin"], places)
+    faults = place_faults(surfaces["skin"], places)
     problems = {name: problem_of(name, each, where=str(case.file)) for name, each in faults.items()}
     writer.data["site_problems"] = {
         name: {"what": each.what, "fix": each.fix, "severity": each.severity}
         for name, each in problems.items()
     }
     writer.warnings.extend(_warning_text(each.what, each.fix) for each in problems.values())
-    bones = [each for name, each in triangles.items() if name != "skin"]
+    bones = [each for name, each in surfaces.items() if name != "skin"]
     try:
-        limb = mend(triangles["skin"], bones, where="skin.ply")
+        limb = mend(surfaces["skin"], bones, where="skin.ply")
     except MeshError as error:
         writer.warnings.append(f"no grid of places was drawn: {error.what}")
         return

@@ -38,15 +38,15 @@ class GridPoint:
     nearest_bone: float
 
 
-def grid_points(limb: Limb, *, step: float = _STEP_MM) -> list[GridPoint]:
-    """Skin points every `step` mm along the limb (more if it is long) and every 30 degrees around it.
+def grid_points(limb: Limb) -> list[GridPoint]:
+    """Skin points every `_STEP_MM` along the limb (more if it is long) and every 30 degrees around it.
 
     0 degrees is anterior (-y of LPS), 90 the patient's left. The ends of the limb are left out.
     """
     axis = proximal_direction(limb)
     along = limb.skin.points @ axis
     low, high = float(along.min()), float(along.max())
-    step = max(step, (high - low) / _MOST_ROWS)
+    step = max(_STEP_MM, (high - low) / _MOST_ROWS)
     anterior = np.array([0.0, -1.0, 0.0]) - (np.array([0.0, -1.0, 0.0]) @ axis) * axis
     anterior /= np.linalg.norm(anterior)
     left = np.cross(axis, anterior)

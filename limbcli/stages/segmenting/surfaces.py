@@ -10,7 +10,7 @@ import numpy as np
 from limbcli.case import Case, Imaging
 from limbcli.errors import CaseError, MeshError
 from limbcli.errors.problems import Problem, raise_errors
-from limbcli.imaging.surface import ClosedSurface, read_surface, write_surface
+from limbcli.imaging.surface import read_surface, write_surface
 from limbcli.meshing.anatomy import IN_ONE_FRAME, SKIN, bones_outside, limb_problems
 from limbcli.meshing.domain import part_inside
 from limbcli.meshing.facets import divided
@@ -67,9 +67,9 @@ def from_surfaces(case: Case, writer: StageWriter, *, accept_bones: bool = False
 
 
 def check_limb(
-    surfaces: Mapping[str, ClosedSurface], case: Case, writer: StageWriter, *, where: str,
+    surfaces: Mapping[str, Triangles], case: Case, writer: StageWriter, *, where: str,
     accept_bones: bool = False,
-) -> dict[str, ClosedSurface]:  # fmt: skip
+) -> dict[str, Triangles]:  # fmt: skip
     """Check whether skin and bones can be a limb's, and return them; unusual findings are warnings.
 
     accept_bones : of bones outside the skin, return what is inside, with a warning
@@ -80,24 +80,22 @@ def check_limb(
         Listing everything impossible: a bone outside the skin, sizes in another unit.
     """
     kept = _inside_skin(surfaces, writer, where) if accept_bones else dict(surfaces)
-    problems = limb_problems(triangles_of(kept), limb=case.limb, where=where)
+    problems = limb_problems(kept, limb=case.limb, where=where)
     raise_errors(problems, CaseError)
     writer.warnings.extend(f"{each.what}; {each.fix}" for each in problems)
     return kept
 
 
-def _inside_skin(
-    surfaces: Mapping[str, ClosedSurface], writer: StageWriter, where: str
-) -> dict[str, ClosedSurface]:
+def _inside_skin(surfaces: Mapping[str, Triangles], writer: StageWriter, where: str) -> dict[str, Triangles]:
     """Skin and bones, without what the bones that would be refused have outside the skin."""
-    triangles, kept = triangles_of(surfaces), dict(surfaces)
-    skin, outside = bones_outside(triangles, where=where)
+    kept = dict(surfaces)
+    skin, outside = bones_outside(surfaces, where=where)
     for name, what in outside.items():
-        part = part_inside(triangles[name], skin)
+        part = part_inside(surfaces[name], skin)
         if part is None:
             del kept[name]
         else:
-            kept[name] = ClosedSurface(part.points, part.faces)
+            kept[name] = part
         done = "it is left out" if part is None else "only the part inside is kept"
         writer.warnings.append(
             f"{what}: {done} (--accept-bones), and the model is too soft where it is missing"
@@ -109,10 +107,6 @@ def _inside_skin(
             fix=IN_ONE_FRAME,
         )
     return kept
-
-
-def triangles_of(surfaces: Mapping[str, ClosedSurface]) -> dict[str, Triangles]:
-    return {name: Triangles(each.points, each.triangles) for name, each in surfaces.items()}
 
 
 def frames_of(case: Case) -> tuple[list[str], list[Problem]]:
@@ -153,7 +147,7 @@ def _of_aop(path: Path, case: Case) -> list[str]:
     return [f"landmarks of {path.name}, as for position_mm: {', '.join(places)}"] if places else []
 
 
-def read_surfaces(case: Case) -> tuple[dict[str, ClosedSurface], dict[str, Path], list[str]]:
+def read_surfaces(case: Case) -> tuple[dict[str, Triangles], dict[str, Path], list[str]]:
     """Skin and bones by name as given, the files named by the case, and what was left out of the skin.
 
     Raises
@@ -169,19 +163,18 @@ def read_surfaces(case: Case) -> tuple[dict[str, ClosedSurface], dict[str, Path]
     if not case.imaging.bones:
         return _bodies(surfaces[SKIN], case.imaging.skin), paths, []
     bones = {name: surfaces[name] for name in names}
-    surfaces[SKIN], left_out = without_fragments(surfaces[SKIN], case.imaging.skin, triangles_of(bones))
+    surfaces[SKIN], left_out = without_fragments(surfaces[SKIN], case.imaging.skin, bones)
     surfaces |= {name: _whole(surfaces[name]) for name in names}
     if names == numbered(len(names)):  # no file name identifies its bone
-        triangles = triangles_of(surfaces)
-        bodies = [SKIN, *names_of_bodies(triangles[SKIN], [triangles[each] for each in names])]
+        bodies = [SKIN, *names_of_bodies(surfaces[SKIN], [surfaces[each] for each in names])]
         surfaces = dict(zip(bodies, surfaces.values(), strict=True))
         paths = dict(zip(bodies, paths.values(), strict=True))
     return surfaces, paths, left_out
 
 
 def without_fragments(
-    skin: ClosedSurface, path: Path, bones: Mapping[str, Triangles]
-) -> tuple[ClosedSurface, list[str]]:
+    skin: Triangles, path: Path, bones: Mapping[str, Triangles]
+) -> tuple[Triangles, list[str]]:
     """The largest piece of a skin's file with what lies inside it, and warnings that name the other pieces.
 
     Raises
@@ -189,7 +182,7 @@ def without_fragments(
     CaseError
         If a bone lies in one of the other pieces.
     """
-    body, others = largest_and_fragments(Triangles(skin.points, skin.triangles))
+    body, others = largest_and_fragments(skin)
     for each in others:
         inside = [name for name, bone in bones.items() if lies_within(each, bone)]
         if inside:
@@ -203,7 +196,7 @@ def without_fragments(
     named = "; ".join(_piece(each) for each in others[:_NAMED])
     more = f"; and {len(others) - _NAMED} smaller" if len(others) > _NAMED else ""
     what = f"{path.name} holds {len(others)} more piece{'s' if len(others) > 1 else ''} outside its largest"
-    return ClosedSurface(body.points, body.faces), [f"{what}, left out: {named}{more}"]
+    return body, [f"{what}, left out: {named}{more}"]
 
 
 def _piece(piece: Triangles) -> str:
@@ -212,9 +205,9 @@ def _piece(piece: Triangles) -> str:
     return f"a piece {np.ptp(piece.points, axis=0).max():.0f} mm across at {triple(0.5 * (low + high))} mm"
 
 
-def _bodies(surface: ClosedSurface, path: Path) -> dict[str, ClosedSurface]:
+def _bodies(surface: Triangles, path: Path) -> dict[str, Triangles]:
     """Skin and bones from a single file that contains all of them."""
-    skin, *bones = _bodies_of(surface)
+    skin, *bones = skin_and_bones(surface)
     if not bones:
         raise CaseError(
             "the skin's file contains only one body, and no bones are given",
@@ -222,20 +215,19 @@ def _bodies(surface: ClosedSurface, path: Path) -> dict[str, ClosedSurface]:
             fix='add `bones = ["file", ...]` to [imaging], or give all bodies in one file',
         )
     named = dict(zip(names_of_bodies(skin, bones), bones, strict=True))
-    return {name: ClosedSurface(each.points, each.faces) for name, each in {SKIN: skin, **named}.items()}
+    return {SKIN: skin, **named}
 
 
-def _whole(bone: ClosedSurface) -> ClosedSurface:
+def _whole(bone: Triangles) -> Triangles:
     """The bone without the inner surfaces of its cavities."""
-    pieces = _bodies_of(bone)
+    pieces = skin_and_bones(bone)
     kept = without_cavities(pieces)
     if len(kept) == len(pieces):
         return bone
-    outer = join(kept)
-    return ClosedSurface(outer.points, outer.faces)
+    return join(kept)
 
 
-def _read(path: Path, imaging: Imaging) -> ClosedSurface:
+def _read(path: Path, imaging: Imaging) -> Triangles:
     """The surface of a file, converted as the file states and as case.toml says.
 
     Raises
@@ -246,7 +238,8 @@ def _read(path: Path, imaging: Imaging) -> ClosedSurface:
     surface = read_surface(path)
     factor = _factor(path, imaging)
     points = surface.points * factor * ((-1.0, 1.0, 1.0) if imaging.mirrored else (1.0, 1.0, 1.0))
-    return ClosedSurface(points, surface.triangles[:, ::-1].copy() if imaging.mirrored else surface.triangles)
+    found = Triangles(points, surface.faces)
+    return found.flipped() if imaging.mirrored else found
 
 
 def _factor(path: Path, imaging: Imaging) -> float:
@@ -281,7 +274,7 @@ def _by_case(imaging: Imaging) -> list[str]:
     return lines
 
 
-def _in_mm(surface: ClosedSurface, name: str, path: Path) -> ClosedSurface:
+def _in_mm(surface: Triangles, name: str, path: Path) -> Triangles:
     """Check a surface's size, and return it with the triangles of a drawn body divided."""
     size = np.ptp(surface.points, axis=0).max()
     if not 5.0 < size < 2000.0:
@@ -294,19 +287,19 @@ def _in_mm(surface: ClosedSurface, name: str, path: Path) -> ClosedSurface:
         )
     if not _is_drawn(surface):
         return surface
-    return ClosedSurface(*divided(surface.points, surface.triangles, _LONGEST_EDGE))
+    return Triangles(*divided(surface.points, surface.faces, _LONGEST_EDGE))
 
 
-def _is_drawn(surface: ClosedSurface) -> bool:
+def _is_drawn(surface: Triangles) -> bool:
     """Whether most of its area lies in triangles with long edges."""
-    corners = surface.points[surface.triangles]
+    corners = surface.points[surface.faces]
     edges = corners - np.roll(corners, 1, axis=1)
     long = np.linalg.norm(edges, axis=2).max(axis=1) > _LONGEST_EDGE
     area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
     return bool(area[long].sum() > _DRAWN_SHARE * area.sum())
 
 
-def read_body(path: Path, imaging: Imaging = _AS_STATED) -> tuple[ClosedSurface, list[str]]:
+def read_body(path: Path, imaging: Imaging = _AS_STATED) -> tuple[Triangles, list[str]]:
     """The skin of a file as given, with outward normals, and warnings; imaging : its unit and side.
 
     Raises
@@ -319,37 +312,28 @@ def read_body(path: Path, imaging: Imaging = _AS_STATED) -> tuple[ClosedSurface,
     return turned, [*left_out, *warnings]
 
 
-def _usable(surface: ClosedSurface, name: str, path: Path, writer: StageWriter) -> ClosedSurface:
+def _usable(surface: Triangles, name: str, path: Path, writer: StageWriter) -> Triangles:
     """The surface with outward normals; an open one gives a warning (meshing closes it)."""
     surface, warnings = _turned(surface, name, path)
     writer.warnings.extend(warnings)
     return surface
 
 
-def _turned(surface: ClosedSurface, name: str, path: Path) -> tuple[ClosedSurface, list[str]]:
+def _turned(surface: Triangles, name: str, path: Path) -> tuple[Triangles, list[str]]:
     warnings = []
     if not surface.is_closed:
         warnings.append(
             f"{name} ({path.name}) is not closed{_rims(surface)}; it will be closed when the model is cut"
         )
-    if turned_inward(_largest(surface)):
-        surface = ClosedSurface(surface.points, surface.triangles[:, ::-1].copy())
+    if turned_inward(skin_and_bones(surface)[0]):
+        surface = surface.flipped()
         warnings.append(f"the normals of {path.name} pointed inward and were reversed")
     return surface, warnings
 
 
-def _largest(surface: ClosedSurface) -> Triangles:
-    """The largest body of a surface: a skin's file may also contain bones and fragments."""
-    return _bodies_of(surface)[0]
-
-
-def _bodies_of(surface: ClosedSurface) -> list[Triangles]:
-    return skin_and_bones(Triangles(surface.points, surface.triangles))
-
-
-def _rims(surface: ClosedSurface) -> str:
+def _rims(surface: Triangles) -> str:
     """Where a surface is open, in words; the model has a flat lid there."""
-    rims = [rim for each in _bodies_of(surface) for rim in open_rims(each)]
+    rims = [rim for each in skin_and_bones(surface) for rim in open_rims(each)]
     if not rims:
         return ""
     middle, width = max(rims, key=lambda each: each[1])
@@ -361,7 +345,7 @@ def write_skin_aop(case: Case, writer: StageWriter) -> None:
     """Write skin.aop of the skin that was written, with the markers as landmarks; warn where it cannot be."""
     skin = read_surface(writer.work / f"{SKIN}.ply")
     marks = {f"MARKER {each['number']}": np.array(each["position_mm"]) for each in writer.data["markers"]}
-    write_upright_aop(_largest(skin), marks, case.limb or "", writer, frame="patient LPS")
+    write_upright_aop(skin_and_bones(skin)[0], marks, case.limb or "", writer, frame="patient LPS")
 
 
 def write_upright_aop(
@@ -383,12 +367,12 @@ def write_upright_aop(
     )
 
 
-def write_surfaces(surfaces: dict[str, ClosedSurface], writer: StageWriter) -> None:
+def write_surfaces(surfaces: dict[str, Triangles], writer: StageWriter) -> None:
     """Write skin.ply and bone_*.ply, and record the volumes that they enclose."""
     volumes = {}
     for name, surface in surfaces.items():
         write_surface(writer.file(name, f"{name}.ply"), surface)
-        bodies = [_largest(surface)] if name == SKIN else _bodies_of(surface)
+        bodies = skin_and_bones(surface)[: 1 if name == SKIN else None]
         volumes[name] = sum(enclosed(each) for each in bodies) / 1e3
-        writer.summary.append(f"{name}: {volumes[name]:.1f} cm3, {len(surface.triangles)} triangles")
+        writer.summary.append(f"{name}: {volumes[name]:.1f} cm3, {len(surface.faces)} triangles")
     writer.data["volume_cm3"] = volumes

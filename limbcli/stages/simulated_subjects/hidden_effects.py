@@ -26,7 +26,7 @@ from limbcli.phantom.noise import Readings
 from limbcli.phantom.protocol import TrueLevels
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Hidden:
     """A hidden effect: a change of the loaded model, of the model for wave speeds, or of the readings.
 
@@ -68,10 +68,10 @@ def hide(text: str) -> Hidden:
     in_model = None if readings else (lambda m: (model or found.apply)(m, theta))
     waves = found.waves
     return Hidden(
-        name, {**theta, **_otherwise(name, theta)}, in_model,
-        None if readings is None else (lambda r, t: readings(r, t, theta)),
-        None if waves is None else (lambda m: waves(m, theta)),
-        theta.get("preload_n", 0.0),
+        name=name, true={**theta, **_otherwise(name, theta)}, in_model=in_model,
+        in_readings=None if readings is None else (lambda r, t: readings(r, t, theta)),
+        for_waves=None if waves is None else (lambda m: waves(m, theta)),
+        preload=theta.get("preload_n", 0.0),
     )  # fmt: skip
 
 

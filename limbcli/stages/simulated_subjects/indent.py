@@ -84,7 +84,10 @@ def indent(
     """
     expected = skin_bone_distance(model)
     cap = min(_DEEPEST, protocol.max_strain * expected) if expected else _DEEPEST
-    press = Press(model, tissue, spacing, tolerance, progress, change, stretch)
+    press = Press(
+        meshed=model, tissue=tissue, spacing=spacing, tolerance=tolerance, progress=progress, change=change,
+        stretch=stretch,
+    )  # fmt: skip
     model, simulation = press.until(_ENOUGH * protocol.max_force, cap)
     seen = model if change_for_waves is None else press.bare(change_for_waves, simulation)
     if stretch is not None:
@@ -104,7 +107,7 @@ def indent(
     )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Press:
     """A site's model with its tissue, whose indentation is extended in pieces."""
 

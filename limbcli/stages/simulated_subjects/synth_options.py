@@ -15,7 +15,7 @@ from limbcli.stages.simulated_subjects.known_stretches import KnownStretches
 Alter = Callable[[LimbModel], LimbModel]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SynthOptions:
     """What to simulate, and how to measure it.
 

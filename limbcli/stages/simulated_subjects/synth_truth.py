@@ -17,7 +17,7 @@ from limbcli.stages.simulated_subjects.synth_options import SynthOptions
 from limbcli.version import __version__
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class SyntheticSite:
     """Truth and readings of one site, or of one of its states if it has any."""
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from limbcli.errors import MeshError
 from limbcli.materials.ogden import ogden_type
 from limbcli.meshing.probe import ProbeShape
-from limbcli.meshing.slab import LAYERS, CellCounts, Slab, slab_model
+from tests.benchmarks.layered_slab import LAYERS, CellCounts, Slab, slab_model
 
 PROBE = ProbeShape(40.0, 10.0, 2.4)
 LAWS = {name: ogden_type(c=0.01, f_kappa=100.0, m=2.0) for name in LAYERS}

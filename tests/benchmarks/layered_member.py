@@ -27,11 +27,11 @@ from limbcli.feb.settings import Schedule, robust_contact, robust_step, schedule
 from limbcli.inference.layered_solves import SKIN_RATIO
 from limbcli.materials.ogden import ogden_type
 from limbcli.meshing.probe import ProbeShape
-from limbcli.meshing.slab import LAYERS, QUARTER, CellCounts, Slab, slab_model
 from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.model.bodies import Drive
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.session import ReferenceSession, SessionResult
+from tests.benchmarks.layered_slab import LAYERS, QUARTER, CellCounts, Slab, slab_model
 
 ROOT_AREA = 20.0  # mm, square root of the face's area at which the family is solved
 ASPECT, EDGE_SHARE = 4.0, 0.12
