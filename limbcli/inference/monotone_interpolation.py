@@ -13,9 +13,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from limbcli.model import Array, IntArray
+from limbcli.numbers.compiled import njit
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +175,7 @@ def columns_through(knots: Array, values: Array, at: Array) -> Array:
     return out
 
 
-_kernel = njit(cache=True, nogil=True, error_model="numpy")
+_kernel = njit
 
 
 @_kernel
