@@ -14,11 +14,11 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from numba import njit
 
 from limbcli.effects.base import Effect, Parameter, Theta
 from limbcli.effects.places import Places, stiffened
 from limbcli.model import Array, LimbModel
+from limbcli.numbers.compiled import njit
 
 X, DEPTH, RADIUS, EDGE = (
     "inclusion_x_mm", "inclusion_depth_mm", "inclusion_radius_mm", "inclusion_edge_mm",
@@ -47,7 +47,7 @@ def stiffness(places: Places, theta: Theta) -> Array:
     return np.asarray(ball.reshape(places.at.shape[:-1]))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _ball(at, middle, radius, scale, rise):  # type: ignore[no-untyped-def]
     """1 (n,) at places (n, 3) outside a ball, 1 + rise inside; the edge is a logistic function with this
     scale (mm)."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from limbcli.errors import SolveError
+from limbcli.fitting.kept_solves import KeptSolves
 from limbcli.fitting.solve_again import forces_again
 from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
@@ -29,11 +30,11 @@ MATTERS = 0.05  # relative change of force above which a warning is given; below
 
 def forces_with_penalty(
     model: LimbModel, penalty: float, *, like: ReferenceSession | None = None, levels: Solved | None = None,
-    threads: int = 2, progress: Progress = SILENT,
+    kept: KeptSolves = KeptSolves(), threads: int = 2, progress: Progress = SILENT,
 ) -> Array:  # fmt: skip
     """Forces (n_reached,) N at the model's levels with another contact penalty.
 
-    like, levels : as in `forces_again`
+    like, levels, kept : as in `forces_again`
 
     Raises
     ------
@@ -41,8 +42,8 @@ def forces_with_penalty(
         If the model cannot be solved with this penalty.
     """
     return forces_again(
-        with_penalty(model, penalty), "contact check", like=like, levels=levels, threads=threads,
-        progress=progress,
+        with_penalty(model, penalty), "contact check", like=like, levels=levels, kept=kept,
+        threads=threads, progress=progress,
     )  # fmt: skip
 
 

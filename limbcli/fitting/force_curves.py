@@ -19,6 +19,7 @@ from limbcli.errors import SolveError
 from limbcli.files.temporary_folders import scratch_folder
 from limbcli.fitting.boundary_check import ChangedBoundary
 from limbcli.fitting.contact_check import forces_with_penalty
+from limbcli.fitting.kept_solves import KeptForces, KeptSolves
 from limbcli.fitting.laws import FitLaw
 from limbcli.fitting.solve_again import forces_again
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS
@@ -79,13 +80,14 @@ class ReferenceCurve:
     """Forces at the levels and their exact derivatives, from one session of the reference solver.
 
     `depths` (n_levels,) mm and `n_solves` are updated by each solve; `at_most`, the greatest number of
-    solves, is part of the progress events if it is set.
+    solves, is part of the progress events if it is set. What is `kept` from an earlier fit is not solved.
     """
 
     def __init__(
-        self, model: LimbModel, *, c: float | ElementMap, threads: int = 2, progress: Progress = SILENT
-    ):
-        self._model, self._c = model, c
+        self, model: LimbModel, *, c: float | ElementMap, kept: KeptSolves = KeptSolves(),
+        threads: int = 2, progress: Progress = SILENT,
+    ):  # fmt: skip
+        self._model, self._c, self._kept = model, c, kept
         # d kappa / d f_kappa for each cell: kappa = f_kappa c(x).
         self._weights = {(TISSUE, "kappa"): c.values} if isinstance(c, ElementMap) else {}
         self._session = ReferenceSession(model, progress=progress, threads=threads)
@@ -95,12 +97,16 @@ class ReferenceCurve:
         self.at_most: int | None = None
 
     def __call__(self, theta: Array, wrt: Sequence[int] = ()) -> Prediction:
+        f_kappa, m = float(theta[0]), float(theta[1])
+        model = with_tissue(self._model, c=self._c, f_kappa=f_kappa, m=m)
+        if (known := self._kept.forces(model)) is not None:
+            self.depths = known.depths
+            return known.prediction
         self.n_solves += 1
         self._progress.event("solve", number=self.n_solves, at_most=self.at_most)
-        f_kappa, m = float(theta[0]), float(theta[1])
         try:
             result = self._session.solve(
-                with_tissue(self._model, c=self._c, f_kappa=f_kappa, m=m),
+                model,
                 wrt=[(TISSUE, "kappa"), (TISSUE, "m1-m2")],
                 weights=self._weights,
             )
@@ -113,7 +119,9 @@ class ReferenceCurve:
         by_kappa, by_m = (result.force_gradient[(TISSUE, name)] for name in ("kappa", "m1-m2"))
         self.depths = result.must_points.depths
         by_f_kappa = by_kappa if isinstance(self._c, ElementMap) else self._c * by_kappa
-        return Prediction(result.must_points.forces, np.column_stack([by_f_kappa, by_m]))
+        found = Prediction(result.must_points.forces, np.column_stack([by_f_kappa, by_m]))
+        self._kept.keep_forces(model, KeptForces(self.depths, found))
+        return found
 
     def share_of_c(self, theta: Array) -> Array:
         """d ln force / d ln c (n_levels,), exact."""
@@ -130,8 +138,12 @@ class ReferenceCurve:
 
     def levels_at(self, theta: Array) -> Solved | None:
         """The levels at (or nearest to) theta among the latest solves, as initial guesses of others."""
-        f_kappa, m = float(theta[0]), float(theta[1])
-        return self._session.nearest_levels(with_tissue(self._model, c=self._c, f_kappa=f_kappa, m=m))
+        model = with_tissue(self._model, c=self._c, f_kappa=float(theta[0]), m=float(theta[1]))
+        if (levels := self._kept.levels(model)) is not None:
+            return levels
+        if (levels := self._session.nearest_levels(model)) is not None:
+            self._kept.keep_levels(model, levels)
+        return levels
 
     def close(self) -> None:
         self._session.close()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from limbcli.errors import SolveError
+from limbcli.fitting.kept_solves import KeptSolves
 from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.session import ReferenceSession
@@ -20,7 +21,7 @@ _STALLED = 1e-2
 
 def forces_again(
     model: LimbModel, check: str, *, like: ReferenceSession | None = None, levels: Solved | None = None,
-    threads: int = 2, progress: Progress = SILENT,
+    kept: KeptSolves = KeptSolves(), threads: int = 2, progress: Progress = SILENT,
 ) -> Array:  # fmt: skip
     """Forces (n_reached,) N at the levels of a fitted model that was changed for this check.
 
@@ -28,18 +29,23 @@ def forces_again(
         solve. The solve ends at the first level not reached quickly from there, as a comparison does not need
         every level
     levels : the levels of the model before the change, as initial guesses of a solve of all levels
+    kept : where the forces of such a solve are kept for a later fit
 
     Raises
     ------
     SolveError
         If the model cannot be solved.
     """
+    if like is None and (known := kept.checked(model)) is not None:
+        return known
     session = ReferenceSession(
         model, progress=progress, threads=threads, tolerance=_TOLERANCE, stalled=_STALLED
     )
     try:
         if like is None:
-            return session.solve(model, start_levels=levels).must_points.forces
+            forces = session.solve(model, start_levels=levels).must_points.forces
+            kept.keep_checked(model, forces)
+            return forces
         session.start_like(like)
         return session.solve(model, required=1, full_effort=0).must_points.forces
     except ArithmeticError as error:

@@ -13,10 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from limbcli.errors import FitError
 from limbcli.model import Array, IntArray
+from limbcli.numbers.compiled import njit
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,7 +237,7 @@ def columns_through(knots: Array, values: Array, at: Array) -> Array:
     return out
 
 
-_kernel = njit(cache=True, nogil=True, error_model="numpy")
+_kernel = njit
 
 
 @_kernel

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
-
 from limbcli.materials.fiber import fibre_dyad, stretch_square
 from limbcli.materials.kernel import Deformation, Kernel
 from limbcli.materials.law import FebioNames, Law
+from limbcli.numbers.compiled import njit
 
 
-@njit(cache=True)
+@njit
 def add_contraction(par, off, extra, J, work, S, CC, tangent):
     """par[off:] = T0, a0x, a0y, a0z."""
     A = work[0][1]

@@ -7,16 +7,15 @@ several rows in `ops`. Kernel numbers are explained in `kernel`; they are valid 
 
 from __future__ import annotations
 
-from numba import njit
-
 from limbcli.materials.kernel import OGDEN, call_kernel, workspace
 from limbcli.materials.ogden import add_ogden
 from limbcli.materials.tensors import determinant, right_cauchy_green
+from limbcli.numbers.compiled import njit
 
 __all__ = ["second_piola", "workspace"]
 
 
-@njit(cache=True)
+@njit
 def second_piola(F, ops, par, S, CC, tangent, work):
     """Set S (6) and, if `tangent`, CC (6, 6) of a program at F; zero where det F <= 0. Returns det F."""
     J = determinant(F)

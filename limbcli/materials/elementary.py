@@ -7,9 +7,9 @@ positive for the logarithm; arguments of the exponential are clipped to +-690.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from limbcli.materials.simd import bits, from_bits
+from limbcli.numbers.compiled import njit
 
 _LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # ln 2 as a sum of two numbers
 _PER_LN2 = 1.44269504088896338700
@@ -17,7 +17,7 @@ _HALF = np.int64(0x3FE6A09E667F3BCD)  # bits of sqrt(1/2)
 _MOST = 690.0
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(forceinline=True)
 def series_log(s):
     """2 atanh(s) / s for s^2 < 0.03: the logarithm of (1 + s) / (1 - s) over s."""
     z = s * s
@@ -35,7 +35,7 @@ def series_log(s):
     return 2.0 * (p * z + 1.0)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(forceinline=True)
 def log(x):
     """ln x."""
     shifted = bits(x) - _HALF
@@ -46,7 +46,7 @@ def log(x):
     return e * _LN2_HIGH + (s * series_log(s) + e * _LN2_LOW)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(forceinline=True)
 def expm1(x):
     """exp(x) - 1."""
     x = min(max(x, -_MOST), _MOST)

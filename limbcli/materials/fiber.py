@@ -17,30 +17,30 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from limbcli.materials.kernel import Deformation, Kernel
 from limbcli.materials.law import FebioNames, Law
 from limbcli.materials.tensors import FIRST, SECOND, VOIGT, add_outer
+from limbcli.numbers.compiled import njit
 
 JUMP = 1e-3
 KSI, ALPHA, BETA, MU, LAM0, BAND, A0 = 0, 1, 2, 3, 4, 5, 6
 
 
-@njit(cache=True)
+@njit
 def fibre_dyad(par, off, A):
     """A = a0 a0 (6) from the direction at par[off:off+3]."""
     for p in range(6):
         A[p] = par[off + FIRST[p]] * par[off + SECOND[p]]
 
 
-@njit(cache=True)
+@njit
 def fibre_square(A, C):
     """I4 = a0.C.a0."""
     return A[0] * C[0] + A[1] * C[1] + A[2] * C[2] + 2.0 * (A[3] * C[3] + A[4] * C[4] + A[5] * C[5])
 
 
-@njit(cache=True)
+@njit
 def symmetric_product(A, C, p):
     """Component p of sym(A C)."""
     i, j = FIRST[p], SECOND[p]
@@ -50,7 +50,7 @@ def symmetric_product(A, C, p):
     return 0.5 * total
 
 
-@njit(cache=True)
+@njit
 def add_fiber(par, off, sloped, J, work, S, CC, tangent):
     """Add the law's stress. sloped : include the slope of the shear term's ramp in the tangent"""
     C, A = work[0][0], work[0][1]
@@ -97,7 +97,7 @@ def add_fiber(par, off, sloped, J, work, S, CC, tangent):
             CC[p, q] += 0.5 * mu * value
 
 
-@njit(cache=True)
+@njit
 def add_fiber_derivative(par, off, which, J, work, S, CC, tangent):
     """Derivative of S with respect to ALPHA, BETA, LAM0 or BAND."""
     C, A = work[0][0], work[0][1]

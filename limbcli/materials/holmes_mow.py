@@ -11,14 +11,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from limbcli.materials.kernel import Deformation, Kernel
 from limbcli.materials.law import FebioNames, Law
 from limbcli.materials.tensors import add_outer, add_square, inverse6
+from limbcli.numbers.compiled import njit
 
 
-@njit(cache=True)
+@njit
 def invariants(C):
     """I1, I2 of a symmetric tensor of six numbers."""
     I1 = C[0] + C[1] + C[2]
@@ -26,7 +26,7 @@ def invariants(C):
     return I1, 0.5 * (I1 * I1 - square)
 
 
-@njit(cache=True)
+@njit
 def add_holmes_mow(par, off, extra, J, work, S, CC, tangent):
     """S = e^Q/2 B, B = (2 mu - lambda) I + lambda (I1 I - C) - (lambda + 2 mu) C^-1."""
     C, inverse, B = work[0][0], work[0][1], work[0][2]
@@ -52,7 +52,7 @@ def add_holmes_mow(par, off, extra, J, work, S, CC, tangent):
     add_square(CC, 2.0 * e * Ha, inverse)
 
 
-@njit(cache=True)
+@njit
 def add_holmes_mow_derivative(par, off, which, J, work, S, CC, tangent):
     """Derivative of S with respect to mu (which = 0), lambda (1) or beta (2)."""
     C, inverse = work[0][0], work[0][1]

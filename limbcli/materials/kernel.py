@@ -26,9 +26,11 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
+
+from limbcli.numbers.compiled import njit
 
 OGDEN = 1  # number of the law compiled into the loops; every other number is an address
 
@@ -92,7 +94,7 @@ def kernel_of(number: int) -> Kernel:
     return _KERNELS[int(number)]
 
 
-@njit(cache=True)
+@njit
 def workspace():
     """Workspace of a kernel: C and two more (6 each); squares, logs, tau, d (3 each); vectors; a (3, 3)."""
     return np.zeros((3, 6)), np.zeros((4, 3)), np.zeros((3, 3)), np.zeros((3, 3))

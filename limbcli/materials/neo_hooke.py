@@ -9,14 +9,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from limbcli.materials.kernel import Deformation, Kernel
 from limbcli.materials.law import FebioNames, Law
 from limbcli.materials.tensors import add_outer, add_square, inverse6
+from limbcli.numbers.compiled import njit
 
 
-@njit(cache=True)
+@njit
 def add_neo_hooke(par, off, extra, J, work, S, CC, tangent):
     """par[off:] = mu, lambda."""
     C, inverse = work[0][0], work[0][1]

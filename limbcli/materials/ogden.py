@@ -14,7 +14,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from limbcli.errors import SolveError
 from limbcli.materials.kernel import OGDEN, Deformation, Kernel
@@ -22,6 +21,7 @@ from limbcli.materials.law import FebioNames, Law, Values
 from limbcli.materials.principal import add_principal, principal_axes
 from limbcli.materials.tensors import FIRST, SECOND, VOIGT, inverse6, square6
 from limbcli.model import ElementMap, Material
+from limbcli.numbers.compiled import njit
 
 MAX_TERMS = 6
 
@@ -47,7 +47,7 @@ def ogden_type(*, c: float, f_kappa: float, m: float) -> Material:
     return Material("ogden", {"c1": c / 2, "m1": m, "c2": c / 2, "m2": -m, "kappa": f_kappa * c})
 
 
-@njit(cache=True)
+@njit
 def power_quotient(m, si, sj, pi, pj):
     """(l_j^m - l_i^m) / (l_j^2 - l_i^2) without cancellation; s squares, p powers."""
     x = (sj - si) / si
@@ -58,7 +58,7 @@ def power_quotient(m, si, sj, pi, pj):
     return pi * np.expm1(0.5 * m * np.log1p(x)) / (x * si)
 
 
-@njit(cache=True)
+@njit
 def powers(x):
     """exp(x) - 1, exp(x), exp(-x) - 1 and exp(-x), all without cancellation."""
     above = np.expm1(abs(x))
@@ -68,7 +68,7 @@ def powers(x):
     return -above / high, 1.0 / high, above, high
 
 
-@njit(cache=True)
+@njit
 def all_squares(par, off, n_terms):
     """Whether all exponents of nonzero terms are 2 or -2, so that no principal stretches are needed."""
     n_others = 0
@@ -78,7 +78,7 @@ def all_squares(par, off, n_terms):
     return n_others == 0
 
 
-@njit(cache=True)
+@njit
 def add_ogden(par, off, n_terms, J, work, S, CC, tangent):
     """par[off:] = kappa, c1, m1, c2, m2, ..."""
     if all_squares(par, off, n_terms):
@@ -91,7 +91,7 @@ def add_ogden(par, off, n_terms, J, work, S, CC, tangent):
     )
 
 
-@njit(cache=True)
+@njit
 def _add_squares(par, off, n_terms, J, C, D, G, S, CC, tangent):
     """All exponents 2 or -2: in terms of C, D = C^-1 and G = D^2 (6 each; D and G are workspace).
 
@@ -125,7 +125,7 @@ def _add_squares(par, off, n_terms, J, C, D, G, S, CC, tangent):
                 CC[q, p] += value
 
 
-@njit(cache=True)
+@njit
 def _add_powers(par, off, n_terms, J, squares, logs, vectors, tau, a, d, S, CC, tangent):
     """Any exponents: in principal axes; logs = ln l_i."""
     pressure = par[off] * (J - 1.0) * J
@@ -163,7 +163,7 @@ def _add_powers(par, off, n_terms, J, squares, logs, vectors, tau, a, d, S, CC, 
     add_principal(squares, vectors, tau, a, d, S, CC, tangent)
 
 
-@njit(cache=True)
+@njit
 def add_exponent_derivative(par, off, term, J, work, S, CC, tangent):
     """dS/dm of one term: tau_i = c (l^m ln l / m - (l^m - 1) / m^2)."""
     principal_axes(work)

@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from limbcli.materials.kernel import Deformation, Kernel
 from limbcli.materials.law import FebioNames, Law
@@ -25,9 +24,10 @@ from limbcli.materials.ogden import (
     with_terms,
 )
 from limbcli.materials.principal import add_principal, principal_axes
+from limbcli.numbers.compiled import njit
 
 
-@njit(cache=True)
+@njit
 def add_uncoupled(par, off, n_terms, J, work, S, CC, tangent):
     """Kirchhoff stress: deviator of sum c_k/m_k lt^m_k plus k ln J; par[off:] = k, c1, m1, c2, m2, ..."""
     principal_axes(work)
@@ -65,7 +65,7 @@ def add_uncoupled(par, off, n_terms, J, work, S, CC, tangent):
     add_principal(squares, work[2], tau, a, d, S, CC, tangent)
 
 
-@njit(cache=True)
+@njit
 def add_uncoupled_exponent_derivative(par, off, term, J, work, S, CC, tangent):
     """Derivative of S with respect to the exponent m of one term."""
     principal_axes(work)

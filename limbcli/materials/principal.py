@@ -10,12 +10,12 @@ shear terms (d_ij - tau_i / l_i^2) / l_j^2.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from limbcli.materials.tensors import FIRST, SECOND, eigen6
+from limbcli.numbers.compiled import njit
 
 
-@njit(cache=True)
+@njit
 def principal_axes(work):
     """Store the principal values of C, half their logarithms (ln l_i) and their directions in the workspace,
     unless another leaf of the program has already done so."""
@@ -27,7 +27,7 @@ def principal_axes(work):
         logs[i] = 0.5 * np.log(squares[i])
 
 
-@njit(cache=True)
+@njit
 def add_principal(squares, vectors, tau, a, d, S, CC, tangent):
     """S += sum S_i r_i r_i and, if `tangent`, CC += its tangent. d : d_01, d_12, d_02
 

@@ -10,8 +10,6 @@ Pressure, and Ogden terms with exponents 2 and -2, are expressed by numbers alph
 
 from __future__ import annotations
 
-from numba import njit
-
 from limbcli.materials.dispatch import second_piola
 from limbcli.materials.kernel import OGDEN
 from limbcli.materials.ogden import all_squares
@@ -36,9 +34,10 @@ from limbcli.materials.simd_rows import (
     X,
 )  # fmt: skip
 from limbcli.materials.tensors import FIRST, SECOND, VOIGT
+from limbcli.numbers.compiled import njit
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def measure(w):
     """J, C and D for all F. Where J is not positive, D is set to 0; the stress there is not meaningful."""
     for l in range(LANES):
@@ -68,7 +67,7 @@ def measure(w):
         )
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def add_laws(w, ops, par, rows, tangent, place, six, square, work):
     """Add the stress of the program at all points, after `measure` and before `finish`.
 
@@ -96,7 +95,7 @@ def add_laws(w, ops, par, rows, tangent, place, six, square, work):
         add_powers(w, par, rows, off, n_terms, tangent)
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _add_by_points(w, ops, par, rows, tangent, place, six, square, work):
     for l in range(LANES):
         for k in range(9):
@@ -110,7 +109,7 @@ def _add_by_points(w, ops, par, rows, tangent, place, six, square, work):
                     w[(CC + UPPER[p, q]) * LANES + l] += square[p, q]
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _add_pressure(w):
     """kappa (J - 1) as a Cauchy pressure."""
     for l in range(LANES):
@@ -119,7 +118,7 @@ def _add_pressure(w):
         w[ALPHA * LANES + l] += kappa * (2.0 * jac - 1.0) * jac
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _add_squares(w, par, rows, off, n_terms):
     """Terms with exponents 2 and -2: c+/2 (1 - D) + c-/2 (D - D^2); c+, c-: sums of c_k with either sign of
     exponent."""
@@ -152,7 +151,7 @@ def _add_squares(w, par, rows, off, n_terms):
         w[at + 5 * LANES] -= minus * xz
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def finish(w, tangent):
     """Add the pressures, including the extra pressure SHIFT; completes S and, if `tangent`, CC."""
     for l in range(LANES):

@@ -7,7 +7,6 @@ for all points.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from limbcli.materials.elementary import expm1, log, series_log
 from limbcli.materials.simd import LANES, add_product
@@ -28,12 +27,13 @@ from limbcli.materials.simd_rows import (
     S,
 )  # fmt: skip
 from limbcli.materials.tensors import FIRST, SECOND
+from limbcli.numbers.compiled import njit
 
 _SWEEPS = 5  # number of Jacobi sweeps, enough for round-off accuracy
 _NEAR = 1e-2  # relative difference of squared stretches up to which quotients use a cancellation-free form
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(forceinline=True)
 def _turn(app, aqq, apq):
     """tan, cos and sin of the rotation that makes apq vanish."""
     away = abs(apq) > 1e-300
@@ -45,7 +45,7 @@ def _turn(app, aqq, apq):
     return t, c, t * c
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def principal_stretches(w):
     """Squared principal stretches, logarithms of the stretches, and directions, by Jacobi's method."""
     for k in range(3 * LANES):
@@ -60,7 +60,7 @@ def principal_stretches(w):
         w[LOGS * LANES + k] = 0.5 * log(square if square > 0.0 else 1.0)
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _sweep(w):
     """One sweep: eliminate each off-diagonal entry, stored at P, once."""
     for l in range(LANES):
@@ -100,7 +100,7 @@ def _sweep(w):
         w[at + 6 * LANES], w[at + 7 * LANES], w[at + 8 * LANES] = v20, v21, v22
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(forceinline=True)
 def _quotient(m, si, sj, li, lj, ei, ej):
     """(l_j^m - l_i^m) / (l_j^2 - l_i^2); s squares, l logarithms, e powers less 1."""
     x = (sj - si) / si
@@ -111,7 +111,7 @@ def _quotient(m, si, sj, li, lj, ei, ej):
     return (1.0 + ei) * expm1(0.5 * m * (s * series_log(s))) / (x * si) if near else apart
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def add_powers(w, par, rows, off, n_terms, tangent):
     """Terms with any exponents, in principal axes: see `principal` and `ogden.add_ogden`."""
     w[TAU * LANES : (QUOTIENTS + 3) * LANES] = 0.0
@@ -153,7 +153,7 @@ def add_powers(w, par, rows, off, n_terms, tangent):
     _from_principal(w, tangent)
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _from_principal(w, tangent):
     """As `principal.add_principal`, for tau_i that depends only on its own stretch."""
     for l in range(LANES):  # overwrite tau and slopes with S_i and the factors of the normal block
@@ -188,7 +188,7 @@ def _from_principal(w, tangent):
         _add_outer(w, QUOTIENTS + pair, P)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(forceinline=True)
 def _add_outer(w, factor, a):
     """CC += factor a (x) a."""
     w[H * LANES : (H + 6) * LANES] = 0.0

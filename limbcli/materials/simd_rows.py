@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from limbcli.materials.simd import LANES
+from limbcli.numbers.compiled import njit
 
 _SIZES = {
     "F": 9, "J": 1, "C": 6, "D": 6, "S": 6, "CC": 21,  # the tangent: its upper triangle, row by row
@@ -27,7 +27,7 @@ UPPER[np.triu_indices(6)] = np.arange(21)
 UPPER += np.triu(UPPER, 1).T
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def simd_workspace():
     """The rows, and the arrays F, S and CC of a single point for laws evaluated point by point."""
     return np.zeros(N_ROWS * LANES), np.empty((3, 3)), np.empty(6), np.empty((6, 6))

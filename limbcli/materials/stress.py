@@ -8,15 +8,15 @@ Ogden's law and calls `second_piola` for all others; tests/materials/test_simd.p
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from limbcli.materials.dispatch import second_piola, workspace
 from limbcli.materials.program import Program, compile_material
 from limbcli.materials.tensors import VOIGT
 from limbcli.model import Array, Material
+from limbcli.numbers.compiled import njit
 
 
-@njit(cache=True)
+@njit
 def _evaluate(F, ops, par, S, CC, tangent):
     work = workspace()
     J = np.empty(F.shape[0])

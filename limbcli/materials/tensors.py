@@ -8,7 +8,8 @@ CC[IJ, KL] = dS_IJ / dE_KL in tensor components, so that dS = sum over all nine 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from limbcli.numbers.compiled import njit
 
 # index of component (i, j) among the six
 VOIGT = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2]], dtype=np.int64)
@@ -16,7 +17,7 @@ FIRST = np.array([0, 1, 2, 0, 1, 0], dtype=np.int64)
 SECOND = np.array([0, 1, 2, 1, 2, 2], dtype=np.int64)
 
 
-@njit(cache=True, inline="always")
+@njit(forceinline=True)
 def determinant(F):
     return (
         F[0, 0] * (F[1, 1] * F[2, 2] - F[1, 2] * F[2, 1])
@@ -25,7 +26,7 @@ def determinant(F):
     )
 
 
-@njit(cache=True)
+@njit
 def right_cauchy_green(F, C):
     """C = F'F into C (6)."""
     a, b, c = F[0, 0], F[0, 1], F[0, 2]
@@ -39,7 +40,7 @@ def right_cauchy_green(F, C):
     C[5] = a * c + d * f + g * i
 
 
-@njit(cache=True)
+@njit
 def inverse6(C, D):
     """Inverse of a symmetric tensor of six numbers into D."""
     a, b, c, d, e, f = C[0], C[1], C[2], C[3], C[4], C[5]
@@ -53,7 +54,7 @@ def inverse6(C, D):
     D[5] = z * part
 
 
-@njit(cache=True)
+@njit
 def square6(A, B):
     """B = A A, symmetric tensors of six numbers."""
     a, b, c, d, e, f = A[0], A[1], A[2], A[3], A[4], A[5]
@@ -65,7 +66,7 @@ def square6(A, B):
     B[5] = a * f + d * e + f * c
 
 
-@njit(cache=True)
+@njit
 def _rotation(app, aqq, apq):
     """Tangent, cosine and sine of the Jacobi rotation that makes the off-diagonal apq vanish."""
     theta = 0.5 * (aqq - app) / apq
@@ -76,7 +77,7 @@ def _rotation(app, aqq, apq):
     return t, c, t * c
 
 
-@njit(cache=True)
+@njit
 def _turn(vectors, p, q, c, s):
     """Rotate columns p and q of the eigenvectors."""
     for k in range(3):
@@ -85,7 +86,7 @@ def _turn(vectors, p, q, c, s):
         vectors[k, q] = s * x + c * y
 
 
-@njit(cache=True)
+@njit
 def eigen6(C, values, vectors):
     """Eigenvalues and orthonormal eigenvectors (columns) of a symmetric tensor.
 
@@ -118,7 +119,7 @@ def eigen6(C, values, vectors):
     values[0], values[1], values[2] = a00, a11, a22
 
 
-@njit(cache=True)
+@njit
 def add_outer(CC, factor, a, b):
     """CC += factor a (x) b."""
     for p in range(6):
@@ -126,7 +127,7 @@ def add_outer(CC, factor, a, b):
             CC[p, q] += factor * a[p] * b[q]
 
 
-@njit(cache=True)
+@njit
 def add_square(CC, factor, A):
     """CC += factor times the symmetric square A (.) A: 1/2 (A_IK A_JL + A_IL A_JK)."""
     for p in range(6):

@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
+from limbcli.numbers.compiled import njit
 
 _BAND = 3.0  # half width, in voxels, of the band round the surface in which distances are exact
 _FAR = 1e6
@@ -156,7 +156,7 @@ def distance_again(field: Field) -> Field:
 # ---------------------------------------------------------------- kernels
 
 
-@njit(cache=True)
+@njit
 def _near_distance(corners: Any, shape: Any, band: float) -> Any:
     nx, ny, nz = shape
     best = np.full((nx, ny, nz), band * band)
@@ -182,23 +182,23 @@ def _near_distance(corners: Any, shape: Any, band: float) -> Any:
     return np.sqrt(best)
 
 
-@njit(cache=True)
+@njit
 def _reach(a: float, b: float, c: float, band: float, n: int) -> Any:
     """First and last sample along an axis within the band around three coordinates."""
     return max(0, int(np.ceil(min(a, b, c) - band))), min(n - 1, int(np.floor(max(a, b, c) + band)))
 
 
-@njit(cache=True)
+@njit
 def _dot(u: Any, v: Any) -> float:
     return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
 
 
-@njit(cache=True)
+@njit
 def _less(u: Any, v: Any) -> Any:
     return u[0] - v[0], u[1] - v[1], u[2] - v[2]
 
 
-@njit(cache=True)
+@njit
 def _to_segment(p: Any, a: Any, b: Any) -> float:
     e, w = _less(b, a), _less(p, a)
     s = _dot(e, e)
@@ -207,7 +207,7 @@ def _to_segment(p: Any, a: Any, b: Any) -> float:
     return (w[0] - t * e[0]) ** 2 + (w[1] - t * e[1]) ** 2 + (w[2] - t * e[2]) ** 2
 
 
-@njit(cache=True)
+@njit
 def _squared_distance(p: Any, a: Any, b: Any, c: Any) -> float:
     """Squared distance of a point to a triangle; points are tuples of three numbers, to avoid allocation."""
     u, v, w = _less(b, a), _less(c, a), _less(p, a)
@@ -222,7 +222,7 @@ def _squared_distance(p: Any, a: Any, b: Any, c: Any) -> float:
     return min(_to_segment(p, a, b), _to_segment(p, b, c), _to_segment(p, c, a))
 
 
-@njit(cache=True)
+@njit
 def _crossings(corners: Any, nx: int, ny: int, nz: int, jitter: float) -> Any:
     """Signed number of faces crossed by rays along the first axis, booked at the first sample beyond each."""
     count = np.zeros((nx, ny, nz), np.int16)
@@ -256,7 +256,7 @@ def _redistance(phi: Any) -> Any:
     return np.where(phi <= 0, -d, d)
 
 
-@njit(cache=True)
+@njit
 def _anchors(phi: Any) -> Any:
     """Distance of samples adjacent to the zero level, from its crossings with the axes; `_FAR` elsewhere."""
     nx, ny, nz = phi.shape
@@ -283,7 +283,7 @@ def _anchors(phi: Any) -> Any:
     return d
 
 
-@njit(cache=True)
+@njit
 def _sweep(d: Any, anchored: Any) -> None:
     """First-order fast sweeping of |grad d| = 1 from the anchored samples, in place."""
     nx, ny, nz = d.shape
@@ -302,7 +302,7 @@ def _sweep(d: Any, anchored: Any) -> None:
                             d[i, j, k] = min(d[i, j, k], _eikonal(x, y, z))
 
 
-@njit(cache=True)
+@njit
 def _eikonal(x: float, y: float, z: float) -> float:
     """Upwind solution of |grad d| = 1 from the smaller neighbour along each of three axes."""
     a, c = min(x, y, z), max(x, y, z)

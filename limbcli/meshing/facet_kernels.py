@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from limbcli.numbers.compiled import njit
 
 
-@njit(cache=True)
+@njit
 def _normal(a: Any, b: Any, c: Any, out: Any) -> float:
     u0, u1, u2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     v0, v1, v2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
@@ -16,12 +17,12 @@ def _normal(a: Any, b: Any, c: Any, out: Any) -> float:
     return np.sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2)
 
 
-@njit(cache=True)
+@njit
 def _distance(a: Any, b: Any) -> float:
     return np.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
 
 
-@njit(cache=True)
+@njit
 def _common(faces: Any, around: Any, start: Any, u: int, v: int, mark: Any, stamp: int) -> int:
     """Number of neighbours that nodes u and v share."""
     for k in range(start[u], start[u + 1]):
@@ -37,7 +38,7 @@ def _common(faces: Any, around: Any, start: Any, u: int, v: int, mark: Any, stam
     return count
 
 
-@njit(cache=True)
+@njit
 def _may_move(
     x: Any, faces: Any, around: Any, start: Any, v: int, other: int, to: Any, longest: float
 ) -> bool:
@@ -64,7 +65,7 @@ def _may_move(
     return True
 
 
-@njit(cache=True)
+@njit
 def collapse_edges(
     x: Any, faces: Any, edges: Any, feature: Any, ranks: Any, wanted: Any, around: Any, start: Any
 ) -> int:
@@ -111,7 +112,7 @@ def collapse_edges(
     return done
 
 
-@njit(cache=True)
+@njit
 def _angle(a: Any, b: Any, c: Any) -> float:
     """Angle at vertex a."""
     u, v = _distance(a, b), _distance(a, c)
@@ -121,7 +122,7 @@ def _angle(a: Any, b: Any, c: Any) -> float:
     return np.arccos(min(1.0, max(-1.0, dot / max(u * v, 1e-30))))
 
 
-@njit(cache=True)
+@njit
 def flip_edges(x: Any, faces: Any, edges: Any, sides: Any, around: Any, start: Any) -> int:
     locked = np.zeros(len(x), np.bool_)
     done = 0

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from limbcli.meshing.distance import Field
 from limbcli.meshing.domain import BONE, CUT, SKIN, TissueDomain
 from limbcli.model import Array, IntArray
+from limbcli.numbers.compiled import njit
 
 FREE, FIXED = 0, -1
 _DIRECTIONS = 14
@@ -90,7 +90,7 @@ def _arrays(domain: TissueDomain) -> tuple[Any, ...]:
 # ---------------------------------------------------------------- kernels
 
 
-@njit(cache=True)
+@njit
 def _sine(x: Any, t: Any) -> float:
     a, b, c, d = x[t[0]], x[t[1]], x[t[2]], x[t[3]]
     u0, u1, u2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -121,7 +121,7 @@ def _sine(x: Any, t: Any) -> float:
     return six * s
 
 
-@njit(cache=True)
+@njit
 def _all_sines(x: Any, cells: Any) -> Any:
     out = np.empty(len(cells))
     for k in range(len(cells)):
@@ -129,7 +129,7 @@ def _all_sines(x: Any, cells: Any) -> Any:
     return out
 
 
-@njit(cache=True)
+@njit
 def _star_quality(x: Any, cells: Any, star: Any, first: int, last: int) -> float:
     worst = 1e30
     for k in range(first, last):
@@ -139,7 +139,7 @@ def _star_quality(x: Any, cells: Any, star: Any, first: int, last: int) -> float
     return worst
 
 
-@njit(cache=True)
+@njit
 def _sample(values: Any, origin: Any, spacing: float, p: Any, out: Any) -> float:
     """Trilinear interpolation at p; the gradient is written to `out`."""
     f = np.empty(3)
@@ -167,7 +167,7 @@ def _sample(values: Any, origin: Any, spacing: float, p: Any, out: Any) -> float
     return value
 
 
-@njit(cache=True)
+@njit
 def _to_surface(
     p: Any, code: int, skin: Any, bone: Any, origin: Any, spacing: float, planes: Any, g: Any
 ) -> None:
@@ -188,7 +188,7 @@ def _to_surface(
         g[k] /= size
 
 
-@njit(cache=True)
+@njit
 def _put_back(
     p: Any, codes: Any, skin: Any, bone: Any, origin: Any, spacing: float, planes: Any, rounds: int, g: Any
 ) -> None:
@@ -198,7 +198,7 @@ def _put_back(
                 _to_surface(p, codes[each], skin, bone, origin, spacing, planes, g)
 
 
-@njit(cache=True)
+@njit
 def _off_surface(
     p: Any, codes: Any, skin: Any, bone: Any, origin: Any, spacing: float, planes: Any, g: Any
 ) -> float:
@@ -214,7 +214,7 @@ def _off_surface(
     return worst
 
 
-@njit(cache=True)
+@njit
 def _put_all_back(
     x: Any, codes: Any, skin: Any, bone: Any, origin: Any, spacing: float, planes: Any, rounds: int
 ) -> None:
@@ -224,7 +224,7 @@ def _put_all_back(
             _put_back(x[v], codes[v], skin, bone, origin, spacing, planes, rounds, g)
 
 
-@njit(cache=True)
+@njit
 def _smooth(
     x: Any,
     cells: Any,

@@ -34,6 +34,7 @@ from limbcli.fitting.exports import write_mat_file
 from limbcli.fitting.force_curves import FileCurve, ReferenceCurve
 from limbcli.fitting.geometry import site_geometry_uncertainty
 from limbcli.fitting.geometry_result import write_geometry
+from limbcli.fitting.kept_solves import KeptSolves
 from limbcli.fitting.layers import write_layers
 from limbcli.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.fitting.options import FitOptions, check_choice, check_numbers
@@ -134,7 +135,8 @@ def _fit_site(
     model = through_cycle(built_model(case, site, out, writer), levels, site)
     data = force_depth_data(levels, site)
     stiffness, c_source, c = _tissue_c(model, levels, site, options, writer)
-    curve, forward, cold = _first_solve(solver, model, c, options, progress)
+    kept = KeptSolves.of_site(out, name)
+    curve, forward, cold = _first_solve(solver, model, c, kept, options, progress)
     knots = forward.depths
     with contextlib.closing(curve):
         steps = two_step(
@@ -154,7 +156,7 @@ def _fit_site(
         )
         changed: list[ChangedForces] = []
         if options.boundary_check:
-            changed = _changed_boundaries(fitted, curve(theta).values, levels_there, progress)
+            changed = _changed_boundaries(fitted, curve(theta).values, levels_there, kept, progress)
         modes = boundary_modes(changed, len(knots))
         if uncertainty is not None:
             modes = np.vstack([uncertainty.modes, modes])
@@ -187,7 +189,7 @@ def _fit_site(
             writer.warnings.insert(0, one_state(site))
         if uncertainty is not None:
             write_geometry(identified, uncertainty, of_noise[-1] if of_noise else None, writer)
-        _write_checks(identified, fitted, levels_there, changed, writer, options, progress)
+        _write_checks(identified, fitted, levels_there, changed, kept, writer, options, progress)
         if of_noise is not None and len(modes):
             write_widening(of_noise[-1], writer)
         write_speeds(fitted, simulation, levels, site, writer)
@@ -198,7 +200,7 @@ def _fit_site(
 
 def _write_checks(
     found: Identified, fitted: LimbModel, levels: Solved | None, changed: Sequence[ChangedForces],
-    writer: StageWriter, options: FitOptions, progress: Progress,
+    kept: KeptSolves, writer: StageWriter, options: FitOptions, progress: Progress,
 ) -> None:  # fmt: skip
     """Write what a stiffer contact and other boundaries (`changed`) change, as far as the options ask.
 
@@ -206,7 +208,7 @@ def _write_checks(
     """
     theta = found.steps[-1].theta
     if options.contact_check:
-        harder = partial(forces_with_penalty, fitted, levels=levels, progress=progress)
+        harder = partial(forces_with_penalty, fitted, levels=levels, kept=kept, progress=progress)
         forces = found.curve(theta).values
         penalty = fitted.contacts[0].penalty
         write_contact_check(penalty, forces, found.knots, harder, writer, progress=progress)
@@ -217,10 +219,11 @@ def _write_checks(
 
 
 def _changed_boundaries(
-    fitted: LimbModel, forces: Array, levels: Solved | None, progress: Progress
+    fitted: LimbModel, forces: Array, levels: Solved | None, kept: KeptSolves, progress: Progress
 ) -> list[ChangedForces]:
     def again(boundary: ChangedBoundary) -> Array:
-        return forces_again(boundary.of(fitted), "boundary check", levels=levels, progress=progress)
+        other = boundary.of(fitted)
+        return forces_again(other, "boundary check", levels=levels, kept=kept, progress=progress)
 
     return changed_forces(fitted, forces, again, progress=progress)
 
@@ -316,12 +319,13 @@ def initial_stiffness(levels: Levels, site: Site, options: FitOptions) -> tuple[
 
 
 def _first_solve(
-    solver: Solver, model: LimbModel, c: float | ElementMap, options: FitOptions, progress: Progress
-) -> tuple[SolvedPoints, ReferenceCurve | FileCurve, float]:
+    solver: Solver, model: LimbModel, c: float | ElementMap, kept: KeptSolves, options: FitOptions,
+    progress: Progress,
+) -> tuple[SolvedPoints, ReferenceCurve | FileCurve, float]:  # fmt: skip
     """The force curve with its cache, the curve itself, and the time of the first (cold) solve (s)."""
     clock = time.perf_counter()
     if solver.name == "reference":
-        exact = ReferenceCurve(model, c=c, progress=progress)
+        exact = ReferenceCurve(model, c=c, kept=kept, progress=progress)
         curve = SolvedPoints(exact)
         try:
             curve(START, (0, 1))

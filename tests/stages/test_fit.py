@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 import threading
 import time
 from dataclasses import replace
@@ -158,6 +159,23 @@ def test_a_fit_that_misses_its_data_is_called_poor_first(tmp_path, forces):
         assert reported["headline"] in lines[0]
         if reported["flag"] == "at bound":
             assert f"{reported['value']:.4g}" not in lines[0], "a bound of the search is no result"
+
+
+def test_a_fit_with_another_option_solves_nothing_twice(fitted, tmp_path):
+    root = fitted[0].folder.parents[2]
+    shutil.copytree(root / "out", tmp_path / "out")
+    shutil.copytree(root / "case", tmp_path / "case")
+    seen = []
+    again = fit(
+        Case.open(tmp_path / "case"), out=tmp_path / "out", solver="reference",
+        options=FitOptions(max_interval_solves=3, contact_check=False),
+        progress=Progress(lambda kind, facts: seen.append(kind)),
+    )[0]  # fmt: skip
+    assert fitted[0].data["n_solves"] > 3
+    assert again.data["n_solves"] == 0
+    assert "solve" not in seen
+    for name in ("f_kappa", "m", "interval_95", "boundary_check"):
+        assert again.data[name] == fitted[0].data[name]
 
 
 @pytest.fixture

@@ -1,24 +1,16 @@
-"""Memo of a site's solves on disk: curves, deformations, levels, held forces, by the key of their model."""
+"""Memo of a site's solves for its diagnosis: curves, deformations, levels, held forces, by the key of their
+model."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, fields
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
 from limbcli.effects.curves import Curves
-from limbcli.files.atomic import atomic_file
-from limbcli.files.unpacking import DAMAGED, read_npz
 from limbcli.model import Array
-from limbcli.solvers.restart import solved_arrays, solved_of
-
-if TYPE_CHECKING:
-    from limbcli.solvers.restart import Solved
-
-T = TypeVar("T")
+from limbcli.solvers.solve_folder import SolveFolder
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,12 +34,8 @@ class SolvedCurves:
         return {name: each for name, each in found.items() if name != "curves" and each is not None}
 
 
-@dataclass(frozen=True, eq=False)
-class SolveMemo:
-    """folder : of the files; None: only levels are remembered, and only in this run"""
-
-    folder: Path | None
-    _levels: dict[str, Solved] = field(default_factory=dict)
+class SolveMemo(SolveFolder):
+    """Memo of a site's simulations for its diagnosis."""
 
     def curves(self, key: str, *, n_depths: int) -> SolvedCurves | None:
         """None if there are none, or they have another number of depths."""
@@ -63,27 +51,3 @@ class SolveMemo:
 
     def keep_displacements(self, key: str, values: Array) -> None:
         self.write(f"{key}-nodes", {"values": values.astype(np.float32)})
-
-    def levels(self, key: str) -> Solved | None:
-        """Converged levels, used as initial guesses of later solves."""
-        if key not in self._levels and (found := self.read(f"{key}-levels", solved_of)) is not None:
-            self._levels[key] = found
-        return self._levels.get(key)
-
-    def keep_levels(self, key: str, solved: Solved) -> None:
-        self._levels[key] = solved
-        self.write(f"{key}-levels", solved_arrays(solved))
-
-    def read(self, name: str, parse: Callable[[Any], T]) -> T | None:
-        if self.folder is None:
-            return None
-        try:
-            return parse(read_npz(self.folder / f"{name}.npz"))
-        except DAMAGED:  # treated as missing, and solved again
-            return None
-
-    def write(self, name: str, arrays: dict[str, Any]) -> None:
-        if self.folder is not None:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            with atomic_file(self.folder / f"{name}.npz") as path:
-                np.savez(path, **arrays)
