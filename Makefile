@@ -82,7 +82,7 @@ fuzz: $(VENV)/.dev   ## 20,000 damaged files, as a table of how they were answer
 	$(ONE) $(BIN)/python -m tests.benchmarks.fuzz
 
 hidden: $(VENV)/.dev ## the hidden-effect study: resumable, confusion matrix and gates in out/hidden
-	$(ONE) $(BIN)/python tests/benchmarks/hidden_study.py --out $(OUT)/hidden --repeats 6 --own-tissue
+	$(ONE) $(BIN)/python -m tests.benchmarks.hidden_study --out $(OUT)/hidden --repeats 6 --own-tissue
 
 docs: $(VENV)/.docs   ## the documentation, in out/docs; a warning is an error
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs $(OUT)/docs
