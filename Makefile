@@ -10,8 +10,9 @@ DEMO    ?= demo
 CASES   ?= $(patsubst %/case.toml,%,$(wildcard cases/*/case.toml))
 JOBS    ?=
 WORKERS ?= 2
-# Two test processes share the cores: each keeps its libraries to one thread, but simulations run as users run them.
-ONE     := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 LIMBCLI_THREADS=2
+# Two test processes share the cores: each keeps its libraries and simulations to one thread (a small simulation takes
+# twice the processor time on two). Modules are kept compiled, as many tests start the program.
+ONE     := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 LIMBCLI_THREADS=1 PYTHONDONTWRITEBYTECODE=
 
 .PHONY: help env demo test test-quick lint types cases bench bench-against fuzz hidden docs clean
 .DELETE_ON_ERROR:
