@@ -58,11 +58,12 @@ types: $(VENV)/.dev  ## type checks
 COMPILE := $(BIN)/python -m limbcli.stages.machine.kernels
 
 test: $(VENV)/.dev   ## everything that must hold
-	@$(ONE) $(COMPILE) & compiling=$$!; $(MAKE) --no-print-directory lint types && wait $$compiling
+	@{ $(ONE) $(COMPILE) && $(ONE) $(BIN)/python -m tests.compile_kernels; } & compiling=$$!; $(MAKE) --no-print-directory lint types && wait $$compiling
 	$(ONE) $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --durations=15
 
 test-quick: $(VENV)/.dev  ## the part that answers sooner
 	@$(ONE) $(COMPILE)
+	@$(ONE) $(BIN)/python -m tests.compile_kernels
 	$(ONE) $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m "not slow"
 
 # Only what changed is redone; one that fails does not stop the others. The shell takes CASES apart: any paths

@@ -29,7 +29,7 @@ from limbcli.stages.limb_field.site_results import LimbReadings
 from limbcli.stages.segment import segment
 from limbcli.stiffness_field import Interval, SiteReading, limb_coordinates, stiffness_field
 from limbcli.surface_formats.aop import read_aop_limb
-from tests.meshing.stump import stump
+from tests.meshing.stump import coarse_distances, stump
 
 pytestmark = pytest.mark.slow
 OPTIONS = LimbOptions(nodes=5_000, c_kpa=8.0)
@@ -67,11 +67,9 @@ def write_case(folder: Path, surfaces=None, more: str = "") -> Case:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def coarse_distances():
-    """Distances sampled as of a large limb, 2 mm apart: an eighth of the usual work."""
+def quick():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(whole_limb, "_SPACING", (2.0, 2.5))
-        patch.setattr(whole_limb, "_SAMPLES", 5e5)
+        coarse_distances(patch)
         yield
 
 
