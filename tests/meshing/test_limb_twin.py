@@ -72,7 +72,9 @@ def test_the_whole_limb_under_a_probe_gives_the_force_of_the_site_model():
     skin = surfaces.pop("skin")
     limb = mend(skin, list(surfaces.values()))
     frame = site_frame(limb, np.array(BEHIND), "axial", PROBE)
-    local = site_model(limb, BEHIND, "axial", PROBE, MeshOptions(margin=40.0, sizes=Sizes(under_probe=4.0, far=12.0)))
+    local = site_model(
+        limb, BEHIND, "axial", PROBE, MeshOptions(margin=40.0, sizes=Sizes(under_probe=4.0, far=12.0))
+    )
     options = LimbMeshOptions(nodes=14_000, fine_at=(BEHIND,), fine_size=4.0)
     mesh = limb_mesh(limb, surfaces, limb_frame(limb, "left"), options).mesh
     assert force(with_probe(mesh, frame, list(surfaces))) == pytest.approx(force(local.model), rel=0.02)

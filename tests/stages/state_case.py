@@ -26,7 +26,7 @@ TOLD = {"middle": 0.9, "bent": 0.72, "straight": 1.1}
 DENSITY = 1000.0
 FORCES = np.arange(0.0, 6.0)
 FORCE_SD, DEPTH_SD, SPEED_SD = 0.05, 0.05, 0.03
-FIT_MESH, OTHER_MESH = (6, 5, 2), (7, 6, 3)  # cells of the block that is fitted, and of one that is measured
+FIT_MESH, OTHER_MESH = (8, 6, 3), (9, 7, 4)  # cells of the block that is fitted, and of one that is measured
 
 
 def curve(ways: Sequence[str] = (WAY,), *, counts: tuple[int, int, int] = FIT_MESH):
@@ -90,6 +90,6 @@ def make_case(folder: Path, out: Path, measured: Mapping[str, tuple[np.ndarray, 
         (folder / f"{name}.csv").write_text("\n".join(["force_n,depth_mm,swe_mean_m_per_s", *rows]) + "\n")
     case = Case.open(folder)
     with open_stage(out, "mesh", subject="B1", site="p1") as writer:
-        save_model(block.block_model(counts=FIT_MESH), writer.file("model", "model.npz"))
+        save_model(block.block_model(), writer.file("model", "model.npz"))
     build_feb(case, out=out)
     return case
