@@ -12,7 +12,6 @@ from limbcli.meshing.limb_parts import limb_frame
 from limbcli.meshing.mending import mend
 from limbcli.meshing.probe import ProbeShape, probe_mesh
 from limbcli.meshing.regions import reachable
-from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_model import MeshOptions, site_model
 from limbcli.meshing.whole_limb import HELD, LimbMeshOptions, limb_mesh
 from limbcli.model import Block, Domain, LimbModel, Mesh, Support, Surface
@@ -72,9 +71,7 @@ def test_the_whole_limb_under_a_probe_gives_the_force_of_the_site_model():
     skin = surfaces.pop("skin")
     limb = mend(skin, list(surfaces.values()))
     frame = site_frame(limb, np.array(BEHIND), "axial", PROBE)
-    local = site_model(
-        limb, BEHIND, "axial", PROBE, MeshOptions(margin=40.0, sizes=Sizes(under_probe=4.0, far=12.0))
-    )
-    options = LimbMeshOptions(nodes=14_000, fine_at=(BEHIND,), fine_size=4.0)
+    local = site_model(limb, BEHIND, "axial", PROBE, MeshOptions(margin=40.0))
+    options = LimbMeshOptions(nodes=40_000, fine_at=(BEHIND,))
     mesh = limb_mesh(limb, surfaces, limb_frame(limb, "left"), options).mesh
     assert force(with_probe(mesh, frame, list(surfaces))) == pytest.approx(force(local.model), rel=0.02)

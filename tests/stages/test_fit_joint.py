@@ -14,7 +14,6 @@ from limbcli.feb.settings import schedule
 from limbcli.fitting.force_curves import LawCurve
 from limbcli.fitting.laws import LAWS, law_named
 from limbcli.fitting.numerical_error import edge_under_probe, gain_deviation
-from limbcli.model import LimbModel
 from limbcli.model.npz_file import save_model
 from limbcli.results import open_stage
 from limbcli.site_model.indentation_model import indentation_model, with_penalty
@@ -32,12 +31,9 @@ UNCHECKED = FitOptions(contact_check=False, boundary_check=False)
 DEPTHS = np.array([0.9, 1.8, 2.7, 3.6])
 
 
-def small() -> LimbModel:
-    return block.block_model(counts=(6, 5, 2))
-
-
-def law_curve(name="ogden", **options):
-    model = indentation_model(small(), schedule(list(DEPTHS)), c=C, f_kappa=100.0, m=2.0)
+def law_curve(name="ogden", *, counts=(8, 6, 3), **options):
+    tissue = block.block_model(counts=counts)
+    model = indentation_model(tissue, schedule(list(DEPTHS)), c=C, f_kappa=100.0, m=2.0)
     return LawCurve(model, LAWS[name], c=C, density_kg_per_m3=1000.0, **options)
 
 
@@ -53,7 +49,7 @@ def measured() -> np.ndarray:
 def case_and_out(measured, tmp_path_factory):
     root = tmp_path_factory.mktemp("joint")
     forces, speeds = np.split(measured, 2)
-    case = block.make_case(root / "case", root / "out", DEPTHS, forces, c=C, speeds=speeds, model=small())
+    case = block.make_case(root / "case", root / "out", DEPTHS, forces, c=C, speeds=speeds)
     return case, root / "out"
 
 
@@ -82,7 +78,7 @@ def test_linear_elements_are_warned_of(joint):
 def test_what_a_harder_contact_changes_is_told_of_every_site(joint, measured):
     check = joint.data["contact_check"]["p1"]
     assert (check["penalty"], check["tried"]) == (20.0, 80.0)
-    harder = indentation_model(small(), schedule(list(DEPTHS)), c=C, f_kappa=SHAPE[0], m=SHAPE[1])
+    harder = indentation_model(block.block_model(), schedule(list(DEPTHS)), c=C, f_kappa=SHAPE[0], m=SHAPE[1])
     session = ReferenceSession(with_penalty(harder, 80.0))
     expected = session.solve().must_points.forces / np.split(measured, 2)[0] - 1.0
     session.close()
@@ -118,7 +114,7 @@ def test_levels_and_exports_are_left(joint):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(LAWS))
 def test_derivatives_of_every_law_are_those_of_differences(name):
-    curve = law_curve(name, speeds=False)
+    curve = law_curve(name, counts=(6, 5, 2), speeds=False)
     shape = np.array([each.start for each in LAWS[name].shape])
     exact = curve(shape, tuple(range(len(shape))))
     for k in range(len(shape)):
@@ -133,7 +129,7 @@ def test_derivatives_of_every_law_are_those_of_differences(name):
 @pytest.mark.parametrize("name", sorted(LAWS))
 def test_forces_are_proportional_to_c_at_fixed_shape(name):
     """What lets c move without a simulation."""
-    model = indentation_model(small(), schedule([0.9, 1.8]), c=C, f_kappa=100.0, m=2.0)
+    model = indentation_model(block.block_model(counts=(6, 5, 2)), schedule([0.9, 1.8]), c=C, f_kappa=100.0, m=2.0)
     shape, forces = np.array([each.start for each in LAWS[name].shape]), []
     for c in (0.008, 0.012):
         curve = LawCurve(model, LAWS[name], c=c, density_kg_per_m3=1000.0, speeds=False)
@@ -163,7 +159,7 @@ def second_without_speeds(measured, tmp_path_factory):
     root = tmp_path_factory.mktemp("second")
     forces, speeds = np.split(measured, 2)
     folder, out = root / "case", root / "out"
-    block.make_case(folder, out, DEPTHS, forces, c=C, speeds=speeds, model=small())
+    block.make_case(folder, out, DEPTHS, forces, c=C, speeds=speeds)
     text = (folder / "case.toml").read_text()
     site = text[text.index("[[site]]") :].replace('"p1"', '"p2"').replace("levels.csv", "bare.csv")
     (folder / "case.toml").write_text(f"{text}\n{site}")
@@ -172,7 +168,7 @@ def second_without_speeds(measured, tmp_path_factory):
     ]
     (folder / "bare.csv").write_text("\n".join(["force_n,depth_mm", *rows]) + "\n")
     with open_stage(out, "mesh", subject="B1", site="p2") as writer:
-        save_model(small(), writer.file("model", "model.npz"))
+        save_model(block.block_model(), writer.file("model", "model.npz"))
     case = Case.open(folder)
     build_feb(case, out=out, sites=["p1"])
     build_feb(case, out=out, sites=["p2"], options=TissueOptions(c_kpa=12.0))
