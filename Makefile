@@ -10,8 +10,9 @@ DEMO    ?= demo
 CASES   ?= $(patsubst %/case.toml,%,$(wildcard cases/*/case.toml))
 JOBS    ?=
 WORKERS ?= 2
-# Two test processes share the cores: each keeps its libraries to one thread, but simulations run as users run them.
-ONE     := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 LIMBCLI_THREADS=2
+# Two test processes share the cores: each keeps its libraries and simulations to one thread (a small simulation takes
+# twice the processor time on two). Modules are kept compiled, as many tests start the program.
+ONE     := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 LIMBCLI_THREADS=1 PYTHONDONTWRITEBYTECODE=
 
 .PHONY: help env demo test test-quick lint types cases bench bench-against fuzz hidden docs clean
 .DELETE_ON_ERROR:
@@ -57,11 +58,12 @@ types: $(VENV)/.dev  ## type checks
 COMPILE := $(BIN)/python -m limbcli.stages.machine.kernels
 
 test: $(VENV)/.dev   ## everything that must hold
-	@$(ONE) $(COMPILE) & compiling=$$!; $(MAKE) --no-print-directory lint types && wait $$compiling
+	@{ $(ONE) $(COMPILE) && $(ONE) $(BIN)/python -m tests.compile_kernels; } & compiling=$$!; $(MAKE) --no-print-directory lint types && wait $$compiling
 	$(ONE) $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal --durations=15
 
 test-quick: $(VENV)/.dev  ## the part that answers sooner
 	@$(ONE) $(COMPILE)
+	@$(ONE) $(BIN)/python -m tests.compile_kernels
 	$(ONE) $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m "not slow"
 
 # Only what changed is redone; one that fails does not stop the others. The shell takes CASES apart: any paths
@@ -82,7 +84,7 @@ fuzz: $(VENV)/.dev   ## 20,000 damaged files, as a table of how they were answer
 	$(ONE) $(BIN)/python -m tests.benchmarks.fuzz
 
 hidden: $(VENV)/.dev ## the hidden-effect study: resumable, confusion matrix and gates in out/hidden
-	$(ONE) $(BIN)/python tests/benchmarks/hidden_study.py --out $(OUT)/hidden --repeats 6 --own-tissue
+	$(ONE) $(BIN)/python -m tests.benchmarks.hidden_study --out $(OUT)/hidden --repeats 6 --own-tissue
 
 docs: $(VENV)/.docs   ## the documentation, in out/docs; a warning is an error
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs $(OUT)/docs

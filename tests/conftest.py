@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from pathlib import Path
 
@@ -13,6 +14,15 @@ from tests.blank_pictures import leave_blank
 REPOSITORY = Path(__file__).resolve().parents[1]
 # Files whose one test takes half a minute and more: at the end of a run all would wait for it.
 LONGEST = {"test_walkthrough.py", "test_notebook.py", "test_pages.py", "test_killed.py"}
+
+
+# Python's own thresholds would look through the many thousand objects of tests and modules again and again.
+gc.set_threshold(50_000, 20, 20)
+
+
+def pytest_collection_finish() -> None:
+    """What is there by now stays, so that it need not be looked through."""
+    gc.freeze()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -1,6 +1,6 @@
 """How often the 95 % intervals of `fit` hold the truth, and what an identification costs.
 
-    python tests/benchmarks/coverage.py MODEL.npz --seeds 20 --out coverage.jsonl
+    python -m tests.benchmarks.coverage MODEL.npz --seeds 20 --out coverage.jsonl
         [--truth-model OTHER.npz] [--element tet4] [--gain-deviation 0] [--c-kpa 8 --f-kappa 100 --m 6]
 
 MODEL.npz is a site's mesh as `limbcli mesh` leaves it. A measurement is simulated on
@@ -12,14 +12,13 @@ can be interrupted and taken up again.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from limbcli.errors import LimbError
 from limbcli.feb.settings import least_level, schedule
 from limbcli.fitting.force_curves import ReferenceCurve
 from limbcli.fitting.numerical_error import gain_deviation
@@ -33,6 +32,7 @@ from limbcli.phantom.protocol import depth_at_force
 from limbcli.site_model.indentation_model import indentation_model
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.fit import START
+from tests.benchmarks.seeded_rows import counted, held, made, succeeded
 
 FORCE_SD, DEPTH_SD, SPEED_SD = 0.1, 0.3, 0.05
 
@@ -70,7 +70,7 @@ def one_seed(seed, model, truth, forces, depths, gain):
     found = force_intervals(memory, curve.depths, data, stiffness, steps[-1].theta)
     curve.close()
     row = {
-        "seed": seed, "c_kpa": 1e3 * c, "f_kappa": steps[-1].theta[0], "m": steps[-1].theta[1],
+        "c_kpa": 1e3 * c, "f_kappa": steps[-1].theta[0], "m": steps[-1].theta[1],
         "r2": steps[-1].r2, "n_solves": n_fit, "n_interval_solves": found.n_solves, "cold_s": cold,
         "identification_s": identified, "cold_cpu_s": cold_work,
         "identification_cpu_s": fit_work, "total_s": time.perf_counter() - clock, "scale": found.scale,
@@ -85,14 +85,11 @@ def one_seed(seed, model, truth, forces, depths, gain):
 
 def summary(rows):
     """The figures that matter."""
-    good = [row for row in rows if "error" not in row]
-    lines = [f"{len(rows)} seeds, {len(rows) - len(good)} without a result"]
+    good, lines = succeeded(rows), [counted(rows)]
     for name in ("f_kappa", "m"):
-        held = sum(row[f"{name}_covered"] for row in good)
         open_ends = np.mean([row[f"{name}_open"] for row in good], axis=0)
         lines.append(
-            f"{name}: truth inside {held} of {len(good)}; median {np.median([r[name] for r in good]):.3g}, "
-            f"open low {100 * open_ends[0]:.0f} %, open high {100 * open_ends[1]:.0f} %"
+            f"{held(rows, name)}, open low {100 * open_ends[0]:.0f} %, open high {100 * open_ends[1]:.0f} %"
         )
     ratio = [row["identification_cpu_s"] / row["cold_cpu_s"] for row in good]
     keys = ("n_solves", "n_interval_solves", "cold_cpu_s")
@@ -136,19 +133,8 @@ def main():
         other, **truth, step_n=given.step_n, max_force_n=given.max_force_n, max_depth_mm=given.max_depth_mm
     )
     print(f"{len(forces)} levels to {forces[-1]:g} N at {depths[-1]:.2f} mm", file=sys.stderr)
-    rows = [json.loads(line) for line in given.out.read_text().splitlines()] if given.out.exists() else []
-    done = {row["seed"] for row in rows}
-    for seed in range(given.seeds):
-        if seed in done:
-            continue
-        try:
-            rows.append(one_seed(seed, model, truth, forces, depths, given.gain_deviation))
-        except LimbError as error:
-            rows.append({"seed": seed, "error": error.what})
-        with given.out.open("a") as stream:
-            stream.write(json.dumps(rows[-1], default=float) + "\n")
-        print(json.dumps(rows[-1], default=float), file=sys.stderr)
-    print(summary(rows))
+    one = partial(one_seed, model=model, truth=truth, forces=forces, depths=depths, gain=given.gain_deviation)
+    print(summary(made(given.out, {(seed,): seed for seed in range(given.seeds)}, one)))
 
 
 if __name__ == "__main__":

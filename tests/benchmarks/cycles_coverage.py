@@ -10,15 +10,14 @@ touch of the next. `fit` as it is called by default: the last loading. Seeds alr
 from __future__ import annotations
 
 import argparse
-import json
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from limbcli.case import Case
-from limbcli.errors import LimbError
 from limbcli.feb.settings import schedule
 from limbcli.measurement.cycles import study_cycles
 from limbcli.site_model.indentation_model import indentation_model
@@ -26,6 +25,7 @@ from limbcli.site_model.site_levels import all_levels_of
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.fit import FitOptions, fit
+from tests.benchmarks.seeded_rows import counted, held, made, succeeded
 from tests.stages import block_case as block
 
 C, F_KAPPA, M = 0.008, 20.0, 4.0  # MPa
@@ -78,11 +78,11 @@ def one_seed(seed, forces):
         data = fit(case, out=out, options=FitOptions(contact_check=False, boundary_check=False))[0].data
         levels = all_levels_of(case.site("p1"))
     study = study_cycles(levels, force_deviation=FORCE_SD, depth_deviation=DEPTH_SD)
-    row = {"seed": seed, "cpu_s": time.process_time() - clock, "repeats_from": study.repeats_from}
+    row = {"cpu_s": time.process_time() - clock, "repeats_from": study.repeats_from}
     for name, truth in (("c_kpa", 1e3 * C), ("f_kappa", F_KAPPA), ("m", M)):
         low, high = data["interval_95"][name] or (None, None)
-        held = (low is None or low <= truth) and (high is None or truth <= high)
-        row |= {name: data[name], f"{name}_low": low, f"{name}_high": high, f"{name}_covered": held}
+        inside = (low is None or low <= truth) and (high is None or truth <= high)
+        row |= {name: data[name], f"{name}_low": low, f"{name}_high": high, f"{name}_covered": inside}
     return row
 
 
@@ -91,22 +91,11 @@ def main():
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--out", type=Path, default=Path("cycles-coverage.jsonl"))
     given = parser.parse_args()
-    forces = true_forces()
-    rows = [json.loads(line) for line in given.out.read_text().splitlines()] if given.out.exists() else []
-    done = {row["seed"] for row in rows}
-    for seed in (each for each in range(given.seeds) if each not in done):
-        try:
-            rows.append(one_seed(seed, forces))
-        except LimbError as error:
-            rows.append({"seed": seed, "error": error.what})
-        with given.out.open("a") as stream:
-            stream.write(json.dumps(rows[-1], default=float) + "\n")
-    good = [row for row in rows if "error" not in row]
-    print(f"{len(rows)} seeds, {len(rows) - len(good)} without a result")
-    print("repeats itself from:", sorted(str(row["repeats_from"]) for row in good))
-    for name in ("c_kpa", "f_kappa", "m"):
-        held, middle = sum(row[f"{name}_covered"] for row in good), np.median([row[name] for row in good])
-        print(f"{name}: truth inside {held} of {len(good)}; median {middle:.4g}")
+    one = partial(one_seed, forces=true_forces())
+    rows = made(given.out, {(seed,): seed for seed in range(given.seeds)}, one)
+    print(counted(rows))
+    print("repeats itself from:", sorted(str(row["repeats_from"]) for row in succeeded(rows)))
+    print(*(held(rows, name) for name in ("c_kpa", "f_kappa", "m")), sep="\n")
 
 
 if __name__ == "__main__":

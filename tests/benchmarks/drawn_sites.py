@@ -1,6 +1,6 @@
 """Sites with a hidden effect, drawn by seed: case folders and truth, to be scored as those that FEBio made.
 
-    python tests/benchmarks/drawn_sites.py --out SET [--first 1] [--count 24] [--margin-mm 57] [--twins]
+    python -m tests.benchmarks.drawn_sites --out SET [--first 1] [--count 24] [--margin-mm 57] [--twins]
     python SHARED/febio-hidden/score.py run --limbcli limbcli --cases SET --out OUT
     python SHARED/febio-hidden/score.py table --cases SET --out OUT
 
@@ -16,8 +16,6 @@ study's. The solver is the project's own, which agrees with FEBio on the same me
 from __future__ import annotations
 
 import argparse
-import sys
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -50,6 +48,8 @@ from limbcli.stages.build_feb import PROBE as PROBE_BODY
 from limbcli.stages.build_feb import TISSUE
 from limbcli.stages.simulated_subjects.hidden_effects import hide
 from limbcli.stages.simulated_subjects.indent import KnownTissue, Press
+from tests.benchmarks.mesh_sites import limbs as known
+from tests.benchmarks.seeded_rows import Row, made, succeeded
 
 Change = Callable[[LimbModel], LimbModel]
 PENALTY, TOLERANCE, FAR, FACES = 80.0, 1e-4, 14.0, (8000, 2500)  # faces of skin and of each bone
@@ -470,7 +470,7 @@ def place(
 
 def bring(folder: Path, where: Place, channels: str) -> None:
     """case.toml and surfaces."""
-    from openlimb_case import write_stl  # the file beside this one
+    from tests.benchmarks.openlimb_case import write_stl
 
     (folder / "surfaces").mkdir(parents=True)
     names = ["surfaces/skin.stl", *(f"surfaces/bone{k}.stl" for k in range(len(where.limb.bones)))]
@@ -531,9 +531,14 @@ def one(
     return found
 
 
-def main() -> None:
-    from mesh_sites import limbs as known  # the file beside this one
+def line(row: Row) -> str:
+    if "error" in row:
+        return f"d{row['number']:02d}: {row['error']}"
+    first = row["case"][0]
+    return f"{first['id']} {'+'.join(first['effects'])}, {first['limb']}, {first['thickness_mm']:.1f} mm"
 
+
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--first", type=int, default=1)
@@ -544,22 +549,15 @@ def main() -> None:
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     limbs = [each for each in known() if each[0] != "visible-human"]
-    for number in range(options.first, options.first + options.count):
-        entry = options.out / f"d{number:02d}.toml"
-        if entry.is_file():
-            continue
-        begun = time.perf_counter()
-        try:
-            truths = one(number, options.out, limbs, options.size_mm, options.margin_mm, twin=options.twins)
-        except LimbError as error:
-            print(f"d{number:02d}: {error}", file=sys.stderr, flush=True)
-            continue
-        entry.write_text(toml({"case": truths}))
-        seconds, first = time.perf_counter() - begun, truths[0]
-        facts = f"{'+'.join(first['effects'])}, {first['limb']}, {first['thickness_mm']:.1f} mm"
-        print(f"{first['id']} {facts}: {seconds:.0f} s", flush=True)
-    parts = [each.read_text() for each in sorted(options.out.glob("d*.toml"))]
-    (options.out / "truth.toml").write_text("format = 1\n" + "\n".join(parts))
+
+    def folders(number: int) -> Row:
+        truths = one(number, options.out, limbs, options.size_mm, options.margin_mm, twin=options.twins)
+        return {"case": truths}
+
+    jobs = {(number,): number for number in range(options.first, options.first + options.count)}
+    rows = made(options.out / "sites.jsonl", jobs, folders, key=("number",), show=line)
+    truths = [each for row in sorted(succeeded(rows), key=lambda row: row["number"]) for each in row["case"]]
+    (options.out / "truth.toml").write_text("format = 1\n" + toml({"case": truths}))
 
 
 if __name__ == "__main__":

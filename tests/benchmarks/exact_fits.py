@@ -1,6 +1,6 @@
 """c and m out of FEBio's records without noise: what the model's own error makes of them.
 
-    python tests/benchmarks/exact_fits.py [--out FOLDER] [--only h05 h13]
+    python -m tests.benchmarks.exact_fits [--out FOLDER] [--only h05 h13]
 
 For every site of the FEBio study in the reference data (`febio-hidden`) with maps free of noise: its records
 without the hidden effect in place of the readings, at the depths that were
@@ -37,7 +37,7 @@ ZEROS = ("depth-zero", "force-zero", "depth-gain")
 
 def without_noise(site: SiteData, windows: Windows, truth: dict) -> SiteData:
     """The site with FEBio's record of it in place of what was read."""
-    from map_errors import record_of  # the file beside this one
+    from tests.benchmarks.map_errors import record_of
 
     depth, force, ln_speed = record_of(truth["id"], windows)
     at_rest = np.full(1 + windows.n_parts, 0.5 * np.log(truth["c_kpa"] / 2.0))
@@ -66,7 +66,7 @@ def resembled(model: SiteForwardModel, found: Fitted) -> LinearEvidence:
 
 def fitted(truth: dict, folder: Path) -> tuple[float, float, float, int, LinearEvidence]:
     """ln of c and of m over the true ones, chi2, number of data, evidence of the effects."""
-    from map_errors import prepared_site  # the file beside this one
+    from tests.benchmarks.map_errors import prepared_site
 
     prepared = prepared_site(truth["id"], folder)
     try:
@@ -83,7 +83,7 @@ def fitted(truth: dict, folder: Path) -> tuple[float, float, float, int, LinearE
 
 
 def main() -> None:
-    from map_errors import RECORDED, SITES  # the file beside this one
+    from tests.benchmarks.map_errors import RECORDED, SITES
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path(tempfile.gettempdir()) / "map-errors")

@@ -1,7 +1,7 @@
 """The direct solver against others on the same matrices: analysis, factor, substitution, memory, whole solve.
 
     pip install "limbcli[factors]"   # MKL Pardiso, MUMPS, CHOLMOD: what is not there is left out
-    python tests/benchmarks/factors.py [--mesh coarse|usual] [--site h15] [--no-whole] [--threads 2]
+    python -m tests.benchmarks.factors [--mesh coarse|usual] [--site h15] [--no-whole] [--threads 2]
 
 The matrix is that of a site of the FEBio study in the reference data (see hard_solves.py) half-way into its
 tissue; every solver runs in a process of its own. "whole" is a solve of that model (m 5, f_kappa 100, penalty
@@ -119,7 +119,7 @@ def maker(kind: str) -> Any:
 
 
 def model_of(site: str, mesh: str, folder: Path) -> LimbModel:
-    from hard_solves import Row, built  # the file beside this one
+    from tests.benchmarks.hard_solves import Row, built
 
     return built(Row(site, 5.0, 100.0, 20.0, 0.25), mesh, folder)[0]
 

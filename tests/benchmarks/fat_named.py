@@ -14,7 +14,6 @@ place, a face four times as long as wide, and no speeds are taken. Every answer 
 from __future__ import annotations
 
 import argparse
-import json
 import shutil
 import time
 from pathlib import Path
@@ -31,6 +30,7 @@ from limbcli.errors.problems import checked
 from limbcli.stages.diagnose import DiagnoseOptions, diagnose
 from limbcli.stages.segment import segment
 from tests.benchmarks.cohort import LEG, shared_table
+from tests.benchmarks.seeded_rows import made
 
 BANDS = ((0.0, 2.0), (2.0, 4.0), (4.0, 8.0), (8.0, 15.0), (15.0, np.inf))  # mm of fat
 AROUND = {"LL": 360.0, "UL": 540.0, "LA": 250.0, "UA": 300.0}  # mm, usual circumferences of adults
@@ -188,22 +188,17 @@ def main() -> None:
     noise = noise_of(table)
     given.work.mkdir(parents=True, exist_ok=True)
     store = given.work / "fat-named.jsonl"
-    rows = [json.loads(line) for line in store.read_text().splitlines()] if store.is_file() else []
-    done = {(r["line"], r["layers"]) for r in rows}
     chosen = drawn(table, tuple(given.locations), given.per_band, given.seed)
     fits = usable(table) & np.isin(table.site.astype(str), given.locations)
     print(
         f"{len(chosen)} of {int(fits.sum())} rows whose curve is a rising parabola and whose layers shorten"
     )
-    for k in chosen:
-        for layers in (True, False):
-            if (int(table.lines[k]), layers) in done:
-                continue
-            rows.append(one(table, k, noise, layers, given.work))
-            with store.open("a") as stream:
-                stream.write(json.dumps(rows[-1]) + "\n")
-            print(json.dumps(rows[-1]), flush=True)
-    show(rows)
+    jobs = {(int(table.lines[k]), layers): (k, layers) for k in chosen for layers in (True, False)}
+
+    def of_row(job: tuple[int, bool]) -> dict[str, Any]:
+        return one(table, job[0], noise, job[1], given.work)
+
+    show(made(store, jobs, of_row, key=("line", "layers")))
 
 
 if __name__ == "__main__":

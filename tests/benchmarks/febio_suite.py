@@ -1,6 +1,6 @@
 """FEBio's public test suite through our reader and the reference solver, as a table.
 
-    python tests/benchmarks/febio_suite.py FOLDER [--sample 20 --seed 7] [--out FILE]
+    python -m tests.benchmarks.febio_suite FOLDER [--sample 20 --seed 7] [--out FILE]
 
 FOLDER is a copy of https://github.com/febiosoftware/TestSuite. Which of its files are in scope is decided by
 `out_of_scope` from what they contain, never by their names. Each is read, run from rest to its end, and
@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import ast
-import json
 import re
 import signal
 import time
@@ -23,6 +22,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from lxml import etree
@@ -35,6 +35,7 @@ from limbcli.fem.analysis import Analysis, Snapshot
 from limbcli.fem.motion.rigid import whole_rotation
 from limbcli.model import NODES_PER_CELL, SOLID_KINDS
 from limbcli.solvers.reference import prepare
+from tests.benchmarks.seeded_rows import made
 
 NEAR = 1e-3  # relative difference from the suite's value that counts as agreement
 _SMALL = 1e-6  # norms below this are compared absolutely: of some files it is round-off of 0
@@ -326,21 +327,17 @@ def main() -> None:
     if arguments.sample is not None and arguments.sample < len(chosen):
         rng = np.random.default_rng(arguments.seed)
         chosen = sorted(rng.choice(np.array(chosen, dtype=object), arguments.sample, replace=False))
-    known: dict[str, Row] = {}
-    if arguments.out is not None and arguments.out.is_file():
-        rows = [Row(**json.loads(line)) for line in arguments.out.read_text().splitlines()]
-        known = {each.name: each for each in rows}
     if arguments.scope:
         print(" ".join(each.stem for each in inside))
         chosen = []
-    for path in chosen:
-        if path.stem not in known:
-            known[path.stem] = row_of(path, gold[path.stem], arguments.time_limit_s)
-            print(f"{known[path.stem]}", flush=True)
-            if arguments.out is not None:
-                with arguments.out.open("a") as stream:
-                    stream.write(json.dumps(asdict(known[path.stem])) + "\n")
-    print(table([known[each.stem] for each in chosen], outside, len(files), len(inside)))
+    jobs = {(each.stem,): each for each in chosen}
+
+    def one(path: Path) -> dict[str, Any]:
+        return asdict(row_of(path, gold[path.stem], arguments.time_limit_s))
+
+    rows = made(arguments.out, jobs, one, key=("name",))
+    shown = [Row(**row) for row in rows if (row["name"],) in jobs]
+    print(table(shown, outside, len(files), len(inside)))
 
 
 if __name__ == "__main__":

@@ -10,14 +10,13 @@ skipped.
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from limbcli.errors import LimbError
 from limbcli.feb.settings import schedule
 from limbcli.fitting.fibre_rest_speed import rest_speed
 from limbcli.fitting.force_curves import LawCurve
@@ -27,6 +26,7 @@ from limbcli.inference.monotone_interpolation import pchip_inverse, pchip_sample
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.model import ElementMap
 from limbcli.site_model.indentation_model import indentation_model
+from tests.benchmarks.seeded_rows import counted, held, made, succeeded
 from tests.stages.block_case import block_model
 
 C = 0.006  # MPa
@@ -85,7 +85,7 @@ def one_seed(seed, memories, knots, true, rests):
     task = JointTask(memories, data, LAW.shape, C, rests)
     clock, before = time.process_time(), sum(each.n_solves for each in memories)
     _, found = joint_fit(task, [np.r_[C, shape] for shape in first_shapes(LAW)], max_solves=6)
-    row = {"seed": seed, "cpu_s": time.process_time() - clock}
+    row = {"cpu_s": time.process_time() - clock}
     row["n_solves"] = sum(each.n_solves for each in memories) - before
     for k, (name, profile) in enumerate(found.profiles.items()):
         row[name], row[f"{name}_low"], row[f"{name}_high"] = float(found.best[k]), profile.low, profile.high
@@ -109,23 +109,13 @@ def main():
             memory(shape, tuple(range(len(shape))))
         memories.append(memory)
         rests.append(rest_of(axis, FIT_CELLS))
-    rows = [json.loads(line) for line in given.out.read_text().splitlines()] if given.out.exists() else []
-    done = {row["seed"] for row in rows}
-    for seed in (each for each in range(given.seeds) if each not in done):
-        try:
-            rows.append(one_seed(seed, memories, knots, true, rests))
-        except LimbError as error:
-            rows.append({"seed": seed, "error": error.what})
-        with given.out.open("a") as stream:
-            stream.write(json.dumps(rows[-1], default=float) + "\n")
-    good = [row for row in rows if "error" not in row]
-    n_solves = sum(row["n_solves"] for row in good)
-    print(f"{len(rows)} seeds, {len(rows) - len(good)} without a result, {n_solves} more solves")
+    one = partial(one_seed, memories=memories, knots=knots, true=true, rests=rests)
+    rows = made(given.out, {(seed,): seed for seed in range(given.seeds)}, one)
+    good = succeeded(rows)
+    print(f"{counted(rows)}, {sum(row['n_solves'] for row in good)} more solves")
     for name in TRUTH:
-        held, middle = sum(row[f"{name}_covered"] for row in good), np.median([row[name] for row in good])
         low, high = (np.median([_number(row[f"{name}_{end}"]) for row in good]) for end in ("low", "high"))
-        interval = f"{low:.4g} to {high:.4g}"
-        print(f"{name}: truth inside {held} of {len(good)}; median {middle:.4g}, typically {interval}")
+        print(f"{held(rows, name)}, typically {low:.4g} to {high:.4g}")
 
 
 def _number(end):

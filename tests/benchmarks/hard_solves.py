@@ -1,6 +1,6 @@
 """Hard solves, as a table: which end at the depth that is asked for, and what they cost.
 
-    python tests/benchmarks/hard_solves.py [--mesh coarse|usual] [--sample 60] [--seed 0] [--out FILE]
+    python -m tests.benchmarks.hard_solves [--mesh coarse|usual] [--sample 60] [--seed 0] [--out FILE]
 
 The sites of the FEBio study in the reference data (`febio-hidden`) x m 2, 5, 10, 15 x f_kappa 100, 1000 x
 contact penalty 20, 80 x depth 25, 40 % of the tissue under the probe, eight levels each; on top of the
@@ -21,6 +21,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +49,7 @@ from limbcli.site_model.indentation_model import (
 )
 from limbcli.site_model.model_simplification import fewer_steps, softer_jumps
 from limbcli.solvers.reference import prepare
+from tests.benchmarks.seeded_rows import made, succeeded
 
 SHARED = Path(os.environ.get("LIMBCLI_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 SITES = SHARED / "febio-hidden"
@@ -227,11 +229,6 @@ def _levels(model: LimbModel) -> list[float]:
     return step_times(step, every=model.has_friction)
 
 
-def read(path: Path) -> dict[str, dict[str, Any]]:
-    lines = path.read_text().splitlines() if path.is_file() else []
-    return {each["name"]: each for each in map(json.loads, lines)}
-
-
 def table(found: list[dict[str, Any]]) -> str:
     heads = (
         "name", "ended", "reached_mm", "depth_mm", "levels", "factorisations", "krylov", "iterations", "cuts",
@@ -276,20 +273,14 @@ def main() -> None:
         parser.error(f"the reference data are not at {SITES}; name their folder with LIMBCLI_SHARED")
     options.work.mkdir(parents=True, exist_ok=True)
     out = options.out or Path(tempfile.gettempdir()) / f"hard-solves-{options.mesh}.jsonl"
-    known, requested = read(out), sample(rows(site_names()), options.sample, options.seed)
-    requested = [each for each in requested if options.only in each.name]
-    for row in requested:
-        if row.name in known:
-            continue
-        known[row.name] = solve(
-            row, options.mesh, options.work, threads=options.threads,
-            tolerance=options.tolerance or TOLERANCE[options.mesh],
-            limit_s=options.limit_s or LIMIT_S[options.mesh],
-        )  # fmt: skip
-        with out.open("a") as stream:
-            stream.write(json.dumps(known[row.name]) + "\n")
-        print(json.dumps(known[row.name]), flush=True)
-    found = [known[each.name] for each in requested if each.name in known]
+    requested = sample(rows(site_names()), options.sample, options.seed)
+    jobs = {(each.name,): each for each in requested if options.only in each.name}
+    one = partial(
+        solve, mesh=options.mesh, folder=options.work, threads=options.threads,
+        tolerance=options.tolerance or TOLERANCE[options.mesh],
+        limit_s=options.limit_s or LIMIT_S[options.mesh],
+    )  # fmt: skip
+    found = [row for row in succeeded(made(out, jobs, one, key=("name",))) if (row["name"],) in jobs]
     print(table(found))
     print("\n".join(summary(found, options.mesh)))
 

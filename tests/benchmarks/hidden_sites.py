@@ -1,6 +1,6 @@
 """Hidden effects on a real model of a site: simulated on another mesh, diagnosed as a user would; resumable.
 
-    python tests/benchmarks/hidden_sites.py --case CASE --out OUT [--truth CASE] --work DIR
+    python -m tests.benchmarks.hidden_sites --case CASE --out OUT [--truth CASE] --work DIR
 
 CASE must have been segmented and meshed into OUT. The measurement is simulated on --truth (the case
 itself by default; for a phantom its true surfaces) with a mesh of its own, and every arm is one
@@ -11,17 +11,16 @@ hidden effects; those that share a place (two orientations) are diagnosed togeth
 from __future__ import annotations
 
 import argparse
-import json
 import shutil
 import time
 from dataclasses import replace
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
 
 from limbcli.case import Case
 from limbcli.effects import effect
-from limbcli.errors import LimbError
 from limbcli.phantom.measured_files import write_readings
 from limbcli.phantom.protocol import LoadingProtocol
 from limbcli.stages.build_feb import build_feb
@@ -32,6 +31,7 @@ from limbcli.stages.simulated_subjects.indent import KnownTissue
 from limbcli.stages.simulated_subjects.synth_options import SynthOptions
 from limbcli.stages.simulated_subjects.synth_truth import SyntheticSite
 from limbcli.stages.synth import measure_sites, read_off
+from tests.benchmarks.seeded_rows import made, succeeded
 
 ARMS = """none none none force-zero=1.5 depth-zero=2 swe-time-scale=0.6 swe-guided-wave=2 swe-depth-bias=0.015
 anisotropy=1.5 skin-layer=2.7 adipose-layer=1.2 contraction=1 inclusion=1.4 viscoelasticity=0.6 preload=1.2
@@ -119,25 +119,16 @@ def main() -> None:
     options = parser.parse_args()
     options.work.mkdir(parents=True, exist_ok=True)
     store = options.work / "sites.jsonl"
-    rows = [json.loads(line) for line in store.read_text().splitlines()] if store.is_file() else []
-    done = {(r["arm"], r["seed"]) for r in rows}
-    for k, arm in enumerate(options.arms):
-        seeds = [options.seed + k + 100 * n for n in range(options.repeats)]
+    for arm in options.arms:
         [effect(each.partition("=")[0]) for each in arm.split("+") if arm != "none"]
-        made = None
-        for seed in seeds:
-            if (arm, seed) in done:
-                continue
-            try:
-                made = made or simulated(arm, options)
-                row = one(arm, seed, *made, options)
-            except LimbError as error:
-                row = {"arm": arm, "seed": seed, "failed": str(error)}
-            rows.append(row)
-            with store.open("a") as stream:
-                stream.write(json.dumps(row) + "\n")
-            print(json.dumps(row), flush=True)
-    reported = [r for r in rows if "verdict" in r]
+    of_arm = lru_cache(maxsize=1)(partial(simulated, options=options))
+    jobs = {
+        (arm, seed): (arm, seed)
+        for k, arm in enumerate(options.arms)
+        for seed in (options.seed + k + 100 * n for n in range(options.repeats))
+    }
+    rows = made(store, jobs, lambda job: one(*job, *of_arm(job[0]), options), key=("arm", "seed"))
+    reported = succeeded(rows)
     real = [r for r in reported if r["truth"]]
     print(f"nothing missing: {[r['verdict'] for r in reported if not r['truth']]}")
     for word in ("named", "ambiguous", "unexplained", "adequate", "untestable"):

@@ -1,6 +1,6 @@
 """The hidden-effect study on the reduced model: resumable, with a confusion matrix and a table of gates.
 
-    python tests/benchmarks/hidden_study.py --out out/hidden --repeats 4
+    python -m tests.benchmarks.hidden_study --out out/hidden --repeats 4
 
 Every data set is one line of <out>/study.jsonl; what is there already is not done again. The data are
 those of tests/diagnosis/hidden_cases.py.
@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
 from scipy.stats import binomtest
+
+from tests.benchmarks.seeded_rows import made, succeeded
+from tests.diagnosis import hidden_cases
 
 TOLD = """force-zero depth-zero anisotropy skin-layer adipose-layer contraction swe-time-scale swe-guided-wave
 preload"""
@@ -23,16 +24,9 @@ TIMES = (0.5, 1.0, 2.0, 4.0)
 PAIRS = (("force-zero", "swe-guided-wave"), ("depth-zero", "anisotropy"), ("force-zero", "skin-layer"))
 
 
-def _cases():
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # run as a script
-    from tests.diagnosis import hidden_cases
-
-    return hidden_cases
-
-
 def arms(sizes: dict[str, dict[str, float]]) -> list[tuple[str, dict[str, dict[str, float]]]]:
     """(name of the arm, effect -> theta)."""
-    theta_of = _cases().theta_of
+    theta_of = hidden_cases.theta_of
     every = [("nothing", {})] * 8
     for times in TIMES:
         for name in TOLD.split():
@@ -44,9 +38,13 @@ def arms(sizes: dict[str, dict[str, float]]) -> list[tuple[str, dict[str, dict[s
 
 
 def one(job: tuple[str, dict, int, bool]) -> dict:
-    cases = _cases()
-    case = cases.Case(*job[:3], own_tissue=job[3])
-    return cases.account(case, case.diagnose())
+    case = hidden_cases.Case(*job[:3], own_tissue=job[3])
+    return hidden_cases.account(case, case.diagnose())
+
+
+def line(row: dict) -> str:
+    answer = row.get("verdict", "failed")
+    return f"{row['arm']:32s} {answer:12s} {' + '.join(row.get('chosen', ()))}"
 
 
 def gates(rows: list[dict]) -> list[str]:
@@ -145,22 +143,14 @@ def main() -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     store, plan = options.out / "study.jsonl", options.out / "plan.json"
     if not plan.is_file():
-        plan.write_text(json.dumps(_cases().detectable()))
+        plan.write_text(json.dumps(hidden_cases.detectable()))
     sizes = json.loads(plan.read_text())
-    rows = [json.loads(line) for line in store.read_text().splitlines()] if store.is_file() else []
-    done = {(r["arm"], r["seed"]) for r in rows}
-    jobs = [
-        (arm, truth, 1000 * repeat + k, options.own_tissue)
+    jobs = {
+        (arm, 1000 * repeat + k): (arm, truth, 1000 * repeat + k, options.own_tissue)
         for repeat in range(options.first, options.first + options.repeats)
         for k, (arm, truth) in enumerate(arms(sizes))
-        if (arm, 1000 * repeat + k) not in done
-    ]  # fmt: skip
-    with ProcessPoolExecutor(options.jobs) as pool:
-        for row in pool.map(one, jobs):
-            with store.open("a") as stream:
-                stream.write(json.dumps(row) + "\n")
-            rows.append(row)
-            print(f"{row['arm']:32s} {row['verdict']:12s} {' + '.join(row['chosen'])}", flush=True)
+    }
+    rows = succeeded(made(store, jobs, one, key=("arm", "seed"), processes=options.jobs, show=line))
     confusion(rows, options.out / "confusion.png")
     table = "\n".join(gates(rows))
     (options.out / "gates.txt").write_text(table + "\n")

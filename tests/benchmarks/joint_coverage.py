@@ -1,6 +1,6 @@
 """How often the joint fit's 95 % intervals hold the truth, made on one mesh and fitted on another.
 
-    python tests/benchmarks/joint_coverage.py FIT.npz TRUTH.npz --seeds 100 --out joint.jsonl
+    python -m tests.benchmarks.joint_coverage FIT.npz TRUTH.npz --seeds 100 --out joint.jsonl
 
 Both are a site's mesh as `limbcli mesh` leaves it. The simulated levels lie at fixed
 depths, so all seeds share the simulations; a seed costs its own fit on the surrogates
@@ -10,14 +10,13 @@ and now and then one simulation more. Seeds already in the file are skipped.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from limbcli.errors import LimbError
 from limbcli.feb.settings import schedule
 from limbcli.fitting.force_curves import LawCurve
 from limbcli.fitting.laws import LAWS
@@ -28,6 +27,7 @@ from limbcli.inference.prediction import SolvedPoints
 from limbcli.model.npz_file import load_model
 from limbcli.numbers.units import mpa_from_kpa
 from limbcli.site_model.indentation_model import indentation_model
+from tests.benchmarks.seeded_rows import counted, held, made
 
 FORCE_SD, DEPTH_SD, SPEED_SD, DENSITY = 0.1, 0.3, 0.05, 1000.0
 
@@ -65,7 +65,7 @@ def one_seed(seed, memory, knots, truth, forces, depths, speeds, gain):
     starts = [np.array([c0, 100.0, 2.0]), np.array([c0, 10.0, 4.0])]
     before, clock = memory.n_solves, time.process_time()
     _, found = joint_fit(task, starts, max_solves=6)
-    row = {"seed": seed, "n_solves": memory.n_solves - before, "cpu_s": time.process_time() - clock}
+    row = {"n_solves": memory.n_solves - before, "cpu_s": time.process_time() - clock}
     for k, (name, profile) in enumerate(found.profiles.items()):
         row[name] = float(found.best[k])
         row[f"{name}_low"], row[f"{name}_high"] = profile.low, profile.high
@@ -95,25 +95,13 @@ def main():
     memory = SolvedPoints(curve)
     for shape in ((100.0, 2.0), (10.0, 2.0), (100.0, 4.0)):
         memory(np.array(shape), (0, 1))
-    rows = [json.loads(line) for line in given.out.read_text().splitlines()] if given.out.exists() else []
-    done = {row["seed"] for row in rows}
-    for seed in range(given.seeds):
-        if seed in done:
-            continue
-        try:
-            gain = gain_deviation(model, None)
-            rows.append(one_seed(seed, memory, curve.depths, truth, forces, depths, speeds, gain))
-        except LimbError as error:
-            rows.append({"seed": seed, "error": error.what})
-        with given.out.open("a") as stream:
-            stream.write(json.dumps(rows[-1], default=float) + "\n")
-    good = [row for row in rows if "error" not in row]
-    print(f"{len(rows)} seeds, {len(rows) - len(good)} without a result; {memory.n_solves} simulations")
-    for name in ("c", "f_kappa", "m"):
-        held = sum(row[f"{name}_covered"] for row in good)
-        print(
-            f"{name}: truth inside {held} of {len(good)}; median {np.median([row[name] for row in good]):.4g}"
-        )
+    one = partial(
+        one_seed, memory=memory, knots=curve.depths, truth=truth, forces=forces, depths=depths, speeds=speeds,
+        gain=gain_deviation(model, None),
+    )  # fmt: skip
+    rows = made(given.out, {(seed,): seed for seed in range(given.seeds)}, one)
+    print(f"{counted(rows)}; {memory.n_solves} simulations")
+    print(*(held(rows, name) for name in ("c", "f_kappa", "m")), sep="\n")
 
 
 if __name__ == "__main__":

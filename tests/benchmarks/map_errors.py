@@ -1,6 +1,6 @@
 """What the diagnosis' models err by in maps of wave speed, and the sizes of that error that are likeliest.
 
-    python tests/benchmarks/map_errors.py [--out FOLDER] [--only h05 h13] [--fit]
+    python -m tests.benchmarks.map_errors [--out FOLDER] [--only h05 h13] [--fit]
 
 For every site of the FEBio study in the reference data (`febio-hidden`) with maps free of noise and without
 its hidden effect: segmented and meshed into FOLDER, its working mesh tied to its own as `diagnose` does, and
@@ -77,7 +77,7 @@ def prepared_site(site: str, folder: Path) -> Prepared:
 def record_of(site: str, windows: Windows) -> tuple[Array, Array, Array]:
     """FEBio's, without noise and without the hidden effect, where it has maps under load: depth (n,) mm,
     force (n,) N, ln speed (n, 1 + n_parts)."""
-    from what_maps_keep import at_forces  # the file beside this one
+    from tests.benchmarks.what_maps_keep import at_forces
 
     exact = dict(np.load(SITES / "exact" / f"{site}.npz"))
     depth = exact["p1_without_map_depth_mm"][1:]

@@ -1,6 +1,6 @@
 """Every site meshes: five residual limbs and a whole leg, eight sites each, two resolutions, and thin places.
 
-    python tests/benchmarks/mesh_sites.py [--out FILE] [--limit N] [--size usual|coarse] [--solve tet4|tet10]
+    python -m tests.benchmarks.mesh_sites [--out FILE] [--limit N] [--size usual|coarse] [--solve tet4|tet10]
 
 Beside the eight (four around at two heights) the place where the skin lies closest over bone (the
 tibial crest, mostly) and the fibular head. One JSON line a site is added to FILE (default:
@@ -11,13 +11,13 @@ the exit code 1 if a site fails or a mesh is not what it must be (see `faults`).
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import resource
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +31,7 @@ from limbcli.meshing.site_mesher import MIN_ANGLE_DEG, MIN_ANGLE_UNDER_PROBE_DEG
 from limbcli.meshing.site_model import MeshOptions, site_model
 from limbcli.meshing.surfaces import Triangles, read_surface
 from limbcli.model import Array, LimbModel
+from tests.benchmarks.seeded_rows import made
 
 SHARED = Path(os.environ.get("LIMBCLI_SHARED", Path(__file__).resolve().parents[3] / "shared")) / "data"
 TIBIA = 380.0  # mm: OpenLimb's lengths are in units of the intact tibia
@@ -168,21 +169,21 @@ def main() -> int:
     parser.add_argument("--size", choices=sorted(RESOLUTIONS), help="only this resolution")
     parser.add_argument("--solve", choices=("tet4", "tet10"), help="also indent by 4 mm, with this element")
     given = parser.parse_args()
-    done = [json.loads(each) for each in given.out.read_text().splitlines()] if given.out.is_file() else []
-    known = {(each["limb"], each["site"], each["size"]) for each in done}
     every = [
         (k, name, limb, *site)
         for name, limb, heights in limbs()
         for k, site in enumerate(sites(limb, heights))
     ]
-    for _, name, limb, site, point, axis in sorted(every, key=lambda each: -each[0]):
-        for size, sizes in RESOLUTIONS.items():
-            if given.size not in (None, size) or (name, site, size) in known or len(done) >= given.limit:
-                continue
-            done.append({"limb": name, "site": site, "size": size})
-            done[-1] |= one(limb, point, axis, sizes, solve=given.solve)
-            with given.out.open("a") as stream:
-                stream.write(json.dumps(done[-1]) + "\n")
+    jobs = {
+        (name, site, size): (limb, point, axis, sizes)
+        for _, name, limb, site, point, axis in sorted(every, key=lambda each: -each[0])
+        for size, sizes in RESOLUTIONS.items()
+        if given.size in (None, size)
+    }
+    jobs = dict(islice(jobs.items(), given.limit))
+    done = made(
+        given.out, jobs, lambda job: one(*job, solve=given.solve), key=("limb", "site", "size"), show=None
+    )
     table(done)
     return int(any(map(faults, done)))
 

@@ -1,8 +1,8 @@
 """A case folder of one of the limbs of `mesh_sites.py`, with a site that `hidden_sites.py` can measure on.
 
-    python tests/benchmarks/openlimb_case.py --limb 102m --case CASE [--angle-deg 90] [--maps] [--both]
+    python -m tests.benchmarks.openlimb_case --limb 102m --case CASE [--angle-deg 90] [--maps] [--both]
     limbcli segment CASE --out OUT; limbcli mesh CASE --out OUT; limbcli build-feb ...; limbcli run ...
-    python tests/benchmarks/hidden_sites.py --case CASE --out OUT --work WORK --max-force-n 26 --size-mm 3.5
+    python -m tests.benchmarks.hidden_sites --case CASE --out OUT --work WORK --max-force-n 26 --size-mm 3.5
 
 Surfaces are written as STL in single precision, as a scanner's software would. The measurement in it is
 a placeholder.
@@ -73,7 +73,7 @@ def main() -> None:
     parser.add_argument("--maps", action="store_true")
     parser.add_argument("--both", action="store_true", help="a second orientation at the same place")
     options = parser.parse_args()
-    from mesh_sites import limbs  # the file beside this one
+    from tests.benchmarks.mesh_sites import limbs
 
     known, found = [], None
     for name, *limb_and_heights in limbs():

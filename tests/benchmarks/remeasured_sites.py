@@ -1,6 +1,6 @@
 """FEBio's records of the study's sites, measured anew: case folders with noise of their own, and their truth.
 
-    python tests/benchmarks/remeasured_sites.py --out SET [--only h05 h13] [--draw 1] [--hidden study]
+    python -m tests.benchmarks.remeasured_sites --out SET [--only h05 h13] [--draw 1] [--hidden study]
     python SHARED/febio-hidden/score.py run --limbcli limbcli --cases SET --out OUT
     python SHARED/febio-hidden/score.py table --cases SET --out OUT
 
@@ -32,6 +32,7 @@ import numpy as np
 from limbcli.measurement.elastography import SweMap, map_file, write_map
 from limbcli.model import Array
 from limbcli.phantom.case_folder import toml
+from tests.benchmarks.seeded_rows import Row, made, succeeded
 
 if TYPE_CHECKING:
     from tests.benchmarks.instrument_effects import Readings
@@ -86,7 +87,7 @@ def level_table(columns: list[str], exact: Readings, rng: np.random.Generator) -
 
 def hidden_in(truth: dict, hidden: str, exact: Readings, rng: np.random.Generator) -> tuple[Readings, dict]:
     """The readings with what is hidden, and what the truth says of it."""
-    from instrument_effects import APPLY, drawn  # the file beside this one
+    from tests.benchmarks.instrument_effects import APPLY, drawn
 
     if hidden == "nothing":
         return exact, {"effects": ["none"], "answer": "none"}
@@ -106,8 +107,8 @@ def hidden_in(truth: dict, hidden: str, exact: Readings, rng: np.random.Generato
 
 def remeasure(truth: dict, hidden: str, draw: int, out: Path) -> dict | None:
     """Writes the case folder; its entry in the truth, or None where FEBio's record is not there."""
-    from instrument_effects import APPLY, Readings  # the files beside this one
-    from what_maps_keep import at_forces
+    from tests.benchmarks.instrument_effects import APPLY, Readings
+    from tests.benchmarks.what_maps_keep import at_forces
 
     in_model = set(truth["effects"]) - set(APPLY) - {"none"}
     if hidden == "study" and truth["effects"] == ["none"]:
@@ -156,16 +157,18 @@ def main() -> None:
     parser.add_argument("--hidden", choices=list(PREFIX), default="nothing")
     options = parser.parse_args()
     truths = tomllib.loads((SITES / "truth.toml").read_text(encoding="utf-8"))["case"]
-    made = []
-    for truth in truths:
-        if options.only is None or truth["id"] in options.only:
-            entry = remeasure(truth, options.hidden, options.draw, options.out)
-            if entry is None:
-                print(f"{truth['id']}: no record for this")
-            else:
-                made.append(entry)
-    (options.out / "truth.toml").write_text(toml({"case": made}), encoding="utf-8")
-    print(f"{len(made)} sites in {options.out}")
+    options.out.mkdir(parents=True, exist_ok=True)
+    chosen = [each for each in truths if options.only is None or each["id"] in options.only]
+    jobs = {(each["id"], options.hidden, options.draw): each for each in chosen}
+
+    def one(truth: dict) -> Row:
+        entry = remeasure(truth, options.hidden, options.draw, options.out)
+        return {"error": "no record for this"} if entry is None else {"case": entry}
+
+    rows = made(options.out / "sites.jsonl", jobs, one, key=("site", "hidden", "draw"))
+    entries = [row["case"] for row in succeeded(rows)]
+    (options.out / "truth.toml").write_text(toml({"case": entries}), encoding="utf-8")
+    print(f"{len(entries)} sites in {options.out}")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """This rule and three others on the same data: what each says of the sites of a study.
 
-    python tests/benchmarks/rules.py --cases SHARED/febio-hidden --out OUT [--only h05 h13] [--workers 2]
+    python -m tests.benchmarks.rules --cases SHARED/febio-hidden --out OUT [--only h05 h13] [--workers 2]
                                      [--picture calibration.png]
 
 Every site is segmented, meshed and diagnosed into OUT (what is there is used). On the same fits, the same
@@ -23,11 +23,9 @@ explanations of all sites. A line a site is kept in OUT/rules.jsonl; the table h
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import tomllib
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -50,6 +48,7 @@ from limbcli.inference.whitening import Whitener
 from limbcli.progress import SILENT
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment
+from tests.benchmarks.seeded_rows import made, succeeded
 
 RULES, LEVEL, CREDIBLE = ("posterior", "bic", "halves"), 0.05, 0.95
 
@@ -146,6 +145,10 @@ def one(job: tuple[Path, Path]) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def line(row: dict[str, Any]) -> str:
+    return f"{row['id']} {row.get('verdicts', 'failed')} {row.get('chosen', '')}"
+
+
 def table(rows: Sequence[dict[str, Any]], truths: dict[str, dict[str, Any]]) -> list[str]:
     """Rates of every rule."""
     lines = ["| | " + " | ".join(RULES) + " |", "|-|" + "-|" * len(RULES)]
@@ -221,15 +224,9 @@ def main() -> None:
     truths = {each["id"]: each for each in tomllib.loads((options.cases / "truth.toml").read_text())["case"]}
     kept = options.out / "rules.jsonl"
     options.out.mkdir(parents=True, exist_ok=True)
-    rows = [json.loads(line) for line in kept.read_text().splitlines()] if kept.is_file() else []
     wanted = [name for name in truths if options.only is None or name in options.only]
-    todo = [name for name in wanted if name not in {row["id"] for row in rows}]
-    with ProcessPoolExecutor(options.workers) as pool:
-        for row in pool.map(one, [(options.cases / name, options.out) for name in todo]):
-            rows.append(row)
-            with kept.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(row) + "\n")
-            print(row["id"], row["verdicts"], row["chosen"], flush=True)
+    jobs = {(name,): (options.cases / name, options.out) for name in wanted}
+    rows = succeeded(made(kept, jobs, one, key=("id",), processes=options.workers, show=line))
     rows = [row for row in rows if row["id"] in wanted]
     print("\n".join(table(rows, truths)))
     if options.picture is not None:

@@ -1,6 +1,6 @@
 """Pressures per patch against a limb whose stiffness is known and varies, by the field and by one c.
 
-    python tests/benchmarks/socket_truth.py --work DIR [--seeds 2]
+    python -m tests.benchmarks.socket_truth --work DIR [--seeds 2]
 
 The limb of cases/socket with a true c that varies smoothly (Gaussian random features of 60 mm, 15 to 60 % in
 ln) and a true m, friction and place of the socket drawn as the intervals take them. Eight sites read c and m
@@ -12,18 +12,13 @@ geometric mean) predicts. Penalty contact alone, so that a seed takes a few minu
 from __future__ import annotations
 
 import argparse
-import json
 import shutil
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 from scipy.spatial import cKDTree
-
-if __package__ in (None, ""):
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # run as a script
 
 from limbcli.case import Case
 from limbcli.case.files import CaseFiles
@@ -47,6 +42,8 @@ from limbcli.stiffness_field import Draws, limb_coordinates, stiffness_field
 from limbcli.stiffness_field.draws import write_draws
 from limbcli.stiffness_field.likelihood import Interval
 from limbcli.stiffness_field.readings import SiteReading, region_below
+from tests.benchmarks.seeded_rows import made as rows_made
+from tests.benchmarks.seeded_rows import succeeded
 
 CASE = Path(__file__).resolve().parents[2] / "cases" / "socket"
 LOADS, NOISE, F_KAPPA, LENGTH = (100.0, 200.0), 0.1, 20.0, 60.0
@@ -187,7 +184,7 @@ def one(of: Limb, seed: int, work: Path) -> dict:
         })  # fmt: skip
     inside = (np.exp(truth) >= values.c_low) & (np.exp(truth) <= values.c_high)
     return {
-        "seed": seed, "c_deviation": float(size), "elements_inside": float(np.average(inside, weights=sizes)),
+        "c_deviation": float(size), "elements_inside": float(np.average(inside, weights=sizes)),
         "held_out_error": found.error_fraction, "pairs": pairs,
     }  # fmt: skip
 
@@ -218,11 +215,9 @@ def main() -> None:
         "| seed | sd of ln c | elements inside | patches inside | field: rms of ln p | one c: rms of ln p |"
     )
     print("|-|-|-|-|-|-|")
-    for seed in range(1, options.seeds + 1):
-        kept = options.work / f"{seed}.json"
-        if not kept.is_file():
-            kept.write_text(json.dumps(one(of, seed, options.work)))
-        print(line(json.loads(kept.read_text())), flush=True)
+    jobs = {(seed,): seed for seed in range(1, options.seeds + 1)}
+    rows = rows_made(options.work / "seeds.jsonl", jobs, lambda seed: one(of, seed, options.work), show=None)
+    print(*map(line, succeeded(rows)), sep="\n")
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
 """How often the 95 % intervals of a fit of three states hold the truth, made on one mesh and fitted on
 another.
 
-    python tests/benchmarks/states.py FIT.npz TRUTH.npz --seeds 20 --out states.jsonl
-    python tests/benchmarks/states.py --case cases/states --element tet10 --size-mm 5 3 --out states10.jsonl
-    python tests/benchmarks/states.py FIT.npz TRUTH.npz --write cases/states
+    python -m tests.benchmarks.states FIT.npz TRUTH.npz --seeds 20 --out states.jsonl
+    python -m tests.benchmarks.states --case cases/states --element tet10 --size-mm 5 3 --out states10.jsonl
+    python -m tests.benchmarks.states FIT.npz TRUTH.npz --write cases/states
 
 Both are a site's mesh as `limbcli mesh` leaves it, the probe along the limb; or `--case` names a case whose
 first site is meshed twice (edges under the probe: of the fit's mesh, of the truth's). The levels lie at fixed
@@ -14,16 +14,15 @@ more. Seeds already in the file are skipped. `--write` leaves the levels of seed
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from limbcli.case import Case
-from limbcli.errors import LimbError
 from limbcli.feb.settings import schedule
 from limbcli.fitting.laws import LAWS
 from limbcli.fitting.numerical_error import gain_deviation
@@ -41,6 +40,7 @@ from limbcli.site_model.indentation_model import indentation_model
 from limbcli.stages.fit_states import first_simulations, knots_to, starts
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment
+from tests.benchmarks.seeded_rows import counted, held, made, succeeded
 
 FORCE_SD, DEPTH_SD, SPEED_SD, DENSITY = 0.05, 0.2, 0.03, 1000.0
 GRID = np.linspace(np.log(0.35), np.log(1.8), 241)
@@ -103,7 +103,7 @@ def one_seed(seed, memory, curve, plan, levels, forces, truth, gain):
         problem.objective(), problem.parameters, found.fit, lowest, low=-1.5, high=0.7, pace=0.04,
         scale=found.scale, threshold=found.threshold,
     )  # fmt: skip
-    row = {"seed": seed, "n_solves": memory.n_solves - before, "cpu_s": time.process_time() - clock}
+    row = {"n_solves": memory.n_solves - before, "cpu_s": time.process_time() - clock}
     row |= {"chi_square": found.chi_square, "n_freedom": found.n_freedom}
     for k, (name, profile) in enumerate(found.profiles.items()):
         row |= {name: float(found.best[k]), f"{name}_low": profile.low, f"{name}_high": profile.high}
@@ -179,27 +179,15 @@ def main():
     plan = plan_of({"along": given.told}, {}, [str(k) for k in range(len(levels))])
     memory = SolvedPoints(curve)
     first_simulations(memory, LAWS["ogden"], plan)
-    rows = [json.loads(line) for line in given.out.read_text().splitlines()] if given.out.exists() else []
-    done = {row["seed"] for row in rows}
-    for seed in range(given.seeds):
-        if seed in done or time.monotonic() > ends:
-            continue
-        try:
-            gain = gain_deviation(model, None)
-            rows.append(one_seed(seed, memory, curve, plan, levels, forces, truth, gain))
-        except LimbError as error:
-            rows.append({"seed": seed, "error": error.what})
-        with given.out.open("a") as stream:
-            stream.write(json.dumps(rows[-1], default=float) + "\n")
-    good = [row for row in rows if "error" not in row]
-    print(f"{len(rows)} seeds, {len(rows) - len(good)} without a result; {memory.n_solves} simulations")
+    one = partial(
+        one_seed, memory=memory, curve=curve, plan=plan, levels=levels, forces=forces, truth=truth,
+        gain=gain_deviation(model, None),
+    )  # fmt: skip
+    rows = made(given.out, {(seed,): seed for seed in range(given.seeds)}, one, until=ends)
+    print(f"{counted(rows)}; {memory.n_solves} simulations")
     for name, value in truth.items():
-        held = sum(row[f"{name}_covered"] for row in good)
-        width = np.median([row[f"{name}_high"] / row[f"{name}_low"] for row in good])
-        print(
-            f"{name}: truth {value:.4g} inside {held} of {len(good)}; median "
-            f"{np.median([row[name] for row in good]):.4g}, upper over lower end {width:.3g}"
-        )
+        width = np.median([row[f"{name}_high"] / row[f"{name}_low"] for row in succeeded(rows)])
+        print(f"{held(rows, name)} (true {value:.4g}), upper over lower end {width:.3g}")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """What the readings hold of every effect in the library, and what of it the diagnosis keeps.
 
-    python tests/benchmarks/what_data_hold.py --out FOLDER [--only h05 h13] [--sites]
+    python -m tests.benchmarks.what_data_hold --out FOLDER [--only h05 h13] [--sites]
 
 For every site of the FEBio study in the reference data (`febio-hidden`), segmented and meshed into FOLDER
 unless it is: chi2 by which each effect of the library, at its plausible size, changes the data beyond what
@@ -24,9 +24,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import os
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -58,6 +56,7 @@ from limbcli.model import Array, IntArray
 from limbcli.progress import SILENT
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment
+from tests.benchmarks.seeded_rows import made, succeeded
 
 SHARED = Path(os.environ.get("LIMBCLI_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 SITES = SHARED / "febio-hidden"
@@ -359,7 +358,7 @@ def of_site(case: Case, site: Site, out: Path) -> Iterator[dict[str, Any]]:
                     found.append(_line(forward_model, fitted, raw, effect, point))
             if found:
                 best = max(found, key=lambda each: float(each["read"]["all"]))
-                yield {"site": f"{case.folder.name} {site.name}", "effect": facts.name, **best}
+                yield {"effect": facts.name, **best}
     finally:
         prepared.close()
         if pixels is not None:
@@ -463,22 +462,18 @@ def main() -> None:
     options = parser.parse_args()
     kept = options.out / "what-data-hold.jsonl"
     options.out.mkdir(parents=True, exist_ok=True)
-    lines = [json.loads(line) for line in kept.read_text().splitlines()] if kept.is_file() else []
-    done = {line["site"] for line in lines}
-    for folder in sorted(each for each in SITES.glob("h??") if not options.only or each.name in options.only):
-        case = Case.open(folder)
-        for site in case.sites:
-            if f"{folder.name} {site.name}" in done:
-                continue
-            out = options.out / folder.name
-            if not (out / "mesh").is_dir():
-                segment(case, out=out, accept_bones=True)
-                mesh(case, out=out)
-            new = list(of_site(case, site, out))
-            lines += new
-            with kept.open("a", encoding="utf-8") as file:
-                file.writelines(json.dumps(line) + "\n" for line in new)
-            print(f"{folder.name} {site.name}: {len(new)} effects", file=sys.stderr, flush=True)
+    folders = sorted(each for each in SITES.glob("h??") if not options.only or each.name in options.only)
+    cases = [Case.open(folder) for folder in folders]
+    jobs = {(f"{case.folder.name} {site.name}",): (case, site) for case in cases for site in case.sites}
+
+    def one(job: tuple[Case, Site]) -> list[dict[str, Any]]:
+        case, out = job[0], options.out / job[0].folder.name
+        if not (out / "mesh").is_dir():
+            segment(case, out=out, accept_bones=True)
+            mesh(case, out=out)
+        return list(of_site(*job, out))
+
+    lines = succeeded(made(kept, jobs, one, key=("site",), show=None))
     tables = (by_channel(lines), by_effect(lines), by_part(lines))
     for table in (by_site(lines), *tables) if options.sites else tables:
         print(*table, sep="\n", end="\n\n")

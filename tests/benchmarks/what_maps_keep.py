@@ -1,6 +1,6 @@
 """What of a hidden effect the diagnosis' parts of a map keep, as a table.
 
-    python tests/benchmarks/what_maps_keep.py
+    python -m tests.benchmarks.what_maps_keep
 
 For every site of the FEBio study in the reference data (`febio-hidden`) that has maps with and without its
 hidden effect, both free of noise: chi2 of their difference at the forces of its levels, each mean aside,

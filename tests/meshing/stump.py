@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
+from limbcli.meshing import whole_limb
 from limbcli.meshing.surfaces import Triangles
 from tests.meshing.conftest import tube
 
@@ -43,3 +45,9 @@ def stump(*, closed_top: bool = False) -> dict[str, Triangles]:
         "bone_femur": tube((0, 2, 114), (0, 2, 190), (15, 12)),
         "bone_patella": tube((0, -28, 112), (0, -28, 132), (6, 6), around=24),
     }
+
+
+def coarse_distances(patch: pytest.MonkeyPatch) -> None:
+    """Sample a limb's distances as those of a large one, 2 mm apart and few: an eighth of the usual work."""
+    patch.setattr(whole_limb, "_SPACING", (2.0, 2.5))
+    patch.setattr(whole_limb, "_SAMPLES", 5e5)
