@@ -21,12 +21,12 @@ tangential direction, that of the quadratic with the same force that majorises m
 Tohoku Math. J. 43:355).
 
 With augmented contact a sticking point has T = pull + eps d, and p contains the multiplier of the pressure;
-after each augmentation both take the values of T and p. `pull` keeps the shear of earlier steps, of slipping
-points too: theirs is that of a sticking point, limited to mu p (Simo & Laursen 1992, Comput Struct 42:97), so
-that it does not fall where a point begins to slip. FEBio takes the direction of the step's slip alone, and lets
-no point change between stick and slip from the first augmentation of a load step to its end
-(FESlidingElasticInterface::ContactTraction); here that is decided anew at every search, since a limb in a tight
-socket did not converge otherwise.
+after each augmentation both take the values of T and p. `pull` keeps the shear of earlier steps, of
+slipping points too: theirs is that of a sticking point, limited to mu p (Simo & Laursen 1992, Comput Struct
+42:97), so that it does not fall where a point begins to slip. FEBio takes the direction of the step's slip
+alone, and lets no point change between stick and slip from the first augmentation of a load step to its end
+(FESlidingElasticInterface::ContactTraction); here that is decided anew at every search, since a limb in a
+tight socket did not converge otherwise.
 
 Columns of `state` after those of `contact_points`: stick flag, T, |d| of a sticking point. Columns of
 `before`, from the last converged step: position, tangents g1 and g2, anchor, facet of the anchor (or -1).
@@ -255,8 +255,8 @@ def times(
             size = _slip(row, before[f, k], move, pull[f, k], eps[f], r, g1, g2, n, y, c, m)
             point_change(v, facets[f], N[k], dN[k], dr, d1, d2)
             _change(
-                row, before[f, k], move, pull[f, k], eps[f], mu, yields, center, r, g1, g2, n, y, c, m, dr, d1, d2,
-                motion, df, darm,
+                row, before[f, k], move, pull[f, k], eps[f], mu, yields, center, r, g1, g2, n, y, c, m, dr,
+                d1, d2, motion, df, darm,
             )  # fmt: skip
             for i in range(3):
                 df[i] *= weights[k]
@@ -293,8 +293,8 @@ def blocks(x, facets, N, dN, weights, eps, mu, yields, before, move, pull, state
                     d2[:] = 0.0
                     dr[j], d1[j], d2[j] = N[k, b], dN[k, b, 0], dN[k, b, 1]
                     _change(
-                        row, before[f, k], move, pull[f, k], eps[f], mu, yields, center, r, g1, g2, n, y, c, m, dr,
-                        d1, d2, still, df, darm,
+                        row, before[f, k], move, pull[f, k], eps[f], mu, yields, center, r, g1, g2, n, y, c,
+                        m, dr, d1, d2, still, df, darm,
                     )  # fmt: skip
                     for a in range(nodes):
                         for i in range(3):
