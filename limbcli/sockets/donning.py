@@ -52,6 +52,7 @@ class DonningOptions:
         None: penalty alone
     search_radius_mm : the contact sees the socket within this distance: more than the interference
     skin : the limb's surface that meets the socket
+    slip_as_febio : the reference solver loses friction with every time step as FEBio does, to compare the two
     knee : shear and moment at the knee centre, full from the first load on: the socket is then free to move
         and turn, but not to turn about the axis
     """
@@ -66,6 +67,7 @@ class DonningOptions:
     penetration_mm: float | None = None
     search_radius_mm: float = 30.0
     skin: str = "skin"
+    slip_as_febio: bool = False
     knee: KneeLoad | None = None
 
 
@@ -187,7 +189,7 @@ def don_and_load(
     """
     options = options or DonningOptions()
     model = socket_model(limb, face, options)
-    analysis = prepare(model, progress, threads=threads)
+    analysis = prepare(model, progress, threads=threads, slip_as_febio=options.slip_as_febio)
     states: list[SocketState] = []
     loads = iter((0.0, *options.loads_n))
 

@@ -2,7 +2,7 @@
 
     limbcli segment CASE --out OUT; limbcli limb CASE --out OUT --c-kpa 16
     python tests/benchmarks/socket_febio.py CASE --out OUT --work DIR [--friction 0.3] [--penetration-mm 0.1]
-        [--donning-steps 10] [--load-steps 5] [--only reference]
+        [--donning-steps 10] [--load-steps 5] [--slip-as-febio] [--only reference]
 
 Writes socket.feb as `limbcli socket` does, runs the reference solver and FEBio (found as limbcli finds it, or
 --febio) on it, each in a process of its own, on one thread, and prints a row for each state: the difference
@@ -83,7 +83,7 @@ def ends(model: LimbModel) -> list[float]:
     return found
 
 
-def reference(feb: Path) -> None:
+def reference(feb: Path, *, slip_as_febio: bool = False) -> None:
     """Solve in this process: per state the facets' pressures, areas, force and height of the socket."""
     from limbcli.solvers.reference import prepare
 
@@ -101,7 +101,7 @@ def reference(feb: Path) -> None:
             force, shift = snapshot.forces.bodies[b, 2], snapshot.state.bodies[b].shift[2]
             states.append((pressure, area, np.linalg.norm(shear, axis=1), force, shift))
 
-    analysis = prepare(model, threads=1)
+    analysis = prepare(model, threads=1, slip_as_febio=slip_as_febio)
     analysis.run(visit)
     used = resource.getrusage(resource.RUSAGE_SELF)
     pressure, area, shear, force, shift = map(np.array, zip(*states, strict=True))
@@ -177,6 +177,7 @@ def main() -> None:
     parser.add_argument("--penetration-mm", type=float, default=SocketOptions.penetration_mm)
     parser.add_argument("--donning-steps", type=int, default=SocketOptions.donning_steps)
     parser.add_argument("--load-steps", type=int, default=SocketOptions.load_steps)
+    parser.add_argument("--slip-as-febio", action="store_true", help="in the reference solver")
     parser.add_argument("--only", choices=["reference", "febio"])
     options = parser.parse_args()
     options.work.mkdir(parents=True, exist_ok=True)
@@ -184,7 +185,7 @@ def main() -> None:
     if not feb.is_file():
         written(options, feb)
     if options.only == "reference":
-        return reference(feb)
+        return reference(feb, slip_as_febio=options.slip_as_febio)
     if not (options.work / REFERENCE).is_file() and options.only != "febio":
         subprocess.run([sys.executable, __file__, *sys.argv[1:], "--only", "reference"], check=True)
     if not (options.work / FEBIO).is_file():
