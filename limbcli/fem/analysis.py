@@ -43,6 +43,8 @@ class Snapshot:
     listed: bool
 
 
+_FIRST_ITERATE = 0.999  # part of a time step that FEBio's first iterate is taken to make
+
 Visitor = Callable[["Analysis", Snapshot], None]
 Guesses = Callable[[System, float], State | None]
 
@@ -119,6 +121,8 @@ class Analysis:
                 newton.system.remember(state)
                 brief = full_effort is not None and n_must >= full_effort
                 try:
+                    if self.settings.slip_as_febio and self.model.has_friction:
+                        state = self._held_anew(state, target, load_step, brief=brief)
                     state, forces = self._stepping.advance_to(target, load_step, known, brief=brief)
                 except SolveError:
                     if required is not None and n_must >= required:
@@ -134,6 +138,17 @@ class Analysis:
                     return snapshots
             begin = targets[-1]
         return snapshots
+
+    def _held_anew(self, state: State, target: float, load_step: LoadStep, *, brief: bool) -> State:
+        """Equilibrium nearly at the end of a time step, from which friction measures the rest of the step."""
+        within = state.time + _FIRST_ITERATE * (target - state.time)
+        self._stepping.augments = False
+        try:
+            state, _ = self._stepping.advance_to(within, load_step, None, brief=brief)
+        finally:
+            self._stepping.augments = True
+        self.system.remember(state)
+        return state
 
     def forget(self) -> None:
         """Discard the factor and increment sizes of earlier runs, which may change the last digits."""

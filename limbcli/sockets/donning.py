@@ -52,6 +52,7 @@ class DonningOptions:
         None: penalty alone
     search_radius_mm : the contact sees the socket within this distance: more than the interference
     skin : the limb's surface that meets the socket
+    slip_as_febio : the reference solver loses friction with every time step as FEBio does, to compare the two
     knee : shear and moment at the knee centre, full from the first load on: the socket is then free to move
         and turn, but not to turn about the axis
     """
@@ -66,6 +67,7 @@ class DonningOptions:
     penetration_mm: float | None = None
     search_radius_mm: float = 30.0
     skin: str = "skin"
+    slip_as_febio: bool = False
     knee: KneeLoad | None = None
 
 
@@ -146,7 +148,7 @@ def socket_model(limb: LimbModel, face: Triangles, options: DonningOptions | Non
         penalty=options.penalty,
         search_radius=options.search_radius_mm,
         friction=options.friction,
-        symmetric=not options.friction,
+        symmetric=False,
         penalty_curve=_DONNING,
         augmented=options.penetration_mm is not None,
         tolerance=0.0,
@@ -187,7 +189,7 @@ def don_and_load(
     """
     options = options or DonningOptions()
     model = socket_model(limb, face, options)
-    analysis = prepare(model, progress, threads=threads)
+    analysis = prepare(model, progress, threads=threads, slip_as_febio=options.slip_as_febio)
     states: list[SocketState] = []
     loads = iter((0.0, *options.loads_n))
 
@@ -246,14 +248,14 @@ def _steps(options: DonningOptions, centre: Array) -> tuple[Step, ...]:
     def fixed(dofs: Sequence[str]) -> tuple[Drive, ...]:
         return tuple(Drive(SOCKET, dof, "fixed") for dof in dofs)  # type: ignore[arg-type]
 
-    # friction makes FEBio's matrix unsymmetric; quasi-Newton updates of a symmetric one then diverge
-    unsymmetric = {
+    # FEBio's matrix is unsymmetric in this contact; quasi-Newton updates of a symmetric one diverge, with
+    # friction and in augmented contact without
+    control = {
         "symmetric_stiffness": "non-symmetric",
         "max_refs": 25,
         "qn_method": "Broyden",
         "max_ups": 10,
     }
-    control = unsymmetric if options.friction else {}
     others = [dof for dof in ("x", "y", "z", "u", "v", "w") if dof != options.axis]
     donning = Step(
         n_steps=options.donning_steps,
@@ -333,7 +335,7 @@ def _state(running: Analysis, snapshot: Snapshot, load: float) -> SocketState:
     shear = np.zeros((len(system.X), 3))
     by_facet: list[tuple[Array, Array, Array]] = []
     for patch in pair.patches:
-        area, pressure, tangential = _tractions(patch)
+        area, pressure, tangential = tractions(patch)
         by_facet.append((pressure, np.linalg.norm(tangential, axis=1), area))
         for column in patch.facets.T:
             np.add.at(sums, (column, 0), area)
@@ -373,7 +375,7 @@ def _penetration(patch: Patch) -> float:
     return float(gaps.max(initial=0.0))
 
 
-def _tractions(patch: Patch) -> tuple[Array, Array, Array]:
+def tractions(patch: Patch) -> tuple[Array, Array, Array]:
     """Current area in contact or not (n_facets,), mean pressure (n_facets,) and mean tangential traction
     (n_facets, 3) of a patch after a contact search."""
     from limbcli.fem.contacts import friction_kernels

@@ -167,6 +167,7 @@ def prepare(
     linear: str = "auto",
     tolerance: float = 1e-6,
     stalled: float = 0.0,
+    slip_as_febio: bool = False,
 ) -> Analysis:
     """An analysis of a model, after checking that all of its features are supported."""
     from limbcli.fem.supported import check_supported, refuse_limp, warm_up
@@ -181,7 +182,13 @@ def prepare(
         tolerance = min(tolerance, _SMOOTH_TOLERANCE)
     if model.has_friction:
         stalled = max(stalled, _STALLED_WITH_FRICTION * tolerance)
-    settings = Settings(tolerance=tolerance, linear=linear, threads=at_most(threads), stalled=stalled)
+    settings = Settings(
+        tolerance=tolerance,
+        linear=linear,
+        threads=at_most(threads),
+        stalled=stalled,
+        slip_as_febio=slip_as_febio,
+    )
     return Analysis(model, settings, progress)
 
 

@@ -89,7 +89,7 @@ def socket(
         given = _given(noted(case, writer), options)
         writer.used_result(limb, files=[each for each in ("model", "draws") if each in limb.files])
         together = put_together(load_model(limb.path("model")), given, writer)
-        donning = _donning(given, options, together)
+        donning = donning_options(given, options, together)
         _report_fit(writer, together, given)
         result = _solved(together, donning, progress)
         masks = patch_masks(together.limb)
@@ -137,7 +137,7 @@ def _given(case: Case, options: SocketOptions) -> SocketInput:
     return replace(given, align=given.align or options.align)
 
 
-def _donning(given: SocketInput, options: SocketOptions, together: LimbInSocket) -> DonningOptions:
+def donning_options(given: SocketInput, options: SocketOptions, together: LimbInSocket) -> DonningOptions:
     return DonningOptions(
         friction=given.friction,
         loads_n=given.loads,

@@ -67,9 +67,11 @@ def test_sticking_brick_resists_with_the_penalty() -> None:
 
 
 @pytest.mark.parametrize("kind", ["tet4", "tet10", "hex8"])
-@pytest.mark.parametrize("free", [False, True])
-def test_tangent_agrees_with_differences(kind: str, free: bool, rng: np.random.Generator) -> None:
-    """Sticking and slipping points, some of them new; a body that turns as well."""
+@pytest.mark.parametrize(("free", "pulled"), [(False, False), (True, False), (False, True)])
+def test_tangent_agrees_with_differences(
+    kind: str, free: bool, pulled: bool, rng: np.random.Generator
+) -> None:
+    """Sticking and slipping points, some of them new; a body that turns as well; multipliers."""
     model = rubbing(punch(kind, (3, 2, 2)), 0.2 if free else 0.03)
     if free:
         model = replace(model, drives=(Drive("probe", "z", "force", -0.01, "ramp"),))
@@ -78,6 +80,9 @@ def test_tangent_agrees_with_differences(kind: str, free: bool, rng: np.random.G
     state = system.moved(state, 1e-2 * rng.standard_normal(system.n_unknowns))
     system.forces(state)
     system.remember(replace(state, hints=system.hints()))
+    if pulled:  # shear of the size of what friction bears
+        for patch, pull in zip(system.pairs[0].patches, system.pairs[0].pulls, strict=True):
+            pull[:] = 0.003 * patch.eps[:, None, None] * rng.standard_normal(pull.shape)
     step = 1.2e-2 * rng.standard_normal(system.n_unknowns)
     state = system.moved(system.prescribed(state, 0.14), step)
     forces = system.forces(state)
@@ -112,6 +117,18 @@ def test_augmented_friction_gives_nearly_what_a_stiff_penalty_gives(x: float, mu
     assert np.abs(soft - stiff).max() > 0.2 * np.abs(stiff).max()
     # both depend on the way; a stiff penalty alone forgets the shear of the step before
     np.testing.assert_allclose(augmented, stiff, atol=0.15 * np.abs(stiff).max())
+
+
+@pytest.mark.parametrize("n_steps", [1, 40])
+def test_augmented_friction_bears_its_share_of_the_pressure_however_small_the_steps(n_steps: int) -> None:
+    """A step much shorter than the slip that the penalty needs for the full shear."""
+    model = dragged(2.0)
+    augmented = {"augmented": True, "tolerance": 1e-3, "penalty": 0.5}
+    contacts = tuple(replace(each, **augmented) for each in model.contacts)
+    steps = (Step(n_steps=2 * n_steps, step_size=1.0 / n_steps),)
+    _, end = last(replace(model, contacts=contacts, steps=steps))
+    force = end.forces.bodies[0]
+    assert force[0] == pytest.approx(-0.3 * force[2], rel=1e-6)
 
 
 def test_far_from_equilibrium_a_slip_is_resisted_along_its_way_too() -> None:

@@ -112,20 +112,20 @@ class FrictionPair(Pair):
             friction_kernels.force(p.facets, p.N, p.weights, p.state, center, out, body)
 
     def times(self, x: Array, center: Array, v: Array, motion: Array, out: Array, body: Array) -> None:
-        for p, before in zip(self.patches, self.before, strict=True):
+        for p, before, pull in zip(self.patches, self.before, self.pulls, strict=True):
             friction_kernels.times(
-                x, p.facets, p.N, p.dN, p.weights, p.eps, self.mu, self.full_tangent, before, self.move,
+                x, p.facets, p.N, p.dN, p.weights, p.eps, self.mu, self.full_tangent, before, self.move, pull,
                 p.state, center, v, motion, out, body,
             )  # fmt: skip
 
     def blocks(self, x: Array) -> list[tuple[Array, Array]]:
         center = self.rigid.center + self.now.shift
         found = []
-        for p, before in zip(self.patches, self.before, strict=True):
+        for p, before, pull in zip(self.patches, self.before, self.pulls, strict=True):
             n = p.facets.shape[1]
             out = np.empty((len(p.facets), n, 3, n, 3))
             touched = friction_kernels.blocks(
-                x, p.facets, p.N, p.dN, p.weights, p.eps, self.mu, self.full_tangent, before, self.move,
+                x, p.facets, p.N, p.dN, p.weights, p.eps, self.mu, self.full_tangent, before, self.move, pull,
                 p.state, center, out,
             )  # fmt: skip
             found.append((out, touched))

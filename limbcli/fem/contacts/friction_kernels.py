@@ -6,12 +6,14 @@ configuration, and the normal pressure p = eps g of frictionless contact:
 
     stick   T = eps d                  where T.nu > 0 and |T - (T.nu) nu| < mu T.nu
     slip    T = p (nu + mu s)          otherwise, and if the point has no anchor
-    s = y/max(|y|, mu g),  y = (1 - nu nu)(dx1 - dx2 - g c),  c = (1 - nu nu) m/|n|,  m = dg1 x g2 + g1 x dg2
+    s = y/max(|y|, mu p/eps),  y = (1 - nu nu)(dx1 - dx2 - g c + pull/eps)
+    c = (1 - nu nu) m/|n|,  m = dg1 x g2 + g1 x dg2
 
 T is the traction exerted by the skin, per current area; dx1, dx2, dg1, dg2 are the changes since the last
 converged step of the point, of the material point of the rigid body now opposite to it, and of the tangents.
 FEBio uses s = y/|y|, which is discontinuous where a point that has just come into contact reverses; here a
-slip shorter than mu g is resisted by the same penalty as a sticking point.
+slip shorter than mu g is resisted by the same penalty as a sticking point. Without multipliers the shear of
+earlier steps is forgotten, in FEBio as here: a step resists only its own motion.
 
 Along a slip the exact derivative has no stiffness, and Newton's method overshoots: points reverse, and
 alternate between stick and slip. Far from equilibrium the tangent therefore has stiffness mu p/|y| in every
@@ -19,10 +21,12 @@ tangential direction, that of the quadratic with the same force that majorises m
 Tohoku Math. J. 43:355).
 
 With augmented contact a sticking point has T = pull + eps d, and p contains the multiplier of the pressure;
-after each augmentation both take the values of T and p. FEBio lets no point change between stick and slip
-from the first augmentation of a load step to its end (FESlidingElasticInterface::ContactTraction); here that
-is decided anew at every search, since a limb in a tight socket did not converge otherwise. The shortest slip
-with full friction is then mu p/eps, p with its multiplier: with a soft penalty farther than without.
+after each augmentation both take the values of T and p. `pull` keeps the shear of earlier steps, of
+slipping points too: theirs is that of a sticking point, limited to mu p (Simo & Laursen 1992, Comput Struct
+42:97), so that it does not fall where a point begins to slip. FEBio takes the direction of the step's slip
+alone, and lets no point change between stick and slip from the first augmentation of a load step to its end
+(FESlidingElasticInterface::ContactTraction); here that is decided anew at every search, since a limb in a
+tight socket did not converge otherwise.
 
 Columns of `state` after those of `contact_points`: stick flag, T, |d| of a sticking point. Columns of
 `before`, from the last converged step: position, tangents g1 and g2, anchor, facet of the anchor (or -1).
@@ -76,7 +80,7 @@ def remember(x, facets, N, dN, state, before):
 
 
 @njit(cache=True)
-def _slip(row, before, move, r, g1, g2, n, y, c, m):
+def _slip(row, before, move, pull, eps, r, g1, g2, n, y, c, m):
     """Set y, c and m (see the module docstring) of a point in contact; returns |n|."""
     size = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
     old, w = np.empty(3), np.empty(3)
@@ -92,7 +96,7 @@ def _slip(row, before, move, r, g1, g2, n, y, c, m):
     total = 0.0
     for i in range(3):
         c[i] = (m[i] - along * n[i] / size) / size
-        y[i] = r[i] - before[PLACE + i] - (row[POINT + i] - old[i]) - row[GAP] * c[i]
+        y[i] = r[i] - before[PLACE + i] - (row[POINT + i] - old[i]) - row[GAP] * c[i] + pull[i] / eps
         total += y[i] * n[i] / size
     for i in range(3):
         y[i] -= total * n[i] / size
@@ -137,7 +141,7 @@ def resist(x, facets, N, dN, eps, mu, before, move, pull, state):
                         row[POINT + i] = anchor[i]
                     sticking += 1
                     continue
-            _slip(row, before[f, k], move, r, g1, g2, n, y, c, m)
+            _slip(row, before[f, k], move, pull[f, k], eps[f], r, g1, g2, n, y, c, m)
             length = np.sqrt(y[0] ** 2 + y[1] ** 2 + y[2] ** 2)
             drag = min(mu * row[TRACTION] / length, eps[f]) if length > 0.0 else 0.0
             for i in range(3):
@@ -161,7 +165,9 @@ def force(facets, N, weights, state, center, out, body):
 
 
 @njit(cache=True)
-def _change(row, before, move, eps, mu, yields, center, r, g1, g2, n, y, c, m, dr, d1, d2, motion, df, darm):
+def _change(
+    row, before, move, pull, eps, mu, yields, center, r, g1, g2, n, y, c, m, dr, d1, d2, motion, df, darm
+):
     """Change of |n| T, and of the lever arm from the body's centre, for changes of the point and the body.
 
     y, c, m : from `_slip`, used if the point slips
@@ -214,7 +220,7 @@ def _change(row, before, move, eps, mu, yields, center, r, g1, g2, n, y, c, m, d
             old = 0.0
             for j in range(3):
                 old += move[j, i] * (row[POINT + j] - move[3, j])
-            z = r[i] - before[PLACE + i] - row[POINT + i] + old - row[GAP] * c[i]
+            z = r[i] - before[PLACE + i] - row[POINT + i] + old - row[GAP] * c[i] + pull[i] / eps
             znu += z * nu[i]
             zdnu += z * dnu[i]
             dz_nu += dy[i] * nu[i]
@@ -233,7 +239,9 @@ def _change(row, before, move, eps, mu, yields, center, r, g1, g2, n, y, c, m, d
 
 
 @njit(cache=True, nogil=True)
-def times(x, facets, N, dN, weights, eps, mu, yields, before, move, state, center, v, motion, out, body):
+def times(
+    x, facets, N, dN, weights, eps, mu, yields, before, move, pull, state, center, v, motion, out, body
+):
     """Derivative of `force` along v (n_points, 3) and the body's motion (6), at fixed stick-slip status."""
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     dr, d1, d2, df, darm = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -244,11 +252,11 @@ def times(x, facets, N, dN, weights, eps, mu, yields, before, move, state, cente
             if row[TRACTION] == 0.0:
                 continue
             point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
-            size = _slip(row, before[f, k], move, r, g1, g2, n, y, c, m)
+            size = _slip(row, before[f, k], move, pull[f, k], eps[f], r, g1, g2, n, y, c, m)
             point_change(v, facets[f], N[k], dN[k], dr, d1, d2)
             _change(
-                row, before[f, k], move, eps[f], mu, yields, center, r, g1, g2, n, y, c, m, dr, d1, d2,
-                motion, df, darm,
+                row, before[f, k], move, pull[f, k], eps[f], mu, yields, center, r, g1, g2, n, y, c, m, dr,
+                d1, d2, motion, df, darm,
             )  # fmt: skip
             for i in range(3):
                 df[i] *= weights[k]
@@ -260,7 +268,7 @@ def times(x, facets, N, dN, weights, eps, mu, yields, before, move, state, cente
 
 
 @njit(cache=True, nogil=True)
-def blocks(x, facets, N, dN, weights, eps, mu, yields, before, move, state, center, out):
+def blocks(x, facets, N, dN, weights, eps, mu, yields, before, move, pull, state, center, out):
     """Tangent of each touching soft facet, out (n_facets, n, 3, n, 3); returns which facets touch."""
     nodes = facets.shape[1]
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -277,7 +285,7 @@ def blocks(x, facets, N, dN, weights, eps, mu, yields, before, move, state, cent
                 continue
             touched[f] = True
             point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
-            _slip(row, before[f, k], move, r, g1, g2, n, y, c, m)
+            _slip(row, before[f, k], move, pull[f, k], eps[f], r, g1, g2, n, y, c, m)
             for b in range(nodes):
                 for j in range(3):
                     dr[:] = 0.0
@@ -285,8 +293,8 @@ def blocks(x, facets, N, dN, weights, eps, mu, yields, before, move, state, cent
                     d2[:] = 0.0
                     dr[j], d1[j], d2[j] = N[k, b], dN[k, b, 0], dN[k, b, 1]
                     _change(
-                        row, before[f, k], move, eps[f], mu, yields, center, r, g1, g2, n, y, c, m, dr,
-                        d1, d2, still, df, darm,
+                        row, before[f, k], move, pull[f, k], eps[f], mu, yields, center, r, g1, g2, n, y, c,
+                        m, dr, d1, d2, still, df, darm,
                     )  # fmt: skip
                     for a in range(nodes):
                         for i in range(3):

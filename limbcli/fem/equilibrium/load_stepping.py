@@ -56,6 +56,7 @@ class LoadStepping:
         self._wary = 0
         self._forces: Forces | None = None  # at the last load step
         self.patient = True  # whether to fall back on relaxation where Newton's method fails
+        self.augments = True  # whether augmented contact sets its multipliers at the end of a load step
 
     def begin(self, model: LimbModel, step: Step, newton: Newton, histories: Histories | None) -> None:
         """Initialise for an analysis step. histories : stress histories to advance with every increment"""
@@ -323,7 +324,7 @@ class LoadStepping:
 
     def _augmented(self, state: State, forces: Forces, load_step: LoadStep) -> tuple[State, Forces]:
         """Augmented Lagrangian iterations until the multipliers of every contact have converged."""
-        pairs = [pair for pair in self._newton.system.pairs if pair.is_augmented]
+        pairs = [pair for pair in self._newton.system.pairs if pair.is_augmented and self.augments]
         before = [pair.multipliers() for pair in pairs]
         n_before = 0
         try:
