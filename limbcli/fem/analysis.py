@@ -88,11 +88,11 @@ class Analysis:
         full_effort : number of must-points solved with full effort; later ones are attempted with a small
             iteration budget. None: as `required`
         last : number of must-points attempted at all; None: all
-        patient : where Newton's method fails, fall back on pseudo-time relaxation, which is slow
+        patient : where Newton's method fails before a required must-point, fall back on pseudo-time
+            relaxation, which is slow
         ends : called after `visit` at every must-point; True ends the run
         limit : of the work of this run
         """
-        self._stepping.patient = patient
         snapshots: list[Snapshot] = []
         state: State | None = None
         histories: Histories | None = None
@@ -120,6 +120,7 @@ class Analysis:
                 known = guesses(newton.system, target) if guesses else None
                 newton.system.remember(state)
                 brief = full_effort is not None and n_must >= full_effort
+                self._stepping.patient = patient and (required is None or n_must < required)
                 try:
                     if self.settings.slip_as_febio and self.model.has_friction:
                         state = self._held_anew(state, target, load_step, brief=brief)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_models import punch
 
-from limbcli.fem.equilibrium.first_guesses import extrapolate
+from limbcli.fem.equilibrium.first_guesses import beside, extrapolate
 from limbcli.fem.system import System
 from limbcli.model import Curve
 
@@ -43,3 +43,15 @@ def test_a_plate_that_turns_back_is_followed_in_time(rng: np.random.Generator) -
     guess = extrapolate(system, states[:3], 0.8)
     line = 3 * states[2].u - 3 * states[1].u + states[0].u  # the parabola over even times
     np.testing.assert_allclose(guess.u[system.free], line[system.free], atol=1e-14)
+
+
+def test_what_differs_from_an_earlier_solve_by_a_line_is_met_exactly(rng: np.random.Generator) -> None:
+    """The earlier solve may be of any shape along the way; with one pair the difference is carried over."""
+    times = (0.2, 0.4, 0.6)
+    system, ours = at_depths(times, DEPTHS, rng)
+    apart = 0.01 * rng.standard_normal(system.X.shape) * system.free
+    theirs = [replace(each, u=each.u - depth * apart) for each, depth in zip(ours, DEPTHS, strict=True)]
+    pairs = list(zip(ours[:2], theirs[:2], strict=True))
+    np.testing.assert_allclose(beside(system, theirs[2], 0.6, pairs).u, ours[2].u, atol=1e-14)
+    carried = beside(system, theirs[2], 0.6, pairs[1:])
+    np.testing.assert_allclose(carried.u, ours[2].u - 0.2 * apart, atol=1e-14)

@@ -63,7 +63,7 @@ def test_a_rough_guess_may_be_farther_out(error: float, rough: bool, refused: bo
     stepping._newton = SimpleNamespace(
         system=SimpleNamespace(prescribed=lambda known, time: known), failure=lambda *_: FAILED
     )
-    stepping._reached, stepping._known, stepping._incremental = [SimpleNamespace(time=0.0)] * 2, None, True
+    stepping._reached, stepping._pairs, stepping._incremental = [SimpleNamespace(time=0.0)] * 2, [], True
     stepping._best = lambda guesses, time: (error, guesses[0], None)
     stepping._tried = SimpleNamespace()
     known = (RoughState if rough else State)(0.5, np.zeros((4, 3)), ())

@@ -53,7 +53,7 @@ def test_every_solve_of_a_session_counts_its_own_work():
     session.close()
 
 
-def test_guesses_from_another_session_lead_to_the_same_force_in_fewer_iterations():
+def test_guesses_from_another_session_lead_to_the_same_force_with_less_work():
     base = punch(depth=2.0)
     harder = replace(base, contacts=tuple(replace(each, penalty=80.0) for each in base.contacts))
     first = ReferenceSession(base, threads=1)
@@ -62,7 +62,8 @@ def test_guesses_from_another_session_lead_to_the_same_force_in_fewer_iterations
     led.start_like(first)
     found, expected = led.solve(), alone.solve()
     np.testing.assert_allclose(found.must_points.forces, expected.must_points.forces, rtol=1e-4)
-    assert found.simulation.n_iterations < expected.simulation.n_iterations
+    work, alone_work = (r.simulation.n_iterations + r.simulation.n_factorisations for r in (found, expected))
+    assert work < alone_work
     for each in (first, alone, led):
         each.close()
 

@@ -1,7 +1,8 @@
-"""Initial guesses from converged states: increments of an earlier solve, and polynomial extrapolation."""
+"""Initial guesses: extrapolation of converged states, or of their difference from an earlier solve."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,13 +15,19 @@ from limbcli.model import Array
 _STRAIGHT = 1 - 1e-6  # cosine of the angle between two displacements up to which a path counts as straight
 
 
-def continued(system: System, last: State, before: State, after: State) -> State:
-    """The last state plus the increment of an earlier solve between the same two load steps."""
-    still = np.zeros_like(last.u)
-    change = [b - a for a, b in zip(_ratios(system, before), _ratios(system, after), strict=True)]
-    volumes = [a + each for a, each in zip(system.linear_volumes(last, still), change, strict=True)]
-    u = last.u + after.u - before.u
-    return replace(after, u=u, volumes=tuple(volumes))
+def beside(system: System, known: State, time: float, pairs: Sequence[tuple[State, State]]) -> State:
+    """The state `known` of an earlier solve at `time`, plus the difference of this solve from it.
+
+    The difference is extrapolated from `pairs` of states at the last load steps: of this solve, and of the
+    earlier one. It is smaller and smoother than the states themselves, whose contact grows by leaps.
+    """
+    *along, aim = _coordinate(system, [ours for ours, _ in pairs], time)
+    u, volumes = known.u, list(_ratios(system, known))
+    for weight, (ours, theirs) in zip(lagrange(np.array(along), aim), pairs, strict=True):
+        u = u + weight * (ours.u - theirs.u)
+        apart = zip(_ratios(system, ours), _ratios(system, theirs), strict=True)
+        volumes = [each + weight * (a - b) for each, (a, b) in zip(volumes, apart, strict=True)]
+    return system.prescribed(replace(known, u=u, volumes=tuple(volumes)), time)
 
 
 def _ratios(system: System, state: State) -> tuple[Array, ...]:

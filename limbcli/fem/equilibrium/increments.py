@@ -14,7 +14,7 @@ A load step that is attempted briefly, or whose response is path-dependent, is n
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum, auto
 
 from limbcli.fem.equilibrium.settings import LoadStep
@@ -55,7 +55,7 @@ class Increment:
 class LoadStepPath:
     """Progress towards one load step, at time `target`.
 
-    known : initial guess at `target` from an earlier solve, until it has been tried
+    known : initial guess at `target` from an earlier solve, until it has been tried; earlier : the same, kept
     brief : limited to few cuts and to a total of `most_iterations` of the analysis
     start : at its beginning, the number of states reached, of increments in contact and of touching points
     cuts : since the last accepted increment; all_cuts : since the last load step
@@ -72,6 +72,10 @@ class LoadStepPath:
     cuts: int = 0
     all_cuts: int = 0
     restless: int = 0
+    earlier: State | None = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.earlier = self.known
 
     @property
     def is_exhausted(self) -> bool:

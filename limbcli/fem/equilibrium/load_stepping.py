@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from limbcli.errors import SolveError
-from limbcli.fem.equilibrium.first_guesses import continued, extrapolate
+from limbcli.fem.equilibrium.first_guesses import beside, extrapolate
 from limbcli.fem.equilibrium.history import Histories
 from limbcli.fem.equilibrium.increments import Increment, IncrementOutcome, LoadStepPath
 from limbcli.fem.equilibrium.newton import LoadStep, Newton, NotConverged
@@ -66,7 +66,8 @@ class LoadStepping:
         self._incremental = bool(model.contacts) and not self._timed
         self._increment = _FIRST * step.step_size if self._incremental else np.inf
         self._reached = [newton.system.start]
-        self._known: State | None = None  # the earlier solve's state at the last load step
+        # states in contact at the last load steps, each with the earlier solve's
+        self._pairs: list[tuple[State, State]] = []
         # points in contact at the last state; increments that ended in contact
         self._n_touching = self._n_pressed = 0
 
@@ -169,7 +170,9 @@ class LoadStepping:
             easily = self._newton.counts.iterations - increment.iterations_before <= easy
         self._accept(state, forces, easily=easily)
         if increment.is_last:
-            self._forces, self._known = forces, way.known
+            self._forces = forces
+            if way.earlier is not None and forces.n_touching > 0:
+                self._pairs = [*self._pairs[-1:], (state, way.earlier)]
         return state, forces
 
     def _shorten(self, way: LoadStepPath, increment: Increment) -> None:
@@ -244,7 +247,7 @@ class LoadStepping:
         if self._histories is not None:
             self._histories.begin(increment.length)
         guess, forces = self._guess(aim, way.load_step, way.known, patient)
-        if way.known is not None:  # the factor was computed a load step earlier
+        if way.known is not None and not self._pairs:  # the factor was computed a load step earlier
             newton.linearised.reuse_cost = np.inf
         return newton.equilibrate(guess, way.load_step, forces=forces, tolerance=tolerance, patient=patient)
 
@@ -253,21 +256,22 @@ class LoadStepping:
     ) -> tuple[State, Forces | None]:
         """The best available initial guess, and the forces there if contact was last searched for it.
 
-        With an earlier solve: its state, and the last state plus its increment. Otherwise linear and
+        With an earlier solve: its state plus the difference from it, as far as known. Otherwise linear and
         quadratic extrapolation of the last states, or, if these are poor, the tangent predictor. If all
         guesses are far from equilibrium the increment is rejected at once, which is cheaper than iterating.
         """
-        system, reached = self._newton.system, self._reached
+        system, reached, pairs = self._newton.system, self._reached, []
+        rough = isinstance(known, RoughState)
         if known is not None:
-            guesses = [system.prescribed(known, time)]
-            if self._known is not None and len(reached) > 1 and reached[-1].time == self._known.time:
-                guesses.append(system.prescribed(continued(system, reached[-1], self._known, known), time))
+            follows = bool(self._pairs) and self._pairs[-1][0] is reached[-1]
+            pairs = self._pairs[-1 if rough else -2 :] if follows else []
+            guesses = [beside(system, known, time, pairs[-n:]) for n in range(1, len(pairs) + 1)]
+            guesses = guesses or [system.prescribed(known, time)]
         else:
             # neither the unloaded state nor states without contact are extrapolated
             most = min(self._n_pressed if system.pairs else len(reached) - 1, 3)
             guesses = [extrapolate(system, reached[-n:], time) for n in range(2, most + 1)]
-        rough = isinstance(known, RoughState)
-        limit = _FAR_OUT if known is None else _FAR_OFF_ROUGH if rough else _FAR_OFF
+        limit = _FAR_OFF_ROUGH if rough else _FAR_OFF if known is not None and not pairs else _FAR_OUT
         error, guess, forces = self._best(guesses, time)
         if guess is None or (known is None and error > limit):
             error, guess, forces = self._best([self._newton.predict(reached[-1], time)], time)
