@@ -56,7 +56,7 @@ class Profile:
     def root_at(self, values: Array) -> Array:
         """Root of the deviance (nearly linear in ln of the parameter); infinite beyond the profile."""
         root = np.sqrt(np.maximum(self.deviance, 0.0))
-        return np.interp(np.log(values), np.log(self.values), root, left=np.inf, right=np.inf)
+        return np.asarray(np.interp(np.log(values), np.log(self.values), root, left=np.inf, right=np.inf))
 
     def ends_beyond(self, limit: float) -> bool:
         """Whether an end of the interval lies where the curve is above the limit, or beyond the curve.
