@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from limbcli.effects.base import Effect
 from limbcli.effects.crop import EFFECT as CROP
 from limbcli.effects.far_side import FAR_SIDE
 from limbcli.errors import SolveError
+from limbcli.inference.adaptive import Intervals
+from limbcli.inference.geometry_uncertainty import total_share
+from limbcli.inference.joint import JointProblem, joint_fit
 from limbcli.inference.prediction import SolvedPoints, sampled
 from limbcli.inference.two_step_fit import ForceDepth
 from limbcli.model import Array, LimbModel
@@ -93,6 +96,31 @@ def boundary_modes(changed: Sequence[ChangedForces], n_levels: int) -> Array:
     return np.array([np.pad(each, (0, n_levels - len(each)), mode="edge") for each in modes]).reshape(
         len(modes), n_levels
     )
+
+
+def allowing_for(
+    changed: Sequence[Sequence[ChangedForces]], problem: JointProblem, found: Intervals, *,
+    max_solves: int, progress: Progress = SILENT,
+) -> tuple[JointProblem, Intervals]:  # fmt: skip
+    """A joint fit repeated from its result, with the boundaries' part in the gain of every site.
+
+    changed : by site, the forces with other boundaries; empty if none were solved
+
+    A gain multiplies all forces of a site, so that what a boundary changes counts with its root mean square
+    over the levels. Simulations of the first fit are not repeated.
+    """
+    shares = [
+        total_share(list(boundary_modes(each, len(data.knots))))
+        for each, data in zip(changed, problem.task.data, strict=True)
+    ]
+    if not any(shares):
+        return problem, found
+    wider = [
+        replace(data, gain_deviation=float(np.hypot(data.gain_deviation, share)))
+        for data, share in zip(problem.task.data, shares, strict=True)
+    ]
+    start = found.best[: 1 + problem.n_shape]
+    return joint_fit(replace(problem.task, data=wider), [start], max_solves=max_solves, progress=progress)
 
 
 def write_boundary_check(

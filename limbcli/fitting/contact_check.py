@@ -8,43 +8,16 @@ for which the fit compensates with a larger m.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from limbcli.errors import SolveError
-from limbcli.fitting.kept_solves import KeptSolves
-from limbcli.fitting.solve_again import forces_again
-from limbcli.model import Array, LimbModel
+from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageWriter
-from limbcli.site_model.indentation_model import with_penalty
-from limbcli.solvers.session import ReferenceSession
-
-if TYPE_CHECKING:
-    from limbcli.solvers.session import Solved
 
 HARDER = 4.0  # penalty of the check, as a multiple of the model's
 MATTERS = 0.05  # relative change of force above which a warning is given; below it the mesh error is larger
-
-
-def forces_with_penalty(
-    model: LimbModel, penalty: float, *, like: ReferenceSession | None = None, levels: Solved | None = None,
-    kept: KeptSolves = KeptSolves(), threads: int = 2, progress: Progress = SILENT,
-) -> Array:  # fmt: skip
-    """Forces (n_reached,) N at the model's levels with another contact penalty.
-
-    like, levels, kept : as in `forces_again`
-
-    Raises
-    ------
-    SolveError
-        If the model cannot be solved with this penalty.
-    """
-    return forces_again(
-        with_penalty(model, penalty), "contact check", like=like, levels=levels, kept=kept,
-        threads=threads, progress=progress,
-    )  # fmt: skip
 
 
 def write_contact_check(

@@ -18,7 +18,6 @@ from limbcli.config import available_cores, shares
 from limbcli.errors import SolveError
 from limbcli.files.temporary_folders import scratch_folder
 from limbcli.fitting.boundary_check import ChangedBoundary
-from limbcli.fitting.contact_check import forces_with_penalty
 from limbcli.fitting.kept_solves import KeptForces, KeptSolves
 from limbcli.fitting.laws import FitLaw
 from limbcli.fitting.solve_again import forces_again
@@ -27,7 +26,7 @@ from limbcli.inference.prediction import Differences, Prediction
 from limbcli.model import Array, ElementMap, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.shear_waves.from_simulation import mean_speeds
-from limbcli.site_model.indentation_model import TISSUE, with_tissue
+from limbcli.site_model.indentation_model import TISSUE, with_penalty, with_tissue
 from limbcli.site_model.model_simplification import softer_jumps
 from limbcli.solvers.base import Simulation, Solver
 from limbcli.solvers.febio import FebioSolver
@@ -204,16 +203,14 @@ class LawCurve:
 
         Raises SolveError if not even the first level is reached.
         """
-        return forces_with_penalty(
-            self.fitted(theta), penalty, like=self._session, threads=self._threads, progress=self._progress
-        )
+        return self._again(with_penalty(self.fitted(theta), penalty), "contact check")
 
     def with_boundary(self, theta: Array, boundary: ChangedBoundary) -> Array:
         """The same with another boundary and the same contact."""
-        return forces_again(
-            boundary.of(self.fitted(theta)), "boundary check", like=self._session, threads=self._threads,
-            progress=self._progress,
-        )  # fmt: skip
+        return self._again(boundary.of(self.fitted(theta)), "boundary check")
+
+    def _again(self, model: LimbModel, check: str) -> Array:
+        return forces_again(model, check, like=self._session, threads=self._threads, progress=self._progress)
 
     def fitted(self, theta: Array) -> LimbModel:
         """The model with these parameters as it is solved."""

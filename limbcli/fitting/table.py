@@ -22,7 +22,6 @@ from limbcli.inference.identifiability import (
 from limbcli.inference.interval import Stiffness
 from limbcli.inference.monotone_interpolation import pchip_sample
 from limbcli.inference.prediction import SolvedPoints, slopes_at
-from limbcli.inference.profile import ends_beyond
 from limbcli.inference.two_step_fit import FittedStep, ForceDepth, sensitivities
 from limbcli.model import Array
 from limbcli.numbers.interval_limits import Flag
@@ -259,7 +258,7 @@ def _profiles(found: Identified, k: int) -> dict[str, dict[str, Any]]:
             "values": each.values,
             "deviance": each.deviance,
             "limit": limit,
-            "extended_to_fit": ends_beyond(each, limit),
+            "extended_to_fit": each.ends_beyond(limit),
         }
         for name, each in found.intervals[k].profiles.items()
     }

@@ -63,7 +63,7 @@ def _wider(wide: Profile, narrow: Profile) -> Profile:
     if all(sides[1]):
         return narrow
     values = np.unique(np.r_[wide.values, narrow.values])
-    roots = np.array([_root_at(each, values) for each in (wide, narrow)])
+    roots = np.array([each.root_at(values) for each in (wide, narrow)])
     source = (wide, narrow)
     low, high = (source[int(not covers)] for covers in sides[0])
     nearest = [source[k] for k in roots.argmin(axis=0)]
@@ -80,13 +80,6 @@ def _covers(one: Profile, other: Profile) -> tuple[bool, bool]:
     down = one.open_low or (not other.open_low and one.low <= other.low)
     up = one.open_high or (not other.open_high and one.high >= other.high)
     return down, up
-
-
-def _root_at(profile: Profile, values: Array) -> Array:
-    """Root of the deviance, which is nearly linear in ln of the parameter; infinite beyond the profile."""
-    root = np.sqrt(np.maximum(profile.deviance, 0.0))
-    found = np.interp(np.log(values), np.log(profile.values), root, left=np.inf, right=np.inf)
-    return np.asarray(found)
 
 
 def ends(intervals: Intervals) -> dict[str, list[float | None]]:

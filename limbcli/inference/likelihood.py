@@ -23,8 +23,8 @@ from limbcli.inference.parameter import FitParameter
 from limbcli.inference.prediction import Prediction
 from limbcli.inference.residual import Objective, Residual
 from limbcli.inference.site_depth import RestSpeed, SiteMeasurement, SitePrediction, predict_site
-from limbcli.inference.whitening import Whitener
 from limbcli.model import Array
+from limbcli.numbers.whitening import Whitener
 
 C_STEP_FACTOR = 2.0  # largest factor of c from the solved points to a new one, where c is simulated
 _LEAST = 1e-9  # lower limit of predicted forces (N) and relative speeds, before logarithms are taken

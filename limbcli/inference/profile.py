@@ -53,16 +53,17 @@ class Profile:
         """low and high; None where the interval is open."""
         return None if self.open_low else self.low, None if self.open_high else self.high
 
+    def root_at(self, values: Array) -> Array:
+        """Root of the deviance (nearly linear in ln of the parameter); infinite beyond the profile."""
+        root = np.sqrt(np.maximum(self.deviance, 0.0))
+        return np.asarray(np.interp(np.log(values), np.log(self.values), root, left=np.inf, right=np.inf))
 
-def ends_beyond(profile: Profile, limit: float) -> bool:
-    """Whether an end of the interval lies where the curve is above the limit, or beyond the curve.
+    def ends_beyond(self, limit: float) -> bool:
+        """Whether an end of the interval lies where the curve is above the limit, or beyond the curve.
 
-    This is so where the interval was extended to include a fit by another method.
-    """
-    ends = np.array([profile.low, profile.high])
-    root = np.sqrt(np.maximum(profile.deviance, 0.0))
-    at = np.interp(np.log(ends), np.log(profile.values), root, left=np.inf, right=np.inf) ** 2
-    return bool((at > limit + 2 * _CLOSE).any())
+        This is so where the interval was extended to include a fit by another method.
+        """
+        return bool((self.root_at(np.array([self.low, self.high])) ** 2 > limit + 2 * _CLOSE).any())
 
 
 def best_of(objective: Objective, parameters: Sequence[FitParameter], starts: Sequence[Array]) -> Fit:

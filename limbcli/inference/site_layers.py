@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.inference.monotone_interpolation import pchip_sample
-from limbcli.inference.whitening import Whitener
 from limbcli.model import Array, IntArray
+from limbcli.numbers.whitening import Whitener
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,7 +28,7 @@ from limbcli.fitting.boundary_check import (
     moved_parameters,
     write_boundary_check,
 )
-from limbcli.fitting.contact_check import forces_with_penalty, write_contact_check
+from limbcli.fitting.contact_check import write_contact_check
 from limbcli.fitting.cycles import through_cycle, write_cycle
 from limbcli.fitting.exports import write_mat_file
 from limbcli.fitting.force_curves import FileCurve, ReferenceCurve
@@ -56,7 +56,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.provenance.chain import Chain
 from limbcli.provenance.chain_inputs import note_templates, noted
 from limbcli.results import StageResult, StageWriter, open_stage
-from limbcli.site_model.indentation_model import with_tissue
+from limbcli.site_model.indentation_model import with_penalty, with_tissue
 from limbcli.site_model.site_layers import held_layers
 from limbcli.site_model.site_levels import layer_noise, levels_of, speed_noise
 from limbcli.site_model.site_states import one_state
@@ -208,7 +208,11 @@ def _write_checks(
     """
     theta = found.steps[-1].theta
     if options.contact_check:
-        harder = partial(forces_with_penalty, fitted, levels=levels, kept=kept, progress=progress)
+
+        def harder(penalty: float) -> Array:
+            harder_model = with_penalty(fitted, penalty)
+            return forces_again(harder_model, "contact check", levels=levels, kept=kept, progress=progress)
+
         forces = found.curve(theta).values
         penalty = fitted.contacts[0].penalty
         write_contact_check(penalty, forces, found.knots, harder, writer, progress=progress)

@@ -24,6 +24,7 @@ from limbcli.errors import CaseError, FitError, MeasurementError, SolveError
 from limbcli.fitting.boundary_check import (
     BOUNDARIES,
     ChangedForces,
+    allowing_for,
     changed_forces,
     write_boundary_check,
 )
@@ -35,7 +36,6 @@ from limbcli.fitting.fibre_rest_speed import rest_speed
 from limbcli.fitting.fibre_uncertainty import stated_deviation, write_direction_uncertainty
 from limbcli.fitting.force_curves import LawCurve
 from limbcli.fitting.geometry import NOT_ALLOWED_FOR
-from limbcli.fitting.joint_boundaries import allowing_for
 from limbcli.fitting.joint_result import law_row, write_comparison, write_joint
 from limbcli.fitting.laws import LAWS, FitLaw, first_shapes, law_named
 from limbcli.fitting.numerical_error import gain_deviation, studied_error

@@ -29,7 +29,7 @@ from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.effects.curves import Curves, force_at
 from limbcli.effects.reading import Reading
 from limbcli.errors import LimbError
-from limbcli.inference.whitening import Whitener
+from limbcli.numbers.whitening import Whitener
 
 RESEMBLES = 1.0  # least ln Bayes factor that is printed
 ZEROS = ("depth-zero", "force-zero", "depth-gain")

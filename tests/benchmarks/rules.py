@@ -44,7 +44,7 @@ from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.prepare import WorkingMesh, prepare
 from limbcli.drawing import save_figure
 from limbcli.effects import EFFECTS
-from limbcli.inference.whitening import Whitener
+from limbcli.numbers.whitening import Whitener
 from limbcli.progress import SILENT
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment

@@ -49,10 +49,10 @@ from limbcli.effects.base import Effect, Theta, point_name
 from limbcli.effects.curves import force_at
 from limbcli.effects.reading import read
 from limbcli.errors import LimbError
-from limbcli.inference.whitening import Whitener
 from limbcli.measurement.indentation import read_trace
 from limbcli.measurement.map_noise import pixel_noise
 from limbcli.model import Array, IntArray
+from limbcli.numbers.whitening import Whitener
 from limbcli.progress import SILENT
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment

@@ -13,7 +13,7 @@ from limbcli.diagnosis.explanations.evidence.linear_evidence import Added, Linea
 from limbcli.diagnosis.explanations.model.forward_model import Direction, Fitted
 from limbcli.diagnosis.explanations.model.noise import Noise, independent
 from limbcli.diagnosis.explanations.model.priors import Prior, Priors
-from limbcli.inference.whitening import Whitener
+from limbcli.numbers.whitening import Whitener
 
 LN_FACTOR = 2.0
 WIDE = 1e4  # of the parameter's prior: the data alone decide

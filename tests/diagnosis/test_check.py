@@ -13,7 +13,7 @@ from limbcli.diagnosis.explanations.check import Check, checked
 from limbcli.diagnosis.explanations.model.forward_model import Data
 from limbcli.diagnosis.explanations.model.linear import LinearFit
 from limbcli.diagnosis.explanations.model.noise import Noise, independent, unit_errors
-from limbcli.inference.whitening import Whitener
+from limbcli.numbers.whitening import Whitener
 from tests.diagnosis import toy
 
 

@@ -16,7 +16,7 @@ from limbcli.diagnosis.explanations.model.noise import (
     correlated,
     independent,
 )
-from limbcli.inference.whitening import Whitener
+from limbcli.numbers.whitening import Whitener
 
 N = 40
 

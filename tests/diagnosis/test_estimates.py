@@ -15,7 +15,7 @@ from limbcli.diagnosis.explanations.model.priors import Prior, Priors
 from limbcli.diagnosis.forward_model.predictions import Slot
 from limbcli.diagnosis.sizes import reported_sizes
 from limbcli.effects import EFFECTS
-from limbcli.inference.whitening import Whitener
+from limbcli.numbers.whitening import Whitener
 from tests.diagnosis import toy
 
 LN_C, LN_M = Prior.uniform(*np.log([0.3, 120.0])), Prior(np.log(USUAL_M), LN_M_DEVIATION, 0.0, np.log(20.0))

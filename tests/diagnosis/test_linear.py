@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from limbcli.diagnosis.explanations.model.linear import LinearFit
-from limbcli.inference.whitening import Whitener
+from limbcli.numbers.whitening import Whitener
 
 
 def _held(rng, weight: float, *, n: int = 14, free: int = 2, held: int = 2):

@@ -10,7 +10,7 @@ from limbcli.diagnosis.explanations.evidence.linear_evidence import LinearEviden
 from limbcli.diagnosis.explanations.model.forward_model import Direction, Fitted
 from limbcli.diagnosis.explanations.model.noise import Noise, common, independent
 from limbcli.diagnosis.explanations.model.priors import Prior, Priors
-from limbcli.inference.whitening import Whitener
+from limbcli.numbers.whitening import Whitener
 
 N = 14
 OF_TISSUE = Prior(0.0, 5.0)

@@ -9,7 +9,7 @@ from limbcli.diagnosis.explanations.model.forward_model import Data
 from limbcli.diagnosis.explanations.model.linear import LinearFit
 from limbcli.diagnosis.explanations.model.noise import Noise, independent
 from limbcli.diagnosis.explanations.residuals import roughness
-from limbcli.inference.whitening import Whitener
+from limbcli.numbers.whitening import Whitener
 
 N_LEVELS, PARTS = 9, 4
 

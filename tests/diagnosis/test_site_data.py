@@ -20,9 +20,9 @@ from limbcli.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
 from limbcli.effects import effect
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Protocol, Reading, read
-from limbcli.inference.whitening import Whitener
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.indentation import Levels
+from limbcli.numbers.whitening import Whitener
 
 N = 6
 

@@ -7,7 +7,7 @@ import pytest
 
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.geometry_uncertainty import at_depths, no_narrower, shifts
-from limbcli.inference.profile import Profile, ends_beyond
+from limbcli.inference.profile import Profile
 
 
 def test_a_mode_like_a_parameter_moves_that_parameter_alone(rng):
@@ -56,7 +56,7 @@ def test_the_profile_crosses_the_limit_where_its_interval_ends(wide, narrow):
         )
     )
     assert crossings(profile, found.threshold) == pytest.approx((profile.low, profile.high), rel=1e-6)
-    assert not ends_beyond(profile, found.threshold)
+    assert not profile.ends_beyond(found.threshold)
     assert profile.thetas.shape == (len(profile.values), 1)
 
 
@@ -65,4 +65,4 @@ def test_an_interval_extended_to_the_published_fit_says_so():
     extended = Profile("m", profile.values, profile.deviance, profile.thetas, 2.0, *(
         getattr(profile, name) for name in ("high", "open_low", "open_high", "ends")
     ))  # fmt: skip
-    assert ends_beyond(extended, 3.84)
+    assert extended.ends_beyond(3.84)

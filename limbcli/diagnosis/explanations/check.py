@@ -22,8 +22,8 @@ from limbcli.diagnosis.explanations import decisions
 from limbcli.diagnosis.explanations.model.forward_model import Data, Mask
 from limbcli.diagnosis.explanations.model.linear import LinearFit
 from limbcli.diagnosis.explanations.model.noise import unit_errors
-from limbcli.inference.whitening import Whitener
 from limbcli.model import Array
+from limbcli.numbers.whitening import Whitener
 
 WHOLE = "whole"
 _FEW_DATA = 40  # largest number of data in a part whose data are each shifted separately

@@ -33,7 +33,7 @@ from limbcli.diagnosis.explanations.model.noise import CommonError, common_error
 from limbcli.diagnosis.explanations.residuals import Roughness, held_out_error, over_shared, roughness
 from limbcli.diagnosis.explanations.search import Explained, PriorOdds, Search, containing, credible, named
 from limbcli.errors import LimbError
-from limbcli.inference.whitening import Whitener
+from limbcli.numbers.whitening import Whitener
 from limbcli.progress import SILENT, Progress
 
 _MOST_COMPARED = 6  # explanations compared in choosing the next measurement

@@ -16,8 +16,8 @@ from scipy.special import chdtrc
 from limbcli.diagnosis.explanations.model.forward_model import Data, Fitted, Mask
 from limbcli.diagnosis.explanations.model.linear import LinearFit
 from limbcli.diagnosis.explanations.model.noise import EXCESS
-from limbcli.inference.whitening import Whitener
 from limbcli.model import Array
+from limbcli.numbers.whitening import Whitener
 
 # Degree of the smooth curves; least degrees of freedom of their scatter; ratio of a prediction's standard
 # deviation to that of its reading, above which a held-out block is skipped.

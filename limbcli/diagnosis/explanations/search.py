@@ -29,7 +29,7 @@ from limbcli.diagnosis.explanations.model.forward_model import (
     ForwardModel,
 )
 from limbcli.errors import LimbError
-from limbcli.inference.whitening import Whitener
+from limbcli.numbers.whitening import Whitener
 from limbcli.progress import SILENT, Progress
 
 _MOST_STEPS = 60  # fits and simulations of one search: far more than any needs

@@ -23,8 +23,8 @@ from limbcli.effects.base import Effect, Parameter, Theta
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Reading
 from limbcli.errors import FitError, SolveError
-from limbcli.inference.whitening import Whitener
 from limbcli.model import Array
+from limbcli.numbers.whitening import Whitener
 
 NOTHING = AtPoints()
 M_BOUNDS = (1.0, 20.0)

@@ -12,8 +12,8 @@ from scipy.special import ndtri
 from limbcli.diagnosis.explanations import decisions
 from limbcli.diagnosis.explanations.evidence.laplace import Posterior
 from limbcli.diagnosis.explanations.evidence.linear_evidence import Added
-from limbcli.inference.whitening import Whitener
 from limbcli.model import Array
+from limbcli.numbers.whitening import Whitener
 
 _Z = float(ndtri(decisions.POWER))
 

@@ -14,7 +14,7 @@ from scipy.special import chdtri
 from limbcli.diagnosis.explanations import decisions
 from limbcli.diagnosis.explanations.model.forward_model import Data, Fitted
 from limbcli.diagnosis.explanations.model.linear import LinearFit
-from limbcli.inference.whitening import Whitener
+from limbcli.numbers.whitening import Whitener
 
 _FEWEST = 2  # readings before and after a jump
 

@@ -20,8 +20,8 @@ import numpy as np
 from limbcli.diagnosis.explanations.evidence.truncated import ln_probability
 from limbcli.diagnosis.explanations.model.forward_model import Fitted, Scalable
 from limbcli.diagnosis.explanations.model.noise import Noise
-from limbcli.inference.whitening import Whitener
 from limbcli.model import Array
+from limbcli.numbers.whitening import Whitener
 
 _STEP, _MOST_STEPS = 0.3, 12  # of ln of a share or level, in the search for the most probable one
 _KINK = 1.0  # gain in ln likelihood by a further linear step, from which the fit is taken as it stands

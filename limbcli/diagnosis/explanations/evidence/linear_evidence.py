@@ -17,8 +17,8 @@ from limbcli.diagnosis.explanations.evidence.truncated import ln_probability
 from limbcli.diagnosis.explanations.model.forward_model import Direction, Explanation, Fitted
 from limbcli.diagnosis.explanations.model.noise import unit_errors
 from limbcli.diagnosis.explanations.model.priors import Prior
-from limbcli.inference.whitening import Whitener
 from limbcli.model import Array
+from limbcli.numbers.whitening import Whitener
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,8 +22,8 @@ from functools import cached_property
 import numpy as np
 
 from limbcli.diagnosis.explanations.model.linear import LinearFit
-from limbcli.inference.whitening import Whitener
 from limbcli.model import Array, IntArray
+from limbcli.numbers.whitening import Whitener
 
 ASSUMED = "assumed"
 TAILS = 7.0

@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cholesky
 from scipy.linalg.lapack import dtrtrs
 
 from limbcli.errors import FitError
-from limbcli.model import Array
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
