@@ -107,7 +107,7 @@ def _table(raw: RawTable, path: Path) -> CohortTable:
 
 
 def _listed(
-    complete: Rows, lines: Array, path: Path, wrong: Rows, words: Callable[[int], str], fix: str
+    complete: Rows, lines: Array, path: Path, wrong: Rows | np.bool_, words: Callable[[int], str], fix: str
 ) -> list[Problem]:
     """A problem for each of the first complete rows that are wrong, and one for the remaining ones."""
     rows = np.flatnonzero(complete & wrong)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any, Literal, cast
 
-from limbcli.inference.agreement import State
 from limbcli.reporting.numbers import number
 from limbcli.reporting.reportlet import Mood
+
+State = Literal["good", "doubtful", "bad", "untested"]  # as a fit writes it
 
 _MOODS: Mapping[State, Mood] = {"good": "fine", "doubtful": "warning", "bad": "failed", "untested": "warning"}
 _SILENT = (

@@ -1,8 +1,8 @@
 """The solves behind `limbcli cohort`: makes limbcli/inference/layered_family.csv, solve by solve, resumable.
 
-    python tests/benchmarks/cohort_family.py --solves 150              # the family
-    python tests/benchmarks/cohort_family.py --solves 12 --fine        # some of it on a finer mesh
-    python tests/benchmarks/cohort_family.py --held-out 20             # others, to check the emulator with
+    python -m tests.benchmarks.cohort_family --solves 150              # the family
+    python -m tests.benchmarks.cohort_family --solves 12 --fine        # some of it on a finer mesh
+    python -m tests.benchmarks.cohort_family --held-out 20             # others, to check the emulator with
 
 A row of the file is one strain of one member. The members are a scrambled Sobol sequence (seed 7), so any
 beginning of it fills the family evenly; held-out members are of another seed. What a solve cannot reach is

@@ -1,6 +1,6 @@
 """What `limbcli cohort` cannot know, and how far it moves c_fat: the slab with other bonds, skin and fascia.
 
-    python tests/benchmarks/cohort_structure.py             # a table for two shapes, 2 minutes
+    python -m tests.benchmarks.cohort_structure             # a table for two shapes, 2 minutes
 
 The table of a cohort holds thickness and shortening of each layer, but not whether muscle slides on the
 bone, how stiff skin and the fascia over the muscle are, or how near the limb's flanks are. Each lowers fat's

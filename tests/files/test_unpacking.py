@@ -155,7 +155,7 @@ def vtu(folder: Path) -> Path:
 def test_all_parts_of_a_surface_file_share_one_budget(tmp_path: Path, monkeypatch, make) -> None:
     """Each array of the .vtu has 96 bytes or less; together they have more than 150."""
     path = make(tmp_path)
-    assert len(read_surface(path).triangles) == 4
+    assert len(read_surface(path).faces) == 4
     monkeypatch.setattr("limbcli.files.unpacking.MOST_UNPACKED", 150)
     with pytest.raises(LimbError, match="unpacks to more"):
         read_surface(path)

@@ -230,8 +230,8 @@ def make_off(folder: Path) -> None:
     make_surface("a.ply", binary=False)(folder)
     found = read_surface(folder / "a.ply")
     rows = [" ".join(f"{each:.6g}" for each in point) for point in found.points]
-    rows += ["3 " + " ".join(map(str, face)) for face in found.triangles]
-    head = f"OFF\n{len(found.points)} {len(found.triangles)} 0\n"
+    rows += ["3 " + " ".join(map(str, face)) for face in found.faces]
+    head = f"OFF\n{len(found.points)} {len(found.faces)} 0\n"
     (folder / "a.off").write_text(head + "\n".join(rows) + "\n")
 
 
@@ -410,14 +410,14 @@ TARGETS = (
     ),
     *(
         Target(f"surface {name}", name, text, make_surface(name, **options), read_surface,
-               lambda found: sound_faces(found.points, found.triangles))
+               lambda found: sound_faces(found.points, found.faces))
         for name, text, options in (
             ("a.stl", False, {"binary": True}), ("ascii.stl", True, {"binary": False}),
             ("a.ply", False, {"binary": True}), ("ascii.ply", True, {"binary": False}), ("a.obj", True, {}),
         )
     ),
     Target("3MF", "a.3mf", False, make_3mf, read_surface,
-           lambda found: sound_faces(found.points, found.triangles)),
+           lambda found: sound_faces(found.points, found.faces)),
     Target("meshed surface", "b.ply", False, make_surface("b.ply", binary=True), surfaces.read_surface,
            lambda found: sound_faces(found.points, found.faces)),
     Target("NIfTI", "labels.nii", False, make_nifti("labels.nii"), read_label_file, sound_labels),
@@ -436,7 +436,7 @@ TARGETS = (
            lambda found: finite(found.time) and bool((np.diff(found.time) > 0).all()), needs="nptdms"),
     *(
         Target(f"surface {name}", name, text, make, read_surface,
-               lambda found: sound_faces(found.points, found.triangles))
+               lambda found: sound_faces(found.points, found.faces))
         for name, text, make in (
             ("a.off", True, make_off), ("a.aop", True, make_aop), ("text.vtk", True, copied("text.vtk")),
             ("grid-binary.vtk", False, copied("grid-binary.vtk")), ("text.vtp", True, copied("text.vtp")),

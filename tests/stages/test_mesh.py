@@ -186,9 +186,9 @@ def test_scans_stay_as_they_were_given_though_their_flat_ends_are_of_long_triang
     faces = np.vstack([np.c_[a, b, b + 36], np.c_[a, b + 36, a + 36], end[:, ::-1], end + 36 * 24])
     meshio.write(tmp_path / "scan" / "skin.ply", meshio.Mesh(points, [("triangle", faces.astype(int))]))
     skin = read_surfaces(Case.open(tmp_path / "scan"))[0]["skin"]
-    edges = np.linalg.norm(skin.points[skin.triangles] - skin.points[np.roll(skin.triangles, 1, 1)], axis=2)
+    edges = np.linalg.norm(skin.points[skin.faces] - skin.points[np.roll(skin.faces, 1, 1)], axis=2)
     assert edges.max() > 50.0
-    assert len(skin.triangles) == len(faces)
+    assert len(skin.faces) == len(faces)
 
 
 @pytest.mark.slow

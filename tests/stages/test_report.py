@@ -29,7 +29,7 @@ from limbcli.reporting.sections.next_steps import next_steps
 from limbcli.reporting.sections.overview import overview
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.reporting.sections.states import states
-from limbcli.reporting.sections.warning_box import Changes, SourcedWarning, changes_of, warning_groups
+from limbcli.reporting.sections.warning_box import SourcedWarning, WarningKind, changes_of, warning_groups
 from limbcli.results import open_stage, read_result, sealed
 from limbcli.stages.batching.outcome import keep_error
 from limbcli.stages.report import report
@@ -608,9 +608,9 @@ def test_warnings_are_ranked_by_what_they_can_change_and_told_once(tmp_path):
     path.write_text(json.dumps(sealed(content)))
     glance = overview(gather(case, out=out))
     kinds = [each.changes for each in glance.warnings]
-    assert kinds == sorted(kinds, key=list(Changes).index)
+    assert kinds == sorted(kinds, key=list(WarningKind).index)
     assert len({each.text for each in glance.warnings}) == len(glance.warnings)
-    (model,) = [each for each in glance.warning_groups if each.changes == Changes.MODEL]
+    (model,) = [each for each in glance.warning_groups if each.changes == WarningKind.MODEL]
     assert "cut plane free, not held: force -10.0 to -7.0 %" in model.size
     html = report(case, out=out).path("page").read_text(encoding="utf-8")
     for each in glance.warnings:

@@ -82,9 +82,9 @@ def scan(shared: Path, name: str) -> Path:
 @pytest.mark.parametrize("name", ["stl_file", "stl_file_2"])
 def test_an_aop_is_the_stl_that_it_was_made_from(shared, name: str):
     limb, stl = read_aop_limb(scan(shared, f"{name}.aop")), read_surface(scan(shared, f"{name}.stl"))
-    a, b, c = np.moveaxis(stl.points[stl.triangles], 1, 0)
+    a, b, c = np.moveaxis(stl.points[stl.faces], 1, 0)
     normals = np.zeros_like(stl.points)
-    for corner in stl.triangles.T:
+    for corner in stl.faces.T:
         np.add.at(normals, corner, np.cross(b - a, c - a))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     tree, points = cKDTree(stl.points), limb.points.reshape(*limb.radii.shape, 3)[5:-8].reshape(-1, 3)
@@ -142,7 +142,7 @@ def test_a_limb_that_lies_across_is_refused():
 
 def test_the_stl_of_a_limb_written_as_aop_is_that_limb(shared, tmp_path):
     stl = read_surface(scan(shared, "stl_file.stl"))
-    limb, axis = aop_limb(stl.points, stl.triangles)
+    limb, axis = aop_limb(stl.points, stl.faces)
     assert np.ptp(limb.heights) > 0.75 * np.ptp(stl.points[:, 2])  # its upper rim is uneven
     assert limb.heights[0] == 0
     assert axis[2] < stl.points[:, 2].min() + 5

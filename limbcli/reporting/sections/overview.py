@@ -16,9 +16,9 @@ from limbcli.reporting.sections.diagnosis import in_short
 from limbcli.reporting.sections.next_steps import next_steps
 from limbcli.reporting.sections.parameters import parameter_warnings
 from limbcli.reporting.sections.warning_box import (
-    Changes,
     SourcedWarning,
     WarningGroup,
+    WarningKind,
     changes_of,
     warning_groups,
 )
@@ -90,12 +90,12 @@ _PILL_WORDS: dict[str, tuple[Mood, str]] = {
 def overview(page: ReportData) -> Overview:
     """Cards, stage badges and warnings for the top of the page."""
     sites = tuple(_on_limb(_site(page, site), site) for site in page.sites)
-    every = [SourcedWarning("report", text, Changes.PAGE) for text in page.notices]
+    every = [SourcedWarning("report", text, WarningKind.PAGE) for text in page.notices]
     for site in page.sites:
-        every += [SourcedWarning(f"levels {site.name}", text, Changes.LEVELS) for text in site.warnings]
+        every += [SourcedWarning(f"levels {site.name}", text, WarningKind.LEVELS) for text in site.warnings]
     for outcome, text in page.outcomes.warnings():
         every.append(SourcedWarning(outcome.label, text, changes_of(outcome.stage)))
-    every += [SourcedWarning("parameters", text, Changes.PARAMETERS) for text in parameter_warnings(page)]
+    every += [SourcedWarning("parameters", text, WarningKind.PARAMETERS) for text in parameter_warnings(page)]
     first: dict[str, SourcedWarning] = {}
     for each in every:
         first.setdefault(each.text, each)

@@ -10,7 +10,7 @@ from limbcli.reporting.report_data import ReportData
 from limbcli.reporting.sections.model_checks import model_check_words
 
 
-class Changes(StrEnum):
+class WarningKind(StrEnum):
     """What a warning of a kind can change; the first matters most."""
 
     PAGE = "Whether these results belong together"
@@ -22,9 +22,11 @@ class Changes(StrEnum):
 
 
 # by stage; warnings of the other stages are of the model
-_OF_STAGES = {"limb": Changes.LIMB, "socket": Changes.LIMB, "diagnose": Changes.DIAGNOSIS} | dict.fromkeys(
-    ("fit", "fit-joint", "fit-states", "fit-elements"), Changes.PARAMETERS
-)
+_OF_STAGES = {
+    "limb": WarningKind.LIMB,
+    "socket": WarningKind.LIMB,
+    "diagnose": WarningKind.DIAGNOSIS,
+} | dict.fromkeys(("fit", "fit-joint", "fit-states", "fit-elements"), WarningKind.PARAMETERS)
 _FEW = 4  # so many are shown without folding those that change no parameter directly
 
 
@@ -34,12 +36,12 @@ class SourcedWarning:
 
     source: str
     text: str
-    changes: Changes
+    changes: WarningKind
 
 
-def changes_of(stage: str) -> Changes:
+def changes_of(stage: str) -> WarningKind:
     """What a warning of a stage can change."""
-    return _OF_STAGES.get(stage, Changes.MODEL)
+    return _OF_STAGES.get(stage, WarningKind.MODEL)
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,7 @@ class WarningGroup:
     folded : whether the page shows them only on demand
     """
 
-    changes: Changes
+    changes: WarningKind
     size: str
     warnings: tuple[SourcedWarning, ...]
     folded: bool
@@ -59,11 +61,11 @@ class WarningGroup:
 def warning_groups(warnings: Sequence[SourcedWarning], page: ReportData) -> tuple[WarningGroup, ...]:
     """The groups that are not empty, the most important first."""
     groups = []
-    for kind in Changes:
+    for kind in WarningKind:
         own = tuple(each for each in warnings if each.changes == kind)
-        folded = kind in (Changes.MODEL, Changes.LIMB, Changes.DIAGNOSIS) and len(warnings) > _FEW
+        folded = kind in (WarningKind.MODEL, WarningKind.LIMB, WarningKind.DIAGNOSIS) and len(warnings) > _FEW
         if own:
-            groups.append(WarningGroup(kind, _size(page) if kind == Changes.MODEL else "", own, folded))
+            groups.append(WarningGroup(kind, _size(page) if kind == WarningKind.MODEL else "", own, folded))
     return tuple(groups)
 
 

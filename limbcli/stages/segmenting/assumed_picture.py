@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 
 from limbcli.drawing import save_picture
 from limbcli.meshing.sections import section
-from limbcli.meshing.surfaces import Triangles
 from limbcli.stages.segmenting.assumed_geometry import AssumedLimb, ThicknessComparison
 
 _SKIN, _BONE, _BEAM, _FAT = "#b08000", "#c03028", "#0050d0", "#3a9a5b"
@@ -43,7 +42,7 @@ def _draw_section(axes: Axes, limb: AssumedLimb, name: str, site: ThicknessCompa
     up /= np.linalg.norm(up)
     across = np.cross(rod.axis, up)
     for each, surface in limb.surfaces.items():
-        pieces = section(Triangles(surface.points, surface.triangles), origin, rod.axis)
+        pieces = section(surface, origin, rod.axis)
         colour = _SKIN if each == "skin" else _BONE
         for k, piece in enumerate((pieces - origin) @ np.stack([across, up], axis=1)):
             axes.plot(*piece.T, color=colour, linewidth=1.4, label=each if k == 0 else None)
