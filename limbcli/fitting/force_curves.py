@@ -79,7 +79,8 @@ class ReferenceCurve:
     """Forces at the levels and their exact derivatives, from one session of the reference solver.
 
     `depths` (n_levels,) mm and `n_solves` are updated by each solve; `at_most`, the greatest number of
-    solves, is part of the progress events if it is set. What is `kept` from an earlier fit is not solved.
+    solves, is part of the progress events if it is set. What is `kept` from an earlier fit is counted in
+    `n_solves` and in `n_kept`, but not solved.
     """
 
     def __init__(
@@ -92,16 +93,17 @@ class ReferenceCurve:
         self._session = ReferenceSession(model, progress=progress, threads=threads)
         self._progress = progress
         self.depths: Array = np.zeros(0)
-        self.n_solves = 0
+        self.n_solves = self.n_kept = 0
         self.at_most: int | None = None
 
     def __call__(self, theta: Array, wrt: Sequence[int] = ()) -> Prediction:
         f_kappa, m = float(theta[0]), float(theta[1])
         model = with_tissue(self._model, c=self._c, f_kappa=f_kappa, m=m)
+        self.n_solves += 1
         if (known := self._kept.forces(model)) is not None:
+            self.n_kept += 1
             self.depths = known.depths
             return known.prediction
-        self.n_solves += 1
         self._progress.event("solve", number=self.n_solves, at_most=self.at_most)
         try:
             result = self._session.solve(

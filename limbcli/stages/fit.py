@@ -184,6 +184,7 @@ def _fit_site(
         )  # fmt: skip
         simulation = _write_fitted_run(fitted, solver, levels_there, writer, options, progress)
         write_result(identified, fitted, simulation, writer, site, seconds=time.perf_counter() - clock)
+        writer.data["n_kept_solves"] = forward.n_kept if isinstance(forward, ReferenceCurve) else 0
         write_cycle(levels, site, writer)
         if site.states:
             writer.warnings.insert(0, one_state(site))
@@ -326,7 +327,8 @@ def _first_solve(
     solver: Solver, model: LimbModel, c: float | ElementMap, kept: KeptSolves, options: FitOptions,
     progress: Progress,
 ) -> tuple[SolvedPoints, ReferenceCurve | FileCurve, float]:  # fmt: skip
-    """The force curve with its cache, the curve itself, and the time of the first (cold) solve (s)."""
+    """The force curve with its cache, the curve itself, and the time of the first (cold) solve (s); NaN if an
+    earlier fit kept it."""
     clock = time.perf_counter()
     if solver.name == "reference":
         exact = ReferenceCurve(model, c=c, kept=kept, progress=progress)
@@ -336,7 +338,7 @@ def _first_solve(
         except BaseException:
             curve.close()
             raise
-        return curve, exact, time.perf_counter() - clock
+        return curve, exact, float("nan") if exact.n_kept else time.perf_counter() - clock
     files = FileCurve(solver, model, c=c, time_limit_s=options.time_limit_s)
     curve = SolvedPoints(files.differentiable())
     curve(START)

@@ -1,10 +1,17 @@
 """What a fit has solved is found by a later one, and only for the same model."""
 
-import numpy as np
+from contextlib import closing
 
+import numpy as np
+import pytest
+
+from limbcli.feb.settings import schedule
+from limbcli.fitting.contact_check import forces_with_penalty
+from limbcli.fitting.force_curves import ReferenceCurve
 from limbcli.fitting.kept_solves import KeptForces, KeptSolves
 from limbcli.inference.prediction import Prediction
-from limbcli.site_model.indentation_model import with_tissue
+from limbcli.site_model.indentation_model import indentation_model, with_tissue
+from limbcli.solvers.session import ReferenceSession
 from tests.stages.block_case import block_model
 
 SOLVED = KeptForces(
@@ -43,3 +50,30 @@ def test_without_a_folder_nothing_is_kept():
     kept, model = KeptSolves(), block_model()
     kept.keep_forces(model, SOLVED)
     assert kept.forces(model) is None
+
+
+def test_a_curve_and_a_check_are_not_solved_twice(tmp_path, monkeypatch):
+    model = indentation_model(
+        block_model(counts=(4, 4, 2)), schedule([0.6, 1.2]), c=0.005, f_kappa=50.0, m=2.0
+    )
+    kept, theta = KeptSolves.of_site(tmp_path, "p1"), np.array([50.0, 3.0])
+    with closing(ReferenceCurve(model, c=0.005, kept=kept)) as curve:
+        first, depths = curve(theta, (0, 1)), curve.depths
+        levels = curve.levels_at(theta)
+    fitted = with_tissue(model, c=0.005, f_kappa=50.0, m=3.0)
+    harder = forces_with_penalty(fitted, 80.0, levels=levels, kept=kept)
+
+    def refuse(*_args, **_options):
+        raise AssertionError("solved again")
+
+    monkeypatch.setattr(ReferenceSession, "solve", refuse)
+    with closing(ReferenceCurve(model, c=0.005, kept=KeptSolves.of_site(tmp_path, "p1"))) as curve:
+        again = curve(theta, (0, 1))
+        assert (curve.n_solves, curve.n_kept) == (1, 1)
+        assert curve.depths.tolist() == depths.tolist()
+        assert again.values.tolist() == first.values.tolist()
+        assert again.jacobian.tolist() == first.jacobian.tolist()
+        assert list(curve.levels_at(theta).states) == list(levels.states)
+        with pytest.raises(AssertionError, match="solved again"):
+            curve(np.array([60.0, 3.0]), (0, 1))
+    assert forces_with_penalty(fitted, 80.0, kept=kept).tolist() == harder.tolist()

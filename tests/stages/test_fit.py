@@ -2,7 +2,6 @@
 
 import csv
 import json
-import shutil
 import threading
 import time
 from dataclasses import replace
@@ -161,21 +160,23 @@ def test_a_fit_that_misses_its_data_is_called_poor_first(tmp_path, forces):
             assert f"{reported['value']:.4g}" not in lines[0], "a bound of the search is no result"
 
 
-def test_a_fit_with_another_option_solves_nothing_twice(fitted, tmp_path):
-    root = fitted[0].folder.parents[2]
-    shutil.copytree(root / "out", tmp_path / "out")
-    shutil.copytree(root / "case", tmp_path / "case")
-    seen = []
-    again = fit(
-        Case.open(tmp_path / "case"), out=tmp_path / "out", solver="reference",
-        options=FitOptions(max_interval_solves=3, contact_check=False),
-        progress=Progress(lambda kind, facts: seen.append(kind)),
-    )[0]  # fmt: skip
-    assert fitted[0].data["n_solves"] > 3
-    assert again.data["n_solves"] == 0
-    assert "solve" not in seen
-    for name in ("f_kappa", "m", "interval_95", "boundary_check"):
-        assert again.data[name] == fitted[0].data[name]
+def test_a_fit_with_another_option_solves_nothing_twice(tmp_path):
+    forces, model = np.array([0.9, 2.4, 4.6]), block.block_model(counts=(4, 4, 2))
+    case = block.make_case(tmp_path / "case", tmp_path / "out", DEPTHS[:3], forces, c=TRUTH["c"], model=model)
+    seen: list[str] = []
+    first, again = (
+        fit(
+            case, out=tmp_path / "out", solver="reference",
+            options=FitOptions(intervals=False, contact_check=False, boundary_check=True, c_deviation=each),
+            progress=Progress(lambda kind, facts: seen.append(kind)),
+        )[0].data
+        for each in (0.05, 0.1)
+    )  # fmt: skip
+    assert first["n_kept_solves"] == 0
+    assert seen.count("solve") == first["n_solves"] == again["n_kept_solves"]
+    assert again["cold_solve_seconds"] is None or np.isnan(again["cold_solve_seconds"])
+    for name in ("f_kappa", "m", "boundary_check", "n_solves"):
+        assert again[name] == first[name]
 
 
 @pytest.fixture
