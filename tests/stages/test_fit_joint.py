@@ -129,7 +129,9 @@ def test_derivatives_of_every_law_are_those_of_differences(name):
 @pytest.mark.parametrize("name", sorted(LAWS))
 def test_forces_are_proportional_to_c_at_fixed_shape(name):
     """What lets c move without a simulation."""
-    model = indentation_model(block.block_model(counts=(6, 5, 2)), schedule([0.9, 1.8]), c=C, f_kappa=100.0, m=2.0)
+    model = indentation_model(
+        block.block_model(counts=(6, 5, 2)), schedule([0.9, 1.8]), c=C, f_kappa=100.0, m=2.0
+    )
     shape, forces = np.array([each.start for each in LAWS[name].shape]), []
     for c in (0.008, 0.012):
         curve = LawCurve(model, LAWS[name], c=c, density_kg_per_m3=1000.0, speeds=False)

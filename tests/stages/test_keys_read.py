@@ -24,7 +24,6 @@ from limbcli.stages.mesh import mesh
 from limbcli.stages.report import report
 from limbcli.stages.run import run
 from limbcli.stages.segment import segment
-from tests.meshing.stump import coarse_distances
 from tests.stages import chain_case, changed_keys
 
 pytestmark = pytest.mark.slow
@@ -50,7 +49,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     case = chain_case.write_case(root / "case")
     with pytest.MonkeyPatch.context() as patch:
         chain_case.imaged(patch)
-        coarse_distances(patch)
         prepared_only(patch)
         for stage, (work, options) in STAGES.items():
             work(case, out=root / "out", **options)

@@ -37,7 +37,7 @@ SEEN = {"p1": {"skin_mm": 1.2, "fat_mm": 6.3}}
 
 def layered_block() -> LimbModel:
     """The block with its upper third as fat."""
-    model = block_model("tet4", counts=(6, 5, 3))
+    model = block_model("tet4")
     tissue, *probe = model.mesh.blocks
     top = model.mesh.points[tissue.cells][:, :, 2].mean(axis=1) > -16 / 3
     blocks = (Block("tissue", "tet4", tissue.cells[~top]), Block("fat", "tet4", tissue.cells[top]), *probe)
