@@ -108,8 +108,8 @@ def as_febio_was_given(friction: float) -> DonningOptions:
     ("friction", "as_febio", "field"), [(0.0, False, 0.002), (0.3, False, 0.055), (0.3, True, 0.004)]
 )
 def test_donning_and_load_agree_with_febio(friction: float, as_febio: bool, field: float) -> None:
-    """FEBio holds sticking skin anew after the first iterate of a step, the reference solver at its start only
-    unless asked: with friction that is nearly all of the difference."""
+    """FEBio holds sticking skin anew after the first iterate of a step; the reference solver does so only if
+    asked. With friction that is nearly all of the difference."""
     options = replace(as_febio_was_given(friction), slip_as_febio=as_febio)
     found = don_and_load(limb(), face(), options, threads=1)
     for state, expected in zip(found.states, FEBIO[friction], strict=True):
