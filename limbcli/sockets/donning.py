@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -28,6 +28,8 @@ from limbcli.solvers.reference import prepare
 if TYPE_CHECKING:
     from limbcli.fem.analysis import Analysis, Snapshot
     from limbcli.fem.contacts.patch import Patch
+    from limbcli.fem.motion.state import Forces, State
+    from limbcli.fem.system import System
 
 SOCKET, FACE = "socket", "socket_face"
 _DONNING, _CLOSING, _LOAD = "donning", "closing", "socket_load"
@@ -106,13 +108,43 @@ class SocketState:
         return np.asarray(self.socket_moment_n_mm + np.cross(self.centre - point, self.socket_force_n))
 
 
+@dataclass(frozen=True)
+class StepBalance:
+    """What all forces from outside (on the socket, the bones and held nodes) leave over at a load step.
+
+    aim : what the step leads to, in words; contact_n : sum of pressure times area on the skin, N
+    left_n, left_n_mm : size of the sum of the forces, and of that of their moments about the socket's centre
+    arm_mm : of the moments: half of the socket's diagonal
+    """
+
+    aim: str
+    contact_n: float
+    left_n: float
+    left_n_mm: float
+    arm_mm: float
+
+    @property
+    def share(self) -> float:
+        """The larger of both, as a share of the contact's force and of that times the arm; 0 if none."""
+        if not self.contact_n:
+            return 0.0
+        return max(self.left_n, self.left_n_mm / self.arm_mm) / self.contact_n
+
+
 @dataclass(frozen=True, eq=False)
 class DonningResult:
-    """skin_nodes (n_skin,) : node numbers, ascending; states : after donning, then one per load."""
+    """skin_nodes (n_skin,) : node numbers, ascending; states : after donning, then one per load;
+    balance : one per load step."""
 
     model: LimbModel
     skin_nodes: IntArray
     states: tuple[SocketState, ...]
+    balance: tuple[StepBalance, ...]
+
+    @property
+    def worst(self) -> StepBalance:
+        """The load step whose forces or moments leave most over."""
+        return max(self.balance, key=lambda each: each.share)
 
 
 def socket_model(limb: LimbModel, face: Triangles, options: DonningOptions | None = None) -> LimbModel:
@@ -172,7 +204,8 @@ def don_and_load(
     threads: int = 2,
     progress: Progress = SILENT,
 ) -> DonningResult:
-    """Put a limb into its socket and load it, with the reference solver.
+    """Put a limb into its socket and load it, with the reference solver. Progress says what each step leads
+    to ("donned 40 %", "load 120 N").
 
     Parameters
     ----------
@@ -187,11 +220,14 @@ def don_and_load(
     """
     options = options or DonningOptions()
     model = socket_model(limb, face, options)
-    analysis = prepare(model, progress, threads=threads)
+    analysis = prepare(model, _told(progress, options), threads=threads)
     states: list[SocketState] = []
+    balance: list[StepBalance] = []
+    arm = 0.5 * float(np.linalg.norm(np.ptp(face.points, axis=0)))
     loads = iter((0.0, *options.loads_n))
 
     def visit(running: Analysis, snapshot: Snapshot) -> None:
+        balance.append(_balance(running, snapshot, aim_of(len(balance) + 1, options), arm))
         if snapshot.must:
             states.append(_state(running, snapshot, next(loads)))
 
@@ -201,7 +237,7 @@ def don_and_load(
         raise _explained(error, len(states), options) from error
     finally:
         analysis.close()
-    return DonningResult(model, _skin_nodes(model, options.skin), tuple(states))
+    return DonningResult(model, _skin_nodes(model, options.skin), tuple(states), tuple(balance))
 
 
 # ---------------------------------------------------------------- model
@@ -300,6 +336,29 @@ def _knee_drives(options: DonningOptions, centre: Array) -> tuple[Drive, ...]:
     return tuple(drives)
 
 
+def _told(progress: Progress, options: DonningOptions) -> Progress:
+    """The same progress, whose load steps say how far the limb is donned, or the load."""
+
+    def tell(kind: str, facts: dict[str, Any]) -> None:
+        more = {"aim": aim_of(facts["step"], options)} if kind == "newton" else {}
+        progress.event(kind, **{**facts, **more})
+
+    return Progress(tell)
+
+
+def aim_of(step: int, options: DonningOptions) -> str:
+    """What a load step, from 1, leads to.
+
+    >>> options = DonningOptions(donning_steps=10, load_steps=5, loads_n=(400.0, 800.0))
+    >>> aim_of(4, options), aim_of(12, options), aim_of(17, options)
+    ('donned 40 %', 'load 160 N', 'load 560 N')
+    """
+    if step <= options.donning_steps:
+        return f"donned {100 * step / options.donning_steps:.0f} %"
+    share, loads = (step - options.donning_steps) / options.load_steps, (0.0, *options.loads_n)
+    return f"load {np.interp(share, range(len(loads)), loads):.4g} N"
+
+
 def _explained(error: SolveError, n_states: int, options: DonningOptions) -> SolveError:
     """The error, with what was going on: donning, or which load."""
     what = "donning" if n_states == 0 else f"the load of {options.loads_n[n_states - 1]:g} N"
@@ -342,11 +401,7 @@ def _state(running: Analysis, snapshot: Snapshot, load: float) -> SocketState:
     facet_pressure, facet_shear, facet_area = (np.concatenate(each) for each in zip(*by_facet, strict=True))
     area = np.maximum(sums[nodes, 0], 1e-300)
     cells = record_rows(system, state, forces, LogRecord("element", _CELL_FIELDS, ""))[1]
-    tied = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(b.tied for b in system.bodies)]))
-    reactions = forces.nodal.copy()
-    reactions[tied] = 0.0  # they are in the forces of their bodies
-    names = [body.name for body in system.bodies]
-    b = names.index(SOCKET)
+    b = _socket_number(system)
     return SocketState(
         load_n=load,
         pressure_mpa=sums[nodes, 1] / area,
@@ -362,8 +417,35 @@ def _state(running: Analysis, snapshot: Snapshot, load: float) -> SocketState:
         socket_shift_mm=np.array(state.bodies[b].shift),
         penetration_mm=max(map(_penetration, pair.patches), default=0.0),
         centre=np.asarray(system.bodies[b].center + state.bodies[b].shift),
-        imbalance_n=float(np.linalg.norm(forces.bodies[:, :3].sum(axis=0) + reactions.sum(axis=0))),
+        imbalance_n=float(np.linalg.norm(_left(system, state, forces)[0])),
     )
+
+
+def _socket_number(system: System) -> int:
+    return [body.name for body in system.bodies].index(SOCKET)
+
+
+def _left(system: System, state: State, forces: Forces) -> tuple[Array, Array]:
+    """Sums (3,) of all forces from outside, and of their moments about the socket's centre."""
+    tied = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(b.tied for b in system.bodies)]))
+    reactions = forces.nodal.copy()
+    reactions[tied] = 0.0  # they are in the forces of their bodies
+    middle = system.center(_socket_number(system), state)
+    moment = np.cross(system.X + state.u - middle, reactions).sum(axis=0) + forces.bodies[:, 3:].sum(axis=0)
+    for b, each in enumerate(forces.bodies):
+        moment = moment + np.cross(system.center(b, state) - middle, each[:3])
+    return forces.bodies[:, :3].sum(axis=0) + reactions.sum(axis=0), moment
+
+
+def _balance(running: Analysis, snapshot: Snapshot, aim: str, arm: float) -> StepBalance:
+    system = running.system
+    force, moment = (
+        float(np.linalg.norm(each))
+        for each in _left(system, snapshot.state, system.forces_found(snapshot.state))
+    )
+    (pair,) = system.pairs
+    pressed = sum(float(a @ p) for a, p, _ in map(_tractions, pair.patches))
+    return StepBalance(aim, pressed, force, moment, arm)
 
 
 def _penetration(patch: Patch) -> float:

@@ -70,6 +70,11 @@ def test_a_limb_is_donned_and_loaded_in_balance() -> None:
         np.testing.assert_allclose(state.socket_force_n[2], load, rtol=1e-4)
         assert state.imbalance_n < 1e-4 * max(load, float(np.linalg.norm(state.socket_force_n)))
         assert (state.shear_mpa <= 0.3 * state.pressure_mpa * 1.2 + 1e-6).all()
+    assert [each.aim for each in result.balance] == [
+        *("donned 17 %", "donned 33 %", "donned 50 %", "donned 67 %", "donned 83 %", "donned 100 %"),
+        *("load 0.25 N", "load 0.5 N", "load 0.75 N", "load 1 N"),
+    ]
+    assert 0.0 < result.worst.share < 1e-4, result.balance
     # the force drives the narrowing sleeve onto the limb
     assert high.socket_shift_mm[2] > low.socket_shift_mm[2]
     assert high.strain.max() > 0.0
@@ -128,13 +133,15 @@ def test_febio_completes_donning_and_load_with_friction(tmp_path: Path) -> None:
 def test_shear_and_moment_at_the_knee_are_borne() -> None:
     knee = KneeLoad((1.0, 0.0, 30.0), (0.05, -0.02, 0.0), (-0.5, 0.3, 0.0))
     options = replace(OPTIONS, loads_n=(0.5,), load_steps=4, penetration_mm=0.02, knee=knee)
-    _, loaded = don_and_load(limb(), face(), options, threads=1).states
+    result = don_and_load(limb(), face(), options, threads=1)
+    _, loaded = result.states
     np.testing.assert_allclose(loaded.socket_force_n, [0.05, -0.02, 0.5], atol=1e-4)
     # the moment is that of dead loads at the socket's centre: it shifts by 0.02 mm
     about = loaded.moment_about(np.array([1.0, 0.0, 30.0]))
     np.testing.assert_allclose(about[:2], [-0.5, 0.3], atol=0.02)
     assert np.abs(loaded.socket_shift_mm[:2]).max() > 1e-3
     assert loaded.imbalance_n < 1e-4
+    assert result.worst.share < 1e-4, result.balance
 
 
 def test_a_load_that_nothing_holds_says_what_it_was() -> None:
